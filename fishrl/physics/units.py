@@ -1,0 +1,114 @@
+"""From Reynolds number, body length and a Mach budget to lattice units.
+
+A preset is a body length and a speed budget; everything else follows. The fastest thing in the flow
+is the tail, 2 pi a(1) L / T, so the budget is set on it. nu = L^2 / (Re T), tau = 3 nu + 1/2.
+"""
+
+from dataclasses import dataclass
+
+from fishrl.physics.kinematics import CARLING, Gait
+
+# Validated range. Below MIN_TAU the collision loses its margin against vortices shed in a turn; above
+# MAX_TAU the boundary's slip grows. The fastest wall is kept well under the speed of sound 0.577.
+MIN_TAU = 0.501
+MAX_TAU = 2.0
+MAX_WALL_SPEED = 0.15
+# Fastest wall in the default presets: Mach 0.12. Vortices shed in a turn reach 2 to 3 times that.
+DEFAULT_WALL_SPEED = 0.07
+
+
+def check_tau(tau: float) -> None:
+    """Raise if ``tau`` lies outside the validated range."""
+    if not MIN_TAU <= tau <= MAX_TAU:
+        raise ValueError(
+            f"tau = {tau:.5f} lies outside the validated range [{MIN_TAU}, {MAX_TAU}]: "
+            + (
+                "raise body_length, raise max_wall_speed or lower reynolds"
+                if tau < MIN_TAU
+                else "lower body_length, lower max_wall_speed or raise reynolds"
+            )
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scales:
+    """Lattice units of a swimming fish.
+
+    Args:
+        body_length: L in nodes.
+        reynolds: Re_f = L^2 / (T nu).
+        period: T, steps per tail beat; even.
+        gait: sets the tail's speed.
+    """
+
+    body_length: int
+    reynolds: float
+    period: int
+    gait: Gait = CARLING
+
+    def __post_init__(self) -> None:
+        """Refuse what was never validated, and say what to do."""
+        if self.body_length < 16:
+            raise ValueError(f"body_length = {self.body_length}: a fish needs at least 16 nodes")
+        if self.reynolds <= 0:
+            raise ValueError(f"reynolds = {self.reynolds}: must be positive")
+        if self.period < 2 or self.period % 2:
+            raise ValueError(f"period = {self.period}: must be an even number of steps, at least 2")
+        if self.tail_speed > MAX_WALL_SPEED:
+            raise ValueError(
+                f"tail speed = {self.tail_speed:.3f} nodes per step (Mach "
+                f"{self.tail_speed * 3**0.5:.2f}) > {MAX_WALL_SPEED}: raise period or lower "
+                "max_wall_speed"
+            )
+        check_tau(self.tau)
+
+    @classmethod
+    def from_budget(
+        cls,
+        *,
+        body_length: int,
+        reynolds: float,
+        max_wall_speed: float = DEFAULT_WALL_SPEED,
+        gait: Gait = CARLING,
+    ) -> "Scales":
+        """Choose the shortest even period that keeps the tail within ``max_wall_speed``.
+
+        Args:
+            body_length: L in nodes.
+            reynolds: Re_f = L^2 / (T nu).
+            max_wall_speed: largest tail speed, nodes per step; times sqrt(3) it is a Mach number.
+            gait: sets the tail's speed.
+        """
+        if not 0.0 < max_wall_speed <= MAX_WALL_SPEED:
+            raise ValueError(
+                f"max_wall_speed = {max_wall_speed} (Mach {max_wall_speed * 3**0.5:.2f}): allowed "
+                f"is (0, {MAX_WALL_SPEED}]; {DEFAULT_WALL_SPEED} is the validated default"
+            )
+        period = gait.tail_speed * body_length / max_wall_speed
+        even = 2 * -int(-period // 2)
+        return cls(body_length=body_length, reynolds=reynolds, period=even, gait=gait)
+
+    @property
+    def nu(self) -> float:
+        """Kinematic viscosity in lattice units."""
+        return self.body_length**2 / (self.reynolds * self.period)
+
+    @property
+    def tau(self) -> float:
+        """Relaxation time."""
+        return 3.0 * self.nu + 0.5
+
+    @property
+    def reference_speed(self) -> float:
+        """L / T in nodes per step."""
+        return self.body_length / self.period
+
+    @property
+    def tail_speed(self) -> float:
+        """Fastest wall, nodes per step."""
+        return self.gait.tail_speed * self.reference_speed
+
+    @property
+    def mach(self) -> float:
+        """Mach number of the fastest wall."""
+        return self.tail_speed * 3**0.5
