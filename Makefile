@@ -1,0 +1,49 @@
+# Every target makes its own virtual environment first; a second call finds it there.
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+ARGS ?=
+# Python 3.11 to 3.13: the first of these that is one, or name it: make setup PYTHON=/path/to/python3.12
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
+	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' 2>/dev/null \
+	&& { echo $$p; break; }; done)
+# Tests that need CUDA are left out where there is none.
+MARKERS ?= not slow$(shell $(BIN)/python -c 'import torch; print("" if torch.cuda.is_available() else " and not gpu")' 2>/dev/null)
+
+.PHONY: help setup train test check bench format clean
+
+help: ## say what there is to make
+	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/:.*## /\t/' | expand -t 10
+
+setup: $(STAMP) ## install everything into .venv
+
+# torch comes first and pinned, so that nothing else can ask for another build of it.
+$(STAMP): pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "no Python 3.11, 3.12 or 3.13 found: install one, or name it with PYTHON=..."; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet "$$(grep '^torch==' constraints.txt)" -c constraints.txt
+	$(BIN)/python -m pip install --quiet -e '.[dev]' -c constraints.txt
+	@touch $@
+
+train: $(STAMP) ## teach a fish to catch its food; ARGS="seed=1 ..." overrides the configuration
+	$(BIN)/python -m experiments.train $(ARGS)
+
+test: $(STAMP) ## run the tests, a short training among them; ARGS="tests/physics" narrows
+	$(BIN)/python -m pytest -m "$(MARKERS)" $(ARGS)
+
+check: $(STAMP) ## lint, formatting, types, who may import whom
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest -q tests/test_architecture.py
+
+bench: $(STAMP) ## measure the speed of the solver
+	$(BIN)/python -m experiments.benchmark $(ARGS)
+
+format: $(STAMP) ## put the code into the house style
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean: ## remove the environment and caches; runs/ stays
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

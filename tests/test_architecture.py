@@ -1,0 +1,134 @@
+"""Who may import whom, and the few rules about files that keep the house in order."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+FORBIDDEN_NAMES = {"utils", "util", "common", "core", "helpers", "helper", "misc"}
+MAX_LINES = 400
+
+TENSORS = {"torch", "tensordict", "numpy"}
+TASK_SIDE = {"fishrl.physics", "fishrl.envs"}
+# The first pattern that matches a file rules it; "a.b" allows "a.b" and "a.b.c".
+LAYERS: tuple[tuple[str, set[str]], ...] = (
+    ("fishrl/__init__.py", set()),
+    ("fishrl/physics/", TENSORS | {"fishrl.physics"}),
+    ("fishrl/envs/__init__.py", TASK_SIDE),
+    ("fishrl/envs/flow_env.py", TENSORS | {"torchrl"} | TASK_SIDE),
+    ("fishrl/envs/transforms.py", TENSORS | {"torchrl"} | TASK_SIDE),
+    ("fishrl/envs/", TENSORS | TASK_SIDE),
+    ("fishrl/modules/", TENSORS | {"torchrl", "fishrl.modules"}),
+    ("fishrl/objectives/", TENSORS | {"torchrl", "fishrl.objectives"}),
+    ("fishrl/viewer.py", {"torch", "numpy", "rerun", "fishrl.physics"}),
+)
+TORCHRL_SIDE = {"fishrl.envs.flow_env", "fishrl.envs.transforms"}
+ON_USE = {"rerun", "wandb"}
+
+
+def _sources(*folders: str) -> list[Path]:
+    return sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
+
+
+def _relative(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def _imported_by(node: ast.AST, path: Path) -> list[str]:
+    """Return the absolute names that an import statement brings in."""
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if isinstance(node, ast.ImportFrom):
+        package = path.relative_to(ROOT).with_suffix("").parts
+        start = ".".join(package[: len(package) - node.level]) if node.level else ""
+        module = ".".join(part for part in (start, node.module) if part)
+        return [f"{module}.{alias.name}" for alias in node.names]
+    return []
+
+
+def _is_type_checking(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
+
+
+def _walk_at_import(node: ast.AST) -> Iterator[ast.AST]:
+    """Walk what runs when the module is imported: no function bodies, nothing for type checkers."""
+    yield node
+    for child in ast.iter_child_nodes(node):
+        if _is_type_checking(child) or isinstance(child, ast.FunctionDef | ast.Lambda):
+            continue
+        yield from _walk_at_import(child)
+
+
+def _names(path: Path, *, at_import: bool = False) -> list[str]:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    nodes = _walk_at_import(tree) if at_import else ast.walk(tree)
+    return [name for node in nodes for name in _imported_by(node, path)]
+
+
+def _is_within(name: str, packages: set[str]) -> bool:
+    return any(name == package or name.startswith(package + ".") for package in packages)
+
+
+@pytest.mark.parametrize("path", _sources("fishrl"), ids=_relative)
+def test_library_files_import_only_what_their_layer_allows(path: Path) -> None:
+    rules = [allowed for prefix, allowed in LAYERS if _relative(path).startswith(prefix)]
+    assert rules, f"{_relative(path)} belongs to no layer: add it to LAYERS, or move it"
+    allowed = rules[0] | set(sys.stdlib_module_names)
+    wrong = [name for name in _names(path) if not _is_within(name, allowed)]
+    assert not wrong, f"{_relative(path)} imports {wrong}; allowed: {sorted(rules[0])}"
+
+
+def test_task_files_do_not_reach_torchrl_through_the_env() -> None:
+    gates = {"flow_env.py", "transforms.py", "__init__.py"}
+    tasks = [path for path in _sources("fishrl/envs") if path.name not in gates]
+    wrong = [_relative(path) for path in tasks for n in _names(path) if _is_within(n, TORCHRL_SIDE)]
+    assert not wrong
+
+
+@pytest.mark.parametrize("path", _sources("fishrl", "experiments"), ids=_relative)
+def test_rerun_and_wandb_are_imported_on_use(path: Path) -> None:
+    early = [name for name in _names(path, at_import=True) if _is_within(name, ON_USE)]
+    assert not early, f"{_relative(path)} imports {early} at the top: import it where it is used"
+
+
+def test_only_the_viewer_imports_rerun() -> None:
+    importers = [
+        _relative(path)
+        for path in _sources("fishrl", "experiments")
+        if any(_is_within(name, {"rerun"}) for name in _names(path))
+    ]
+    assert set(importers) <= {"fishrl/viewer.py"}
+
+
+def test_physics_imports_without_torchrl_hydra_rerun_and_wandb() -> None:
+    blocked = ("torchrl", "hydra", "omegaconf", "rerun", "wandb", "matplotlib")
+    script = f"import sys; sys.modules.update(dict.fromkeys({blocked!r})); import fishrl.physics"
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("path", _sources("fishrl", "experiments", "tests"), ids=_relative)
+def test_files_stay_short(path: Path) -> None:
+    lines = len(path.read_text(encoding="utf-8").splitlines())
+    assert lines <= MAX_LINES, f"{_relative(path)} has {lines} lines, {MAX_LINES} is the most"
+
+
+def test_no_file_or_folder_is_called_after_nothing() -> None:
+    parts = {
+        part
+        for path in _sources("fishrl", "experiments", "tests")
+        for part in path.relative_to(ROOT).with_suffix("").parts
+    }
+    assert not parts & FORBIDDEN_NAMES
+
+
+@pytest.mark.parametrize("path", _sources("fishrl"), ids=_relative)
+def test_the_library_logs_and_never_prints(path: Path) -> None:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    lines = [call.lineno for call in calls if ast.unparse(call.func) == "print"]
+    assert not lines, f"{_relative(path)} prints on lines {lines}: use logging"
