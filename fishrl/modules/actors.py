@@ -1,0 +1,91 @@
+"""The softmax actor: which actions it thinks good, among those that are legal."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import torch
+from tensordict.nn import InteractionType, TensorDictModule
+from torch import nn
+from torchrl.data import Categorical
+from torchrl.modules import MaskedCategorical, ProbabilisticActor
+
+#: Logit given to illegal actions: exp(-1e9) is exactly 0 in float32 and bfloat16, and stays finite
+#: in the loss, where an infinite one would give 0 * inf.
+ILLEGAL_LOGIT = -1e9
+
+
+def make_mlp(
+    *,
+    num_inputs: int,
+    num_outputs: int,
+    hidden: Sequence[int],
+    generator: torch.Generator | None = None,
+) -> nn.Sequential:
+    """Build a fully connected network with ReLU between its layers.
+
+    Weights and biases are drawn as ``nn.Linear`` draws them, but from ``generator``, so that one
+    seed gives one network whatever else has used the global generator.
+
+    Args:
+        num_inputs: length of the input vector.
+        num_outputs: length of the output vector.
+        hidden: widths of the hidden layers.
+        generator: source of the initial weights; ``None`` uses the global one.
+
+    Raises:
+        ValueError: if a width is smaller than 1.
+    """
+    widths = [num_inputs, *hidden, num_outputs]
+    if min(widths) < 1:
+        raise ValueError(f"layer widths = {widths}: every width must be at least 1")
+    layers: list[nn.Module] = []
+    for fan_in, fan_out in itertools.pairwise(widths):
+        linear = nn.Linear(fan_in, fan_out)
+        bound = 1.0 / math.sqrt(fan_in)
+        nn.init.uniform_(linear.weight, -bound, bound, generator=generator)
+        nn.init.uniform_(linear.bias, -bound, bound, generator=generator)
+        layers += [linear, nn.ReLU()]
+    return nn.Sequential(*layers[:-1])
+
+
+def make_actor(
+    *,
+    num_inputs: int,
+    num_actions: int,
+    hidden: Sequence[int] = (256, 256),
+    in_key: str = "observation_stack",
+    mask_key: str = "action_mask",
+    generator: torch.Generator | None = None,
+) -> ProbabilisticActor:
+    """Build the softmax policy over the legal actions.
+
+    Reads ``in_key`` ``[..., num_inputs]`` and ``mask_key`` ``[..., num_actions]`` (bool), writes
+    ``logits`` ``[..., num_actions]`` and the integer ``action`` ``[...]``. Under
+    ``ExplorationType.DETERMINISTIC`` the action is the likeliest legal one, otherwise a sample.
+
+    Args:
+        num_inputs: length of the stacked observation.
+        num_actions: number of actions, legal or not.
+        hidden: widths of the hidden layers.
+        in_key: key of the stacked observation.
+        mask_key: key of the mask, true where an action is legal.
+        generator: source of the initial weights.
+
+    Raises:
+        ValueError: if a width is smaller than 1.
+    """
+    network = make_mlp(
+        num_inputs=num_inputs, num_outputs=num_actions, hidden=hidden, generator=generator
+    )
+    return ProbabilisticActor(
+        module=TensorDictModule(network, in_keys=[in_key], out_keys=["logits"]),
+        in_keys={"logits": "logits", "mask": mask_key},
+        out_keys=["action"],
+        spec=Categorical(num_actions),
+        distribution_class=MaskedCategorical,
+        distribution_kwargs={"neg_inf": ILLEGAL_LOGIT},
+        default_interaction_type=InteractionType.RANDOM,
+    )

@@ -1,0 +1,187 @@
+"""Discrete soft actor-critic that knows about illegal actions.
+
+Christodoulou 2019, "Soft Actor-Critic for Discrete Action Settings", eqs. 10-12, as TorchRL's
+``DiscreteSACLoss`` implements it. What differs here, and why:
+
+* the actor loss never multiplies a zero probability by the logit of an illegal action, which is
+  infinite in TorchRL's default and would make every loss and gradient NaN;
+* the entropy asked of the policy in a state is a share of the largest one its *legal* actions
+  allow, log(number of legal actions), not log(number of actions): the latter cannot be reached
+  where actions are banned, and the temperature then grows without bound;
+* ``skip_done_states`` is refused: it treats a truncated state as a final one, worth nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModule, dispatch
+from torch import Tensor
+from torchrl.objectives import DiscreteSACLoss
+
+
+class MaskedDiscreteSACLoss(DiscreteSACLoss):
+    """Discrete SAC loss for actors with an action mask.
+
+    With every action legal it equals TorchRL's ``DiscreteSACLoss`` bit for bit. Actions are
+    integers (categorical). Besides the parent's outputs it gives ``entropy_fraction``: the mean of
+    entropy / log(number of legal actions) over the states that leave a choice, between 0 (always
+    the same action) and 1 (uniform).
+
+    Every state, also a final one, must have at least one legal action.
+
+    Args:
+        actor_network: policy with a mask, see ``fishrl.modules.make_actor``.
+        qvalue_network: list of critics of the observation, ``action_value`` ``[..., num_actions]``.
+            A list keeps their initial weights; the parent resamples those of a single module.
+        num_actions: number of actions, legal or not.
+        mask_key: key of the mask ``[..., num_actions]``, true where an action is legal.
+        alpha_init: initial temperature.
+        min_alpha: lower bound of the temperature, or ``None``.
+        max_alpha: upper bound of the temperature, or ``None``.
+        fixed_alpha: keep the temperature at ``alpha_init``.
+        target_entropy: ``"auto"`` asks for ``target_entropy_weight * log(num_legal)`` in each
+            state; a number asks for that entropy everywhere.
+        target_entropy_weight: share of the largest entropy that is asked for.
+        loss_function: distance of the critics to their target: smooth_l1, l2 or l1.
+        reduction: mean or sum over the batch.
+        skip_done_states: only ``False`` is allowed.
+
+    Raises:
+        ValueError: if ``skip_done_states`` is true, ``reduction`` is neither mean nor sum, or
+            fewer than two critics are given.
+    """
+
+    out_keys = [*DiscreteSACLoss.out_keys, "entropy_fraction"]
+    target_entropy_by_count: Tensor
+
+    def __init__(
+        self,
+        actor_network: ProbabilisticTensorDictSequential,
+        qvalue_network: list[TensorDictModule],
+        *,
+        num_actions: int,
+        mask_key: str = "action_mask",
+        alpha_init: float = 1.0,
+        min_alpha: float | None = None,
+        max_alpha: float | None = None,
+        fixed_alpha: bool = False,
+        target_entropy: float | Literal["auto"] = "auto",
+        target_entropy_weight: float = 0.98,
+        loss_function: str = "smooth_l1",
+        reduction: str = "mean",
+        skip_done_states: bool = False,
+    ) -> None:
+        if skip_done_states:
+            raise ValueError(
+                "skip_done_states = True: a truncated state would count as a final one, worth "
+                "nothing; leave it False, terminated states are not bootstrapped anyway"
+            )
+        if reduction not in ("mean", "sum"):
+            raise ValueError(f"reduction = {reduction!r}: must be 'mean' or 'sum'")
+        if not isinstance(qvalue_network, (list, tuple)) or len(qvalue_network) < 2:
+            raise ValueError(
+                "qvalue_network: must be a list of at least two critics, as make_twin_critics "
+                "gives; the weights of a single one would be resampled"
+            )
+        super().__init__(
+            actor_network,
+            list(qvalue_network),
+            action_space="categorical",
+            num_actions=num_actions,
+            num_qvalue_nets=len(qvalue_network),
+            loss_function=loss_function,
+            alpha_init=alpha_init,
+            min_alpha=min_alpha,
+            max_alpha=max_alpha,
+            fixed_alpha=fixed_alpha,
+            target_entropy=target_entropy,
+            target_entropy_weight=target_entropy_weight,
+            reduction=reduction,
+        )
+        self.mask_key = mask_key
+        largest = [math.log(max(count, 1)) for count in range(num_actions + 1)]
+        self.register_buffer("_largest_entropy", self.log_alpha.detach().new_tensor(largest))
+        self.register_buffer(
+            "target_entropy_by_count",
+            self.log_alpha.detach().new_tensor(
+                [
+                    target_entropy_weight * entropy if target_entropy == "auto" else target_entropy
+                    for entropy in largest
+                ]
+            ),
+        )
+
+    @dispatch
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Compute the losses of a batch of transitions and write ``td_error`` into it."""
+        loss_qvalue, value_metadata = self.qvalue_loss(tensordict)
+        loss_actor, actor_metadata = self.actor_loss(tensordict)
+        log_prob, num_legal = actor_metadata["log_prob"], actor_metadata["num_legal"]
+        loss_alpha = self._reduce_loss(
+            self._alpha_loss(log_prob, num_legal=num_legal),
+            tensordict=tensordict,
+            weights=self._maybe_get_priority_weight(tensordict),
+        )
+        tensordict.set(self.tensor_keys.priority, value_metadata["td_error"])
+        has_choice = num_legal > 1
+        fraction = -log_prob / self._largest_entropy[num_legal].clamp_min(math.log(2.0))
+        losses = TensorDict(
+            {
+                "loss_actor": loss_actor,
+                "loss_qvalue": loss_qvalue,
+                "loss_alpha": loss_alpha,
+                "alpha": self._alpha,
+                "entropy": -log_prob.mean(),
+                "entropy_fraction": (fraction * has_choice).sum() / has_choice.sum().clamp_min(1),
+            }
+        )
+        self._clear_weakrefs(
+            tensordict,
+            losses,
+            "actor_network_params",
+            "qvalue_network_params",
+            "target_actor_network_params",
+            "target_qvalue_network_params",
+        )
+        return losses
+
+    def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """Compute E_s[sum_a pi(a|s) (alpha log pi(a|s) - min_i Q_i(s, a))] over legal actions.
+
+        Returns:
+            The loss, and the detached ``log_prob`` ``[B]`` (its expectation under the policy, that
+            is minus the entropy) and ``num_legal`` ``[B]``.
+        """
+        mask = tensordict.get(self.mask_key)
+        with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
+            policy = self.actor_network.get_dist(tensordict.clone(False))
+        prob = policy.probs
+        log_prob = torch.where(mask, policy.logits, torch.zeros_like(policy.logits))
+        values = self._vmap_qnetworkN0(
+            tensordict.select(*self.qvalue_network.in_keys, strict=False),
+            self._cached_detached_qvalue_params,
+        )
+        value = values.get(self.tensor_keys.action_value).min(0)[0]
+        loss = (prob * (self._alpha * log_prob - value)).sum(-1)  # Christodoulou 2019, eq. 12
+        loss = self._reduce_loss(
+            loss, tensordict=tensordict, weights=self._maybe_get_priority_weight(tensordict)
+        )
+        metadata = {
+            "log_prob": (log_prob * prob).sum(-1).detach(),
+            "num_legal": mask.sum(-1),
+        }
+        return loss, metadata
+
+    def _alpha_loss(self, log_prob: Tensor, num_legal: Tensor | None = None) -> Tensor:
+        """Compute -log(alpha) (E[log pi] + target): Christodoulou 2019, eq. 11, with log(alpha).
+
+        States that leave no choice say nothing about the temperature.
+        """
+        if num_legal is None:
+            return super()._alpha_loss(log_prob)
+        gap = log_prob + self.target_entropy_by_count[num_legal]
+        return -self.log_alpha * torch.where(num_legal > 1, gap, torch.zeros_like(gap))

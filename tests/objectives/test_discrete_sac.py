@@ -1,0 +1,333 @@
+"""The mask-aware loss against TorchRL's: each known defect of the latter has a test here."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torch import nn
+from torchrl.data import Categorical
+from torchrl.modules import MaskedCategorical, ProbabilisticActor
+from torchrl.objectives import DiscreteSACLoss, SoftUpdate
+
+from fishrl.modules import make_actor, make_mlp, make_twin_critics
+from fishrl.objectives import MaskedDiscreteSACLoss
+
+NUM_ACTIONS, NUM_INPUTS = 4, 6
+pytestmark = pytest.mark.filterwarnings("ignore:No target network updater")
+LOSSES = ("loss_actor", "loss_qvalue", "loss_alpha", "entropy")
+
+
+def random_mask(num: int, generator: torch.Generator) -> torch.Tensor:
+    mask = torch.rand(num, NUM_ACTIONS, generator=generator) > 0.5
+    mask[torch.arange(num), torch.randint(NUM_ACTIONS, (num,), generator=generator)] = True
+    return mask
+
+
+def transitions(num: int = 64, *, is_all_legal: bool = False) -> TensorDict:
+    generator = torch.Generator().manual_seed(3)
+    mask, next_mask = random_mask(num, generator), random_mask(num, generator)
+    if is_all_legal:
+        mask, next_mask = torch.ones_like(mask), torch.ones_like(mask)
+    terminated = torch.rand(num, 1, generator=generator) < 0.2
+    truncated = torch.rand(num, 1, generator=generator) < 0.2
+    following = {
+        "observation_stack": torch.randn(num, NUM_INPUTS, generator=generator),
+        "action_mask": next_mask,
+        "reward": torch.randn(num, 1, generator=generator),
+        "done": terminated | truncated,
+        "terminated": terminated,
+    }
+    return TensorDict(
+        {
+            "observation_stack": torch.randn(num, NUM_INPUTS, generator=generator),
+            "action_mask": mask,
+            "action": torch.multinomial(mask.float(), 1, generator=generator).squeeze(-1),
+            "next": TensorDict(following, [num]),
+        },
+        [num],
+    )
+
+
+def actor_with(neg_inf: float) -> ProbabilisticActor:
+    network = make_mlp(
+        num_inputs=NUM_INPUTS,
+        num_outputs=NUM_ACTIONS,
+        hidden=(32,),
+        generator=torch.Generator().manual_seed(0),
+    )
+    return ProbabilisticActor(
+        TensorDictModule(network, in_keys=["observation_stack"], out_keys=["logits"]),
+        in_keys={"logits": "logits", "mask": "action_mask"},
+        out_keys=["action"],
+        spec=Categorical(NUM_ACTIONS),
+        distribution_class=MaskedCategorical,
+        distribution_kwargs={"neg_inf": neg_inf},
+    )
+
+
+def critics() -> list[TensorDictModule]:
+    return make_twin_critics(
+        num_inputs=NUM_INPUTS,
+        num_actions=NUM_ACTIONS,
+        hidden=(32,),
+        generator=torch.Generator().manual_seed(1),
+    )
+
+
+def make_loss(*, neg_inf: float = -1e9, **kwargs: object) -> MaskedDiscreteSACLoss:
+    loss = MaskedDiscreteSACLoss(
+        actor_with(neg_inf),
+        critics(),
+        num_actions=NUM_ACTIONS,
+        **kwargs,  # type: ignore[arg-type]
+    )
+    loss.make_value_estimator(gamma=0.9)
+    return loss
+
+
+def make_parent(*, neg_inf: float = -1e9, **kwargs: object) -> DiscreteSACLoss:
+    loss = DiscreteSACLoss(
+        actor_with(neg_inf),
+        critics(),
+        action_space="categorical",
+        num_actions=NUM_ACTIONS,
+        **kwargs,
+    )
+    loss.make_value_estimator(gamma=0.9)
+    return loss
+
+
+def backward(loss: DiscreteSACLoss, data: TensorDict) -> tuple[TensorDict, dict[str, torch.Tensor]]:
+    out = loss(data.clone())
+    (out["loss_actor"] + out["loss_qvalue"] + out["loss_alpha"]).backward()
+    gradients = {n: p.grad for n, p in loss.named_parameters() if p.grad is not None}
+    return out, gradients
+
+
+def is_finite(out: TensorDict, gradients: dict[str, torch.Tensor]) -> bool:
+    return all(bool(out[key].isfinite()) for key in LOSSES) and all(
+        bool(gradient.isfinite().all()) for gradient in gradients.values()
+    )
+
+
+def test_equals_the_parent_bit_for_bit_when_every_action_is_legal() -> None:
+    data = transitions(is_all_legal=True)
+    ours, our_gradients = backward(make_loss(), data)
+    theirs, their_gradients = backward(make_parent(), data)
+    for key in (*LOSSES, "alpha"):
+        assert torch.equal(ours[key], theirs[key]), key
+    assert our_gradients.keys() == their_gradients.keys()
+    for name, gradient in our_gradients.items():
+        assert torch.equal(gradient, their_gradients[name]), name
+
+
+@pytest.mark.parametrize("neg_inf", [-math.inf, -1e9])
+def test_losses_and_gradients_are_finite_under_masks(neg_inf: float) -> None:
+    assert is_finite(*backward(make_loss(neg_inf=neg_inf), transitions()))
+
+
+def test_d1_the_parent_gives_nan_under_masks_with_its_default_logit() -> None:
+    assert not is_finite(*backward(make_parent(neg_inf=-math.inf), transitions()))
+
+
+def test_actor_gradients_equal_the_parents_with_finite_illegal_logits() -> None:
+    _, ours = backward(make_loss(), transitions())
+    _, theirs = backward(make_parent(), transitions())
+    for name in ours:
+        if "alpha" not in name:
+            assert torch.allclose(ours[name], theirs[name], atol=1e-6), name
+
+
+def test_d2_d3_skipping_done_states_is_refused() -> None:
+    with pytest.raises(ValueError, match="truncated state would count as a final one"):
+        make_loss(skip_done_states=True)
+
+
+def reference_target(loss: DiscreteSACLoss, data: TensorDict) -> torch.Tensor:
+    """r + gamma (1 - terminated) sum_a pi (min Q - alpha log pi), legal actions alone, one row at
+    a time."""
+    following, targets = data["next"], []
+    actor = loss.get_stateful_net("actor_network")
+    for i in range(data.shape[0]):
+        legal = following["action_mask"][i].nonzero().squeeze(-1)
+        stack = following["observation_stack"][i]
+        logits = actor[0].module(stack)[legal]
+        log_prob = logits - logits.logsumexp(-1)
+        values = torch.stack(
+            [critic.module(stack)[legal] for critic in critics()]  # targets start as copies
+        )
+        state_value = (log_prob.exp() * (values.min(0)[0] - loss._alpha * log_prob)).sum()
+        bootstrap = 0.0 if following["terminated"][i] else 0.9
+        targets.append(following["reward"][i, 0] + bootstrap * state_value)
+    return torch.stack(targets)
+
+
+def test_d3_the_target_bootstraps_truncated_states_but_not_terminated_ones() -> None:
+    data, loss = transitions(), make_loss()
+    with torch.no_grad():
+        target = loss._compute_target(data)
+        assert torch.allclose(target, reference_target(loss, data), atol=1e-5)
+        is_truncated = (data["next", "done"] & ~data["next", "terminated"]).squeeze(-1)
+        assert is_truncated.any()
+        reward = data["next", "reward"].squeeze(-1)
+        assert not torch.isclose(target, reward)[is_truncated].any()
+        skipping = make_parent(skip_done_states=True)._compute_target(data)
+        assert torch.equal(skipping[is_truncated], reward[is_truncated])  # the parent's defect
+
+
+def test_the_target_obeys_the_mask_of_the_next_state_and_of_no_other() -> None:
+    data, loss = transitions(), make_loss()
+    target = loss._compute_target(data)
+    changed = data.clone()
+    changed["action_mask"] = torch.ones_like(changed["action_mask"])
+    assert torch.equal(loss._compute_target(changed), target)
+    changed["next", "action_mask"] = torch.ones_like(changed["action_mask"])
+    assert not torch.allclose(loss._compute_target(changed), target)
+
+
+def alpha_after(loss: DiscreteSACLoss, data: TensorDict, *, num_steps: int) -> tuple[float, float]:
+    """Train the actor and the temperature alone, on critics that prefer no action."""
+    optimiser = torch.optim.Adam([p for n, p in loss.named_parameters() if "qvalue" not in n], 0.02)
+    for _ in range(num_steps):
+        out = loss(data.clone())
+        optimiser.zero_grad()
+        (out["loss_actor"] + out["loss_alpha"]).backward()
+        optimiser.step()
+    return float(out["alpha"]), float(out["entropy"])
+
+
+def test_d4_the_temperature_settles_where_the_parents_runs_away() -> None:
+    data = transitions()
+    num_legal = data["action_mask"].sum(-1)
+    largest = num_legal.double().log()
+    assert largest.mean() < 0.98 * math.log(NUM_ACTIONS)  # the parent asks for the unreachable
+    ours, entropy = alpha_after(make_loss(target_entropy_weight=0.7), data, num_steps=300)
+    theirs, _ = alpha_after(make_parent(target_entropy_weight=0.7), data, num_steps=300)
+    assert entropy == pytest.approx(0.7 * float(largest.mean()), abs=0.05)
+    assert ours < 1.0
+    assert theirs > 10.0
+
+
+def test_states_without_a_choice_say_nothing_about_the_temperature() -> None:
+    data = transitions()
+    data["action_mask"] = nn.functional.one_hot(data["action"], NUM_ACTIONS).bool()
+    loss = make_loss()
+    out, gradients = backward(loss, data)
+    assert out["loss_alpha"] == 0 and gradients["log_alpha"] == 0
+    assert out["entropy_fraction"] == 0
+    assert is_finite(out, gradients)
+
+
+def test_d5_a_row_without_legal_actions_stays_finite_and_moves_no_policy() -> None:
+    data = transitions()
+    data["action_mask"][0] = False
+    data["next", "action_mask"][0] = False
+    loss = make_loss()
+    out, gradients = backward(loss, data)
+    assert is_finite(out, gradients)
+    _, rest = backward(make_loss(reduction="sum"), data[1:])
+    for name in gradients:
+        if "actor" in name:
+            assert torch.allclose(gradients[name], rest[name] / 64, atol=1e-6), name
+    broken, _ = backward(make_parent(neg_inf=-math.inf), data)
+    assert not broken["loss_actor"].isfinite()
+
+
+def test_d6_a_small_illegal_logit_leaks_probability_and_ours_does_not() -> None:
+    mask = torch.tensor([True, False])
+    logits = torch.tensor([-20.0, 0.0])
+    leak = MaskedCategorical(logits=logits, mask=mask, neg_inf=-18.0).probs[1]
+    assert leak > 0.8  # what other frameworks use
+    actor = make_actor(num_inputs=2, num_actions=2, hidden=())
+    with torch.no_grad():
+        actor[0].module[0].weight.zero_()
+        actor[0].module[0].bias.copy_(logits)
+    state = TensorDict({"observation_stack": torch.zeros(2), "action_mask": mask})
+    assert actor.get_dist(state).probs[1] == 0
+
+
+def test_d7_the_initial_weights_of_the_critics_are_kept() -> None:
+    loss = make_loss()
+    given = [next(iter(critic.parameters())) for critic in critics()]
+    kept = next(p for n, p in loss.named_parameters() if "qvalue" in n and "weight" in n)
+    assert torch.equal(kept, torch.stack([weight.data for weight in given]))
+    single = DiscreteSACLoss(
+        actor_with(-1e9), critics()[0], action_space="categorical", num_actions=NUM_ACTIONS
+    )
+    resampled = next(p for n, p in single.named_parameters() if "qvalue" in n and "weight" in n)
+    assert not torch.equal(resampled[0], given[0])
+    with pytest.raises(ValueError, match="a list of at least two critics"):
+        MaskedDiscreteSACLoss(
+            actor_with(-1e9),
+            critics()[0],  # type: ignore[arg-type]
+            num_actions=NUM_ACTIONS,
+        )
+
+
+def test_a_reduction_that_keeps_the_batch_is_refused() -> None:
+    with pytest.raises(ValueError, match="must be 'mean' or 'sum'"):
+        make_loss(reduction="none")
+
+
+def test_a_missing_mask_of_the_next_state_is_an_error() -> None:
+    data = transitions()
+    del data["next", "action_mask"]
+    with pytest.raises((KeyError, ValueError)):
+        make_loss()(data)
+
+
+def test_temperature_stays_inside_its_bounds() -> None:
+    loss = make_loss(alpha_init=5.0, min_alpha=0.1, max_alpha=0.5)
+    assert loss(transitions())["alpha"] == pytest.approx(0.5)
+
+
+@pytest.mark.learning
+def test_learns_a_masked_corridor_in_seconds() -> None:
+    """Walk right along 6 cells; at each cell one wrong action is banned; every step costs 1."""
+    torch.manual_seed(0)
+    num_cells, num_envs = 6, 32
+    generator = torch.Generator().manual_seed(0)
+    actor = make_actor(
+        num_inputs=num_cells, num_actions=3, hidden=(32,), generator=generator
+    )  # 0 left, 1 stay, 2 right
+    loss = MaskedDiscreteSACLoss(
+        actor,
+        make_twin_critics(num_inputs=num_cells, num_actions=3, hidden=(32,), generator=generator),
+        num_actions=3,
+        target_entropy_weight=0.3,
+    )
+    loss.make_value_estimator(gamma=0.9)
+    targets = SoftUpdate(loss, tau=0.05)
+    optimiser = torch.optim.Adam(loss.parameters(), 5e-3)
+
+    def state(cell: torch.Tensor) -> TensorDict:
+        mask = torch.ones(len(cell), 3, dtype=torch.bool)
+        mask[torch.arange(len(cell)), cell % 2] = False  # bans left in even, staying in odd cells
+        stack = nn.functional.one_hot(cell, num_cells).float()
+        return TensorDict({"observation_stack": stack, "action_mask": mask}, [len(cell)])
+
+    cell, batches = torch.zeros(num_envs, dtype=torch.long), []
+    for _ in range(150):
+        with torch.no_grad():
+            td = actor(state(cell))
+        assert td["action_mask"].gather(1, td["action"][:, None]).all()
+        following = (cell + td["action"] - 1).clamp(0, num_cells - 1)
+        terminated = (following == num_cells - 1).unsqueeze(-1)
+        td["next"] = state(following).update(
+            {"reward": -torch.ones(num_envs, 1), "done": terminated, "terminated": terminated}
+        )
+        batches.append(td)
+        cell = torch.where(terminated.squeeze(-1), torch.zeros_like(following), following)
+        batch = torch.cat(batches[-50:])
+        out = loss(batch[torch.randint(len(batch), (128,))])
+        optimiser.zero_grad()
+        (out["loss_actor"] + out["loss_qvalue"] + out["loss_alpha"]).backward()
+        optimiser.step()
+        targets.step()
+    with torch.no_grad():
+        probs = actor.get_dist(state(torch.arange(num_cells - 1))).probs
+    assert (probs.argmax(-1) == 2).all()
