@@ -30,7 +30,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#7
 FRAMES = "frames"
 # Panels of the learning curve: title, and the columns of metrics.csv that it shows.
 PANELS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
-    ("return per episode", (("train/return", "training"), ("eval/return", "evaluation"))),
+    ("return per episode", (("train/return", "training"), ("eval/mean_return", "evaluation"))),
     ("capture rate", (("train/capture_rate", "training"), ("eval/capture_rate", "evaluation"))),
     ("critic loss", (("train/loss_qvalue", "loss"),)),
     ("actor loss", (("train/loss_actor", "loss"),)),

@@ -14,7 +14,7 @@ from experiments import figures, flow_pictures
 from experiments.recording import Recording
 
 Maker = Callable[..., Recording]
-METRICS = """frames,train/return,eval/return,train/capture_rate,train/loss_qvalue,note
+METRICS = """frames,train/return,eval/mean_return,train/capture_rate,train/loss_qvalue,note
 64,-5.0,,0.0,2.0,warm-up
 128,-3.0,-4.0,0.1,nan,
 192,2.0,,0.5,1.0,
@@ -55,7 +55,7 @@ def test_a_run_without_metrics_gets_all_but_the_learning_curve(
 
 def test_blank_cells_words_and_nan_are_left_out_of_the_curves(run_dir: Path) -> None:
     series = figures.read_metrics(run_dir / "metrics.csv")
-    assert series["eval/return"][0].tolist() == [128.0]
+    assert series["eval/mean_return"][0].tolist() == [128.0]
     assert series["train/loss_qvalue"][1].tolist() == [2.0, 1.0]
     assert "note" not in series
 
