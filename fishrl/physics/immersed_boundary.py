@@ -18,13 +18,13 @@ from fishrl.physics.delta import Kernel, Roma3
 
 
 class Stencil(NamedTuple):
-    """The nodes that each marker sees; S is the kernel's support.
+    """The nodes that each marker sees; S is the kernel's support. Markers come last in memory.
 
     Attributes:
-        x: ``[B, N]`` column of the first node.
+        x: ``[B, N]`` column of the first node, a whole number in the weights' type.
         y: ``[B, N]`` row of the first node.
-        weight_x: ``[B, N, S]`` kernel weights along x.
-        weight_y: ``[B, N, S]`` kernel weights along y.
+        weight_x: ``[B, S, N]`` kernel weights along x.
+        weight_y: ``[B, S, N]`` kernel weights along y.
     """
 
     x: Tensor
@@ -34,14 +34,15 @@ class Stencil(NamedTuple):
 
     @property
     def weights(self) -> Tensor:
-        """Two-dimensional weights ``[B, N, S * S]``, y before x."""
-        return (self.weight_y[..., :, None] * self.weight_x[..., None, :]).flatten(-2)
+        """Two-dimensional weights ``[B, S * S, N]``, y before x."""
+        return (self.weight_y[:, :, None] * self.weight_x[:, None]).flatten(1, 2)
 
     def index_nodes(self, row_length: int) -> Tensor:
-        """Return ``[B, N, S * S]`` flat node indices in a row-major field, y before x."""
-        s = torch.arange(self.weight_x.shape[-1], device=self.x.device)
-        rows = (self.y[..., None] + s) * row_length
-        return (rows[..., :, None] + (self.x[..., None] + s)[..., None, :]).flatten(-2)
+        """Return ``[B, S * S, N]`` flat node indices in a row-major field, y before x."""
+        s = torch.arange(self.weight_x.shape[1], device=self.x.device)[:, None]
+        rows = (self.y.to(torch.int64)[:, None] + s) * row_length
+        columns = self.x.to(torch.int64)[:, None] + s
+        return (rows[:, :, None] + columns[:, None]).flatten(1, 2)
 
 
 def make_stencil(
@@ -58,20 +59,20 @@ def make_stencil(
         dtype: of the weights.
     """
     reach = 0.5 * kernel.support
+    steps = torch.arange(kernel.support, device=markers.device, dtype=dtype)[:, None]
     first, weights = [], []
     for axis, size in ((0, width), (1, height)):
         position = markers[..., axis].nan_to_num(0.0).clamp(0.0, size - 1.0)
         start = (torch.floor(position - reach) + 1.0).clamp(0.0, float(size - kernel.support))
         offset = (position - start).to(dtype)
-        steps = torch.arange(kernel.support, device=markers.device, dtype=dtype)
-        first.append(start.to(torch.int64))
-        weights.append(kernel(offset[..., None] - steps))
+        first.append(start.to(dtype))
+        weights.append(kernel(offset[:, None] - steps))
     return Stencil(first[0], first[1], weights[0], weights[1])
 
 
 def interpolate(values: Tensor, weights: Tensor) -> Tensor:
-    """Return marker values ``[B, N]`` from node values ``[B, N, S * S]`` at each stencil."""
-    return (values * weights).sum(-1)
+    """Return marker values ``[B, N]`` from node values ``[B, S * S, N]`` at each stencil."""
+    return (values * weights).sum(1)
 
 
 def couple_markers(stencil: Stencil, spacing: float) -> Tensor:
@@ -85,12 +86,12 @@ def couple_markers(stencil: Stencil, spacing: float) -> Tensor:
 
 def _overlap(first: Tensor, weights: Tensor) -> Tensor:
     """Return sum_i phi(i - X_k) phi(i - X_l) for all marker pairs, ``[B, N, N]``."""
-    support = weights.shape[-1]
-    shift = (first[:, None, :] - first[:, :, None]).to(weights.dtype)
+    support = weights.shape[1]
+    shift = first[:, None, :] - first[:, :, None]
     total = torch.zeros_like(shift)
     for d in range(1 - support, support):
         pairs = range(max(0, d), min(support, support + d))
-        products = sum(weights[:, :, None, a] * weights[:, None, :, a - d] for a in pairs)
+        products = sum(weights[:, a, :, None] * weights[:, a - d, None, :] for a in pairs)
         total = torch.where(shift == d, products, total)
     return total
 

@@ -1,29 +1,19 @@
-"""The fast step: the whole batch in one buffer, in place, compiled.
-
-Order of one step: collide all nodes without force (one pass, 72 bytes a node), then let the fish act
-on the outgoing populations at its marker nodes alone, then set the edges. As collision conserves mass
-and momentum, the fish sees the same unforced velocity as in ``solver.step``, and the increment it adds
-makes the result equal to the forced collision there. Even and odd steps are the same code on other
-views (see ``streaming.InPlaceBuffer``); states are exchanged at even parity only.
-"""
+"""A batch of flows in memory: what environments hold, reset, command, advance and read."""
 
 import logging
 import time
-from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from fishrl.physics.boundaries import Side
-from fishrl.physics.collision import collide_mrt, compute_force_increment, compute_macroscopic
-from fishrl.physics.compiled import compile_inplace
-from fishrl.physics.kinematics import Modes, deform
-from fishrl.physics.lattice import OPPOSITE, Q
-from fishrl.physics.rigid_motion import Body, make_body, move_body, place_markers
-from fishrl.physics.solver import exchange, locate_body
+from fishrl.physics.collision import compute_macroscopic
+from fishrl.physics.compiled import find_compiler_problem
+from fishrl.physics.kinematics import deform
+from fishrl.physics.rigid_motion import Body, make_body, place_markers
 from fishrl.physics.state import FlowConfig
-from fishrl.physics.streaming import InPlaceBuffer
+from fishrl.physics.stepper import FlowGroup, Stepper
+from fishrl.physics.workers import SharedMemory, Workers, map_shared
 
 logger = logging.getLogger(__name__)
 
@@ -40,6 +30,8 @@ class InPlaceSolver:
         frequency: tail beats per step at start.
         device: where everything lives.
         compile: compile the step; otherwise the same functions run eagerly.
+        num_workers: CPU processes that share the flows. None takes one per core if there is more
+            than one flow and the step is compiled; 0 runs all flows here. On a GPU it must be 0.
     """
 
     def __init__(
@@ -50,6 +42,7 @@ class InPlaceSolver:
         frequency: float = 0.0,
         device: torch.device | str = "cpu",
         compile: bool = True,
+        num_workers: int | None = None,
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs = {num_envs}: at least one flow is needed")
@@ -58,160 +51,130 @@ class InPlaceSolver:
                 "the in-place step has no periodic edges: use fishrl.physics.solver.step for them"
             )
         self.config, self.num_envs, self.device = config, num_envs, torch.device(device)
-        self.buffer = InPlaceBuffer(
-            num_envs=num_envs, height=config.height, width=config.width, device=device
-        )
-        self._omega = torch.full((num_envs, 1), 1.0 / config.tau, device=device)
-        rest = torch.zeros(num_envs, dtype=torch.float64, device=device)
-        centre = torch.tensor([0.5 * config.width, 0.5 * config.height], dtype=torch.float64)
-        self.body: Body = _own(
-            make_body(centre.to(device).expand(num_envs, 2), rest, rest + frequency)
-        )
-        self._frequency = frequency
-        self._modes: Modes | None = None
-        self._views = [self.buffer.cells(p) for p in (0, 1)]
-        self._edges = [_make_edge_views(self.buffer, config, p) for p in (0, 1)]
-        self._collide: Callable[..., Any] = self._make_collide()
-        self._set_edges = [_make_edge_step(config, pair) for pair in (0, 1)]
-        if config.fish is not None:
-            self._prepare_body()
-        self._is_compiled = not compile
-
-    def _make_collide(self) -> Callable[..., None]:
-        rates = self.config.rates
-
-        def collide(omega: Tensor, *f: Tensor) -> None:
-            for q, g in enumerate(collide_mrt(f, omega, rates)):
-                f[OPPOSITE[q]].copy_(g)
-
-        return collide
-
-    def _prepare_body(self) -> None:
-        """Set up what the fish's part of the step reads and writes."""
-        config, buffer = self.config, self.buffer
-        assert config.fish is not None
-        self._modes = config.fish.make_modes(self.device)
-        kernel = config.kernel.support**2
-        entries = self.num_envs * config.fish.num_markers * kernel
-        flows = torch.arange(self.num_envs, device=self.device)
-        self._first_cell = flows * buffer.flow_length + buffer.first_cell
-        self._offsets = [
-            torch.tensor(buffer.offsets(p, True), device=self.device) for p in (0, 1)
-        ]
-        self._force = torch.zeros(2 * buffer.num_cells, device=self.device)
-        self._cells = torch.zeros(2 * entries, dtype=torch.int64, device=self.device)
-        self._shares = torch.zeros(2 * entries, device=self.device)
-        self._fluid = torch.zeros(3, entries, device=self.device)
-        self._slots = torch.zeros(Q * entries, dtype=torch.int64, device=self.device)
-        self._increments = torch.zeros(Q * entries, device=self.device)
-        self._entry_omega = (
-            self._omega.expand(self.num_envs, entries // self.num_envs).reshape(-1).clone()
-        )
-        self._push = self._make_push()
-        self._absorb = self._make_absorb()
-
-    def _make_push(self) -> Callable[..., None]:
-        """Return: markers read the fluid, force and motion are solved, the body moves."""
-        config, modes, buffer = self.config, self._modes, self.buffer
-        assert modes is not None
-        num_fields = len(Body._fields)
-
-        def push(
-            flat: Tensor, offsets: Tensor, first_cell: Tensor,
-            cells_out: Tensor, shares_out: Tensor, fluid_out: Tensor, *rest: Tensor,
-        ) -> None:  # fmt: skip
-            body, gait = Body(*rest[:num_fields]), Modes(*rest[num_fields:])
-            place = locate_body(body, config, gait, flat.dtype)
-            cells = place.stencil.index_nodes(buffer.row_length) + first_cell[:, None, None]
-            f = [flat[cells + offsets[q]] for q in range(Q)]
-            rho, jx, jy = compute_macroscopic(f)
-            ux, uy = jx / (rho + 1.0), jy / (rho + 1.0)
-            result, share_x, share_y = exchange(body, config, gait, place, rho, ux, uy)
-            flat_cells = cells.reshape(-1)
-            cells_out.copy_(torch.cat((flat_cells, flat_cells + buffer.num_cells)))
-            shares_out.copy_(torch.cat((share_x.reshape(-1), share_y.reshape(-1))))
-            fluid_out.copy_(torch.stack((rho, ux, uy)).reshape(3, -1))
-            for old, new in zip(body, move_body(body, place.shape, result), strict=True):
-                old.copy_(new)
-
-        return push
-
-    def _make_absorb(self) -> Callable[..., None]:
-        """Return: from the nodes' total force, what each marker adds to the populations."""
-        config = self.config
-
-        def absorb(
-            force: Tensor, cells: Tensor, shares: Tensor, fluid: Tensor, omega: Tensor,
-            offsets: Tensor, slots_out: Tensor, increments_out: Tensor,
-        ) -> None:  # fmt: skip
-            fx, fy = force[cells].chunk(2)
-            part_x, part_y = shares.chunk(2)
-            rho, ux, uy = fluid.unbind(0)
-            increment = compute_force_increment(
-                rho, ux, uy, fx, fy, part_x, part_y, omega, config.rates
+        is_cpu = self.device.type == "cpu"
+        if num_workers is None:
+            can_share = is_cpu and compile and not find_compiler_problem("cpu")
+            num_workers = min(torch.get_num_threads(), num_envs) if can_share else 0
+            num_workers = num_workers if num_workers > 1 else 0
+        if num_workers < 0 or (num_workers and not is_cpu):
+            raise ValueError(
+                f"num_workers = {num_workers} on {self.device}: allowed is 0 on a GPU, 0 or more "
+                "on a CPU"
             )
-            increments_out.copy_(torch.cat(increment))
-            slots_out.copy_((offsets[:, None] + cells.chunk(2)[0]).reshape(-1))
+        self._num_workers = min(num_workers, num_envs)
+        self._workers: Workers | None = None
+        self._frequency = frequency
+        # one flow at a time fits a core's cache; a GPU wants them all in one launch
+        self._stepper = Stepper(
+            config=config, group_size=1 if is_cpu else num_envs, device=self.device
+        )
+        self._shared = SharedMemory(self._count_bytes()) if self._num_workers else None
+        if self._shared is None:
+            memory = torch.zeros(self._count_bytes(), dtype=torch.uint8, device=self.device)
+        else:
+            memory = self._shared.tensor
+        self._bind(memory, range(num_envs // self._stepper.layout.num_envs))
+        rest = torch.zeros(num_envs, dtype=torch.float64, device=self.device)
+        centre = torch.tensor([0.5 * config.width, 0.5 * config.height], dtype=torch.float64)
+        fresh = make_body(centre.to(self.device).expand(num_envs, 2), rest, rest + frequency)
+        for own, new in zip(self.body, fresh, strict=True):
+            own.copy_(new)
+        self._wants_compile = compile
 
-        return absorb
+    @classmethod
+    def attach(
+        cls, *, config: FlowConfig, num_envs: int, path: str, groups: range, compile: bool
+    ) -> "InPlaceSolver":
+        """Return a worker's solver, which advances ``groups`` of a batch in shared memory."""
+        self = cls.__new__(cls)
+        self.config, self.num_envs, self.device = config, num_envs, torch.device("cpu")
+        self._workers, self._num_workers, self._wants_compile = None, 0, compile
+        self._stepper = Stepper(config=config, group_size=1, device=self.device)
+        self._bind(map_shared(path, self._count_bytes()), groups)
+        self.compile()
+        return self
 
-    def _body_arguments(self, parity: int) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
-        assert self._modes is not None
-        offsets = self._offsets[parity]
-        push = (
-            self.buffer.flat, offsets, self._first_cell, self._cells, self._shares, self._fluid,
-            *self.body, *self._modes,
-        )  # fmt: skip
-        absorb = (
-            self._force, self._cells, self._shares, self._fluid, self._entry_omega, offsets,
-            self._slots, self._increments,
-        )  # fmt: skip
-        return push, absorb
+    def _count_bytes(self) -> int:
+        layout = self._stepper.layout
+        populations = 4 * self.num_envs // layout.num_envs * layout.num_slots
+        return populations + 8 * self.num_envs * _count_body_numbers()
+
+    def _bind(self, memory: Tensor, groups: range) -> None:
+        """Lay populations and bodies out in ``memory`` and make the views of some groups."""
+        layout, size = self._stepper.layout, self._stepper.layout.num_envs
+        numbers = 8 * self.num_envs * _count_body_numbers()
+        self._data = memory[numbers:].view(torch.float32).view(-1, layout.num_slots)
+        doubles = memory[:numbers].view(torch.float64)
+        fields, at = [], 0
+        for width in _BODY_WIDTHS:
+            block = doubles[at : at + width * self.num_envs]
+            fields.append(block.view(self.num_envs, width) if width > 1 else block)
+            at += width * self.num_envs
+        self.body = Body(*fields)
+        self._groups = [
+            FlowGroup(
+                self._stepper,
+                self._data[g],
+                Body(*(t[g * size : (g + 1) * size] for t in self.body)),
+            )
+            for g in groups
+        ]
 
     def compile(self) -> None:
-        """Compile the step now; the first ``advance_`` does it otherwise."""
-        if self._is_compiled:
-            return
-        self._is_compiled = True
-        start = time.perf_counter()
-        logger.info("compiling the flow step (once per shape, up to a minute) ...")
-        self._collide = compile_inplace(self._collide, (self._omega, *self._views[0]))
-        for pair in (0, 1):
-            self._set_edges[pair] = compile_inplace(self._set_edges[pair], self._edges[0][pair])
-        if self._modes is not None:
-            push, absorb = self._body_arguments(0)
-            self._push = compile_inplace(self._push, push)
-            self._absorb = compile_inplace(self._absorb, absorb)
-        logger.info("compiled in %.1f s", time.perf_counter() - start)
+        """Compile the step and start the workers; the first ``advance_`` does it otherwise."""
+        if self._num_workers and self._workers is None:
+            assert self._shared is not None
+            start = time.perf_counter()
+            logger.info(
+                "compiling the flow step for %d processes (up to a minute when new) ...",
+                self._num_workers,
+            )
+            num_groups = len(self._groups)
+            job = {
+                "config": self.config,
+                "num_envs": self.num_envs,
+                "path": str(self._shared.path),
+                "compile": self._wants_compile,
+                "log_level": logging.WARNING,
+            }
+            shares = [range(w, num_groups, self._num_workers) for w in range(self._num_workers)]
+            self._workers = Workers([job | {"groups": share} for share in shares])
+            self._shared.unlink()
+            logger.info("flow step ready after %.1f s", time.perf_counter() - start)
+        elif not self._num_workers and self._wants_compile:
+            start = time.perf_counter()
+            logger.info("compiling the flow step (up to a minute when new) ...")
+            self._stepper.compile(self._groups[0])
+            self._wants_compile = False
+            logger.info("flow step ready after %.1f s", time.perf_counter() - start)
+
+    def close(self) -> None:
+        """End the workers, if any."""
+        if self._workers is not None:
+            self._workers.close()
+        if self._shared is not None:
+            self._shared.unlink()
 
     def advance_(self, num_steps: int) -> None:
         """Advance all flows by an even number of steps."""
         if num_steps < 0 or num_steps % 2:
             raise ValueError(f"num_steps = {num_steps}: must be even and not negative")
         self.compile()
-        for _ in range(num_steps // 2):
-            self._step_(0)
-            self._step_(1)
-
-    def _step_(self, parity: int) -> None:
-        self._collide(self._omega, *self._views[parity])
-        if self._modes is not None:
-            push, absorb = self._body_arguments(parity)
-            self._push(*push)
-            self._force.index_add_(0, self._cells, self._shares)
-            self._absorb(*absorb)
-            self.buffer.flat.index_add_(0, self._slots, self._increments)
-            self._force.index_fill_(0, self._cells, 0.0)
-        for pair in (0, 1):
-            self._set_edges[pair](*self._edges[parity][pair])
+        if self._workers is not None:
+            self._workers.advance_(num_steps)
+            return
+        for group in self._groups:
+            for _ in range(num_steps // 2):
+                self._stepper.step_(group, 0)
+                self._stepper.step_(group, 1)
 
     def reset_(self, rows: Tensor, position: Tensor, heading: Tensor) -> None:
         """Put the fish of some flows at rest into still water; other rows are not touched.
 
         Args:
             rows: ``[B]`` bool, which flows.
-            position: ``[B, 2]`` centre of mass in nodes, for the rows given.
-            heading: ``[B]`` direction that the fish faces, radians.
+            position: ``[B, 2]`` centre of mass in nodes, read where ``rows`` is true.
+            heading: ``[B]`` direction that the fish faces, radians, read likewise.
         """
         if rows.shape != (self.num_envs,) or rows.dtype != torch.bool:
             raise ValueError(
@@ -221,20 +184,19 @@ class InPlaceSolver:
         position, heading = position.double(), heading.double()
         fresh = make_body(position, heading, torch.full_like(heading, self._frequency))
         for old, new in zip(self.body, fresh, strict=True):
-            mask = rows.view(-1, *(1,) * (old.dim() - 1))
-            old.copy_(torch.where(mask, new, old))
-        self._write(torch.zeros((), device=self.device), rows)
-
-    def _write(self, values: Tensor, rows: Tensor) -> None:
-        """Set incoming populations (even parity) of some rows, rings included for zeros."""
-        views = self._views[0] if values.dim() == 0 else self.buffer.nodes(0, False)
-        for q, view in enumerate(views):
-            new = values if values.dim() == 0 else values[:, q]
-            view.copy_(torch.where(rows.view(-1, *(1,) * (view.dim() - 1)), new, view))
+            old.copy_(torch.where(rows.view(-1, *(1,) * (old.dim() - 1)), new, old))
+        size = self._stepper.layout.num_envs
+        for group, mask in zip(self._groups, rows.split(size), strict=True):
+            if size > 1 or mask.item():
+                for f in group.cells[0]:
+                    f.masked_fill_(mask[:, None], 0.0)
 
     def set_populations_(self, f: Tensor) -> None:
         """Set all flows to populations ``[B, Q, Y, X]`` (shifted)."""
-        self._write(f, torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
+        size = self._stepper.layout.num_envs
+        for group, values in zip(self._groups, f.split(size), strict=True):
+            for q, view in enumerate(self._stepper.layout.nodes(group.data, 0, False)):
+                view.copy_(values[:, q])
 
     def command_(self, turn: Tensor, num_steps: int, frequency: Tensor | None = None) -> None:
         """Order a turn and, optionally, a new tail-beat frequency.
@@ -254,21 +216,26 @@ class InPlaceSolver:
 
     def populations(self) -> Tensor:
         """Return a copy of the incoming populations ``[B, Q, Y, X]`` (shifted)."""
-        return torch.stack(self.buffer.nodes(0, False), 1)
+        layout = self._stepper.layout
+        return torch.cat([torch.stack(layout.nodes(g.data, 0, False), 1) for g in self._groups])
 
     def macroscopic(self) -> tuple[Tensor, Tensor]:
         """Return density ``[B, Y, X]`` and velocity ``[B, 2, Y, X]``."""
-        rho, jx, jy = compute_macroscopic(self.buffer.nodes(0, False))
+        fields = [self._read_group(group) for group in self._groups]
+        return torch.cat([rho for rho, _ in fields]), torch.cat([u for _, u in fields])
+
+    def _read_group(self, group: FlowGroup) -> tuple[Tensor, Tensor]:
+        rho, jx, jy = compute_macroscopic(self._stepper.layout.nodes(group.data, 0, False))
         density = rho + 1.0
         return density, torch.stack((jx / density, jy / density), 1)
 
     def markers(self) -> Tensor:
         """Return the closed outline ``[B, N, 2]`` in nodes, nose first."""
-        if self._modes is None:
+        body, modes = self.body, self._stepper.modes
+        if modes is None:
             raise ValueError("this flow has no fish: give FlowConfig a fish")
-        body = self.body
-        shape = deform(self._modes, body.phase, body.frequency, body.age)
-        return place_markers(body, self._modes, shape).position
+        shape = deform(modes, body.phase, body.frequency, body.age)
+        return place_markers(body, modes, shape).position
 
     def head(self) -> Tensor:
         """Return the nose ``[B, 2]`` in nodes."""
@@ -276,25 +243,22 @@ class InPlaceSolver:
 
     def is_diverged(self) -> Tensor:
         """Return ``[B]``: not finite, too fast for the method, or the fish outside the grid."""
-        _, u = self.macroscopic()
         # comparisons with NaN are false, so a broken flow is never "fine"
-        fine = ((u * u).sum(1) < MAX_SPEED**2).all(-1).all(-1)
-        if self._modes is not None:
+        speeds = [(self._read_group(g)[1] ** 2).sum(1).flatten(1) for g in self._groups]
+        fine = torch.cat([(s < MAX_SPEED**2).all(-1) for s in speeds])
+        if self._stepper.modes is not None:
             markers = self.markers()
             size = torch.tensor([self.config.width, self.config.height], device=self.device)
-            inside = (markers > 0.5) & (markers < size - 1.5)
-            fine = fine & inside.all(-1).all(-1)
+            fine = fine & ((markers > 0.5) & (markers < size - 1.5)).all(-1).all(-1)
         return ~fine
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return everything that the future depends on, as copies."""
-        return {"buffer": self.buffer.data.clone()} | {
-            name: t.clone() for name, t in zip(Body._fields, self.body, strict=True)
-        }
+        return {name: own.clone() for name, own in self._named_state()}
 
-    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+    def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore ``state_dict()`` exactly."""
-        for name, own in [("buffer", self.buffer.data), *zip(Body._fields, self.body, strict=True)]:
+        for name, own in self._named_state():
             if name not in state or state[name].shape != own.shape:
                 got = tuple(state[name].shape) if name in state else "nothing"
                 raise ValueError(
@@ -303,38 +267,12 @@ class InPlaceSolver:
                 )
             own.copy_(state[name])
 
-
-def _own(body: Body) -> Body:
-    """Give every field storage of its own."""
-    return Body(*(t.clone().contiguous() for t in body))
+    def _named_state(self) -> list[tuple[str, Tensor]]:
+        return [("data", self._data), *zip(Body._fields, self.body, strict=True)]
 
 
-def _make_edge_views(
-    buffer: InPlaceBuffer, config: FlowConfig, parity: int
-) -> list[Sequence[Tensor]]:
-    """Return the views that an edge call reads and writes after a step of ``parity``."""
-    incoming = buffer.nodes(1 - parity, False)
-    outgoing = buffer.nodes(parity, True)
-    calls: list[Sequence[Tensor]] = []
-    for pair in config.boundaries.by_side():
-        views = []
-        for side, _ in pair:
-            for fields, index in (
-                (incoming, side.edge), (incoming, side.neighbour), (outgoing, side.edge)
-            ):  # fmt: skip
-                views += [f[index] for f in fields]
-        calls.append(views)
-    return calls
+_BODY_WIDTHS = [2 if name in ("position", "velocity", "force") else 1 for name in Body._fields]
 
 
-def _make_edge_step(config: FlowConfig, pair: int) -> Callable[..., None]:
-    """Return the function that sets two opposite edges from views in that order."""
-    sides: tuple[tuple[Side, Any], ...] = config.boundaries.by_side()[pair]
-
-    def set_edges(*views: Tensor) -> None:
-        for i, (side, boundary) in enumerate(sides):
-            edge, neighbour, outgoing = (views[(3 * i + j) * Q :][:Q] for j in range(3))
-            for q, values in boundary.compute_edge(side, neighbour, outgoing).items():
-                edge[q].copy_(values)
-
-    return set_edges
+def _count_body_numbers() -> int:
+    return sum(_BODY_WIDTHS)

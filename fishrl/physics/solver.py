@@ -58,7 +58,7 @@ def step(
         place = locate_body(body, config, modes, f[0].dtype)
         nodes = place.stencil.index_nodes(config.width)
         fluid = (gather(v, nodes) for v in (rho, ux, uy))
-        result, share_x, share_y = exchange(body, config, modes, place, *fluid)
+        result, share_x, share_y = exchange(body, config, place, *fluid)
         force = force + torch.stack((spread(share_x, nodes, rho), spread(share_y, nodes, rho)), 1)
         body = move_body(body, place.shape, result)
     fx, fy = force.unbind(1)
@@ -99,7 +99,6 @@ def locate_body(body: Body, config: FlowConfig, modes: Modes, dtype: torch.dtype
 def exchange(
     body: Body,
     config: FlowConfig,
-    modes: Modes,
     place: Place,
     rho: Tensor,
     ux: Tensor,
@@ -110,15 +109,14 @@ def exchange(
     Args:
         body: state at the start of the step.
         config: of the flow.
-        modes: of the gait.
         place: where the body is.
-        rho: density deviation at the nodes ``[B, N, S * S]``.
+        rho: density deviation at the nodes ``[B, S * S, N]``.
         ux: velocity without force along x there.
         uy: the same along y.
 
     Returns:
         The solve's result and each marker's share of the nodes' force density along x and y,
-        ``[B, N, S * S]``: F = 2 rho W g ds.
+        ``[B, S * S, N]``: F = 2 rho W g ds.
     """
     assert config.fish is not None
     weights = place.stencil.weights
@@ -141,7 +139,7 @@ def exchange(
         coupling=config.coupling,
     )
     strength = (2.0 * spacing) * (rho + 1.0) * weights
-    return result, strength * result.g[..., 0, None], strength * result.g[..., 1, None]
+    return result, strength * result.g[:, None, :, 0], strength * result.g[:, None, :, 1]
 
 
 def gather(field: Tensor, nodes: Tensor) -> Tensor:
@@ -150,6 +148,6 @@ def gather(field: Tensor, nodes: Tensor) -> Tensor:
 
 
 def spread(shares: Tensor, nodes: Tensor, like: Tensor) -> Tensor:
-    """Sum shares ``[B, N, S * S]`` at their nodes into a field shaped like ``like[B, Y, X]``."""
+    """Sum shares ``[B, S * S, N]`` at their nodes into a field shaped like ``like[B, Y, X]``."""
     field = torch.zeros_like(like).flatten(1)
     return field.scatter_add(1, nodes.flatten(1), shares.flatten(1)).view_as(like)

@@ -5,7 +5,7 @@ even step reads and writes the node's own slots, swapping opposite directions; a
 and writes to the neighbours' slots. Streaming is implied by the addresses, each step moves 72 bytes a
 node in single precision and needs no second buffer.
 
-Slot q of cell n is ``buffer[q, pad + n]``. The cells of all flows lie in one row, each flow padded
+Slot q of cell n is ``data[q, pad + n]``. The cells of a group's flows lie in one row, each flow padded
 by a ring of one node whose values are never read by the flow itself. With V[q] the slots q at the
 cells n + c_q and S[q] those at n, the incoming population q is S[q] before an even step and
 V[opposite q] before an odd one.
@@ -31,19 +31,16 @@ def _round_up(n: int) -> int:
     return -(-n // 16) * 16
 
 
-class InPlaceBuffer:
-    """The populations of all flows in one buffer, and the views that even and odd steps use.
+class InPlaceLayout:
+    """Where the populations of a group of flows lie, and the views that even and odd steps use.
 
     Args:
         num_envs: number of flows B.
         height: nodes along y.
         width: nodes along x.
-        device: where the buffer lives.
     """
 
-    def __init__(
-        self, *, num_envs: int, height: int, width: int, device: torch.device | str = "cpu"
-    ) -> None:
+    def __init__(self, *, num_envs: int, height: int, width: int) -> None:
         self.num_envs, self.height, self.width = num_envs, height, width
         self.row_length = _round_up(width + 2)
         self.flow_length = _round_up((height + 2) * self.row_length)
@@ -51,12 +48,7 @@ class InPlaceBuffer:
         self.pad = _round_up(self.row_length + 1)
         self.slot_length = self.num_cells + 2 * self.pad
         self.first_cell = self.row_length + 1  # of node (0, 0) within its flow
-        self.data = torch.zeros(Q, self.slot_length, device=device)
-
-    @property
-    def flat(self) -> Tensor:
-        """All slots as one dimension."""
-        return self.data.view(-1)
+        self.num_slots = Q * self.slot_length
 
     def offsets(self, parity: int, outgoing: bool) -> list[int]:
         """Return, by direction, the flat index of cell 0's slot.
@@ -72,16 +64,18 @@ class InPlaceBuffer:
         slots = [OPPOSITE[q] if swapped else q for q in range(Q)]
         return [own[s] + (shift[s] if at_neighbour else 0) for s in slots]
 
-    def cells(self, parity: int) -> list[Tensor]:
+    def cells(self, data: Tensor, parity: int) -> list[Tensor]:
         """Return nine ``[B, cells of a flow]`` views of the incoming populations, rings included."""
         size, stride = (self.num_envs, self.flow_length), (self.flow_length, 1)
-        return [self.data.as_strided(size, stride, o) for o in self.offsets(parity, False)]
+        first = data.storage_offset()
+        return [data.as_strided(size, stride, first + o) for o in self.offsets(parity, False)]
 
-    def nodes(self, parity: int, outgoing: bool) -> list[Tensor]:
+    def nodes(self, data: Tensor, parity: int, outgoing: bool) -> list[Tensor]:
         """Return nine ``[B, Y, X]`` views without the rings."""
         size = (self.num_envs, self.height, self.width)
         stride = (self.flow_length, self.row_length, 1)
+        first = data.storage_offset() + self.first_cell
         return [
-            self.data.as_strided(size, stride, o + self.first_cell)
+            data.as_strided(size, stride, first + o)
             for o in self.offsets(parity, outgoing)
         ]
