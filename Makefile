@@ -20,9 +20,12 @@ setup: $(STAMP) ## install everything into .venv
 # torch comes first and pinned, so that nothing else can ask for another build of it.
 $(STAMP): pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "no Python 3.11, 3.12 or 3.13 found: install one, or name it with PYTHON=..."; exit 1; }
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet "$$(grep '^torch==' constraints.txt)" -c constraints.txt
-	$(BIN)/python -m pip install --quiet -e '.[dev]' -c constraints.txt
+	@echo "setting up $(VENV) with $(PYTHON): a few minutes, once"
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@echo "1/2 torch"
+	@$(BIN)/python -m pip install --quiet "$$(grep '^torch==' constraints.txt)" -c constraints.txt
+	@echo "2/2 everything else"
+	@$(BIN)/python -m pip install --quiet -e '.[dev]' -c constraints.txt
 	@touch $@
 
 train: $(STAMP) ## teach a fish to catch its food; ARGS="seed=1 ..." overrides the configuration
