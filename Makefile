@@ -25,7 +25,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@echo "1/2 torch"
 	@$(BIN)/python -m pip install --quiet "$$(grep '^torch==' constraints.txt)" -c constraints.txt
 	@echo "2/2 everything else"
-	@$(BIN)/python -m pip install --quiet -e '.[dev]' -c constraints.txt
+	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -e '.[dev]' -c constraints.txt
 	@touch $@
 
 train: $(STAMP) ## teach a fish to catch its food; ARGS="seed=1 ..." overrides the configuration
