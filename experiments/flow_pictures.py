@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import Colormap
+from matplotlib.colors import Colormap, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from PIL import Image
@@ -220,12 +220,8 @@ def _render(recording: Recording, dpi: float) -> list[Image.Image]:
 
 
 def _encode_gif(pictures: list[Image.Image], frames_per_second: int) -> bytes:
-    """Encode with one palette for all frames, taken from a few of them, and no dithering."""
-    sample = pictures[:: max(1, len(pictures) // 6)][-6:]
-    sheet = Image.new("RGB", (sample[0].width, sample[0].height * len(sample)))
-    for i, picture in enumerate(sample):
-        sheet.paste(picture, (0, i * picture.height))
-    palette = sheet.quantize(colors=128)
+    """Encode all frames with one palette and no dithering, so that what rests costs nothing."""
+    palette = _make_palette()
     first, *rest = (p.quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures)
     period = round(1000 / frames_per_second)
     buffer = io.BytesIO()
@@ -234,3 +230,14 @@ def _encode_gif(pictures: list[Image.Image], frames_per_second: int) -> bytes:
         duration=[period] * len(rest) + [1500],
     )  # fmt: skip
     return buffer.getvalue()
+
+
+def _make_palette() -> Image.Image:
+    """Return the vorticity's colours, greys, and the food's from dark to white."""
+    field = mpl.colormaps["RdBu_r"].resampled(_GIF_LEVELS)(np.arange(_GIF_LEVELS))[:, :3]
+    greys = np.linspace(to_rgb(FISH), (1.0, 1.0, 1.0), 48)
+    food = [np.linspace(to_rgb(end), to_rgb(FOOD), 8) for end in (FISH, "white")]
+    colours = np.concatenate((field, np.linspace(0.0, 1.0, 32)[:, None] * np.ones(3), greys, *food))
+    palette = Image.new("P", (1, 1))
+    palette.putpalette((255 * colours).round().astype(np.uint8).tobytes())
+    return palette
