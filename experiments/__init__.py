@@ -1,0 +1,1 @@
+"""Programs: train a fish, evaluate it, draw what it does. Nothing imports this package."""

@@ -1,0 +1,63 @@
+"""What the programs share at the command line: settings in, plain words out."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, cast
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from experiments.settings import EvaluateConfig, TrainConfig
+
+
+def set_up_logging() -> None:
+    """Let the libraries' log lines through, below the bar."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    logging.getLogger("torchrl").setLevel(logging.WARNING)
+
+
+@contextmanager
+def plain_errors() -> Iterator[None]:
+    """End the program with the message alone where something was set wrongly."""
+    try:
+        yield
+    except (ValueError, ImportError) as error:
+        logging.getLogger(__name__).debug("where it came from:", exc_info=True)
+        sys.exit(f"error: {error}")
+
+
+def training_settings(config: DictConfig) -> TrainConfig:
+    """Turn what hydra composed into settings; a resumed run brings its own."""
+    from hydra.core.hydra_config import HydraConfig
+
+    from experiments.config import resumed_settings, to_settings
+
+    if config.get("resume"):
+        given = [a for a in HydraConfig.get().overrides.task if not a.startswith("resume=")]
+        settings = resumed_settings(config.resume, given)
+        settings.resume = config.resume
+        return settings
+    return cast("TrainConfig", to_settings(config))
+
+
+def evaluation_settings(config: DictConfig) -> EvaluateConfig:
+    """Turn what hydra composed into settings; a checkpoint brings its task unless one is given."""
+    from hydra.core.hydra_config import HydraConfig
+    from omegaconf import OmegaConf
+
+    from experiments.checkpointing import read_metadata
+    from experiments.config import to_settings
+
+    settings = cast("EvaluateConfig", to_settings(config))
+    given = [argument.lstrip("+") for argument in HydraConfig.get().overrides.task]
+    if settings.checkpoint is None or any(a.startswith(("task=", "preset=")) for a in given):
+        return settings
+    trained = read_metadata(settings.checkpoint)[1]["config"]
+    changes = OmegaConf.from_dotlist([a for a in given if a.startswith("task.")]).get("task", {})
+    settings.task = {**trained["task"], **dict(changes)}
+    settings.preset = trained["preset"]
+    return settings

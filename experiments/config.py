@@ -1,0 +1,239 @@
+"""From command line to settings: what there is to set, and what a typo was meant to be."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException, InstantiationException, OverrideParseException
+from hydra.utils import get_object, instantiate
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError  # type: ignore[import-untyped]
+
+from experiments.run_folder import RunFolder
+from experiments.settings import ConfigError, EvaluateConfig, TrainConfig, nearest
+
+CONF = Path(__file__).parent / "conf"
+#: Settings that the saved state of a run depends on.
+FIXED_BY_RUN = ("task", "preset", "seed", "num_envs", "hidden", "buffer_size", "logger")
+
+
+SCHEMAS: dict[str, type] = {"train": TrainConfig, "evaluate": EvaluateConfig}
+for _name, _schema in SCHEMAS.items():
+    ConfigStore.instance().store(name=f"{_name}_schema", node=_schema)
+
+
+def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
+    """Check a command line against everything that can be set, before hydra sees it.
+
+    Every argument of a ``_target_``'s constructor can be set, whether the YAML names it or not.
+
+    Args:
+        program: train or evaluate.
+        arguments: the command line; options of hydra (``--multirun``, ``hydra.x=y``) pass as is.
+
+    Returns:
+        The command line for hydra.
+
+    Raises:
+        ConfigError: naming an unknown key or value and the nearest right one.
+    """
+    options = [a for a in arguments if a.startswith("-") or a.lstrip("+~").startswith("hydra.")]
+    try:
+        overrides = OverridesParser.create().parse_overrides(
+            [argument for argument in arguments if argument not in options]
+        )
+    except OverrideParseException as error:
+        raise ConfigError(
+            f"{error.override!r}: settings are written key=value, such as seed=1"
+        ) from error
+    groups = _groups()
+    chosen: list[str] = []
+    for override in overrides:
+        if override.key_or_group in groups:
+            known = groups[override.key_or_group]
+            values = (
+                [str(value) for value in override.sweep_iterator()]
+                if override.is_sweep_override()
+                else [str(override.value())]
+            )
+            for value in values:
+                if value not in known:
+                    raise _unknown(f"{override.key_or_group}={value}", value, known)
+            chosen.append(f"{override.key_or_group}={values[0]}")
+    base = with_defaults(_compose(program, chosen))
+    known_keys = sorted(_keys(base))
+    result = list(options)
+    for override in overrides:
+        key, line = override.key_or_group, str(override.input_line)
+        if key not in groups:
+            if key not in known_keys:
+                raise _unknown(f"{key}=...", key, [*known_keys, *groups])
+            _check_type(base, key, override.value(), is_sweep=override.is_sweep_override())
+            if key.startswith(("task.", "logger.")):
+                line = "++" + line.lstrip("+")  # an argument that the YAML leaves at its default
+        result.append(line)
+    return result
+
+
+def load_config(program: str, arguments: Sequence[str] = ()) -> Any:
+    """Compose the settings of a program as its command line would.
+
+    Args:
+        program: train or evaluate.
+        arguments: overrides.
+
+    Returns:
+        The settings, a ``TrainConfig`` or ``EvaluateConfig``.
+
+    Raises:
+        ConfigError: for unknown keys and values, and for values out of range.
+    """
+    return to_settings(_compose(program, check_overrides(program, arguments)))
+
+
+def to_settings(config: DictConfig) -> Any:
+    """Turn a composed configuration into its dataclass, with every default spelled out.
+
+    Raises:
+        ConfigError: for values of the wrong type or out of range.
+    """
+    try:
+        return OmegaConf.to_object(with_defaults(config))
+    except OmegaConfBaseException as error:
+        raise _plain(error) from error
+
+
+def resumed_settings(folder: str, arguments: Sequence[str]) -> TrainConfig:
+    """Take the settings of a run that goes on, with what was given anew.
+
+    Args:
+        folder: of the run.
+        arguments: checked overrides; such as ``total_frames=8000``.
+
+    Raises:
+        ConfigError: if one of them is fixed by what is already learned.
+        ValueError: if there is no run in the folder.
+    """
+    path = RunFolder.of_existing(folder).config
+    given = [argument.lstrip("+") for argument in arguments if not argument.startswith("-")]
+    for argument in given:
+        name = argument.split("=", 1)[0].split(".", 1)[0]
+        if name in FIXED_BY_RUN:
+            raise ConfigError(
+                f"{argument}: {name} is fixed in {folder}; leave it away, or start a new run"
+            )
+    try:
+        stored = OmegaConf.load(path)
+        changes = OmegaConf.from_dotlist(given)
+        merged = OmegaConf.merge(OmegaConf.structured(TrainConfig), stored, changes)
+    except (OmegaConfBaseException, YAMLError) as error:
+        raise ConfigError(f"{path}: not the configuration of a run ({error})") from error
+    return cast(TrainConfig, to_settings(cast(DictConfig, merged)))
+
+
+def to_plain(settings: Any) -> dict[str, Any]:
+    """Turn settings into nested dicts, for a file."""
+    plain = OmegaConf.to_container(OmegaConf.structured(settings), resolve=True)
+    return cast(dict[str, Any], plain)
+
+
+def build(node: Mapping[str, Any], **arguments: Any) -> Any:
+    """Make the object that a ``_target_`` names; its own errors come through as they are."""
+    try:
+        return instantiate(dict(node), **arguments, _convert_="all")
+    except InstantiationException as error:
+        if isinstance(error.__cause__, ValueError | ImportError):
+            raise error.__cause__ from None
+        raise ConfigError(str(error)) from error
+
+
+def with_defaults(config: DictConfig) -> DictConfig:
+    """Add to each ``_target_`` those arguments of its constructor that have plain defaults."""
+    filled = config.copy()
+    OmegaConf.set_struct(filled, False)
+    for name in filled:
+        if OmegaConf.is_missing(filled, name) or not OmegaConf.is_dict(filled[name]):
+            continue
+        node = filled[name]
+        if "_target_" not in node:
+            continue
+        for key, default in _plain_defaults(str(node["_target_"])).items():
+            if key not in node:
+                node[key] = default
+    OmegaConf.set_struct(filled, True)
+    return filled
+
+
+def _plain_defaults(target: str) -> dict[str, Any]:
+    return {
+        name: list(parameter.default) if isinstance(parameter.default, tuple) else parameter.default
+        for name, parameter in inspect.signature(get_object(target)).parameters.items()
+        if parameter.default is None
+        or isinstance(parameter.default, bool | int | float | str | tuple)
+    }
+
+
+def _compose(program: str, overrides: Sequence[str]) -> DictConfig:
+    overrides = [o for o in overrides if not o.startswith("-")]
+    try:
+        with initialize_config_dir(str(CONF), version_base="1.3"):
+            return compose(program, list(overrides))
+    except (HydraException, OmegaConfBaseException) as error:
+        raise _plain(error) from error
+
+
+def _groups() -> dict[str, list[str]]:
+    """List the config groups and what there is to choose in each."""
+    return {
+        folder.name: sorted(path.stem for path in folder.glob("*.yaml"))
+        for folder in sorted(CONF.iterdir())
+        if folder.is_dir() and any(folder.glob("*.yaml"))
+    }
+
+
+def _keys(config: DictConfig, prefix: str = "") -> set[str]:
+    keys: set[str] = set()
+    for name in config:
+        key = prefix + str(name)
+        keys.add(key)
+        if not OmegaConf.is_missing(config, name) and OmegaConf.is_dict(config[name]):
+            keys |= _keys(config[name], f"{key}.")
+    return keys
+
+
+def _check_type(config: DictConfig, key: str, value: Any, *, is_sweep: bool) -> None:
+    """Compare a new value with the default it replaces, where that says what is meant."""
+    default = OmegaConf.select(config, key)
+    is_reference = isinstance(value, str) and "${" in value
+    if is_sweep or is_reference or default is None or value is None:
+        return
+    for kind, allowed, words in (
+        (bool, bool, "true or false"),
+        (int, int, "a whole number"),
+        (float, (int, float), "a number"),
+    ):
+        if isinstance(default, kind):
+            is_right = isinstance(value, allowed) and (kind is bool or not isinstance(value, bool))
+            if not is_right:
+                raise ConfigError(f"{key}={value}: must be {words}, such as {default}")
+            return
+
+
+def _unknown(what: str, word: str, known: Sequence[str]) -> ConfigError:
+    listed = f" There is: {', '.join(known)}." if len(known) < 12 else ""
+    return ConfigError(f"{what}: there is no {word!r}.{nearest(word, known)}{listed}")
+
+
+def _plain(error: Exception) -> ConfigError:
+    """Say in one line what hydra and omegaconf say in several."""
+    cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
+    lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
+    key = getattr(cause, "full_key", None)
+    return ConfigError(f"{key}: {lines[0]}" if key else " ".join(lines))

@@ -1,0 +1,103 @@
+"""See how well a fish does: ``python -m experiments.evaluate checkpoint=runs/<name> episodes=32``.
+
+``policy=random|pursuit|intercept`` evaluates a hand-written fish instead.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from experiments.progress import Progress
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+    from experiments.settings import EvaluateConfig
+
+
+def evaluate(
+    config: EvaluateConfig, *, make_env: Any = None, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Run one episode from each of the fixed starts.
+
+    Args:
+        config: the settings.
+        make_env: makes the env of a task; by default ``fishrl.envs.flow_env.make_env``.
+        progress: the bar, if there is one already.
+
+    Returns:
+        ``capture_rate``, ``mean_return``, ``mean_time_to_capture_T``, ``episodes``, ``diverged``,
+        and which fish it was.
+
+    Raises:
+        ValueError: for settings that cannot be, and checkpoints that do not fit.
+    """
+    from experiments.config import build
+    from experiments.evaluation import Evaluator, fixed_starts
+    from experiments.policies import load_policy, make_policy
+    from experiments.settings import check_device
+    from experiments.training import make_flow_env
+
+    progress = progress or Progress(is_shown=False)
+    check_device(config.device)
+    task = build(config.task)
+    policy: Any
+    if config.checkpoint is not None:
+        policy = load_policy(config.checkpoint, task=task, device=config.device)
+    else:
+        policy = make_policy(str(config.policy), task=task, seed=config.seed)
+    progress.rename("compilation" if config.compile else "set-up")
+    env = (make_env or make_flow_env())(
+        task=task,
+        num_envs=min(config.num_envs, config.episodes),
+        seed=config.seed,
+        device=config.device,
+        compile=config.compile,
+        starts=fixed_starts(task, config.episodes, seed=config.seed),
+    )
+    evaluator = Evaluator(
+        env, num_starts=config.episodes, decision_T=task.n_substeps / task.scales.period
+    )
+    progress.start("evaluation", total=config.episodes)
+    result: dict[str, Any] = evaluator.run(policy, on_episodes=progress.advance).metrics()
+    return {
+        "fish": config.checkpoint or config.policy,
+        "task": type(task).__name__,
+        "preset": config.preset,
+        "seed": config.seed,
+        **result,
+    }
+
+
+def main() -> None:
+    """Read the command line; show the bar before the slow imports."""
+    with Progress() as progress:
+        import hydra
+
+        from experiments.command_line import evaluation_settings, plain_errors, set_up_logging
+        from experiments.config import CONF, check_overrides
+        from experiments.run_folder import write_json
+
+        set_up_logging()
+        with plain_errors():
+            sys.argv[1:] = check_overrides("evaluate", sys.argv[1:])
+
+        @hydra.main(config_path=str(CONF), config_name="evaluate", version_base="1.3")
+        def run(config: DictConfig) -> None:
+            with plain_errors():
+                settings = evaluation_settings(config)
+                result = evaluate(settings, progress=progress)
+                if settings.save is not None:
+                    write_json(Path(settings.save), result)
+            progress.close()
+            for name, value in result.items():
+                shown = f"{value:.3f}" if isinstance(value, float) else value
+                print(f"{name:<24}{shown}")
+
+        run()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,140 @@
+"""How well a fish does: one episode from each of a set of fixed starts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+Policy = Callable[[TensorDictBase], TensorDictBase]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """Outcome of E episodes, in the order of their starts.
+
+    Args:
+        captured: ``[E]`` bool, whether the food was caught.
+        returns: ``[E]`` sum of rewards.
+        lengths_T: ``[E]`` duration in tail beats.
+        diverged: ``[E]`` bool, whether the flow diverged; such an episode counts as no capture.
+    """
+
+    captured: Tensor
+    returns: Tensor
+    lengths_T: Tensor
+    diverged: Tensor
+
+    def metrics(self) -> dict[str, float]:
+        """Reduce to numbers; the time to capture is NaN where nothing was captured."""
+        times = self.lengths_T[self.captured]
+        return {
+            "capture_rate": float(self.captured.double().mean()),
+            "mean_return": float(self.returns.double().mean()),
+            "mean_time_to_capture_T": float(times.double().mean()) if len(times) else math.nan,
+            "episodes": len(self.captured),
+            "diverged": int(self.diverged.sum()),
+        }
+
+
+class Evaluator:
+    """Runs policies from the same starts, all flows of the env together.
+
+    Args:
+        env: made with fixed ``starts``.
+        num_starts: their number.
+        decision_T: duration of one decision in tail beats.
+
+    Raises:
+        ValueError: if the env draws its starts at random.
+    """
+
+    def __init__(self, env: EnvBase, *, num_starts: int, decision_T: float = 1.0) -> None:
+        self.env, self.num_starts, self.decision_T = env, num_starts, decision_T
+        # Every evaluation begins with the same start in the same row.
+        self._initial = _copy(env.base_env.state_dict())
+
+    def run(
+        self, policy: Policy, *, on_episodes: Callable[[int], None] | None = None
+    ) -> Evaluation:
+        """Run until the first episode of every start is over.
+
+        Args:
+            policy: writes ``action``; a learned one acts greedily.
+            on_episodes: called with the number of episodes that have just ended.
+
+        Returns:
+            The outcome of each start.
+        """
+        self.env.base_env.load_state_dict(_copy(self._initial))
+        num_rows = self.env.batch_size[0]
+        results = TensorDict(
+            {
+                "captured": torch.zeros(self.num_starts, dtype=torch.bool),
+                "returns": torch.zeros(self.num_starts),
+                "lengths_T": torch.zeros(self.num_starts),
+                "diverged": torch.zeros(self.num_starts, dtype=torch.bool),
+            },
+            [self.num_starts],
+        )
+        is_handed_out = [False] * self.num_starts
+        # The start whose first episode runs in a row, or -1: a repetition, that does not count.
+        running = [-1] * num_rows
+        num_open = self.num_starts
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            state = self.env.reset()
+            is_new = [True] * num_rows
+            while num_open > 0:
+                index = state["start_index"].reshape(-1).tolist()
+                for row in range(num_rows):
+                    if is_new[row]:
+                        start = index[row]
+                        if not 0 <= start < self.num_starts:
+                            raise ValueError(
+                                f"start_index = {start}: the env does not run through "
+                                f"{self.num_starts} fixed starts; make it with starts=..."
+                            )
+                        running[row] = -1 if is_handed_out[start] else start
+                        is_handed_out[start] = True
+                step, state = self.env.step_and_maybe_reset(policy(state))
+                after = step["next"]
+                is_new = after["done"].reshape(-1).tolist()
+                ended = [row for row in range(num_rows) if is_new[row] and running[row] >= 0]
+                for row in ended:
+                    results[running[row]] = TensorDict(
+                        {
+                            "captured": after["captured"][row].any(),
+                            "returns": after["episode_reward"][row].sum(),
+                            "lengths_T": after["step_count"][row].sum() * self.decision_T,
+                            "diverged": after["diverged"][row].any(),
+                        }
+                    )
+                num_open -= len(ended)
+                if on_episodes is not None and ended:
+                    on_episodes(len(ended))
+        return Evaluation(
+            captured=results["captured"],
+            returns=results["returns"],
+            lengths_T=results["lengths_T"],
+            diverged=results["diverged"],
+        )
+
+
+def fixed_starts(task: Any, num: int, *, seed: int) -> TensorDict:
+    """Draw the starts of an evaluation: the same ones for the same seed and number."""
+    return task.sample_starts(num, torch.Generator().manual_seed(seed))
+
+
+def _copy(state: Any) -> Any:
+    if isinstance(state, Tensor):
+        return state.clone()
+    if isinstance(state, dict):
+        return type(state)((key, _copy(value)) for key, value in state.items())
+    return state

@@ -1,0 +1,79 @@
+"""The progress bar: what a run is doing, from its first second to its last."""
+
+from __future__ import annotations
+
+import sys
+from types import TracebackType
+from typing import TextIO
+
+from tqdm import tqdm
+
+_FORMAT = "{desc} {percentage:3.0f}%|{bar:20}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"
+
+
+class Progress:
+    """A bar in frames with the phase at its left: set-up, compilation, warm-up, training, ...
+
+    Args:
+        stream: where the bar is drawn. Anything but a terminal gets a line every few seconds.
+        is_shown: draw at all.
+    """
+
+    def __init__(self, *, stream: TextIO | None = None, is_shown: bool = True) -> None:
+        stream = stream or sys.stderr
+        self._is_terminal = stream.isatty()
+        self._bar = tqdm(
+            total=1,
+            desc=_label("set-up"),
+            file=stream,
+            disable=not is_shown,
+            mininterval=0.2 if self._is_terminal else 10.0,
+            bar_format=_FORMAT,
+            leave=True,
+        )
+        self.phase = "set-up"
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the bar as it is, so that what is printed next stands below it."""
+        self._bar.close()
+
+    def start(self, phase: str, *, total: int, done: int = 0) -> None:
+        """Begin a bar of ``total`` frames or episodes, ``done`` of which are already over."""
+        self.rename(phase)
+        self._bar.set_postfix_str("", refresh=False)
+        self._bar.initial = done  # what was done before says nothing about the speed now
+        self._bar.reset(total=total)
+        self._bar.n = done
+        self._bar.refresh()
+
+    def rename(self, phase: str) -> None:
+        """Go over to another phase on the same bar."""
+        if phase != self.phase:
+            self.phase = phase
+            self._bar.set_description_str(_label(phase), refresh=self._is_terminal)
+
+    def advance(self, amount: int, **shown: float) -> None:
+        """Count ``amount`` more and show some numbers beside the bar."""
+        if shown:
+            text = ", ".join(
+                f"{name.replace('_', ' ')} {value:.3g}" for name, value in shown.items()
+            )
+            self._bar.set_postfix_str(text, refresh=False)
+        self._bar.update(amount)
+        if amount and self._bar.n == self._bar.total:
+            self._bar.refresh()
+
+
+def _label(phase: str) -> str:
+    return f"{phase:<12}"

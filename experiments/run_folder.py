@@ -1,0 +1,115 @@
+"""The folder a run writes: where everything lies, and whether it can be written at all."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from omegaconf import OmegaConf
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Paths of one run below ``path``."""
+
+    path: Path
+
+    @property
+    def config(self) -> Path:
+        """The whole configuration, resolved."""
+        return self.path / "config.yaml"
+
+    @property
+    def metrics(self) -> Path:
+        """One row per log step."""
+        return self.path / "metrics.csv"
+
+    @property
+    def summary(self) -> Path:
+        """The result of the run."""
+        return self.path / "summary.json"
+
+    @property
+    def last(self) -> Path:
+        """The newest checkpoint, for going on."""
+        return self.path / "checkpoints" / "last"
+
+    @property
+    def best(self) -> Path:
+        """The checkpoint with the best evaluation."""
+        return self.path / "checkpoints" / "best"
+
+    @classmethod
+    def create(cls, *, parent: str, name: str) -> RunFolder:
+        """Make a new folder; one that exists is left alone and a number is put behind the name.
+
+        Raises:
+            ValueError: if it cannot be made or written.
+        """
+        base = Path(parent).expanduser()
+        number = 1
+        while True:
+            path = base / (name if number == 1 else f"{name}-{number}")
+            try:
+                path.mkdir(parents=True)
+            except FileExistsError:
+                if not path.is_dir():
+                    raise _unwritable(path, "a file is in the way") from None
+                number += 1
+                continue
+            except OSError as error:
+                raise _unwritable(path, error.strerror or str(error)) from error
+            break
+        if number > 1:
+            logger.info("%s exists and is left as it is: this run writes %s", base / name, path)
+        return cls(path).checked()
+
+    @classmethod
+    def of_existing(cls, path: str) -> RunFolder:
+        """Take a folder that a run has written.
+
+        Raises:
+            ValueError: if there is no such folder, it holds no run, or cannot be written.
+        """
+        folder = cls(Path(path).expanduser())
+        if not folder.config.is_file():
+            raise ValueError(
+                f"resume = {path}: no config.yaml there; give the folder of a run, such as "
+                "runs/predation-small-seed0"
+            )
+        return folder.checked()
+
+    def checked(self) -> RunFolder:
+        """Give the folder back if files can be written into it.
+
+        Raises:
+            ValueError: if not.
+        """
+        if not os.access(self.path, os.W_OK | os.X_OK):
+            raise _unwritable(self.path, "no write permission")
+        return self
+
+
+def write_json(path: Path, values: Mapping[str, Any]) -> None:
+    """Write numbers and words; NaN, which JSON does not know, becomes null."""
+    plain = {name: None if value != value else value for name, value in values.items()}
+    path.write_text(json.dumps(plain, indent=2) + "\n", encoding="utf-8")
+
+
+def write_yaml(path: Path, values: Mapping[str, Any]) -> None:
+    """Write nested settings."""
+    OmegaConf.save(OmegaConf.create(dict(values)), path)
+
+
+def _unwritable(path: Path, reason: str) -> ValueError:
+    return ValueError(
+        f"run folder {path}: cannot be written ({reason}); choose another with folder=... or "
+        "change its permissions"
+    )

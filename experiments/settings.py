@@ -1,0 +1,172 @@
+"""The settings of the programs, each one argument of a dataclass, checked when it is made."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from omegaconf import MISSING
+
+
+class ConfigError(ValueError):
+    """A setting that does not exist or cannot be, in words for the one who typed it."""
+
+
+@dataclass(kw_only=True)
+class TrainConfig:
+    """Settings of a training run.
+
+    Args:
+        task: ``_target_`` and arguments of the task.
+        logger: ``_target_`` and arguments of the logger.
+        preset: name of the preset, kept in the checkpoints.
+        seed: of networks, starts and actions; one seed gives one learning curve.
+        device: cpu or cuda.
+        compile: compile the flow solver.
+        folder: where run folders lie.
+        name: of the run folder; by default made from task, preset and seed.
+        resume: run folder to go on with, from its last checkpoint.
+        num_envs: flows that advance together.
+        total_frames: env frames (decisions of one fish) to train for.
+        warmup_frames: frames with random legal actions before learning starts.
+        updates_per_frame: gradient steps per env frame.
+        batch_size: transitions per gradient step.
+        buffer_size: transitions kept.
+        gamma: discount per decision.
+        learning_rate: of actor, critics and temperature.
+        tau: step of the target critics.
+        hidden: widths of the hidden layers of actor and critics.
+        alpha_init: initial temperature.
+        target_entropy_weight: share of the largest entropy that the policy shall keep.
+        log_frames: frames between rows of the metrics.
+        checkpoint_frames: frames between checkpoints.
+        eval_frames: frames between evaluations of the greedy policy.
+        eval_episodes: fixed starts of these evaluations, which choose the best checkpoint.
+        final_episodes: fixed starts of the evaluation at the end, other ones than those.
+        baselines: hand-written fish that go through the same evaluation at the end.
+        has_pictures: draw figures and record one capture at the end.
+    """
+
+    task: Any = MISSING
+    logger: Any = MISSING
+    preset: str = MISSING
+    seed: int = 0
+    device: str = "cpu"
+    compile: bool = True
+    folder: str = "runs"
+    name: str | None = None
+    resume: str | None = None
+    num_envs: int = 16
+    total_frames: int = 4000
+    warmup_frames: int = 320
+    updates_per_frame: float = 2.0
+    batch_size: int = 64
+    buffer_size: int = 20_000
+    gamma: float = 0.99
+    learning_rate: float = 5e-4
+    tau: float = 0.01
+    hidden: list[int] = field(default_factory=lambda: [256, 256])
+    alpha_init: float = 1.0
+    target_entropy_weight: float = 0.98
+    log_frames: int = 64
+    checkpoint_frames: int = 800
+    eval_frames: int = 800
+    eval_episodes: int = 16
+    final_episodes: int = 32
+    baselines: list[str] = field(default_factory=lambda: ["intercept", "pursuit", "random"])
+    has_pictures: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot run."""
+        for name in ("num_envs", "total_frames", "batch_size", "buffer_size", "log_frames"):
+            _at_least(name, getattr(self, name), 1)
+        for name in ("checkpoint_frames", "eval_frames", "eval_episodes", "final_episodes"):
+            _at_least(name, getattr(self, name), 1)
+        for name in ("warmup_frames", "updates_per_frame", "seed"):
+            _at_least(name, getattr(self, name), 0)
+        for name in ("gamma", "tau", "target_entropy_weight"):
+            _at_least(name, getattr(self, name), 0)
+            if getattr(self, name) > 1:
+                raise ConfigError(f"{name} = {getattr(self, name)}: must be at most 1")
+        for name in ("learning_rate", "alpha_init"):
+            if getattr(self, name) <= 0:
+                raise ConfigError(f"{name} = {getattr(self, name)}: must be greater than 0")
+
+
+@dataclass(kw_only=True)
+class EvaluateConfig:
+    """Settings of an evaluation.
+
+    Args:
+        task: ``_target_`` and arguments of the task; a checkpoint brings its own unless ``task``
+            or ``preset`` is given.
+        preset: name of the preset.
+        checkpoint: run folder or checkpoint of the fish to evaluate.
+        policy: hand-written fish to evaluate instead: random, pursuit or intercept.
+        episodes: fixed starts, one episode each.
+        num_envs: flows that advance together.
+        seed: of the starts and of random actions; the same as the run's gives the starts of its
+            last evaluation.
+        device: cpu or cuda.
+        compile: compile the flow solver.
+        save: file for the result as JSON, or nothing.
+    """
+
+    task: Any = MISSING
+    preset: str = MISSING
+    checkpoint: str | None = None
+    policy: str | None = None
+    episodes: int = 32
+    num_envs: int = 16
+    seed: int = 0
+    device: str = "cpu"
+    compile: bool = True
+    save: str | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot run."""
+        for name in ("num_envs", "episodes"):
+            _at_least(name, getattr(self, name), 1)
+        if (self.checkpoint is None) == (self.policy is None):
+            raise ConfigError(
+                "give one of checkpoint=<run folder> and policy=random|pursuit|intercept"
+            )
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """Give `` Did you mean 'x'?`` for the most similar known word, or nothing."""
+    known = list(known)
+    match = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
+    if not match:  # the last part of a dotted key may be right
+        tails = {name.rsplit(".", 1)[-1]: name for name in known}
+        tail = difflib.get_close_matches(word.rsplit(".", 1)[-1], tails, n=1, cutoff=0.6)
+        match = [tails[name] for name in tail]
+    return f" Did you mean {match[0]!r}?" if match else ""
+
+
+def _at_least(name: str, value: float, least: float) -> None:
+    if value < least:
+        raise ConfigError(f"{name} = {value}: must be at least {least}")
+
+
+def check_device(device: str) -> None:
+    """Check that a device exists here.
+
+    Raises:
+        ConfigError: if it is not one, or is a CUDA device and there is none.
+    """
+    import torch
+
+    try:
+        kind = torch.device(device).type
+    except RuntimeError as error:
+        raise ConfigError(f"device = {device!r}: must be cpu, cuda or cuda:<number>") from error
+    if kind not in ("cpu", "cuda"):
+        raise ConfigError(f"device = {device!r}: must be cpu, cuda or cuda:<number>")
+    if kind == "cuda" and not torch.cuda.is_available():
+        raise ConfigError(
+            f"device = {device!r}: torch sees no CUDA device here; take device=cpu, or install a "
+            "CUDA build of torch and its driver"
+        )

@@ -1,0 +1,146 @@
+"""Teach a fish: ``python -m experiments.train task=predation preset=small seed=0``.
+
+``resume=<run folder>`` goes on where a run was stopped or killed.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+from experiments.progress import Progress
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from omegaconf import DictConfig
+
+    from experiments.settings import TrainConfig
+    from experiments.training import Training
+
+
+def train(
+    config: TrainConfig,
+    *,
+    make_env: Any = None,
+    progress: Progress | None = None,
+    began: float | None = None,
+) -> dict[str, Any]:
+    """Train a fish, compare it with the hand-written ones, and draw what it does.
+
+    Args:
+        config: the settings.
+        make_env: makes the env of a task; by default ``fishrl.envs.flow_env.make_env``.
+        progress: the bar, if there is one already.
+        began: ``time.perf_counter()`` when the program started.
+
+    Returns:
+        The summary, as in ``summary.json``.
+
+    Raises:
+        ValueError: for settings that cannot be, and checkpoints that do not fit.
+    """
+    training = set_up(config, make_env=make_env, progress=progress, began=began)
+    return finish(training)
+
+
+def set_up(
+    config: TrainConfig,
+    *,
+    make_env: Any = None,
+    progress: Progress | None = None,
+    began: float | None = None,
+) -> Training:
+    """Make everything a run needs; see ``train``. Wrong settings show here, not later."""
+    from experiments.config import build, to_plain
+    from experiments.run_folder import RunFolder, write_yaml
+    from experiments.settings import check_device
+    from experiments.training import Training, make_flow_env
+
+    check_device(config.device)
+    task = build(config.task)
+    metrics_logger = build(config.logger)
+    if config.resume:
+        folder = RunFolder.of_existing(config.resume)
+    else:
+        name = config.name or f"{type(task).__name__.lower()}-{config.preset}-seed{config.seed}"
+        folder = RunFolder.create(parent=config.folder, name=name)
+        write_yaml(folder.config, to_plain(config))
+    training = Training(
+        config=config,
+        task=task,
+        make_env=make_env or make_flow_env(),
+        folder=folder,
+        metrics_logger=metrics_logger,
+        progress=progress or Progress(is_shown=False),
+        began=time.perf_counter() if began is None else began,
+    )
+    if config.resume:
+        training.resume()
+    return training
+
+
+def finish(training: Training) -> dict[str, Any]:
+    """Run what is set up to its end, write the summary and the pictures, and print the table."""
+    from experiments.run_folder import write_json
+
+    config, folder = training.config, training.folder
+    summary = training.run()
+    write_json(folder.summary, summary)
+    if config.has_pictures:
+        training.progress.rename("pictures")
+        draw(training)
+        summary["wall_seconds"] = training.wall_seconds()
+        write_json(folder.summary, summary)
+    training.progress.close()
+    report(summary, folder=folder.path, baselines=config.baselines)
+    return summary
+
+
+def draw(training: Training) -> None:
+    """Record one episode of the learned fish and draw the figures of the run."""
+
+
+def report(summary: dict[str, Any], *, folder: Path, baselines: Sequence[str]) -> None:
+    """Print the table of all fish, and where the files lie."""
+    print(f"\n{'fish':<12}{'capture rate':>14}{'mean return':>14}{'time to capture':>18}")
+    for name in ("learned", *baselines):
+        prefix = "" if name == "learned" else f"{name}_"
+        duration = summary[f"{prefix}mean_time_to_capture_T"]
+        shown = "-" if duration != duration else f"{duration:.1f} T"
+        print(
+            f"{name:<12}{summary[f'{prefix}capture_rate']:>13.0%} "
+            f"{summary[f'{prefix}mean_return']:>13.1f}{shown:>18}"
+        )
+    print(f"({summary['episodes']} fixed starts, {summary['wall_seconds'] / 60:.1f} minutes)\n")
+    for path in sorted(folder.iterdir()):
+        print(f"  {path}")
+    print(f"\nlook again: python -m experiments.evaluate checkpoint={folder}")
+
+
+def main() -> None:
+    """Read the command line; show the bar before the slow imports."""
+    began = time.perf_counter()
+    with Progress() as progress:
+        import hydra
+
+        from experiments.command_line import plain_errors, set_up_logging, training_settings
+        from experiments.config import CONF, check_overrides
+
+        set_up_logging()
+        with plain_errors():
+            sys.argv[1:] = check_overrides("train", sys.argv[1:])
+
+        @hydra.main(config_path=str(CONF), config_name="train", version_base="1.3")
+        def run(config: DictConfig) -> None:
+            with plain_errors():
+                training = set_up(training_settings(config), progress=progress, began=began)
+            finish(training)
+
+        run()
+
+
+if __name__ == "__main__":
+    main()

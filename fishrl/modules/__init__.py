@@ -1,0 +1,14 @@
+"""Brains of the fish: actors, critics and hand-written swimmers."""
+
+from fishrl.modules.actors import make_actor, make_mlp
+from fishrl.modules.controllers import InterceptPolicy, PursuitPolicy, RandomPolicy
+from fishrl.modules.critics import make_twin_critics
+
+__all__ = [
+    "InterceptPolicy",
+    "PursuitPolicy",
+    "RandomPolicy",
+    "make_actor",
+    "make_mlp",
+    "make_twin_critics",
+]

@@ -1,0 +1,48 @@
+"""A small training run on the point fish."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from experiments.settings import TrainConfig
+
+TOY = "tests.experiments.toy_fish.ToyPredation"
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture
+def toy_config(tmp_path: Path) -> Callable[..., TrainConfig]:
+    def make(*, task: dict[str, Any] | None = None, **settings: Any) -> TrainConfig:
+        defaults: dict[str, Any] = {
+            "logger": {"_target_": "experiments.logger.CsvLogger"},
+            "preset": "toy",
+            "folder": str(tmp_path),
+            "compile": False,
+            "num_envs": 8,
+            "total_frames": 240,
+            "warmup_frames": 80,
+            "updates_per_frame": 0.25,
+            "hidden": [16],
+            "buffer_size": 1000,
+            "log_frames": 40,
+            "checkpoint_frames": 80,
+            "eval_frames": 120,
+            "eval_episodes": 6,
+            "final_episodes": 10,
+            "has_pictures": False,
+        }
+        return TrainConfig(task={"_target_": TOY, **(task or {})}, **{**defaults, **settings})
+
+    return make

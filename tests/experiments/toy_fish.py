@@ -1,0 +1,192 @@
+"""A point fish with the keys of the real environment, for tests that need thousands of steps.
+
+It swims straight at 0.4 body lengths per decision, turns on the spot spread over the decision, and
+hunts food that moves up and down. Walls at the sides of a 10 x 5 body-length basin end an episode.
+"""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Categorical, Composite, Unbounded
+from torchrl.envs import (
+    ActionMask,
+    CatFrames,
+    EnvBase,
+    InitTracker,
+    RewardSum,
+    StepCounter,
+    TransformedEnv,
+)
+
+STATE = ("position", "heading", "food", "direction", "age", "distance", "error", "start_index")
+
+
+class ToyPredation:
+    """What the training loop asks of a task."""
+
+    n_obs, num_actions, num_stacked, n_substeps = 4, 3, 4, 10
+
+    def __init__(
+        self,
+        *,
+        time_limit: int = 30,
+        capture_radius_bl: float = 0.4,
+        food_speed_bl: float = 0.3,
+        divergence_rate: float = 0.0,
+        banned_action: int = -1,
+    ) -> None:
+        if time_limit < 1:
+            raise ValueError(f"time_limit = {time_limit}: must be at least 1")
+        self.time_limit = time_limit
+        self.capture_radius_bl = capture_radius_bl
+        self.food_speed_bl = food_speed_bl
+        self.divergence_rate = divergence_rate
+        self.banned_action = banned_action
+        self.scales = SimpleNamespace(period=10, body_length=10)
+
+    def flow_config(self) -> SimpleNamespace:
+        return SimpleNamespace(width=100, height=50)
+
+    def sample_starts(self, num: int, generator: torch.Generator) -> TensorDict:
+        draw = torch.rand(num, 2, generator=generator)
+        position = torch.tensor([5.0, 1.0]) + draw * torch.tensor([2.5, 3.0])
+        return TensorDict({"position": position}, [num])
+
+
+class ToyFishEnv(EnvBase):
+    """All fish of the batch at once."""
+
+    def __init__(
+        self, *, task: ToyPredation, num_envs: int, seed: int, starts: TensorDict | None
+    ) -> None:
+        super().__init__(device="cpu", batch_size=[num_envs])
+        self.task, self.starts = task, starts
+        self.rng = torch.Generator().manual_seed(seed)
+        self.next_start = 0
+        flag = Binary(1, dtype=torch.bool)
+        self.observation_spec_unbatched = Composite(
+            observation=Unbounded((4,)),
+            action_mask=Binary(3, dtype=torch.bool),
+            diverged=flag,
+            captured=flag.clone(),
+            start_index=Unbounded((), dtype=torch.int64),
+        )
+        self.action_spec_unbatched = Categorical(3)
+        self.reward_spec_unbatched = Unbounded((1,))
+        for name in STATE:
+            self.register_buffer(name, torch.zeros(num_envs))
+        self.position, self.food = torch.zeros(num_envs, 2), torch.zeros(num_envs, 2)
+        self.start_index = torch.full((num_envs,), -1)
+
+    def get_extra_state(self) -> dict[str, Any]:
+        return {"rng": self.rng.get_state(), "next_start": torch.tensor(self.next_start)}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        self.rng.set_state(state["rng"])
+        self.next_start = int(state["next_start"])
+
+    def _set_seed(self, seed: int | None) -> None:
+        self.rng.manual_seed(seed or 0)
+
+    def _geometry(self) -> tuple[Tensor, Tensor]:
+        away = self.food - self.position
+        bearing = torch.atan2(away[:, 1], away[:, 0]) - self.heading
+        return away.norm(dim=-1), torch.atan2(bearing.sin(), bearing.cos())
+
+    def _observe(self, **flags: Tensor) -> dict[str, Tensor]:
+        distance, error = self._geometry()
+        mask = torch.ones(self.batch_size[0], 3, dtype=torch.bool)
+        if self.task.banned_action >= 0:
+            mask[:, self.task.banned_action] = False
+        away = self.food - self.position
+        observation = torch.cat([away, distance[:, None], error[:, None]], -1)
+        return {
+            "observation": observation,
+            "action_mask": mask,
+            "start_index": self.start_index.clone(),
+            **{name: flag.unsqueeze(-1) for name, flag in flags.items()},
+        }
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
+        rows = torch.ones(self.batch_size, dtype=torch.bool)
+        if tensordict is not None and "_reset" in tensordict:
+            rows = tensordict["_reset"].reshape(self.batch_size)
+        num = int(rows.sum())
+        if self.starts is None:
+            drawn = self.task.sample_starts(num, self.rng)
+            self.start_index[rows] = -1
+        else:
+            index = (self.next_start + torch.arange(num)) % self.starts.shape[0]
+            self.next_start += num
+            drawn = self.starts[index]
+            self.start_index[rows] = index
+        self.position[rows] = drawn["position"]
+        self.food[rows] = torch.tensor([2.5, 2.5])
+        self.heading[rows], self.direction[rows], self.age[rows] = math.pi, 1.0, 0.0
+        distance, error = self._geometry()
+        self.distance[rows], self.error[rows] = distance[rows], error.abs()[rows]
+        none = torch.zeros(self.batch_size, dtype=torch.bool)
+        flags = {n: none.unsqueeze(-1).clone() for n in ("done", "terminated", "truncated")}
+        return TensorDict({**self._observe(diverged=none, captured=none), **flags}, self.batch_size)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        turn = (tensordict["action"].float() - 1.0) * math.radians(15.0)
+        middle = self.heading + 0.5 * turn
+        self.position += 0.4 * torch.stack([middle.cos(), middle.sin()], -1)
+        self.heading += turn
+        self.age += 1.0
+        moves = self.task.food_speed_bl * (self.age > 5.0) * self.direction
+        self.food[:, 1] += moves
+        self.direction = torch.where(self.food[:, 1] > 3.5, -1.0, self.direction)
+        self.direction = torch.where(self.food[:, 1] < 1.5, 1.0, self.direction)
+        distance, error = self._geometry()
+        nearer = (distance < self.distance) | (error.abs() < self.error)
+        self.distance, self.error = distance, error.abs()
+        captured = distance < self.task.capture_radius_bl
+        x, y = self.position.unbind(-1)
+        hits_wall = (x < 0.5) | (x > 9.5) | (y < 0.3) | (y > 4.7)
+        diverged = (
+            torch.rand(self.batch_size, generator=self.rng) < self.task.divergence_rate
+        ) & ~captured
+        terminated = ((captured | hits_wall) & ~diverged).unsqueeze(-1)
+        reward = torch.where(nearer, 1.0, -1.0) + 20.0 * captured
+        return TensorDict(
+            {
+                **self._observe(diverged=diverged, captured=captured),
+                "reward": reward.masked_fill(diverged, 0.0).unsqueeze(-1),
+                "terminated": terminated,
+                "truncated": diverged.unsqueeze(-1),
+                "done": terminated | diverged.unsqueeze(-1),
+            },
+            self.batch_size,
+        )
+
+
+def make_toy_env(
+    *,
+    task: ToyPredation,
+    num_envs: int,
+    seed: int,
+    device: str = "cpu",
+    compile: bool = False,
+    starts: TensorDict | None = None,
+) -> TransformedEnv:
+    """Stand in for ``fishrl.envs.flow_env.make_env``."""
+    env = TransformedEnv(ToyFishEnv(task=task, num_envs=num_envs, seed=seed, starts=starts))
+    for transform in (
+        InitTracker(),
+        StepCounter(max_steps=task.time_limit),
+        RewardSum(),
+        CatFrames(
+            N=task.num_stacked, dim=-1, in_keys=["observation"], out_keys=["observation_stack"]
+        ),
+        ActionMask(),
+    ):
+        env.append_transform(transform)
+    return env

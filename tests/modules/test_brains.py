@@ -1,0 +1,83 @@
+"""The networks: shapes, legality, and that one seed gives one network."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from fishrl.modules import make_actor, make_mlp, make_twin_critics
+
+
+def states(num: int, *, num_actions: int = 3) -> TensorDict:
+    generator = torch.Generator().manual_seed(0)
+    mask = torch.rand(num, num_actions, generator=generator) > 0.5
+    mask[torch.arange(num), torch.randint(num_actions, (num,), generator=generator)] = True
+    stack = torch.randn(num, 16, generator=generator)
+    return TensorDict({"observation_stack": stack, "action_mask": mask}, [num])
+
+
+def test_network_of_the_paper_is_16_256_256_3() -> None:
+    network = make_mlp(num_inputs=16, num_outputs=3, hidden=(256, 256))
+    shapes = [
+        tuple(weight.shape) for name, weight in network.named_parameters() if "weight" in name
+    ]
+    assert shapes == [(256, 16), (256, 256), (3, 256)]
+
+
+@pytest.mark.parametrize("widths", [(0, 3, (8,)), (4, 0, (8,)), (4, 3, (8, 0))])
+def test_a_width_below_one_is_refused(widths: tuple[int, int, tuple[int, ...]]) -> None:
+    with pytest.raises(ValueError, match="every width must be at least 1"):
+        make_mlp(num_inputs=widths[0], num_outputs=widths[1], hidden=widths[2])
+
+
+def test_sampled_and_greedy_actions_are_legal() -> None:
+    td = states(2000)
+    actor = make_actor(num_inputs=16, num_actions=3, hidden=(32,))
+    for kind in (ExplorationType.RANDOM, ExplorationType.DETERMINISTIC):
+        with set_exploration_type(kind), torch.no_grad():
+            action = actor(td.clone())["action"]
+        assert action.dtype == torch.int64 and action.shape == (2000,)
+        assert td["action_mask"].gather(1, action[:, None]).all()
+
+
+def test_greedy_action_is_the_likeliest_legal_one() -> None:
+    td = states(500)
+    actor = make_actor(num_inputs=16, num_actions=3, hidden=(32,))
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        out = actor(td.clone())
+    legal_logits = out["logits"].masked_fill(~td["action_mask"], -torch.inf)
+    assert torch.equal(out["action"], legal_logits.argmax(-1))
+
+
+def test_illegal_actions_have_probability_exactly_zero_even_against_very_low_logits() -> None:
+    td = states(500)
+    actor = make_actor(num_inputs=16, num_actions=3, hidden=(32,))
+    with torch.no_grad():
+        actor[0].module[-1].bias.fill_(-2000.0)  # legal logits far below a small "minus infinity"
+        probs = actor.get_dist(td).probs
+    assert (probs[~td["action_mask"]] == 0).all()
+    assert torch.allclose(probs.sum(-1), torch.ones(500))
+
+
+def test_one_seed_gives_one_network_and_leaves_the_global_generator_alone() -> None:
+    def weights(seed: int) -> list[torch.Tensor]:
+        generator = torch.Generator().manual_seed(seed)
+        actor = make_actor(num_inputs=16, num_actions=3, generator=generator)
+        return list(actor.parameters())
+
+    torch.manual_seed(1)
+    first = weights(7)
+    torch.manual_seed(2)
+    second, other = weights(7), weights(8)
+    assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
+    assert not torch.equal(first[0], other[0])
+
+
+def test_twin_critics_are_two_different_networks_with_a_value_per_action() -> None:
+    first, second = make_twin_critics(num_inputs=16, num_actions=3, hidden=(32,))
+    td = states(10)
+    values = first(td.clone())["action_value"], second(td.clone())["action_value"]
+    assert values[0].shape == (10, 3)
+    assert not torch.allclose(*values)
