@@ -7,14 +7,13 @@ iterating costs no pass over the grid.
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
-from math import cos, pi
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from fishrl.physics.delta import Kernel, Roma3
+from fishrl.physics.delta import Kernel
 
 
 class Stencil(NamedTuple):
@@ -100,6 +99,10 @@ class ForceSolve(ABC):
     """How A g = r is solved for the force g at the markers."""
 
     @abstractmethod
+    def check(self, kernel: Kernel) -> None:
+        """Raise if the solve does not work with ``kernel``."""
+
+    @abstractmethod
     def __call__(self, coupling: Tensor, residual: Tensor) -> tuple[Tensor, Tensor]:
         """Solve for several right-hand sides at once.
 
@@ -112,48 +115,50 @@ class ForceSolve(ABC):
         """
 
 
-def compute_chebyshev_relaxation(
-    num_iterations: int, spectrum: float, *, condition: float = 12.0
-) -> tuple[float, ...]:
-    """Return the relaxation factors that damp [spectrum / condition, spectrum] best.
-
-    Richardson iteration with the inverse Chebyshev nodes (Young 1953): same work as a constant
-    factor, several times less slip.
-    """
-    mean, half = 0.5 * spectrum * (1 + 1 / condition), 0.5 * spectrum * (1 - 1 / condition)
-    nodes = [cos(pi * (2 * k + 1) / (2 * num_iterations)) for k in range(num_iterations)]
-    return tuple(1.0 / (mean + half * node) for node in nodes)
-
-
 @dataclass(frozen=True, kw_only=True)
 class IterativeForcing(ForceSolve):
     """Iterative force correction, the paper's eq. 4: g += w r, r -= w A r.
 
+    The factor 2 rho of eq. 4 is the half-force of the forcing scheme and stands in F = 2 rho g, so
+    the paper's form (Zhang et al. 2016) is w = 1, see ``zhang``. What a body moves smoothly lies in
+    the upper part of A's spectrum, so a constant w near the stability limit does as well as
+    Chebyshev factors (both were measured: 2 % slip after 3 iterations, 1 % after 4).
+
     Args:
-        relaxation: one factor per iteration. The factor 2 rho of eq. 4 is the half-force of the
-            forcing scheme and stands in F = 2 rho g, so the paper's form (Zhang et al. 2016) is
-            ``(1.0,) * n``, see ``zhang``. The default is Chebyshev-accelerated for a kernel.
+        num_iterations: K.
+        relaxation: w; stable below 2 / ``kernel.spectrum``.
     """
 
-    relaxation: tuple[float, ...] = field(
-        default_factory=lambda: compute_chebyshev_relaxation(4, Roma3.spectrum)
-    )
+    num_iterations: int = 4
+    relaxation: float = 1.7
 
     def __post_init__(self) -> None:
-        """Refuse an empty iteration."""
-        if not self.relaxation:
-            raise ValueError("relaxation is empty: give at least one factor, e.g. (1.0,)")
+        """Refuse an iteration that does nothing."""
+        if self.num_iterations < 1 or self.relaxation <= 0:
+            raise ValueError(
+                f"num_iterations = {self.num_iterations}, relaxation = {self.relaxation}: give at "
+                "least 1 iteration and a positive relaxation"
+            )
 
     @classmethod
     def zhang(cls, num_iterations: int = 10) -> "IterativeForcing":
-        """Return the paper's iteration: constant factor 1."""
-        return cls(relaxation=(1.0,) * num_iterations)
+        """Return the paper's iteration."""
+        return cls(num_iterations=num_iterations, relaxation=1.0)
+
+    def check(self, kernel: Kernel) -> None:
+        """Raise if the iteration diverges with ``kernel``."""
+        limit = 2.0 / kernel.spectrum
+        if self.relaxation >= limit:
+            raise ValueError(
+                f"relaxation = {self.relaxation} with {type(kernel).__name__}: the iteration is "
+                f"stable below {limit:.2f}"
+            )
 
     def __call__(self, coupling: Tensor, residual: Tensor) -> tuple[Tensor, Tensor]:
         """Iterate; linear in ``residual``."""
         solution = torch.zeros_like(residual)
-        for factor in self.relaxation:
-            step = factor * residual
+        for _ in range(self.num_iterations):
+            step = self.relaxation * residual
             solution = solution + step
             residual = residual - coupling @ step
         return solution, residual
@@ -169,6 +174,9 @@ class DirectSolve(ForceSolve):
     """
 
     regularisation: float = 1e-4
+
+    def check(self, kernel: Kernel) -> None:
+        """Accept every kernel."""
 
     def __call__(self, coupling: Tensor, residual: Tensor) -> tuple[Tensor, Tensor]:
         """Solve with one step of iterative refinement."""

@@ -45,6 +45,7 @@ class FlowConfig:
     def __post_init__(self) -> None:
         """Refuse a grid too small for its edges or its fish, and an unstable tau."""
         check_tau(self.tau)
+        self.force_solve.check(self.kernel)
         for name, size in (("width", self.width), ("height", self.height)):
             if size < 4:
                 raise ValueError(f"{name} = {size}: a flow needs at least 4 nodes along each axis")

@@ -56,7 +56,7 @@ class Workers:
     """
 
     def __init__(self, jobs: Sequence[dict[str, Any]]) -> None:
-        command = [sys.executable, "-m", "fishrl.physics.workers"]
+        command = [sys.executable, "-c", "from fishrl.physics.workers import serve; serve()"]
         root = str(Path(__file__).parents[2])
         path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
         env = os.environ | {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "PYTHONPATH": path}
@@ -113,7 +113,7 @@ def _send(pipe: IO[bytes] | None, message: object) -> None:
         pass  # the worker is gone; waiting for its answer says so
 
 
-def _serve() -> None:
+def serve() -> None:
     """Run one worker: attach, then advance on demand until the parent closes the pipe."""
     from fishrl.physics.in_place import InPlaceSolver
 
@@ -133,6 +133,3 @@ def _serve() -> None:
         solver.advance_(num_steps)
         _send(answers, None)
 
-
-if __name__ == "__main__":
-    _serve()

@@ -1,0 +1,34 @@
+"""Analytic flows: the order of the method and the places of its walls."""
+
+from math import log2
+
+import pytest
+
+from fishrl.physics.boundaries import Boundaries, Boundary, NoSlip, NonEquilibrium, Periodic
+from fishrl.physics.cases import measure_poiseuille_error, measure_taylor_green_error
+
+WALL = NonEquilibrium(velocity=(0.0, 0.0))
+
+
+def test_taylor_green_vortices_decay_with_second_order() -> None:
+    coarse, fine = (measure_taylor_green_error(n) for n in (16, 32))
+    assert log2(coarse / fine) > 1.95
+    assert fine < 0.01
+
+
+@pytest.mark.parametrize("wall", [NoSlip(), WALL], ids=["no-slip", "non-equilibrium"])
+def test_poiseuille_profile_is_second_order(wall: Boundary) -> None:
+    boundaries = Boundaries(left=Periodic(), right=Periodic(), bottom=wall, top=wall)
+    coarse, fine = (measure_poiseuille_error(n, boundaries) for n in (8, 16))
+    assert log2(coarse / fine) > 1.9
+    assert fine < 3e-3
+
+
+def test_half_a_period_is_refused() -> None:
+    with pytest.raises(ValueError, match="left and right must both be Periodic"):
+        Boundaries(left=Periodic())
+
+
+def test_a_boundary_that_prescribes_nothing_is_refused() -> None:
+    with pytest.raises(ValueError, match="give velocity, density or both"):
+        NonEquilibrium()

@@ -1,0 +1,123 @@
+"""The unrolled collision against the matrices of the literature."""
+
+import pytest
+import torch
+
+from fishrl.physics.collision import (
+    Rates,
+    collide_mrt,
+    compute_equilibrium,
+    compute_force_increment,
+    compute_macroscopic,
+)
+from fishrl.physics.lattice import CX, CY, W
+
+# Lallemand & Luo 2000: rows rho, e, eps, jx, qx, jy, qy, pxx, pxy
+M = torch.tensor(
+    [
+        [1, 1, 1, 1, 1, 1, 1, 1, 1],
+        [-4, -1, -1, -1, -1, 2, 2, 2, 2],
+        [4, -2, -2, -2, -2, 1, 1, 1, 1],
+        [0, 1, 0, -1, 0, 1, -1, -1, 1],
+        [0, -2, 0, 2, 0, 1, -1, -1, 1],
+        [0, 0, 1, 0, -1, 1, 1, -1, -1],
+        [0, 0, -2, 0, 2, 1, 1, -1, -1],
+        [0, 1, -1, 1, -1, 0, 0, 0, 0],
+        [0, 0, 0, 0, 0, 1, -1, 1, -1],
+    ],
+    dtype=torch.float64,
+)
+C = torch.tensor([CX, CY], dtype=torch.float64)
+WEIGHTS = torch.tensor(W, dtype=torch.float64)
+RATES, OMEGA = Rates(energy=1.3, flux=1.1), 1.8
+S = torch.tensor([0, 1.3, 1.3, 0, 1.1, 0, 1.1, OMEGA, OMEGA], dtype=torch.float64)
+
+
+def make_populations() -> torch.Tensor:
+    g = torch.Generator().manual_seed(0)
+    return WEIGHTS * (1.0 + 0.1 * torch.randn(9, generator=g, dtype=torch.float64))
+
+
+def equilibrium(rho: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
+    cu = C.T @ u
+    return WEIGHTS * rho * (1 + 3 * cu + 4.5 * cu**2 - 1.5 * (u @ u))
+
+
+def relax(f: torch.Tensor, f_eq: torch.Tensor) -> torch.Tensor:
+    return torch.linalg.solve(M, S * (M @ (f - f_eq)))
+
+
+def force_populations(u: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+    cu = C.T @ u
+    return WEIGHTS * (3 * (C.T @ force - u @ force) + 9 * cu * (C.T @ force))
+
+
+def collide_with_force(f: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+    shifted = (f - WEIGHTS).unbind()
+    rho, jx, jy = compute_macroscopic(shifted)
+    ux, uy = jx / (rho + 1), jy / (rho + 1)
+    added = compute_force_increment(rho, ux, uy, *force, *force, OMEGA, RATES)
+    collided = collide_mrt(shifted, OMEGA, RATES)
+    return torch.stack([a + b for a, b in zip(collided, added, strict=True)]) + WEIGHTS
+
+
+def test_collision_equals_the_matrix_form() -> None:
+    f = make_populations()
+    rho = f.sum()
+    expected = f - relax(f, equilibrium(rho, C @ f / rho))
+    got = torch.stack(collide_mrt((f - WEIGHTS).unbind(), OMEGA, RATES)) + WEIGHTS
+    torch.testing.assert_close(got, expected, rtol=0, atol=1e-15)
+
+
+def test_forced_collision_equals_guo_2002_in_moment_form() -> None:
+    f, force = make_populations(), torch.tensor([0.02, -0.03], dtype=torch.float64)
+    rho = f.sum()
+    u = (C @ f + force / 2) / rho
+    source = torch.linalg.solve(M, (1 - S / 2) * (M @ force_populations(u, force)))
+    expected = f - relax(f, equilibrium(rho, u)) + source
+    torch.testing.assert_close(collide_with_force(f, force), expected, rtol=0, atol=1e-15)
+
+
+def test_forced_collision_equals_the_papers_implicit_eq_1() -> None:
+    """f(t+1) = f - M^-1 S (m - m_eq) + (g(t) + g(t+1)) / 2, solved by fixed point in one cell."""
+    force = torch.tensor([0.02, -0.03], dtype=torch.float64)
+    transformed = make_populations()  # f - g / 2
+    f = transformed
+    for _ in range(60):
+        u = C @ f / f.sum()
+        f = transformed + 0.5 * force_populations(u, force)
+    g_now = force_populations(C @ f / f.sum(), force)
+    explicit = f - relax(f, equilibrium(f.sum(), C @ f / f.sum())) + 0.5 * g_now
+    f_next = explicit
+    for _ in range(60):
+        u = C @ f_next / f_next.sum()
+        f_next = explicit + 0.5 * force_populations(u, force)
+    expected = f_next - 0.5 * force_populations(C @ f_next / f_next.sum(), force)
+    torch.testing.assert_close(
+        collide_with_force(transformed, force), expected, rtol=0, atol=1e-14
+    )
+
+
+def test_shares_of_the_force_add_up_to_the_whole() -> None:
+    rho, ux, uy, fx, fy = (torch.tensor(v, dtype=torch.float64) for v in (0.1, 0.2, -0.1, 0.3, 0.4))
+    whole = compute_force_increment(rho, ux, uy, fx, fy, fx, fy, OMEGA, RATES)
+    parts = [
+        compute_force_increment(rho, ux, uy, fx, fy, a * fx, b * fy, OMEGA, RATES)
+        for a, b in ((0.3, 0.9), (0.7, 0.1))
+    ]
+    total = [p + q for p, q in zip(*parts, strict=True)]
+    torch.testing.assert_close(torch.stack(total), torch.stack(whole), rtol=0, atol=1e-15)
+
+
+def test_equilibrium_has_the_given_density_and_momentum() -> None:
+    rho, ux, uy = (torch.tensor(v, dtype=torch.float64) for v in (0.05, 0.1, -0.2))
+    got = compute_macroscopic(compute_equilibrium(rho, ux, uy))
+    expected = (rho, 1.05 * ux, 1.05 * uy)
+    torch.testing.assert_close(torch.stack(got), torch.stack(expected), rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("field", ["energy", "flux"])
+@pytest.mark.parametrize("value", [0.0, 2.0, -1.0])
+def test_rates_outside_the_stable_range_are_refused(field: str, value: float) -> None:
+    with pytest.raises(ValueError, match=rf"rates.{field} = .*\(0, 2\)"):
+        Rates(**{field: value})

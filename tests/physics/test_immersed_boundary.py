@@ -1,0 +1,128 @@
+"""Kernels, coupling matrix and force solves."""
+
+import math
+
+import pytest
+import torch
+
+from fishrl.physics.bodies import Fish
+from fishrl.physics.delta import Hat, Kernel, Peskin4, Roma3
+from fishrl.physics.immersed_boundary import (
+    DirectSolve,
+    IterativeForcing,
+    couple_markers,
+    interpolate,
+    make_stencil,
+)
+from fishrl.physics.kinematics import deform
+from fishrl.physics.rigid_motion import make_body, place_markers
+from fishrl.physics.solver import gather, spread
+from fishrl.physics.state import FlowConfig
+
+KERNELS = [Hat(), Roma3(), Peskin4()]
+SIZE = 96
+
+
+def make_markers(heading: float = 0.7) -> torch.Tensor:
+    """A deformed fish of 50 nodes in the middle of the grid."""
+    modes = Fish(body_length=50).make_modes()
+    centre = torch.tensor([[48.3, 47.6]], dtype=torch.float64)
+    one = torch.ones(1, dtype=torch.float64)
+    body = make_body(centre, heading * one, one / 500)._replace(age=900 * one, phase=1.1 * one)
+    shape = deform(modes, body.phase, body.frequency, body.age)
+    return place_markers(body, modes, shape).position
+
+
+@pytest.mark.parametrize("kernel", KERNELS, ids=lambda k: type(k).__name__)
+def test_kernel_weights_sum_to_one_wherever_the_marker_lies(kernel: Kernel) -> None:
+    markers = 20 + torch.rand(1, 500, 2, dtype=torch.float64)
+    stencil = make_stencil(markers, kernel, SIZE, SIZE, torch.float64)
+    torch.testing.assert_close(stencil.weights.sum(1), torch.ones(1, 500, dtype=torch.float64))
+    # first moment: a linear field is interpolated exactly (hat, Roma and Peskin kernels alike)
+    nodes = stencil.index_nodes(SIZE)
+    x = (nodes % SIZE).double()
+    torch.testing.assert_close(interpolate(x, stencil.weights), markers[..., 0])
+
+
+@pytest.mark.parametrize(("kernel", "square"), [(Roma3(), 1 / 2), (Peskin4(), 3 / 8)])
+def test_kernel_has_a_constant_sum_of_squares(kernel: Kernel, square: float) -> None:
+    stencil = make_stencil(
+        20 + torch.rand(1, 500, 2, dtype=torch.float64), kernel, SIZE, SIZE, torch.float64
+    )
+    torch.testing.assert_close(
+        stencil.weight_x.square().sum(1), torch.full((1, 500), square, dtype=torch.float64)
+    )
+
+
+@pytest.mark.parametrize("kernel", KERNELS, ids=lambda k: type(k).__name__)
+def test_coupling_matrix_equals_spread_then_interpolate(kernel: Kernel) -> None:
+    stencil = make_stencil(make_markers(), kernel, SIZE, SIZE, torch.float64)
+    nodes, weights = stencil.index_nodes(SIZE), stencil.weights
+    g = torch.randn(1, weights.shape[-1], dtype=torch.float64)
+    field = spread(0.9 * weights * g[:, None], nodes, torch.zeros(1, SIZE, SIZE).double())
+    expected = interpolate(gather(field, nodes), weights)
+    got = couple_markers(stencil, 0.9) @ g[..., None]
+    torch.testing.assert_close(got[..., 0], expected)
+
+
+@pytest.mark.parametrize("kernel", KERNELS, ids=lambda k: type(k).__name__)
+@pytest.mark.parametrize("heading", [0.0, 0.7, math.pi / 2])
+def test_the_kernels_spectrum_bounds_the_coupling(kernel: Kernel, heading: float) -> None:
+    stencil = make_stencil(make_markers(heading), kernel, SIZE, SIZE, torch.float64)
+    largest = torch.linalg.eigvalsh(couple_markers(stencil, 1.0)[0])[-1]
+    assert 0.5 * kernel.spectrum < largest < kernel.spectrum
+
+
+def measure_slip(solve: IterativeForcing | DirectSolve) -> float:
+    """Relative rms slip left of an impulsive smooth target."""
+    markers = make_markers()
+    coupling = couple_markers(
+        make_stencil(markers, Roma3(), SIZE, SIZE, torch.float64), Fish(body_length=50).spacing
+    )
+    target = torch.cos(0.1 * markers[..., :1])
+    _, rest = solve(coupling, target)
+    return float(rest.norm() / target.norm())
+
+
+def test_slip_falls_with_the_number_of_iterations() -> None:
+    slips = [measure_slip(IterativeForcing.zhang(n)) for n in (1, 3, 5, 10)]
+    assert all(later < 0.6 * earlier for earlier, later in zip(slips, slips[1:], strict=False))
+    assert slips[-1] < 0.02
+
+
+def test_the_default_iteration_leaves_less_slip_than_twice_as_many_of_the_papers() -> None:
+    assert measure_slip(IterativeForcing(num_iterations=4)) < measure_slip(
+        IterativeForcing.zhang(7)
+    )
+
+
+def test_direct_solve_leaves_no_slip() -> None:
+    assert measure_slip(DirectSolve(regularisation=1e-12)) < 1e-12
+
+
+def test_direct_solve_is_the_limit_of_the_iteration() -> None:
+    stencil = make_stencil(make_markers(), Roma3(), SIZE, SIZE, torch.float64)
+    coupling = couple_markers(stencil, 1.0)
+    residual = coupling @ torch.cos(0.1 * make_markers()[..., :1])
+    exact, _ = DirectSolve(regularisation=1e-12)(coupling, residual)
+    iterated, _ = IterativeForcing(num_iterations=4000)(coupling, residual)
+    torch.testing.assert_close(iterated, exact, rtol=0, atol=2e-3)
+
+
+@pytest.mark.parametrize("bad", [{"num_iterations": 0}, {"relaxation": -1.0}])
+def test_an_iteration_that_does_nothing_is_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="at least 1 iteration and a positive relaxation"):
+        IterativeForcing(**bad)
+
+
+def test_an_unstable_relaxation_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"relaxation = 2.0 with Hat.*stable below 1.54"):
+        FlowConfig(
+            width=32, height=32, tau=0.6, kernel=Hat(), force_solve=IterativeForcing(relaxation=2.0)
+        )
+
+
+def test_markers_outside_the_grid_read_no_foreign_memory() -> None:
+    markers = torch.tensor([[[-50.0, 1e9], [float("nan"), 3.0]]], dtype=torch.float64)
+    nodes = make_stencil(markers, Roma3(), SIZE, SIZE, torch.float64).index_nodes(SIZE)
+    assert nodes.min() >= 0 and nodes.max() < SIZE * SIZE

@@ -1,0 +1,72 @@
+"""Lattice units: what follows from a preset, and what is refused."""
+
+import pytest
+
+from fishrl.physics.bodies import Fish
+from fishrl.physics.state import FlowConfig
+from fishrl.physics.units import Scales
+
+
+def test_budget_keeps_reynolds_number_and_tail_speed() -> None:
+    scales = Scales.from_budget(body_length=50, reynolds=7000.0, max_wall_speed=0.07)
+    assert scales.period % 2 == 0
+    assert scales.body_length**2 / (scales.nu * scales.period) == pytest.approx(7000.0)
+    assert 0.0697 < scales.tail_speed <= 0.07
+    assert scales.reference_speed == pytest.approx(50 / scales.period)
+
+
+def test_the_papers_scale_is_available() -> None:
+    """L = 100, T = 600 gives tau = 0.50714 (PAPER, task 1)."""
+    scales = Scales(body_length=100, reynolds=7000.0, period=600)
+    assert scales.tau == pytest.approx(0.50714, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        ({"body_length": 8}, "body_length = 8.*at least 16"),
+        ({"reynolds": 0.0}, "reynolds = 0.0: must be positive"),
+        ({"period": 601}, "period = 601.*even"),
+        ({"period": 400}, "tail speed = .*raise period"),
+        ({"reynolds": 1e6}, "tau = 0.50005.*raise body_length"),
+        ({"reynolds": 10.0}, "tau = 5.50000.*raise reynolds"),
+    ],
+)
+def test_unusable_scales_are_refused_with_a_remedy(bad: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Scales(**({"body_length": 100, "reynolds": 7000.0, "period": 600} | bad))
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.2])
+def test_a_mach_budget_outside_the_validated_range_is_refused(speed: float) -> None:
+    with pytest.raises(ValueError, match=r"max_wall_speed = .*Mach.*allowed is \(0, 0.15\]"):
+        Scales.from_budget(body_length=50, reynolds=7000.0, max_wall_speed=speed)
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        ({"tau": 0.5}, "tau = 0.50000 lies outside the validated range"),
+        ({"width": 2}, "width = 2"),
+        ({"fish": Fish(body_length=70)}, "does not fit into 128 x 64 nodes"),
+    ],
+)
+def test_a_flow_that_cannot_run_is_refused(bad: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        FlowConfig(**({"width": 128, "height": 64, "tau": 0.6} | bad))
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        ({"body_length": 10}, "at least 16 nodes"),
+        ({"thickness": 0.0}, "thickness"),
+        ({"density_ratio": 0.5}, "density_ratio = 0.5"),
+        ({"marker_spacing": 3.0}, "marker_spacing = 3.0"),
+    ],
+)
+def test_a_fish_that_markers_cannot_resolve_is_refused(
+    bad: dict[str, float], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        Fish(**({"body_length": 50} | bad))
