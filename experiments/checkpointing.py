@@ -99,7 +99,7 @@ def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[
         ValueError: if there is none or it is corrupt.
     """
     folder = Path(path).expanduser()
-    if (folder / "checkpoints").is_dir():
+    if (folder / "config.yaml").is_file() or (folder / "checkpoints").is_dir():
         folder = folder / "checkpoints"
         folder /= which if (folder / which).exists() else "last"
     found = folder
@@ -113,7 +113,7 @@ def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[
         )
     try:
         metadata = Checkpoint.manifest(found).get("metadata")
-    except (CheckpointError, OSError, ValueError, TypeError) as error:
+    except (CheckpointError, OSError, ValueError, TypeError, AttributeError) as error:
         raise _corrupt(found, error) from error
     if not isinstance(metadata, dict) or "task" not in metadata:
         raise _corrupt(found, "it does not name its task")

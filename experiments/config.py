@@ -10,8 +10,8 @@ from typing import Any, cast
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import HydraException, InstantiationException, OverrideParseException
-from hydra.utils import get_object, instantiate
+from hydra.errors import HydraException, OverrideParseException
+from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError  # type: ignore[import-untyped]
@@ -144,14 +144,19 @@ def to_plain(settings: Any) -> dict[str, Any]:
     return cast(dict[str, Any], plain)
 
 
-def build(node: Mapping[str, Any], **arguments: Any) -> Any:
-    """Make the object that a ``_target_`` names; its own errors come through as they are."""
-    try:
-        return instantiate(dict(node), **arguments, _convert_="all")
-    except InstantiationException as error:
-        if isinstance(error.__cause__, ValueError | ImportError):
-            raise error.__cause__ from None
-        raise ConfigError(str(error)) from error
+def build(node: Mapping[str, Any]) -> Any:
+    """Make the object that a ``_target_`` names, and those among its arguments first.
+
+    Raises:
+        ConfigError: if there is nothing of that name.
+        ValueError: from the object's own checks, as it is.
+    """
+    arguments = {
+        name: build(value) if isinstance(value, Mapping) and "_target_" in value else value
+        for name, value in node.items()
+        if name != "_target_"
+    }
+    return _find(node["_target_"])(**arguments)
 
 
 def with_defaults(config: DictConfig) -> DictConfig:
@@ -171,10 +176,17 @@ def with_defaults(config: DictConfig) -> DictConfig:
     return filled
 
 
+def _find(target: str) -> Any:
+    try:
+        return get_object(target)
+    except (ImportError, ValueError) as error:
+        raise ConfigError(f"_target_={target}: {' '.join(str(error).split())}") from error
+
+
 def _plain_defaults(target: str) -> dict[str, Any]:
     return {
         name: list(parameter.default) if isinstance(parameter.default, tuple) else parameter.default
-        for name, parameter in inspect.signature(get_object(target)).parameters.items()
+        for name, parameter in inspect.signature(_find(target)).parameters.items()
         if parameter.default is None
         or isinstance(parameter.default, bool | int | float | str | tuple)
     }

@@ -79,7 +79,7 @@ class Fish:
     @cached_property
     def num_markers(self) -> int:
         """Number of markers N on the outline; even, so that nose and tail are markers."""
-        return 2 * max(8, round(self._stations[2][-1] / self.marker_spacing))
+        return 2 * max(8, round(float(self._stations[2][-1]) / self.marker_spacing))
 
     @cached_property
     def spacing(self) -> float:

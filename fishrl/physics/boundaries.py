@@ -62,8 +62,8 @@ class Boundary(ABC):
 class NonEquilibrium(Boundary):
     """Non-equilibrium extrapolation of Guo, Zheng & Shi 2002, eq. 6 (second order).
 
-    f_b = f_eq(rho_b, u_b) + f_n - f_eq(rho_n, u_n), with n the inner neighbour. What is not given is
-    taken from the neighbour.
+    f_b = f_eq(rho_b, u_b) + f_n - f_eq(rho_n, u_n), with n the inner neighbour. What is not given
+    is taken from the neighbour.
 
     Args:
         velocity: (x, y) in lattice units; (0, 0) is a wall at rest.

@@ -5,8 +5,8 @@ is exactly zero (Lehmann et al. 2022). All functions take and return sequences o
 any common shape and broadcast the relaxation rates against it.
 
 Moments are those of Lallemand & Luo 2000, m = (rho, e, eps, jx, qx, jy, qy, pxx, pxy), with the
-equilibrium m_eq = rho (1, -2 + 3 u^2, 1 - 3 u^2, ux, -ux, uy, -uy, ux^2 - uy^2, ux uy), which equals
-M f_eq of the second-order equilibrium exactly.
+equilibrium m_eq = rho (1, -2 + 3 u^2, 1 - 3 u^2, ux, -ux, uy, -uy, ux^2 - uy^2, ux uy), which
+equals M f_eq of the second-order equilibrium exactly.
 """
 
 from collections.abc import Sequence
@@ -73,8 +73,8 @@ def collide_mrt(f: Sequence[Tensor], omega: Tensor | float, rates: Rates) -> lis
         omega: 1 / tau, the rate of the stresses pxx and pxy; broadcasts (one per flow).
         rates: the other rates.
 
-    Source: Lallemand & Luo 2000, eq. 13; the paper's eq. 1 without force. The products of M and M^-1
-    are unrolled over sums and differences of opposite populations, so no matrix appears.
+    Source: Lallemand & Luo 2000, eq. 13; the paper's eq. 1 without force. The products of M and
+    M^-1 are unrolled over sums and differences of opposite populations, so no matrix appears.
     """
     f0, f1, f2, f3, f4, f5, f6, f7, f8 = f
     a13, a24, a57, a68 = f1 + f3, f2 + f4, f5 + f7, f6 + f8
@@ -155,8 +155,7 @@ def compute_force_increment(
     change = _from_moments(e, -e, -part_x, -part_y, pxx, pxy)
     x6, y6 = part_x * (1 / 6), part_y * (1 / 6)
     return [
-        c + (cx * x6 + cy * y6) if cx or cy else c
-        for c, cx, cy in zip(change, CX, CY, strict=True)
+        c + (cx * x6 + cy * y6) if cx or cy else c for c, cx, cy in zip(change, CX, CY, strict=True)
     ]
 
 

@@ -2,8 +2,8 @@
 
 ``torch.compile`` checks guards on every call (about 100 us with many tensors) and functionalises
 views of one buffer into whole-buffer copies. Tracing the function once and handing the graph to
-Inductor with *the views themselves as inputs* avoids both. The price: the caller promises that shapes,
-strides and types never change and that mutated inputs do not overlap within one call.
+Inductor with *the views themselves as inputs* avoids both. The price: the caller promises that
+shapes, strides and types never change and that mutated inputs do not overlap within one call.
 """
 
 import logging
@@ -64,8 +64,8 @@ def compile_inplace(function: Step, example: Sequence[Tensor], **patches: object
     settings = {"cpp.enable_floating_point_contract_flag": "fast", **patches}
     compiled = standalone_compile(
         graph,
-        twins,
+        [*twins],
         dynamic_shapes="from_example_inputs",
         options={"config_patches": settings},
     )
-    return compiled  # type: ignore[no-any-return]
+    return compiled

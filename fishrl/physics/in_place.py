@@ -186,7 +186,7 @@ class InPlaceSolver:
         for old, new in zip(self.body, fresh, strict=True):
             old.copy_(torch.where(rows.view(-1, *(1,) * (old.dim() - 1)), new, old))
         size = self._stepper.layout.num_envs
-        for group, mask in zip(self._groups, rows.split(size), strict=True):
+        for group, mask in zip(self._groups, torch.split(rows, size), strict=True):
             if size > 1 or mask.item():
                 for f in group.cells[0]:
                     f.masked_fill_(mask[:, None], 0.0)
@@ -194,7 +194,7 @@ class InPlaceSolver:
     def set_populations_(self, f: Tensor) -> None:
         """Set all flows to populations ``[B, Q, Y, X]`` (shifted)."""
         size = self._stepper.layout.num_envs
-        for group, values in zip(self._groups, f.split(size), strict=True):
+        for group, values in zip(self._groups, torch.split(f, size), strict=True):
             for q, view in enumerate(self._stepper.layout.nodes(group.data, 0, False)):
                 view.copy_(values[:, q])
 

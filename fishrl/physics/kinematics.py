@@ -49,7 +49,8 @@ class Gait:
 CARLING = Gait(amplitude=0.125 / 1.03125, envelope=(0.03125, 1.0, 0.0), wavenumber=2 * pi)
 # Carangiform envelope of Videler & Hess 1984 (saithe), tail amplitude 0.1.
 CARANGIFORM = Gait(amplitude=0.1, envelope=(0.2, -0.8, 1.6), wavenumber=2 * pi)
-# The paper's k = 3 read as radians per body length, with Carling's envelope (the paper's is unsaid).
+# The paper's k = 3 read as radians per body length, with Carling's envelope (the paper's is
+# unsaid).
 LONG_WAVE = Gait(amplitude=0.125 / 1.03125, envelope=(0.03125, 1.0, 0.0), wavenumber=3.0)
 
 

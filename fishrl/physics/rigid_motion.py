@@ -1,11 +1,11 @@
 """Rigid motion of the fish and its coupling to the flow.
 
-Marker l sits at x_l = X + R(angle) (axial, lateral) and moves with
-V_l = U + (Omega - H/I) z x r_l + R (0, Z_t). Fluid and body are solved together: with the force solve
-written as a linear map P, g = P (U_d - U*) is linear in (U, Omega), so the new rigid velocity follows
-from one 3 x 3 system and the momentum that the body gains is exactly what the fluid loses. At equal
-density the body's mass cancels against the fluid inside it and the skin is force-free; explicit
-coupling, as the paper writes it, is unstable there (added mass).
+Marker l sits at x_l = X + R(angle) (axial, lateral) and moves with V_l = U + (Omega - H/I) z x
+r_l + R (0, Z_t). Fluid and body are solved together: with the force solve written as a linear map
+P, g = P (U_d - U*) is linear in (U, Omega), so the new rigid velocity follows from one 3 x 3
+system and the momentum that the body gains is exactly what the fluid loses. At equal density the
+body's mass cancels against the fluid inside it and the skin is force-free; explicit coupling, as
+the paper writes it, is unstable there (added mass).
 """
 
 from enum import Enum
@@ -103,7 +103,7 @@ def make_body(position: Tensor, heading: Tensor, frequency: Tensor) -> Body:
 
 
 def compute_turn_rate(body: Body) -> Tensor:
-    """Return the commanded Omega ``[B]``: (turn / n) (1 - cos 2 pi t / n), which sums to ``turn``."""
+    """Return the commanded Omega ``[B]``: (turn / n) (1 - cos 2 pi t / n); its sum is ``turn``."""
     swing = 1.0 - torch.cos(2.0 * pi * (body.turn_clock + 0.5) / body.turn_steps)
     rate = body.turn / body.turn_steps * swing
     return torch.where(body.turn_clock < body.turn_steps, rate, torch.zeros_like(rate))
@@ -197,7 +197,9 @@ def solve_body_force(
     omega = body.angular_velocity if is_free else compute_turn_rate(body)
     arm = markers.arm.to(dtype)
     rx, ry = arm.unbind(-1)
-    spin = torch.stack((-omega[:, None] * markers.arm[..., 1], omega[:, None] * markers.arm[..., 0]), -1)
+    spin = torch.stack(
+        (-omega[:, None] * markers.arm[..., 1], omega[:, None] * markers.arm[..., 0]), -1
+    )
     target = body.velocity[:, None] + spin + markers.deformation_velocity
     residual = target.to(dtype) - velocity
     columns = [residual[..., 0], residual[..., 1], torch.ones_like(rx)]

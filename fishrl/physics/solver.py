@@ -76,7 +76,7 @@ def make_rest(config: FlowConfig, num_envs: int, dtype: torch.dtype = torch.floa
 
 
 def make_uniform(rho: Tensor, ux: Tensor, uy: Tensor) -> Tensor:
-    """Return equilibrium populations ``[B, Q, Y, X]`` of given ``[B, Y, X]`` fields (rho - 1, u)."""
+    """Return equilibrium populations ``[B, Q, Y, X]`` of ``[B, Y, X]`` fields (rho - 1, u)."""
     return torch.stack(compute_equilibrium(rho, ux, uy), 1)
 
 

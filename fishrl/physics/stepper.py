@@ -1,10 +1,11 @@
 """The fast step: a group of flows in one buffer, in place, compiled.
 
-Order of one step: collide all nodes without force (one pass, 72 bytes a node), then let the fish act
-on the outgoing populations at its marker nodes alone, then set the edges. As collision conserves mass
-and momentum, the fish sees the same unforced velocity as in ``solver.step``, and the increment it adds
-makes the result equal to the forced collision there. Even and odd steps are the same code on other
-views (see ``streaming.InPlaceLayout``); states are exchanged at even parity only.
+Order of one step: collide all nodes without force (one pass, 72 bytes a node), then let the fish
+act on the outgoing populations at its marker nodes alone, then set the edges. As collision
+conserves mass and momentum, the fish sees the same unforced velocity as in ``solver.step``, and
+the increment it adds makes the result equal to the forced collision there. Even and odd steps are
+the same code on other views (see ``streaming.InPlaceLayout``); states are exchanged at even
+parity only.
 """
 
 from collections.abc import Callable, Sequence
@@ -56,9 +57,7 @@ class Stepper:
 
     def __init__(self, *, config: FlowConfig, group_size: int, device: torch.device) -> None:
         self.config, self.device = config, device
-        self.layout = InPlaceLayout(
-            num_envs=group_size, height=config.height, width=config.width
-        )
+        self.layout = InPlaceLayout(num_envs=group_size, height=config.height, width=config.width)
         self._omega = torch.full((group_size, 1), 1.0 / config.tau, device=device)
         self._collide = _make_collide(config)
         self._set_edges = [_make_edge_step(pair) for pair in config.boundaries.by_side()]

@@ -1,14 +1,14 @@
 """How populations move in memory: the readable way and the in-place way.
 
 Readable: nine rolls. In place (AA pattern, Bailey et al. 2009): one buffer, two kinds of step. An
-even step reads and writes the node's own slots, swapping opposite directions; an odd step reads from
-and writes to the neighbours' slots. Streaming is implied by the addresses, each step moves 72 bytes a
-node in single precision and needs no second buffer.
+even step reads and writes the node's own slots, swapping opposite directions; an odd step reads
+from and writes to the neighbours' slots. Streaming is implied by the addresses, each step moves
+72 bytes a node in single precision and needs no second buffer.
 
-Slot q of cell n is ``data[q, pad + n]``. The cells of a group's flows lie in one row, each flow padded
-by a ring of one node whose values are never read by the flow itself. With V[q] the slots q at the
-cells n + c_q and S[q] those at n, the incoming population q is S[q] before an even step and
-V[opposite q] before an odd one.
+Slot q of cell n is ``data[q, pad + n]``. The cells of a group's flows lie in one row, each flow
+padded by a ring of one node whose values are never read by the flow itself. With V[q] the slots q
+at the cells n + c_q and S[q] those at n, the incoming population q is S[q] before an even step
+and V[opposite q] before an odd one.
 """
 
 from collections.abc import Sequence
@@ -65,7 +65,7 @@ class InPlaceLayout:
         return [own[s] + (shift[s] if at_neighbour else 0) for s in slots]
 
     def cells(self, data: Tensor, parity: int) -> list[Tensor]:
-        """Return nine ``[B, cells of a flow]`` views of the incoming populations, rings included."""
+        """Return nine ``[B, cells]`` views of the incoming populations, rings included."""
         size, stride = (self.num_envs, self.flow_length), (self.flow_length, 1)
         first = data.storage_offset()
         return [data.as_strided(size, stride, first + o) for o in self.offsets(parity, False)]
@@ -75,7 +75,4 @@ class InPlaceLayout:
         size = (self.num_envs, self.height, self.width)
         stride = (self.flow_length, self.row_length, 1)
         first = data.storage_offset() + self.first_cell
-        return [
-            data.as_strided(size, stride, first + o)
-            for o in self.offsets(parity, outgoing)
-        ]
+        return [data.as_strided(size, stride, first + o) for o in self.offsets(parity, outgoing)]

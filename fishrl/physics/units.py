@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 from fishrl.physics.kinematics import CARLING, Gait
 
-# Validated range. Below MIN_TAU the collision loses its margin against vortices shed in a turn; above
-# MAX_TAU the boundary's slip grows. The fastest wall is kept well under the speed of sound 0.577.
+# Validated range. Below MIN_TAU the collision loses its margin against vortices shed in a turn;
+# above MAX_TAU the boundary's slip grows. The fastest wall is kept well under the speed of sound
+# 0.577.
 MIN_TAU = 0.501
 MAX_TAU = 2.0
 MAX_WALL_SPEED = 0.15

@@ -1,10 +1,10 @@
 """Flows side by side on the cores of a CPU: one process per core, one flow at a time in each.
 
-Flows do not see each other between two actions, so each core can run its own flow for all steps of an
-action. That keeps the flow in the core's cache and needs no synchronisation inside a step, where two
-threads sharing one flow wait for each other six times. State lies in shared memory; workers only
-advance it, everything else happens in the parent while they wait. A worker is a plain subprocess (not
-``multiprocessing``, which would import the caller's script again).
+Flows do not see each other between two actions, so each core can run its own flow for all steps
+of an action. That keeps the flow in the core's cache and needs no synchronisation inside a step,
+where two threads sharing one flow wait for each other six times. State lies in shared memory;
+workers only advance it, everything else happens in the parent while they wait. A worker is a
+plain subprocess (not ``multiprocessing``, which would import the caller's script again).
 """
 
 import logging
@@ -132,4 +132,3 @@ def serve() -> None:
             return
         solver.advance_(num_steps)
         _send(answers, None)
-

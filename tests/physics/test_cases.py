@@ -4,7 +4,7 @@ from math import log2
 
 import pytest
 
-from fishrl.physics.boundaries import Boundaries, Boundary, NoSlip, NonEquilibrium, Periodic
+from fishrl.physics.boundaries import Boundaries, Boundary, NonEquilibrium, NoSlip, Periodic
 from fishrl.physics.cases import measure_poiseuille_error, measure_taylor_green_error
 
 WALL = NonEquilibrium(velocity=(0.0, 0.0))

@@ -93,9 +93,7 @@ def test_forced_collision_equals_the_papers_implicit_eq_1() -> None:
         u = C @ f_next / f_next.sum()
         f_next = explicit + 0.5 * force_populations(u, force)
     expected = f_next - 0.5 * force_populations(C @ f_next / f_next.sum(), force)
-    torch.testing.assert_close(
-        collide_with_force(transformed, force), expected, rtol=0, atol=1e-14
-    )
+    torch.testing.assert_close(collide_with_force(transformed, force), expected, rtol=0, atol=1e-14)
 
 
 def test_shares_of_the_force_add_up_to_the_whole() -> None:

@@ -1,6 +1,7 @@
 """Kernels, coupling matrix and force solves."""
 
 import math
+from itertools import pairwise
 
 import pytest
 import torch
@@ -86,7 +87,7 @@ def measure_slip(solve: IterativeForcing | DirectSolve) -> float:
 
 def test_slip_falls_with_the_number_of_iterations() -> None:
     slips = [measure_slip(IterativeForcing.zhang(n)) for n in (1, 3, 5, 10)]
-    assert all(later < 0.6 * earlier for earlier, later in zip(slips, slips[1:], strict=False))
+    assert all(later < 0.6 * earlier for earlier, later in pairwise(slips))
     assert slips[-1] < 0.02
 
 

@@ -65,8 +65,6 @@ def test_a_flow_that_cannot_run_is_refused(bad: dict[str, object], message: str)
         ({"marker_spacing": 3.0}, "marker_spacing = 3.0"),
     ],
 )
-def test_a_fish_that_markers_cannot_resolve_is_refused(
-    bad: dict[str, float], message: str
-) -> None:
+def test_a_fish_that_markers_cannot_resolve_is_refused(bad: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Fish(**({"body_length": 50} | bad))

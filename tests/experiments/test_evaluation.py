@@ -1,0 +1,138 @@
+"""The evaluation counts the first episode of every start, once, whatever the batch."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from experiments.evaluate import evaluate
+from experiments.evaluation import Evaluation, Evaluator, fixed_starts
+from experiments.settings import ConfigError, EvaluateConfig
+from fishrl.modules import PursuitPolicy, RandomPolicy
+from tests.experiments.toy_fish import ToyPredation, make_toy_env
+
+TOY = {"_target_": "tests.experiments.toy_fish.ToyPredation"}
+
+
+def evaluator_of(num_envs: int, num_starts: int, **task_arguments: float) -> Evaluator:
+    task = ToyPredation(**task_arguments)  # type: ignore[arg-type]
+    starts = fixed_starts(task, num_starts, seed=0)
+    env = make_toy_env(task=task, num_envs=num_envs, seed=5, starts=starts)
+    return Evaluator(env, num_starts=num_starts)
+
+
+@pytest.mark.parametrize("num_envs", [1, 4, 12, 20])
+def test_the_result_of_each_start_does_not_depend_on_the_batch(num_envs: int) -> None:
+    alone = evaluator_of(1, 12).run(PursuitPolicy())
+    result = evaluator_of(num_envs, 12).run(PursuitPolicy())
+    assert torch.equal(result.captured, alone.captured)
+    assert torch.equal(result.returns, alone.returns)
+    assert torch.equal(result.lengths_T, alone.lengths_T)
+    assert 0 < int(result.captured.sum()) < 12
+
+
+def test_an_evaluation_repeats_even_on_an_env_that_was_used() -> None:
+    evaluator = evaluator_of(5, 12)
+    first = evaluator.run(RandomPolicy(seed=1))
+    again = evaluator.run(RandomPolicy(seed=1))
+    other = evaluator.run(RandomPolicy(seed=2))
+    assert torch.equal(first.returns, again.returns)
+    assert not torch.equal(first.returns, other.returns)
+
+
+def test_only_the_first_episode_of_a_start_counts() -> None:
+    """Ends of later rounds come earlier here: a policy that fails at once after its first go."""
+
+    class FirstGoodThenBad:
+        def __init__(self) -> None:
+            self.num_steps = 0
+
+        def __call__(self, td: TensorDict) -> TensorDict:
+            self.num_steps += 1
+            td = PursuitPolicy()(td)
+            # Row 0 ends early by turning in place; its next rounds must not overwrite row 1's.
+            td["action"][0] = 0
+            return td
+
+    evaluator = evaluator_of(2, 2, time_limit=30)
+    result = evaluator.run(FirstGoodThenBad())
+    second_alone = evaluator_of(2, 2).run(PursuitPolicy())
+    assert result.returns[1] == second_alone.returns[1]
+    assert result.lengths_T[1] == second_alone.lengths_T[1]
+
+
+def test_counts_episodes_as_they_end() -> None:
+    ended: list[int] = []
+    evaluator_of(4, 10).run(PursuitPolicy(), on_episodes=ended.append)
+    assert sum(ended) == 10
+
+
+def test_diverged_episodes_are_counted_as_no_capture() -> None:
+    result = evaluator_of(4, 40, divergence_rate=0.2).run(PursuitPolicy())
+    metrics = result.metrics()
+    assert metrics["diverged"] == int(result.diverged.sum()) > 0
+    assert not (result.diverged & result.captured).any()
+
+
+def test_metrics_are_means_over_all_starts_but_the_time_over_captures() -> None:
+    result = Evaluation(
+        captured=torch.tensor([True, False, True, False]),
+        returns=torch.tensor([10.0, 0.0, 20.0, -2.0]),
+        lengths_T=torch.tensor([8.0, 30.0, 12.0, 3.0]),
+        diverged=torch.tensor([False, False, False, True]),
+    )
+    assert result.metrics() == {
+        "capture_rate": 0.5,
+        "mean_return": 7.0,
+        "mean_time_to_capture_T": 10.0,
+        "episodes": 4,
+        "diverged": 1,
+    }
+    none = Evaluation(
+        captured=torch.zeros(2, dtype=torch.bool),
+        returns=torch.zeros(2),
+        lengths_T=torch.zeros(2),
+        diverged=torch.zeros(2, dtype=torch.bool),
+    )
+    assert math.isnan(none.metrics()["mean_time_to_capture_T"])
+
+
+def test_decisions_are_turned_into_tail_beats() -> None:
+    task = ToyPredation()
+    starts = fixed_starts(task, 3, seed=0)
+    env = make_toy_env(task=task, num_envs=3, seed=0, starts=starts)
+    whole = evaluator_of(3, 3).run(PursuitPolicy()).lengths_T
+    half = Evaluator(env, num_starts=3, decision_T=0.5).run(PursuitPolicy()).lengths_T
+    assert torch.equal(half, 0.5 * whole)
+
+
+def test_an_env_without_fixed_starts_is_refused() -> None:
+    env = make_toy_env(task=ToyPredation(), num_envs=2, seed=0)
+    with pytest.raises(ValueError, match="does not run through 4 fixed starts"):
+        Evaluator(env, num_starts=4).run(PursuitPolicy())
+
+
+def test_fixed_starts_repeat_for_their_seed() -> None:
+    task = ToyPredation()
+    first, second, other = (fixed_starts(task, 6, seed=s)["position"] for s in (0, 0, 1))
+    assert torch.equal(first, second)
+    assert not torch.equal(first, other)
+
+
+def test_hand_written_fish_are_evaluated_by_name() -> None:
+    rates = {}
+    for name in ("random", "pursuit", "intercept"):
+        config = EvaluateConfig(task=TOY, preset="toy", policy=name, episodes=16, compile=False)
+        result = evaluate(config, make_env=make_toy_env)
+        assert (result["fish"], result["task"], result["episodes"]) == (name, "ToyPredation", 16)
+        rates[name] = result["capture_rate"]
+    assert rates["pursuit"] > rates["random"]
+
+
+def test_an_unknown_fish_is_refused_with_the_nearest_one() -> None:
+    config = EvaluateConfig(task=TOY, preset="toy", policy="pursiut", compile=False)
+    with pytest.raises(ConfigError, match="Did you mean 'pursuit'"):
+        evaluate(config, make_env=make_toy_env)

@@ -1,0 +1,151 @@
+"""Where a run writes: its folder, its numbers, its bar."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from experiments.config import build
+from experiments.logger import CsvLogger
+from experiments.progress import Progress
+from experiments.run_folder import RunFolder, write_json
+from experiments.settings import TrainConfig
+from experiments.train import set_up
+from tests.experiments.toy_fish import make_toy_env
+
+
+def test_a_second_run_of_a_name_gets_a_number(tmp_path: Path) -> None:
+    folders = [RunFolder.create(parent=str(tmp_path), name="run").path.name for _ in range(3)]
+    assert folders == ["run", "run-2", "run-3"]
+
+
+def test_a_folder_below_a_file_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match=r"cannot be written .* choose another with folder="):
+        RunFolder.create(parent=str(tmp_path / "file"), name="run")
+
+
+def test_a_file_of_the_same_name_is_in_the_way(tmp_path: Path) -> None:
+    (tmp_path / "run").write_text("")
+    with pytest.raises(ValueError, match="a file is in the way"):
+        RunFolder.create(parent=str(tmp_path), name="run")
+
+
+def test_a_folder_without_write_permission_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "config.yaml").write_text("")
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    with pytest.raises(ValueError, match="no write permission"):
+        RunFolder.create(parent=str(tmp_path), name="run")
+    with pytest.raises(ValueError, match="no write permission"):
+        RunFolder.of_existing(str(tmp_path))
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_read_only_parent_is_an_error(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(ValueError, match="cannot be written"):
+        RunFolder.create(parent=str(tmp_path), name="run")
+
+
+def read(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_rows_have_a_cell_per_metric_and_empty_ones_for_what_was_not_measured(
+    tmp_path: Path,
+) -> None:
+    log = CsvLogger()
+    log.open(tmp_path, columns=["frames", "train/a", "eval/b"], config={})
+    log.log({"frames": 1, "train/a": 0.5})
+    log.log({"frames": 2, "train/a": math.nan, "eval/b": 3.0})
+    assert read(tmp_path / "metrics.csv") == [
+        {"frames": "1", "train/a": "0.5", "eval/b": ""},
+        {"frames": "2", "train/a": "", "eval/b": "3.0"},
+    ]
+
+
+def test_a_metric_without_column_is_an_error(tmp_path: Path) -> None:
+    log = CsvLogger()
+    with pytest.raises(ValueError, match="not open"):
+        log.log({"frames": 1})
+    log.open(tmp_path, columns=["frames"], config={})
+    with pytest.raises(ValueError, match="not among the columns"):
+        log.log({"frames": 1, "train/typo": 2.0})
+
+
+def test_a_log_that_goes_on_forgets_what_came_after_the_checkpoint(tmp_path: Path) -> None:
+    log = CsvLogger()
+    log.open(tmp_path, columns=["frames", "a"], config={})
+    for frames in (8, 16, 24):
+        log.log({"frames": frames, "a": 1.0})
+    with (tmp_path / "metrics.csv").open("a") as file:
+        file.write("1")  # cut while writing
+    again = CsvLogger()
+    again.open(tmp_path, columns=["frames", "a"], config={}, step=16)
+    again.log({"frames": 24, "a": 2.0})
+    rows = read(tmp_path / "metrics.csv")
+    assert [(row["frames"], row["a"]) for row in rows] == [
+        ("8", "1.0"),
+        ("16", "1.0"),
+        ("24", "2.0"),
+    ]
+
+
+def test_wandb_writes_offline_beside_the_csv(
+    toy_config: Callable[..., TrainConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("WANDB_SILENT", "true")
+    before = dict(os.environ)
+    target = {"_target_": "experiments.logger.WandbLogger", "is_offline": True}
+    config = toy_config(name="run", total_frames=80, logger=target)
+    set_up(config, make_env=make_toy_env).run()
+    folder = tmp_path / "run"
+    recorded = list(folder.glob("wandb/offline-run-*/*.wandb"))
+    assert len(recorded) == 1
+    assert (folder / "wandb_id").read_text() in recorded[0].name
+    assert b"train/return" in recorded[0].read_bytes()
+    assert len(read(folder / "metrics.csv")) == 2
+    assert os.environ.get("WANDB_MODE") == before.get("WANDB_MODE")
+
+
+def test_without_wandb_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "wandb", None)
+    with pytest.raises(ImportError, match=r"pip install 'wandb>=0.25', or take logger=csv"):
+        build({"_target_": "experiments.logger.WandbLogger"})
+    build({"_target_": "experiments.logger.CsvLogger"})
+
+
+def test_numbers_that_json_does_not_know_become_null(tmp_path: Path) -> None:
+    write_json(tmp_path / "summary.json", {"a": math.nan, "b": 1.5, "c": "x"})
+    assert (
+        tmp_path / "summary.json"
+    ).read_text() == '{\n  "a": null,\n  "b": 1.5,\n  "c": "x"\n}\n'
+
+
+def test_the_bar_shows_phase_counts_and_numbers() -> None:
+    stream = io.StringIO()
+    with Progress(stream=stream) as progress:
+        assert "set-up" in stream.getvalue()  # at once
+        progress.start("training", total=100, done=40)
+        progress.advance(60, frames_per_s=12.5, captured=0.75)
+    said = stream.getvalue()
+    assert "training" in said
+    assert "100/100" in said
+    assert "frames per s 12.5" in said
+    assert "captured 0.75" in said
+
+
+def test_frames_of_before_a_resume_do_not_count_for_the_time_left() -> None:
+    progress = Progress(stream=io.StringIO())
+    progress.start("training", total=100, done=40)
+    assert (progress._bar.n, progress._bar.initial) == (40, 40)

@@ -1,0 +1,146 @@
+"""The hand-written fish: what they turn towards, that they repeat, and that they may."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from fishrl.modules import InterceptPolicy, PursuitPolicy, RandomPolicy
+
+CLOCKWISE, KEEP, COUNTER_CLOCKWISE = 0, 1, 2
+TURN = math.radians(15.0)
+
+
+def seen(
+    *,
+    food: tuple[float, float],
+    heading: float,
+    food_velocity: float = 0.0,
+    speed: float = 0.4,
+    mask: tuple[bool, bool, bool] = (True, True, True),
+    time: float = 20.0,
+) -> TensorDict:
+    """What a fish that has swum straight sees of food that lies at ``food`` from its head."""
+    frames = []
+    for age in (3, 2, 1, 0):
+        x = food[0] + age * speed * math.cos(heading)
+        y = food[1] + age * (speed * math.sin(heading) - food_velocity)
+        error = math.remainder(math.atan2(y, x) - heading, 2 * math.pi)
+        frames += [x, y, math.hypot(x, y), error]
+    return TensorDict(
+        {
+            "observation_stack": torch.tensor([frames]),
+            "action_mask": torch.tensor([mask]),
+            "step_count": torch.tensor([[time]]),
+        },
+        [1],
+    )
+
+
+def test_random_fish_is_uniform_over_legal_actions_and_repeats_for_its_seed() -> None:
+    mask = torch.tensor([[True, False, True]]).expand(9000, 3)
+    td = TensorDict({"action_mask": mask}, [9000])
+    first, second, other = (RandomPolicy(seed=s)(td.clone())["action"] for s in (0, 0, 1))
+    counts = torch.bincount(first, minlength=3)
+    assert counts[1] == 0
+    # Binomial with n = 9000, p = 1/2: 4.5 standard deviations are 213.
+    assert abs(int(counts[0]) - 4500) < 213
+    assert torch.equal(first, second)
+    assert not torch.equal(first, other)
+
+
+def test_random_fish_leaves_the_global_generator_alone() -> None:
+    td = TensorDict({"action_mask": torch.ones(5, 3, dtype=torch.bool)}, [5])
+    torch.manual_seed(0)
+    expected = torch.rand(3)
+    torch.manual_seed(0)
+    RandomPolicy(seed=3)(td)
+    assert torch.equal(torch.rand(3), expected)
+
+
+@pytest.mark.parametrize(
+    ("error", "action"),
+    [
+        (0.6 * TURN, COUNTER_CLOCKWISE),
+        (0.4 * TURN, KEEP),
+        (-0.4 * TURN, KEEP),
+        (-0.6 * TURN, CLOCKWISE),
+        (3.0, COUNTER_CLOCKWISE),
+        (-3.0, CLOCKWISE),
+    ],
+)
+def test_pursuit_turns_towards_food_more_than_half_a_turn_off(error: float, action: int) -> None:
+    td = seen(food=(5 * math.cos(error), 5 * math.sin(error)), heading=0.0)
+    assert PursuitPolicy()(td)["action"].tolist() == [action]
+
+
+@pytest.mark.parametrize("policy", [PursuitPolicy(), InterceptPolicy()])
+def test_a_banned_action_is_not_taken(policy: PursuitPolicy | InterceptPolicy) -> None:
+    td = seen(food=(0.0, 6.0), heading=0.0, mask=(True, True, False))
+    assert policy(td)["action"].tolist() != [COUNTER_CLOCKWISE]
+
+
+@pytest.mark.parametrize("heading", [math.pi, 0.0, 2.0, -2.5])
+def test_all_see_the_same_when_the_scene_is_turned(heading: float) -> None:
+    """Heading is read off bearing error and direction; still food makes the scene isotropic."""
+    for angle, action in ((0.05, KEEP), (0.6, COUNTER_CLOCKWISE), (-0.6, CLOCKWISE)):
+        food = (4 * math.cos(heading + angle), 4 * math.sin(heading + angle))
+        for policy in (PursuitPolicy(), InterceptPolicy()):
+            assert policy(seen(food=food, heading=heading))["action"].tolist() == [action]
+
+
+def test_intercept_leads_food_that_moves_where_pursuit_does_not() -> None:
+    for velocity, action in ((0.3, CLOCKWISE), (-0.3, COUNTER_CLOCKWISE)):
+        # Food dead ahead of a fish that faces -x; upwards is to its right.
+        td = seen(food=(-3.0, 0.0), heading=math.pi, food_velocity=velocity)
+        assert PursuitPolicy()(td.clone())["action"].tolist() == [KEEP]
+        assert InterceptPolicy()(td)["action"].tolist() == [action]
+
+
+def test_intercept_sees_through_its_own_sideways_motion() -> None:
+    """Still food seen from a fish that swims obliquely seems to move; it is not led."""
+    for heading in (math.pi - 0.6, math.pi + 0.6):
+        food = (3 * math.cos(heading), 3 * math.sin(heading))
+        assert InterceptPolicy()(seen(food=food, heading=heading))["action"].tolist() == [KEEP]
+
+
+def test_intercept_told_the_route_foresees_that_food_turns_back() -> None:
+    # Food at y = 3.4 on its way up to 3.5, the fish 4 L away at the same height: when it arrives,
+    # the food is on its way down again.
+    told = InterceptPolicy(food_limits_bl=(1.5, 3.5), food_start_bl=2.5, food_still_T=5.0)
+    time = 5.0 + 0.9 / 0.3
+    td = seen(food=(-4.0, 0.0), heading=math.pi, food_velocity=0.3, time=time)
+    assert InterceptPolicy()(td.clone())["action"].tolist() == [CLOCKWISE]  # leads it upwards
+    assert told(td)["action"].tolist() == [COUNTER_CLOCKWISE]
+
+
+def test_the_route_rests_sets_off_and_turns_at_its_limits() -> None:
+    told = InterceptPolicy(food_limits_bl=(1.5, 3.5), food_start_bl=2.5, food_still_T=5.0)
+    period = 4.0 / 0.3  # 2 L up and 2 L down at 0.3 L/T
+    times = torch.tensor([0.0, 5.0, 5.0 + period / 4, 5.0 + period / 2, 5.0 + 3 * period / 4])
+    expected = torch.tensor([2.5, 2.5, 3.5, 2.5, 1.5])
+    assert torch.allclose(told._food_height(times), expected, atol=1e-4)
+    down = InterceptPolicy(food_limits_bl=(1.5, 3.5), food_start_bl=2.5, food_direction=-1)
+    assert torch.allclose(down._food_height(times), 5.0 - expected, atol=1e-4)
+
+
+def test_intercept_does_not_circle_food_inside_its_turning_circle() -> None:
+    """Food abeam at less than the turning diameter: turning towards it would circle it for ever."""
+    td = seen(food=(0.0, 1.5), heading=0.0)
+    assert PursuitPolicy()(td.clone())["action"].tolist() == [COUNTER_CLOCKWISE]
+    assert InterceptPolicy(turn_radius_bl=1.7)(td)["action"].tolist() != [COUNTER_CLOCKWISE]
+
+
+@pytest.mark.parametrize("name", ["swim_speed_bl", "turn_radius_bl", "food_speed_bl"])
+def test_speeds_and_radius_must_be_positive(name: str) -> None:
+    with pytest.raises(ValueError, match=f"{name} = 0.0: must be greater than 0"):
+        InterceptPolicy(**{name: 0.0})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("start", [None, 4.0])
+def test_a_route_needs_a_start_inside_its_limits(start: float | None) -> None:
+    with pytest.raises(ValueError, match="must lie inside food_limits_bl"):
+        InterceptPolicy(food_limits_bl=(1.5, 3.5), food_start_bl=start)
