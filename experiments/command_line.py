@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, cast
+
+from tqdm import tqdm
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -15,9 +18,17 @@ if TYPE_CHECKING:
 
 
 def set_up_logging() -> None:
-    """Let the libraries' log lines through, below the bar."""
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
-    logging.getLogger("torchrl").setLevel(logging.WARNING)
+    """Print log lines above the bar, of TorchRL only warnings."""
+    os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # read when torchrl is imported
+    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[_AboveBar()])
+
+
+class _AboveBar(logging.Handler):
+    """Writes lines without breaking the progress bar."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write one line."""
+        tqdm.write(self.format(record), file=sys.stderr)
 
 
 @contextmanager
@@ -41,7 +52,7 @@ def training_settings(config: DictConfig) -> TrainConfig:
         settings = resumed_settings(config.resume, given)
         settings.resume = config.resume
         return settings
-    return cast("TrainConfig", to_settings(config))
+    return cast("TrainConfig", to_settings("train", config))
 
 
 def evaluation_settings(config: DictConfig) -> EvaluateConfig:
@@ -52,7 +63,7 @@ def evaluation_settings(config: DictConfig) -> EvaluateConfig:
     from experiments.checkpointing import read_metadata
     from experiments.config import to_settings
 
-    settings = cast("EvaluateConfig", to_settings(config))
+    settings = cast("EvaluateConfig", to_settings("evaluate", config))
     given = [argument.lstrip("+") for argument in HydraConfig.get().overrides.task]
     if settings.checkpoint is None or any(a.startswith(("task=", "preset=")) for a in given):
         return settings

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, cast
 
@@ -25,8 +26,11 @@ FIXED_BY_RUN = ("task", "preset", "seed", "num_envs", "hidden", "buffer_size", "
 
 
 SCHEMAS: dict[str, type] = {"train": TrainConfig, "evaluate": EvaluateConfig}
-for _name, _schema in SCHEMAS.items():
-    ConfigStore.instance().store(name=f"{_name}_schema", node=_schema)
+ConfigStore.instance().store(name="train_schema", node=TrainConfig)
+# Plain, so that a preset may also set what only training reads.
+ConfigStore.instance().store(
+    name="evaluate_schema", node=OmegaConf.to_container(OmegaConf.structured(EvaluateConfig))
+)
 
 
 def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
@@ -67,7 +71,7 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
                 if value not in known:
                     raise _unknown(f"{override.key_or_group}={value}", value, known)
             chosen.append(f"{override.key_or_group}={values[0]}")
-    base = with_defaults(_compose(program, chosen))
+    base = with_defaults(program, _compose(program, chosen))
     known_keys = sorted(_keys(base))
     result = list(options)
     for override in overrides:
@@ -95,17 +99,18 @@ def load_config(program: str, arguments: Sequence[str] = ()) -> Any:
     Raises:
         ConfigError: for unknown keys and values, and for values out of range.
     """
-    return to_settings(_compose(program, check_overrides(program, arguments)))
+    return to_settings(program, _compose(program, check_overrides(program, arguments)))
 
 
-def to_settings(config: DictConfig) -> Any:
+def to_settings(program: str, config: DictConfig) -> Any:
     """Turn a composed configuration into its dataclass, with every default spelled out.
 
     Raises:
         ConfigError: for values of the wrong type or out of range.
     """
+    schema = OmegaConf.structured(SCHEMAS[program])
     try:
-        return OmegaConf.to_object(with_defaults(config))
+        return OmegaConf.to_object(OmegaConf.merge(schema, with_defaults(program, config)))
     except OmegaConfBaseException as error:
         raise _plain(error) from error
 
@@ -135,7 +140,7 @@ def resumed_settings(folder: str, arguments: Sequence[str]) -> TrainConfig:
         merged = OmegaConf.merge(OmegaConf.structured(TrainConfig), stored, changes)
     except (OmegaConfBaseException, YAMLError) as error:
         raise ConfigError(f"{path}: not the configuration of a run ({error})") from error
-    return cast(TrainConfig, to_settings(cast(DictConfig, merged)))
+    return cast(TrainConfig, to_settings("train", cast(DictConfig, merged)))
 
 
 def to_plain(settings: Any) -> dict[str, Any]:
@@ -159,9 +164,9 @@ def build(node: Mapping[str, Any]) -> Any:
     return _find(node["_target_"])(**arguments)
 
 
-def with_defaults(config: DictConfig) -> DictConfig:
-    """Add to each ``_target_`` those arguments of its constructor that have plain defaults."""
-    filled = config.copy()
+def with_defaults(program: str, config: DictConfig) -> DictConfig:
+    """Keep what the program reads, and spell out the plain defaults behind each ``_target_``."""
+    filled = OmegaConf.masked_copy(config, [entry.name for entry in fields(SCHEMAS[program])])
     OmegaConf.set_struct(filled, False)
     for name in filled:
         if OmegaConf.is_missing(filled, name) or not OmegaConf.is_dict(filled[name]):

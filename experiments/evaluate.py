@@ -55,13 +55,15 @@ def evaluate(
         seed=config.seed,
         device=config.device,
         compile=config.compile,
-        starts=fixed_starts(task, config.episodes, seed=config.seed),
     )
-    evaluator = Evaluator(
-        env, num_starts=config.episodes, decision_T=task.n_substeps / task.scales.period
-    )
+    evaluator = Evaluator(env, decision_T=task.n_substeps / task.scales.period)
     progress.start("evaluation", total=config.episodes)
-    result: dict[str, Any] = evaluator.run(policy, on_episodes=progress.advance).metrics()
+    result: dict[str, Any] = evaluator.run(
+        policy,
+        starts=fixed_starts(task, config.episodes, seed=config.seed),
+        on_episodes=progress.advance,
+    ).metrics()
+    env.close()
     return {
         "fish": config.checkpoint or config.policy,
         "task": type(task).__name__,

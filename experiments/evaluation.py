@@ -45,49 +45,60 @@ class Evaluation:
 
 
 class Evaluator:
-    """Runs policies from the same starts, all flows of the env together.
+    """Runs policies from fixed starts, all flows of the env together.
 
     Args:
-        env: made with fixed ``starts``.
-        num_starts: their number.
+        env: of the task; what it does at the moment is given up.
         decision_T: duration of one decision in tail beats.
-
-    Raises:
-        ValueError: if the env draws its starts at random.
     """
 
-    def __init__(self, env: EnvBase, *, num_starts: int, decision_T: float = 1.0) -> None:
-        self.env, self.num_starts, self.decision_T = env, num_starts, decision_T
+    def __init__(self, env: EnvBase, *, decision_T: float = 1.0) -> None:
+        self.env, self.decision_T = env, decision_T
         # Every evaluation begins with the same start in the same row.
-        self._initial = _copy(env.base_env.state_dict())
+        self._initial = copy_state(env.base_env.state_dict())
 
     def run(
-        self, policy: Policy, *, on_episodes: Callable[[int], None] | None = None
+        self,
+        policy: Policy,
+        *,
+        starts: TensorDictBase,
+        on_episodes: Callable[[int], None] | None = None,
     ) -> Evaluation:
-        """Run until the first episode of every start is over.
+        """Run until the first episode from every start is over.
 
         Args:
             policy: writes ``action``; a learned one acts greedily.
+            starts: ``[E]``, as ``fixed_starts`` gives.
             on_episodes: called with the number of episodes that have just ended.
 
         Returns:
             The outcome of each start.
         """
-        self.env.base_env.load_state_dict(_copy(self._initial))
+        base = self.env.base_env
+        base.load_state_dict(copy_state(self._initial))
+        before, base.starts = base.starts, starts
+        try:
+            return self._run(policy, num_starts=starts.shape[0], on_episodes=on_episodes)
+        finally:
+            base.starts = before
+
+    def _run(
+        self, policy: Policy, *, num_starts: int, on_episodes: Callable[[int], None] | None
+    ) -> Evaluation:
         num_rows = self.env.batch_size[0]
         results = TensorDict(
             {
-                "captured": torch.zeros(self.num_starts, dtype=torch.bool),
-                "returns": torch.zeros(self.num_starts),
-                "lengths_T": torch.zeros(self.num_starts),
-                "diverged": torch.zeros(self.num_starts, dtype=torch.bool),
+                "captured": torch.zeros(num_starts, dtype=torch.bool),
+                "returns": torch.zeros(num_starts),
+                "lengths_T": torch.zeros(num_starts),
+                "diverged": torch.zeros(num_starts, dtype=torch.bool),
             },
-            [self.num_starts],
+            [num_starts],
         )
-        is_handed_out = [False] * self.num_starts
+        is_handed_out = [False] * num_starts
         # The start whose first episode runs in a row, or -1: a repetition, that does not count.
         running = [-1] * num_rows
-        num_open = self.num_starts
+        num_open = num_starts
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             state = self.env.reset()
             is_new = [True] * num_rows
@@ -96,11 +107,6 @@ class Evaluator:
                 for row in range(num_rows):
                     if is_new[row]:
                         start = index[row]
-                        if not 0 <= start < self.num_starts:
-                            raise ValueError(
-                                f"start_index = {start}: the env does not run through "
-                                f"{self.num_starts} fixed starts; make it with starts=..."
-                            )
                         running[row] = -1 if is_handed_out[start] else start
                         is_handed_out[start] = True
                 step, state = self.env.step_and_maybe_reset(policy(state))
@@ -132,9 +138,10 @@ def fixed_starts(task: Any, num: int, *, seed: int) -> TensorDict:
     return task.sample_starts(num, torch.Generator().manual_seed(seed))
 
 
-def _copy(state: Any) -> Any:
+def copy_state(state: Any) -> Any:
+    """Copy a nested state dict, tensors and all."""
     if isinstance(state, Tensor):
         return state.clone()
     if isinstance(state, dict):
-        return type(state)((key, _copy(value)) for key, value in state.items())
+        return type(state)((key, copy_state(value)) for key, value in state.items())
     return state

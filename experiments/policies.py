@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
@@ -18,23 +19,30 @@ def make_policy(name: str, *, task: Any, seed: int) -> TensorDictModuleBase:
 
     Args:
         name: random, pursuit or intercept.
-        task: whose food it is after.
+        task: whose food it is after; the intercepting fish is told the food's route.
         seed: of the random one.
 
     Raises:
         ConfigError: if there is none of that name.
     """
-    makers = {
-        "random": lambda: RandomPolicy(seed=seed),
-        "pursuit": PursuitPolicy,
-        "intercept": InterceptPolicy,
-    }
-    if name not in makers:
+    if name not in NAMES:
         raise ConfigError(
             f"policy={name}: there is no {name!r}.{nearest(name, NAMES)} "
             f"There is: {', '.join(NAMES)}."
         )
-    return makers[name]()
+    if name == "random":
+        return RandomPolicy(seed=seed)
+    turn = math.radians(task.turn_degrees)
+    if name == "pursuit":
+        return PursuitPolicy(turn=turn)
+    return InterceptPolicy(
+        turn=turn,
+        food_speed_bl=task.food_speed_bl,
+        food_limits_bl=task.food_limits_bl,
+        food_start_bl=task.food_y_bl,
+        food_still_T=task.food_still_T,
+        food_direction={"up": 1, "down": -1}.get(task.food_direction, 0),
+    )
 
 
 def load_policy(checkpoint: str, *, task: Any, device: str) -> TensorDictModuleBase:

@@ -21,13 +21,12 @@ class Progress:
 
     def __init__(self, *, stream: TextIO | None = None, is_shown: bool = True) -> None:
         stream = stream or sys.stderr
-        self._is_terminal = stream.isatty()
         self._bar = tqdm(
             total=1,
             desc=_label("set-up"),
             file=stream,
             disable=not is_shown,
-            mininterval=0.2 if self._is_terminal else 10.0,
+            mininterval=0.2 if stream.isatty() else 10.0,
             bar_format=_FORMAT,
             leave=True,
         )
@@ -61,7 +60,7 @@ class Progress:
         """Go over to another phase on the same bar."""
         if phase != self.phase:
             self.phase = phase
-            self._bar.set_description_str(_label(phase), refresh=self._is_terminal)
+            self._bar.set_description_str(_label(phase))
 
     def advance(self, amount: int, **shown: float) -> None:
         """Count ``amount`` more and show some numbers beside the bar."""

@@ -1,11 +1,18 @@
 """One episode, kept frame by frame: what the figures and the viewer draw."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from fishrl.physics.diagnostics import compute_vorticity
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,3 +101,143 @@ class Recording:
             got = sorted(saved) if isinstance(saved, dict) else type(saved).__name__
             raise ValueError(f"{path} is no recording: it holds {got}, expected {sorted(known)}")
         return cls(**saved)
+
+
+def record_episodes(
+    *,
+    make_env: Callable[..., EnvBase],
+    task: Any,
+    policy: Callable[[TensorDictBase], TensorDictBase],
+    starts: TensorDictBase,
+    frames_per_T: int = 10,
+    on_episodes: Callable[[int], None] | None = None,
+) -> list[Recording]:
+    """Run one episode from each start, all side by side, and keep what there is to see.
+
+    The last frame of an episode is the very look at which it ended. A flow that diverges is kept up
+    to the decision before.
+
+    Args:
+        make_env: ``fishrl.envs.make_env``, with device and compilation bound to it.
+        task: with food: its measurement names ``head``, ``heading`` and ``food``.
+        policy: writes ``action``; a learned one acts greedily.
+        starts: ``[E]``. As many as flows were trained with take no new compilation.
+        frames_per_T: frames per period, about: one of every so many looks that the task takes.
+        on_episodes: called with the number of episodes that have just ended.
+
+    Returns:
+        E recordings, in the order of their starts.
+    """
+    if frames_per_T < 1:
+        raise ValueError(f"frames_per_T = {frames_per_T}: at least one frame per period is needed")
+    recorder = _Recorder(task, num_rows=starts.shape[0], frames_per_T=frames_per_T)
+    env = make_env(
+        task=task,
+        num_envs=starts.shape[0],
+        starts=starts,
+        frames_per_action=task.checks_per_action,
+        on_frame=recorder.look,
+    )
+    try:
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            state = env.reset()
+            recorder.keep(env.base_env)
+            while recorder.running:
+                step, state = env.step_and_maybe_reset(policy(state))
+                num_ended = recorder.settle(step)
+                if on_episodes is not None and num_ended:
+                    on_episodes(num_ended)
+    finally:
+        env.close()
+    return [recorder.finish(row) for row in range(starts.shape[0])]
+
+
+class _Recorder:
+    """Collects frames row by row until the first episode of each is over.
+
+    Args:
+        task: whose flows these are.
+        num_rows: number of flows B.
+        frames_per_T: frames per period, about.
+    """
+
+    def __init__(self, task: Any, *, num_rows: int, frames_per_T: int) -> None:
+        self.task = task
+        looks_per_T = task.checks_per_action * task.scales.period / task.n_substeps
+        self.stride = max(1, round(looks_per_T / frames_per_T))
+        self.frames_per_T = max(1, round(looks_per_T / self.stride))
+        self.running = set(range(num_rows))
+        self.captured = [False] * num_rows
+        self._frames: list[list[dict[str, Tensor]]] = [[] for _ in range(num_rows)]
+        # Frames of the action under way: its reward is known only when it is over.
+        self._pending: list[list[dict[str, Tensor]]] = [[] for _ in range(num_rows)]
+        self._open = set(self.running)
+        self._num_looks = 0
+
+    def look(self, env: Any) -> None:
+        """Look at the flows within an action: keep every so many, and every end of an episode."""
+        self._num_looks += 1
+        has_ended = self.task.is_terminated(env.measure()).tolist()
+        ending = {row for row in self._open if has_ended[row]}
+        self.keep(env, self._open if self._num_looks % self.stride == 0 else ending)
+        self._open -= ending
+
+    def keep(self, env: Any, rows: set[int] | None = None) -> None:
+        """Keep a frame of some rows, of all by default."""
+        rows = self.running if rows is None else rows
+        if not rows:
+            return
+        now, markers, age = env.measure(), env.solver.markers(), env.solver.body.age
+        period = self.task.scales.period
+        vorticity = compute_vorticity(env.solver.macroscopic()[1]) * period
+        frame = {
+            "time": age / period,
+            "outline": markers.float(),
+            "vorticity": vorticity.half(),
+            "food": now["food"].float(),
+            "head": now["head"].float(),
+            "heading": now["heading"].float(),
+        }
+        for row in rows:
+            self._pending[row].append({name: v[row].cpu().clone() for name, v in frame.items()})
+
+    def settle(self, step: TensorDictBase) -> int:
+        """Give the frames of an action that is over their action and reward.
+
+        Returns:
+            The number of episodes that it ended.
+        """
+        after = step["next"]
+        ended = set()
+        for row in self.running:
+            action, reward = step["action"][row].cpu(), after["reward"][row].sum().cpu()
+            if not after["diverged"][row].any():
+                self._frames[row] += [
+                    {**frame, "action": action, "reward": reward} for frame in self._pending[row]
+                ]
+            elif not self._frames[row]:
+                # diverged at once: the start is all there is
+                self._frames[row] = [{**self._pending[row][0], "action": action, "reward": reward}]
+            self._pending[row] = []
+            if after["done"][row].any():
+                ended.add(row)
+                self.captured[row] = bool(after["captured"][row].any())
+        self.running -= ended
+        self._open = set(self.running)
+        return len(ended)
+
+    def finish(self, row: int) -> Recording:
+        """Return what was kept of a row."""
+        frames, task = self._frames[row], self.task
+        config = task.flow_config()
+        kept = {name: torch.stack([frame[name] for frame in frames]) for name in frames[0]}
+        self._frames[row] = []
+        return Recording(
+            body_length=float(task.scales.body_length),
+            period=task.scales.period,
+            domain=(config.width, config.height),
+            frames_per_T=self.frames_per_T,
+            capture_radius=float(task.capture_radius),
+            captured=self.captured[row],
+            **kept,
+        )

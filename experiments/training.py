@@ -20,7 +20,7 @@ from torchrl.envs import EnvBase
 from experiments.checkpointing import BrainOf, load_checkpoint, save_checkpoint
 from experiments.collector import ResumableCollector
 from experiments.config import to_plain
-from experiments.evaluation import Evaluator, Policy, fixed_starts
+from experiments.evaluation import Evaluation, Evaluator, Policy, copy_state, fixed_starts
 from experiments.learner import LOSS_METRICS, Learner, one_thread
 from experiments.policies import make_policy
 from experiments.progress import Progress
@@ -116,7 +116,7 @@ class Training:
         progress: Progress,
         began: float,
     ) -> None:
-        self.config, self.task, self.make_env = config, task, make_env
+        self.config, self.task = config, task
         self.folder, self.metrics_logger, self.progress = folder, metrics_logger, progress
         self.brain = BrainOf.task_of(task)
         self.counters = Counters()
@@ -132,27 +132,19 @@ class Training:
         )
         progress.rename("compilation" if config.compile else "set-up")
         self.collector = ResumableCollector(
-            self._make_env(seed=TRAIN_SEED + config.seed),
+            make_env(
+                task=task,
+                num_envs=config.num_envs,
+                seed=TRAIN_SEED + config.seed,
+                device=config.device,
+                compile=config.compile,
+            ),
             self.learner.actor,
             frames_per_batch=config.num_envs,
             total_frames=-1,
             init_random_frames=config.warmup_frames,
         )
-        self.selection = self._make_evaluator(config.eval_episodes, seed=SELECTION_SEED)
-
-    def _make_env(self, **kwargs: Any) -> EnvBase:
-        return self.make_env(
-            task=self.task,
-            num_envs=self.config.num_envs,
-            device=self.config.device,
-            compile=self.config.compile,
-            **kwargs,
-        )
-
-    def _make_evaluator(self, num_starts: int, *, seed: int) -> Evaluator:
-        starts = fixed_starts(self.task, num_starts, seed=seed)
-        env = self._make_env(seed=seed, starts=starts)
-        return Evaluator(env, num_starts=num_starts, decision_T=self.decision_T)
+        self.evaluator = Evaluator(self.collector.env, decision_T=self.decision_T)
 
     def components(self) -> dict[str, Any]:
         """Name everything that the next frame depends on."""
@@ -279,12 +271,29 @@ class Training:
     def _select(self, plain: dict[str, Any]) -> dict[str, float]:
         """Evaluate the greedy policy and keep it if it is the best so far."""
         self.progress.rename("evaluation")
-        result = self.selection.run(self.learner.actor).metrics()
+        result = self._evaluate(
+            self.learner.actor, num_starts=self.config.eval_episodes, seed=SELECTION_SEED
+        ).metrics()
         score = [result["capture_rate"], result["mean_return"]]
         if score >= self.counters.best:
             self.counters.best = score
             self._save(self.folder.best, plain)
         return {f"eval/{name}": value for name, value in result.items()}
+
+    def _evaluate(
+        self,
+        policy: Policy,
+        *,
+        num_starts: int,
+        seed: int,
+        on_episodes: Callable[[int], None] | None = None,
+    ) -> Evaluation:
+        """Evaluate in the flows that training uses, and leave them as they were."""
+        state = copy_state(self.collector.state_dict())
+        starts = fixed_starts(self.task, num_starts, seed=seed)
+        result = self.evaluator.run(policy, starts=starts, on_episodes=on_episodes)
+        self.collector.load_state_dict(state)
+        return result
 
     def _save(self, path: Any, plain: dict[str, Any]) -> None:
         save_checkpoint(
@@ -305,7 +314,6 @@ class Training:
             brain=self.brain,
             device=config.device,
         )
-        evaluator = self._make_evaluator(config.final_episodes, seed=FINAL_SEED)
         summary: dict[str, Any] = {}
         fish: dict[str, Policy] = {"learned": self.learner.actor}
         for name in config.baselines:
@@ -313,7 +321,12 @@ class Training:
         self.progress.start("evaluation", total=config.final_episodes * len(fish))
         for name, policy in fish.items():
             self.progress.rename(f"evaluation: {name}")
-            result = evaluator.run(policy, on_episodes=self.progress.advance).metrics()
+            result = self._evaluate(
+                policy,
+                num_starts=config.final_episodes,
+                seed=FINAL_SEED,
+                on_episodes=self.progress.advance,
+            ).metrics()
             prefix = "" if name == "learned" else f"{name}_"
             summary |= {f"{prefix}{key}": value for key, value in result.items()}
         summary |= {

@@ -107,7 +107,7 @@ class InterceptPolicy(TensorDictModuleBase):
         food_limits_bl: lowest and highest y of the food, or ``None`` for an unknown route.
         food_start_bl: y of the food at rest; needed with ``food_limits_bl``.
         food_still_T: tail beats that the food stays at rest after the start.
-        food_direction: +1 if the food sets off upwards, -1 downwards.
+        food_direction: +1 if the food sets off upwards, -1 downwards, 0 for the fish to see.
         horizon_T: how far to look ahead, in tail beats.
         in_key: key of the stacked observation ``[B, frames * 4]``.
         mask_key: key of the mask ``[B, 3]``.
@@ -115,7 +115,8 @@ class InterceptPolicy(TensorDictModuleBase):
             route is known.
 
     Raises:
-        ValueError: if a speed or the radius is not positive, or the route is incomplete.
+        ValueError: if the own speed or the radius is not positive, the food's speed is negative, or
+            the route is incomplete.
     """
 
     def __init__(
@@ -135,13 +136,11 @@ class InterceptPolicy(TensorDictModuleBase):
         time_key: str = "step_count",
     ) -> None:
         super().__init__()
-        for name, value in (
-            ("swim_speed_bl", swim_speed_bl),
-            ("turn_radius_bl", turn_radius_bl),
-            ("food_speed_bl", food_speed_bl),
-        ):
+        for name, value in (("swim_speed_bl", swim_speed_bl), ("turn_radius_bl", turn_radius_bl)):
             if value <= 0:
                 raise ValueError(f"{name} = {value}: must be greater than 0")
+        if food_speed_bl < 0:
+            raise ValueError(f"food_speed_bl = {food_speed_bl}: must not be negative")
         if food_limits_bl is not None and (
             food_start_bl is None or not food_limits_bl[0] <= food_start_bl <= food_limits_bl[1]
         ):
@@ -165,11 +164,13 @@ class InterceptPolicy(TensorDictModuleBase):
         food = stack[..., -1, :2]
         heading = _heading(stack[..., -1, :])
         lead = torch.arange(0.0, self.horizon_T, 0.25, device=stack.device)
+        velocity = self._food_velocity(stack).unsqueeze(-1)
         if self.food_limits_bl is None:
-            rise = self._food_velocity(stack).unsqueeze(-1) * lead
+            rise = velocity * lead
         else:
             now = tensordict.get(self.time_key).to(stack.dtype)
-            rise = self._food_height(now + lead) - self._food_height(now)
+            direction = self._food_direction_of(velocity, now)
+            rise = self._food_height(now + lead, direction) - self._food_height(now, direction)
         ahead_of, left_of = _body_frame(food.unsqueeze(-2), rise, heading.unsqueeze(-1))
         length, angle = _shortest_path(ahead_of, left_of, self.turn_radius_bl)
         is_in_time = length <= self.swim_speed_bl * lead
@@ -197,13 +198,25 @@ class InterceptPolicy(TensorDictModuleBase):
         is_moving = (last.abs() > 0.5 * self.food_speed_bl) & is_new[..., -1]
         return torch.where(is_moving, moving, torch.zeros_like(moving))
 
-    def _food_height(self, time: Tensor) -> Tensor:
+    def _food_direction_of(self, velocity: Tensor, now: Tensor) -> Tensor:
+        """Give where the food set off to, ``[B, 1]``: as told, else what fits its ``velocity``."""
+        up = torch.ones_like(velocity)
+        if self.food_direction != 0:
+            return up * self.food_direction
+        before = (now - 1.0).clamp_min(0.0)
+        misfit = [
+            (self._food_height(now, way) - self._food_height(before, way) - velocity).abs()
+            for way in (up, -up)
+        ]
+        return torch.where(misfit[0] <= misfit[1], up, -up)
+
+    def _food_height(self, time: Tensor, direction: Tensor) -> Tensor:
         """Give y of the food at ``time`` (in T): at rest, then to and fro between its limits."""
         low, high = self.food_limits_bl or (0.0, 0.0)
         travelled = self.food_speed_bl * (time - self.food_still_T).clamp_min(0.0)
         span = max(high - low, 1e-9)
         offset = (self.food_start_bl or low) - low
-        start = offset if self.food_direction > 0 else 2.0 * span - offset
+        start = torch.where(direction > 0, offset, 2.0 * span - offset)
         folded = (start + travelled) % (2.0 * span)
         return low + torch.minimum(folded, 2.0 * span - folded)
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
 from tensordict import TensorDict
 
 from experiments.evaluate import evaluate
-from experiments.evaluation import Evaluation, Evaluator, fixed_starts
+from experiments.evaluation import Evaluation, Evaluator, Policy, fixed_starts
 from experiments.settings import ConfigError, EvaluateConfig
 from fishrl.modules import PursuitPolicy, RandomPolicy
 from tests.experiments.toy_fish import ToyPredation, make_toy_env
@@ -17,17 +18,22 @@ from tests.experiments.toy_fish import ToyPredation, make_toy_env
 TOY = {"_target_": "tests.experiments.toy_fish.ToyPredation"}
 
 
-def evaluator_of(num_envs: int, num_starts: int, **task_arguments: float) -> Evaluator:
-    task = ToyPredation(**task_arguments)  # type: ignore[arg-type]
-    starts = fixed_starts(task, num_starts, seed=0)
-    env = make_toy_env(task=task, num_envs=num_envs, seed=5, starts=starts)
-    return Evaluator(env, num_starts=num_starts)
+class Fixed:
+    """An evaluator with its starts."""
+
+    def __init__(self, num_envs: int, num_starts: int, **task_arguments: float) -> None:
+        task = ToyPredation(**task_arguments)  # type: ignore[arg-type]
+        self.starts = fixed_starts(task, num_starts, seed=0)
+        self.evaluator = Evaluator(make_toy_env(task=task, num_envs=num_envs, seed=5))
+
+    def run(self, policy: Policy, **kwargs: Any) -> Evaluation:
+        return self.evaluator.run(policy, starts=self.starts, **kwargs)
 
 
 @pytest.mark.parametrize("num_envs", [1, 4, 12, 20])
 def test_the_result_of_each_start_does_not_depend_on_the_batch(num_envs: int) -> None:
-    alone = evaluator_of(1, 12).run(PursuitPolicy())
-    result = evaluator_of(num_envs, 12).run(PursuitPolicy())
+    alone = Fixed(1, 12).run(PursuitPolicy())
+    result = Fixed(num_envs, 12).run(PursuitPolicy())
     assert torch.equal(result.captured, alone.captured)
     assert torch.equal(result.returns, alone.returns)
     assert torch.equal(result.lengths_T, alone.lengths_T)
@@ -35,7 +41,7 @@ def test_the_result_of_each_start_does_not_depend_on_the_batch(num_envs: int) ->
 
 
 def test_an_evaluation_repeats_even_on_an_env_that_was_used() -> None:
-    evaluator = evaluator_of(5, 12)
+    evaluator = Fixed(5, 12)
     first = evaluator.run(RandomPolicy(seed=1))
     again = evaluator.run(RandomPolicy(seed=1))
     other = evaluator.run(RandomPolicy(seed=2))
@@ -57,21 +63,21 @@ def test_only_the_first_episode_of_a_start_counts() -> None:
             td["action"][0] = 0
             return td
 
-    evaluator = evaluator_of(2, 2, time_limit=30)
+    evaluator = Fixed(2, 2, time_limit=30)
     result = evaluator.run(FirstGoodThenBad())
-    second_alone = evaluator_of(2, 2).run(PursuitPolicy())
+    second_alone = Fixed(2, 2).run(PursuitPolicy())
     assert result.returns[1] == second_alone.returns[1]
     assert result.lengths_T[1] == second_alone.lengths_T[1]
 
 
 def test_counts_episodes_as_they_end() -> None:
     ended: list[int] = []
-    evaluator_of(4, 10).run(PursuitPolicy(), on_episodes=ended.append)
+    Fixed(4, 10).run(PursuitPolicy(), on_episodes=ended.append)
     assert sum(ended) == 10
 
 
 def test_diverged_episodes_are_counted_as_no_capture() -> None:
-    result = evaluator_of(4, 40, divergence_rate=0.2).run(PursuitPolicy())
+    result = Fixed(4, 40, divergence_rate=0.2).run(PursuitPolicy())
     metrics = result.metrics()
     assert metrics["diverged"] == int(result.diverged.sum()) > 0
     assert not (result.diverged & result.captured).any()
@@ -103,16 +109,17 @@ def test_metrics_are_means_over_all_starts_but_the_time_over_captures() -> None:
 def test_decisions_are_turned_into_tail_beats() -> None:
     task = ToyPredation()
     starts = fixed_starts(task, 3, seed=0)
-    env = make_toy_env(task=task, num_envs=3, seed=0, starts=starts)
-    whole = evaluator_of(3, 3).run(PursuitPolicy()).lengths_T
-    half = Evaluator(env, num_starts=3, decision_T=0.5).run(PursuitPolicy()).lengths_T
+    env = make_toy_env(task=task, num_envs=3, seed=0)
+    whole = Fixed(3, 3).run(PursuitPolicy()).lengths_T
+    half = Evaluator(env, decision_T=0.5).run(PursuitPolicy(), starts=starts).lengths_T
     assert torch.equal(half, 0.5 * whole)
 
 
-def test_an_env_without_fixed_starts_is_refused() -> None:
-    env = make_toy_env(task=ToyPredation(), num_envs=2, seed=0)
-    with pytest.raises(ValueError, match="does not run through 4 fixed starts"):
-        Evaluator(env, num_starts=4).run(PursuitPolicy())
+def test_an_env_draws_its_own_starts_again_after_an_evaluation() -> None:
+    fixed = Fixed(4, 6)
+    fixed.run(PursuitPolicy())
+    assert fixed.evaluator.env.base_env.starts is None
+    assert (fixed.evaluator.env.reset()["start_index"] == -1).all()
 
 
 def test_fixed_starts_repeat_for_their_seed() -> None:

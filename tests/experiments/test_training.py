@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 import torch
 
+from experiments.evaluation import Evaluation
 from experiments.progress import Progress
 from experiments.run_folder import RunFolder
 from experiments.settings import TrainConfig
@@ -93,7 +94,7 @@ from experiments.train import train
 from tests.experiments.toy_fish import ToyFishEnv, make_toy_env
 step, num_steps = ToyFishEnv._step, [0]
 def step_or_die(self, td):
-    num_steps[0] += self.starts is None  # of the training env
+    num_steps[0] += self.starts is None  # not of evaluations
     if num_steps[0] == 23:
         os.kill(os.getpid(), signal.SIGKILL)
     return step(self, td)
@@ -202,19 +203,16 @@ def test_the_last_evaluation_is_of_the_best_checkpoint(
     toy_config: MakeConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     training = training_of(toy_config(eval_frames=40))
-    scores = iter([0.1, 0.9, 0.5, 0.2, 0.3, 0.4])
+    num_captures = iter([1, 9, 5, 2, 3, 4, 0, 0, 0, 0])
 
-    class Scripted:
-        def run(self, policy: Any) -> Any:
-            rate = next(scores)
+    def scripted(*args: Any, **kwargs: Any) -> Evaluation:
+        captured = torch.arange(10) < next(num_captures)
+        nothing = torch.zeros(10)
+        return Evaluation(
+            captured=captured, returns=nothing, lengths_T=nothing, diverged=nothing.bool()
+        )
 
-            class Result:
-                def metrics(self) -> dict[str, float]:
-                    return {"capture_rate": rate, "mean_return": 0.0}
-
-            return Result()
-
-    monkeypatch.setattr(training, "selection", Scripted())
+    monkeypatch.setattr(training, "_evaluate", scripted)
     assert training.run()["best_checkpoint_frames"] == 80
 
 

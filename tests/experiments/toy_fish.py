@@ -31,6 +31,8 @@ class ToyPredation:
     """What the training loop asks of a task."""
 
     n_obs, num_actions, num_stacked, n_substeps = 4, 3, 4, 10
+    turn_degrees, food_limits_bl, food_y_bl = 15.0, (1.5, 3.5), 2.5
+    food_still_T, food_direction = 5.0, "up"
 
     def __init__(
         self,

@@ -122,9 +122,23 @@ def test_the_route_rests_sets_off_and_turns_at_its_limits() -> None:
     period = 4.0 / 0.3  # 2 L up and 2 L down at 0.3 L/T
     times = torch.tensor([0.0, 5.0, 5.0 + period / 4, 5.0 + period / 2, 5.0 + 3 * period / 4])
     expected = torch.tensor([2.5, 2.5, 3.5, 2.5, 1.5])
-    assert torch.allclose(told._food_height(times), expected, atol=1e-4)
-    down = InterceptPolicy(food_limits_bl=(1.5, 3.5), food_start_bl=2.5, food_direction=-1)
-    assert torch.allclose(down._food_height(times), 5.0 - expected, atol=1e-4)
+    up = torch.tensor(1.0)
+    assert torch.allclose(told._food_height(times, up), expected, atol=1e-4)
+    assert torch.allclose(told._food_height(times, -up), 5.0 - expected, atol=1e-4)
+
+
+def test_intercept_sees_where_the_food_set_off_to_if_not_told() -> None:
+    for way in (1, -1):
+        told, seeing = (
+            InterceptPolicy(food_limits_bl=(1.5, 3.5), food_start_bl=2.5, food_direction=direction)
+            for direction in (way, 0)
+        )
+        # After 1 T on its way, and after it has turned back once.
+        for time, velocity in ((6.0, 0.3 * way), (5.0 + 1.6 / 0.3, -0.3 * way)):
+            td = seen(food=(-2.5, 0.0), heading=math.pi, food_velocity=velocity, time=time)
+            assert torch.equal(told(td.clone())["action"], seeing(td.clone())["action"])
+            now = torch.tensor([[time]])
+            assert seeing._food_direction_of(torch.tensor([[velocity]]), now) == way
 
 
 def test_intercept_does_not_circle_food_inside_its_turning_circle() -> None:
@@ -134,7 +148,12 @@ def test_intercept_does_not_circle_food_inside_its_turning_circle() -> None:
     assert InterceptPolicy(turn_radius_bl=1.7)(td)["action"].tolist() != [COUNTER_CLOCKWISE]
 
 
-@pytest.mark.parametrize("name", ["swim_speed_bl", "turn_radius_bl", "food_speed_bl"])
+def test_food_does_not_swim_backwards() -> None:
+    with pytest.raises(ValueError, match="must not be negative"):
+        InterceptPolicy(food_speed_bl=-0.1)
+
+
+@pytest.mark.parametrize("name", ["swim_speed_bl", "turn_radius_bl"])
 def test_speeds_and_radius_must_be_positive(name: str) -> None:
     with pytest.raises(ValueError, match=f"{name} = 0.0: must be greater than 0"):
         InterceptPolicy(**{name: 0.0})  # type: ignore[arg-type]
