@@ -1,0 +1,44 @@
+"""Random numbers that depend on who draws them, not on who draws beside them.
+
+A stateful generator would hand row 3 other numbers as soon as row 2 ends an episode earlier. Here
+the numbers are a hash of (seed, row, episode): a row's starts are the same in any batch.
+"""
+
+import torch
+from torch import Tensor
+
+_GOLDEN = 0x9E3779B97F4A7C15 - (1 << 64)
+_MIX_1 = 0xBF58476D1CE4E5B9 - (1 << 64)
+_MIX_2 = 0x94D049BB133111EB - (1 << 64)
+
+
+def scramble(x: Tensor) -> Tensor:
+    """Scramble the bits of int64 ``[...]`` as SplitMix64 does (Steele, Lea & Flood 2014)."""
+    x = (x ^ _shift_right(x, 30)) * _MIX_1
+    x = (x ^ _shift_right(x, 27)) * _MIX_2
+    return x ^ _shift_right(x, 31)
+
+
+def draw_uniform(seed: int, row: Tensor, episode: Tensor, num: int) -> Tensor:
+    """Draw numbers in [0, 1) keyed on (seed, row, episode).
+
+    Args:
+        seed: of the whole environment.
+        row: ``[B]`` int64, index of the row.
+        episode: ``[B]`` int64, how many episodes the row has begun.
+        num: numbers per row.
+
+    Returns:
+        ``[B, num]`` float64, multiples of 2^-53.
+    """
+    key = torch.full_like(row, (seed & 0x7FFFFFFFFFFFFFFF)) + _GOLDEN
+    for counter in (row, episode):
+        key = scramble(key) ^ (counter + _GOLDEN)
+    counters = torch.arange(1, num + 1, device=row.device)
+    bits = scramble(scramble(key)[:, None] + counters * _GOLDEN)
+    return _shift_right(bits, 11).double() * 2.0**-53
+
+
+def _shift_right(x: Tensor, num_bits: int) -> Tensor:
+    """Shift int64 as if it had no sign."""
+    return (x >> num_bits) & ((1 << (64 - num_bits)) - 1)

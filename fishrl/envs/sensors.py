@@ -1,0 +1,64 @@
+"""What the fish and its task perceive, as free functions of tensors with a leading batch axis.
+
+Only operations that round the same wherever a row lies in the batch are used: ``atan2`` and
+``hypot`` have a vector and a scalar form that differ in the last bit, so that a row alone would not
+equal the same row in a batch; ``atan``, ``sqrt``, ``sin`` and ``cos`` do not.
+"""
+
+from math import pi
+
+import torch
+from torch import Tensor
+
+
+def compute_bearing_error(heading: Tensor, away: Tensor) -> Tensor:
+    """Return the angle of a direction off the nose.
+
+    Args:
+        heading: ``[B]`` direction the fish faces, radians.
+        away: ``[B, 2]`` direction (x, y), of any length.
+
+    Returns:
+        ``[B]`` in (-pi, pi] radians, positive to the left (counter-clockwise); 0 for no direction.
+    """
+    cos, sin = torch.cos(heading), torch.sin(heading)
+    ahead = cos * away[:, 0] + sin * away[:, 1]
+    left = cos * away[:, 1] - sin * away[:, 0]
+    angle = torch.atan(left / ahead)
+    behind = torch.where(left >= 0.0, angle + pi, angle - pi)
+    angle = torch.where(ahead < 0.0, behind, angle)
+    return torch.where((ahead == 0.0) & (left == 0.0), torch.zeros_like(angle), angle)
+
+
+def sense_target(head: Tensor, heading: Tensor, target: Tensor, *, body_length: float) -> Tensor:
+    """Return where a target lies, seen from the head.
+
+    Args:
+        head: ``[B, 2]`` nose (x, y) in nodes.
+        heading: ``[B]`` direction the fish faces, radians.
+        target: ``[B, 2]`` (x, y) in nodes.
+        body_length: L in nodes.
+
+    Returns:
+        ``[B, 4]``: x and y of the target from the head and their distance in body lengths, and the
+        bearing error in (-pi, pi] radians.
+    """
+    away = (target - head) / body_length
+    distance = (away * away).sum(-1).sqrt()
+    bearing_error = compute_bearing_error(heading, away)
+    return torch.stack((away[:, 0], away[:, 1], distance, bearing_error), -1)
+
+
+def compute_clearance(markers: Tensor, *, width: int, height: int) -> Tensor:
+    """Return the distance of an outline from the nearest edge node, negative outside.
+
+    Args:
+        markers: ``[B, N, 2]`` (x, y) in nodes.
+        width: nodes along x.
+        height: nodes along y.
+
+    Returns:
+        ``[B]`` nodes; NaN where a marker is.
+    """
+    last = torch.tensor([width - 1.0, height - 1.0], dtype=markers.dtype, device=markers.device)
+    return torch.minimum(markers, last - markers).flatten(1).amin(-1)

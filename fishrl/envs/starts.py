@@ -1,0 +1,81 @@
+"""Where fish start: from a nose on the map to a body in the flow, and whether it fits there."""
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from fishrl.envs.sensors import compute_clearance
+from fishrl.physics.bodies import Fish
+from fishrl.physics.kinematics import deform
+from fishrl.physics.rigid_motion import make_body, place_markers
+
+
+def place_fish(starts: TensorDictBase, fish: Fish) -> tuple[Tensor, Tensor]:
+    """Return centre of mass ``[B, 2]`` and heading ``[B]`` of straight fish at their starts.
+
+    Args:
+        starts: ``[B]`` with ``head`` ``[B, 2]``, the nose (x, y) in nodes, and ``heading`` ``[B]``.
+        fish: the body.
+    """
+    heading: Tensor = starts["heading"]
+    nose_to_centre = -float(fish.make_modes().axial[0])
+    direction = torch.stack((torch.cos(heading), torch.sin(heading)), -1)
+    return starts["head"] - nose_to_centre * direction, heading
+
+
+def place_outline(starts: TensorDictBase, fish: Fish) -> Tensor:
+    """Return the outline ``[B, N, 2]`` of straight fish at their starts; see ``place_fish``."""
+    position, heading = place_fish(starts, fish)
+    body = make_body(position, heading, torch.zeros_like(heading))
+    modes = fish.make_modes(heading.device)
+    shape = deform(modes, body.phase, body.frequency, body.age)
+    return place_markers(body, modes, shape).position
+
+
+def check_pattern(starts: TensorDictBase, pattern: TensorDictBase) -> None:
+    """Refuse starts ``[E]`` that lack a key of ``pattern`` ``[1]``, or have another shape or type.
+
+    Raises:
+        ValueError: naming the key.
+    """
+    if starts.batch_dims != 1 or starts.shape[0] < 1:
+        raise ValueError(
+            f"starts has batch shape {tuple(starts.shape)}: give a TensorDict of shape [E] with at "
+            "least one start, as sample_starts does"
+        )
+    for name, wanted in pattern.items():
+        given = starts.get(name, None)
+        shape = (starts.shape[0], *wanted.shape[1:])
+        if given is None or tuple(given.shape) != shape or given.dtype != wanted.dtype:
+            got = "nothing" if given is None else f"{tuple(given.shape)}, {given.dtype}"
+            raise ValueError(
+                f"starts[{name!r}] is {got}, expected {shape}, {wanted.dtype}: make starts with "
+                "sample_starts, or after its pattern"
+            )
+
+
+def check_fit(
+    starts: TensorDictBase, fish: Fish, *, width: int, height: int, margin: float
+) -> None:
+    """Refuse starts ``[E]`` from which a straight fish would not be inside the domain.
+
+    Args:
+        starts: of the fish.
+        fish: the body.
+        width: nodes along x.
+        height: nodes along y.
+        margin: how far every marker must stay from the edge nodes, in nodes.
+
+    Raises:
+        ValueError: naming the first that does not fit.
+    """
+    clearance = compute_clearance(place_outline(starts, fish), width=width, height=height)
+    is_wrong = ~(clearance >= margin)
+    if is_wrong.any():
+        i = int(is_wrong.int().argmax())
+        x, y = starts["head"][i].tolist()
+        where = "is too near the edge" if clearance[i] >= 0.0 else "lies outside the domain"
+        raise ValueError(
+            f"start {i}, head at ({x:g}, {y:g}): the fish, or a part of it, {where}; it must keep "
+            f"{margin:g} nodes from the edges of [0, {width - 1}] x [0, {height - 1}], move it in"
+        )
