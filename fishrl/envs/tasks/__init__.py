@@ -1,0 +1,5 @@
+"""The tasks, one file each."""
+
+from fishrl.envs.tasks.predation import Predation
+
+__all__ = ["Predation"]

@@ -1,0 +1,235 @@
+"""Predation, the paper's first task: catch food that moves, without touching a wall."""
+
+import difflib
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+from math import ceil, floor, pi, radians
+from typing import ClassVar, final
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from fishrl.envs.rewards import reward_approach
+from fishrl.envs.sensors import compute_clearance, sense_target
+from fishrl.envs.task import AbstractTask, Command, as_pair
+from fishrl.physics.in_place import InPlaceSolver
+
+
+class FoodDirection(Enum):
+    """Where the food sets off to; the value is the chance of up."""
+
+    UP = 1.0
+    DOWN = 0.0
+    RANDOM = 0.5
+
+    @classmethod
+    def parse(cls, name: str) -> "FoodDirection":
+        """Find a direction by its name in lower case."""
+        known = [direction.name.lower() for direction in cls]
+        if name not in known:
+            near = difflib.get_close_matches(str(name).lower(), known, n=1, cutoff=0.3)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise ValueError(f"food_direction = {name!r}: allowed is one of {known}{hint}")
+        return cls[name.upper()]
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Predation(AbstractTask):
+    """Catch food that stays still for a while and then swims up and down between two limits.
+
+    Actions: 0 turn clockwise, 1 keep, 2 turn counter-clockwise. Observation, of the head: x and y
+    of the food from it and their distance in body lengths, bearing error in (-pi, pi] radians,
+    positive if the food lies to the left. Reward: +1 if distance or bearing error shrank since the
+    last decision, else -1; +20 on capture. Ends: capture, or a marker within ``wall_margin_bl`` of
+    the edge.
+
+    The paper (Task 1) names neither the food's column and limits nor the capture radius.
+
+    Args:
+        turn_degrees: heading change of one action, spread smoothly over one period.
+        start_x_bl: range of the nose at start, in body lengths; it starts on whole nodes, the fish
+            facing -x, and the range shrinks where the fish would not be clear of the walls.
+        start_y_bl: the same along y.
+        food_x_bl: the food's column, in body lengths from the left edge.
+        food_y_bl: the food's height at start.
+        food_limits_bl: heights between which the food swims.
+        food_still_T: periods that the food stays where it is.
+        food_speed_bl: its speed afterwards, body lengths per period.
+        food_direction: where it sets off to: up, down or random.
+        capture_radius_bl: distance from nose to food that is a capture.
+    """
+
+    n_obs: ClassVar[int] = 4
+    num_actions: ClassVar[int] = 3
+    num_draws: ClassVar[int] = 3
+
+    turn_degrees: float = 15.0
+    start_x_bl: tuple[float, float] = (5.0, 7.5)
+    start_y_bl: tuple[float, float] = (0.25, 4.75)
+    food_x_bl: float = 2.5
+    food_y_bl: float = 2.5
+    food_limits_bl: tuple[float, float] = (1.5, 3.5)
+    food_still_T: float = 5.0
+    food_speed_bl: float = 0.3
+    food_direction: str = "up"
+    capture_radius_bl: float = 0.25
+
+    def __post_init__(self) -> None:
+        """Refuse food, starts and radii that cannot be."""
+        for name in ("start_x_bl", "start_y_bl", "food_limits_bl"):
+            object.__setattr__(self, name, as_pair(name, getattr(self, name)))
+        super().__post_init__()
+        FoodDirection.parse(self.food_direction)
+        if self.capture_radius_bl <= 0.0:
+            raise ValueError(f"capture_radius_bl = {self.capture_radius_bl}: must be positive")
+        for name in ("food_still_T", "food_speed_bl"):
+            if getattr(self, name) < 0.0:
+                raise ValueError(f"{name} = {getattr(self, name)}: must not be negative")
+        low, high = self.food_limits_bl
+        width, height = self.domain_bl
+        if not 0.0 < low <= self.food_y_bl <= high < height or low == high:
+            raise ValueError(
+                f"food_y_bl = {self.food_y_bl}, food_limits_bl = {self.food_limits_bl}: allowed is "
+                f"0 < lower limit <= food_y_bl <= upper limit < {height}, the limits not equal"
+            )
+        if not 0.0 < self.food_x_bl < width:
+            raise ValueError(f"food_x_bl = {self.food_x_bl}: must lie inside (0, {width})")
+        (x_low, x_high), (y_low, y_high) = self.start_range
+        if x_low > x_high or y_low > y_high:
+            raise ValueError(
+                f"start_x_bl = {self.start_x_bl}, start_y_bl = {self.start_y_bl}: a fish that "
+                f"faces -x and keeps {self.wall_margin:g} nodes from the walls does not fit; widen "
+                "the ranges, or enlarge domain_bl"
+            )
+        x, y = self.food_x_bl * self.body_length, self.food_y_bl * self.body_length
+        gap_x, gap_y = max(x_low - x, x - x_high, 0.0), max(y_low - y, y - y_high, 0.0)
+        if gap_x**2 + gap_y**2 <= (self.capture_radius_bl * self.body_length) ** 2:
+            raise ValueError(
+                f"start_x_bl = {self.start_x_bl}, start_y_bl = {self.start_y_bl}: a fish may start "
+                "with its food in reach; move the food or the starts by more than "
+                f"capture_radius_bl = {self.capture_radius_bl}"
+            )
+
+    @cached_property
+    def start_range(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """First and last node of the nose at start, along x and along y.
+
+        The asked ranges, clipped so that the straight fish keeps ``wall_margin_bl`` from the edges
+        at nose and tail, and the beating one from those beside it: half-thickness plus amplitude,
+        where their sum is largest.
+        """
+        length, config = self.body_length, self.flow_config()
+        modes = self.fish.make_modes()
+        station = ((modes.axial - modes.axial[0]) / length).numpy()
+        amplitude = length * torch.from_numpy(self.fish.gait.evaluate_envelope(station))
+        beside = self.wall_margin + float((modes.lateral.abs() + amplitude).max())
+        x = (
+            ceil(max(self.start_x_bl[0] * length, self.wall_margin)),
+            floor(min(self.start_x_bl[1] * length, config.width - 1 - self.wall_margin - length)),
+        )
+        y = (
+            ceil(max(self.start_y_bl[0] * length, beside)),
+            floor(min(self.start_y_bl[1] * length, config.height - 1 - beside)),
+        )
+        return x, y
+
+    def starts_from(self, uniform: Tensor) -> TensorDict:
+        """Put noses on nodes, fish facing -x, and let the food set off; see ``AbstractTask``."""
+        low, high = torch.tensor(self.start_range, dtype=torch.float64, device=uniform.device).T
+        head = low + torch.floor(uniform[:, :2] * (high - low + 1.0))
+        chance_up = FoodDirection.parse(self.food_direction).value
+        is_up = uniform[:, 2] < chance_up
+        return TensorDict(
+            {
+                "head": head,
+                "heading": torch.full_like(uniform[:, 2], pi),
+                "food_direction": torch.where(is_up, 1.0, -1.0).to(uniform.dtype),
+            },
+            uniform.shape[:1],
+            device=uniform.device,
+        )
+
+    def check_starts(self, starts: TensorDictBase) -> None:
+        """Refuse also food in reach, and food that sets off neither up nor down."""
+        super().check_starts(starts)
+        away = starts["head"] - self.locate_food(starts, torch.zeros_like(starts["heading"]))
+        if ((away * away).sum(-1).sqrt() <= self.capture_radius).any():
+            raise ValueError(
+                f"starts has a fish within capture_radius = {self.capture_radius:g} nodes of its "
+                "food: move it away"
+            )
+        if (starts["food_direction"].abs() != 1.0).any():
+            raise ValueError("starts['food_direction'] must be 1 (up) or -1 (down) everywhere")
+
+    @property
+    def capture_radius(self) -> float:
+        """Distance from nose to food that is a capture, in nodes."""
+        return self.capture_radius_bl * self.body_length
+
+    def locate_food(self, starts: TensorDictBase, age: Tensor) -> Tensor:
+        """Return where the food is ``[B, 2]`` (x, y), in nodes.
+
+        Args:
+            starts: ``[B]``, of which ``food_direction`` counts.
+            age: ``[B]`` steps since reset.
+        """
+        low, high = self.food_limits_bl
+        span, offset = high - low, self.food_y_bl - low
+        swum = self.food_speed_bl * (age / self.scales.period - self.food_still_T).clamp(min=0.0)
+        # Up and down is a circle of length 2 span, folded at its middle.
+        is_up = starts["food_direction"] > 0.0
+        along = torch.where(is_up, offset + swum, 2.0 * span - offset + swum)
+        along = torch.remainder(along, 2.0 * span)
+        height = low + torch.minimum(along, 2.0 * span - along)
+        return self.body_length * torch.stack((torch.full_like(height, self.food_x_bl), height), -1)
+
+    def command(self, action: Tensor, before: TensorDictBase) -> Command:
+        """Turn clockwise, not at all, or counter-clockwise."""
+        return Command(turn=radians(self.turn_degrees) * (action.double() - 1.0))
+
+    def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
+        """Measure head, heading, food, the food as the head sees it, and the walls' distance."""
+        markers, heading = solver.markers(), solver.body.heading.clone()
+        head, food = markers[:, 0].clone(), self.locate_food(starts, solver.body.age)
+        return TensorDict(
+            {
+                "head": head,
+                "heading": heading,
+                "food": food,
+                "target": sense_target(head, heading, food, body_length=self.body_length),
+                "clearance": compute_clearance(
+                    markers, width=solver.config.width, height=solver.config.height
+                ),
+            },
+            starts.batch_size,
+            device=starts.device,
+        )
+
+    def observe(self, now: TensorDictBase) -> Tensor:
+        """Return the food as the head sees it, see ``sensors.sense_target``."""
+        target: Tensor = now["target"]
+        return target.float()
+
+    def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
+        """Return +1 or -1 for approach, and 20 more for a capture."""
+        (old_distance, old_error), (distance, error) = (
+            td["target"][:, 2:].unbind(-1) for td in (before, now)
+        )
+        approach = reward_approach(old_distance, distance, old_error, error)
+        return approach + 20.0 * self._is_captured(now)
+
+    def is_terminated(self, now: TensorDictBase) -> Tensor:
+        """Return whether the food is caught or a wall is hit."""
+        hits_wall: Tensor = now["clearance"] < self.wall_margin
+        return hits_wall | self._is_captured(now)
+
+    def report(self, now: TensorDictBase) -> dict[str, Tensor]:
+        """Return ``captured`` ``[B]``."""
+        return {"captured": self._is_captured(now)}
+
+    def _is_captured(self, now: TensorDictBase) -> Tensor:
+        distance: Tensor = now["target"][:, 2]
+        return distance <= self.capture_radius_bl

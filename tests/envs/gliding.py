@@ -1,0 +1,78 @@
+"""A fish without a flow: it glides along its heading, and tests of the env take milliseconds."""
+
+import torch
+from torch import Tensor
+
+from fishrl.physics.kinematics import deform
+from fishrl.physics.rigid_motion import Body, make_body, place_markers
+from fishrl.physics.state import FlowConfig
+
+GLIDE_SPEED_BL = 0.4  # body lengths per tail beat
+
+
+class GlidingSolver:
+    """Methods of ``InPlaceSolver``, with straight fish that glide and turn at constant rates."""
+
+    def __init__(
+        self,
+        *,
+        config: FlowConfig,
+        num_envs: int,
+        frequency: float = 0.0,
+        device: torch.device | str = "cpu",
+        compile: bool = True,
+    ) -> None:
+        assert config.fish is not None
+        self.config, self.num_envs, self.frequency = config, num_envs, frequency
+        self.modes = config.fish.make_modes(device)
+        rest = torch.zeros(num_envs, dtype=torch.float64, device=device)
+        fresh = make_body(rest[:, None].expand(-1, 2), rest, rest + frequency)
+        self.body = Body(*(t.clone() for t in fresh))
+        self.is_closed = False
+
+    def compile(self) -> None:
+        """There is nothing to compile."""
+
+    def close(self) -> None:
+        self.is_closed = True
+
+    def reset_(self, rows: Tensor, position: Tensor, heading: Tensor) -> None:
+        fresh = make_body(position, heading, torch.full_like(heading, self.frequency))
+        for old, new in zip(self.body, fresh, strict=True):
+            old.copy_(torch.where(rows.view(-1, *(1,) * (old.dim() - 1)), new, old))
+
+    def command_(self, turn: Tensor, num_steps: int, frequency: Tensor | None = None) -> None:
+        self.body.turn.copy_(turn)
+        self.body.turn_steps.fill_(num_steps)
+        if frequency is not None:
+            self.body.frequency.copy_(frequency)
+
+    def advance_(self, num_steps: int) -> None:
+        assert num_steps >= 0 and num_steps % 2 == 0
+        assert self.config.fish is not None
+        body = self.body
+        speed = GLIDE_SPEED_BL * self.config.fish.body_length * body.frequency
+        for _ in range(num_steps // 2):
+            direction = torch.stack((torch.cos(body.heading), torch.sin(body.heading)), -1)
+            body.position.add_(2.0 * speed[:, None] * direction)
+            body.heading.add_(2.0 * body.turn / body.turn_steps)
+            body.age.add_(2.0)
+
+    def markers(self) -> Tensor:
+        still = torch.zeros_like(self.body.phase)
+        return place_markers(
+            self.body, self.modes, deform(self.modes, still, still, still)
+        ).position
+
+    def is_diverged(self) -> Tensor:
+        x, y = self.markers().unbind(-1)
+        width, height = self.config.width, self.config.height
+        is_inside = (x > 0.5) & (x < width - 1.5) & (y > 0.5) & (y < height - 1.5)
+        return ~is_inside.all(-1)
+
+    def state_dict(self) -> dict[str, Tensor]:
+        return {name: t.clone() for name, t in zip(Body._fields, self.body, strict=True)}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        for name, own in zip(Body._fields, self.body, strict=True):
+            own.copy_(state[name])

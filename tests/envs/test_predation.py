@@ -1,0 +1,251 @@
+"""Predation: its food, starts, rewards and ends, and the bad input it refuses."""
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from fishrl.envs import FlowEnv, Predation
+from fishrl.envs.starts import place_fish, place_outline
+from tests.envs.conftest import SMALL
+
+KEEP = 1
+
+
+def starts_at(*heads: tuple[float, float], heading: float = math.pi, up: float = 1.0) -> TensorDict:
+    """Starts with noses at ``heads``, in body lengths of the small task."""
+    num = len(heads)
+    return TensorDict(
+        {
+            "head": torch.tensor(heads, dtype=torch.float64) * SMALL["body_length"],
+            "heading": torch.full((num,), heading, dtype=torch.float64),
+            "food_direction": torch.full((num,), up, dtype=torch.float64),
+        },
+        [num],
+    )
+
+
+def make_env(task: Predation, starts: TensorDict) -> FlowEnv:
+    return FlowEnv(task=task, num_envs=starts.shape[0], starts=starts, compile=False)
+
+
+def act(env: FlowEnv, *actions: int) -> TensorDict:
+    td = TensorDict({"action": torch.tensor(actions)}, env.batch_size)
+    return env.step(td)["next"]
+
+
+def food_height(task: Predation, time_T: float, up: float = 1.0) -> float:
+    age = torch.tensor([time_T * task.scales.period], dtype=torch.float64)
+    food = task.locate_food(starts_at((6.0, 2.5), up=up), age)[0] / task.body_length
+    assert float(food[0]) == task.food_x_bl
+    return float(food[1])
+
+
+def test_food_stays_still_for_five_periods_then_swims_up_and_turns_at_its_limits(
+    small_task: Predation,
+) -> None:
+    route = {0: 2.5, 5: 2.5, 6: 2.8, 5 + 1 / 0.3: 3.5, 5 + 2 / 0.3: 2.5, 5 + 3 / 0.3: 1.5}
+    for time, height in {**route, 16: 1.8, 5 + 4 / 0.3: 2.5, 5 + 5 / 0.3: 3.5, 25: 2.5}.items():
+        assert food_height(small_task, time) == pytest.approx(height, abs=1e-9)
+
+
+def test_food_that_sets_off_downwards_mirrors_food_that_sets_off_upwards(
+    small_task: Predation,
+) -> None:
+    for time in (3.0, 6.0, 9.3, 17.1):
+        up, down = (food_height(small_task, time, direction) for direction in (1.0, -1.0))
+        assert up - 2.5 == pytest.approx(2.5 - down, abs=1e-9)
+
+
+def test_food_moves_at_its_speed_wherever_it_starts_between_its_limits() -> None:
+    task = Predation(**SMALL, food_y_bl=1.7, food_limits_bl=(1.6, 1.9), food_still_T=0.0)
+    times = [0.01 * k for k in range(400)]
+    heights = [food_height(task, t, direction) for direction in (1.0, -1.0) for t in times]
+    assert min(heights) == pytest.approx(1.6, abs=2e-3)
+    assert max(heights) == pytest.approx(1.9, abs=2e-3)
+    steps = torch.tensor(heights[:400], dtype=torch.float64).diff().abs()
+    assert float(steps.median()) == pytest.approx(0.3 * 0.01)
+    assert heights[0] == heights[400] == pytest.approx(1.7)
+
+
+@pytest.mark.parametrize("body_length", [50, 100])
+def test_starts_are_noses_on_whole_nodes_in_the_papers_box_clear_of_the_walls(
+    body_length: int,
+) -> None:
+    """At L = 100: x in [500, 750], y in [25, 475], the paper's Task 1."""
+    task = Predation(body_length=body_length, reynolds=500.0)
+    starts = task.sample_starts(2000, torch.Generator().manual_seed(0))
+    head, length = starts["head"], body_length
+    assert torch.equal(head, head.round())
+    low, high = head.amin(0) / length, head.amax(0) / length
+    assert low.tolist() == pytest.approx([5.0, 0.25], abs=0.1)
+    assert high.tolist() == pytest.approx([7.5, 4.75], abs=0.1)
+    assert (low >= torch.tensor([5.0, 0.25])).all() and (high <= torch.tensor([7.5, 4.75])).all()
+    assert (starts["heading"] == math.pi).all()
+    assert (starts["food_direction"] == 1.0).all()
+    task.check_starts(starts)
+
+
+def test_the_range_of_starts_shrinks_where_the_fish_would_touch_a_wall() -> None:
+    task = Predation(**SMALL, start_x_bl=(8.0, 10.0), start_y_bl=(0.0, 5.0))
+    (x_low, x_high), (y_low, y_high) = task.start_range
+    assert (x_low, x_high) == (160, 176)  # the tail, 20 nodes behind, keeps 3 nodes from node 199
+    assert y_low == 99 - y_high == 6  # 3 nodes, and 0.126 L of beating tail
+    corners = starts_at(*((x / 20, y / 20) for x in (x_low, x_high) for y in (y_low, y_high)))
+    task.check_starts(corners)
+
+
+def test_the_nose_of_a_placed_fish_is_where_its_start_says() -> None:
+    task = Predation(**SMALL)
+    for heading in (math.pi, 0.0, 0.7):
+        starts = starts_at((6.0, 2.5), heading=heading)
+        nose = place_outline(starts, task.fish)[0, 0]
+        torch.testing.assert_close(nose, starts["head"][0], atol=1e-9, rtol=0)
+        centre = place_fish(starts, task.fish)[0][0]
+        behind = starts["head"][0] - centre
+        # centroid of NACA0012, 0.41789 L from the nose
+        assert float(behind.norm()) / 20 == pytest.approx(0.41789, abs=1e-4)
+        assert math.atan2(behind[1], behind[0]) == pytest.approx(heading)
+
+
+def test_one_start_seed_gives_one_set_of_starts_and_random_food_goes_both_ways() -> None:
+    task = Predation(**SMALL, food_direction="random")
+    one, same, other = (
+        task.sample_starts(64, torch.Generator().manual_seed(seed)) for seed in (0, 0, 1)
+    )
+    assert (one == same).all()
+    assert not (one == other).all()
+    assert set(one["food_direction"].tolist()) == {-1.0, 1.0}
+    down = Predation(**SMALL, food_direction="down")
+    assert (down.sample_starts(9, torch.Generator())["food_direction"] == -1.0).all()
+
+
+@pytest.mark.usefixtures("gliding")
+def test_the_first_observation_is_the_food_as_the_nose_sees_it(small_task: Predation) -> None:
+    env = make_env(small_task, starts_at((6.5, 0.5), (5.5, 4.0)))
+    expected = [[-4.0, 2.0, 20**0.5, -math.atan2(2, 4)], [-3.0, -1.5, 11.25**0.5, math.atan2(1, 2)]]
+    torch.testing.assert_close(env.reset()["observation"], torch.tensor(expected))
+
+
+@pytest.mark.usefixtures("gliding")
+def test_an_action_turns_the_fish_by_fifteen_degrees(small_task: Predation) -> None:
+    env = make_env(small_task, starts_at(*[(6.5, 2.5)] * 3))
+    env.reset()
+    act(env, 0, 1, 2)
+    turned = torch.rad2deg(env.solver.body.heading - math.pi)
+    torch.testing.assert_close(turned, torch.tensor([-15.0, 0.0, 15.0], dtype=torch.float64))
+
+
+@pytest.mark.usefixtures("gliding")
+def test_approach_earns_one_and_neither_nearer_nor_better_aimed_costs_one(
+    small_task: Predation,
+) -> None:
+    starts = torch.cat([starts_at((6.5, 2.5)), starts_at(*[(6.5, 2.5)] * 2, heading=0.0)])
+    env = make_env(small_task, starts)
+    env.reset()
+    # ahead of the food; away from it; away from it but turning towards it
+    assert act(env, 1, 1, 2)["reward"].squeeze(-1).tolist() == [1.0, -1.0, 1.0]
+
+
+@pytest.mark.usefixtures("gliding")
+def test_a_capture_earns_twenty_more_and_terminates_the_episode(small_task: Predation) -> None:
+    env = make_env(small_task, starts_at((3.1, 2.5), (5.0, 2.5)))
+    env.reset()
+    after = act(env, KEEP, KEEP)
+    assert after["reward"].squeeze(-1).tolist() == [21.0, 1.0]
+    for key, expected in {"captured": True, "terminated": True, "done": True}.items():
+        assert after[key].squeeze(-1).tolist() == [expected, False]
+    assert not after["truncated"].any()
+
+
+@pytest.mark.usefixtures("gliding")
+def test_a_capture_within_the_action_counts_although_the_fish_swims_past() -> None:
+    """The fish glides 0.4 L an action, so it crosses a circle of radius 0.1 L within it."""
+    task = Predation(**SMALL, capture_radius_bl=0.1)
+    env = make_env(task, starts_at((2.7, 2.5)))
+    env.reset()
+    after = act(env, KEEP)
+    assert after["captured"].all() and after["reward"] == 21.0
+    # what is seen is the moment of capture; the nose itself is already behind the food
+    assert after["observation"][0, 2] <= 0.1 < env.measure()["target"][0, 2]
+
+
+@pytest.mark.usefixtures("gliding")
+def test_hitting_a_wall_terminates_without_the_rewards_of_a_capture(small_task: Predation) -> None:
+    upwards = starts_at((5.0, 4.5), heading=math.pi / 2)
+    env = make_env(small_task, torch.cat([upwards, starts_at((5.0, 2.5))]))
+    env.reset()
+    after = act(env, KEEP, KEEP)
+    assert after["terminated"].squeeze(-1).tolist() == [True, False]
+    assert not after["captured"].any()
+    assert after["reward"][0] in (-1.0, 1.0)
+    # seen at the wall, although the fish glides on into it
+    assert 0.0 < env.now["clearance"][0] < small_task.wall_margin
+    assert env.measure()["clearance"][0] < env.now["clearance"][0]
+
+
+@pytest.mark.usefixtures("gliding")
+def test_a_capture_just_before_a_wall_is_a_capture() -> None:
+    task = Predation(**SMALL, food_x_bl=0.21)
+    env = make_env(task, starts_at((0.5, 2.5)))
+    env.reset()
+    after = act(env, KEEP)
+    assert after["captured"].all() and after["reward"] == 21.0
+    assert env.measure()["clearance"] < task.wall_margin
+
+
+BAD_ARGUMENTS: dict[str, tuple[dict[str, Any], str]] = {
+    "direction": ({"food_direction": "upp"}, r"food_direction = 'upp'.*did you mean 'up'"),
+    "still": ({"food_still_T": -1.0}, r"food_still_T = -1.0: must not be negative"),
+    "speed": ({"food_speed_bl": -0.1}, r"food_speed_bl = -0.1: must not be negative"),
+    "radius": ({"capture_radius_bl": 0.0}, r"capture_radius_bl = 0.0: must be positive"),
+    "limits": ({"food_limits_bl": (3.5, 1.5)}, r"lower limit <= food_y_bl <= upper limit"),
+    "limits of one": ({"food_limits_bl": [1.5]}, r"food_limits_bl = \[1.5\]: give two numbers"),
+    "outside": ({"food_y_bl": 5.5}, r"food_y_bl = 5.5"),
+    "column": ({"food_x_bl": 10.0}, r"food_x_bl = 10.0: must lie inside \(0, 10.0\)"),
+    "starts": ({"start_x_bl": (9.5, 9.9)}, r"does not fit; widen the ranges"),
+    "in reach": ({"start_x_bl": (2.0, 7.5)}, r"may start with its food in reach"),
+    "domain": ({"domain_bl": (10.0, 1.0)}, r"body_length = 20.* does not fit into 200 x 20"),
+    "domain of one": ({"domain_bl": 10.0}, r"domain_bl = 10.0: give two numbers"),
+    "checks": ({"checks_per_action": 54}, r"checks_per_action = 54: must lie in \[1, 53\]"),
+    "margin": ({"wall_margin_bl": 0.05}, r"wall_margin_bl = 0.05 is 1.0 nodes, too few"),
+    "stack": ({"num_stacked": 0}, r"num_stacked = 0: must be at least 1"),
+    "time": ({"time_limit": 0}, r"time_limit = 0: must be at least 1"),
+    "mach": ({"max_wall_speed": 0.3}, r"max_wall_speed = 0.3 \(Mach 0.52\)"),
+    "tau": ({"reynolds": 1e6}, r"tau = 0.50.* outside the validated range.*raise body_length"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_ARGUMENTS)
+def test_arguments_that_cannot_be_are_refused_with_a_remedy(case: str) -> None:
+    arguments, message = BAD_ARGUMENTS[case]
+    with pytest.raises(ValueError, match=message):
+        Predation(**SMALL | arguments)
+
+
+BAD_STARTS: dict[str, tuple[TensorDict, str]] = {
+    "outside": (starts_at((6.0, 2.5), (11.0, 2.5)), r"start 1, head at \(220, 50\).*outside"),
+    "not a number": (starts_at((math.nan, 2.5)), r"start 0.*outside the domain"),
+    "tail outside": (starts_at((9.5, 2.5)), r"start 0, head at \(190, 50\).*outside the domain"),
+    "near": (starts_at((6.0, 0.2)), r"start 0.*too near the edge; it must keep 3 nodes"),
+    "in reach": (starts_at((2.6, 2.5)), r"within capture_radius = 5 nodes of its food"),
+    "direction": (starts_at((6.0, 2.5), up=0.5), r"must be 1 \(up\) or -1 \(down\)"),
+    "none": (starts_at((6.0, 2.5))[:0], r"at least one start"),
+    "no batch": (starts_at((6.0, 2.5))[0], r"batch shape \(\): give a TensorDict of shape \[E\]"),
+    "no heading": (starts_at((6.0, 2.5)).exclude("heading"), r"starts\['heading'\] is nothing"),
+    "shape": (
+        starts_at((6.0, 2.5)).set("head", torch.zeros(1, 3, dtype=torch.float64)),
+        r"starts\['head'\] is \(1, 3\), torch.float64, expected \(1, 2\)",
+    ),
+    "type": (starts_at((6.0, 2.5)).float(), r"torch.float32, expected \(1, 2\), torch.float64"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_STARTS)
+@pytest.mark.usefixtures("gliding")
+def test_starts_that_cannot_be_are_refused_with_a_remedy(case: str, small_task: Predation) -> None:
+    starts, message = BAD_STARTS[case]
+    with pytest.raises(ValueError, match=message):
+        FlowEnv(task=small_task, num_envs=1, starts=starts, compile=False)
