@@ -1,0 +1,7 @@
+"""Environments: one habitat for all tasks, and the tasks."""
+
+from fishrl.envs.flow_env import FlowEnv, make_env
+from fishrl.envs.task import AbstractTask, Command
+from fishrl.envs.tasks import Predation
+
+__all__ = ["AbstractTask", "Command", "FlowEnv", "Predation", "make_env"]

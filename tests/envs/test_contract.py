@@ -1,0 +1,114 @@
+"""What every task owes the environment and the brain, whatever it is about.
+
+A task that appears in ``fishrl.envs.tasks`` is tested here without further ado.
+"""
+
+import dataclasses
+import inspect
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs import check_env_specs
+
+import fishrl.envs.tasks
+from fishrl.envs import AbstractTask, FlowEnv, make_env
+from tests.envs.conftest import SMALL
+from tests.envs.shy_task import Shy
+
+LIBRARY = [getattr(fishrl.envs.tasks, name) for name in fishrl.envs.tasks.__all__]
+pytestmark = pytest.mark.usefixtures("gliding")
+
+
+@pytest.fixture(params=[*LIBRARY, Shy], ids=lambda kind: kind.__name__)
+def task(request: pytest.FixtureRequest) -> AbstractTask:
+    return request.param(**SMALL)
+
+
+def test_every_task_of_the_package_is_listed() -> None:
+    modules = fishrl.envs.tasks
+    defined = {
+        value
+        for module in vars(modules).values()
+        if inspect.ismodule(module)
+        for value in vars(module).values()
+        if inspect.isclass(value) and issubclass(value, AbstractTask) and value is not AbstractTask
+    }
+    assert defined == set(LIBRARY)
+
+
+def test_a_task_takes_keyword_arguments_with_defaults_and_never_changes(
+    task: AbstractTask,
+) -> None:
+    parameters = inspect.signature(type(task)).parameters.values()
+    assert all(p.kind is p.KEYWORD_ONLY and p.default is not p.empty for p in parameters)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        task.body_length = 1
+
+
+def test_the_specs_hold(task: AbstractTask) -> None:
+    check_env_specs(make_env(task=task, num_envs=3, compile=False), seed=0)
+
+
+def test_observation_stack_and_mask_have_the_sizes_that_brains_are_made_for(
+    task: AbstractTask,
+) -> None:
+    env = make_env(task=task, num_envs=2, compile=False)
+    rollout = env.rollout(3, break_when_any_done=False)
+    assert rollout["observation"].shape == (2, 3, task.n_obs)
+    assert rollout["observation"].dtype == torch.float32
+    assert rollout["observation_stack"].shape == (2, 3, task.n_obs * task.num_stacked)
+    assert rollout["action_mask"].shape == (2, 3, task.num_actions)
+    assert rollout["action"].shape == (2, 3)
+    assert rollout["start_index"].shape == (2, 3)
+
+
+def test_no_state_is_without_a_legal_action_and_random_actions_are_legal(
+    task: AbstractTask,
+) -> None:
+    env = make_env(task=task, num_envs=4, compile=False)
+    rollout = env.rollout(40, break_when_any_done=False)
+    assert rollout["next", "done"].any()  # terminal states are among them
+    for mask in (rollout["action_mask"], rollout["next", "action_mask"]):
+        assert mask.any(-1).all()
+    num_illegal = (~rollout["action_mask"].gather(-1, rollout["action"].unsqueeze(-1))).sum()
+    assert num_illegal == 0
+
+
+def test_starts_follow_from_random_numbers_row_by_row(task: AbstractTask) -> None:
+    uniform = torch.rand(5, task.num_draws, dtype=torch.float64)
+    together = task.starts_from(uniform)
+    alone = torch.cat([task.starts_from(u[None]) for u in uniform])
+    assert (together == alone).all()
+    task.check_starts(together)
+    extremes = torch.tensor([[0.0], [1.0 - 2.0**-53]], dtype=torch.float64)
+    task.check_starts(task.starts_from(extremes.expand(2, task.num_draws)))
+
+
+def test_no_episode_begins_at_its_end(task: AbstractTask) -> None:
+    env = FlowEnv(task=task, num_envs=32, compile=False)
+    env.reset()
+    assert not task.is_terminated(env.now).any()
+
+
+def test_measuring_changes_nothing_and_shares_no_memory_with_the_flows(
+    task: AbstractTask,
+) -> None:
+    env = FlowEnv(task=task, num_envs=2, compile=False)
+    env.reset()
+    before = env.solver.state_dict()
+    first = env.measure()
+    kept = first.clone()
+    assert (env.measure() == first).all()
+    assert all(torch.equal(before[k], v) for k, v in env.solver.state_dict().items())
+    env.step(TensorDict({"action": torch.ones(2, dtype=torch.int64)}, [2]))
+    assert (first == kept).all()
+
+
+def test_reward_ends_and_reports_are_one_number_a_row(task: AbstractTask) -> None:
+    env = FlowEnv(task=task, num_envs=5, compile=False)
+    env.reset()
+    assert task.reward(env.now, env.now).shape == (5,)
+    assert task.is_terminated(env.now).shape == (5,)
+    assert task.is_terminated(env.now).dtype == torch.bool
+    assert all(value.shape == (5,) for value in task.report(env.now).values())

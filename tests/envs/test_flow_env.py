@@ -1,0 +1,266 @@
+"""The environment's own duties: rows, resets, divergence, saving, bad input. No flow needed."""
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs import check_env_specs, step_mdp
+
+from fishrl.envs import AbstractTask, FlowEnv, Predation
+from tests.envs.conftest import SMALL
+from tests.envs.shy_task import Shy
+
+pytestmark = pytest.mark.usefixtures("gliding")
+
+
+def make(task: AbstractTask, num_envs: int, **arguments: Any) -> FlowEnv:
+    return FlowEnv(task=task, num_envs=num_envs, compile=False, **arguments)
+
+
+def act(env: FlowEnv, *actions: int) -> TensorDict:
+    return env.step(TensorDict({"action": torch.tensor(actions)}, env.batch_size))["next"]
+
+
+def reset_rows(env: FlowEnv, *rows: bool) -> TensorDict:
+    return env.reset(TensorDict({"_reset": torch.tensor(rows)[:, None]}, env.batch_size))
+
+
+def memory_of(env: FlowEnv) -> dict[str, torch.Tensor]:
+    return {
+        **env.solver.state_dict(),
+        **{f"start_{k}": v.clone() for k, v in env.start.items()},
+        **{f"now_{k}": v.clone() for k, v in env.now.items()},
+    }
+
+
+def test_the_specs_hold_without_transforms(small_task: Predation) -> None:
+    check_env_specs(make(small_task, 3), seed=0)
+
+
+def test_a_partial_reset_touches_its_rows_alone(small_task: Predation) -> None:
+    env = make(small_task, 3)
+    env.reset()
+    act(env, 0, 1, 2)
+    before = memory_of(env)
+    reset_rows(env, False, True, False)
+    after = memory_of(env)
+    for name, old in before.items():
+        assert torch.equal(after[name][[0, 2]], old[[0, 2]]), name
+    assert not torch.equal(after["position"][1], before["position"][1])
+    assert after["age"].tolist() == [106.0, 0.0, 106.0]
+
+
+def test_food_of_a_reset_row_starts_anew_and_that_of_the_others_swims_on(
+    small_task: Predation,
+) -> None:
+    env = make(small_task, 2)
+    env.reset()
+    for _ in range(7):
+        act(env, 1, 1)
+    reset_rows(env, True, False)
+    heights = env.now["food"][:, 1] / small_task.body_length
+    torch.testing.assert_close(heights, torch.tensor([2.5, 3.1], dtype=torch.float64))
+
+
+def test_a_rows_starts_do_not_depend_on_the_batch_or_on_other_rows_resets() -> None:
+    task = Predation(**SMALL, food_direction="random")
+    many, one = make(task, 4, seed=5), make(task, 1, seed=5)
+    many.reset()
+    one.reset()
+    drawn = []
+    for rows in ((True, False, True, True), (True, True, True, True)):
+        assert (many.start[0] == one.start[0]).all()
+        drawn.append(many.start["head"].clone())
+        reset_rows(many, *rows)
+        one.reset()
+    other = make(task, 4, seed=6)
+    other.reset()
+    assert not torch.equal(other.start["head"], drawn[0])
+    assert drawn[0].unique(dim=0).shape[0] == 4
+
+
+def test_setting_the_seed_repeats_the_starts(small_task: Predation) -> None:
+    env = make(small_task, 3, seed=1)
+    first = env.reset()["observation"]
+    second = env.reset()["observation"]
+    assert not torch.equal(first, second)
+    env.set_seed(1)
+    assert torch.equal(env.reset()["observation"], first)
+    env.set_seed(None)
+    assert torch.equal(env.reset()["observation"], make(small_task, 3).reset()["observation"])
+
+
+def test_given_starts_are_taken_in_order_of_resets_and_rows(small_task: Predation) -> None:
+    starts = small_task.sample_starts(5, torch.Generator().manual_seed(0))
+    env = make(small_task, 3, starts=starts)
+    assert env.reset()["start_index"].tolist() == [0, 1, 2]
+    assert reset_rows(env, False, True, True)["start_index"].tolist()[1:] == [3, 4]
+    assert reset_rows(env, True, False, True)["start_index"].tolist()[::2] == [0, 1]
+    assert (env.start["head"] == starts["head"][[0, 3, 1]]).all()
+    assert act(env, 1, 1, 1)["start_index"].tolist() == [0, 3, 1]
+    assert make(small_task, 2).reset()["start_index"].tolist() == [-1, -1]
+
+
+def test_a_diverged_row_ends_alone_with_nothing_to_learn_from_it(
+    small_task: Predation, caplog: pytest.LogCaptureFixture
+) -> None:
+    env, intact = make(small_task, 3, seed=2), make(small_task, 3, seed=2)
+    before = env.reset()
+    intact.reset()
+    env.solver.body.position[1] = torch.nan
+    with caplog.at_level(logging.WARNING, logger="fishrl"):
+        after, expected = act(env, 1, 1, 1), act(intact, 1, 1, 1)
+    for key in ("diverged", "truncated", "done"):
+        assert after[key].squeeze(-1).tolist() == [False, True, False]
+    assert not after["terminated"].any()
+    assert after["reward"][1] == 0.0
+    assert torch.equal(after["observation"][1], before["observation"][1])
+    assert env.num_diverged == 1 and intact.num_diverged == 0
+    assert "flows [1] diverged" in caplog.text
+    for key in ("observation", "reward", "done"):
+        assert torch.equal(after[key][[0, 2]], expected[key][[0, 2]])
+    anew = env.maybe_reset(step_mdp(TensorDict({"next": after}, [3])))
+    assert anew["observation"].isfinite().all()
+    assert not anew["diverged"].any() and not anew["done"].any()
+    assert not act(env, 1, 1, 1)["diverged"].any()
+    assert env.num_diverged == 1
+
+
+def test_a_row_that_diverges_before_it_meets_food_or_wall_has_diverged(
+    small_task: Predation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And one that ended before is not: its flow no longer matters."""
+    starts = TensorDict(
+        {
+            "head": torch.tensor([[60.0, 50.0], [100.0, 50.0]], dtype=torch.float64),
+            "heading": torch.full((2,), torch.pi, dtype=torch.float64),
+            "food_direction": torch.ones(2, dtype=torch.float64),
+        },
+        [2],
+    )
+    for breaks_at, expected in ((2.0, [True, True]), (80.0, [False, True])):
+        env = make(small_task, 2, starts=starts)
+        env.reset()
+        monkeypatch.setattr(
+            env.solver, "is_diverged", lambda e=env, b=breaks_at: e.solver.body.age > b
+        )
+        after = act(env, 1, 1)
+        assert after["diverged"].squeeze(-1).tolist() == expected
+        assert after["captured"].squeeze(-1).tolist() == [not expected[0], False]
+
+
+def test_a_saved_environment_goes_on_exactly(small_task: Predation) -> None:
+    starts = small_task.sample_starts(4, torch.Generator().manual_seed(3))
+    env = make(small_task, 2, seed=9, starts=starts)
+    env.reset()
+    act(env, 0, 2)
+    env.solver.body.position[1] = torch.nan
+    act(env, 0, 2)
+    reset_rows(env, False, True)
+    state = env.state_dict()
+    other = make(small_task, 2, seed=1, starts=starts)
+    other.load_state_dict(state)
+    assert other.num_diverged == 1
+    for actions in ((1, 0), (2, 2)):
+        one, two = act(env, *actions), act(other, *actions)
+        assert (one == two).all()
+    one, two = reset_rows(env, True, True), reset_rows(other, True, True)
+    assert one["start_index"].tolist() == [3, 0]
+    assert (one == two).all()
+
+
+def test_a_saved_environment_draws_the_same_starts(small_task: Predation) -> None:
+    env, other = make(small_task, 2, seed=4), make(small_task, 2, seed=7)
+    env.reset()
+    other.load_state_dict(env.state_dict())
+    for _ in range(2):
+        assert torch.equal(env.reset()["observation"], other.reset()["observation"])
+
+
+def test_a_saved_state_does_not_change_with_the_environment_nor_the_other_way(
+    small_task: Predation,
+) -> None:
+    env = make(small_task, 2)
+    env.reset()
+    state = env.state_dict()
+    first = act(env, 1, 2)
+    for _ in range(2):
+        env.load_state_dict(state)
+        again = act(env, 1, 2)
+        assert (first == again).all()
+
+
+def test_frames_come_at_equal_distances_and_change_nothing(small_task: Predation) -> None:
+    ages: list[list[float]] = []
+    seen = lambda env: ages.append(env.solver.body.age.tolist())  # noqa: E731
+    env = make(small_task, 2, frames_per_action=4, on_frame=seen)
+    plain = make(small_task, 2)
+    env.reset()
+    plain.reset()
+    framed, expected = act(env, 0, 1), act(plain, 0, 1)
+    assert ages == [[26.0, 26.0], [52.0, 52.0], [80.0, 80.0], [106.0, 106.0]]
+    assert (framed == expected).all()
+
+
+def test_a_task_can_order_another_tail_beat(monkeypatch: pytest.MonkeyPatch) -> None:
+    task = Shy(**SMALL)
+    env = make(task, 2)
+    env.reset()
+    after = act(env, 0, 1)
+    torch.testing.assert_close(after["observation"][:, 1], torch.tensor([0.5, 1.5]))
+    torch.testing.assert_close(after["beats"].squeeze(-1).float(), torch.tensor([0.5, 1.5]))
+    assert after["action_mask"].tolist() == [[False, True], [True, True]]
+
+
+@pytest.mark.parametrize("action", [-1, 3, 7])
+def test_an_action_out_of_range_is_refused(small_task: Predation, action: int) -> None:
+    env = make(small_task, 2)
+    env.reset()
+    assert not env.action_spec.is_in(torch.tensor([1, action]))
+    with pytest.raises(ValueError, match=rf"action = {action} in row 1: legal is \[0, 1, 2\]"):
+        act(env, 1, action)
+
+
+def test_a_masked_action_is_refused() -> None:
+    env = make(Shy(**SMALL), 2)
+    env.reset()
+    act(env, 0, 1)
+    with pytest.raises(ValueError, match=r"action = 0 in row 0: legal is \[1\]"):
+        act(env, 0, 1)
+
+
+@pytest.mark.parametrize("num_envs", [0, -2])
+def test_at_least_one_flow_is_needed(small_task: Predation, num_envs: int) -> None:
+    with pytest.raises(ValueError, match=f"num_envs = {num_envs}: at least one"):
+        make(small_task, num_envs)
+
+
+def test_more_frames_than_pairs_of_steps_are_refused(small_task: Predation) -> None:
+    with pytest.raises(ValueError, match=r"frames_per_action = 54: must lie in \[1, 53\]"):
+        make(small_task, 1, frames_per_action=54)
+
+
+def test_an_environment_does_not_move_to_another_device(small_task: Predation) -> None:
+    env = make(small_task, 1)
+    assert env.to("cpu") is env
+    with pytest.raises(ValueError, match=r"cannot move to meta: make the environment with"):
+        env.to("meta")
+
+
+def test_closing_the_environment_closes_the_solver(small_task: Predation) -> None:
+    env = make(small_task, 1)
+    env.close()
+    assert env.solver.is_closed
+
+
+@pytest.mark.parametrize("method", ["observe", "action_mask"])
+def test_a_task_whose_sizes_disagree_is_refused(
+    monkeypatch: pytest.MonkeyPatch, small_task: Predation, method: str
+) -> None:
+    right: Callable[..., torch.Tensor] = getattr(Predation, method)
+    monkeypatch.setattr(Predation, method, lambda task, now: right(task, now)[:, :2])
+    with pytest.raises(ValueError, match=rf"Predation.{method} gives shape \(1, 2\), expected"):
+        make(small_task, 1)

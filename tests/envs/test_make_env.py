@@ -1,0 +1,97 @@
+"""The environment with its transforms, as a brain sees it. No flow needed."""
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.collectors import Collector
+
+from fishrl.envs import Predation, make_env
+from fishrl.modules import RandomPolicy
+from tests.envs.conftest import SMALL
+from tests.envs.shy_task import Shy
+
+pytestmark = pytest.mark.usefixtures("gliding")
+
+
+def keep(td: TensorDict) -> TensorDict:
+    return td.set("action", torch.ones(td.shape, dtype=torch.int64))
+
+
+def starts_of(*heads: tuple[float, float]) -> TensorDict:
+    num = len(heads)
+    return TensorDict(
+        {
+            "head": torch.tensor(heads, dtype=torch.float64),
+            "heading": torch.full((num,), math.pi, dtype=torch.float64),
+            "food_direction": torch.ones(num, dtype=torch.float64),
+        },
+        [num],
+    )
+
+
+def test_the_stack_holds_the_last_observations_oldest_first_and_restarts_with_its_row() -> None:
+    """Row 0 captures after some actions and starts anew, row 1 swims on."""
+    task = Predation(**SMALL)
+    env = make_env(
+        task=task, num_envs=2, compile=False, starts=starts_of((76, 50), (150, 30), (140, 60))
+    )
+    rollout = env.rollout(8, policy=keep, break_when_any_done=False)
+    is_init = rollout["is_init"].squeeze(-1)
+    assert is_init[0].nonzero().squeeze(-1).tolist()[0] == 0 and is_init[0].sum() == 2
+    assert is_init[1].nonzero().squeeze(-1).tolist() == [0]
+    for row in range(2):
+        history: list[torch.Tensor] = []
+        for t in range(8):
+            observation = rollout["observation"][row, t]
+            history = [observation] * 4 if is_init[row, t] else [*history[1:], observation]
+            assert torch.equal(rollout["observation_stack"][row, t], torch.cat(history))
+            # the true last stack of an episode, not the first of the next one
+            after = torch.cat([*history[1:], rollout["next", "observation"][row, t]])
+            assert torch.equal(rollout["next", "observation_stack"][row, t], after)
+
+
+def test_an_episode_is_truncated_at_its_time_limit_and_not_terminated() -> None:
+    task = Predation(**SMALL, time_limit=3)
+    env = make_env(task=task, num_envs=2, compile=False)
+    rollout = env.rollout(4, break_when_any_done=False)
+    after = rollout["next"]
+    assert after["truncated"].squeeze(-1).tolist() == [[False, False, True, False]] * 2
+    assert torch.equal(after["done"], after["truncated"])
+    assert not after["terminated"].any()
+    assert after["step_count"].squeeze(-1).tolist() == [[1, 2, 3, 1]] * 2
+
+
+def test_the_return_adds_up_over_an_episode_and_restarts_with_its_row() -> None:
+    env = make_env(task=Predation(**SMALL), num_envs=2, compile=False, starts=starts_of((76, 50)))
+    rollout = env.rollout(6, policy=keep)
+    assert rollout.shape == (2, 3)  # 1.3 L to the food, 0.25 L of it for free, at 0.4 L an action
+    assert rollout["next", "episode_reward"][0].squeeze(-1).tolist() == [1.0, 2.0, 23.0]
+    assert rollout["next", "captured"][0].squeeze(-1).tolist() == [False, False, True]
+
+
+def test_a_diverged_row_is_truncated_and_reset_by_the_transformed_environment() -> None:
+    env = make_env(task=Predation(**SMALL), num_envs=2, compile=False)
+    state = env.reset()
+    env.base_env.solver.body.position[0] = torch.nan
+    step, state = env.step_and_maybe_reset(keep(state))
+    assert step["next", "truncated"].squeeze(-1).tolist() == [True, False]
+    assert step["next", "observation_stack"].isfinite().all()
+    assert state["observation_stack"].isfinite().all()
+    assert state["step_count"].squeeze(-1).tolist() == [0, 1]
+
+
+def test_random_actions_respect_a_mask_and_so_do_collectors_warming_up() -> None:
+    task = Shy(**SMALL)
+    env = make_env(task=task, num_envs=3, compile=False)
+    collector = Collector(
+        env, RandomPolicy(seed=1), frames_per_batch=30, total_frames=120, init_random_frames=60
+    )
+    num_illegal = 0
+    for batch in collector:
+        is_legal = batch["action_mask"].gather(-1, batch["action"].unsqueeze(-1))
+        num_illegal += int((~is_legal).sum())
+        assert not batch["action_mask"].all()
+    collector.shutdown()
+    assert num_illegal == 0
