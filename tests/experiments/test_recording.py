@@ -1,0 +1,192 @@
+"""Recordings: what is kept of an episode, when it ends, and what is refused."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+import fishrl.envs.task
+from experiments.recording import Recording, _Recorder, record_episodes
+from fishrl.envs import Predation, make_env
+from tests.envs.gliding import GlidingSolver
+
+Maker = Callable[..., Recording]
+X, Y = 12, 8
+
+
+class FakeTask:
+    """Four looks per action and period; a row ends where its head passes x = 100."""
+
+    checks_per_action, n_substeps, capture_radius = 4, 8, 1.0
+    scales = SimpleNamespace(period=8, body_length=4)
+
+    def flow_config(self) -> SimpleNamespace:
+        return SimpleNamespace(width=X, height=Y)
+
+    def is_terminated(self, now: TensorDict) -> Tensor:
+        return now["head"][:, 0] > 100.0
+
+
+class FakeEnv:
+    """Two rows whose heads lie at (age, row); row 1 jumps behind x = 100 after ``jump`` steps."""
+
+    def __init__(self, *, jump: int) -> None:
+        self.age, self.jump = torch.zeros(2), jump
+        self.solver: Any = SimpleNamespace(
+            markers=lambda: self.head()[:, None].expand(2, 5, 2),
+            macroscopic=lambda: (None, torch.zeros(2, 2, Y, X)),
+            body=SimpleNamespace(age=self.age),
+        )
+
+    def head(self) -> Tensor:
+        far = torch.tensor([0.0, 200.0]) * (self.age >= self.jump)
+        return torch.stack((self.age + far, torch.tensor([0.0, 1.0])), 1)
+
+    def measure(self) -> TensorDict:
+        return TensorDict(
+            {"head": self.head(), "food": torch.zeros(2, 2), "heading": torch.zeros(2)}, [2]
+        )
+
+
+def act(recorder: _Recorder, env: FakeEnv, **flags: list[bool]) -> int:
+    """Run one action of four looks; flags are what the env says after it."""
+    for _ in range(4):
+        env.age += 2
+        recorder.look(env)
+    none = {"done": [False] * 2, "diverged": [False] * 2, "captured": [False] * 2}
+    after = {name: torch.tensor(value)[:, None] for name, value in {**none, **flags}.items()}
+    after["reward"] = env.age[:, None].clone()
+    return recorder.settle(TensorDict({"action": torch.tensor([0, 2]), "next": after}, [2]))
+
+
+def test_every_so_many_looks_are_kept_and_carry_the_action_and_reward_they_belong_to() -> None:
+    recorder, env = _Recorder(FakeTask(), num_rows=2, frames_per_T=2), FakeEnv(jump=99)
+    recorder.keep(env)
+    act(recorder, env)
+    assert act(recorder, env, done=[True, True]) == 2
+    recording = recorder.finish(1)
+    assert recording.frames_per_T == 2
+    assert recording.time.tolist() == [0.0, 0.5, 1.0, 1.5, 2.0]
+    assert recording.reward.tolist() == [8.0, 8.0, 8.0, 16.0, 16.0]
+    assert recording.action.tolist() == [2] * 5
+    assert recording.head[:, 1].tolist() == [1.0] * 5
+
+
+def test_the_look_that_ends_an_episode_is_its_last_frame() -> None:
+    recorder, env = _Recorder(FakeTask(), num_rows=2, frames_per_T=1), FakeEnv(jump=6)
+    recorder.keep(env)
+    assert act(recorder, env, done=[False, True], captured=[False, True]) == 1
+    recording = recorder.finish(1)
+    assert recording.time.tolist() == [0.0, 0.75]
+    assert recording.captured
+    assert recorder.running == {0}
+
+
+def test_a_flow_that_diverges_is_kept_up_to_the_decision_before() -> None:
+    recorder, env = _Recorder(FakeTask(), num_rows=2, frames_per_T=4), FakeEnv(jump=99)
+    recorder.keep(env)
+    act(recorder, env)
+    act(recorder, env, done=[False, True], diverged=[False, True])
+    assert recorder.finish(1).time.tolist() == [0.0, 0.25, 0.5, 0.75, 1.0]
+
+
+def test_of_a_flow_that_diverges_at_once_the_start_is_kept() -> None:
+    recorder, env = _Recorder(FakeTask(), num_rows=2, frames_per_T=4), FakeEnv(jump=99)
+    recorder.keep(env)
+    act(recorder, env, done=[False, True], diverged=[False, True])
+    assert recorder.finish(1).time.tolist() == [0.0]
+
+
+class TurningWaterSolver(GlidingSolver):
+    """A gliding fish in water that turns like a wheel, so that vorticity is 0.02 per step."""
+
+    def macroscopic(self) -> tuple[None, Tensor]:
+        y, x = torch.meshgrid(
+            torch.arange(self.config.height), torch.arange(self.config.width), indexing="ij"
+        )
+        return None, 0.01 * torch.stack((-y, x)).float().expand(self.num_envs, 2, -1, -1)
+
+
+def test_episodes_are_recorded_from_their_starts_to_the_capture(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(fishrl.envs.task, "InPlaceSolver", TurningWaterSolver)
+    task = Predation(
+        body_length=20, reynolds=500.0, max_wall_speed=0.15, wall_margin_bl=0.15, time_limit=12,
+        food_still_T=99.0, food_limits_bl=(1.5, 3.5), food_y_bl=2.5, start_y_bl=(2.5, 4.0),
+    )  # fmt: skip
+    starts = task.sample_starts(2, torch.Generator().manual_seed(0))
+    starts["head"] = torch.tensor([[5.0, 2.5], [5.0, 3.75]], dtype=torch.float64) * 20
+
+    def keep_straight(td: TensorDict) -> TensorDict:
+        return td.set("action", torch.ones(2, dtype=torch.int64))
+
+    ended: list[int] = []
+    caught, missed = record_episodes(
+        make_env=make_env,
+        task=task,
+        policy=keep_straight,
+        starts=starts,
+        on_episodes=ended.append,
+    )
+    assert ended == [1, 1]
+    assert (caught.captured, missed.captured) == (True, False)
+    assert caught.reward[-1] == 21.0
+    # 2.25 body lengths at 0.4 per period; one look more at the most
+    assert caught.time[-1] == pytest.approx(2.25 / 0.4, abs=0.06)
+    assert (caught.food - caught.head)[-1].norm() <= caught.capture_radius
+    for recording, start in zip((caught, missed), starts, strict=True):
+        assert recording.head[0].tolist() == pytest.approx(start["head"].tolist())
+        assert torch.equal(recording.outline[:, 0], recording.head)
+        per_period = recording.vorticity.float().mean()
+        assert per_period == pytest.approx(0.02 * task.scales.period, rel=1e-3)
+
+
+def test_fewer_than_one_frame_per_period_is_refused() -> None:
+    with pytest.raises(ValueError, match="frames_per_T = 0: at least one"):
+        record_episodes(
+            make_env=make_env, task=None, policy=lambda td: td, starts=TensorDict({}, [1]),
+            frames_per_T=0,
+        )  # fmt: skip
+
+
+def test_a_recording_survives_its_file(make_recording: Maker, tmp_path: Path) -> None:
+    recording = make_recording(num_frames=3)
+    recording.save(tmp_path / "episode.pt")
+    loaded = Recording.load(tmp_path / "episode.pt")
+    for field in dataclasses.fields(Recording):
+        old, new = getattr(recording, field.name), getattr(loaded, field.name)
+        assert torch.equal(old, new) if isinstance(old, Tensor) else old == new
+
+
+def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
+    torch.save({"weights": 1}, tmp_path / "x.pt")
+    with pytest.raises(ValueError, match=r"is no recording: it holds \['weights'\]"):
+        Recording.load(tmp_path / "x.pt")
+    with pytest.raises(FileNotFoundError, match="no recording at"):
+        Recording.load(tmp_path / "nothing.pt")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"body_length": 0.0}, "body_length = 0.0, period = 200: both must be positive"),
+        ({"time": torch.zeros(0)}, "no frame"),
+        ({"head": torch.zeros(4, 2)}, r"head has shape \(4, 2\), expected \(3, 2\)"),
+        ({"outline": torch.zeros(3, 2)}, "outline has shape"),
+        ({"domain": (10, 10)}, r"vorticity has shape .*expected \(3, 10, 10\)"),
+        ({"reward": torch.full((3,), torch.nan)}, "reward is not finite"),
+        ({"time": torch.tensor([0.0, 1.0, 1.0])}, "time does not increase"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(
+    make_recording: Maker, changes: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        dataclasses.replace(make_recording(num_frames=3), **changes)
