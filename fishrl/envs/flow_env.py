@@ -36,8 +36,8 @@ logger = logging.getLogger(__name__)
 class FlowEnv(EnvBase):
     """Flows side by side, one fish each, all advancing together.
 
-    A row that ends within an action keeps the measurement of that moment, while its flow runs on to
-    the end of the action. A row that diverges (not finite, too fast for the method, the fish out of
+    A row that ends within an action keeps the measurement of that moment and need not run on to the
+    end of the action. A row that diverges (not finite, too fast for the method, the fish out of
     the grid) is truncated with reward 0, ``diverged`` set and the last decision's observation; it
     is counted, reset like any other, and never touches its neighbours.
 
@@ -195,7 +195,7 @@ class FlowEnv(EnvBase):
         now, diverged = before, torch.zeros_like(self._rows, dtype=torch.bool)
         is_decided = diverged
         for stretch in self._schedule:
-            self.solver.advance_(stretch.num_steps)
+            self.solver.advance_(stretch.num_steps, ~is_decided)
             if stretch.is_check:
                 seen = self.measure()
                 is_ending = self.task.is_terminated(seen) | stretch.is_last

@@ -1,7 +1,8 @@
 """Boundary conditions on the four edges of the domain.
 
-A boundary sets the *incoming* populations of the edge nodes after streaming. Left and right edges
-go first, bottom and top edges (corners included) second. One function per boundary serves the
+A boundary sets the *incoming* populations of the edge nodes after streaming. Edges that need only
+their own nodes go first, then those that look at a neighbour: left and right, and last bottom and
+top, so that every neighbour is complete when it is read. One function per boundary serves the
 readable step and the in-place step alike: it takes views of one edge and returns new values.
 """
 
@@ -9,6 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import Enum
+from typing import ClassVar
 
 from torch import Tensor
 
@@ -43,7 +45,13 @@ class Side(Enum):
 
 
 class Boundary(ABC):
-    """What happens at one edge."""
+    """What happens at one edge.
+
+    Attributes:
+        is_local: whether the edge's own outgoing populations suffice.
+    """
+
+    is_local: ClassVar[bool] = False
 
     @abstractmethod
     def compute_edge(
@@ -99,6 +107,8 @@ class NonEquilibrium(Boundary):
 class NoSlip(Boundary):
     """Half-way bounce-back: a wall half a node outside the edge nodes (Ladd 1994)."""
 
+    is_local = True
+
     def compute_edge(
         self, side: Side, neighbour: Sequence[Tensor], outgoing: Sequence[Tensor]
     ) -> dict[int, Tensor]:
@@ -111,6 +121,8 @@ class NoSlip(Boundary):
 @dataclass(frozen=True)
 class Periodic(Boundary):
     """The flow leaves on one side and enters on the other; streaming itself does it."""
+
+    is_local = True
 
     def compute_edge(
         self, side: Side, neighbour: Sequence[Tensor], outgoing: Sequence[Tensor]
@@ -139,20 +151,24 @@ class Boundaries:
         """Whether any edge is periodic."""
         return any(isinstance(getattr(self, f.name), Periodic) for f in fields(self))
 
-    def by_side(self) -> tuple[tuple[tuple[Side, Boundary], ...], ...]:
-        """Return (left, right) and (bottom, top), in the order in which they are applied."""
-        return (
-            ((Side.LEFT, self.left), (Side.RIGHT, self.right)),
-            ((Side.BOTTOM, self.bottom), (Side.TOP, self.top)),
-        )
+    def in_order(self) -> list[list[tuple[Side, Boundary]]]:
+        """Return the edges in the order in which they are set; edges of one list at once."""
+        across = [(Side.LEFT, self.left), (Side.RIGHT, self.right)]
+        along = [(Side.BOTTOM, self.bottom), (Side.TOP, self.top)]
+        groups = [
+            [edge for edge in across + along if edge[1].is_local],
+            [edge for edge in across if not edge[1].is_local],
+            [edge for edge in along if not edge[1].is_local],
+        ]
+        return [group for group in groups if group]
 
 
 def apply_boundaries_(
     incoming: Sequence[Tensor], outgoing: Sequence[Tensor], boundaries: Boundaries
 ) -> None:
     """Set the edge nodes of nine ``[B, Y, X]`` incoming populations in place."""
-    for pair in boundaries.by_side():
-        for side, boundary in pair:
+    for group in boundaries.in_order():
+        for side, boundary in group:
             neighbour = [f[side.neighbour] for f in incoming]
             edge = boundary.compute_edge(side, neighbour, [f[side.edge] for f in outgoing])
             for q, values in edge.items():

@@ -2,6 +2,7 @@
 
 import logging
 import time
+from collections.abc import Collection
 from typing import Any
 
 import torch
@@ -111,14 +112,14 @@ class InPlaceSolver:
             fields.append(block.view(self.num_envs, width) if width > 1 else block)
             at += width * self.num_envs
         self.body = Body(*fields)
-        self._groups = [
-            FlowGroup(
+        self._groups = {
+            g: FlowGroup(
                 self._stepper,
                 self._data[g],
                 Body(*(t[g * size : (g + 1) * size] for t in self.body)),
             )
             for g in groups
-        ]
+        }
 
     def compile(self) -> None:
         """Compile the step and start the workers; the first ``advance_`` does it otherwise."""
@@ -144,7 +145,7 @@ class InPlaceSolver:
         elif not self._num_workers and self._wants_compile:
             start = time.perf_counter()
             logger.info("compiling the flow step (up to a minute when new) ...")
-            self._stepper.compile(self._groups[0])
+            self._stepper.compile(next(iter(self._groups.values())))
             self._wants_compile = False
             logger.info("flow step ready after %.1f s", time.perf_counter() - start)
 
@@ -155,18 +156,31 @@ class InPlaceSolver:
         if self._shared is not None:
             self._shared.unlink()
 
-    def advance_(self, num_steps: int) -> None:
-        """Advance all flows by an even number of steps."""
+    def advance_(self, num_steps: int, rows: Tensor | None = None) -> None:
+        """Advance the flows by an even number of steps.
+
+        Args:
+            num_steps: how many.
+            rows: ``[B]`` bool, the flows that must advance, or None for all. What happens to the
+                others is not said: those that share no launch with a row that must are left alone.
+        """
         if num_steps < 0 or num_steps % 2:
             raise ValueError(f"num_steps = {num_steps}: must be even and not negative")
         self.compile()
+        wanted = torch.ones(self.num_envs, dtype=torch.bool) if rows is None else rows
+        groups = wanted.view(-1, self._stepper.layout.num_envs).any(-1).nonzero()[:, 0].tolist()
         if self._workers is not None:
-            self._workers.advance_(num_steps)
-            return
-        for group in self._groups:
-            for _ in range(num_steps // 2):
-                self._stepper.step_(group, 0)
-                self._stepper.step_(group, 1)
+            self._workers.advance_(num_steps, groups)
+        else:
+            self.advance_groups_(num_steps, groups)
+
+    def advance_groups_(self, num_steps: int, wanted: Collection[int]) -> None:
+        """Advance those of this process's groups that are wanted."""
+        for index, group in self._groups.items():
+            if index in wanted:
+                for _ in range(num_steps // 2):
+                    self._stepper.step_(group, 0)
+                    self._stepper.step_(group, 1)
 
     def reset_(self, rows: Tensor, position: Tensor, heading: Tensor) -> None:
         """Put the fish of some flows at rest into still water; other rows are not touched.
@@ -186,7 +200,7 @@ class InPlaceSolver:
         for old, new in zip(self.body, fresh, strict=True):
             old.copy_(torch.where(rows.view(-1, *(1,) * (old.dim() - 1)), new, old))
         size = self._stepper.layout.num_envs
-        for group, mask in zip(self._groups, torch.split(rows, size), strict=True):
+        for group, mask in zip(self._groups.values(), torch.split(rows, size), strict=True):
             if size > 1 or mask.item():
                 for f in group.cells[0]:
                     f.masked_fill_(mask[:, None], 0.0)
@@ -194,7 +208,7 @@ class InPlaceSolver:
     def set_populations_(self, f: Tensor) -> None:
         """Set all flows to populations ``[B, Q, Y, X]`` (shifted)."""
         size = self._stepper.layout.num_envs
-        for group, values in zip(self._groups, torch.split(f, size), strict=True):
+        for group, values in zip(self._groups.values(), torch.split(f, size), strict=True):
             for q, view in enumerate(self._stepper.layout.nodes(group.data, 0, False)):
                 view.copy_(values[:, q])
 
@@ -217,11 +231,13 @@ class InPlaceSolver:
     def populations(self) -> Tensor:
         """Return a copy of the incoming populations ``[B, Q, Y, X]`` (shifted)."""
         layout = self._stepper.layout
-        return torch.cat([torch.stack(layout.nodes(g.data, 0, False), 1) for g in self._groups])
+        return torch.cat(
+            [torch.stack(layout.nodes(g.data, 0, False), 1) for g in self._groups.values()]
+        )
 
     def macroscopic(self) -> tuple[Tensor, Tensor]:
         """Return density ``[B, Y, X]`` and velocity ``[B, 2, Y, X]``."""
-        fields = [self._read_group(group) for group in self._groups]
+        fields = [self._read_group(group) for group in self._groups.values()]
         return torch.cat([rho for rho, _ in fields]), torch.cat([u for _, u in fields])
 
     def _read_group(self, group: FlowGroup) -> tuple[Tensor, Tensor]:
@@ -244,7 +260,7 @@ class InPlaceSolver:
     def is_diverged(self) -> Tensor:
         """Return ``[B]``: not finite, too fast for the method, or the fish outside the grid."""
         # comparisons with NaN are false, so a broken flow is never "fine"
-        speeds = [(self._read_group(g)[1] ** 2).sum(1).flatten(1) for g in self._groups]
+        speeds = [(self._read_group(g)[1] ** 2).sum(1).flatten(1) for g in self._groups.values()]
         fine = torch.cat([(s < MAX_SPEED**2).all(-1) for s in speeds])
         if self._stepper.modes is not None:
             markers = self.markers()

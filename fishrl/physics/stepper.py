@@ -60,7 +60,7 @@ class Stepper:
         self.layout = InPlaceLayout(num_envs=group_size, height=config.height, width=config.width)
         self._omega = torch.full((group_size, 1), 1.0 / config.tau, device=device)
         self._collide = _make_collide(config)
-        self._set_edges = [_make_edge_step(pair) for pair in config.boundaries.by_side()]
+        self._set_edges = [_make_edge_step(sides) for sides in config.boundaries.in_order()]
         self.modes = None if config.fish is None else config.fish.make_modes(device)
         if self.modes is not None:
             self._prepare_body(self.modes, group_size)
@@ -101,8 +101,8 @@ class Stepper:
     def compile(self, group: FlowGroup) -> None:
         """Compile every part of the step for groups like ``group``."""
         self._collide = compile_inplace(self._collide, (self._omega, *group.cells[0]))
-        for pair, views in enumerate(group.edges[0]):
-            self._set_edges[pair] = compile_inplace(self._set_edges[pair], views)
+        for i, views in enumerate(group.edges[0]):
+            self._set_edges[i] = compile_inplace(self._set_edges[i], views)
         if self.modes is not None:
             locate, push, absorb = group.body_arguments[0]
             self._locate = compile_inplace(self._locate, locate)
@@ -190,13 +190,13 @@ def _make_absorb(config: FlowConfig) -> _Function:
 def _make_edge_views(
     layout: InPlaceLayout, data: Tensor, config: FlowConfig, parity: int
 ) -> list[Sequence[Tensor]]:
-    """Return the views that the two edge calls read and write after a step of ``parity``."""
+    """Return the views that the edge calls read and write after a step of ``parity``."""
     incoming = layout.nodes(data, 1 - parity, False)
     outgoing = layout.nodes(data, parity, True)
     calls: list[Sequence[Tensor]] = []
-    for pair in config.boundaries.by_side():
+    for sides in config.boundaries.in_order():
         views: list[Tensor] = []
-        for side, _ in pair:
+        for side, _ in sides:
             views += [f[side.edge] for f in incoming]
             views += [f[side.neighbour] for f in incoming]
             views += [f[side.edge] for f in outgoing]
@@ -204,8 +204,8 @@ def _make_edge_views(
     return calls
 
 
-def _make_edge_step(sides: tuple[tuple[Side, Boundary], ...]) -> _Function:
-    """Return: set two opposite edges, from views in the order of ``_make_edge_views``."""
+def _make_edge_step(sides: list[tuple[Side, Boundary]]) -> _Function:
+    """Return: set some edges, from views in the order of ``_make_edge_views``."""
 
     def set_edges(*views: Tensor) -> None:
         for i, (side, boundary) in enumerate(sides):

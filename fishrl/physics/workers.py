@@ -68,10 +68,10 @@ class Workers:
             _send(process.stdin, job)
         self._wait()
 
-    def advance_(self, num_steps: int) -> None:
-        """Advance all workers' flows and wait for them."""
+    def advance_(self, num_steps: int, groups: Sequence[int]) -> None:
+        """Advance those of the workers' flows that are in ``groups``, and wait for them."""
         for process in self._processes:
-            _send(process.stdin, num_steps)
+            _send(process.stdin, (num_steps, frozenset(groups)))
         self._wait()
 
     def _wait(self) -> None:
@@ -127,8 +127,8 @@ def serve() -> None:
     _send(answers, None)
     while True:
         try:
-            num_steps = pickle.load(requests)
+            num_steps, groups = pickle.load(requests)
         except EOFError:
             return
-        solver.advance_(num_steps)
+        solver.advance_groups_(num_steps, groups)
         _send(answers, None)

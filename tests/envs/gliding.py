@@ -47,7 +47,7 @@ class GlidingSolver:
         if frequency is not None:
             self.body.frequency.copy_(frequency)
 
-    def advance_(self, num_steps: int) -> None:
+    def advance_(self, num_steps: int, rows: torch.Tensor | None = None) -> None:
         assert num_steps >= 0 and num_steps % 2 == 0
         assert self.config.fish is not None
         body = self.body
