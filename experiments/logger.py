@@ -96,6 +96,7 @@ class WandbLogger(CsvLogger):
             config=dict(config),
             mode="offline" if self.is_offline else "online",
             resume="allow",
+            settings=self._wandb.Settings(console="off"),  # or it would log the bar's every move
         )
 
     def log(self, metrics: Mapping[str, float]) -> None:

@@ -7,6 +7,7 @@ import io
 import math
 import os
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -113,7 +114,10 @@ def test_wandb_writes_offline_beside_the_csv(
     recorded = list(folder.glob("wandb/offline-run-*/*.wandb"))
     assert len(recorded) == 1
     assert (folder / "wandb_id").read_text() in recorded[0].name
-    assert b"train/return" in recorded[0].read_bytes()
+    deadline = time.monotonic() + 30.0  # wandb's own process writes when it gets round to it
+    while b"train/return" not in recorded[0].read_bytes():
+        assert time.monotonic() < deadline, "wandb wrote no metrics"
+        time.sleep(0.1)
     assert len(read(folder / "metrics.csv")) == 2
     assert os.environ.get("WANDB_MODE") == before.get("WANDB_MODE")
 

@@ -251,15 +251,21 @@ def test_the_fish_learns_to_catch_still_food(toy_config: MakeConfig) -> None:
         num_envs=16,
         total_frames=1600,
         warmup_frames=320,
-        updates_per_frame=0.5,
+        updates_per_frame=1.0,
+        learning_rate=2e-3,
+        tau=0.03,
         hidden=[64, 64],
         eval_frames=400,
+        eval_episodes=10,
+        final_episodes=32,
         target_entropy_weight=0.3,
         buffer_size=2000,
+        baselines=["random"],
     )
     summary = training_of(config).run()
-    assert summary["capture_rate"] >= 0.9
-    assert summary["capture_rate"] >= summary["random_capture_rate"] + 0.3
+    # Two seeds gave 29 and 32 captures of 32, the random fish 6.
+    assert summary["capture_rate"] >= 0.75
+    assert summary["random_capture_rate"] <= 0.4
 
 
 def test_run_folder_of_a_second_run_gets_a_number(tmp_path: Path) -> None:
