@@ -1,6 +1,6 @@
 """One episode, kept frame by frame: what the figures and the viewer draw."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from os import PathLike
 from pathlib import Path
@@ -105,8 +105,7 @@ class Recording:
 
 def record_episodes(
     *,
-    make_env: Callable[..., EnvBase],
-    task: Any,
+    env: EnvBase,
     policy: Callable[[TensorDictBase], TensorDictBase],
     starts: TensorDictBase,
     frames_per_T: int = 10,
@@ -118,38 +117,41 @@ def record_episodes(
     to the decision before.
 
     Args:
-        make_env: ``fishrl.envs.make_env``, with device and compilation bound to it.
-        task: with food: its measurement names ``head``, ``heading`` and ``food``.
+        env: of a task with food, made with ``frames_per_action=task.checks_per_action``;
+            what it does at the moment is given up. The env of a training that is over will do.
         policy: writes ``action``; a learned one acts greedily.
-        starts: ``[E]``. As many as flows were trained with take no new compilation.
+        starts: ``[E]``, no more than the env has flows.
         frames_per_T: frames per period, about: one of every so many looks that the task takes.
         on_episodes: called with the number of episodes that have just ended.
 
     Returns:
         E recordings, in the order of their starts.
     """
+    num_starts, base = starts.shape[0], env.base_env
     if frames_per_T < 1:
         raise ValueError(f"frames_per_T = {frames_per_T}: at least one frame per period is needed")
-    recorder = _Recorder(task, num_rows=starts.shape[0], frames_per_T=frames_per_T)
-    env = make_env(
-        task=task,
-        num_envs=starts.shape[0],
-        starts=starts,
-        frames_per_action=task.checks_per_action,
-        on_frame=recorder.look,
-    )
+    if num_starts > base.batch_size[0]:
+        raise ValueError(
+            f"{num_starts} starts, but the env has {base.batch_size[0]} flows: give no more starts"
+        )
+    base.task.check_starts(starts)
+    before = base.starts, base.on_frame
+    base.starts = starts
     try:
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             state = env.reset()
-            recorder.keep(env.base_env)
+            row_of = {start: row for row, start in enumerate(state["start_index"].tolist())}
+            recorder = _Recorder(base.task, rows=row_of.values(), frames_per_T=frames_per_T)
+            recorder.keep(base)
+            base.on_frame = recorder.look
             while recorder.running:
                 step, state = env.step_and_maybe_reset(policy(state))
                 num_ended = recorder.settle(step)
                 if on_episodes is not None and num_ended:
                     on_episodes(num_ended)
     finally:
-        env.close()
-    return [recorder.finish(row) for row in range(starts.shape[0])]
+        base.starts, base.on_frame = before
+    return [recorder.finish(row_of[start]) for start in range(num_starts)]
 
 
 class _Recorder:
@@ -157,20 +159,20 @@ class _Recorder:
 
     Args:
         task: whose flows these are.
-        num_rows: number of flows B.
+        rows: which flows to keep.
         frames_per_T: frames per period, about.
     """
 
-    def __init__(self, task: Any, *, num_rows: int, frames_per_T: int) -> None:
+    def __init__(self, task: Any, *, rows: Iterable[int], frames_per_T: int) -> None:
         self.task = task
         looks_per_T = task.checks_per_action * task.scales.period / task.n_substeps
         self.stride = max(1, round(looks_per_T / frames_per_T))
         self.frames_per_T = max(1, round(looks_per_T / self.stride))
-        self.running = set(range(num_rows))
-        self.captured = [False] * num_rows
-        self._frames: list[list[dict[str, Tensor]]] = [[] for _ in range(num_rows)]
+        self.running = set(rows)
+        self.captured = dict.fromkeys(self.running, False)
+        self._frames: dict[int, list[dict[str, Tensor]]] = {row: [] for row in self.running}
         # Frames of the action under way: its reward is known only when it is over.
-        self._pending: list[list[dict[str, Tensor]]] = [[] for _ in range(num_rows)]
+        self._pending: dict[int, list[dict[str, Tensor]]] = {row: [] for row in self.running}
         self._open = set(self.running)
         self._num_looks = 0
 

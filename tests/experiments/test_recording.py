@@ -18,6 +18,10 @@ from tests.envs.gliding import GlidingSolver
 
 Maker = Callable[..., Recording]
 X, Y = 12, 8
+TASK: dict[str, Any] = {
+    "body_length": 20, "reynolds": 500.0, "max_wall_speed": 0.15, "wall_margin_bl": 0.15,
+    "time_limit": 12, "food_still_T": 99.0,
+}  # fmt: skip
 
 
 class FakeTask:
@@ -66,7 +70,7 @@ def act(recorder: _Recorder, env: FakeEnv, **flags: list[bool]) -> int:
 
 
 def test_every_so_many_looks_are_kept_and_carry_the_action_and_reward_they_belong_to() -> None:
-    recorder, env = _Recorder(FakeTask(), num_rows=2, frames_per_T=2), FakeEnv(jump=99)
+    recorder, env = _Recorder(FakeTask(), rows=range(2), frames_per_T=2), FakeEnv(jump=99)
     recorder.keep(env)
     act(recorder, env)
     assert act(recorder, env, done=[True, True]) == 2
@@ -79,7 +83,7 @@ def test_every_so_many_looks_are_kept_and_carry_the_action_and_reward_they_belon
 
 
 def test_the_look_that_ends_an_episode_is_its_last_frame() -> None:
-    recorder, env = _Recorder(FakeTask(), num_rows=2, frames_per_T=1), FakeEnv(jump=6)
+    recorder, env = _Recorder(FakeTask(), rows=range(2), frames_per_T=1), FakeEnv(jump=6)
     recorder.keep(env)
     assert act(recorder, env, done=[False, True], captured=[False, True]) == 1
     recording = recorder.finish(1)
@@ -89,7 +93,7 @@ def test_the_look_that_ends_an_episode_is_its_last_frame() -> None:
 
 
 def test_a_flow_that_diverges_is_kept_up_to_the_decision_before() -> None:
-    recorder, env = _Recorder(FakeTask(), num_rows=2, frames_per_T=4), FakeEnv(jump=99)
+    recorder, env = _Recorder(FakeTask(), rows=range(2), frames_per_T=4), FakeEnv(jump=99)
     recorder.keep(env)
     act(recorder, env)
     act(recorder, env, done=[False, True], diverged=[False, True])
@@ -97,7 +101,7 @@ def test_a_flow_that_diverges_is_kept_up_to_the_decision_before() -> None:
 
 
 def test_of_a_flow_that_diverges_at_once_the_start_is_kept() -> None:
-    recorder, env = _Recorder(FakeTask(), num_rows=2, frames_per_T=4), FakeEnv(jump=99)
+    recorder, env = _Recorder(FakeTask(), rows=range(2), frames_per_T=4), FakeEnv(jump=99)
     recorder.keep(env)
     act(recorder, env, done=[False, True], diverged=[False, True])
     assert recorder.finish(1).time.tolist() == [0.0]
@@ -117,20 +121,18 @@ def test_episodes_are_recorded_from_their_starts_to_the_capture(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(fishrl.envs.task, "InPlaceSolver", TurningWaterSolver)
-    task = Predation(
-        body_length=20, reynolds=500.0, max_wall_speed=0.15, wall_margin_bl=0.15, time_limit=12,
-        food_still_T=99.0, food_limits_bl=(1.5, 3.5), food_y_bl=2.5, start_y_bl=(2.5, 4.0),
-    )  # fmt: skip
+    task = Predation(**TASK)
     starts = task.sample_starts(2, torch.Generator().manual_seed(0))
     starts["head"] = torch.tensor([[5.0, 2.5], [5.0, 3.75]], dtype=torch.float64) * 20
 
     def keep_straight(td: TensorDict) -> TensorDict:
-        return td.set("action", torch.ones(2, dtype=torch.int64))
+        return td.set("action", torch.ones(3, dtype=torch.int64))
 
     ended: list[int] = []
+    env = make_env(task=task, num_envs=3, frames_per_action=task.checks_per_action)
+    env.rollout(1)  # whatever it did before
     caught, missed = record_episodes(
-        make_env=make_env,
-        task=task,
+        env=env,
         policy=keep_straight,
         starts=starts,
         on_episodes=ended.append,
@@ -148,11 +150,23 @@ def test_episodes_are_recorded_from_their_starts_to_the_capture(
         assert per_period == pytest.approx(0.02 * task.scales.period, rel=1e-3)
 
 
-def test_fewer_than_one_frame_per_period_is_refused() -> None:
-    with pytest.raises(ValueError, match="frames_per_T = 0: at least one"):
+@pytest.mark.parametrize(
+    ("num_starts", "frames_per_T", "message"),
+    [
+        (2, 0, "frames_per_T = 0: at least one"),
+        (3, 10, "3 starts, but the env has 2 flows: give no more"),
+    ],
+)
+def test_no_frames_and_more_starts_than_flows_are_refused(
+    monkeypatch: pytest.MonkeyPatch, num_starts: int, frames_per_T: int, message: str
+) -> None:
+    monkeypatch.setattr(fishrl.envs.task, "InPlaceSolver", TurningWaterSolver)
+    task = Predation(**TASK)
+    starts = task.sample_starts(num_starts, torch.Generator().manual_seed(0))
+    with pytest.raises(ValueError, match=message):
         record_episodes(
-            make_env=make_env, task=None, policy=lambda td: td, starts=TensorDict({}, [1]),
-            frames_per_T=0,
+            env=make_env(task=task, num_envs=2), policy=lambda td: td, starts=starts,
+            frames_per_T=frames_per_T,
         )  # fmt: skip
 
 
