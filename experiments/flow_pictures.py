@@ -87,7 +87,7 @@ class FlowScene:
         for patch in (self.fish, self.reach, self.food):
             axes.add_patch(patch)
         self.clock = axes.text(
-            0.985, 0.955, "", transform=axes.transAxes, ha="right", va="top",
+            0.015, 0.955, "", transform=axes.transAxes, ha="left", va="top",
             bbox={"boxstyle": "round,pad=0.3", "facecolor": "white", "alpha": 0.85, "lw": 0},
         )  # fmt: skip
         axes.set(xlim=edges[:2], ylim=edges[2:], aspect="equal")
