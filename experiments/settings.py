@@ -46,7 +46,7 @@ class TrainConfig:
         eval_episodes: fixed starts of these evaluations, which choose the best checkpoint.
         final_episodes: fixed starts of the evaluation at the end, other ones than those.
         baselines: hand-written fish that go through the same evaluation at the end.
-        has_pictures: draw figures and record one capture at the end.
+        picture_episodes: of these starts, how many are recorded and drawn; 0 for no pictures.
     """
 
     task: Any = MISSING
@@ -76,7 +76,7 @@ class TrainConfig:
     eval_episodes: int = 16
     final_episodes: int = 32
     baselines: list[str] = field(default_factory=lambda: ["intercept", "pursuit", "random"])
-    has_pictures: bool = True
+    picture_episodes: int = 6
 
     def __post_init__(self) -> None:
         """Refuse what cannot run."""
@@ -84,7 +84,7 @@ class TrainConfig:
             _at_least(name, getattr(self, name), 1)
         for name in ("checkpoint_frames", "eval_frames", "eval_episodes", "final_episodes"):
             _at_least(name, getattr(self, name), 1)
-        for name in ("warmup_frames", "updates_per_frame", "seed"):
+        for name in ("warmup_frames", "updates_per_frame", "seed", "picture_episodes"):
             _at_least(name, getattr(self, name), 0)
         for name in ("gamma", "tau", "target_entropy_weight"):
             _at_least(name, getattr(self, name), 0)

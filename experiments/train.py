@@ -87,20 +87,42 @@ def finish(training: Training) -> dict[str, Any]:
     from experiments.run_folder import write_json
 
     config, folder = training.config, training.folder
-    summary = training.run()
-    write_json(folder.summary, summary)
-    if config.has_pictures:
-        training.progress.rename("pictures")
-        draw(training)
-        summary["wall_seconds"] = training.wall_seconds()
+    try:
+        summary = training.run()
         write_json(folder.summary, summary)
+        if config.picture_episodes > 0:
+            draw(training, summary)
+            summary["wall_seconds"] = training.wall_seconds()
+            write_json(folder.summary, summary)
+    finally:
+        training.close()
     training.progress.close()
     report(summary, folder=folder.path, baselines=config.baselines)
     return summary
 
 
-def draw(training: Training) -> None:
-    """Record one episode of the learned fish and draw the figures of the run."""
+def draw(training: Training, summary: dict[str, Any]) -> None:
+    """Record the learned fish from some of the fixed starts and draw the pictures of the run."""
+    from experiments.evaluation import fixed_starts
+    from experiments.figures import write_run_pictures
+    from experiments.recording import record_episodes
+    from experiments.training import FINAL_SEED
+
+    config, progress = training.config, training.progress
+    starts = fixed_starts(training.task, config.final_episodes, seed=FINAL_SEED)
+    starts = starts[: min(config.picture_episodes, config.num_envs)]
+    progress.start("pictures", total=starts.shape[0])
+    recordings = record_episodes(
+        env=training.collector.env,
+        policy=training.learner.actor,
+        starts=starts,
+        on_episodes=progress.advance,
+    )
+    write_run_pictures(
+        training.folder.path,
+        recordings,
+        baselines={name: summary[f"{name}_capture_rate"] for name in config.baselines},
+    )
 
 
 def report(summary: dict[str, Any], *, folder: Path, baselines: Sequence[str]) -> None:

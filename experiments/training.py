@@ -138,6 +138,7 @@ class Training:
                 seed=TRAIN_SEED + config.seed,
                 device=config.device,
                 compile=config.compile,
+                frames_per_action=task.checks_per_action,  # for the recording at the end
             ),
             self.learner.actor,
             frames_per_batch=config.num_envs,
@@ -185,10 +186,12 @@ class Training:
         if counters.frames == 0:
             self._save(self.folder.last, plain)
         self._learn(plain)
-        summary = self._compare()
+        return self._compare()
+
+    def close(self) -> None:
+        """End the flows and the log."""
         self.metrics_logger.close()
         self.collector.shutdown()
-        return summary
 
     def _learn(self, plain: dict[str, Any]) -> None:
         """Run the loop: collect, remember, learn; now and then evaluate, log and save."""

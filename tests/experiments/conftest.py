@@ -41,7 +41,7 @@ def toy_config(tmp_path: Path) -> Callable[..., TrainConfig]:
             "eval_frames": 120,
             "eval_episodes": 6,
             "final_episodes": 10,
-            "has_pictures": False,
+            "picture_episodes": 0,
         }
         return TrainConfig(task={"_target_": TOY, **(task or {})}, **{**defaults, **settings})
 

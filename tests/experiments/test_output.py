@@ -18,7 +18,7 @@ from experiments.logger import CsvLogger
 from experiments.progress import Progress
 from experiments.run_folder import RunFolder, write_json
 from experiments.settings import TrainConfig
-from experiments.train import set_up
+from experiments.train import finish, set_up
 from tests.experiments.toy_fish import make_toy_env
 
 
@@ -109,7 +109,7 @@ def test_wandb_writes_offline_beside_the_csv(
     before = dict(os.environ)
     target = {"_target_": "experiments.logger.WandbLogger", "is_offline": True}
     config = toy_config(name="run", total_frames=80, logger=target)
-    set_up(config, make_env=make_toy_env).run()
+    finish(set_up(config, make_env=make_toy_env))
     folder = tmp_path / "run"
     recorded = list(folder.glob("wandb/offline-run-*/*.wandb"))
     assert len(recorded) == 1

@@ -227,7 +227,7 @@ def test_the_bar_names_every_phase(toy_config: MakeConfig, monkeypatch: pytest.M
         rename(phase)
 
     monkeypatch.setattr(progress, "rename", note)
-    config = toy_config(compile=True, eval_frames=240, has_pictures=False)
+    config = toy_config(compile=True, eval_frames=240)
     finish(set_up(config, make_env=make_toy_env, progress=progress))
     assert phases == [
         "set-up",

@@ -30,7 +30,7 @@ STATE = ("position", "heading", "food", "direction", "age", "distance", "error",
 class ToyPredation:
     """What the training loop asks of a task."""
 
-    n_obs, num_actions, num_stacked, n_substeps = 4, 3, 4, 10
+    n_obs, num_actions, num_stacked, n_substeps, checks_per_action = 4, 3, 4, 10, 1
     turn_degrees, food_limits_bl, food_y_bl = 15.0, (1.5, 3.5), 2.5
     food_still_T, food_direction = 5.0, "up"
 
@@ -178,6 +178,7 @@ def make_toy_env(
     device: str = "cpu",
     compile: bool = False,
     starts: TensorDict | None = None,
+    frames_per_action: int = 1,
 ) -> TransformedEnv:
     """Stand in for ``fishrl.envs.flow_env.make_env``."""
     env = TransformedEnv(ToyFishEnv(task=task, num_envs=num_envs, seed=seed, starts=starts))
