@@ -53,6 +53,7 @@ class InPlaceSolver:
             )
         self.config, self.num_envs, self.device = config, num_envs, torch.device(device)
         is_cpu = self.device.type == "cpu"
+        torch.set_flush_denormal(True)  # still water decays into denormals, which are slow
         if num_workers is None:
             can_share = is_cpu and compile and not find_compiler_problem("cpu")
             num_workers = min(torch.get_num_threads(), num_envs) if can_share else 0
