@@ -21,6 +21,7 @@ class GlidingSolver:
         frequency: float = 0.0,
         device: torch.device | str = "cpu",
         compile: bool = True,
+        num_workers: int | None = None,
     ) -> None:
         assert config.fish is not None
         self.config, self.num_envs, self.frequency = config, num_envs, frequency

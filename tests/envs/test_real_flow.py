@@ -1,0 +1,149 @@
+"""The environment on the real flow: small and for few actions, so it is not honest physics."""
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from fishrl.envs import FlowEnv, Predation, make_env
+from tests.envs.conftest import SMALL
+
+#: A tank of 5 L x 3 L, where an eager action takes about a second.
+TINY = SMALL | {
+    "body_length": 16,
+    "wall_margin_bl": 0.18,
+    "domain_bl": (5.0, 3.0),
+    "start_x_bl": (2.5, 3.5),
+    "food_x_bl": 1.0,
+    "food_y_bl": 1.5,
+    "food_limits_bl": (1.0, 2.0),
+}
+
+
+@pytest.fixture(scope="module")
+def task() -> Predation:
+    return Predation(**TINY)
+
+
+def make(task: Predation, num_envs: int, **arguments: object) -> FlowEnv:
+    return FlowEnv(task=task, num_envs=num_envs, compile=False, **arguments)
+
+
+def act(env: FlowEnv, *actions: int) -> TensorDict:
+    return env.step(TensorDict({"action": torch.tensor(actions)}, env.batch_size))["next"]
+
+
+def memory_of(env: FlowEnv) -> dict[str, torch.Tensor]:
+    solver = env.solver
+    body = {name: t.clone() for name, t in solver.body._asdict().items()}
+    return {"populations": solver.populations(), **body, **env.now.clone().to_dict()}
+
+
+def test_a_row_of_a_batch_equals_the_same_row_alone_and_resets_touch_no_other(
+    task: Predation,
+) -> None:
+    starts = task.sample_starts(3, torch.Generator().manual_seed(0))
+    env = make(task, 2, starts=starts[:2])
+    env.reset()
+    alone = [make(task, 1, starts=starts[i : i + 1]) for i in range(2)]
+    for single in alone:
+        single.reset()
+    together = act(env, 0, 2)
+    for i, action in enumerate((0, 2)):
+        assert (act(alone[i], action)[0] == together[i]).exclude("start_index").all()
+        for name, value in memory_of(alone[i]).items():
+            assert torch.equal(value[0], memory_of(env)[name][i]), name
+    before = memory_of(env)
+    env.reset(TensorDict({"_reset": torch.tensor([[False], [True]])}, [2]))
+    after = memory_of(env)
+    for name, value in before.items():
+        assert torch.equal(after[name][0], value[0]), name
+    assert not after["populations"][1].any()
+    act(env, 1, 1)
+    act(alone[0], 1)
+    for name, value in memory_of(alone[0]).items():
+        assert torch.equal(value[0], memory_of(env)[name][0]), name
+
+
+def test_a_saved_environment_goes_on_exactly(task: Predation) -> None:
+    env, other = make(task, 1, seed=1), make(task, 1, seed=2)
+    env.reset()
+    other.reset()
+    act(env, 2)
+    other.load_state_dict(env.state_dict())
+    assert (act(env, 0) == act(other, 0)).all()
+    for name, value in memory_of(env).items():
+        assert torch.equal(memory_of(other)[name], value), name
+
+
+def test_the_fish_swims_ahead_and_turns_as_commanded(task: Predation) -> None:
+    env = make(task, 1, seed=3)
+    first = env.reset()["observation"]
+    for _ in range(3):
+        after = act(env, 1)
+    assert after["observation"][0, 0] > first[0, 0] + 0.1  # the food has come nearer
+    act(env, 2)
+    turned = math.degrees(float(env.solver.body.heading[0]) - math.pi)
+    assert turned == pytest.approx(15.0, abs=1e-9)
+
+
+def test_a_diverged_flow_is_reset_alone_and_swims_on(task: Predation) -> None:
+    starts = task.sample_starts(2, torch.Generator().manual_seed(1))
+    env, intact = (make_env(task=task, num_envs=2, compile=False, starts=starts) for _ in range(2))
+    states = [env.reset(), intact.reset()]
+    f = env.base_env.solver.populations()
+    f[1, :, 20, 20] = torch.nan
+    env.base_env.solver.set_populations_(f)
+    keep = torch.ones(2, dtype=torch.int64)
+    (broken, states[0]), (whole, states[1]) = (
+        e.step_and_maybe_reset(state.set("action", keep))
+        for e, state in zip((env, intact), states, strict=True)
+    )
+    assert broken["next", "diverged"].squeeze(-1).tolist() == [False, True]
+    assert broken["next", "truncated"].squeeze(-1).tolist() == [False, True]
+    assert broken["next", "observation_stack"].isfinite().all()
+    assert env.base_env.num_diverged == 1
+    assert (broken["next"][0] == whole["next"][0]).all()
+    solvers = [e.base_env.solver for e in (env, intact)]
+    assert torch.equal(*(s.populations()[0] for s in solvers))
+    assert not solvers[0].populations()[1].any()
+    step, _ = env.step_and_maybe_reset(states[0].set("action", keep))
+    assert not step["next", "diverged"].any()
+
+
+@pytest.mark.compile
+def test_compiled_rows_on_several_cores_equal_the_same_rows_alone(task: Predation) -> None:
+    torch.set_num_threads(2)
+    starts = task.sample_starts(2, torch.Generator().manual_seed(2))
+    env = FlowEnv(task=task, num_envs=2, starts=starts)
+    alone = FlowEnv(task=task, num_envs=1, starts=starts)
+    env.reset()
+    alone.reset()
+    for flows in (env, alone):
+        flows.solver.advance_(40)  # far from the fish, numbers are as small as they can be now
+    assert torch.equal(env.solver.populations()[:1], alone.solver.populations())
+    for actions in ((0, 2), (1, 1)):
+        together, single = act(env, *actions), act(alone, actions[0])
+        assert (together[0] == single[0]).all()
+    for name, value in memory_of(alone).items():
+        assert torch.equal(value[0], memory_of(env)[name][0]), name
+    env.close()
+    alone.close()
+
+
+@pytest.mark.slow
+@pytest.mark.compile
+def test_rows_of_the_default_preset_equal_the_same_rows_alone() -> None:
+    torch.set_num_threads(2)
+    task = Predation()
+    starts = task.sample_starts(2, torch.Generator().manual_seed(2))
+    env = FlowEnv(task=task, num_envs=2, starts=starts)
+    alone = FlowEnv(task=task, num_envs=1, starts=starts)
+    env.reset()
+    alone.reset()
+    for _ in range(2):
+        assert (act(env, 0, 2)[0] == act(alone, 0)[0]).all()
+    assert torch.equal(env.solver.populations()[:1], alone.solver.populations())
+    env.close()
+    alone.close()
