@@ -23,14 +23,14 @@ from fishrl.physics import FlowConfig, InPlaceSolver, Scales
 from fishrl.physics.cases import make_swimmer_config
 
 BYTES_PER_NODE = 72
-Case = tuple[str, int, Callable[[], None]]
+Case = tuple[str, int, Callable[[], object]]
 
 
 def make_copy(num_nodes: int) -> Case:
     """Copy nine populations of ``num_nodes``: 36 bytes read and 36 written per node."""
     source = torch.rand(9 * num_nodes)
     target = torch.empty_like(source)
-    return "copy at 72 B per node (ceiling)", num_nodes, lambda: target.copy_(source) and None
+    return "copy at 72 B per node (ceiling)", num_nodes, lambda: target.copy_(source)
 
 
 def make_flow(name: str, config: FlowConfig, num_envs: int, period: int, num_steps: int) -> Case:

@@ -202,17 +202,17 @@ def solve_body_force(
     )
     target = body.velocity[:, None] + spin + markers.deformation_velocity
     residual = target.to(dtype) - velocity
-    columns = [residual[..., 0], residual[..., 1], torch.ones_like(rx)]
+    rows = [residual[..., 0], residual[..., 1], torch.ones_like(rx)]
     if is_free:
-        columns += [-ry, rx]
-    solution, rest = solve(coupling_matrix, torch.stack(columns, -1))
+        rows += [-ry, rx]
+    solution, rest = solve(coupling_matrix, torch.stack(rows, 1))
     mass = 2.0 * density * spacing
 
     def total(values: Tensor) -> Tensor:
         return (mass * values).sum(-1).double()
 
-    gx, gy, p = solution[..., 0], solution[..., 1], solution[..., 2]
-    sx, sy, sp = rest[..., 0], rest[..., 1], rest[..., 2]
+    gx, gy, p = solution.unbind(1)[:3]
+    sx, sy, sp = rest.unbind(1)[:3]
     force_x, force_y = total(gx), total(gy)
     torque = total(rx * gy - ry * gx)
     if coupling is Coupling.EXPLICIT:
@@ -221,7 +221,7 @@ def solve_body_force(
     else:
         a = total(p) + excess_mass
         if is_free:
-            px, py = solution[..., 3], solution[..., 4]
+            px, py = solution[:, 3], solution[:, 4]
             c1, c2 = total(px), total(py)
             d1, d2 = total(-ry * p), total(rx * p)
             e = total(rx * py - ry * px) + excess_inertia * shape.inertia
@@ -229,7 +229,7 @@ def solve_body_force(
             change_x, change_y = (-force_x - c1 * change) / a, (-force_y - c2 * change) / a
             w = change.to(dtype)[:, None]
             gx, gy = gx + w * px, gy + w * py
-            sx, sy = sx + w * rest[..., 3], sy + w * rest[..., 4]
+            sx, sy = sx + w * rest[:, 3], sy + w * rest[:, 4]
         else:
             change_x, change_y, change = -force_x / a, -force_y / a, torch.zeros_like(omega)
         wx, wy = change_x.to(dtype)[:, None], change_y.to(dtype)[:, None]
