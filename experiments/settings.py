@@ -59,9 +59,9 @@ class TrainConfig:
     name: str | None = None
     resume: str | None = None
     num_envs: int = 16
-    total_frames: int = 4000
+    total_frames: int = 2800
     warmup_frames: int = 320
-    updates_per_frame: float = 2.0
+    updates_per_frame: float = 4.0
     batch_size: int = 64
     buffer_size: int = 20_000
     gamma: float = 0.99
@@ -69,10 +69,10 @@ class TrainConfig:
     tau: float = 0.01
     hidden: list[int] = field(default_factory=lambda: [256, 256])
     alpha_init: float = 1.0
-    target_entropy_weight: float = 0.98
+    target_entropy_weight: float = 0.1
     log_frames: int = 64
-    checkpoint_frames: int = 800
-    eval_frames: int = 800
+    checkpoint_frames: int = 350
+    eval_frames: int = 700
     eval_episodes: int = 16
     final_episodes: int = 32
     baselines: list[str] = field(default_factory=lambda: ["intercept", "pursuit", "random"])
