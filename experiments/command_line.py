@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from tqdm import tqdm
@@ -39,6 +40,15 @@ def plain_errors() -> Iterator[None]:
     except (ValueError, ImportError) as error:
         logging.getLogger(__name__).debug("where it came from:", exc_info=True)
         sys.exit(f"error: {error}")
+
+
+@contextmanager
+def resumable(folder: Path) -> Iterator[None]:
+    """Say how to go on if the program is interrupted."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        sys.exit(f"interrupted; go on with: python -m experiments.train resume={folder}")
 
 
 def training_settings(config: DictConfig) -> TrainConfig:

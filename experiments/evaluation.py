@@ -76,7 +76,7 @@ class Evaluator:
         """
         base = self.env.base_env
         base.load_state_dict(copy_state(self._initial))
-        before, base.starts = base.starts, starts
+        before, base.starts = base.starts, starts.to(self.env.device)
         try:
             return self._run(policy, num_starts=starts.shape[0], on_episodes=on_episodes)
         finally:
@@ -110,7 +110,7 @@ class Evaluator:
                         running[row] = -1 if is_handed_out[start] else start
                         is_handed_out[start] = True
                 step, state = self.env.step_and_maybe_reset(policy(state))
-                after = step["next"]
+                after = step["next"].to("cpu")
                 is_new = after["done"].reshape(-1).tolist()
                 ended = [row for row in range(num_rows) if is_new[row] and running[row] >= 0]
                 for row in ended:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import time
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
     from experiments.settings import TrainConfig
     from experiments.training import Training
+
+logger = logging.getLogger(__name__)
 
 
 def train(
@@ -68,6 +71,7 @@ def set_up(
         name = config.name or f"{type(task).__name__.lower()}-{config.preset}-seed{config.seed}"
         folder = RunFolder.create(parent=config.folder, name=name)
         write_yaml(folder.config, to_plain(config))
+    logger.info("run folder: %s", folder.path)
     training = Training(
         config=config,
         task=task,
@@ -148,18 +152,27 @@ def main() -> None:
     with Progress() as progress:
         import hydra
 
-        from experiments.command_line import plain_errors, set_up_logging, training_settings
+        from experiments.command_line import (
+            plain_errors,
+            resumable,
+            set_up_logging,
+            training_settings,
+        )
         from experiments.config import CONF, check_overrides
 
         set_up_logging()
         with plain_errors():
             sys.argv[1:] = check_overrides("train", sys.argv[1:])
 
+        bars = [progress]  # of the first job; the others of a sweep make their own
+
         @hydra.main(config_path=str(CONF), config_name="train", version_base="1.3")
         def run(config: DictConfig) -> None:
-            with plain_errors():
-                training = set_up(training_settings(config), progress=progress, began=began)
-            finish(training)
+            with bars.pop() if bars else Progress() as bar:
+                with plain_errors():
+                    training = set_up(training_settings(config), progress=bar, began=began)
+                with resumable(training.folder.path):
+                    finish(training)
 
         run()
 
