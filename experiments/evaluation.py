@@ -81,6 +81,7 @@ class Evaluator:
             return self._run(policy, num_starts=starts.shape[0], on_episodes=on_episodes)
         finally:
             base.starts = before
+            base.is_resting = torch.zeros_like(base.is_resting)
 
     def _run(
         self, policy: Policy, *, num_starts: int, on_episodes: Callable[[int], None] | None
@@ -109,6 +110,9 @@ class Evaluator:
                         start = index[row]
                         running[row] = -1 if is_handed_out[start] else start
                         is_handed_out[start] = True
+                self.env.base_env.is_resting = torch.tensor(
+                    [start < 0 for start in running], device=self.env.device
+                )
                 step, state = self.env.step_and_maybe_reset(policy(state))
                 after = step["next"].to("cpu")
                 is_new = after["done"].reshape(-1).tolist()

@@ -56,6 +56,8 @@ class FlowEnv(EnvBase):
         solver: the flows.
         start: ``[B]`` TensorDict, where each row's episode began.
         now: ``[B]`` TensorDict, the measurement that the last observation was made of.
+        is_resting: ``[B]`` bool, rows whose flow stands still because nobody looks at them any
+            more; what they report means nothing. An evaluation sets it for rows that are through.
 
     Raises:
         ValueError: if ``num_envs``, ``frames_per_action`` or ``starts`` cannot be.
@@ -88,6 +90,7 @@ class FlowEnv(EnvBase):
         self._episode = torch.zeros_like(self._rows)
         self._start_index = torch.full_like(self._rows, -1)
         self._num_diverged = torch.zeros((), dtype=torch.int64, device=self.device)
+        self.is_resting = torch.zeros_like(self._rows, dtype=torch.bool)
         self.solver = task.make_solver(num_envs=num_envs, device=self.device, compile=compile)
         self.solver.compile()
         every_row = torch.ones_like(self._rows, dtype=torch.bool)
@@ -193,7 +196,7 @@ class FlowEnv(EnvBase):
             one ``before``. And ``[B]``, which rows diverged.
         """
         now, diverged = before, torch.zeros_like(self._rows, dtype=torch.bool)
-        is_decided = diverged
+        is_decided = self.is_resting
         for stretch in self._schedule:
             self.solver.advance_(stretch.num_steps, ~is_decided)
             if stretch.is_check:

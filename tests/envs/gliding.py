@@ -48,16 +48,17 @@ class GlidingSolver:
         if frequency is not None:
             self.body.frequency.copy_(frequency)
 
-    def advance_(self, num_steps: int, rows: torch.Tensor | None = None) -> None:
+    def advance_(self, num_steps: int, rows: Tensor | None = None) -> None:
         assert num_steps >= 0 and num_steps % 2 == 0
         assert self.config.fish is not None
         body = self.body
         speed = GLIDE_SPEED_BL * self.config.fish.body_length * body.frequency
+        moves = torch.ones(self.num_envs) if rows is None else rows.double()
         for _ in range(num_steps // 2):
             direction = torch.stack((torch.cos(body.heading), torch.sin(body.heading)), -1)
-            body.position.add_(2.0 * speed[:, None] * direction)
-            body.heading.add_(2.0 * body.turn / body.turn_steps)
-            body.age.add_(2.0)
+            body.position.add_(2.0 * (moves * speed)[:, None] * direction)
+            body.heading.add_(2.0 * moves * body.turn / body.turn_steps)
+            body.age.add_(2.0 * moves)
 
     def markers(self) -> Tensor:
         still = torch.zeros_like(self.body.phase)

@@ -104,6 +104,29 @@ def test_given_starts_are_taken_in_order_of_resets_and_rows(small_task: Predatio
     assert make(small_task, 2).reset()["start_index"].tolist() == [-1, -1]
 
 
+def test_a_resting_row_stands_still_and_changes_nothing_for_the_others(
+    small_task: Predation,
+) -> None:
+    env, intact = make(small_task, 3, seed=2), make(small_task, 3, seed=2)
+    for each in (env, intact):
+        each.reset()
+    env.is_resting = torch.tensor([False, True, False])
+    before = env.solver.body.position.clone()
+    after, expected = act(env, 0, 1, 2), act(intact, 0, 1, 2)
+    assert torch.equal(env.solver.body.position[1], before[1])
+    assert env.solver.body.age.tolist() == [106.0, 0.0, 106.0]
+    for key in ("observation", "reward", "done", "diverged"):
+        assert torch.equal(after[key][[0, 2]], expected[key][[0, 2]])
+
+
+def test_a_row_that_has_met_its_end_stops_there(small_task: Predation) -> None:
+    env = make(small_task, 2)
+    env.reset()
+    env.solver.body.position[1, 0] = 12.0  # about to hit the left wall
+    assert act(env, 1, 1)["terminated"].squeeze(-1).tolist() == [False, True]
+    assert env.solver.body.age[1] < env.solver.body.age[0] == 106.0
+
+
 def test_a_diverged_row_ends_alone_with_nothing_to_learn_from_it(
     small_task: Predation, caplog: pytest.LogCaptureFixture
 ) -> None:

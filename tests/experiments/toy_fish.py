@@ -85,6 +85,7 @@ class ToyFishEnv(EnvBase):
             self.register_buffer(name, torch.zeros(num_envs))
         self.position, self.food = torch.zeros(num_envs, 2), torch.zeros(num_envs, 2)
         self.start_index = torch.full((num_envs,), -1)
+        self.is_resting = torch.zeros(num_envs, dtype=torch.bool)
 
     def get_extra_state(self) -> dict[str, Any]:
         return {"rng": self.rng.get_state(), "next_start": torch.tensor(self.next_start)}
