@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import logging
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,7 +13,8 @@ import torch
 from PIL import Image
 
 from experiments.settings import TrainConfig
-from experiments.train import set_up, train
+from experiments.train import main, set_up
+from experiments.training import Training
 from fishrl.envs import make_env
 from tests.envs.test_real_flow import TINY
 
@@ -26,25 +29,25 @@ def config_of(folder: Path, **settings: object) -> TrainConfig:
         "folder": str(folder),
         "compile": False,
         "num_envs": 2,
-        "warmup_frames": 2,
+        "warmup_frames": 0,
         "log_frames": 2,
-        "checkpoint_frames": 4,
+        "checkpoint_frames": 2,
         "eval_episodes": 1,
-        "final_episodes": 2,
-        "baselines": [],
-        "picture_episodes": 0,
     }
     return TrainConfig(**{**defaults, **settings})  # type: ignore[arg-type]
 
 
-def test_a_real_run_goes_on_exactly_from_its_checkpoint(tmp_path: Path) -> None:
-    whole = set_up(config_of(tmp_path, name="whole", total_frames=6), make_env=make_env)
+def test_a_real_run_goes_on_exactly_in_the_middle_of_an_episode(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Training, "_compare", lambda self: {})
+    whole = set_up(config_of(tmp_path, name="whole", total_frames=4), make_env=make_env)
     whole.run()
-    set_up(config_of(tmp_path, name="part", total_frames=4), make_env=make_env).run()
+    set_up(config_of(tmp_path, name="part", total_frames=2), make_env=make_env).run()
     resumed = set_up(
-        config_of(tmp_path, resume=str(tmp_path / "part"), total_frames=6), make_env=make_env
+        config_of(tmp_path, resume=str(tmp_path / "part"), total_frames=4), make_env=make_env
     )
-    assert resumed.counters.frames == 4
+    assert resumed.counters.frames == 2
     resumed.run()
     expected = dict(whole.learner.loss.state_dict())
     for name, value in resumed.learner.loss.state_dict().items():
@@ -58,15 +61,46 @@ def test_a_real_run_goes_on_exactly_from_its_checkpoint(tmp_path: Path) -> None:
             assert value == last_rows[1][key], key
 
 
-def test_a_real_run_ends_with_its_summary_and_pictures(tmp_path: Path) -> None:
-    config = config_of(
-        tmp_path, name="run", total_frames=2, baselines=["intercept"], picture_episodes=1
-    )
-    train(config)
-    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+def run_program(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
+    monkeypatch.setattr(sys, "argv", ["train", *arguments])
+    main()
+
+
+def test_the_program_trains_goes_on_and_leaves_summary_and_pictures(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    task = [
+        f"task.{name}={list(value) if isinstance(value, tuple) else value}"
+        for name, value in {**TINY, "time_limit": 1}.items()
+    ]
+    folder = tmp_path / "run"
+    settings = ["compile=false", "num_envs=2", "warmup_frames=2", "eval_episodes=1"]
+    settings += ["final_episodes=2", "baselines=[intercept]", "picture_episodes=0"]
+    names = [f"folder={tmp_path}", "name=run", "total_frames=2"]
+    run_program(monkeypatch, *task, *settings, *names)
+    assert json.loads((folder / "summary.json").read_text())["frames"] == 2
+    with caplog.at_level(logging.INFO, logger="experiments"):
+        run_program(monkeypatch, f"resume={folder}", "total_frames=4", "picture_episodes=1")
+    assert f"going on from frame 2 of {folder}" in caplog.text
+    assert capsys.readouterr().out.rstrip().endswith(f"experiments.evaluate checkpoint={folder}")
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["frames"] == 4
     assert summary["episodes"] == summary["intercept_episodes"] == 2
     assert summary["mlups"] > 0
-    names = {path.name for path in (tmp_path / "run").iterdir()}
-    assert {"learning_curve.png", "trajectories.png", "capture.gif", "capture.rrd"} <= names
-    with Image.open(tmp_path / "run" / "trajectories.png") as picture:
+    written = {path.name for path in folder.iterdir()}
+    assert {"learning_curve.png", "trajectories.png", "capture.gif", "capture.rrd"} <= written
+    with Image.open(folder / "trajectories.png") as picture:
         assert min(picture.size) > 200
+
+
+def test_a_start_that_does_not_fit_ends_the_program_with_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(SystemExit, match=r"error: .*does not fit"):
+        run_program(monkeypatch, "task.start_x_bl=[9.9,9.9]", f"folder={tmp_path}")
+    with pytest.raises(SystemExit, match=r"error: resume = .*no config\.yaml there"):
+        run_program(monkeypatch, f"resume={tmp_path}")
+    assert not list(tmp_path.iterdir())
