@@ -81,7 +81,7 @@ class InPlaceSolver:
         fresh = make_body(centre.to(self.device).expand(num_envs, 2), rest, rest + frequency)
         for own, new in zip(self.body, fresh, strict=True):
             own.copy_(new)
-        self._wants_compile = compile
+        self._wants_compile, self._is_closed = compile, False
 
     @classmethod
     def attach(
@@ -151,7 +151,8 @@ class InPlaceSolver:
             logger.info("flow step ready after %.1f s", time.perf_counter() - start)
 
     def close(self) -> None:
-        """End the workers, if any."""
+        """End the workers, if any; the flows can still be read."""
+        self._is_closed = True
         if self._workers is not None:
             self._workers.close()
         if self._shared is not None:
@@ -167,6 +168,8 @@ class InPlaceSolver:
         """
         if num_steps < 0 or num_steps % 2:
             raise ValueError(f"num_steps = {num_steps}: must be even and not negative")
+        if self._is_closed:
+            raise RuntimeError("this solver is closed and cannot advance: make a new one")
         self.compile()
         wanted = torch.ones(self.num_envs, dtype=torch.bool) if rows is None else rows
         groups = wanted.view(-1, self._stepper.layout.num_envs).any(-1).nonzero()[:, 0].tolist()

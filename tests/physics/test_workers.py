@@ -43,6 +43,8 @@ def test_closing_ends_the_processes_and_leaves_no_file() -> None:
     solver.close()
     assert all(process.poll() is not None for process in processes)
     assert not solver._shared.path.exists()
+    with pytest.raises(RuntimeError, match="closed and cannot advance: make a new one"):
+        solver.advance_(2)
 
 
 def test_shared_memory_is_seen_by_all_who_map_it() -> None:
