@@ -33,9 +33,19 @@ def make_copy(num_nodes: int) -> Case:
     return "copy at 72 B per node (ceiling)", num_nodes, lambda: target.copy_(source)
 
 
-def make_flow(name: str, config: FlowConfig, num_envs: int, period: int, num_steps: int) -> Case:
+def make_flow(
+    name: str,
+    config: FlowConfig,
+    *,
+    num_envs: int = 1,
+    period: int,
+    num_steps: int,
+    num_workers: int | None = None,
+) -> Case:
     """Advance ``num_envs`` flows, the fish swimming in the middle of each."""
-    solver = InPlaceSolver(config=config, num_envs=num_envs, frequency=1.0 / period)
+    solver = InPlaceSolver(
+        config=config, num_envs=num_envs, frequency=1.0 / period, num_workers=num_workers
+    )
     rows = torch.ones(num_envs, dtype=torch.bool)
     centre = torch.tensor([[0.5 * config.width, 0.5 * config.height]]).expand(num_envs, 2)
     solver.reset_(rows, centre, torch.full((num_envs,), pi))
@@ -52,12 +62,20 @@ def make_cases(body_length: int) -> list[Case]:
     empty = make_swimmer_config(scales, fish=None)
     half = Scales.from_budget(body_length=body_length // 2, reynolds=3500.0)
     small = make_swimmer_config(half)
-    period = scales.period
+    period, threads = scales.period, torch.get_num_threads()
+    one = {"period": period, "num_steps": 20}
     return [
         make_copy(config.width * config.height),
-        make_flow(f"1 x {size}, flow and walls", empty, 1, period, 20),
-        make_flow(f"1 x {size}, with a swimming fish", config, 1, period, 20),
-        make_flow(f"16 x {small.width}x{small.height}, a fish in each", small, 16, half.period, 10),
+        make_flow(f"1 x {size}, flow and walls, {threads} threads", empty, num_workers=0, **one),
+        make_flow(f"1 x {size}, swimming fish, {threads} threads", config, num_workers=0, **one),
+        make_flow(f"1 x {size}, swimming fish, one core", config, num_workers=1, **one),
+        make_flow(
+            f"16 x {small.width}x{small.height}, fish in each, core each",
+            small,
+            num_envs=16,
+            period=half.period,
+            num_steps=10,
+        ),
     ]
 
 

@@ -119,20 +119,13 @@ class AbstractTask(ABC):
     def make_solver(
         self, *, num_envs: int, device: torch.device | str, compile: bool
     ) -> InPlaceSolver:
-        """Return ``num_envs`` flows of this task.
-
-        On a CPU the compiled flows always run in worker processes, a single one too: there the step
-        is compiled for one thread and flushes denormal numbers. Otherwise the same row would round
-        differently alone than in a batch.
-        """
-        is_shared = compile and torch.device(device).type == "cpu"
+        """Return ``num_envs`` flows of this task."""
         return InPlaceSolver(
             config=self.flow_config(),
             num_envs=num_envs,
             frequency=1.0 / self.scales.period,
             device=device,
             compile=compile,
-            num_workers=min(torch.get_num_threads(), num_envs) if is_shared else 0,
         )
 
     @abstractmethod

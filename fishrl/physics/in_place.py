@@ -1,6 +1,7 @@
 """A batch of flows in memory: what environments hold, reset, command, advance and read."""
 
 import logging
+import os
 import time
 from collections.abc import Collection
 from typing import Any
@@ -31,8 +32,10 @@ class InPlaceSolver:
         frequency: tail beats per step at start.
         device: where everything lives.
         compile: compile the step; otherwise the same functions run eagerly.
-        num_workers: CPU processes that share the flows. None takes one per core if there is more
-            than one flow and the step is compiled; 0 runs all flows here. On a GPU it must be 0.
+        num_workers: CPU processes that share the flows, each on one core. None takes one per core,
+            at most one per flow, where the step is compiled; 0 runs all flows here, each on all of
+            torch's threads, which is faster for a single large flow on a quiet machine and much
+            slower on a busy one. On a GPU it must be 0.
     """
 
     def __init__(
@@ -56,8 +59,7 @@ class InPlaceSolver:
         torch.set_flush_denormal(True)  # still water decays into denormals, which are slow
         if num_workers is None:
             can_share = is_cpu and compile and not find_compiler_problem("cpu")
-            num_workers = min(torch.get_num_threads(), num_envs) if can_share else 0
-            num_workers = num_workers if num_workers > 1 else 0
+            num_workers = min(os.cpu_count() or 1, num_envs) if can_share else 0
         if num_workers < 0 or (num_workers and not is_cpu):
             raise ValueError(
                 f"num_workers = {num_workers} on {self.device}: allowed is 0 on a GPU, 0 or more "
