@@ -29,7 +29,7 @@ def test_every_choice_of_presets_and_loggers_makes_settings(preset: str, logger:
 
 
 def test_presets_of_the_issue_are_there() -> None:
-    assert {"small", "half", "paper"} <= set(PRESETS)
+    assert {"small", "paper"} <= set(PRESETS)
 
 
 def test_the_hyper_parameters_of_the_paper_are_the_defaults() -> None:
