@@ -50,21 +50,24 @@ def measure_speed(
 
 
 def draw(results: dict[str, list[float]], path: Path) -> None:
-    """Draw forward speed against time, one line per resolution."""
+    """Draw forward speed against time: a panel per heading mode, a line per resolution."""
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
-    for name, speeds in results.items():
-        axes.plot(range(1, len(speeds) + 1), speeds, marker="o", ms=3.5, label=name)
-    axes.set(
-        xlabel="time  t / T",
-        ylabel="forward speed over each beat  U T / L",
-        title="NACA0012 fish from rest, Re = L² / (T ν) = 7000",
-        ylim=(0.0, None),
+    modes = list(dict.fromkeys(name.split(", ")[1] for name in results))
+    figure, panels = plt.subplots(
+        1, len(modes), figsize=(9.0, 3.8), sharey=True, squeeze=False, layout="constrained"
     )
-    axes.grid(alpha=0.3)
-    axes.legend(title="body length in nodes, heading", fontsize=8)
+    for axes, mode in zip(panels[0], modes, strict=True):
+        for name, speeds in results.items():
+            length, own = name.split(", ")
+            if own == mode:
+                axes.plot(range(1, len(speeds) + 1), speeds, marker="o", ms=3.5, label=length)
+        axes.set(xlabel="time  t / T", title=f"heading {mode}", ylim=(0.0, None))
+        axes.grid(alpha=0.3)
+    panels[0][0].set_ylabel("forward speed over each beat  U T / L")
+    panels[0][-1].legend(title="L in nodes", fontsize=8)
+    figure.suptitle("NACA0012 fish from rest, Re = L² / (T ν) = 7000", fontsize=11)
     figure.savefig(path, dpi=130)
 
 

@@ -247,10 +247,10 @@ def test_periodic_edges_are_left_to_the_readable_step() -> None:
 
 @pytest.mark.compile
 def test_a_free_swimmer_at_re_7000_swims_straight_at_a_plausible_speed() -> None:
-    """0.25 to 0.40 L/T in the sixth beat.
+    """0.25 to 0.40 L/T in the sixth beat, in a tank of 6 L x 3 L.
 
-    PHYSICS trials with other kernels give 0.375 L/T after 8 T at L = 50 and published 2-D plateaus
-    about 0.5 L/T at full resolution; at L = 40 the speed collapses to 0.1 L/T.
+    ``experiments.swim_speed`` measures 0.345 L/T at L = 50 and 0.483 at L = 100 in 10 L x 5 L; an
+    independent solver had 0.375 in the eighth beat at L = 50 (here 0.375) and 0.500 at L = 100.
     """
     scales = Scales.from_budget(body_length=50, reynolds=7000.0)
     config = make_swimmer_config(scales, length_bl=6, height_bl=3, heading=Heading.FREE)
