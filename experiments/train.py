@@ -168,9 +168,10 @@ def main() -> None:
 
         @hydra.main(config_path=str(CONF), config_name="train", version_base="1.3")
         def run(config: DictConfig) -> None:
+            start = began if bars else time.perf_counter()
             with bars.pop() if bars else Progress() as bar:
                 with plain_errors():
-                    training = set_up(training_settings(config), progress=bar, began=began)
+                    training = set_up(training_settings(config), progress=bar, began=start)
                 with resumable(training.folder.path):
                     finish(training)
 
