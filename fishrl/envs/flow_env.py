@@ -46,7 +46,8 @@ class FlowEnv(EnvBase):
         num_envs: number of flows B.
         seed: of the starts; what a row draws depends on seed, row and episode alone.
         device: where everything lives.
-        compile: compile the flow step; otherwise it runs eagerly, about 10 times slower.
+        compile_flow: compile the flow step; otherwise it runs eagerly, about 10 times slower.
+            (TorchRL takes the keyword ``compile`` of every environment class for itself.)
         starts: TensorDict ``[E]`` as ``task.sample_starts`` returns; resets take them in order, in
             order of rows within one reset, over and over. By default each start is drawn.
         frames_per_action: how often ``on_frame`` is called within an action, at equal distances.
@@ -70,7 +71,7 @@ class FlowEnv(EnvBase):
         num_envs: int,
         seed: int = 0,
         device: torch.device | str = "cpu",
-        compile: bool = True,
+        compile_flow: bool = True,
         starts: TensorDictBase | None = None,
         frames_per_action: int = 1,
         on_frame: Callable[["FlowEnv"], None] | None = None,
@@ -91,7 +92,7 @@ class FlowEnv(EnvBase):
         self._start_index = torch.full_like(self._rows, -1)
         self._num_diverged = torch.zeros((), dtype=torch.int64, device=self.device)
         self.is_resting = torch.zeros_like(self._rows, dtype=torch.bool)
-        self.solver = task.make_solver(num_envs=num_envs, device=self.device, compile=compile)
+        self.solver = task.make_solver(num_envs=num_envs, device=self.device, compile=compile_flow)
         self.solver.compile()
         every_row = torch.ones_like(self._rows, dtype=torch.bool)
         self.start, _ = self._draw_starts(every_row)
@@ -316,7 +317,7 @@ def make_env(
             num_envs=num_envs,
             seed=seed,
             device=device,
-            compile=compile,
+            compile_flow=compile,
             starts=starts,
             frames_per_action=frames_per_action,
             on_frame=on_frame,

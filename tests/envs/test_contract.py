@@ -86,7 +86,7 @@ def test_starts_follow_from_random_numbers_row_by_row(task: AbstractTask) -> Non
 
 
 def test_no_episode_begins_at_its_end(task: AbstractTask) -> None:
-    env = FlowEnv(task=task, num_envs=32, compile=False)
+    env = FlowEnv(task=task, num_envs=32, compile_flow=False)
     env.reset()
     assert not task.is_terminated(env.now).any()
 
@@ -94,7 +94,7 @@ def test_no_episode_begins_at_its_end(task: AbstractTask) -> None:
 def test_measuring_changes_nothing_and_shares_no_memory_with_the_flows(
     task: AbstractTask,
 ) -> None:
-    env = FlowEnv(task=task, num_envs=2, compile=False)
+    env = FlowEnv(task=task, num_envs=2, compile_flow=False)
     env.reset()
     before = env.solver.state_dict()
     first = env.measure()
@@ -106,7 +106,7 @@ def test_measuring_changes_nothing_and_shares_no_memory_with_the_flows(
 
 
 def test_reward_ends_and_reports_are_one_number_a_row(task: AbstractTask) -> None:
-    env = FlowEnv(task=task, num_envs=5, compile=False)
+    env = FlowEnv(task=task, num_envs=5, compile_flow=False)
     env.reset()
     assert task.reward(env.now, env.now).shape == (5,)
     assert task.is_terminated(env.now).shape == (5,)

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.usefixtures("gliding")
 
 
 def make(task: AbstractTask, num_envs: int, **arguments: Any) -> FlowEnv:
-    return FlowEnv(task=task, num_envs=num_envs, compile=False, **arguments)
+    return FlowEnv(task=task, num_envs=num_envs, compile_flow=False, **arguments)
 
 
 def act(env: FlowEnv, *actions: int) -> TensorDict:

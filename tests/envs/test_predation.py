@@ -28,7 +28,7 @@ def starts_at(*heads: tuple[float, float], heading: float = math.pi, up: float =
 
 
 def make_env(task: Predation, starts: TensorDict) -> FlowEnv:
-    return FlowEnv(task=task, num_envs=starts.shape[0], starts=starts, compile=False)
+    return FlowEnv(task=task, num_envs=starts.shape[0], starts=starts, compile_flow=False)
 
 
 def act(env: FlowEnv, *actions: int) -> TensorDict:
@@ -246,4 +246,4 @@ BAD_STARTS: dict[str, tuple[TensorDict, str]] = {
 def test_starts_that_cannot_be_are_refused_with_a_remedy(case: str, small_task: Predation) -> None:
     starts, message = BAD_STARTS[case]
     with pytest.raises(ValueError, match=message):
-        FlowEnv(task=small_task, num_envs=1, starts=starts, compile=False)
+        FlowEnv(task=small_task, num_envs=1, starts=starts, compile_flow=False)

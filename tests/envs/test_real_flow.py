@@ -27,7 +27,7 @@ def task() -> Predation:
 
 
 def make(task: Predation, num_envs: int, **arguments: object) -> FlowEnv:
-    return FlowEnv(task=task, num_envs=num_envs, compile=False, **arguments)
+    return FlowEnv(task=task, num_envs=num_envs, compile_flow=False, **arguments)
 
 
 def act(env: FlowEnv, *actions: int) -> TensorDict:
@@ -110,6 +110,13 @@ def test_a_diverged_flow_is_reset_alone_and_swims_on(task: Predation) -> None:
     assert not solvers[0].populations()[1].any()
     step, _ = env.step_and_maybe_reset(states[0].set("action", keep))
     assert not step["next", "diverged"].any()
+
+
+def test_an_environment_that_shall_not_compile_does_not(task: Predation) -> None:
+    """TorchRL takes a keyword ``compile`` away before the constructor sees it."""
+    for env in (make(task, 2), make_env(task=task, num_envs=2, compile=False).base_env):
+        assert env.solver._num_workers == 0
+        assert not env.solver._wants_compile
 
 
 @pytest.mark.compile
