@@ -120,7 +120,7 @@ class Evaluator:
                 for row in ended:
                     results[running[row]] = TensorDict(
                         {
-                            "captured": after["captured"][row].any(),
+                            "captured": has_captured(after)[row].any(),
                             "returns": after["episode_reward"][row].sum(),
                             "lengths_T": after["step_count"][row].sum() * self.decision_T,
                             "diverged": after["diverged"][row].any(),
@@ -135,6 +135,12 @@ class Evaluator:
             lengths_T=results["lengths_T"],
             diverged=results["diverged"],
         )
+
+
+def has_captured(after: TensorDictBase) -> Tensor:
+    """Return ``captured``, or false everywhere for a task in which nothing is caught."""
+    captured: Tensor = after.get("captured", torch.zeros_like(after["done"]))
+    return captured
 
 
 def fixed_starts(task: Any, num: int, *, seed: int) -> TensorDict:

@@ -20,7 +20,14 @@ from torchrl.envs import EnvBase
 from experiments.checkpointing import BrainOf, load_checkpoint, save_checkpoint
 from experiments.collector import ResumableCollector
 from experiments.config import to_plain
-from experiments.evaluation import Evaluation, Evaluator, Policy, copy_state, fixed_starts
+from experiments.evaluation import (
+    Evaluation,
+    Evaluator,
+    Policy,
+    copy_state,
+    fixed_starts,
+    has_captured,
+)
 from experiments.learner import LOSS_METRICS, Learner, one_thread
 from experiments.policies import make_policy
 from experiments.progress import Progress
@@ -85,11 +92,11 @@ class Counters:
         """Count the episodes that end in transitions ``[N]``; diverged ones are no episodes."""
         after = transitions["next"]
         has_ended = (after["done"] & ~after["diverged"]).reshape(-1)
-        for episode in after[has_ended]:
+        ended = after[has_ended]
+        columns = (ended["episode_reward"], has_captured(ended), ended["step_count"])
+        for numbers in zip(*(column.reshape(-1).tolist() for column in columns), strict=True):
             self.episodes += 1
-            self.recent.append(
-                [float(episode[key]) for key in ("episode_reward", "captured", "step_count")]
-            )
+            self.recent.append([float(number) for number in numbers])
 
 
 class Training:
