@@ -54,7 +54,11 @@ def step(
     force = torch.zeros_like(state.f[:, :2]) if external_force is None else external_force
     body = state.body
     if body is not None:
-        assert config.fish is not None and modes is not None
+        if config.fish is None or modes is None:
+            raise ValueError(
+                "the state has a body, but the config has no fish or modes are missing: give "
+                "FlowConfig(fish=...) and modes=config.fish.make_modes()"
+            )
         place = locate_body(body, config, modes, f[0].dtype)
         nodes = place.stencil.index_nodes(config.width)
         fluid = (gather(v, nodes) for v in (rho, ux, uy))

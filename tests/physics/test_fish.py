@@ -45,6 +45,12 @@ def run(config: FlowConfig, body: Body, num_steps: int) -> FlowState:
     return state
 
 
+def test_a_body_without_its_modes_is_refused() -> None:
+    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
+    with pytest.raises(ValueError, match=r"modes=config.fish.make_modes\(\)"):
+        step(FlowState(make_rest(config, 1), make_fish_body()), config)
+
+
 def measure_momentum(f: torch.Tensor) -> torch.Tensor:
     _, jx, jy = compute_macroscopic(f.unbind(1))
     return torch.stack((jx.sum((-1, -2)), jy.sum((-1, -2))), -1)
