@@ -1,6 +1,6 @@
 """Things that tests of several packages share."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from math import pi
 
 import pytest
@@ -52,3 +52,12 @@ def _make_recording(*, num_frames: int = 17, captured: bool = True, lane: float 
 def make_recording() -> Callable[..., Recording]:
     """Return the maker of synthetic recordings."""
     return _make_recording
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Run torch on one thread: what tests compute is too small to share."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)

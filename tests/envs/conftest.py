@@ -1,10 +1,8 @@
 """Small tasks, with and without a flow."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
-import torch
 
 import fishrl.envs.task
 from fishrl.envs import Predation
@@ -17,14 +15,6 @@ SMALL: dict[str, Any] = {
     "max_wall_speed": 0.15,
     "wall_margin_bl": 0.15,
 }
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture
