@@ -7,8 +7,9 @@ import io
 import math
 import os
 import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -50,11 +51,25 @@ def test_a_folder_without_write_permission_is_an_error(
         RunFolder.of_existing(str(tmp_path))
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_read_only_parent_is_an_error(tmp_path: Path) -> None:
-    tmp_path.chmod(0o500)
-    with pytest.raises(ValueError, match="cannot be written"):
-        RunFolder.create(parent=str(tmp_path), name="run")
+@pytest.fixture
+def read_only_folder() -> Iterator[Path]:
+    """A folder that its user may not write; root, who may write anywhere, becomes nobody."""
+    folder = Path(tempfile.mkdtemp())
+    is_root, nobody = os.geteuid() == 0, 65534
+    if is_root:
+        os.chown(folder, nobody, nobody)
+    folder.chmod(0o500)
+    if is_root:
+        os.seteuid(nobody)
+    yield folder
+    if is_root:
+        os.seteuid(0)
+    folder.rmdir()
+
+
+def test_a_read_only_parent_is_an_error(read_only_folder: Path) -> None:
+    with pytest.raises(ValueError, match=r"cannot be written \(Permission denied\)"):
+        RunFolder.create(parent=str(read_only_folder), name="run")
 
 
 def read(path: Path) -> list[dict[str, str]]:
