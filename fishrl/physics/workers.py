@@ -2,7 +2,7 @@
 
 Flows do not see each other between two actions, so each core can run its own flow for all steps
 of an action. That keeps the flow in the core's cache and needs no synchronisation inside a step,
-where two threads sharing one flow wait for each other six times. State lies in shared memory;
+where two threads sharing one flow wait for each other at every call. State lies in shared memory;
 workers only advance it, everything else happens in the parent while they wait. A worker is a
 plain subprocess (not ``multiprocessing``, which would import the caller's script again).
 """
@@ -41,6 +41,10 @@ class SharedMemory:
     def unlink(self) -> None:
         """Remove the name; those who mapped the block keep it."""
         self.path.unlink(missing_ok=True)
+
+    def __del__(self) -> None:
+        """Leave no file where no worker was ever started."""
+        self.unlink()
 
 
 def map_shared(path: str, num_bytes: int) -> Tensor:

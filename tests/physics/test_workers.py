@@ -1,5 +1,7 @@
 """Flows in processes of their own: what happens when one fails, and what is left behind."""
 
+import gc
+
 import pytest
 import torch
 
@@ -45,6 +47,16 @@ def test_closing_ends_the_processes_and_leaves_no_file() -> None:
     assert not solver._shared.path.exists()
     with pytest.raises(RuntimeError, match="closed and cannot advance: make a new one"):
         solver.advance_(2)
+
+
+def test_a_solver_that_never_ran_leaves_no_file() -> None:
+    solver = make_solver(2)
+    assert solver._shared is not None
+    path = solver._shared.path
+    assert path.exists()
+    del solver
+    gc.collect()
+    assert not path.exists()
 
 
 def test_shared_memory_is_seen_by_all_who_map_it() -> None:
