@@ -59,7 +59,7 @@ def make_cases(body_length: int) -> list[Case]:
     scales = Scales.from_budget(body_length=body_length, reynolds=7000.0)
     config = make_swimmer_config(scales)
     size = f"{config.width}x{config.height}"
-    empty = make_swimmer_config(scales, fish=None)
+    empty = make_swimmer_config(scales, bodies=())
     half = Scales.from_budget(body_length=body_length // 2, reynolds=3500.0)
     small = make_swimmer_config(half)
     period, threads = scales.period, torch.get_num_threads()

@@ -14,32 +14,33 @@ import matplotlib as mpl
 import torch
 from tqdm import tqdm
 
-from fishrl.physics import Heading, InPlaceSolver, Scales
+from fishrl.physics import InPlaceSolver, Scales
 from fishrl.physics.cases import make_swimmer_config
+from fishrl.physics.motion import Commanded, Free, Motion
 
 REYNOLDS = 7000.0
 
 
 def measure_speed(
-    body_length: int, num_beats: int, *, heading: Heading, max_wall_speed: float
+    body_length: int, num_beats: int, *, motion: Motion, max_wall_speed: float
 ) -> list[float]:
     """Return the forward speed in L / T of each tail beat.
 
     Args:
         body_length: L in nodes; the tank is 10 L x 5 L.
         num_beats: tail beats to swim.
-        heading: free, or held by the command.
+        motion: free, or its heading held by the command.
         max_wall_speed: Mach budget, nodes per step.
     """
     scales = Scales.from_budget(
         body_length=body_length, reynolds=REYNOLDS, max_wall_speed=max_wall_speed
     )
-    config = make_swimmer_config(scales, heading=heading)
+    config = make_swimmer_config(scales, motion=motion)
     solver = InPlaceSolver(config=config, num_envs=1, frequency=1.0 / scales.period)
     start = torch.tensor([[8.5 * body_length, 2.5 * body_length]], dtype=torch.float64)
     solver.reset_(torch.ones(1, dtype=torch.bool), start, torch.full((1,), pi))
     speeds, before = [], start
-    for _ in tqdm(range(num_beats), desc=f"L = {body_length}, {heading.value}", unit="T"):
+    for _ in tqdm(range(num_beats), desc=f"L = {body_length}, {_name(motion)}", unit="T"):
         solver.advance_(scales.period)
         after = solver.body.position.clone()
         speeds.append(float((before - after)[0, 0]) / body_length)
@@ -47,6 +48,10 @@ def measure_speed(
     if solver.is_diverged().any():
         raise RuntimeError(f"the flow diverged at L = {body_length}: lower --max-wall-speed")
     return speeds
+
+
+def _name(motion: Motion) -> str:
+    return type(motion).__name__.lower()
 
 
 def draw(results: dict[str, list[float]], path: Path) -> None:
@@ -80,12 +85,12 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("runs/swim_speed"))
     options = parser.parse_args()
     results: dict[str, list[float]] = {}
-    for heading in (Heading.FREE, Heading.COMMANDED):
+    for motion in (Free(), Commanded()):
         for body_length in options.body_lengths:
-            results[f"{body_length}, {heading.value}"] = measure_speed(
+            results[f"{body_length}, {_name(motion)}"] = measure_speed(
                 body_length,
                 options.beats,
-                heading=heading,
+                motion=motion,
                 max_wall_speed=options.max_wall_speed,
             )
     print("| L (nodes), heading | " + " | ".join(f"{t + 1} T" for t in range(options.beats)) + " |")

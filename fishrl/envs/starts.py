@@ -6,8 +6,8 @@ from torch import Tensor
 
 from fishrl.envs.sensors import compute_clearance
 from fishrl.physics.bodies import Fish
-from fishrl.physics.kinematics import deform
-from fishrl.physics.rigid_motion import make_body, place_markers
+from fishrl.physics.motion import make_body
+from fishrl.physics.rigid_motion import deform_body, place_markers
 
 
 def place_fish(starts: TensorDictBase, fish: Fish) -> tuple[Tensor, Tensor]:
@@ -18,7 +18,7 @@ def place_fish(starts: TensorDictBase, fish: Fish) -> tuple[Tensor, Tensor]:
         fish: the body.
     """
     heading: Tensor = starts["heading"]
-    nose_to_centre = -float(fish.make_modes().axial[0])
+    nose_to_centre = -float(fish.make_shape().axial[0, 0])
     direction = torch.stack((torch.cos(heading), torch.sin(heading)), -1)
     return starts["head"] - nose_to_centre * direction, heading
 
@@ -27,9 +27,8 @@ def place_outline(starts: TensorDictBase, fish: Fish) -> Tensor:
     """Return the outline ``[B, N, 2]`` of straight fish at their starts; see ``place_fish``."""
     position, heading = place_fish(starts, fish)
     body = make_body(position, heading, torch.zeros_like(heading))
-    modes = fish.make_modes(heading.device)
-    shape = deform(modes, body.phase, body.frequency, body.age)
-    return place_markers(body, modes, shape).position
+    shape = fish.make_shape(heading.device)
+    return place_markers(body, deform_body(fish, shape, body)).position
 
 
 def check_pattern(starts: TensorDictBase, pattern: TensorDictBase) -> None:

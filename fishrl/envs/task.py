@@ -113,7 +113,7 @@ class AbstractTask(ABC):
     def flow_config(self) -> FlowConfig:
         """Return the flow: a closed tank of still water unless a task overrides this."""
         width, height = (round(size * self.body_length) for size in self.domain_bl)
-        return FlowConfig(width=width, height=height, tau=self.scales.tau, fish=self.fish)
+        return FlowConfig(width=width, height=height, tau=self.scales.tau, bodies=(self.fish,))
 
     @final
     def make_solver(

@@ -1,19 +1,29 @@
-"""The flow and the fish in it: batched immersed-boundary lattice Boltzmann in torch."""
+"""The flow and the bodies in it: batched immersed-boundary lattice Boltzmann in torch."""
 
-from fishrl.physics.bodies import Fish
+from fishrl.physics.bodies import Cylinder, DCylinder, Ellipse, Fish, Foil
 from fishrl.physics.diagnostics import compute_area, compute_vorticity
 from fishrl.physics.in_place import InPlaceSolver
-from fishrl.physics.rigid_motion import Coupling, Heading
+from fishrl.physics.motion import Bending, Commanded, Driven, Fixed, Free, Oscillating
+from fishrl.physics.rigid_motion import Coupling
 from fishrl.physics.state import FlowConfig, FlowState
 from fishrl.physics.units import Scales
 
 __all__ = [
+    "Bending",
+    "Commanded",
     "Coupling",
+    "Cylinder",
+    "DCylinder",
+    "Driven",
+    "Ellipse",
     "Fish",
+    "Fixed",
     "FlowConfig",
     "FlowState",
-    "Heading",
+    "Foil",
+    "Free",
     "InPlaceSolver",
+    "Oscillating",
     "Scales",
     "compute_area",
     "compute_vorticity",

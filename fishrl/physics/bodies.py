@@ -1,6 +1,11 @@
-"""Body outlines and the markers on them."""
+"""Body outlines and the markers on them.
 
-from dataclasses import dataclass
+Every outline is drawn in its own frame, in nodes: the axis runs from nose to tail, so a body whose
+heading is pi faces -x and its axis points downstream of a flow along +x.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -8,12 +13,263 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fishrl.physics.kinematics import CARLING, Gait, Modes
+from fishrl.physics.kinematics import CARLING, Beat, Deformation, Gait, Shape, deform
+from fishrl.physics.motion import Commanded, Fixed, Motion
 
 _STATIONS = 20001  # quadrature and arc-length stations along the body; set-up cost only
 
+_Points = NDArray[np.float64]
 
-def compute_naca_half_thickness(x: NDArray[np.float64], thickness: float) -> NDArray[np.float64]:
+
+@dataclass(frozen=True, kw_only=True)
+class Outline(ABC):
+    """A body in the flow.
+
+    Args:
+        density_ratio: body density over fluid density; 1 is neutrally buoyant.
+        marker_spacing: wanted distance of the markers along the outline, in nodes.
+        num_markers: N, instead of what the spacing gives; bodies of different size in one batch
+            need the same number.
+        motion: what moves the body.
+    """
+
+    density_ratio: float = 1.0
+    marker_spacing: float = 1.0
+    num_markers: int = 0
+    motion: Motion = field(default_factory=Fixed)
+
+    def __post_init__(self) -> None:
+        """Refuse a body that the markers cannot resolve, and choose their number."""
+        if self.density_ratio < 1.0:
+            raise ValueError(
+                f"density_ratio = {self.density_ratio}: allowed is 1 (neutrally buoyant) and above"
+            )
+        if not 0.5 <= self.marker_spacing <= 2.0:
+            raise ValueError(
+                f"marker_spacing = {self.marker_spacing}: allowed is 0.5 to 2 nodes, 1 is usual"
+            )
+        perimeter = float(sum(self._lengths))
+        if self.num_markers == 0:
+            counts = [max(8, round(s / self.marker_spacing)) for s in self._lengths]
+            object.__setattr__(self, "num_markers", sum(counts))
+        spacing = perimeter / self.num_markers
+        if not 0.4 <= spacing <= 2.1:
+            raise ValueError(
+                f"{type(self).__name__} with num_markers = {self.num_markers}: they would lie "
+                f"{spacing:.2f} nodes apart, allowed is 0.5 to 2; a larger or smaller number of "
+                "markers, or another size"
+            )
+
+    @abstractmethod
+    def draw(self) -> list[_Points]:
+        """Return the closed outline as smooth pieces ``[n, 2]`` from corner to corner, in nodes."""
+
+    @cached_property
+    def _pieces(self) -> list[_Points]:
+        return self.draw()
+
+    @cached_property
+    def _lengths(self) -> list[float]:
+        return [float(_measure_arc(piece)[-1]) for piece in self._pieces]
+
+    @cached_property
+    def _moments(self) -> tuple[float, _Points, float]:
+        """Area, centre of area and polar moment of area about it."""
+        points = np.concatenate([piece[:-1] for piece in self._pieces])
+        x, y = points.T
+        x1, y1 = np.roll(x, -1), np.roll(y, -1)
+        cross = x * y1 - y * x1
+        area = cross.sum() / 2.0
+        centre = np.array([((x + x1) * cross).sum(), ((y + y1) * cross).sum()]) / (6.0 * area)
+        square = ((x * x + x * x1 + x1 * x1 + y * y + y * y1 + y1 * y1) * cross).sum() / 12.0
+        return abs(area), centre, abs(square) - abs(area) * float(centre @ centre)
+
+    @property
+    def area(self) -> float:
+        """Area of the body, nodes^2."""
+        return self._moments[0]
+
+    @property
+    def size(self) -> float:
+        """Largest extent along an axis, nodes."""
+        points = np.concatenate(self._pieces)
+        return float(np.ptp(points, axis=0).max())
+
+    def _place_markers(self) -> tuple[_Points, _Points]:
+        """Return markers ``[N, 2]`` (every corner is one) and the outline length of each."""
+        lengths = np.array(self._lengths)
+        share = lengths / lengths.sum() * self.num_markers
+        counts = np.floor(share + 1e-9).astype(int)
+        for i in np.argsort(counts - share, kind="stable")[: self.num_markers - counts.sum()]:
+            counts[i] += 1
+        places, steps = [], []
+        for piece, length, count in zip(self._pieces, lengths, counts, strict=True):
+            at = np.linspace(0.0, length, count, endpoint=False)
+            arc = _measure_arc(piece)
+            places.append(np.stack([np.interp(at, arc, c) for c in piece.T], -1))
+            steps.append(np.full(count, length / count))
+        step = np.concatenate(steps)
+        return np.concatenate(places), 0.5 * (step + np.roll(step, 1))
+
+    def make_shape(self, device: torch.device | str = "cpu") -> Shape:
+        """Place the markers, in float64; marker 0 is the nose. See ``Shape``."""
+        places, spacing = self._place_markers()
+        area, centre, inertia = self._moments
+        axial, lateral = (places - centre).T
+        none = np.zeros((1, len(axial)))
+        return _to_shape(
+            device, axial, lateral, spacing, none, none[:, 0], none[:, :1], area, inertia,
+            self.density_ratio,
+        )  # fmt: skip
+
+    def deform(self, shape: Shape, beat: Beat) -> Deformation:
+        """Return the outline at one instant."""
+        return deform(shape, beat)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ellipse(Outline):
+    """An ellipse.
+
+    Args:
+        length: axis along the body axis, nodes.
+        width: axis across it, nodes.
+    """
+
+    length: float
+    width: float
+
+    def draw(self) -> list[_Points]:
+        """Return one piece, from the nose round."""
+        _check_size("length", self.length)
+        _check_size("width", self.width)
+        angle = np.pi - np.linspace(0.0, 2.0 * np.pi, _STATIONS)
+        x, y = 0.5 * self.length * np.cos(angle), 0.5 * self.width * np.sin(angle)
+        return [np.stack([x, y], -1)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cylinder(Outline):
+    """A circular cylinder.
+
+    Args:
+        diameter: D in nodes.
+    """
+
+    diameter: float
+
+    def draw(self) -> list[_Points]:
+        """Return one piece, from the nose round."""
+        return Ellipse(length=self.diameter, width=self.diameter).draw()
+
+
+@dataclass(frozen=True, kw_only=True)
+class DCylinder(Outline):
+    """Half a disc; its nose is the middle of the round side.
+
+    With heading pi the round side faces -x and the flat side +x, downstream of a flow along +x
+    (Liao et al. 2003; our default); with heading 0 the flat side meets the flow.
+
+    Args:
+        diameter: D in nodes, the length of the flat side.
+    """
+
+    diameter: float
+
+    def draw(self) -> list[_Points]:
+        """Return the two quarters of the round side and the flat side between them."""
+        _check_size("diameter", self.diameter)
+        angle = np.pi - np.linspace(0.0, 0.5 * np.pi, _STATIONS)
+        radius = 0.5 * self.diameter
+        upper = radius * np.stack([np.cos(angle), np.sin(angle)], -1)
+        lower = upper[::-1] * np.array([1.0, -1.0])
+        return [upper, np.stack([upper[-1], lower[0]]), lower]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Foil(Outline):
+    """A rigid NACA 4-digit foil without camber.
+
+    Args:
+        chord: in nodes.
+        thickness: largest thickness in chords (0.12 for NACA0012).
+    """
+
+    chord: float
+    thickness: float = 0.12
+
+    def draw(self) -> list[_Points]:
+        """Return the upper side to the trailing edge and the lower side back."""
+        _check_size("chord", self.chord)
+        return _draw_naca(self.chord, self.thickness)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fish(Outline):
+    """A fish: NACA outline, gait and what moves it.
+
+    Args:
+        body_length: L in nodes.
+        thickness: largest thickness in body lengths.
+        gait: amplitude envelope and wavenumber.
+        motion: commanded heading unless said otherwise.
+    """
+
+    body_length: float
+    thickness: float = 0.12
+    gait: Gait = CARLING
+    motion: Motion = field(default_factory=Commanded)
+
+    def __post_init__(self) -> None:
+        """Refuse a fish that the nodes cannot resolve."""
+        if self.body_length < 16:
+            raise ValueError(
+                f"body_length = {self.body_length} nodes: a fish needs at least 16 nodes"
+            )
+        super().__post_init__()
+
+    def draw(self) -> list[_Points]:
+        """Return the straight outline: the upper side to the tail and the lower side back."""
+        return _draw_naca(self.body_length, self.thickness)
+
+    @property
+    def spacing(self) -> float:
+        """Distance of the markers along the outline, nodes."""
+        return float(sum(self._lengths)) / self.num_markers
+
+    def make_shape(self, device: torch.device | str = "cpu") -> Shape:
+        """Place the markers and integrate the gait's modes over the body, in float64.
+
+        Marker 0 is the nose, marker N / 2 the tail.
+        """
+        places, spacing = self._place_markers()
+        axial, h = self._pieces[0].T
+
+        def integrate(values: _Points) -> float:
+            return float(np.trapezoid(values, axial))
+
+        area = integrate(2.0 * h)
+        centre = integrate(2.0 * h * axial) / area
+        x = axial / self.body_length
+        envelope = self.body_length * self.gait.evaluate_envelope(x)
+        waves = [envelope * trig(self.gait.wavenumber * x) for trig in (np.sin, np.cos)]
+        waves.append(self.body_length * x * x)
+        waves = [wave - integrate(2.0 * h * wave) / area for wave in waves]
+        return _to_shape(
+            device,
+            places[:, 0] - centre,
+            places[:, 1],
+            spacing,
+            np.stack([np.interp(places[:, 0], axial, wave) for wave in waves]),
+            np.array([integrate(2.0 * h * (axial - centre) * wave) for wave in waves]),
+            np.array([[integrate(2.0 * h * a * b) for b in waves] for a in waves]),
+            area,
+            integrate(2.0 * h * (axial - centre) ** 2 + 2.0 / 3.0 * h**3),
+            self.density_ratio,
+        )
+
+
+def compute_naca_half_thickness(x: _Points, thickness: float) -> _Points:
     """Return the half-thickness of a symmetric NACA 4-digit section, closed trailing edge.
 
     Args:
@@ -26,101 +282,27 @@ def compute_naca_half_thickness(x: NDArray[np.float64], thickness: float) -> NDA
     return np.asarray(5.0 * thickness * poly, dtype=np.float64)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Fish:
-    """A fish: NACA outline, gait and what moves it.
-
-    Args:
-        body_length: L in nodes.
-        thickness: largest thickness in body lengths.
-        gait: amplitude envelope and wavenumber.
-        density_ratio: body density over fluid density; 1 is neutrally buoyant.
-        marker_spacing: distance of the markers along the outline, in nodes.
-    """
-
-    body_length: float
-    thickness: float = 0.12
-    gait: Gait = CARLING
-    density_ratio: float = 1.0
-    marker_spacing: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Refuse a body that the markers cannot resolve."""
-        if self.body_length < 16:
-            raise ValueError(
-                f"body_length = {self.body_length} nodes: a fish needs at least 16 nodes"
-            )
-        if not 0.0 < self.thickness <= 0.4:
-            raise ValueError(f"thickness = {self.thickness}: allowed is (0, 0.4] body lengths")
-        if self.density_ratio < 1.0:
-            raise ValueError(
-                f"density_ratio = {self.density_ratio}: allowed is 1 (neutrally buoyant) and above"
-            )
-        if not 0.5 <= self.marker_spacing <= 2.0:
-            raise ValueError(
-                f"marker_spacing = {self.marker_spacing}: allowed is 0.5 to 2 nodes, 1 is usual"
-            )
-
-    @cached_property
-    def _stations(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Axial position, half-thickness and arc length from the nose at many stations, nodes."""
-        x = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, _STATIONS)))
-        h = self.body_length * np.maximum(compute_naca_half_thickness(x, self.thickness), 0.0)
-        axial = self.body_length * x
-        arc = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(axial), np.diff(h)))))
-        return axial, h, arc
-
-    @cached_property
-    def area(self) -> float:
-        """Area of the body, nodes^2."""
-        axial, h, _ = self._stations
-        return float(np.trapezoid(2.0 * h, axial))
-
-    @cached_property
-    def num_markers(self) -> int:
-        """Number of markers N on the outline; even, so that nose and tail are markers."""
-        return 2 * max(8, round(float(self._stations[2][-1]) / self.marker_spacing))
-
-    @cached_property
-    def spacing(self) -> float:
-        """Distance of the markers along the outline that an equal division gives, nodes."""
-        return float(2.0 * self._stations[2][-1] / self.num_markers)
-
-    def make_modes(self, device: torch.device | str = "cpu") -> Modes:
-        """Place the markers and integrate the gait's modes over the body, in float64.
-
-        Marker 0 is the nose; markers follow the outline (upper side to the tail, lower side back)
-        at equal arc length; their number is even, so one marker is the tail.
-        """
-        axial, h, arc = self._stations
-        half = self.num_markers // 2
-        upper = np.interp(np.linspace(0.0, arc[-1], half + 1), arc, axial)
-        at = np.concatenate((upper, upper[-2:0:-1]))
-        sign = np.concatenate((np.ones(half + 1), -np.ones(half - 1)))
-        lateral = sign * np.interp(at, axial, h)
-
-        def integrate(values: NDArray[np.float64]) -> float:
-            return float(np.trapezoid(values, axial))
-
-        area = self.area
-        centre = integrate(2.0 * h * axial) / area
-        arm, x = axial - centre, axial / self.body_length
-        envelope = self.body_length * self.gait.evaluate_envelope(x)
-        sine, cosine = (envelope * trig(self.gait.wavenumber * x) for trig in (np.sin, np.cos))
-        sine_mean, cosine_mean = (integrate(2.0 * h * m) / area for m in (sine, cosine))
-        sine, cosine = sine - sine_mean, cosine - cosine_mean
-        scalars = (
-            integrate(2.0 * h * arm * sine),
-            integrate(2.0 * h * arm * cosine),
-            integrate(2.0 * h * sine * sine),
-            integrate(2.0 * h * sine * cosine),
-            integrate(2.0 * h * cosine * cosine),
-            area,
-            integrate(2.0 * h * arm**2 + 2.0 / 3.0 * h**3),
-        )
-        fields = (at - centre, lateral, np.interp(at, axial, sine), np.interp(at, axial, cosine))
-        return Modes(*(_to_tensor(v, device) for v in (*fields, *scalars)))
+def _draw_naca(length: float, thickness: float) -> list[_Points]:
+    if not 0.0 < thickness <= 0.4:
+        raise ValueError(f"thickness = {thickness}: allowed is (0, 0.4] body lengths")
+    x = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, _STATIONS)))
+    h = np.maximum(compute_naca_half_thickness(x, thickness), 0.0)
+    upper = length * np.stack([x, h], -1)
+    return [upper, upper[::-1] * np.array([1.0, -1.0])]
 
 
-def _to_tensor(value: NDArray[np.float64] | float, device: torch.device | str) -> Tensor:
-    return torch.as_tensor(np.asarray(value), dtype=torch.float64, device=device)
+def _measure_arc(piece: _Points) -> _Points:
+    """Return the arc length from the first point to each, ``[n]``."""
+    return np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(piece, axis=0).T))))
+
+
+def _check_size(name: str, value: float) -> None:
+    if value < 8.0:
+        raise ValueError(f"{name} = {value} nodes: a body needs at least 8 nodes along each axis")
+
+
+def _to_shape(device: torch.device | str, *values: _Points | float) -> Shape:
+    def convert(value: _Points | float) -> Tensor:
+        return torch.as_tensor(np.asarray(value), dtype=torch.float64, device=device)[None]
+
+    return Shape(*(convert(value) for value in values))

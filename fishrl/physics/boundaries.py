@@ -12,10 +12,13 @@ from dataclasses import dataclass, fields
 from enum import Enum
 from typing import ClassVar
 
+import torch
 from torch import Tensor
 
 from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
-from fishrl.physics.lattice import CX, CY, OPPOSITE
+from fishrl.physics.lattice import CX, CY, OPPOSITE, W
+
+Index = tuple[slice, slice, slice]
 
 
 class Side(Enum):
@@ -44,25 +47,44 @@ class Side(Enum):
         return everything, low if y > 0 else high, everything
 
 
+class Profile(Enum):
+    """How a prescribed velocity varies along its edge, from wall to wall."""
+
+    UNIFORM = "uniform"
+    PARABOLA = "parabola"  # 4 s (1 - s): a developed channel flow, 1 in the middle
+    SHEAR = "shear"  # 2 s - 1: a Couette flow between walls at -1 and 1
+
+    def evaluate(self, s: Tensor) -> Tensor:
+        """Return the factor at ``s``, 0 at one wall and 1 at the other."""
+        if self is Profile.PARABOLA:
+            return 4.0 * s * (1.0 - s)
+        return 2.0 * s - 1.0 if self is Profile.SHEAR else torch.ones_like(s)
+
+
 class Boundary(ABC):
     """What happens at one edge.
 
     Attributes:
         is_local: whether the edge's own outgoing populations suffice.
+        velocity: (x, y) that it imposes, in units of the flow's stream speed, or None.
+        profile: how that velocity varies along the edge.
     """
 
     is_local: ClassVar[bool] = False
+    velocity: tuple[float, float] | None
+    profile: Profile
 
     @abstractmethod
     def compute_edge(
-        self, side: Side, neighbour: Sequence[Tensor], outgoing: Sequence[Tensor]
+        self, side: Side, neighbour: Sequence[Tensor], outgoing: Sequence[Tensor], speed: Tensor
     ) -> dict[int, Tensor]:
         """Return the incoming populations to set on the edge, by direction.
 
         Args:
             side: which edge.
-            neighbour: nine incoming populations of the nodes next to the edge.
+            neighbour: nine incoming populations ``[B, n]`` of the nodes next to the edge.
             outgoing: nine post-collision populations of the edge nodes themselves.
+            speed: stream speed times profile, ``[B, n]``.
         """
 
 
@@ -71,15 +93,18 @@ class NonEquilibrium(Boundary):
     """Non-equilibrium extrapolation of Guo, Zheng & Shi 2002, eq. 6 (second order).
 
     f_b = f_eq(rho_b, u_b) + f_n - f_eq(rho_n, u_n), with n the inner neighbour. What is not given
-    is taken from the neighbour.
+    is taken from the neighbour. With the stream's velocity it is an inlet or a far field that moves
+    along, with (0, 0) a wall at rest, with a density an outflow.
 
     Args:
-        velocity: (x, y) in lattice units; (0, 0) is a wall at rest.
+        velocity: (x, y) in units of the flow's stream speed (1 node per step unless set).
         density: rho; give it (1.0) at an outlet, which pins the pressure.
+        profile: how the velocity varies along the edge.
     """
 
     velocity: tuple[float, float] | None = None
     density: float | None = None
+    profile: Profile = Profile.UNIFORM
 
     def __post_init__(self) -> None:
         """Refuse a boundary that prescribes nothing."""
@@ -87,14 +112,14 @@ class NonEquilibrium(Boundary):
             raise ValueError("NonEquilibrium prescribes nothing: give velocity, density or both")
 
     def compute_edge(
-        self, side: Side, neighbour: Sequence[Tensor], outgoing: Sequence[Tensor]
+        self, side: Side, neighbour: Sequence[Tensor], outgoing: Sequence[Tensor], speed: Tensor
     ) -> dict[int, Tensor]:
         """Return all nine populations."""
         rho, jx, jy = compute_macroscopic(neighbour)
         ux, uy = jx / (rho + 1.0), jy / (rho + 1.0)
         rho_b = rho if self.density is None else 0.0 * rho + (self.density - 1.0)
-        ux_b = ux if self.velocity is None else 0.0 * ux + self.velocity[0]
-        uy_b = uy if self.velocity is None else 0.0 * uy + self.velocity[1]
+        ux_b = ux if self.velocity is None else 0.0 * ux + self.velocity[0] * speed
+        uy_b = uy if self.velocity is None else 0.0 * uy + self.velocity[1] * speed
         equilibrium = compute_equilibrium(rho, ux, uy)
         target = compute_equilibrium(rho_b, ux_b, uy_b)
         return {
@@ -103,29 +128,43 @@ class NonEquilibrium(Boundary):
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class NoSlip(Boundary):
-    """Half-way bounce-back: a wall half a node outside the edge nodes (Ladd 1994)."""
+    """Half-way bounce-back: a wall half a node outside the edge nodes (Ladd 1994).
+
+    Args:
+        velocity: (x, y) of the wall in units of the flow's stream speed.
+    """
 
     is_local = True
 
+    velocity: tuple[float, float] = (0.0, 0.0)
+    profile: ClassVar[Profile] = Profile.UNIFORM  # type: ignore[misc]
+
     def compute_edge(
-        self, side: Side, neighbour: Sequence[Tensor], outgoing: Sequence[Tensor]
+        self, side: Side, neighbour: Sequence[Tensor], outgoing: Sequence[Tensor], speed: Tensor
     ) -> dict[int, Tensor]:
         """Return the populations that come from outside."""
         nx, ny = side.value
         inward = [q for q in range(len(CX)) if CX[q] * nx + CY[q] * ny > 0]
-        return {q: outgoing[OPPOSITE[q]] for q in inward}
+        edge = {}
+        for q in inward:
+            along = CX[q] * self.velocity[0] + CY[q] * self.velocity[1]
+            back = outgoing[OPPOSITE[q]]
+            edge[q] = back + (6.0 * W[q] * along) * speed if along else back
+        return edge
 
 
 @dataclass(frozen=True)
 class Periodic(Boundary):
-    """The flow leaves on one side and enters on the other; streaming itself does it."""
+    """The flow leaves on one side and enters on the other; see ``list_crossings``."""
 
     is_local = True
+    velocity: ClassVar[None] = None  # type: ignore[misc]
+    profile: ClassVar[Profile] = Profile.UNIFORM  # type: ignore[misc]
 
     def compute_edge(
-        self, side: Side, neighbour: Sequence[Tensor], outgoing: Sequence[Tensor]
+        self, side: Side, neighbour: Sequence[Tensor], outgoing: Sequence[Tensor], speed: Tensor
     ) -> dict[int, Tensor]:
         """Return nothing to set."""
         return {}
@@ -155,21 +194,82 @@ class Boundaries:
         """Return the edges in the order in which they are set; edges of one list at once."""
         across = [(Side.LEFT, self.left), (Side.RIGHT, self.right)]
         along = [(Side.BOTTOM, self.bottom), (Side.TOP, self.top)]
+        given = [edge for edge in across + along if not isinstance(edge[1], Periodic)]
         groups = [
-            [edge for edge in across + along if edge[1].is_local],
+            [edge for edge in given if edge[1].is_local],
             [edge for edge in across if not edge[1].is_local],
             [edge for edge in along if not edge[1].is_local],
         ]
         return [group for group in groups if group]
 
+    def evaluate_profile(self, side: Side, num_nodes: int) -> Tensor:
+        """Return the profile of an edge's velocity at its nodes ``[n]``, float64.
+
+        It spans the walls at the edge's two ends: half a node outside for ``NoSlip``, else on the
+        end nodes.
+        """
+        ends = (self.bottom, self.top) if side.value[0] else (self.left, self.right)
+        low, high = (0.5 if isinstance(end, NoSlip) else 0.0 for end in ends)
+        nodes = torch.arange(num_nodes, dtype=torch.float64)
+        own: Boundary = getattr(self, side.name.lower())
+        return own.profile.evaluate((nodes + low) / (num_nodes - 1.0 + low + high))
+
+    def list_crossings(self, height: int, width: int) -> list[tuple[int, Index, Index]]:
+        """Return which outgoing populations enter on the other side of periodic edges.
+
+        Returns:
+            (direction, index of the incoming population, index of the outgoing one), the indices
+            into ``[B, Y, X]``.
+        """
+        is_periodic = [isinstance(b, Periodic) for b in (self.left, self.bottom)]
+        crossings = []
+        for q, steps in enumerate(zip(CX, CY, strict=True)):
+            spans = [
+                _split_span(size, step, wraps)
+                for size, step, wraps in zip((width, height), steps, is_periodic, strict=True)
+            ]
+            for to_x, from_x, wraps_x in spans[0]:
+                for to_y, from_y, wraps_y in spans[1]:
+                    if wraps_x or wraps_y:
+                        every = slice(None)
+                        crossings.append((q, (every, to_y, to_x), (every, from_y, from_x)))
+        return crossings
+
+
+def _split_span(size: int, step: int, is_periodic: bool) -> list[tuple[slice, slice, bool]]:
+    """Return where nodes of one axis are reached from: (to, from, over the edge)."""
+    inside = (
+        slice(max(0, step), size + min(0, step)),
+        slice(max(0, -step), size - max(0, step)),
+        False,
+    )
+    if step == 0 or not is_periodic:
+        return [inside]
+    first, last = slice(0, 1), slice(size - 1, size)
+    return [inside, (first, last, True) if step > 0 else (last, first, True)]
+
 
 def apply_boundaries_(
-    incoming: Sequence[Tensor], outgoing: Sequence[Tensor], boundaries: Boundaries
+    incoming: Sequence[Tensor],
+    outgoing: Sequence[Tensor],
+    boundaries: Boundaries,
+    stream_speed: Tensor,
 ) -> None:
-    """Set the edge nodes of nine ``[B, Y, X]`` incoming populations in place."""
+    """Set the edge nodes of nine ``[B, Y, X]`` incoming populations in place.
+
+    Args:
+        incoming: after streaming.
+        outgoing: after collision.
+        boundaries: what to set.
+        stream_speed: ``[B]`` at this step.
+    """
     for group in boundaries.in_order():
         for side, boundary in group:
             neighbour = [f[side.neighbour] for f in incoming]
-            edge = boundary.compute_edge(side, neighbour, [f[side.edge] for f in outgoing])
+            profile = boundaries.evaluate_profile(side, neighbour[0].shape[1])
+            speed = stream_speed[:, None] * profile.to(stream_speed)
+            edge = boundary.compute_edge(
+                side, neighbour, [f[side.edge] for f in outgoing], speed.to(neighbour[0].dtype)
+            )
             for q, values in edge.items():
                 incoming[q][side.edge] = values

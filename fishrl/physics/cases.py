@@ -8,6 +8,7 @@ from torch import Tensor
 from fishrl.physics.bodies import Fish
 from fishrl.physics.boundaries import Boundaries, NoSlip, Periodic
 from fishrl.physics.collision import compute_macroscopic
+from fishrl.physics.motion import Commanded, Motion
 from fishrl.physics.solver import make_uniform, step
 from fishrl.physics.state import FlowConfig, FlowState
 from fishrl.physics.units import Scales
@@ -87,7 +88,12 @@ def measure_poiseuille_error(height: int, boundaries: Boundaries, *, tau: float 
 
 
 def make_swimmer_config(
-    scales: Scales, *, length_bl: float = 10.0, height_bl: float = 5.0, **changes: object
+    scales: Scales,
+    *,
+    length_bl: float = 10.0,
+    height_bl: float = 5.0,
+    motion: Motion | None = None,
+    **changes: object,
 ) -> FlowConfig:
     """Return the paper's tank, 10 L x 5 L with walls all round, and a NACA0012 fish in it.
 
@@ -95,13 +101,15 @@ def make_swimmer_config(
         scales: lattice units.
         length_bl: tank length in body lengths.
         height_bl: tank height in body lengths.
+        motion: of the fish; its heading is commanded unless said otherwise.
         **changes: any other field of ``FlowConfig``.
     """
+    motion = Commanded() if motion is None else motion
     fields: dict[str, object] = {
         "width": round(length_bl * scales.body_length),
         "height": round(height_bl * scales.body_length),
         "tau": scales.tau,
-        "fish": Fish(body_length=scales.body_length, gait=scales.gait),
+        "bodies": (Fish(body_length=scales.body_length, gait=scales.gait, motion=motion),),
     }
     return FlowConfig(**(fields | changes))  # type: ignore[arg-type]
 

@@ -7,6 +7,7 @@ iterating costs no pass over the grid.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -74,13 +75,13 @@ def interpolate(values: Tensor, weights: Tensor) -> Tensor:
     return (values * weights).sum(1)
 
 
-def couple_markers(stencil: Stencil, spacing: float) -> Tensor:
-    """Return A ``[B, N, N]``: the velocity at marker k that unit g at marker l causes.
+def overlap_markers(stencil: Stencil) -> Tensor:
+    """Return sum_x W_k W_l ``[B, N, N]``, symmetric; A_kl is ds_l times it.
 
-    The product form of the kernel makes A separable: A = ds (Px Px^T) * (Py Py^T).
+    The product form of the kernel makes it separable: (Px Px^T) * (Py Py^T).
     """
     along_x = _overlap(stencil.x, stencil.weight_x)
-    return spacing * along_x * _overlap(stencil.y, stencil.weight_y)
+    return along_x * _overlap(stencil.y, stencil.weight_y)
 
 
 def _overlap(first: Tensor, weights: Tensor) -> Tensor:
@@ -102,13 +103,25 @@ class ForceSolve(ABC):
     def check(self, kernel: Kernel) -> None:
         """Raise if the solve does not work with ``kernel``."""
 
+    def prepare(self, overlap: Tensor, spacing: Tensor) -> tuple[Tensor, ...]:
+        """Return what the solve needs of the markers' places; once where bodies stay still.
+
+        Args:
+            overlap: of the markers' weights ``[B, N, N]``, symmetric.
+            spacing: ds of each marker ``[B, N]``.
+
+        Returns:
+            A^T first, ``[B, N, N]``.
+        """
+        return (spacing[..., None] * overlap,)
+
     @abstractmethod
-    def __call__(self, coupling: Tensor, residual: Tensor) -> tuple[Tensor, Tensor]:
+    def __call__(self, operator: Sequence[Tensor], residual: Tensor) -> tuple[Tensor, Tensor]:
         """Solve for several right-hand sides at once.
 
         Args:
-            coupling: A ``[B, N, N]``, symmetric.
-            residual: r ``[B, R, N]``, one row per right-hand side (rows times A runs three times
+            operator: from ``prepare``.
+            residual: r ``[B, R, N]``, one row per right-hand side (rows times A^T run three times
                 as fast as A times columns).
 
         Returns:
@@ -155,23 +168,23 @@ class IterativeForcing(ForceSolve):
                 f"stable below {limit:.2f}"
             )
 
-    def __call__(self, coupling: Tensor, residual: Tensor) -> tuple[Tensor, Tensor]:
+    def __call__(self, operator: Sequence[Tensor], residual: Tensor) -> tuple[Tensor, Tensor]:
         """Iterate; linear in ``residual``."""
         solution = torch.zeros_like(residual)
         for _ in range(self.num_iterations):
             step = self.relaxation * residual
             solution = solution + step
-            residual = residual - step @ coupling
+            residual = residual - step @ operator[0]
         return solution, residual
 
 
 @dataclass(frozen=True, kw_only=True)
 class DirectSolve(ForceSolve):
-    """Exact no slip by Cholesky factorisation of A (Wu & Shu 2009); the oracle of the iteration.
+    """Exact no slip by inverting A (Wu & Shu 2009); for bodies that stay still, and as an oracle.
 
     Args:
         regularisation: added to the diagonal of A, relative to its mean; a thin trailing edge makes
-            A nearly singular, and single precision needs about 1e-4.
+            A nearly singular, and single precision needs about 1e-4. A cylinder needs none.
     """
 
     regularisation: float = 1e-4
@@ -179,14 +192,20 @@ class DirectSolve(ForceSolve):
     def check(self, kernel: Kernel) -> None:
         """Accept every kernel."""
 
-    def __call__(self, coupling: Tensor, residual: Tensor) -> tuple[Tensor, Tensor]:
-        """Solve with one step of iterative refinement."""
-        diagonal = torch.diagonal(coupling, dim1=-2, dim2=-1)
+    def prepare(self, overlap: Tensor, spacing: Tensor) -> tuple[Tensor, ...]:
+        """Return A^T and its inverse, computed in double precision by Cholesky factorisation."""
+        root = spacing.double().sqrt()
+        matrix = root[..., None] * overlap.double() * root[:, None]
+        diagonal = torch.diagonal(matrix, dim1=-2, dim2=-1)
         shift = self.regularisation * diagonal.mean(-1, keepdim=True)
-        matrix = coupling + torch.diag_embed(shift.expand_as(diagonal))
         # a diverged flow (not finite) must not stop its neighbours: factor, never raise
-        factor, _ = torch.linalg.cholesky_ex(matrix)
-        columns = residual.mT
-        solution = torch.cholesky_solve(columns, factor)
-        solution = solution + torch.cholesky_solve(columns - coupling @ solution, factor)
-        return solution.mT, (columns - coupling @ solution).mT
+        factor, _ = torch.linalg.cholesky_ex(matrix + torch.diag_embed(shift.expand_as(diagonal)))
+        inverse = root[..., None] * torch.cholesky_inverse(factor) / root[:, None]
+        return spacing[..., None] * overlap, inverse.to(overlap.dtype)
+
+    def __call__(self, operator: Sequence[Tensor], residual: Tensor) -> tuple[Tensor, Tensor]:
+        """Apply the inverse, with one step of iterative refinement."""
+        coupling, inverse = operator
+        solution = residual @ inverse
+        solution = solution + (residual - solution @ coupling) @ inverse
+        return solution, residual - solution @ coupling

@@ -3,18 +3,20 @@
 import logging
 import os
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
+from torch.utils import _pytree as pytree
 
-from fishrl.physics.collision import compute_macroscopic
+from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
 from fishrl.physics.compiled import find_compiler_problem
-from fishrl.physics.kinematics import deform
-from fishrl.physics.rigid_motion import Body, make_body, place_markers
-from fishrl.physics.state import FlowConfig
-from fishrl.physics.stepper import FlowGroup, Stepper
+from fishrl.physics.memory import FlowMemory
+from fishrl.physics.motion import Body, make_body
+from fishrl.physics.rigid_motion import deform_body, place_markers
+from fishrl.physics.state import FlowConfig, make_params
+from fishrl.physics.stepper import FlowData, FlowGroup, Stepper
 from fishrl.physics.workers import SharedMemory, Workers, map_shared
 
 logger = logging.getLogger(__name__)
@@ -24,12 +26,12 @@ MAX_SPEED = 0.5
 
 
 class InPlaceSolver:
-    """A batch of flows, each with a fish, advanced in place.
+    """A batch of flows and the bodies in them, advanced in place.
 
     Args:
-        config: of the flows.
-        num_envs: number of flows B.
-        frequency: tail beats per step at start.
+        config: of all flows, or one configuration per flow; see ``FlowConfig`` for what may differ.
+        num_envs: number of flows B; with one configuration per flow it may be left out.
+        frequency: tail beats or oscillations per step at start, of all bodies; ``[B]`` or a number.
         device: where everything lives.
         compile: compile the step; otherwise the same functions run eagerly.
         num_workers: CPU processes that share the flows, each on one core. None takes one per core,
@@ -41,88 +43,111 @@ class InPlaceSolver:
     def __init__(
         self,
         *,
-        config: FlowConfig,
-        num_envs: int,
-        frequency: float = 0.0,
+        config: FlowConfig | Sequence[FlowConfig],
+        num_envs: int | None = None,
+        frequency: float | Tensor = 0.0,
         device: torch.device | str = "cpu",
         compile: bool = True,
         num_workers: int | None = None,
     ) -> None:
-        if num_envs < 1:
-            raise ValueError(f"num_envs = {num_envs}: at least one flow is needed")
-        if config.boundaries.is_periodic:
-            raise ValueError(
-                "the in-place step has no periodic edges: use fishrl.physics.solver.step for them"
-            )
-        self.config, self.num_envs, self.device = config, num_envs, torch.device(device)
-        is_cpu = self.device.type == "cpu"
+        configs = _list_configs(config, num_envs)
+        num_envs = len(configs)
+        device = torch.device(device)
+        is_cpu = device.type == "cpu"
         torch.set_flush_denormal(True)  # still water decays into denormals, which are slow
         if num_workers is None:
             can_share = is_cpu and compile and not find_compiler_problem("cpu")
             num_workers = min(os.cpu_count() or 1, num_envs) if can_share else 0
         if num_workers < 0 or (num_workers and not is_cpu):
             raise ValueError(
-                f"num_workers = {num_workers} on {self.device}: allowed is 0 on a GPU, 0 or more "
+                f"num_workers = {num_workers} on {device}: allowed is 0 on a GPU, 0 or more "
                 "on a CPU"
             )
         self._num_workers = min(num_workers, num_envs)
         self._workers: Workers | None = None
-        self._frequency = frequency
-        # one flow at a time fits a core's cache; a GPU wants them all in one launch
-        self._stepper = Stepper(
-            config=config, group_size=1 if is_cpu else num_envs, device=self.device
-        )
-        self._shared = SharedMemory(self._count_bytes()) if self._num_workers else None
+        self._frequency = torch.as_tensor(frequency, dtype=torch.float64, device=device)
+        self._is_closed = False
+        fresh = self._prepare(configs, device, compile)
+        num_bytes = self._memory.count_bytes()
+        self._shared = SharedMemory(num_bytes) if self._num_workers else None
         if self._shared is None:
-            memory = torch.zeros(self._count_bytes(), dtype=torch.uint8, device=self.device)
+            memory = torch.zeros(num_bytes, dtype=torch.uint8, device=device)
         else:
             memory = self._shared.tensor
         self._bind(memory, range(num_envs // self._stepper.layout.num_envs))
-        rest = torch.zeros(num_envs, dtype=torch.float64, device=self.device)
-        centre = torch.tensor([0.5 * config.width, 0.5 * config.height], dtype=torch.float64)
-        fresh = make_body(centre.to(self.device).expand(num_envs, 2), rest, rest + frequency)
-        for own, new in zip(self.body, fresh, strict=True):
+        for own, new in zip(pytree.tree_leaves(self.flow), pytree.tree_leaves(fresh), strict=True):
             own.copy_(new)
-        self._wants_compile, self._is_closed = compile, False
+        self._fill_omega()
+
+    def _prepare(
+        self, configs: Sequence[FlowConfig], device: torch.device, compile: bool
+    ) -> FlowData:
+        """Make the stepper and return the numbers that flows begin with."""
+        self.configs, self.config = list(configs), configs[0]
+        self.num_envs, self.device, self._wants_compile = len(configs), device, compile
+        params = make_params(configs, device)
+        centre = torch.tensor([0.5 * self.config.width, 0.5 * self.config.height]).double()
+        rest = torch.zeros(self.num_envs, dtype=torch.float64, device=device)
+        place = centre.to(device).expand(self.num_envs, 2)
+        body = make_body(place, rest, rest + self._frequency)
+        fresh = FlowData(rest, params, tuple(body for _ in self.config.bodies))
+        # one flow at a time fits a core's cache; a GPU wants them all in one launch
+        size = 1 if device.type == "cpu" else self.num_envs
+        sample = pytree.tree_map(lambda t: t[:size], fresh)
+        self._stepper = Stepper(config=self.config, group_size=size, sample=sample, device=device)
+        self._memory = FlowMemory(
+            fresh, self._stepper.layout, has_omega_field=bool(self.config.sponges)
+        )
+        return fresh
 
     @classmethod
     def attach(
-        cls, *, config: FlowConfig, num_envs: int, path: str, groups: range, compile: bool
+        cls, *, configs: Sequence[FlowConfig], path: str, groups: range, compile: bool
     ) -> "InPlaceSolver":
         """Return a worker's solver, which advances ``groups`` of a batch in shared memory."""
         self = cls.__new__(cls)
-        self.config, self.num_envs, self.device = config, num_envs, torch.device("cpu")
-        self._workers, self._num_workers, self._wants_compile = None, 0, compile
-        self._stepper = Stepper(config=config, group_size=1, device=self.device)
-        self._bind(map_shared(path, self._count_bytes()), groups)
+        self._workers, self._num_workers, self._shared = None, 0, None
+        self._frequency = torch.zeros((), dtype=torch.float64)
+        self._prepare(configs, torch.device("cpu"), compile)
+        self._bind(map_shared(path, self._memory.count_bytes()), groups)
         self.compile()
         return self
 
-    def _count_bytes(self) -> int:
-        layout = self._stepper.layout
-        populations = 4 * self.num_envs // layout.num_envs * layout.num_slots
-        return populations + 8 * self.num_envs * _count_body_numbers()
-
     def _bind(self, memory: Tensor, groups: range) -> None:
-        """Lay populations and bodies out in ``memory`` and make the views of some groups."""
-        layout, size = self._stepper.layout, self._stepper.layout.num_envs
-        numbers = 8 * self.num_envs * _count_body_numbers()
-        self._data = memory[numbers:].view(torch.float32).view(-1, layout.num_slots)
-        doubles = memory[:numbers].view(torch.float64)
-        fields, at = [], 0
-        for width in _BODY_WIDTHS:
-            block = doubles[at : at + width * self.num_envs]
-            fields.append(block.view(self.num_envs, width) if width > 1 else block)
-            at += width * self.num_envs
-        self.body = Body(*fields)
+        """Lay everything out in ``memory`` and make the views of some groups."""
+        size = self._stepper.layout.num_envs
+        self.flow, self._omega, self._data = self._memory.carve(memory)
         self._groups = {
             g: FlowGroup(
                 self._stepper,
                 self._data[g],
-                Body(*(t[g * size : (g + 1) * size] for t in self.body)),
+                self._omega[g * size : (g + 1) * size],
+                pytree.tree_map(lambda t: t[g * size : (g + 1) * size], self.flow),  # noqa: B023
             )
             for g in groups
         }
+
+    def _fill_omega(self) -> None:
+        """Write the relaxation rates that the flows' tau and sponges give."""
+        omega = self.config.compute_omega(self.flow.params.tau)
+        if omega.shape[1:] == (1, 1):
+            self._omega.copy_(omega[:, 0])
+        else:
+            layout = self._stepper.layout
+            self._omega.fill_(1.0)
+            layout.strip_rings(self._omega).copy_(omega)
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """The bodies' states, in the order of the configuration; tensors change in place."""
+        return self.flow.bodies
+
+    @property
+    def body(self) -> Body:
+        """The first body's state, the fish where there is one."""
+        if not self.flow.bodies:
+            raise ValueError("this flow has no body: give FlowConfig(bodies=...)")
+        return self.flow.bodies[0]
 
     def compile(self) -> None:
         """Compile the step and start the workers; the first ``advance_`` does it otherwise."""
@@ -135,8 +160,7 @@ class InPlaceSolver:
             )
             num_groups = len(self._groups)
             job = {
-                "config": self.config,
-                "num_envs": self.num_envs,
+                "configs": self.configs,
                 "path": str(self._shared.path),
                 "compile": self._wants_compile,
                 "log_level": logging.WARNING,
@@ -184,42 +208,86 @@ class InPlaceSolver:
         """Advance those of this process's groups that are wanted."""
         for index, group in self._groups.items():
             if index in wanted:
-                for _ in range(num_steps // 2):
-                    self._stepper.step_(group, 0)
-                    self._stepper.step_(group, 1)
+                self._stepper.advance_(group, num_steps)
 
-    def reset_(self, rows: Tensor, position: Tensor, heading: Tensor) -> None:
-        """Put the fish of some flows at rest into still water; other rows are not touched.
+    def reset_(
+        self,
+        rows: Tensor,
+        position: Tensor | None = None,
+        heading: Tensor | None = None,
+        *,
+        velocity: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        """Put the bodies of some flows at rest into a fluid without vortices.
 
         Args:
-            rows: ``[B]`` bool, which flows.
-            position: ``[B, 2]`` centre of mass in nodes, read where ``rows`` is true.
-            heading: ``[B]`` direction that the fish faces, radians, read likewise.
+            rows: ``[B]`` bool, which flows; others are not touched.
+            position: centre of mass in nodes, ``[B, 2]`` or for several bodies ``[B, M, 2]``, read
+                where ``rows`` is true; None is the middle of the domain.
+            heading: direction that the nose faces, radians, ``[B]`` or ``[B, M]``; None is 0.
+            velocity: of the fluid everywhere, in units of the stream speed.
         """
         if rows.shape != (self.num_envs,) or rows.dtype != torch.bool:
             raise ValueError(
                 f"rows has shape {tuple(rows.shape)} and type {rows.dtype}: give a bool tensor of "
                 f"shape ({self.num_envs},)"
             )
-        position, heading = position.double(), heading.double()
-        fresh = make_body(position, heading, torch.full_like(heading, self._frequency))
-        for old, new in zip(self.body, fresh, strict=True):
+        num_bodies = len(self.bodies)
+        position, heading = self._spread_places(position, heading)
+        fresh = []
+        for m in range(num_bodies):
+            frequency = torch.zeros_like(heading[:, m]) + self._frequency
+            fresh.append(make_body(position[:, m], heading[:, m], frequency))
+        new_data = self.flow._replace(clock=torch.zeros_like(self.flow.clock), bodies=tuple(fresh))
+        for old, new in zip(
+            pytree.tree_leaves(self.flow), pytree.tree_leaves(new_data), strict=True
+        ):
             old.copy_(torch.where(rows.view(-1, *(1,) * (old.dim() - 1)), new, old))
+        speed = self.flow.params.stream_speed.float()
+        at_rest = torch.zeros_like(speed)
+        start = compute_equilibrium(at_rest, velocity[0] * speed, velocity[1] * speed)
         size = self._stepper.layout.num_envs
-        for group, mask in zip(self._groups.values(), torch.split(rows, size), strict=True):
+        for index, group in self._groups.items():
+            mine = slice(index * size, (index + 1) * size)
+            mask = rows[mine]
             if size > 1 or mask.item():
-                for f in group.cells[0]:
-                    f.masked_fill_(mask[:, None], 0.0)
+                for f, value in zip(group.cells[0], start, strict=True):
+                    f.copy_(torch.where(mask[:, None], value[mine, None], f))
 
-    def set_populations_(self, f: Tensor) -> None:
-        """Set all flows to populations ``[B, Q, Y, X]`` (shifted)."""
+    def _spread_places(
+        self, position: Tensor | None, heading: Tensor | None
+    ) -> tuple[Tensor, Tensor]:
+        """Return places ``[B, M, 2]`` and headings ``[B, M]``, float64."""
+        num_bodies = max(1, len(self.bodies))
+        if position is None:
+            position = torch.tensor([0.5 * self.config.width, 0.5 * self.config.height])
+            position = position.expand(self.num_envs, num_bodies, 2)
+        if heading is None:
+            heading = torch.zeros(self.num_envs, num_bodies)
+        given = position.to(self.device, torch.float64), heading.to(self.device, torch.float64)
+        shape = self.num_envs, num_bodies
+        got = tuple(given[0].shape), tuple(given[1].shape)
+        if num_bodies == 1 and given[0].dim() == 2:
+            given = given[0][:, None], given[1].view(-1, 1)
+        if given[0].shape != (*shape, 2) or given[1].shape != shape:
+            raise ValueError(
+                f"position and heading have shapes {got[0]} and {got[1]}: give {(*shape, 2)} and "
+                f"{shape}, one place for each of the {num_bodies} bodies in {self.num_envs} flows"
+            )
+        return given
+
+    def set_populations_(self, f: Tensor, rows: Tensor | None = None) -> None:
+        """Set all flows, or those of ``rows`` ``[B]``, to shifted populations ``[B, Q, Y, X]``."""
         size = self._stepper.layout.num_envs
-        for group, values in zip(self._groups.values(), torch.split(f, size), strict=True):
-            for q, view in enumerate(self._stepper.layout.nodes(group.data, 0, False)):
-                view.copy_(values[:, q])
+        wanted = torch.ones(self.num_envs, dtype=torch.bool) if rows is None else rows
+        for index, group in self._groups.items():
+            mine = slice(index * size, (index + 1) * size)
+            mask = wanted[mine].view(-1, 1, 1)
+            for q, view in enumerate(self._stepper.layout.nodes(group.populations, 0, False)):
+                view.copy_(torch.where(mask, f[mine, q].to(view), view))
 
     def command_(self, turn: Tensor, num_steps: int, frequency: Tensor | None = None) -> None:
-        """Order a turn and, optionally, a new tail-beat frequency.
+        """Order the first body to turn and, optionally, to beat at a new frequency.
 
         Args:
             turn: ``[B]`` change of heading, radians, spread smoothly over ``num_steps``.
@@ -228,17 +296,18 @@ class InPlaceSolver:
         """
         if num_steps < 1:
             raise ValueError(f"num_steps = {num_steps}: a turn takes at least one step")
-        self.body.turn.copy_(turn)
-        self.body.turn_steps.fill_(float(num_steps))
-        self.body.turn_clock.zero_()
+        body = self.body
+        body.turn.copy_(turn)
+        body.turn_steps.fill_(float(num_steps))
+        body.turn_clock.zero_()
         if frequency is not None:
-            self.body.frequency.copy_(frequency)
+            body.frequency.copy_(frequency)
 
     def populations(self) -> Tensor:
         """Return a copy of the incoming populations ``[B, Q, Y, X]`` (shifted)."""
         layout = self._stepper.layout
         return torch.cat(
-            [torch.stack(layout.nodes(g.data, 0, False), 1) for g in self._groups.values()]
+            [torch.stack(layout.nodes(g.populations, 0, False), 1) for g in self._groups.values()]
         )
 
     def macroscopic(self) -> tuple[Tensor, Tensor]:
@@ -247,30 +316,36 @@ class InPlaceSolver:
         return torch.cat([rho for rho, _ in fields]), torch.cat([u for _, u in fields])
 
     def _read_group(self, group: FlowGroup) -> tuple[Tensor, Tensor]:
-        rho, jx, jy = compute_macroscopic(self._stepper.layout.nodes(group.data, 0, False))
+        rho, jx, jy = compute_macroscopic(self._stepper.layout.nodes(group.populations, 0, False))
         density = rho + 1.0
         return density, torch.stack((jx / density, jy / density), 1)
 
-    def markers(self) -> Tensor:
-        """Return the closed outline ``[B, N, 2]`` in nodes, nose first."""
-        body, modes = self.body, self._stepper.modes
-        if modes is None:
-            raise ValueError("this flow has no fish: give FlowConfig a fish")
-        shape = deform(modes, body.phase, body.frequency, body.age)
-        return place_markers(body, modes, shape).position
+    def markers(self, index: int = 0) -> Tensor:
+        """Return the closed outline ``[B, N, 2]`` of a body in nodes, nose first.
+
+        Args:
+            index: of the body.
+        """
+        if not 0 <= index < len(self.bodies):
+            raise ValueError(
+                f"body {index} of a flow with {len(self.bodies)}: give FlowConfig bodies, and an "
+                "index below their number"
+            )
+        body, shape = self.bodies[index], self.flow.params.shapes[index]
+        return place_markers(body, deform_body(self.config.bodies[index], shape, body)).position
 
     def head(self) -> Tensor:
-        """Return the nose ``[B, 2]`` in nodes."""
+        """Return the nose of the first body ``[B, 2]`` in nodes."""
         return self.markers()[:, 0]
 
     def is_diverged(self) -> Tensor:
-        """Return ``[B]``: not finite, too fast for the method, or the fish outside the grid."""
+        """Return ``[B]``: not finite, too fast for the method, or a body outside the grid."""
         # comparisons with NaN are false, so a broken flow is never "fine"
         speeds = [(self._read_group(g)[1] ** 2).sum(1).flatten(1) for g in self._groups.values()]
         fine = torch.cat([(s < MAX_SPEED**2).all(-1) for s in speeds])
-        if self._stepper.modes is not None:
-            markers = self.markers()
-            size = torch.tensor([self.config.width, self.config.height], device=self.device)
+        size = torch.tensor([self.config.width, self.config.height], device=self.device)
+        for index in range(len(self.bodies)):
+            markers = self.markers(index)
             fine = fine & ((markers > 0.5) & (markers < size - 1.5)).all(-1).all(-1)
         return ~fine
 
@@ -290,11 +365,25 @@ class InPlaceSolver:
             own.copy_(state[name])
 
     def _named_state(self) -> list[tuple[str, Tensor]]:
-        return [("data", self._data), *zip(Body._fields, self.body, strict=True)]
+        pairs, _ = pytree.tree_flatten_with_path(self.flow)
+        return [
+            ("data", self._data),
+            ("omega", self._omega),
+            *((pytree.keystr(path).lstrip("."), leaf) for path, leaf in pairs),
+        ]
 
 
-_BODY_WIDTHS = [2 if name in ("position", "velocity", "force") else 1 for name in Body._fields]
-
-
-def _count_body_numbers() -> int:
-    return sum(_BODY_WIDTHS)
+def _list_configs(
+    config: FlowConfig | Sequence[FlowConfig], num_envs: int | None
+) -> list[FlowConfig]:
+    """Return one configuration per flow."""
+    if isinstance(config, FlowConfig):
+        num_envs = 1 if num_envs is None else num_envs
+        if num_envs < 1:
+            raise ValueError(f"num_envs = {num_envs}: at least one flow is needed")
+        return [config] * num_envs
+    if not config or num_envs not in (None, len(config)):
+        raise ValueError(
+            f"num_envs = {num_envs} with {len(config)} configurations: give one per flow"
+        )
+    return list(config)

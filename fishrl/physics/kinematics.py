@@ -7,7 +7,8 @@ exactly and the deformation velocity (0, Z_t) has no divergence. The travelling 
 
 is the paper's eq. 11 with a minus sign: as printed, + w t, the wave would run from tail to head and
 the fish would not swim forward. As Z = e1 S(X) + e2 C(X), every integral over the body that the
-momentum-free frame needs is a constant times e1, e2 or their products.
+momentum-free frame needs is a constant times e1, e2 or their products. A bend of the midline is a
+third such mode. ``midline.py`` has the other deformation, which keeps the midline's length.
 """
 
 from dataclasses import dataclass
@@ -54,37 +55,34 @@ CARANGIFORM = Gait(amplitude=0.1, envelope=(0.2, -0.8, 1.6), wavenumber=2 * pi)
 LONG_WAVE = Gait(amplitude=0.125 / 1.03125, envelope=(0.03125, 1.0, 0.0), wavenumber=3.0)
 
 
-class Modes(NamedTuple):
-    """The gait's two standing modes, resolved at the markers, in lattice units.
+class Shape(NamedTuple):
+    """A body in its own frame, in lattice units; ``[B, ...]`` or ``[1, ...]``, float64.
 
-    S and C are centred: their mean over the body's area is removed, so the deformation never moves
-    the centre of mass.
+    The frame's origin is the centre of area, its axis runs from nose to tail. A fish deforms by K
+    modes Z = sum_k e_k Z_k(X): the gait's sine and cosine and the bend. Each mode is centred: its
+    mean over the body's area is removed, so that deforming never moves the centre of mass.
 
     Attributes:
-        axial: ``[N]`` X - X_c of each marker (constant).
-        lateral: ``[N]`` signed half-thickness of each marker (constant).
-        sine: ``[N]`` S = L a sin(k x), centred.
-        cosine: ``[N]`` C = L a cos(k x), centred.
-        moment_sine: integral of m (X - X_c) S, with m the thickness; scalar.
-        moment_cosine: integral of m (X - X_c) C.
-        square_sine: integral of m S^2.
-        square_cross: integral of m S C.
-        square_cosine: integral of m C^2.
-        area: of the body.
-        inertia: polar moment of area of the straight body about its centre.
+        axial: ``[B, N]`` place of each marker along the axis (constant).
+        lateral: ``[B, N]`` place across it when the body is straight (constant).
+        spacing: ``[B, N]`` length of outline that each marker stands for.
+        modes: ``[B, K, N]`` Z_k at the markers.
+        moments: ``[B, K]`` integral of m X Z_k, with m the thickness.
+        gram: ``[B, K, K]`` integral of m Z_j Z_k.
+        area: ``[B]`` of the body.
+        inertia: ``[B]`` polar moment of area of the straight body about its centre.
+        density_ratio: ``[B]`` body density over fluid density.
     """
 
     axial: Tensor
     lateral: Tensor
-    sine: Tensor
-    cosine: Tensor
-    moment_sine: Tensor
-    moment_cosine: Tensor
-    square_sine: Tensor
-    square_cross: Tensor
-    square_cosine: Tensor
+    spacing: Tensor
+    modes: Tensor
+    moments: Tensor
+    gram: Tensor
     area: Tensor
     inertia: Tensor
+    density_ratio: Tensor
 
 
 def advance_phase(phase: Tensor, frequency: Tensor) -> Tensor:
@@ -100,41 +98,69 @@ def compute_ramp(age: Tensor, frequency: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class Deformation(NamedTuple):
-    """Shape and shape velocity in the momentum-free frame, lattice units.
+    """Outline and its velocity in the momentum-free frame, lattice units.
 
     Attributes:
-        lateral: ``[B, N]`` lateral position of the markers in the body frame.
-        lateral_velocity: ``[B, N]`` deformation velocity Z_t - y_c,t.
+        axial: ``[B, N]`` place of the markers along the body axis.
+        lateral: ``[B, N]`` place across it.
+        axial_velocity: ``[B, N]`` deformation velocity along the axis.
+        lateral_velocity: ``[B, N]`` deformation velocity across it, Z_t - y_c,t.
         spin: ``[B]`` angular velocity -H / I of the body frame that makes the deformation free of
             angular momentum.
         inertia: ``[B]`` polar moment of area I of the deformed body.
+        inertia_rate: ``[B]`` dI/dt.
     """
 
+    axial: Tensor
     lateral: Tensor
+    axial_velocity: Tensor
     lateral_velocity: Tensor
     spin: Tensor
     inertia: Tensor
+    inertia_rate: Tensor
 
 
-def deform(modes: Modes, phase: Tensor, frequency: Tensor, age: Tensor) -> Deformation:
-    """Evaluate the deformation of all flows.
+class Beat(NamedTuple):
+    """What sets a fish's shape at one instant; every field ``[B]``.
+
+    Attributes:
+        phase: radians.
+        frequency: tail beats per step.
+        age: steps since the fish began to swim.
+        bend: kappa, of the bend kappa L x^2.
+        bend_rate: its change per step.
+    """
+
+    phase: Tensor
+    frequency: Tensor
+    age: Tensor
+    bend: Tensor
+    bend_rate: Tensor
+
+
+def deform(shape: Shape, beat: Beat) -> Deformation:
+    """Shear a body vertically by its modes, y -> y + Z(X, t).
 
     Args:
-        modes: of the gait.
-        phase: ``[B]`` radians.
-        frequency: ``[B]`` tail beats per step.
-        age: ``[B]`` steps since the fish began to swim.
+        shape: of the body; one mode (all zero) for a rigid one, three for a fish.
+        beat: the instant.
     """
-    ramp, ramp_rate = compute_ramp(age, frequency)
-    cos, sin, rate = torch.cos(phase), torch.sin(phase), 2.0 * pi * frequency
-    e1, e2 = ramp * cos, -ramp * sin
-    e1_t, e2_t = ramp_rate * cos - ramp * rate * sin, -ramp_rate * sin - ramp * rate * cos
-    inertia = modes.inertia + (
-        modes.square_sine * e1 * e1
-        + 2.0 * modes.square_cross * e1 * e2
-        + modes.square_cosine * e2 * e2
+    ramp, ramp_rate = compute_ramp(beat.age, beat.frequency)
+    cos, sin, rate = torch.cos(beat.phase), torch.sin(beat.phase), 2.0 * pi * beat.frequency
+    e = [ramp * cos, -ramp * sin, beat.bend]
+    e_t = [ramp_rate * cos - ramp * rate * sin, -ramp_rate * sin - ramp * rate * cos]
+    e_t += [beat.bend_rate]
+    lateral, velocity = shape.lateral, torch.zeros_like(shape.lateral)
+    inertia, inertia_rate = shape.inertia, torch.zeros_like(beat.phase)
+    momentum = torch.zeros_like(beat.phase)
+    for j in range(shape.modes.shape[1]):
+        lateral = lateral + shape.modes[:, j] * e[j][:, None]
+        velocity = velocity + shape.modes[:, j] * e_t[j][:, None]
+        momentum = momentum + shape.moments[:, j] * e_t[j]
+        for k in range(shape.modes.shape[1]):
+            inertia = inertia + shape.gram[:, j, k] * e[j] * e[k]
+            inertia_rate = inertia_rate + 2.0 * shape.gram[:, j, k] * e[j] * e_t[k]
+    still = torch.zeros_like(lateral)
+    return Deformation(
+        still + shape.axial, lateral, still, velocity, -momentum / inertia, inertia, inertia_rate
     )
-    momentum = modes.moment_sine * e1_t + modes.moment_cosine * e2_t
-    lateral = modes.lateral + modes.sine * e1[:, None] + modes.cosine * e2[:, None]
-    velocity = modes.sine * e1_t[:, None] + modes.cosine * e2_t[:, None]
-    return Deformation(lateral, velocity, -momentum / inertia, inertia)

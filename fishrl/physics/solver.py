@@ -1,9 +1,11 @@
-"""One step of the flow and its fish, as the paper writes it.
+"""One step of the flow and the bodies in it, as the paper writes it.
 
 This is the readable step: batched, functional, of any float type, differentiable. The in-place step
 (``in_place.py``) calls the same collision, boundaries and body functions and is tested against it.
 """
 
+from collections.abc import Sequence
+from math import inf
 from typing import NamedTuple
 
 import torch
@@ -16,62 +18,74 @@ from fishrl.physics.collision import (
     compute_force_increment,
     compute_macroscopic,
 )
-from fishrl.physics.immersed_boundary import Stencil, couple_markers, interpolate, make_stencil
-from fishrl.physics.kinematics import Deformation, Modes, deform
+from fishrl.physics.immersed_boundary import (
+    Stencil,
+    interpolate,
+    make_stencil,
+    overlap_markers,
+)
+from fishrl.physics.kinematics import Deformation, Shape
+from fishrl.physics.motion import Body
 from fishrl.physics.rigid_motion import (
-    Body,
-    Coupling,
-    MarkerForce,
     Markers,
+    deform_body,
     move_body,
     place_markers,
     solve_body_force,
 )
-from fishrl.physics.state import FlowConfig, FlowState
+from fishrl.physics.state import (
+    FlowConfig,
+    FlowParams,
+    FlowState,
+    compute_stream_speed,
+    make_params,
+)
 from fishrl.physics.streaming import stream
 
 
 def step(
     state: FlowState,
     config: FlowConfig,
-    modes: Modes | None = None,
+    params: FlowParams | None = None,
     external_force: Tensor | None = None,
 ) -> FlowState:
     """Advance a batch of flows by one step.
 
     Args:
-        state: populations ``[B, Q, Y, X]`` and body.
-        config: of the flow.
-        modes: of the fish's gait, from ``config.fish.make_modes()``; needed with a body.
-        external_force: ``[B, 2, Y, X]`` body-force density, added to the fish's.
+        state: populations ``[B, Q, Y, X]`` and bodies.
+        config: of the flows.
+        params: what differs between them, from ``make_params``; None makes those of ``config``,
+            which takes long where there are bodies.
+        external_force: ``[B, 2, Y, X]`` body-force density, added to the bodies'.
 
     Source: the paper's eqs. 1 to 6, with the changes listed in the theory page: force-free implicit
     coupling and the force increment of ``compute_force_increment``.
     """
+    if len(state.bodies) != len(config.bodies):
+        raise ValueError(
+            f"the state has {len(state.bodies)} bodies, the config {len(config.bodies)}: give "
+            "FlowConfig(bodies=...) and FlowState(f, bodies) the same number"
+        )
+    params = make_params([config]) if params is None else params
     f = state.f.unbind(1)
     rho, jx, jy = compute_macroscopic(f)
     ux, uy = jx / (rho + 1.0), jy / (rho + 1.0)
     force = torch.zeros_like(state.f[:, :2]) if external_force is None else external_force
-    body = state.body
-    if body is not None:
-        if config.fish is None or modes is None:
-            raise ValueError(
-                "the state has a body, but the config has no fish or modes are missing: give "
-                "FlowConfig(fish=...) and modes=config.fish.make_modes()"
-            )
-        place = locate_body(body, config, modes, f[0].dtype)
+    bodies = state.bodies
+    if bodies:
+        place = locate_bodies(bodies, config, params.shapes, f[0].dtype)
         nodes = place.stencil.index_nodes(config.width)
         fluid = (gather(v, nodes) for v in (rho, ux, uy))
-        result, share_x, share_y = exchange(body, config, place, *fluid)
+        bodies, share_x, share_y = exchange(bodies, config, params.shapes, place, *fluid)
         force = force + torch.stack((spread(share_x, nodes, rho), spread(share_y, nodes, rho)), 1)
-        body = move_body(body, place.shape, result)
     fx, fy = force.unbind(1)
-    omega = 1.0 / config.tau
+    omega = config.compute_omega(params.tau).to(rho)
     increment = compute_force_increment(rho, ux, uy, fx, fy, fx, fy, omega, config.rates)
     outgoing = [a + b for a, b in zip(collide_mrt(f, omega, config.rates), increment, strict=True)]
     incoming = stream(outgoing)
-    apply_boundaries_(incoming, outgoing, config.boundaries)
-    return FlowState(torch.stack(incoming, 1), body)
+    clock = torch.full_like(params.ramp_steps, inf) if state.clock is None else state.clock + 1.0
+    apply_boundaries_(incoming, outgoing, config.boundaries, compute_stream_speed(params, clock))
+    return FlowState(torch.stack(incoming, 1), bodies, clock)
 
 
 def make_rest(config: FlowConfig, num_envs: int, dtype: torch.dtype = torch.float64) -> Tensor:
@@ -85,65 +99,79 @@ def make_uniform(rho: Tensor, ux: Tensor, uy: Tensor) -> Tensor:
 
 
 class Place(NamedTuple):
-    """Where the body is in this step."""
+    """Where the bodies are in this step.
 
-    shape: Deformation
-    markers: Markers
+    Attributes:
+        deformations: of each body.
+        markers: of each body.
+        stencil: of all markers.
+        operator: of the force solve.
+    """
+
+    deformations: tuple[Deformation, ...]
+    markers: tuple[Markers, ...]
     stencil: Stencil
+    operator: tuple[Tensor, ...]
 
 
-def locate_body(body: Body, config: FlowConfig, modes: Modes, dtype: torch.dtype) -> Place:
-    """Deform the body, place its markers and find the nodes they see."""
-    shape = deform(modes, body.phase, body.frequency, body.age)
-    markers = place_markers(body, modes, shape)
-    stencil = make_stencil(markers.position, config.kernel, config.width, config.height, dtype)
-    return Place(shape, markers, stencil)
+def locate_bodies(
+    bodies: Sequence[Body], config: FlowConfig, shapes: Sequence[Shape], dtype: torch.dtype
+) -> Place:
+    """Deform the bodies, place their markers and find the nodes they see."""
+    triples = zip(config.bodies, shapes, bodies, strict=True)
+    deformations = tuple(deform_body(outline, shape, body) for outline, shape, body in triples)
+    markers = tuple(place_markers(b, d) for b, d in zip(bodies, deformations, strict=True))
+    positions = torch.cat([m.position for m in markers], 1)
+    stencil = make_stencil(positions, config.kernel, config.width, config.height, dtype)
+    spacing = torch.cat([s.spacing.to(dtype).expand(len(positions), -1) for s in shapes], -1)
+    operator = config.force_solve.prepare(overlap_markers(stencil), spacing)
+    return Place(deformations, markers, stencil, operator)
 
 
 def exchange(
-    body: Body,
+    bodies: Sequence[Body],
     config: FlowConfig,
+    shapes: Sequence[Shape],
     place: Place,
     rho: Tensor,
     ux: Tensor,
     uy: Tensor,
-) -> tuple[MarkerForce, Tensor, Tensor]:
+) -> tuple[tuple[Body, ...], Tensor, Tensor]:
     """Solve force and rigid motion together from the fluid at the markers' nodes.
 
     Args:
-        body: state at the start of the step.
-        config: of the flow.
-        place: where the body is.
+        bodies: states at the start of the step.
+        config: of the flows.
+        shapes: of the bodies.
+        place: where the bodies are.
         rho: density deviation at the nodes ``[B, S * S, N]``.
         ux: velocity without force along x there.
         uy: the same along y.
 
     Returns:
-        The solve's result and each marker's share of the nodes' force density along x and y,
+        The bodies after the step and each marker's share of the nodes' force density along x and y,
         ``[B, S * S, N]``: F = 2 rho W g ds.
     """
-    assert config.fish is not None
     weights = place.stencil.weights
-    velocity = torch.stack((interpolate(ux, weights), interpolate(uy, weights)), -1)
-    spacing = config.fish.spacing
-    ratio = config.fish.density_ratio
-    excess = ratio if config.coupling is Coupling.EXPLICIT else ratio - 1.0
-    result = solve_body_force(
-        body,
-        place.shape,
+    g, updates = solve_body_force(
+        config.bodies,
+        shapes,
+        bodies,
+        place.deformations,
         place.markers,
-        couple_markers(place.stencil, spacing),
-        velocity,
+        place.operator,
+        torch.stack((interpolate(ux, weights), interpolate(uy, weights)), 1),
         interpolate(rho + 1.0, weights),
-        spacing=spacing,
-        excess_mass=excess * config.fish.area,
-        excess_inertia=excess,
         solve=config.force_solve,
-        heading=config.heading,
         coupling=config.coupling,
     )
-    strength = (2.0 * spacing) * (rho + 1.0) * weights
-    return result, strength * result.g[:, None, :, 0], strength * result.g[:, None, :, 1]
+    moved = tuple(
+        move_body(*each)
+        for each in zip(config.bodies, shapes, bodies, place.deformations, updates, strict=True)
+    )
+    spacing = torch.cat([s.spacing.to(ux.dtype).expand(len(ux), -1) for s in shapes], -1)
+    strength = 2.0 * spacing[:, None] * (rho + 1.0) * weights
+    return moved, strength * g[:, None, 0], strength * g[:, None, 1]
 
 
 def gather(field: Tensor, nodes: Tensor) -> Tensor:

@@ -1,32 +1,44 @@
 """The fast step: a group of flows in one buffer, in place, compiled.
 
-Order of one step: collide all nodes without force (one pass, 72 bytes a node), then let the fish
-act on the outgoing populations at its marker nodes alone, then set the edges. As collision
-conserves mass and momentum, the fish sees the same unforced velocity as in ``solver.step``, and
-the increment it adds makes the result equal to the forced collision there. Even and odd steps are
+Order of one step: collide all nodes without force (one pass, 72 bytes a node), then let the bodies
+act on the outgoing populations at their marker nodes alone, then set the edges. As collision
+conserves mass and momentum, the bodies see the same unforced velocity as in ``solver.step``, and
+the increment they add makes the result equal to the forced collision there. Even and odd steps are
 the same code on other views (see ``streaming.InPlaceLayout``); states are exchanged at even
 parity only.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.utils import _pytree as pytree
 
 from fishrl.physics.boundaries import Boundary, Side
 from fishrl.physics.collision import collide_mrt, compute_force_increment, compute_macroscopic
 from fishrl.physics.compiled import compile_inplace
-from fishrl.physics.immersed_boundary import Stencil
-from fishrl.physics.kinematics import Deformation, Modes
 from fishrl.physics.lattice import OPPOSITE, Q
-from fishrl.physics.rigid_motion import Body, Markers, make_body, move_body
-from fishrl.physics.solver import Place, exchange, locate_body
-from fishrl.physics.state import FlowConfig
+from fishrl.physics.motion import Body
+from fishrl.physics.solver import Place, exchange, locate_bodies
+from fishrl.physics.state import FlowConfig, FlowParams, compute_stream_speed
 from fishrl.physics.streaming import InPlaceLayout
 
 _Function = Callable[..., Any]
-_NUM_BODY, _NUM_MODES = len(Body._fields), len(Modes._fields)
+
+
+class FlowData(NamedTuple):
+    """All numbers of a batch of flows beside the populations, float64, every tensor ``[B, ...]``.
+
+    Attributes:
+        clock: ``[B]`` steps since reset.
+        params: of the flows.
+        bodies: in them.
+    """
+
+    clock: Tensor
+    params: FlowParams
+    bodies: tuple[Body, ...]
 
 
 class FlowGroup:
@@ -34,16 +46,20 @@ class FlowGroup:
 
     Args:
         stepper: whose scratch the body part uses.
-        data: ``[num_slots]`` the group's populations.
-        body: the group's bodies, views of the batch.
+        populations: ``[num_slots]`` of the group.
+        omega: ``[B, 1]`` or ``[B, cells]`` relaxation rates.
+        flow: the group's numbers, views of the batch.
     """
 
-    def __init__(self, stepper: "Stepper", data: Tensor, body: Body) -> None:
-        layout, config = stepper.layout, stepper.config
-        self.data, self.body = data, body
-        self.cells = [layout.cells(data, p) for p in (0, 1)]
-        self.edges = [_make_edge_views(layout, data, config, p) for p in (0, 1)]
-        self.body_arguments = [stepper.gather_body_arguments(data, body, p) for p in (0, 1)]
+    def __init__(
+        self, stepper: "Stepper", populations: Tensor, omega: Tensor, flow: FlowData
+    ) -> None:
+        layout = stepper.layout
+        self.populations, self.omega, self.flow = populations, omega, flow
+        self.cells = [layout.cells(populations, p) for p in (0, 1)]
+        self.edges = [stepper.gather_edge_arguments(populations, flow, p) for p in (0, 1)]
+        self.crossings = [stepper.gather_crossings(populations, p) for p in (0, 1)]
+        self.body_arguments = [stepper.gather_body_arguments(populations, flow, p) for p in (0, 1)]
 
 
 class Stepper:
@@ -52,27 +68,36 @@ class Stepper:
     Args:
         config: of the flows.
         group_size: number of flows that advance together.
+        sample: numbers of ``group_size`` flows, for their shapes and types.
         device: where everything lives.
     """
 
-    def __init__(self, *, config: FlowConfig, group_size: int, device: torch.device) -> None:
+    def __init__(
+        self, *, config: FlowConfig, group_size: int, sample: FlowData, device: torch.device
+    ) -> None:
         self.config, self.device = config, device
         self.layout = InPlaceLayout(num_envs=group_size, height=config.height, width=config.width)
-        self._omega = torch.full((group_size, 1), 1.0 / config.tau, device=device)
         self._collide = _make_collide(config)
-        self._set_edges = [_make_edge_step(sides) for sides in config.boundaries.in_order()]
-        self.modes = None if config.fish is None else config.fish.make_modes(device)
-        if self.modes is not None:
-            self._prepare_body(self.modes, group_size)
+        groups = config.boundaries.in_order()
+        self._set_edges = [_make_edge_step(sides) for sides in groups]
+        self._profiles = [[self._make_profile(side) for side, _ in sides] for sides in groups]
+        if config.bodies:
+            self._prepare_bodies(sample, group_size)
 
-    def _prepare_body(self, modes: Modes, group_size: int) -> None:
+    def _make_profile(self, side: Side) -> Tensor:
+        num_nodes = self.config.height if side.value[0] else self.config.width
+        profile = self.config.boundaries.evaluate_profile(side, num_nodes)
+        return profile[None].to(self.device, torch.float32)
+
+    def _prepare_bodies(self, sample: FlowData, group_size: int) -> None:
         layout, device = self.layout, self.device
-        flows = torch.arange(group_size, device=device)
-        rest = torch.zeros(group_size, dtype=torch.float64, device=device)
-        sample = make_body(torch.zeros_like(rest)[:, None].expand(-1, 2), rest, rest)
-        self._place = _flatten(locate_body(sample, self.config, modes, torch.float32))
-        entries = _unflatten(self._place).stencil.weights.numel()
-        self._first_cell = flows * layout.flow_length + layout.first_cell
+        self._place: Place = locate_bodies(
+            sample.bodies, self.config, sample.params.shapes, torch.float32
+        )
+        entries = self._place.stencil.weights.numel()
+        self._first_cell = (
+            torch.arange(group_size, device=device) * layout.flow_length + layout.first_cell
+        )
         self._offsets = [torch.tensor(layout.offsets(p, True), device=device) for p in (0, 1)]
         self._force = torch.zeros(2 * layout.num_cells, device=device)
         self._nodes = torch.zeros(2 * entries, dtype=torch.int64, device=device)
@@ -80,48 +105,87 @@ class Stepper:
         self._fluid = torch.zeros(3, entries, device=device)
         self._slots = torch.zeros(Q * entries, dtype=torch.int64, device=device)
         self._increments = torch.zeros(Q * entries, device=device)
-        self._entry_omega = self._omega.expand(-1, entries // group_size).reshape(-1).clone()
-        self._locate = _make_locate(self.config)
-        self._push = _make_push(self.config, layout)
+        trees = (sample.bodies, sample.params.shapes, self._place)
+        self._locate = _make_locate(self.config, trees)
+        self._push = _make_push(self.config, layout, trees)
         self._absorb = _make_absorb(self.config)
 
     def gather_body_arguments(
-        self, data: Tensor, body: Body, parity: int
+        self, populations: Tensor, flow: FlowData, parity: int
     ) -> tuple[Sequence[Tensor], ...]:
         """Return the arguments of locate, push and absorb after a step of ``parity``."""
-        if self.modes is None:
+        if not self.config.bodies:
             return ()
         offsets, scratch = self._offsets[parity], (self._nodes, self._shares, self._fluid)
+        everything = pytree.tree_leaves((flow.bodies, flow.params.shapes, self._place))
         return (
-            (*body, *self.modes, *self._place),
-            (data, offsets, self._first_cell, *scratch, *body, *self._place),
-            (self._force, *scratch, self._entry_omega, offsets, self._slots, self._increments),
+            everything,
+            (populations, offsets, self._first_cell, *scratch, *everything),
+            (self._force, *scratch, flow.params.tau, offsets, self._slots, self._increments),
         )
+
+    def gather_edge_arguments(
+        self, populations: Tensor, flow: FlowData, parity: int
+    ) -> list[Sequence[Tensor]]:
+        """Return the arguments of the edge calls after a step of ``parity``."""
+        incoming = self.layout.nodes(populations, 1 - parity, False)
+        outgoing = self.layout.nodes(populations, parity, True)
+        params = flow.params
+        calls: list[Sequence[Tensor]] = []
+        groups = self.config.boundaries.in_order()
+        for sides, profiles in zip(groups, self._profiles, strict=True):
+            views: list[Tensor] = []
+            for side, _ in sides:
+                views += [f[side.edge] for f in incoming]
+                views += [f[side.neighbour] for f in incoming]
+                views += [f[side.edge] for f in outgoing]
+            numbers = (flow.clock, params.tau, params.stream_speed, params.ramp_steps)
+            calls.append((*numbers, *profiles, *views))
+        return calls
+
+    def gather_crossings(self, populations: Tensor, parity: int) -> list[tuple[Tensor, Tensor]]:
+        """Return (to, from) views of what crosses periodic edges after a step of ``parity``."""
+        incoming = self.layout.nodes(populations, 1 - parity, False)
+        outgoing = self.layout.nodes(populations, parity, True)
+        size = self.config.height, self.config.width
+        crossings = self.config.boundaries.list_crossings(*size)
+        return [(incoming[q][to], outgoing[q][origin]) for q, to, origin in crossings]
 
     def compile(self, group: FlowGroup) -> None:
         """Compile every part of the step for groups like ``group``."""
-        self._collide = compile_inplace(self._collide, (self._omega, *group.cells[0]))
+        self._collide = compile_inplace(self._collide, (group.omega, *group.cells[0]))
         for i, views in enumerate(group.edges[0]):
             self._set_edges[i] = compile_inplace(self._set_edges[i], views)
-        if self.modes is not None:
+        if self.config.bodies:
             locate, push, absorb = group.body_arguments[0]
             self._locate = compile_inplace(self._locate, locate)
             self._push = compile_inplace(self._push, push)
             self._absorb = compile_inplace(self._absorb, absorb)
 
-    def step_(self, group: FlowGroup, parity: int) -> None:
-        """Advance one group by one step of ``parity``."""
-        self._collide(self._omega, *group.cells[parity])
-        if self.modes is not None:
+    def advance_(self, group: FlowGroup, num_steps: int) -> None:
+        """Advance one group by an even number of steps."""
+        if self.config.bodies and self.config.is_still:
+            self._locate(*group.body_arguments[0][0])
+        for _ in range(num_steps // 2):
+            self._step_(group, 0)
+            self._step_(group, 1)
+
+    def _step_(self, group: FlowGroup, parity: int) -> None:
+        self._collide(group.omega, *group.cells[parity])
+        if self.config.bodies:
             locate, push, absorb = group.body_arguments[parity]
-            self._locate(*locate)
+            if not self.config.is_still:
+                self._locate(*locate)
             self._push(*push)
             self._force.index_add_(0, self._nodes, self._shares)
             self._absorb(*absorb)
-            group.data.index_add_(0, self._slots, self._increments)
+            group.populations.index_add_(0, self._slots, self._increments)
             self._force.index_fill_(0, self._nodes, 0.0)
-        for set_edges, views in zip(self._set_edges, group.edges[parity], strict=True):
-            set_edges(*views)
+        group.flow.clock.add_(1.0)
+        for to, origin in group.crossings[parity]:
+            to.copy_(origin)
+        for set_edges, arguments in zip(self._set_edges, group.edges[parity], strict=True):
+            set_edges(*arguments)
 
 
 def _make_collide(config: FlowConfig) -> _Function:
@@ -134,36 +198,43 @@ def _make_collide(config: FlowConfig) -> _Function:
     return collide
 
 
-def _make_locate(config: FlowConfig) -> _Function:
-    """Return: deform the body, place markers and stencils."""
+_Trees = tuple[Any, Any, Place]
 
-    def locate(*args: Tensor) -> None:
-        body, rest = Body(*args[:_NUM_BODY]), args[_NUM_BODY:]
-        place = locate_body(body, config, Modes(*rest[:_NUM_MODES]), torch.float32)
-        for old, new in zip(rest[_NUM_MODES:], _flatten(place), strict=True):
-            old.copy_(new)
+
+def _copy_tree(old: object, new: object) -> None:
+    for a, b in zip(pytree.tree_leaves(old), pytree.tree_leaves(new), strict=True):
+        a.copy_(b)
+
+
+def _make_locate(config: FlowConfig, trees: _Trees) -> _Function:
+    """Return: deform the bodies, place markers and stencils."""
+    form = pytree.tree_structure(trees)
+
+    def locate(*leaves: Tensor) -> None:
+        bodies, shapes, place = pytree.tree_unflatten(leaves, form)
+        _copy_tree(place, locate_bodies(bodies, config, shapes, torch.float32))
 
     return locate
 
 
-def _make_push(config: FlowConfig, layout: InPlaceLayout) -> _Function:
-    """Return: markers read the fluid, force and motion are solved, the body moves."""
+def _make_push(config: FlowConfig, layout: InPlaceLayout, trees: _Trees) -> _Function:
+    """Return: markers read the fluid, force and motion are solved, the bodies move."""
+    form = pytree.tree_structure(trees)
 
     def push(
         data: Tensor, offsets: Tensor, first_cell: Tensor,
-        nodes_out: Tensor, shares_out: Tensor, fluid_out: Tensor, *rest: Tensor,
+        nodes_out: Tensor, shares_out: Tensor, fluid_out: Tensor, *leaves: Tensor,
     ) -> None:  # fmt: skip
-        body, place = Body(*rest[:_NUM_BODY]), _unflatten(rest[_NUM_BODY:])
+        bodies, shapes, place = pytree.tree_unflatten(leaves, form)
         nodes = place.stencil.index_nodes(layout.row_length) + first_cell[:, None, None]
         rho, jx, jy = compute_macroscopic([data[nodes + offsets[q]] for q in range(Q)])
         ux, uy = jx / (rho + 1.0), jy / (rho + 1.0)
-        result, share_x, share_y = exchange(body, config, place, rho, ux, uy)
+        moved, share_x, share_y = exchange(bodies, config, shapes, place, rho, ux, uy)
         flat = nodes.reshape(-1)
         nodes_out.copy_(torch.cat((flat, flat + layout.num_cells)))
         shares_out.copy_(torch.cat((share_x.reshape(-1), share_y.reshape(-1))))
         fluid_out.copy_(torch.stack((rho, ux, uy)).reshape(3, -1))
-        for old, new in zip(body, move_body(body, place.shape, result), strict=True):
-            old.copy_(new)
+        _copy_tree(bodies, moved)
 
     return push
 
@@ -172,58 +243,36 @@ def _make_absorb(config: FlowConfig) -> _Function:
     """Return: from the nodes' total force, what each marker adds to the populations."""
 
     def absorb(
-        force: Tensor, nodes: Tensor, shares: Tensor, fluid: Tensor, omega: Tensor,
+        force: Tensor, nodes: Tensor, shares: Tensor, fluid: Tensor, tau: Tensor,
         offsets: Tensor, slots_out: Tensor, increments_out: Tensor,
     ) -> None:  # fmt: skip
-        fx, fy = force[nodes].chunk(2)
-        part_x, part_y = shares.chunk(2)
-        rho, ux, uy = fluid.unbind(0)
+        rows = len(tau), -1
+        fx, fy = (t.view(rows) for t in force[nodes].chunk(2))
+        part_x, part_y = (t.view(rows) for t in shares.chunk(2))
+        rho, ux, uy = (t.view(rows) for t in fluid)
+        omega = (1.0 / tau).to(fx)[:, None]
         increment = compute_force_increment(
             rho, ux, uy, fx, fy, part_x, part_y, omega, config.rates
         )
-        increments_out.copy_(torch.cat(increment))
+        increments_out.copy_(torch.cat([t.reshape(-1) for t in increment]))
         slots_out.copy_((offsets[:, None] + nodes.chunk(2)[0]).reshape(-1))
 
     return absorb
 
 
-def _make_edge_views(
-    layout: InPlaceLayout, data: Tensor, config: FlowConfig, parity: int
-) -> list[Sequence[Tensor]]:
-    """Return the views that the edge calls read and write after a step of ``parity``."""
-    incoming = layout.nodes(data, 1 - parity, False)
-    outgoing = layout.nodes(data, parity, True)
-    calls: list[Sequence[Tensor]] = []
-    for sides in config.boundaries.in_order():
-        views: list[Tensor] = []
-        for side, _ in sides:
-            views += [f[side.edge] for f in incoming]
-            views += [f[side.neighbour] for f in incoming]
-            views += [f[side.edge] for f in outgoing]
-        calls.append(views)
-    return calls
-
-
 def _make_edge_step(sides: list[tuple[Side, Boundary]]) -> _Function:
-    """Return: set some edges, from views in the order of ``_make_edge_views``."""
+    """Return: set some edges, from the arguments of ``gather_edge_arguments``."""
 
-    def set_edges(*views: Tensor) -> None:
+    def set_edges(
+        clock: Tensor, tau: Tensor, stream_speed: Tensor, ramp_steps: Tensor, *rest: Tensor
+    ) -> None:
+        params = FlowParams(tau, stream_speed, ramp_steps, ())
+        speed_now = compute_stream_speed(params, clock).float()[:, None]
+        profiles, views = rest[: len(sides)], rest[len(sides) :]
         for i, (side, boundary) in enumerate(sides):
             edge, neighbour, outgoing = (views[(3 * i + j) * Q :][:Q] for j in range(3))
-            for q, values in boundary.compute_edge(side, neighbour, outgoing).items():
+            speed = speed_now * profiles[i]
+            for q, values in boundary.compute_edge(side, neighbour, outgoing, speed).items():
                 edge[q].copy_(values)
 
     return set_edges
-
-
-def _flatten(place: Place) -> list[Tensor]:
-    return [t for part in place for t in part]
-
-
-def _unflatten(tensors: Sequence[Tensor]) -> Place:
-    shape, markers = len(Deformation._fields), len(Markers._fields)
-    return Place(
-        Deformation(*tensors[:shape]),
-        Markers(*tensors[shape : shape + markers]),
-        Stencil(*tensors[shape + markers :]),
-    )

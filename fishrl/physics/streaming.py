@@ -76,3 +76,8 @@ class InPlaceLayout:
         stride = (self.flow_length, self.row_length, 1)
         first = data.storage_offset() + self.first_cell
         return [data.as_strided(size, stride, first + o) for o in self.offsets(parity, outgoing)]
+
+    def strip_rings(self, cells: Tensor) -> Tensor:
+        """Return a view ``[B, Y, X]`` of values ``[B, cells]`` without the rings."""
+        rows = cells[:, : (self.height + 2) * self.row_length].view(len(cells), -1, self.row_length)
+        return rows[:, 1 : self.height + 1, 1 : self.width + 1]

@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor
 
-from fishrl.physics.kinematics import deform
-from fishrl.physics.rigid_motion import Body, make_body, place_markers
+from fishrl.physics.motion import Body, make_body
+from fishrl.physics.rigid_motion import deform_body, place_markers
 from fishrl.physics.state import FlowConfig
 
 GLIDE_SPEED_BL = 0.4  # body lengths per tail beat
@@ -25,7 +25,7 @@ class GlidingSolver:
     ) -> None:
         assert config.fish is not None
         self.config, self.num_envs, self.frequency = config, num_envs, frequency
-        self.modes = config.fish.make_modes(device)
+        self.shape = config.fish.make_shape(device)
         rest = torch.zeros(num_envs, dtype=torch.float64, device=device)
         fresh = make_body(rest[:, None].expand(-1, 2), rest, rest + frequency)
         self.body = Body(*(t.clone() for t in fresh))
@@ -62,8 +62,10 @@ class GlidingSolver:
 
     def markers(self) -> Tensor:
         still = torch.zeros_like(self.body.phase)
+        straight = self.body._replace(phase=still, frequency=still, age=still)
+        assert self.config.fish is not None
         return place_markers(
-            self.body, self.modes, deform(self.modes, still, still, still)
+            self.body, deform_body(self.config.fish, self.shape, straight)
         ).position
 
     def is_diverged(self) -> Tensor:

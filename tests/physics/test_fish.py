@@ -9,22 +9,31 @@ from fishrl.physics.bodies import Fish
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.diagnostics import compute_area
-from fishrl.physics.kinematics import CARANGIFORM, CARLING, LONG_WAVE, Gait, deform
-from fishrl.physics.rigid_motion import (
+from fishrl.physics.kinematics import CARANGIFORM, CARLING, LONG_WAVE, Beat, Gait, deform
+from fishrl.physics.motion import (
+    Bending,
     Body,
-    Coupling,
-    Heading,
+    Commanded,
+    Free,
+    Motion,
     compute_turn_rate,
     make_body,
-    place_markers,
 )
-from fishrl.physics.solver import locate_body, make_rest, make_uniform, step
-from fishrl.physics.state import FlowConfig, FlowState
+from fishrl.physics.rigid_motion import Coupling, deform_body, place_markers
+from fishrl.physics.solver import locate_bodies, make_rest, make_uniform, step
+from fishrl.physics.state import FlowConfig, FlowState, make_params
 from fishrl.physics.units import Scales
 
 GAITS = {"carling": CARLING, "carangiform": CARANGIFORM, "long wave": LONG_WAVE}
 SCALES = Scales.from_budget(body_length=24, reynolds=800.0, max_wall_speed=0.1)
 STILL = Gait(amplitude=0.0, envelope=(0.0, 1.0, 0.0), wavenumber=1.0)
+
+
+MOTIONS = [Free(), Commanded(), Bending()]
+
+
+def outline(fish: Fish, body: Body) -> torch.Tensor:
+    return place_markers(body, deform_body(fish, fish.make_shape(), body)).position
 
 
 def make_fish_body(
@@ -37,18 +46,17 @@ def make_fish_body(
 
 
 def run(config: FlowConfig, body: Body, num_steps: int) -> FlowState:
-    assert config.fish is not None
-    modes = config.fish.make_modes()
-    state = FlowState(make_rest(config, 1), body)
+    params = make_params([config])
+    state = FlowState(make_rest(config, 1), (body,))
     for _ in range(num_steps):
-        state = step(state, config, modes)
+        state = step(state, config, params)
     return state
 
 
-def test_a_body_without_its_modes_is_refused() -> None:
+def test_a_state_with_other_bodies_than_the_config_is_refused() -> None:
     config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
-    with pytest.raises(ValueError, match=r"modes=config.fish.make_modes\(\)"):
-        step(FlowState(make_rest(config, 1), make_fish_body()), config)
+    with pytest.raises(ValueError, match="the state has 0 bodies, the config 1"):
+        step(FlowState(make_rest(config, 1)), config)
 
 
 def measure_momentum(f: torch.Tensor) -> torch.Tensor:
@@ -60,31 +68,30 @@ def test_naca0012_has_the_area_inertia_and_perimeter_of_the_closed_form() -> Non
     """Area 0.08171 L^2, I_0 = 0.0045097 L^4, perimeter 2.0395 L (integrals of the section)."""
     fish = Fish(body_length=100)
     assert fish.area / 100**2 == pytest.approx(0.08171, rel=1e-3)
-    assert float(fish.make_modes().inertia) / 100**4 == pytest.approx(0.0045097, rel=1e-3)
+    assert float(fish.make_shape().inertia) / 100**4 == pytest.approx(0.0045097, rel=1e-3)
     assert fish.num_markers * fish.spacing / 100 == pytest.approx(2.0395, rel=1e-3)
 
 
 @pytest.mark.parametrize("gait", GAITS.values(), ids=GAITS.keys())
 def test_area_stays_within_half_a_percent_over_a_beat(gait: Gait) -> None:
-    modes = Fish(body_length=50, gait=gait).make_modes()
+    fish = Fish(body_length=50, gait=gait)
     phase = torch.linspace(0.0, 2.0 * math.pi, 41, dtype=torch.float64)
     one = torch.ones_like(phase)
     body = make_body(torch.stack((50 * one, 50 * one), -1), 0.3 * one, one / 500)
     body = body._replace(phase=phase, age=1000 * one)
-    shape = deform(modes, body.phase, body.frequency, body.age)
-    area = compute_area(place_markers(body, modes, shape).position)
+    area = compute_area(outline(fish, body))
     assert (area / area.mean() - 1.0).abs().max() < 0.005
     assert area.mean() == pytest.approx(0.08171 * 50**2, rel=0.01)
 
 
 def test_the_wave_runs_from_head_to_tail() -> None:
     """The crest of the lateral displacement moves towards the tail as the phase advances."""
-    modes = Fish(body_length=50).make_modes()
-    half = modes.axial.numel() // 2
+    shape = Fish(body_length=50).make_shape()
+    half = shape.axial.numel() // 2
     phase = torch.tensor([0.3, 0.4], dtype=torch.float64)
     one = torch.ones_like(phase)
-    shape = deform(modes, phase, one / 500, 1000 * one)
-    spine = (shape.lateral - modes.lateral)[:, half // 2 : half]
+    bent = deform(shape, Beat(phase, one / 500, 1000 * one, 0 * one, 0 * one))
+    spine = (bent.lateral - shape.lateral)[:, half // 2 : half]
     crest = spine.abs().argmax(-1)
     assert crest[1] >= crest[0]
     lag = (spine[1, 1:] - spine[1, :-1] - (spine[0, 1:] - spine[0, :-1])).abs().sum()
@@ -92,63 +99,56 @@ def test_the_wave_runs_from_head_to_tail() -> None:
     assert lag > 0 and shifted.abs().mean() < (spine[1] - spine[0]).abs().mean()
 
 
-@pytest.mark.parametrize("heading", list(Heading))
-def test_markers_move_by_the_velocity_that_the_flow_is_given(heading: Heading) -> None:
+@pytest.mark.parametrize("motion", MOTIONS, ids=lambda m: type(m).__name__)
+def test_markers_move_by_the_velocity_that_the_flow_is_given(motion: Motion) -> None:
     """Displacement over one step = imposed velocity, to second order in the step."""
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, heading=heading)
-    assert config.fish is not None
-    modes = config.fish.make_modes()
+    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, motion=motion)
+    params = make_params([config])
     one = torch.ones(1, dtype=torch.float64)
     body = make_fish_body()._replace(turn=0.3 * one, turn_steps=200 * one, turn_clock=0 * one)
-    state = FlowState(make_rest(config, 1), body)
+    state = FlowState(make_rest(config, 1), (body,))
     worst = 0.0
     for _ in range(SCALES.period + 40):
-        place = locate_body(state.body, config, modes, torch.float64)
-        state = step(state, config, modes)
-        after = locate_body(state.body, config, modes, torch.float64).markers.position
-        rx, ry = place.markers.arm.unbind(-1)
-        omega = state.body.angular_velocity[:, None]
+        place = locate_bodies(state.bodies, config, params.shapes, torch.float64).markers[0]
+        state = step(state, config, params)
+        after = locate_bodies(state.bodies, config, params.shapes, torch.float64).markers[0]
+        rx, ry = place.arm.unbind(-1)
+        omega = state.bodies[0].angular_velocity[:, None]
         imposed = (
-            state.body.velocity[:, None]
+            state.bodies[0].velocity[:, None]
             + torch.stack((-omega * ry, omega * rx), -1)
-            + place.markers.deformation_velocity
+            + place.deformation_velocity
         )
-        worst = max(worst, float((after - place.markers.position - imposed).abs().max()))
+        worst = max(worst, float((after.position - place.position - imposed).abs().max()))
     # the acceleration of the tail is (2 pi / T) times its speed; half of it is the error of a step
     assert worst < 1.5 * math.pi / SCALES.period * SCALES.tail_speed
 
 
 def test_changing_the_frequency_does_not_move_the_body() -> None:
-    modes = Fish(body_length=50).make_modes()
+    fish = Fish(body_length=50)
     body = make_fish_body()
     body = body._replace(age=2000.0 + body.age, phase=body.phase + 1.3)
-    places = []
-    for factor in (1.0, 2.0):
-        shape = deform(modes, body.phase, factor * body.frequency, body.age)
-        places.append(place_markers(body, modes, shape).position)
+    places = [outline(fish, body._replace(frequency=f * body.frequency)) for f in (1.0, 2.0)]
     torch.testing.assert_close(places[0], places[1], rtol=0, atol=1e-12)
 
 
 def test_deformation_has_no_linear_or_angular_momentum() -> None:
     fish = Fish(body_length=50)
-    modes = fish.make_modes()
     one = torch.ones(1, dtype=torch.float64)
-    shape = deform(modes, 0.8 * one, one / 500, 1000 * one)
+    shape = fish.make_shape()
+    bent = deform(shape, Beat(0.8 * one, one / 500, 1000 * one, 0 * one, 0 * one))
     e1, e2 = -2 * math.pi / 500 * math.sin(0.8), -2 * math.pi / 500 * math.cos(0.8)
-    momentum = e1 * modes.moment_sine + e2 * modes.moment_cosine + shape.inertia * shape.spin
-    assert abs(float(momentum)) < 1e-9 * float(shape.inertia)
+    momentum = e1 * shape.moments[0, 0] + e2 * shape.moments[0, 1] + bent.inertia * bent.spin
+    assert abs(float(momentum)) < 1e-9 * float(bent.inertia)
     body = make_fish_body()._replace(age=1000 * one)
     phases = torch.linspace(0, 2 * math.pi, 9, dtype=torch.float64)
     centres = []
     for phase in phases:
         moved = body._replace(phase=phase * one)
-        outline = place_markers(
-            moved, modes, deform(modes, moved.phase, moved.frequency, moved.age)
-        ).position[0]
-        x, y = outline.unbind(-1)
+        x, y = outline(fish, moved)[0].unbind(-1)
         cross = x * y.roll(-1) - y * x.roll(-1)
         centres.append((((x + x.roll(-1)) * cross).sum(), ((y + y.roll(-1)) * cross).sum()))
-    area = compute_area(outline[None])[0]
+    area = compute_area(outline(fish, body))[0]
     spread = torch.tensor(centres) / (6 * area)
     assert (spread - spread.mean(0)).abs().max() < 0.05  # polygon against exact outline, nodes
 
@@ -164,58 +164,58 @@ def test_a_commanded_turn_ends_at_the_commanded_heading() -> None:
     assert largest < 2.01 * 0.26 / 300
 
 
-@pytest.mark.parametrize("heading", list(Heading))
+@pytest.mark.parametrize("motion", MOTIONS, ids=lambda m: type(m).__name__)
 @pytest.mark.parametrize("density_ratio", [1.0, 2.0])
 def test_fluid_and_body_conserve_momentum_to_round_off(
-    heading: Heading, density_ratio: float
+    motion: Motion, density_ratio: float
 ) -> None:
-    fish = Fish(body_length=24, density_ratio=density_ratio)
+    fish = Fish(body_length=24, density_ratio=density_ratio, motion=motion)
     config = make_swimmer_config(
-        SCALES, length_bl=4, height_bl=3, boundaries=PERIODIC, fish=fish, heading=heading
+        SCALES, length_bl=4, height_bl=3, boundaries=PERIODIC, bodies=(fish,)
     )
     state = run(config, make_fish_body(), 150)
     excess = (density_ratio - 1.0) * fish.area
-    total = measure_momentum(state.f) + excess * state.body.velocity
-    assert state.body.velocity.abs().max() > 1e-3
+    total = measure_momentum(state.f) + excess * state.bodies[0].velocity
+    assert state.bodies[0].velocity.abs().max() > 1e-3
     assert total.abs().max() < 1e-11
 
 
 def test_muscle_power_equals_total_power_on_the_fluid_when_the_fish_is_free() -> None:
     """With no net force and torque the rigid motion does no work: F . u_def = F . V."""
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, heading=Heading.FREE)
-    body = run(config, make_fish_body(), 200).body
+    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, motion=Free())
+    body = run(config, make_fish_body(), 200).bodies[0]
     assert float(body.force.abs().max()) < 1e-12
     # the lateral part misses only the work of -H/I against a torque that is zero
     assert float(body.lateral_work) == pytest.approx(float(body.work), rel=1e-6)
     assert float(body.work) > 0
 
 
-@pytest.mark.parametrize("heading", list(Heading))
-def test_a_body_carried_by_a_uniform_stream_leaves_the_flow_untouched(heading: Heading) -> None:
-    fish = Fish(body_length=24, gait=STILL)
+@pytest.mark.parametrize("motion", MOTIONS, ids=lambda m: type(m).__name__)
+def test_a_body_carried_by_a_uniform_stream_leaves_the_flow_untouched(motion: Motion) -> None:
+    fish = Fish(body_length=24, gait=STILL, motion=motion)
     config = make_swimmer_config(
-        SCALES, length_bl=4, height_bl=3, boundaries=PERIODIC, fish=fish, heading=heading
+        SCALES, length_bl=4, height_bl=3, boundaries=PERIODIC, bodies=(fish,)
     )
     zero = torch.zeros(1, config.height, config.width, dtype=torch.float64)
     stream = (0.05, -0.02)
     f = make_uniform(zero, zero + stream[0], zero + stream[1])
     body = make_fish_body(heading=0.4)
     body = body._replace(velocity=torch.tensor([stream], dtype=torch.float64))
-    state = FlowState(f, body)
+    state = FlowState(f, (body,))
     for _ in range(200):
-        state = step(state, config, fish.make_modes())
+        state = step(state, config, make_params([config]))
     torch.testing.assert_close(state.f, f, rtol=0, atol=1e-14)
     expected = body.position + 200 * body.velocity
-    torch.testing.assert_close(state.body.position, expected, rtol=0, atol=1e-10)
+    torch.testing.assert_close(state.bodies[0].position, expected, rtol=0, atol=1e-10)
 
 
 def test_the_papers_explicit_coupling_runs_where_the_body_is_heavy() -> None:
     fish = Fish(body_length=24, density_ratio=8.0)
     config = make_swimmer_config(
-        SCALES, length_bl=4, height_bl=3, fish=fish, coupling=Coupling.EXPLICIT
+        SCALES, length_bl=4, height_bl=3, bodies=(fish,), coupling=Coupling.EXPLICIT
     )
     assert config.coupling is Coupling.EXPLICIT
-    body = run(config, make_fish_body(), 300).body
+    body = run(config, make_fish_body(), 300).bodies[0]
     assert float(body.velocity.norm()) < 0.05
     assert float(body.position[0, 0]) < 40.3  # it swims forward, facing -x
 
@@ -225,6 +225,6 @@ def test_a_mirrored_start_swims_the_mirrored_way() -> None:
     height = config.height - 1.0
     up, down = make_fish_body((60.0, 30.0)), make_fish_body((60.0, height - 30.0))
     down = down._replace(phase=down.phase + math.pi)  # the mirrored wave
-    a, b = (run(config, body, 250).body for body in (up, down))
+    a, b = (run(config, body, 250).bodies[0] for body in (up, down))
     assert float(a.position[0, 0]) == pytest.approx(float(b.position[0, 0]), abs=1e-9)
     assert float(a.position[0, 1]) == pytest.approx(height - float(b.position[0, 1]), abs=1e-9)

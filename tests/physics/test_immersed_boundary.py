@@ -11,12 +11,12 @@ from fishrl.physics.delta import Hat, Kernel, Peskin4, Roma3
 from fishrl.physics.immersed_boundary import (
     DirectSolve,
     IterativeForcing,
-    couple_markers,
     interpolate,
     make_stencil,
+    overlap_markers,
 )
-from fishrl.physics.kinematics import deform
-from fishrl.physics.rigid_motion import make_body, place_markers
+from fishrl.physics.motion import make_body
+from fishrl.physics.rigid_motion import deform_body, place_markers
 from fishrl.physics.solver import gather, spread
 from fishrl.physics.state import FlowConfig
 
@@ -26,12 +26,11 @@ SIZE = 96
 
 def make_markers(heading: float = 0.7) -> torch.Tensor:
     """A deformed fish of 50 nodes in the middle of the grid."""
-    modes = Fish(body_length=50).make_modes()
+    fish = Fish(body_length=50)
     centre = torch.tensor([[48.3, 47.6]], dtype=torch.float64)
     one = torch.ones(1, dtype=torch.float64)
     body = make_body(centre, heading * one, one / 500)._replace(age=900 * one, phase=1.1 * one)
-    shape = deform(modes, body.phase, body.frequency, body.age)
-    return place_markers(body, modes, shape).position
+    return place_markers(body, deform_body(fish, fish.make_shape(), body)).position
 
 
 @pytest.mark.parametrize("kernel", KERNELS, ids=lambda k: type(k).__name__)
@@ -62,7 +61,7 @@ def test_coupling_matrix_equals_spread_then_interpolate(kernel: Kernel) -> None:
     g = torch.randn(1, weights.shape[-1], dtype=torch.float64)
     field = spread(0.9 * weights * g[:, None], nodes, torch.zeros(1, SIZE, SIZE).double())
     expected = interpolate(gather(field, nodes), weights)
-    got = couple_markers(stencil, 0.9) @ g[..., None]
+    got = 0.9 * overlap_markers(stencil) @ g[..., None]
     torch.testing.assert_close(got[..., 0], expected)
 
 
@@ -70,18 +69,16 @@ def test_coupling_matrix_equals_spread_then_interpolate(kernel: Kernel) -> None:
 @pytest.mark.parametrize("heading", [0.0, 0.7, math.pi / 2])
 def test_the_kernels_spectrum_bounds_the_coupling(kernel: Kernel, heading: float) -> None:
     stencil = make_stencil(make_markers(heading), kernel, SIZE, SIZE, torch.float64)
-    largest = torch.linalg.eigvalsh(couple_markers(stencil, 1.0)[0])[-1]
+    largest = torch.linalg.eigvalsh(overlap_markers(stencil)[0])[-1]
     assert 0.5 * kernel.spectrum < largest < kernel.spectrum
 
 
 def measure_slip(solve: IterativeForcing | DirectSolve) -> float:
     """Relative rms slip left of an impulsive smooth target."""
     markers = make_markers()
-    coupling = couple_markers(
-        make_stencil(markers, Roma3(), SIZE, SIZE, torch.float64), Fish(body_length=50).spacing
-    )
+    overlap = overlap_markers(make_stencil(markers, Roma3(), SIZE, SIZE, torch.float64))
     target = torch.cos(0.1 * markers[..., :1]).mT
-    _, rest = solve(coupling, target)
+    _, rest = solve(solve.prepare(overlap, Fish(body_length=50).make_shape().spacing), target)
     return float(rest.norm() / target.norm())
 
 
@@ -103,10 +100,13 @@ def test_direct_solve_leaves_no_slip() -> None:
 
 def test_direct_solve_is_the_limit_of_the_iteration() -> None:
     stencil = make_stencil(make_markers(), Roma3(), SIZE, SIZE, torch.float64)
-    coupling = couple_markers(stencil, 1.0)
+    coupling = overlap_markers(stencil)
     residual = (coupling @ torch.cos(0.1 * make_markers()[..., :1])).mT
-    exact, _ = DirectSolve(regularisation=1e-12)(coupling, residual)
-    iterated, _ = IterativeForcing(num_iterations=4000)(coupling, residual)
+    one = torch.ones_like(residual[:, 0])
+    exact, iterated = (
+        solve(solve.prepare(coupling, one), residual)[0]
+        for solve in (DirectSolve(regularisation=1e-12), IterativeForcing(num_iterations=4000))
+    )
     torch.testing.assert_close(iterated, exact, rtol=0, atol=2e-3)
 
 

@@ -4,17 +4,37 @@ import logging
 import math
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 import torch
 
-from fishrl.physics import FlowConfig, FlowState, Heading, InPlaceSolver, Scales
+from fishrl.physics import (
+    Cylinder,
+    DCylinder,
+    Ellipse,
+    Fish,
+    FlowConfig,
+    FlowState,
+    InPlaceSolver,
+    Scales,
+)
 from fishrl.physics import compiled as compiled_module
-from fishrl.physics.boundaries import Boundaries, NonEquilibrium, NoSlip, Periodic
-from fishrl.physics.cases import make_swimmer_config
+from fishrl.physics.boundaries import (
+    Boundaries,
+    NonEquilibrium,
+    NoSlip,
+    Periodic,
+    Profile,
+    Side,
+)
+from fishrl.physics.cases import PERIODIC, make_swimmer_config
+from fishrl.physics.collision import Rates
 from fishrl.physics.immersed_boundary import DirectSolve
-from fishrl.physics.rigid_motion import Body, make_body
+from fishrl.physics.kinematics import Gait
+from fishrl.physics.motion import Bending, Body, Commanded, Fixed, Free, Oscillating, make_body
 from fishrl.physics.solver import make_rest, step
+from fishrl.physics.state import Sponge, make_params
 
 SCALES = Scales.from_budget(body_length=24, reynolds=800.0, max_wall_speed=0.1)
 STARTS = torch.tensor([[60.3, 36.4], [40.1, 30.7], [50.0, 41.0]], dtype=torch.float64)
@@ -39,14 +59,13 @@ def make_solver(
 
 
 def run_reference(config: FlowConfig, num_steps: int) -> FlowState:
-    assert config.fish is not None
-    modes = config.fish.make_modes()
     body = make_body(STARTS, HEADINGS, torch.full((3,), 1.0 / SCALES.period, dtype=torch.float64))
     steps = torch.full((3,), 160.0, dtype=torch.float64)
     body = body._replace(turn=TURN, turn_steps=steps, turn_clock=0.0 * steps)
-    state = FlowState(make_rest(config, 3), body)
+    state = FlowState(make_rest(config, 3), (body,), torch.zeros(3, dtype=torch.float64))
+    params = make_params([config] * 3)
     for _ in range(num_steps):
-        state = step(state, config, modes)
+        state = step(state, config, params)
     return state
 
 
@@ -55,10 +74,11 @@ def assert_equal_to_reference(solver: InPlaceSolver, reference: FlowState) -> No
     scale = float(reference.f.abs().max())
     assert scale > 0.005
     assert float((solver.populations() - reference.f).abs().max()) < 1e-5 * scale
-    assert reference.body is not None
-    assert float((solver.body.position - reference.body.position).abs().max()) < 1e-5
-    assert float((solver.body.heading - reference.body.heading).abs().max()) < 1e-6
-    torch.testing.assert_close(solver.body.work, reference.body.work, rtol=1e-4, atol=1e-6)
+    for got, expected in zip(solver.bodies, reference.bodies, strict=True):
+        assert float((got.position - expected.position).abs().max()) < 1e-5
+        assert float((got.heading - expected.heading).abs().max()) < 1e-6
+        torch.testing.assert_close(got.work, expected.work, rtol=1e-4, atol=1e-6)
+        torch.testing.assert_close(got.impulse, expected.impulse, rtol=1e-3, atol=1e-5)
 
 
 INLET = Boundaries(
@@ -67,23 +87,139 @@ INLET = Boundaries(
     bottom=NoSlip(),
     top=NonEquilibrium(velocity=(0.03, 0.0)),
 )
+COUETTE = Boundaries(
+    left=Periodic(),
+    right=Periodic(),
+    bottom=NoSlip(velocity=(-1.0, 0.0)),
+    top=NonEquilibrium(velocity=(1.0, 0.0)),
+)
 
 
 @pytest.mark.parametrize(
     "changes",
     [
-        {"heading": Heading.COMMANDED},
-        {"heading": Heading.FREE},
+        {"motion": Commanded()},
+        {"motion": Free()},
+        {"motion": Bending()},
         {"boundaries": INLET},
+        {"boundaries": PERIODIC},
+        {"boundaries": COUETTE, "stream_speed": 0.03, "ramp_steps": 50},
+        {"boundaries": INLET, "sponges": (Sponge(length=20), Sponge(length=8, side=Side.TOP))},
         {"force_solve": DirectSolve()},
     ],
-    ids=["commanded", "free", "open edges", "direct solve"],
+    ids=[
+        "commanded",
+        "free",
+        "bending",
+        "open edges",
+        "periodic",
+        "sheared",
+        "sponges",
+        "direct solve",
+    ],
 )
 def test_in_place_step_equals_the_readable_step(changes: dict[str, object]) -> None:
     config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, **changes)
     solver = make_solver(config)
     solver.advance_(120)
     assert_equal_to_reference(solver, run_reference(config, 120))
+
+
+CHANNEL = Boundaries(
+    left=NonEquilibrium(velocity=(1.0, 0.0), profile=Profile.PARABOLA),
+    right=NonEquilibrium(density=1.0),
+    bottom=NoSlip(),
+    top=NoSlip(),
+)
+
+
+def make_crowd(tau: float = 0.56, diameter: float = 12.0, amplitude: float = 0.1) -> FlowConfig:
+    """A fish, an oscillating ellipse, a kicked half disc and a heavy free disc in a channel."""
+    gait = Gait(amplitude=amplitude, envelope=(0.03, 1.0, 0.0), wavenumber=6.0)
+    return FlowConfig(
+        width=120,
+        height=72,
+        tau=tau,
+        stream_speed=0.1 * tau,
+        ramp_steps=100,
+        bodies=(
+            Fish(body_length=24, gait=gait),
+            Ellipse(length=10, width=8, motion=Oscillating(sway=(0.5, 2.0), pitch=0.2)),
+            DCylinder(
+                diameter=diameter,
+                num_markers=36,
+                motion=Fixed(kick_speed=0.01, kick_steps=30),
+            ),
+            Cylinder(diameter=9, density_ratio=1.5, motion=Free()),
+        ),
+        boundaries=CHANNEL,
+    )
+
+
+def start_crowd(configs: list[FlowConfig], **settings: object) -> InPlaceSolver:
+    solver = InPlaceSolver(
+        config=configs,
+        frequency=torch.tensor([1 / 200, 1 / 260])[: len(configs)],
+        **{"compile": False, "num_workers": 0} | settings,  # type: ignore[arg-type]
+    )
+    places = torch.tensor([[70.0, 36.4], [95.3, 20.1], [24.4, 34.2], [95.0, 50.3]])
+    headings = torch.tensor([math.pi, 0.3, math.pi, 0.0])
+    num = len(configs)
+    solver.reset_(
+        torch.ones(num, dtype=torch.bool), places.expand(num, 4, 2), headings.expand(num, 4)
+    )
+    solver.bodies[3].load[:, 1] = -0.002
+    return solver
+
+
+CROWD = [make_crowd(), make_crowd(tau=0.6, diameter=15.0, amplitude=0.07)]
+
+
+def test_many_bodies_in_flows_that_differ_equal_the_readable_step() -> None:
+    solver = start_crowd(CROWD)
+    before = tuple(Body(*(t.clone() for t in body)) for body in solver.bodies)
+    state = FlowState(solver.populations().double(), before, torch.zeros(2, dtype=torch.float64))
+    params = make_params(CROWD)
+    solver.advance_(120)
+    for _ in range(120):
+        state = step(state, CROWD[0], params)
+    assert_equal_to_reference(solver, state)
+    still = solver.bodies[2]
+    assert torch.equal(still.position, before[2].position)
+    assert (solver.bodies[3].position[:, 1] < before[3].position[:, 1] - 0.05).all()  # it sinks
+    assert (still.impulse[:, 0] > 0.1).all()  # drag
+
+
+def test_a_batch_of_mixed_flows_equals_each_flow_alone() -> None:
+    both = start_crowd(CROWD)
+    both.advance_(40)
+    for i, config in enumerate(CROWD):
+        alone = start_crowd([config])
+        alone.flow.bodies[0].frequency.fill_(float(both.body.frequency[i]))
+        alone.flow.bodies[1].frequency.fill_(float(both.body.frequency[i]))
+        alone.advance_(40)
+        assert torch.equal(alone.populations()[0], both.populations()[i])
+        for mine, batch in zip(alone.bodies, both.bodies, strict=True):
+            assert torch.equal(mine.position[0], batch.position[i])
+
+
+@pytest.mark.compile
+def test_many_bodies_compile() -> None:
+    solver, eager = start_crowd(CROWD, compile=True), start_crowd(CROWD)
+    for each in (solver, eager):
+        each.advance_(60)
+    scale = float(eager.populations().abs().max())
+    assert float((solver.populations() - eager.populations()).abs().max()) < 1e-5 * scale
+    for mine, batch in zip(solver.bodies, eager.bodies, strict=True):
+        torch.testing.assert_close(mine.position, batch.position, rtol=0, atol=1e-5)
+
+
+def test_flows_that_differ_too_much_for_one_batch_are_refused() -> None:
+    other = replace(CROWD[0], rates=Rates(energy=1.0))
+    with pytest.raises(ValueError, match="flow 1 differs from flow 0 in more than tau"):
+        InPlaceSolver(config=[CROWD[0], other])
+    with pytest.raises(ValueError, match="num_envs = 3 with 2 configurations"):
+        InPlaceSolver(config=CROWD, num_envs=3)
 
 
 @pytest.mark.compile
@@ -208,7 +344,7 @@ def test_markers_of_a_flow_without_a_fish_are_refused() -> None:
         config=FlowConfig(width=32, height=32, tau=0.6), num_envs=1, compile=False
     )
     solver.advance_(2)
-    with pytest.raises(ValueError, match="no fish"):
+    with pytest.raises(ValueError, match="body 0 of a flow with 0"):
         solver.markers()
 
 
@@ -239,12 +375,6 @@ def test_an_impossible_batch_is_refused(bad: dict[str, int], message: str) -> No
         InPlaceSolver(**({"config": FlowConfig(width=32, height=32, tau=0.6), "num_envs": 1} | bad))
 
 
-def test_periodic_edges_are_left_to_the_readable_step() -> None:
-    edges = Boundaries(left=Periodic(), right=Periodic())
-    with pytest.raises(ValueError, match=r"use fishrl.physics.solver.step"):
-        InPlaceSolver(config=FlowConfig(width=32, height=32, tau=0.6, boundaries=edges), num_envs=1)
-
-
 @pytest.mark.compile
 def test_a_free_swimmer_at_re_7000_swims_straight_at_a_plausible_speed() -> None:
     """0.25 to 0.40 L/T in the sixth beat, in a tank of 6 L x 3 L.
@@ -253,7 +383,7 @@ def test_a_free_swimmer_at_re_7000_swims_straight_at_a_plausible_speed() -> None
     independent solver had 0.375 in the eighth beat at L = 50 (here 0.375) and 0.500 at L = 100.
     """
     scales = Scales.from_budget(body_length=50, reynolds=7000.0)
-    config = make_swimmer_config(scales, length_bl=6, height_bl=3, heading=Heading.FREE)
+    config = make_swimmer_config(scales, length_bl=6, height_bl=3, motion=Free())
     solver = InPlaceSolver(config=config, num_envs=1, frequency=1.0 / scales.period)
     start = torch.tensor([[230.0, 75.0]], dtype=torch.float64)
     solver.reset_(torch.ones(1, dtype=torch.bool), start, torch.full((1,), math.pi).double())

@@ -48,7 +48,7 @@ def test_a_mach_budget_outside_the_validated_range_is_refused(speed: float) -> N
     [
         ({"tau": 0.5}, "tau = 0.50000 lies outside the validated range"),
         ({"width": 2}, "width = 2"),
-        ({"fish": Fish(body_length=70)}, "does not fit into 128 x 64 nodes"),
+        ({"bodies": (Fish(body_length=70),)}, "does not fit into 128 x 64 nodes"),
     ],
 )
 def test_a_flow_that_cannot_run_is_refused(bad: dict[str, object], message: str) -> None:

@@ -1,0 +1,203 @@
+"""State of a body and what moves it: fixed, driven, oscillating, swimming or free."""
+
+from dataclasses import dataclass
+from math import pi
+from typing import ClassVar, NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class Body(NamedTuple):
+    """State of one body in each flow, float64, lattice units; every field starts with ``[B]``.
+
+    Attributes:
+        position: ``[B, 2]`` centre of mass (x, y).
+        heading: direction that the nose faces, radians from +x, counter-clockwise.
+        internal_angle: rotation of the momentum-free frame that the beating itself causes.
+        velocity: ``[B, 2]`` of the centre of mass.
+        angular_velocity: Omega, without the beating's own rotation.
+        phase: of the body wave or oscillation, radians.
+        frequency: tail beats or oscillations per step.
+        age: steps since the body began to move.
+        turn: commanded change of heading, radians.
+        turn_steps: steps over which the turn is spread.
+        turn_clock: steps since the command.
+        load: ``[B, 2]`` force on the body beside the fluid's: weight less buoyancy, a tether.
+        work: done by the muscles since reset, rho (nodes / step)^2 nodes^2: sum of F . u_def.
+        positive_work: the same where no marker gives back what the flow does on it.
+        lateral_work: its lateral part, the paper's eqs. 12 and 13 with the sign of work done.
+        torque_impulse: sum of the torque on the fluid over all steps.
+        slip_error: largest velocity error at a marker in the last step.
+        force: ``[B, 2]`` force on the fluid in the last step, the fluid inside the body included.
+        hydro_force: ``[B, 2]`` force of the fluid outside on the body in the last step.
+        hydro_torque: torque of the fluid outside on the body in the last step.
+        impulse: ``[B, 2]`` sum of ``hydro_force`` over all steps.
+    """
+
+    position: Tensor
+    heading: Tensor
+    internal_angle: Tensor
+    velocity: Tensor
+    angular_velocity: Tensor
+    phase: Tensor
+    frequency: Tensor
+    age: Tensor
+    turn: Tensor
+    turn_steps: Tensor
+    turn_clock: Tensor
+    load: Tensor
+    work: Tensor
+    positive_work: Tensor
+    lateral_work: Tensor
+    torque_impulse: Tensor
+    slip_error: Tensor
+    force: Tensor
+    hydro_force: Tensor
+    hydro_torque: Tensor
+    impulse: Tensor
+
+
+def make_body(position: Tensor, heading: Tensor, frequency: Tensor) -> Body:
+    """Return a body at rest, about to move.
+
+    Args:
+        position: ``[B, 2]`` centre of mass in nodes.
+        heading: ``[B]`` radians.
+        frequency: ``[B]`` tail beats or oscillations per step.
+    """
+    zero, pair = torch.zeros_like(heading), torch.zeros_like(position)
+    pairs = {"velocity", "load", "force", "hydro_force", "impulse"}
+    rest = {name: pair if name in pairs else zero for name in Body._fields}
+    one = torch.ones_like(zero)
+    given = {"position": position, "heading": heading, "frequency": frequency}
+    return Body(**rest | given | {"turn_steps": one, "turn_clock": one})
+
+
+def compute_turn_rate(body: Body) -> Tensor:
+    """Return the commanded Omega ``[B]``: (turn / n) (1 - cos 2 pi t / n); its sum is ``turn``."""
+    swing = 1.0 - torch.cos(2.0 * pi * (body.turn_clock + 0.5) / body.turn_steps)
+    rate = body.turn / body.turn_steps * swing
+    return torch.where(body.turn_clock < body.turn_steps, rate, torch.zeros_like(rate))
+
+
+class Motion:
+    """What moves a body.
+
+    Attributes:
+        moves_freely: whether the flow moves the centre of mass.
+        turns_freely: whether the flow turns the body.
+        is_still: whether the body never leaves its place.
+    """
+
+    moves_freely: ClassVar[bool] = False
+    turns_freely: ClassVar[bool] = False
+    is_still: ClassVar[bool] = False
+
+    def prescribe(self, body: Body) -> tuple[Tensor, Tensor]:
+        """Return velocity ``[B, 2]`` and Omega ``[B]``; read where the flow does not decide."""
+        return body.velocity, body.angular_velocity
+
+    def compute_bend(self, body: Body) -> tuple[Tensor, Tensor]:
+        """Return the bend of a fish's midline ``[B]`` (see ``Bending``) and its rate per step."""
+        zero = torch.zeros_like(body.heading)
+        return zero, zero
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fixed(Motion):
+    """A body that stays where it is.
+
+    Args:
+        kick_speed: largest transverse (y) speed that its surface imposes during the kick, nodes per
+            step; it breaks the symmetry of a young wake.
+        kick_steps: length of the kick, one period of a sine, from reset on.
+    """
+
+    is_still: ClassVar[bool] = True
+
+    kick_speed: float = 0.0
+    kick_steps: int = 1
+
+    def __post_init__(self) -> None:
+        """Refuse a kick without length."""
+        if self.kick_steps < 1:
+            raise ValueError(f"kick_steps = {self.kick_steps}: a kick takes at least one step")
+
+    def prescribe(self, body: Body) -> tuple[Tensor, Tensor]:
+        """Return zero, and the kick at first."""
+        swing = self.kick_speed * torch.sin(2.0 * pi * body.age / self.kick_steps)
+        kick = torch.where(body.age < self.kick_steps, swing, torch.zeros_like(swing))
+        zero = torch.zeros_like(kick)
+        return torch.stack((zero, kick), -1), zero
+
+
+@dataclass(frozen=True)
+class Driven(Motion):
+    """A body that keeps the velocity and angular velocity that its state was given."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Oscillating(Motion):
+    """A body that sways and pitches: x0 + sway sin(phase), heading0 + pitch sin(phase + lag).
+
+    Args:
+        sway: amplitude (x, y) in nodes.
+        pitch: amplitude in radians.
+        pitch_lag: phase of the pitch ahead of the sway, radians.
+    """
+
+    sway: tuple[float, float] = (0.0, 0.0)
+    pitch: float = 0.0
+    pitch_lag: float = 0.0
+
+    def prescribe(self, body: Body) -> tuple[Tensor, Tensor]:
+        """Return what carries the body exactly along its path in one step."""
+        after = body.phase + 2.0 * pi * body.frequency
+        swing = torch.sin(after) - torch.sin(body.phase)
+        turn = torch.sin(after + self.pitch_lag) - torch.sin(body.phase + self.pitch_lag)
+        return torch.stack((self.sway[0] * swing, self.sway[1] * swing), -1), self.pitch * turn
+
+
+@dataclass(frozen=True)
+class Free(Motion):
+    """A body that the flow moves and turns."""
+
+    moves_freely: ClassVar[bool] = True
+    turns_freely: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class Commanded(Motion):
+    """A fish that the flow moves and the command turns; the torque that takes is reported."""
+
+    moves_freely: ClassVar[bool] = True
+
+    def prescribe(self, body: Body) -> tuple[Tensor, Tensor]:
+        """Return the commanded turn rate."""
+        return body.velocity, compute_turn_rate(body)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bending(Motion):
+    """A free fish that turns by bending its midline towards the command; no torque from outside.
+
+    The bend adds L kappa(t) x^2 to the midline, x in body lengths from the head, with
+    kappa = gain * turn * (1 - cos 2 pi t / n) / 2 over the n steps of the command.
+
+    Args:
+        gain: bend per radian of commanded turn.
+    """
+
+    moves_freely: ClassVar[bool] = True
+    turns_freely: ClassVar[bool] = True
+
+    gain: float = 1.0
+
+    def compute_bend(self, body: Body) -> tuple[Tensor, Tensor]:
+        """Return the bend and its rate."""
+        angle = 2.0 * pi * body.turn_clock / body.turn_steps
+        size = torch.where(body.turn_clock < body.turn_steps, 0.5 * self.gain * body.turn, 0.0)
+        return size * (1.0 - torch.cos(angle)), size * torch.sin(angle) * (
+            2.0 * pi / body.turn_steps
+        )
