@@ -25,7 +25,7 @@ class FlowMemory:
         self._num_envs = len(sample.clock)
         self._omega_length = layout.flow_length if has_omega_field else 1
         self._slots = self._num_envs // layout.num_envs, layout.num_slots
-        self._num_doubles = sum(prod(shape) for shape in self._shapes)
+        self._num_doubles: int = sum(prod(shape) for shape in self._shapes)
         self._num_omegas = -(-self._num_envs * self._omega_length // 16) * 16
 
     def count_bytes(self) -> int:

@@ -205,7 +205,7 @@ BAD_ARGUMENTS: dict[str, tuple[dict[str, Any], str]] = {
     "column": ({"food_x_bl": 10.0}, r"food_x_bl = 10.0: must lie inside \(0, 10.0\)"),
     "starts": ({"start_x_bl": (9.5, 9.9)}, r"does not fit; widen the ranges"),
     "in reach": ({"start_x_bl": (2.0, 7.5)}, r"may start with its food in reach"),
-    "domain": ({"domain_bl": (10.0, 1.0)}, r"body_length = 20.* does not fit into 200 x 20"),
+    "domain": ({"domain_bl": (10.0, 1.0)}, r"Fish of 20 nodes does not fit into 200 x 20"),
     "domain of one": ({"domain_bl": 10.0}, r"domain_bl = 10.0: give two numbers"),
     "checks": ({"checks_per_action": 54}, r"checks_per_action = 54: must lie in \[1, 53\]"),
     "margin": ({"wall_margin_bl": 0.05}, r"wall_margin_bl = 0.05 is 1.0 nodes, too few"),
