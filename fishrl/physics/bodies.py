@@ -7,6 +7,7 @@ heading is pi faces -x and its axis points downstream of a flow along +x.
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,11 +15,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fishrl.physics.kinematics import CARLING, Beat, Deformation, Gait, Shape, deform
+from fishrl.physics.midline import MidlineShape, bend_midline
 from fishrl.physics.motion import Commanded, Fixed, Motion
 
 _STATIONS = 20001  # quadrature and arc-length stations along the body; set-up cost only
 
 _Points = NDArray[np.float64]
+AnyShape = Shape | MidlineShape
+_COARSE = np.linspace(0.0, 1.0, 201)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +64,10 @@ class Outline(ABC):
                 "markers, or another size"
             )
 
+    def get_structure(self) -> tuple[object, ...]:
+        """Return what this body has in common with its like in other flows of a batch."""
+        return type(self), self.num_markers, self.motion
+
     @abstractmethod
     def draw(self) -> list[_Points]:
         """Return the closed outline as smooth pieces ``[n, 2]`` from corner to corner, in nodes."""
@@ -90,6 +98,11 @@ class Outline(ABC):
         return self._moments[0]
 
     @property
+    def centre(self) -> float:
+        """Distance of the centre of area from the nose, nodes."""
+        return float(self._moments[1][0] - self._pieces[0][0, 0])
+
+    @property
     def size(self) -> float:
         """Largest extent along an axis, nodes."""
         points = np.concatenate(self._pieces)
@@ -111,19 +124,18 @@ class Outline(ABC):
         step = np.concatenate(steps)
         return np.concatenate(places), 0.5 * (step + np.roll(step, 1))
 
-    def make_shape(self, device: torch.device | str = "cpu") -> Shape:
+    def make_shape(self, device: torch.device | str = "cpu") -> AnyShape:
         """Place the markers, in float64; marker 0 is the nose. See ``Shape``."""
         places, spacing = self._place_markers()
         area, centre, inertia = self._moments
         axial, lateral = (places - centre).T
         none = np.zeros((1, len(axial)))
-        return _to_shape(
-            device, axial, lateral, spacing, none, none[:, 0], none[:, :1], area, inertia,
-            self.density_ratio,
-        )  # fmt: skip
+        values = axial, lateral, spacing, none, none[:, 0], none[:, :1], area, inertia
+        return Shape(*_to_tensors(device, *values, self.density_ratio))
 
-    def deform(self, shape: Shape, beat: Beat) -> Deformation:
+    def deform(self, shape: AnyShape, beat: Beat) -> Deformation:
         """Return the outline at one instant."""
+        assert isinstance(shape, Shape)
         return deform(shape, beat)
 
 
@@ -212,12 +224,15 @@ class Fish(Outline):
         body_length: L in nodes.
         thickness: largest thickness in body lengths.
         gait: amplitude envelope and wavenumber.
+        keeps_length: whether the midline keeps its length (``midline.bend_midline``) instead of the
+            paper's vertical shear (``kinematics.deform``).
         motion: commanded heading unless said otherwise.
     """
 
     body_length: float
     thickness: float = 0.12
     gait: Gait = CARLING
+    keeps_length: bool = False
     motion: Motion = field(default_factory=Commanded)
 
     def __post_init__(self) -> None:
@@ -226,37 +241,45 @@ class Fish(Outline):
             raise ValueError(
                 f"body_length = {self.body_length} nodes: a fish needs at least 16 nodes"
             )
+        slope = float(np.hypot(*self.gait.evaluate_modes(_COARSE, 1)[:2]).max())
+        if self.keeps_length and slope > 0.95:
+            raise ValueError(
+                f"keeps_length: the gait's midline rises by {slope:.2f} per unit of arc, allowed "
+                "is 0.95: lower the amplitude or the wavenumber"
+            )
         super().__post_init__()
 
     def draw(self) -> list[_Points]:
         """Return the straight outline: the upper side to the tail and the lower side back."""
         return _draw_naca(self.body_length, self.thickness)
 
+    def get_structure(self) -> tuple[object, ...]:
+        """Return what this fish has in common with its like in other flows of a batch."""
+        return *super().get_structure(), self.keeps_length
+
     @property
     def spacing(self) -> float:
         """Distance of the markers along the outline, nodes."""
         return float(sum(self._lengths)) / self.num_markers
 
-    def make_shape(self, device: torch.device | str = "cpu") -> Shape:
+    def make_shape(self, device: torch.device | str = "cpu") -> AnyShape:
         """Place the markers and integrate the gait's modes over the body, in float64.
 
         Marker 0 is the nose, marker N / 2 the tail.
         """
+        if self.keeps_length:
+            return self._make_midline(device)
         places, spacing = self._place_markers()
         axial, h = self._pieces[0].T
 
         def integrate(values: _Points) -> float:
             return float(np.trapezoid(values, axial))
 
-        area = integrate(2.0 * h)
-        centre = integrate(2.0 * h * axial) / area
+        area, centre = self.area, self.centre
         x = axial / self.body_length
-        envelope = self.body_length * self.gait.evaluate_envelope(x)
-        waves = [envelope * trig(self.gait.wavenumber * x) for trig in (np.sin, np.cos)]
-        waves.append(self.body_length * x * x)
-        waves = [wave - integrate(2.0 * h * wave) / area for wave in waves]
-        return _to_shape(
-            device,
+        modes = self.body_length * self.gait.evaluate_modes(x)
+        waves = [wave - integrate(2.0 * h * wave) / area for wave in modes]
+        values = (
             places[:, 0] - centre,
             places[:, 1],
             spacing,
@@ -267,6 +290,38 @@ class Fish(Outline):
             integrate(2.0 * h * (axial - centre) ** 2 + 2.0 / 3.0 * h**3),
             self.density_ratio,
         )
+        return Shape(*_to_tensors(device, *values))
+
+    def _make_midline(self, device: torch.device | str) -> MidlineShape:
+        """Put points on the midline, four between neighbouring markers of one side."""
+        places, spacing = self._place_markers()
+        half = self.num_markers // 2
+        upper = np.clip(places[: half + 1, 0], 0.0, self.body_length)
+        knots = np.concatenate(([0.0], upper, [self.body_length]))
+        fine = np.interp(np.arange(4 * (half + 2) + 1) / 4.0, np.arange(half + 3), knots)
+        own = 4 * (1 + np.arange(half + 1))
+        step = np.diff(fine, prepend=0.0)
+        thickness = compute_naca_half_thickness(fine / self.body_length, self.thickness)
+        scales = self.body_length ** (1.0 - np.arange(3.0))
+        modes = [
+            s * self.gait.evaluate_modes(fine / self.body_length, k) for k, s in enumerate(scales)
+        ]
+        values = (
+            spacing,
+            places[:, 1],
+            np.concatenate((own, own[-2:0:-1])),
+            step,
+            0.5 * (step + np.append(step[1:], 0.0)),
+            self.body_length * np.maximum(thickness, 0.0),
+            np.stack(modes, 1),
+            self.area,
+            self.density_ratio,
+        )
+        return MidlineShape(*_to_tensors(device, *values))
+
+    def deform(self, shape: AnyShape, beat: Beat) -> Deformation:
+        """Return the outline at one instant."""
+        return bend_midline(shape, beat) if isinstance(shape, MidlineShape) else deform(shape, beat)
 
 
 def compute_naca_half_thickness(x: _Points, thickness: float) -> _Points:
@@ -301,8 +356,7 @@ def _check_size(name: str, value: float) -> None:
         raise ValueError(f"{name} = {value} nodes: a body needs at least 8 nodes along each axis")
 
 
-def _to_shape(device: torch.device | str, *values: _Points | float) -> Shape:
-    def convert(value: _Points | float) -> Tensor:
-        return torch.as_tensor(np.asarray(value), dtype=torch.float64, device=device)[None]
-
-    return Shape(*(convert(value) for value in values))
+def _to_tensors(device: torch.device | str, *values: NDArray[Any] | float) -> list[Tensor]:
+    return [
+        torch.as_tensor(np.asarray(v), dtype=torch.float64, device=device)[None] for v in values
+    ]
