@@ -13,7 +13,7 @@ MARKERS ?= not slow$(shell $(BIN)/python -c 'import torch; print("" if torch.cud
 .PHONY: help setup train test check bench validate validate-quick format clean
 
 help: ## say what there is to make
-	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/:.*## /\t/' | expand -t 10
+	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/:.*## /\t/' | expand -t 16
 
 setup: $(STAMP) ## install everything into .venv
 

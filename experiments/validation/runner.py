@@ -13,10 +13,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from experiments.benchmark import describe_machine
+from experiments.flow_pictures import STYLE
 from experiments.validation.case import Case, Check, Job, Result
 from experiments.validation.fingerprint import fingerprint
 from experiments.validation.pool import Start, run_jobs
@@ -191,7 +193,8 @@ def _judge(outcome: Outcome) -> None:
         return
     try:
         outcome.checks.extend(outcome.case.judge(outcome.results))
-        outcome.figure = outcome.case.draw(outcome.results)
+        with mpl.rc_context(STYLE):
+            outcome.figure = outcome.case.draw(outcome.results)
     except Exception as error:  # one case's mistake must not cost the report of the others
         logger.exception("%s cannot be judged", outcome.case.name)
         note = f"judging failed: {type(error).__name__}: {error}"
