@@ -17,6 +17,7 @@ from torch import Tensor
 from fishrl.physics.kinematics import CARLING, Beat, Deformation, Gait, Shape, deform
 from fishrl.physics.midline import MidlineShape, bend_midline
 from fishrl.physics.motion import Commanded, Fixed, Motion
+from fishrl.physics.sections import Section
 
 _STATIONS = 20001  # quadrature and arc-length stations along the body; set-up cost only
 
@@ -32,6 +33,9 @@ class Outline(ABC):
     Args:
         density_ratio: body density over fluid density; 1 is neutrally buoyant.
         marker_spacing: wanted distance of the markers along the outline, in nodes.
+        inset: how far the markers lie inside the outline, nodes. The force of a marker is spread
+            over some nodes around it, so the flow feels a body a little larger than its markers'
+            outline (Breugem 2012); area, mass and gait stay those of the outline itself.
         num_markers: N, instead of what the spacing gives; bodies of different size in one batch
             need the same number.
         motion: what moves the body.
@@ -39,6 +43,7 @@ class Outline(ABC):
 
     density_ratio: float = 1.0
     marker_spacing: float = 1.0
+    inset: float = 0.0
     num_markers: int = 0
     motion: Motion = field(default_factory=Fixed)
 
@@ -52,6 +57,8 @@ class Outline(ABC):
             raise ValueError(
                 f"marker_spacing = {self.marker_spacing}: allowed is 0.5 to 2 nodes, 1 is usual"
             )
+        if not 0.0 <= self.inset <= 1.0:
+            raise ValueError(f"inset = {self.inset}: allowed is 0 to 1 node")
         perimeter = float(sum(self._lengths))
         if self.num_markers == 0:
             counts = [max(8, round(s / self.marker_spacing)) for s in self._lengths]
@@ -109,20 +116,30 @@ class Outline(ABC):
         return float(np.ptp(points, axis=0).max())
 
     def _place_markers(self) -> tuple[_Points, _Points]:
-        """Return markers ``[N, 2]`` (every corner is one) and the outline length of each."""
+        """Return markers ``[N, 2]`` and the length of outline that each stands for, ``[N]``.
+
+        Every corner of the outline has a marker; all are then moved inwards by ``inset``.
+        """
         lengths = np.array(self._lengths)
         share = lengths / lengths.sum() * self.num_markers
         counts = np.floor(share + 1e-9).astype(int)
         for i in np.argsort(counts - share, kind="stable")[: self.num_markers - counts.sum()]:
             counts[i] += 1
-        places, steps = [], []
+        pieces = []
         for piece, length, count in zip(self._pieces, lengths, counts, strict=True):
             at = np.linspace(0.0, length, count, endpoint=False)
             arc = _measure_arc(piece)
-            places.append(np.stack([np.interp(at, arc, c) for c in piece.T], -1))
-            steps.append(np.full(count, length / count))
-        step = np.concatenate(steps)
-        return np.concatenate(places), 0.5 * (step + np.roll(step, 1))
+            pieces.append(np.stack([np.interp(at, arc, c) for c in piece.T], -1))
+        places = np.concatenate(pieces)
+        if self.inset:
+            tangent = np.roll(places, -1, 0) - np.roll(places, 1, 0)
+            inward = np.stack([tangent[:, 1], -tangent[:, 0]], -1)  # outlines run clockwise
+            moved = places + self.inset * inward / np.hypot(*tangent.T)[:, None]
+            # where a body is thinner than twice the inset, its two sides meet but never cross
+            is_across = moved[:, 1] * places[:, 1] < 0.0
+            places = np.where(is_across[:, None], moved * np.array([1.0, 0.0]), moved)
+        step = np.hypot(*(np.roll(places, -1, 0) - places).T)
+        return places, 0.5 * (step + np.roll(step, 1))
 
     def make_shape(self, device: torch.device | str = "cpu") -> AnyShape:
         """Place the markers, in float64; marker 0 is the nose. See ``Shape``."""
@@ -213,15 +230,16 @@ class Foil(Outline):
     def draw(self) -> list[_Points]:
         """Return the upper side to the trailing edge and the lower side back."""
         _check_size("chord", self.chord)
-        return _draw_naca(self.chord, self.thickness)
+        return _draw_section(Section.NACA, self.chord, self.thickness)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fish(Outline):
-    """A fish: NACA outline, gait and what moves it.
+    """A fish: outline, gait and what moves it.
 
     Args:
         body_length: L in nodes.
+        section: family of its half-thickness.
         thickness: largest thickness in body lengths.
         gait: amplitude envelope and wavenumber.
         keeps_length: whether the midline keeps its length (``midline.bend_midline``) instead of the
@@ -230,6 +248,7 @@ class Fish(Outline):
     """
 
     body_length: float
+    section: Section = Section.NACA
     thickness: float = 0.12
     gait: Gait = CARLING
     keeps_length: bool = False
@@ -251,7 +270,7 @@ class Fish(Outline):
 
     def draw(self) -> list[_Points]:
         """Return the straight outline: the upper side to the tail and the lower side back."""
-        return _draw_naca(self.body_length, self.thickness)
+        return _draw_section(self.section, self.body_length, self.thickness)
 
     def get_structure(self) -> tuple[object, ...]:
         """Return what this fish has in common with its like in other flows of a batch."""
@@ -301,7 +320,9 @@ class Fish(Outline):
         fine = np.interp(np.arange(4 * (half + 2) + 1) / 4.0, np.arange(half + 3), knots)
         own = 4 * (1 + np.arange(half + 1))
         step = np.diff(fine, prepend=0.0)
-        thickness = compute_naca_half_thickness(fine / self.body_length, self.thickness)
+        half_thickness = self.section.compute_half_thickness(
+            np.minimum(fine / self.body_length, 1.0), self.thickness
+        )
         scales = self.body_length ** (1.0 - np.arange(3.0))
         modes = [
             s * self.gait.evaluate_modes(fine / self.body_length, k) for k, s in enumerate(scales)
@@ -312,7 +333,7 @@ class Fish(Outline):
             np.concatenate((own, own[-2:0:-1])),
             step,
             0.5 * (step + np.append(step[1:], 0.0)),
-            self.body_length * np.maximum(thickness, 0.0),
+            self.body_length * half_thickness,
             np.stack(modes, 1),
             self.area,
             self.density_ratio,
@@ -324,25 +345,10 @@ class Fish(Outline):
         return bend_midline(shape, beat) if isinstance(shape, MidlineShape) else deform(shape, beat)
 
 
-def compute_naca_half_thickness(x: _Points, thickness: float) -> _Points:
-    """Return the half-thickness of a symmetric NACA 4-digit section, closed trailing edge.
-
-    Args:
-        x: distance from the nose in body lengths.
-        thickness: largest thickness in body lengths (0.12 for NACA0012).
-
-    Source: Jacobs, Ward & Pinkerton 1933, with -0.1036 x^4 for a closed trailing edge.
-    """
-    poly = 0.2969 * np.sqrt(x) - 0.1260 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1036 * x**4
-    return np.asarray(5.0 * thickness * poly, dtype=np.float64)
-
-
-def _draw_naca(length: float, thickness: float) -> list[_Points]:
-    if not 0.0 < thickness <= 0.4:
-        raise ValueError(f"thickness = {thickness}: allowed is (0, 0.4] body lengths")
+def _draw_section(section: Section, length: float, thickness: float) -> list[_Points]:
+    """Return the upper side to the tail and the lower side back."""
     x = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, _STATIONS)))
-    h = np.maximum(compute_naca_half_thickness(x, thickness), 0.0)
-    upper = length * np.stack([x, h], -1)
+    upper = length * np.stack([x, section.compute_half_thickness(x, thickness)], -1)
     return [upper, upper[::-1] * np.array([1.0, -1.0])]
 
 

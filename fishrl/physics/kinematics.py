@@ -68,6 +68,7 @@ CARANGIFORM = Gait(amplitude=0.1, envelope=(0.2, -0.8, 1.6), wavenumber=2 * pi)
 # The paper's k = 3 read as radians per body length, with Carling's envelope (the paper's is
 # unsaid).
 LONG_WAVE = Gait(amplitude=0.125 / 1.03125, envelope=(0.03125, 1.0, 0.0), wavenumber=3.0)
+GAITS = {"carling": CARLING, "carangiform": CARANGIFORM, "long wave": LONG_WAVE}
 
 
 class Shape(NamedTuple):
