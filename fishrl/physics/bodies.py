@@ -246,7 +246,7 @@ class Fish(Outline):
         keeps_length: whether the midline keeps its length (``midline.bend_midline``) instead of the
             paper's vertical shear (``kinematics.deform``).
         inset: see ``Outline``; 0 unless said otherwise, since a fish's tail is thinner than the
-            kernel is wide. 0.45 makes a coarse fish faster, nearer to what a fine one swims (see the
+            kernel is wide. 0.45 makes a coarse fish faster, nearer to what a fine one swims (the
             swimmer in the validation page).
         motion: commanded heading unless said otherwise.
     """
