@@ -3,9 +3,13 @@
 from fishrl.physics.bodies import Cylinder, DCylinder, Ellipse, Fish, Foil
 from fishrl.physics.diagnostics import (
     compute_area,
+    compute_coefficient,
     compute_pressure,
+    compute_spectral_frequency,
+    compute_strouhal,
     compute_vorticity,
-    find_period,
+    find_crossings,
+    measure_cycles,
 )
 from fishrl.physics.in_place import InPlaceSolver
 from fishrl.physics.motion import Bending, Commanded, Driven, Fixed, Free, Oscillating
@@ -31,7 +35,11 @@ __all__ = [
     "Oscillating",
     "Scales",
     "compute_area",
+    "compute_coefficient",
     "compute_pressure",
+    "compute_spectral_frequency",
+    "compute_strouhal",
     "compute_vorticity",
-    "find_period",
+    "find_crossings",
+    "measure_cycles",
 ]

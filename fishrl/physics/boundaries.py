@@ -130,6 +130,46 @@ class NonEquilibrium(Boundary):
 
 
 @dataclass(frozen=True, kw_only=True)
+class OpenEdge(Boundary):
+    """An edge that lets sound out, where pinned velocities or densities throw it back.
+
+    Non-equilibrium extrapolation with the velocity of the neighbour and the density of a wave that
+    only leaves: rho - 1 = ((rho_n - 1) + (outward velocity less the stream's) / c_s) / 2
+    (characteristic condition in one dimension, Thompson 1987). Between an inlet that pins velocity
+    and an outflow that pins density sound runs to and fro like in an organ pipe and shakes bodies.
+
+    Args:
+        is_plane: means along the edge decide, so that vortices may leave, which do not change them;
+            otherwise each node decides for itself.
+        velocity: (x, y) of the undisturbed stream in units of the flow's stream speed.
+        profile: how that velocity varies along the edge.
+    """
+
+    is_plane: bool = True
+    velocity: tuple[float, float] = (1.0, 0.0)
+    profile: Profile = Profile.UNIFORM
+
+    def compute_edge(
+        self, side: Side, neighbour: Sequence[Tensor], outgoing: Sequence[Tensor], speed: Tensor
+    ) -> dict[int, Tensor]:
+        """Return all nine populations."""
+        nx, ny = side.value
+        rho, jx, jy = compute_macroscopic(neighbour)
+        ux, uy = jx / (rho + 1.0), jy / (rho + 1.0)
+        stream = speed[:, 1:-1]
+        inward = nx * (ux - self.velocity[0] * stream) + ny * (uy - self.velocity[1] * stream)
+        wave = 0.5 * (rho - inward * 3.0**0.5)
+        if self.is_plane:  # nodes at the ends may not be complete yet
+            wave = wave[:, 1:-1].mean(-1, keepdim=True) + 0.0 * rho
+        equilibrium = compute_equilibrium(rho, ux, uy)
+        target = compute_equilibrium(wave, ux, uy)
+        return {
+            q: t + (f - e)
+            for q, (t, f, e) in enumerate(zip(target, neighbour, equilibrium, strict=True))
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
 class NoSlip(Boundary):
     """Half-way bounce-back: a wall half a node outside the edge nodes (Ladd 1994).
 

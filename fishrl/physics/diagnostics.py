@@ -1,5 +1,8 @@
 """What is read off a flow."""
 
+from itertools import pairwise
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -22,39 +25,148 @@ def compute_area(outline: Tensor) -> Tensor:
 
 
 def compute_pressure(rho: Tensor) -> Tensor:
-    """Return p = (rho - 1) / 3, of the shape of ``rho``, lattice units; 0 at the rest density."""
+    """Return the pressure p = (rho - 1) / 3 above that of the fluid at rest, any shape."""
     return (rho - 1.0) / 3.0
 
 
+def compute_coefficient(force: Tensor, *, length: float, speed: float, rho: float = 1.0) -> Tensor:
+    """Return 2 F / (rho U^2 D): drag or lift coefficient of a force per unit depth.
+
+    Args:
+        force: on the body, any shape, lattice units.
+        length: D in nodes.
+        speed: U in nodes per step.
+        rho: density of the stream.
+    """
+    return 2.0 * force / (rho * speed * speed * length)
+
+
+class Cycles(NamedTuple):
+    """What a signal does over whole periods.
+
+    Attributes:
+        frequency: periods per unit of time, from its zero crossings.
+        num_cycles: how many periods were seen.
+        mean: over whole periods.
+        rms: root mean square of what differs from the mean.
+        low: mean of the periods' minima.
+        high: mean of the periods' maxima.
+    """
+
+    frequency: float
+    num_cycles: int
+    mean: float
+    rms: float
+    low: float
+    high: float
+
+    @property
+    def amplitude(self) -> float:
+        """Half the height from trough to crest."""
+        return 0.5 * (self.high - self.low)
+
+
 def find_crossings(signal: Tensor) -> Tensor:
-    """Return when a signal ``[S]`` rises through its mean, in samples, by linear interpolation."""
-    swing = signal - signal.mean()
-    rises = ((swing[:-1] < 0.0) & (swing[1:] >= 0.0)).nonzero()[:, 0]
-    return rises + swing[rises] / (swing[rises] - swing[rises + 1])
+    """Return where a signal ``[n]`` crosses zero upwards, in samples, interpolated linearly."""
+    before, after = signal[:-1], signal[1:]
+    (at,) = ((before < 0.0) & (after >= 0.0)).nonzero(as_tuple=True)
+    return at + before[at] / (before[at] - after[at])
 
 
-def find_period(signal: Tensor) -> Tensor:
-    """Return the mean period of a signal ``[S]``, in samples, between its first and last rise.
+def measure_cycles(signal: Tensor, interval: float, *, clock: Tensor | None = None) -> Cycles:
+    """Measure a periodic signal over the whole periods that it holds.
+
+    A period runs from one upward crossing of the clock's mean to the next. The mean is taken over
+    whole periods too, so that a part of one does not shift it. Extremes are those of parabolas
+    through three samples.
+
+    Args:
+        signal: ``[n]`` evenly sampled.
+        interval: time between samples.
+        clock: ``[n]`` signal whose periods count, such as the lift for the drag, which has two
+            periods in one of the lift; ``signal`` itself if not given.
 
     Raises:
-        ValueError: if it rises through its mean less than twice.
+        ValueError: if there are not two whole periods.
     """
-    times = find_crossings(signal)
-    if len(times) < 2:
-        raise ValueError(
-            f"a signal of {len(signal)} samples rises through its mean {len(times)} times: a "
-            "period needs two; record for longer"
-        )
-    return (times[-1] - times[0]) / (len(times) - 1)
+    values = signal.double()
+    beat = values if clock is None else clock.double()
+    at = find_crossings(beat - beat.mean())
+    for _ in range(3):  # the mean over whole periods moves the crossings a little
+        if len(at) < 3:
+            raise ValueError(
+                f"{len(signal)} samples hold {max(len(at) - 1, 0)} whole periods: measure longer, "
+                "at least two are needed"
+            )
+        at = find_crossings(beat - _integrate(beat, at[0], at[-1]) / (at[-1] - at[0]))
+    first, last, num = at[0], at[-1], len(at) - 1
+    mean = _integrate(values, first, last) / (last - first)
+    square = _integrate((values - mean) ** 2, first, last) / (last - first)
+    ends = [int(x) for x in at.round().tolist()]
+    parts = [values[max(a - 1, 0) : b + 2] for a, b in pairwise(ends)]
+    highs, lows = [_find_peak(part) for part in parts], [-_find_peak(-part) for part in parts]
+    return Cycles(
+        frequency=float(num / ((last - first) * interval)),
+        num_cycles=num,
+        mean=float(mean),
+        rms=float(square.sqrt()),
+        low=sum(lows) / num,
+        high=sum(highs) / num,
+    )
 
 
-def average_periods(signal: Tensor) -> Tensor:
-    """Return the mean of a periodic signal ``[S, ...]`` over its whole periods, by the first rise.
+def compute_strouhal(lift: Tensor, interval: float, *, length: float, speed: float) -> float:
+    """Return f D / U from the zero crossings of the lift.
 
-    The first column decides where periods begin where there are several.
+    Args:
+        lift: ``[n]`` evenly sampled, in any unit.
+        interval: steps between samples.
+        length: D in nodes.
+        speed: U in nodes per step.
+
+    Raises:
+        ValueError: if there are not two whole periods.
     """
-    lead = signal if signal.dim() == 1 else signal.flatten(1)[:, 0]
-    times = find_crossings(lead).round().long()
-    if len(times) < 2:
-        return signal.mean(0)
-    return signal[times[0] : times[-1]].mean(0)
+    return measure_cycles(lift, interval).frequency * length / speed
+
+
+def compute_spectral_frequency(signal: Tensor, interval: float) -> float:
+    """Return the frequency of the strongest line of a signal's spectrum.
+
+    Hann window; the line's place between the bins is that of a parabola through the logarithm of
+    three of them, good to about 1 % of a bin.
+
+    Args:
+        signal: ``[n]`` evenly sampled.
+        interval: time between samples.
+    """
+    values = signal.double() - signal.double().mean()
+    window = torch.hann_window(len(values), periodic=True, dtype=torch.float64)
+    power = torch.fft.rfft(values * window.to(values.device)).abs().clamp_min(1e-300).log()
+    at = int(power[1:-1].argmax()) + 1
+    before, here, after = power[at - 1 : at + 2].tolist()
+    bend = before - 2.0 * here + after
+    shift = 0.5 * (before - after) / bend if bend else 0.0
+    return (at + shift) / (len(values) * interval)
+
+
+def _integrate(values: Tensor, start: Tensor, end: Tensor) -> Tensor:
+    """Return the integral of the line through samples from ``start`` to ``end``, in samples."""
+    total = torch.cat((values[:1] * 0.0, torch.cumsum(0.5 * (values[1:] + values[:-1]), 0)))
+
+    def until(x: Tensor) -> Tensor:
+        i = int(min(int(x), len(values) - 2))
+        part = x - i
+        return total[i] + part * (values[i] + 0.5 * part * (values[i + 1] - values[i]))
+
+    return until(end) - until(start)
+
+
+def _find_peak(values: Tensor) -> float:
+    """Return the largest value, between samples if it is not the first or last."""
+    at = int(values.argmax())
+    if at in (0, len(values) - 1):
+        return float(values[at])
+    before, here, after = values[at - 1 : at + 2].tolist()
+    bend = before - 2.0 * here + after
+    return float(here - (after - before) ** 2 / (8.0 * bend)) if bend else float(here)

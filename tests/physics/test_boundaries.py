@@ -10,12 +10,13 @@ from fishrl.physics.boundaries import (
     Boundaries,
     NonEquilibrium,
     NoSlip,
+    OpenEdge,
     Periodic,
     Profile,
     Side,
 )
 from fishrl.physics.collision import compute_macroscopic
-from fishrl.physics.solver import make_rest, step
+from fishrl.physics.solver import make_rest, make_uniform, step
 from fishrl.physics.state import (
     FlowConfig,
     FlowState,
@@ -38,6 +39,26 @@ def test_a_sliding_wall_drives_an_exact_couette_flow(top: NoSlip | NonEquilibriu
     gap = 12.0 if isinstance(top, NoSlip) else 11.5
     exact = 0.05 * (torch.arange(12, dtype=torch.float64) + 0.5) / gap
     torch.testing.assert_close(u, exact, rtol=0, atol=1e-6)
+
+
+def test_sound_leaves_through_an_open_edge_and_returns_from_a_pinned_one() -> None:
+    """A plane pulse of density 1e-3 meets the right edge; 4 % of it returns from the open one."""
+    left = {}
+    for name, right in {"open": OpenEdge(), "pinned": NonEquilibrium(density=1.0)}.items():
+        edges = Boundaries(
+            left=NonEquilibrium(velocity=(1.0, 0.0)), right=right, bottom=Periodic(), top=Periodic()
+        )
+        config = FlowConfig(width=200, height=4, tau=0.6, stream_speed=0.05, boundaries=edges)
+        x = torch.arange(200, dtype=torch.float64).expand(1, 4, 200)
+        pulse = 1e-3 * torch.exp(-(((x - 100) / 10) ** 2))
+        # only the wave that runs to the right: u' = c_s rho'
+        f = make_uniform(pulse, 0.05 + pulse / 3**0.5, 0.0 * pulse)
+        state = FlowState(f)
+        for _ in range(260):
+            state = step(state, config)
+        rho, _, _ = compute_macroscopic(state.f.unbind(1))
+        left[name] = float(rho[0, :, 10:150].abs().max())
+    assert left["open"] < 6e-5 < 3e-4 < left["pinned"]
 
 
 def test_profiles_span_the_walls_at_their_ends() -> None:

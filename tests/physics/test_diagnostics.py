@@ -1,38 +1,56 @@
-"""What is read off signals and fields."""
+"""What is read off a signal: frequencies, means and amplitudes over whole periods."""
 
 import math
 
 import pytest
 import torch
 
-from fishrl.physics.diagnostics import (
-    average_periods,
+from fishrl.physics import (
+    compute_coefficient,
     compute_pressure,
-    find_crossings,
-    find_period,
+    compute_spectral_frequency,
+    compute_strouhal,
+    measure_cycles,
 )
 
-TIME = torch.arange(1000, dtype=torch.float64)
+TIME = torch.arange(1000, dtype=torch.float64) * 0.1  # 9.37 periods and a bit
+FREQUENCY = 0.0937
+LIFT = 0.3 + 0.8 * torch.sin(2.0 * math.pi * FREQUENCY * TIME + 0.4)
 
 
-def test_the_period_of_a_sine_is_found_between_the_samples() -> None:
-    signal = 0.3 + 2.0 * torch.sin(2 * math.pi * TIME / 37.3)
-    assert float(find_period(signal)) == pytest.approx(37.3, rel=1e-3)
-    assert float(find_crossings(torch.sin(2 * math.pi * (TIME - 5.5) / 100))[0]) == pytest.approx(
-        5.5, abs=0.01
-    )
+def test_cycles_of_a_sine_are_its_own_although_the_record_ends_within_a_period() -> None:
+    """Tolerances: linear and parabolic interpolation at 107 samples per period, (pi/107)^2 ~ 1e-3
+    of a crossing's own distance, far less after cancelling between periods."""
+    cycles = measure_cycles(LIFT, 0.1)
+    assert cycles.num_cycles in (8, 9)
+    assert cycles.frequency == pytest.approx(FREQUENCY, rel=1e-4)
+    assert cycles.mean == pytest.approx(0.3, abs=1e-4)
+    assert cycles.rms == pytest.approx(0.8 / math.sqrt(2.0), rel=1e-3)
+    assert cycles.amplitude == pytest.approx(0.8, rel=1e-4)
+    assert (cycles.low, cycles.high) == pytest.approx((-0.5, 1.1), abs=1e-4)
 
 
-def test_a_mean_over_whole_periods_does_not_depend_on_where_the_record_ends() -> None:
-    for end in (640, 700, 990):
-        signal = 0.3 + 2.0 * torch.sin(2 * math.pi * TIME[:end] / 50 + 0.4)
-        assert float(average_periods(signal)) == pytest.approx(0.3, abs=0.02)
+def test_drag_is_averaged_over_the_periods_of_the_lift() -> None:
+    drag = 1.3 + 0.01 * torch.cos(4.0 * math.pi * FREQUENCY * TIME)
+    cycles = measure_cycles(drag, 0.1, clock=LIFT)
+    assert cycles.frequency == pytest.approx(FREQUENCY, rel=1e-4)
+    assert cycles.mean == pytest.approx(1.3, abs=1e-5)
+    assert cycles.amplitude == pytest.approx(0.01, rel=1e-3)
 
 
-def test_a_signal_without_a_period_is_refused() -> None:
-    with pytest.raises(ValueError, match="rises through its mean 0 times"):
-        find_period(torch.linspace(1.0, 0.0, 50))
+def test_cycles_need_two_whole_periods() -> None:
+    with pytest.raises(ValueError, match="measure longer"):
+        measure_cycles(LIFT[:200], 0.1)
 
 
-def test_pressure_is_zero_at_rest() -> None:
-    assert compute_pressure(torch.tensor([1.0, 1.03])).tolist() == pytest.approx([0.0, 0.01])
+def test_spectrum_and_crossings_agree_between_the_bins() -> None:
+    """The bin is 0.01 wide; 2 % of it is what a parabola through a Hann window's line leaves."""
+    assert compute_spectral_frequency(LIFT, 0.1) == pytest.approx(FREQUENCY, abs=2e-4)
+    strouhal = compute_strouhal(LIFT, 0.1, length=20.0, speed=0.1)
+    assert strouhal == pytest.approx(FREQUENCY * 200.0, rel=1e-4)
+
+
+def test_coefficient_and_pressure_follow_their_definitions() -> None:
+    force = torch.tensor([0.0, 0.5])
+    assert compute_coefficient(force, length=20.0, speed=0.1, rho=1.25)[1] == pytest.approx(4.0)
+    assert compute_pressure(torch.tensor(1.03)) == pytest.approx(0.01, rel=1e-4)

@@ -24,6 +24,7 @@ from fishrl.physics.boundaries import (
     Boundaries,
     NonEquilibrium,
     NoSlip,
+    OpenEdge,
     Periodic,
     Profile,
     Side,
@@ -87,6 +88,12 @@ INLET = Boundaries(
     bottom=NoSlip(),
     top=NonEquilibrium(velocity=(0.03, 0.0)),
 )
+OPEN = Boundaries(
+    left=NonEquilibrium(velocity=(1.0, 0.0)),
+    right=OpenEdge(),
+    bottom=OpenEdge(is_plane=False),
+    top=OpenEdge(is_plane=False),
+)
 COUETTE = Boundaries(
     left=Periodic(),
     right=Periodic(),
@@ -102,6 +109,7 @@ COUETTE = Boundaries(
         {"motion": Free()},
         {"motion": Bending()},
         {"boundaries": INLET},
+        {"boundaries": OPEN, "stream_speed": 0.03},
         {"boundaries": PERIODIC},
         {"boundaries": COUETTE, "stream_speed": 0.03, "ramp_steps": 50},
         {"boundaries": INLET, "sponges": (Sponge(length=20), Sponge(length=8, side=Side.TOP))},
@@ -111,6 +119,7 @@ COUETTE = Boundaries(
         "commanded",
         "free",
         "bending",
+        "inlet",
         "open edges",
         "periodic",
         "sheared",
