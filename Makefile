@@ -10,10 +10,10 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 # Tests that need CUDA are left out where there is none.
 MARKERS ?= not slow$(shell $(BIN)/python -c 'import torch; print("" if torch.cuda.is_available() else " and not gpu")' 2>/dev/null)
 
-.PHONY: help setup train test check bench format clean
+.PHONY: help setup train test check bench validate validate-quick format clean
 
 help: ## say what there is to make
-	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/:.*## /\t/' | expand -t 10
+	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/:.*## /\t/' | expand -t 16
 
 setup: $(STAMP) ## install everything into .venv
 
@@ -42,6 +42,12 @@ check: $(STAMP) ## lint, formatting, types, who may import whom
 
 bench: $(STAMP) ## measure the speed of the solver
 	$(BIN)/python -m experiments.benchmark $(ARGS)
+
+validate: $(STAMP) ## judge the solver by the literature and write docs/validation.md
+	$(BIN)/python -m experiments.validate $(ARGS)
+
+validate-quick: $(STAMP) ## the same, coarse cases only, about a minute; the page goes to runs/validation
+	$(BIN)/python -m experiments.validate --quick $(ARGS)
 
 format: $(STAMP) ## put the code into the house style
 	$(BIN)/ruff check --fix .

@@ -1,0 +1,1 @@
+"""Flows that others have solved, run here and judged by their numbers."""

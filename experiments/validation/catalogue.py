@@ -1,0 +1,8 @@
+"""All cases, in the order of the report. A new case is a file and a line here."""
+
+from experiments.validation.case import Case
+from experiments.validation.cavity import Cavity
+from experiments.validation.poiseuille import Poiseuille
+from experiments.validation.taylor_green import TaylorGreen
+
+CASES: tuple[Case, ...] = (TaylorGreen(), Poiseuille(), Cavity())

@@ -1,0 +1,73 @@
+"""What a job's result depends on, as one short word: unchanged jobs need not run again."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
+from typing import Any
+
+import torch
+
+import fishrl.physics
+from experiments.validation.case import Job
+
+
+def fingerprint(job: Job) -> str:
+    """Return a word that changes when the job's result may.
+
+    It covers the function with all it calls and the constants it reads in its own package (not the
+    rest of its file: a new tolerance or figure runs nothing again), the arguments, every source
+    file of ``fishrl.physics`` and the version of torch. What a function imports while it runs is
+    not seen: import at the top.
+    """
+    parts = [
+        f"{job.function.__module__}.{job.function.__qualname__}",
+        json.dumps(job.arguments, sort_keys=True),
+        *sorted(_sources(job.function)),
+        _hash_physics(),
+        torch.__version__,
+    ]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
+
+
+@cache
+def _hash_physics() -> str:
+    folder = Path(inspect.getfile(fishrl.physics)).parent
+    digest = hashlib.sha256()
+    for path in sorted(folder.glob("*.py")):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _sources(function: Callable[..., Any]) -> set[str]:
+    """Return the sources of what ``function`` reaches in its package, itself included."""
+    package = function.__module__.split(".")[0]
+    seen: set[str] = set()
+    waiting: list[tuple[str, object]] = [(function.__qualname__, function)]
+    while waiting:
+        name, thing = waiting.pop()
+        thing = inspect.unwrap(thing) if callable(thing) else thing
+        if isinstance(thing, FunctionType | type | ModuleType):
+            owner = thing.__name__ if isinstance(thing, ModuleType) else thing.__module__
+            if owner.split(".")[0] != package or (source := inspect.getsource(thing)) in seen:
+                continue
+            seen.add(source)
+        elif not callable(thing):
+            seen.add(f"{name} = {thing!r}")
+        methods = vars(thing).values() if isinstance(thing, type) else [thing]
+        for method in (m for m in methods if isinstance(m, FunctionType)):
+            known = method.__globals__
+            waiting += [(word, known[word]) for word in _names(method.__code__) if word in known]
+    return seen
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _names(constant)

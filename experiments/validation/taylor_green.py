@@ -1,0 +1,148 @@
+"""Taylor's decaying vortices: order of the method, viscosity, single precision."""
+
+from collections.abc import Sequence
+from math import log, pi
+
+import torch
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from experiments.validation.case import Case, Check, Job, Result, Results
+from experiments.validation.convergence import draw_convergence, fit_order
+from fishrl.physics.cases import PERIODIC, make_taylor_green
+from fishrl.physics.collision import compute_macroscopic
+from fishrl.physics.solver import make_uniform, step
+from fishrl.physics.state import FlowConfig, FlowState
+
+REYNOLDS = 20.0
+SPEED = 0.64  # U N
+SIZES = (16, 32, 64, 128)
+QUICK_SIZES = (16, 32, 64)
+SOURCE = "Taylor & Green 1937"
+
+
+def decay_vortices(*, size: int, is_single: bool) -> Result:
+    """Let the vortices of a periodic box decay for one decay time.
+
+    Args:
+        size: nodes N along each axis; U = 0.64 / N.
+        is_single: float32 instead of float64.
+
+    Returns:
+        ``error``: relative L2 error of the velocity at the end; ``viscosity``: what the amplitude
+        lost over the second half says, relative to (tau - 1/2) / 3.
+    """
+    dtype = torch.float32 if is_single else torch.float64
+    speed, k = SPEED / size, 2.0 * pi / size
+    nu = speed * size / REYNOLDS
+    config = FlowConfig(width=size, height=size, tau=3.0 * nu + 0.5, boundaries=PERIODIC)
+    half = round(1.0 / (4.0 * nu * k * k))
+    rho, u = make_taylor_green(size, speed, 0.0, nu)
+    state = FlowState(make_uniform(rho, u[:, 0], u[:, 1]).to(dtype))
+    amplitudes = []
+    for _ in range(2):
+        for _ in range(half):
+            state = step(state, config)
+        velocity = _read_velocity(state)
+        amplitudes.append(float((velocity * u).sum() / (u * u).sum()))
+    measured = log(amplitudes[0] / amplitudes[1]) / (2.0 * k * k * half)
+    _, exact = make_taylor_green(size, speed, 2 * half, nu)
+    return {
+        "error": float((velocity - exact).norm() / exact.norm()),
+        "viscosity": measured / nu,
+    }
+
+
+def _read_velocity(state: FlowState) -> Tensor:
+    rho, jx, jy = compute_macroscopic(state.f.double().unbind(1))
+    return torch.stack((jx, jy), 1) / (rho + 1.0)[:, None]
+
+
+def _label(size: int, is_single: bool) -> str:
+    return f"N = {size}, {'float32' if is_single else 'float64'}"
+
+
+class TaylorGreen(Case):
+    """Taylor's vortices in a periodic box."""
+
+    name = "taylor-green"
+    title = "Taylor–Green vortices"
+    source = SOURCE
+    setup = (
+        "One pair of vortices each way in a periodic box of N × N nodes, u = −U cos kx sin ky, "
+        "v = U sin kx cos ky, k = 2π/N, at U N / ν = 20. The exact solution decays as "
+        "exp(−2νk²t). Diffusive scaling: U = 0.64 / N at the same τ = 0.596 on all grids, so that "
+        "compressibility errors fall as the grid's do. Run for one decay time 1 / (2νk²) with the "
+        "readable step in double and in single precision (shifted populations). Viscosity is read "
+        "from what the amplitude loses over the second half."
+    )
+
+    def jobs(self, *, quick: bool) -> Sequence[Job]:
+        """Return a run for each size and precision."""
+        return [
+            Job(
+                label=_label(size, is_single),
+                function=decay_vortices,
+                arguments={"size": size, "is_single": is_single},
+                cost=4.0 * size**4,  # steps grow as N²; eager, so each costs much
+            )
+            for is_single in (False, True)
+            for size in (QUICK_SIZES if quick else SIZES)
+        ]
+
+    def judge(self, results: Results) -> Sequence[Check]:
+        """Judge order, viscosity and what single precision costs."""
+        double, single = _errors(results, is_single=False), _errors(results, is_single=True)
+        finest = max(double)
+        ratios = {n: single[n] / double[n] for n in double}
+        viscosity = {n: results[_label(n, False)]["viscosity"] for n in double}
+        return [
+            Check(
+                quantity="order of the L2 velocity error",
+                ours=fit_order(double),
+                reference=(1.95, float("inf")),
+                source="second-order method",
+                resolution=f"N = {min(double)}–{finest}",
+            ),
+            Check(
+                quantity="L2 velocity error",
+                ours=double[finest],
+                resolution=f"N = {finest}",
+                refinement={f"N = {n}": e for n, e in double.items()},
+            ),
+            Check(
+                quantity="viscosity ν / ((τ − ½) / 3)",
+                ours=viscosity[finest],
+                reference=1.0,
+                source=SOURCE,
+                tolerance=0.005,
+                resolution=f"N = {finest}",
+                refinement={f"N = {n}": v for n, v in viscosity.items()},
+            ),
+            Check(
+                quantity="error in float32 / in float64, worst grid",
+                ours=max(ratios.values()),
+                reference=(0.0, 2.0),
+                source="own bar",
+                resolution=f"N = {max(ratios, key=lambda n: ratios[n])}",
+                refinement={f"N = {n}": r for n, r in ratios.items()},
+            ),
+        ]
+
+    def draw(self, results: Results) -> Figure:
+        """Draw the error against resolution."""
+        figure = Figure(figsize=(5.6, 3.8), layout="constrained")
+        axes = figure.subplots()
+        series = {
+            "double precision": _errors(results, is_single=False),
+            "single precision": _errors(results, is_single=True),
+        }
+        draw_convergence(axes, series)
+        axes.set(xlabel="nodes N along the box", ylabel="relative L2 error of velocity")
+        axes.set_title("Taylor–Green vortices after one decay time, Re = 20", loc="left")
+        return figure
+
+
+def _errors(results: Results, *, is_single: bool) -> dict[int, float]:
+    labels = {n: _label(n, is_single) for n in SIZES}
+    return {n: results[name]["error"] for n, name in labels.items() if name in results}
