@@ -1,19 +1,15 @@
 """Lid-driven cavity: vortex in a closed box, driven by one wall."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import ClassVar
 
 from matplotlib.figure import Figure
-from torch import Tensor
 
 from experiments.figures import COLOURS
 from experiments.validation import ghia
 from experiments.validation.case import Case, Check, Job, Result, Results
 from experiments.validation.convergence import find_extreme, tidy
 from fishrl.physics import FlowConfig, InPlaceSolver
-from fishrl.physics.boundaries import Boundaries, Boundary, NonEquilibrium, NoSlip, Side
-from fishrl.physics.lattice import CX, CY, OPPOSITE, W
+from fishrl.physics.boundaries import Boundaries, NonEquilibrium, NoSlip
 
 LID_SPEED = 0.1
 SIZES = (64, 128, 256)
@@ -40,35 +36,6 @@ LEAK = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Lid(Boundary):
-    """Half-way bounce-back from a wall that slides along itself (Ladd 1994).
-
-    f_in = f_out(opposite) + 6 w c · U. The links through its two corners belong to the resting
-    walls: a sliding wall carries U / 6 of mass along with it that no link counts, and this is where
-    it comes from and goes to. Without it the error is of first order.
-
-    Args:
-        velocity: (x, y) in lattice units, along the wall.
-    """
-
-    is_local: ClassVar[bool] = True
-    velocity: tuple[float, float]
-
-    def compute_edge(
-        self, side: Side, neighbour: Sequence[Tensor], outgoing: Sequence[Tensor]
-    ) -> dict[int, Tensor]:
-        """Return the populations that come from the wall."""
-        nx, ny = side.value
-        edge = {}
-        for q in (q for q in range(len(CX)) if CX[q] * nx + CY[q] * ny > 0):
-            along = CX[q] * self.velocity[0] + CY[q] * self.velocity[1]
-            edge[q] = outgoing[OPPOSITE[q]] + 6.0 * W[q] * along
-            corner = 0 if CX[q] * abs(ny) + CY[q] * abs(nx) > 0 else -1
-            edge[q][:, corner] -= 6.0 * W[q] * along
-        return edge
-
-
 def drive_cavity(*, size: int, reynolds: float, is_half_way: bool) -> Result:
     """Drive a cavity until it is steady.
 
@@ -84,7 +51,7 @@ def drive_cavity(*, size: int, reynolds: float, is_half_way: bool) -> Result:
     """
     lid = (LID_SPEED, 0.0)
     walls = NoSlip() if is_half_way else NonEquilibrium(velocity=(0.0, 0.0))
-    top = Lid(velocity=lid) if is_half_way else NonEquilibrium(velocity=lid)
+    top = NoSlip(velocity=lid) if is_half_way else NonEquilibrium(velocity=lid)
     num_nodes = size if is_half_way else size + 1
     config = FlowConfig(
         width=num_nodes,

@@ -18,7 +18,7 @@ def place_fish(starts: TensorDictBase, fish: Fish) -> tuple[Tensor, Tensor]:
         fish: the body.
     """
     heading: Tensor = starts["heading"]
-    nose_to_centre = -float(fish.make_shape().axial[0, 0])
+    nose_to_centre = fish.centre
     direction = torch.stack((torch.cos(heading), torch.sin(heading)), -1)
     return starts["head"] - nose_to_centre * direction, heading
 

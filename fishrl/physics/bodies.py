@@ -7,6 +7,7 @@ heading is pi faces -x and its axis points downstream of a flow along +x.
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,11 +15,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fishrl.physics.kinematics import CARLING, Beat, Deformation, Gait, Shape, deform
+from fishrl.physics.midline import MidlineShape, bend_midline
 from fishrl.physics.motion import Commanded, Fixed, Motion
+from fishrl.physics.sections import Section
 
 _STATIONS = 20001  # quadrature and arc-length stations along the body; set-up cost only
 
 _Points = NDArray[np.float64]
+AnyShape = Shape | MidlineShape
+_COARSE = np.linspace(0.0, 1.0, 201)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +33,9 @@ class Outline(ABC):
     Args:
         density_ratio: body density over fluid density; 1 is neutrally buoyant.
         marker_spacing: wanted distance of the markers along the outline, in nodes.
+        inset: how far the markers lie inside the outline, nodes. The force of a marker is spread
+            over some nodes around it, so the flow feels a body a little larger than its markers'
+            outline (Breugem 2012); area, mass and gait stay those of the outline itself.
         num_markers: N, instead of what the spacing gives; bodies of different size in one batch
             need the same number.
         motion: what moves the body.
@@ -35,6 +43,7 @@ class Outline(ABC):
 
     density_ratio: float = 1.0
     marker_spacing: float = 1.0
+    inset: float = 0.0
     num_markers: int = 0
     motion: Motion = field(default_factory=Fixed)
 
@@ -48,6 +57,8 @@ class Outline(ABC):
             raise ValueError(
                 f"marker_spacing = {self.marker_spacing}: allowed is 0.5 to 2 nodes, 1 is usual"
             )
+        if not 0.0 <= self.inset <= 1.0:
+            raise ValueError(f"inset = {self.inset}: allowed is 0 to 1 node")
         perimeter = float(sum(self._lengths))
         if self.num_markers == 0:
             counts = [max(8, round(s / self.marker_spacing)) for s in self._lengths]
@@ -59,6 +70,10 @@ class Outline(ABC):
                 f"{spacing:.2f} nodes apart, allowed is 0.5 to 2; a larger or smaller number of "
                 "markers, or another size"
             )
+
+    def get_structure(self) -> tuple[object, ...]:
+        """Return what this body has in common with its like in other flows of a batch."""
+        return type(self), self.num_markers, self.motion
 
     @abstractmethod
     def draw(self) -> list[_Points]:
@@ -90,40 +105,54 @@ class Outline(ABC):
         return self._moments[0]
 
     @property
+    def centre(self) -> float:
+        """Distance of the centre of area from the nose, nodes."""
+        return float(self._moments[1][0] - self._pieces[0][0, 0])
+
+    @property
     def size(self) -> float:
         """Largest extent along an axis, nodes."""
         points = np.concatenate(self._pieces)
         return float(np.ptp(points, axis=0).max())
 
     def _place_markers(self) -> tuple[_Points, _Points]:
-        """Return markers ``[N, 2]`` (every corner is one) and the outline length of each."""
+        """Return markers ``[N, 2]`` and the length of outline that each stands for, ``[N]``.
+
+        Every corner of the outline has a marker; all are then moved inwards by ``inset``.
+        """
         lengths = np.array(self._lengths)
         share = lengths / lengths.sum() * self.num_markers
         counts = np.floor(share + 1e-9).astype(int)
         for i in np.argsort(counts - share, kind="stable")[: self.num_markers - counts.sum()]:
             counts[i] += 1
-        places, steps = [], []
+        pieces = []
         for piece, length, count in zip(self._pieces, lengths, counts, strict=True):
             at = np.linspace(0.0, length, count, endpoint=False)
             arc = _measure_arc(piece)
-            places.append(np.stack([np.interp(at, arc, c) for c in piece.T], -1))
-            steps.append(np.full(count, length / count))
-        step = np.concatenate(steps)
-        return np.concatenate(places), 0.5 * (step + np.roll(step, 1))
+            pieces.append(np.stack([np.interp(at, arc, c) for c in piece.T], -1))
+        places = np.concatenate(pieces)
+        if self.inset:
+            tangent = np.roll(places, -1, 0) - np.roll(places, 1, 0)
+            inward = np.stack([tangent[:, 1], -tangent[:, 0]], -1)  # outlines run clockwise
+            moved = places + self.inset * inward / np.hypot(*tangent.T)[:, None]
+            # where a body is thinner than twice the inset, its two sides meet but never cross
+            is_across = moved[:, 1] * places[:, 1] < 0.0
+            places = np.where(is_across[:, None], moved * np.array([1.0, 0.0]), moved)
+        step = np.hypot(*(np.roll(places, -1, 0) - places).T)
+        return places, 0.5 * (step + np.roll(step, 1))
 
-    def make_shape(self, device: torch.device | str = "cpu") -> Shape:
+    def make_shape(self, device: torch.device | str = "cpu") -> AnyShape:
         """Place the markers, in float64; marker 0 is the nose. See ``Shape``."""
         places, spacing = self._place_markers()
         area, centre, inertia = self._moments
         axial, lateral = (places - centre).T
         none = np.zeros((1, len(axial)))
-        return _to_shape(
-            device, axial, lateral, spacing, none, none[:, 0], none[:, :1], area, inertia,
-            self.density_ratio,
-        )  # fmt: skip
+        values = axial, lateral, spacing, none, none[:, 0], none[:, :1], area, inertia
+        return Shape(*_to_tensors(device, *values, self.density_ratio))
 
-    def deform(self, shape: Shape, beat: Beat) -> Deformation:
+    def deform(self, shape: AnyShape, beat: Beat) -> Deformation:
         """Return the outline at one instant."""
+        assert isinstance(shape, Shape)
         return deform(shape, beat)
 
 
@@ -201,23 +230,28 @@ class Foil(Outline):
     def draw(self) -> list[_Points]:
         """Return the upper side to the trailing edge and the lower side back."""
         _check_size("chord", self.chord)
-        return _draw_naca(self.chord, self.thickness)
+        return _draw_section(Section.NACA, self.chord, self.thickness)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fish(Outline):
-    """A fish: NACA outline, gait and what moves it.
+    """A fish: outline, gait and what moves it.
 
     Args:
         body_length: L in nodes.
+        section: family of its half-thickness.
         thickness: largest thickness in body lengths.
         gait: amplitude envelope and wavenumber.
+        keeps_length: whether the midline keeps its length (``midline.bend_midline``) instead of the
+            paper's vertical shear (``kinematics.deform``).
         motion: commanded heading unless said otherwise.
     """
 
     body_length: float
+    section: Section = Section.NACA
     thickness: float = 0.12
     gait: Gait = CARLING
+    keeps_length: bool = False
     motion: Motion = field(default_factory=Commanded)
 
     def __post_init__(self) -> None:
@@ -226,37 +260,45 @@ class Fish(Outline):
             raise ValueError(
                 f"body_length = {self.body_length} nodes: a fish needs at least 16 nodes"
             )
+        slope = float(np.hypot(*self.gait.evaluate_modes(_COARSE, 1)[:2]).max())
+        if self.keeps_length and slope > 0.95:
+            raise ValueError(
+                f"keeps_length: the gait's midline rises by {slope:.2f} per unit of arc, allowed "
+                "is 0.95: lower the amplitude or the wavenumber"
+            )
         super().__post_init__()
 
     def draw(self) -> list[_Points]:
         """Return the straight outline: the upper side to the tail and the lower side back."""
-        return _draw_naca(self.body_length, self.thickness)
+        return _draw_section(self.section, self.body_length, self.thickness)
+
+    def get_structure(self) -> tuple[object, ...]:
+        """Return what this fish has in common with its like in other flows of a batch."""
+        return *super().get_structure(), self.keeps_length
 
     @property
     def spacing(self) -> float:
         """Distance of the markers along the outline, nodes."""
         return float(sum(self._lengths)) / self.num_markers
 
-    def make_shape(self, device: torch.device | str = "cpu") -> Shape:
+    def make_shape(self, device: torch.device | str = "cpu") -> AnyShape:
         """Place the markers and integrate the gait's modes over the body, in float64.
 
         Marker 0 is the nose, marker N / 2 the tail.
         """
+        if self.keeps_length:
+            return self._make_midline(device)
         places, spacing = self._place_markers()
         axial, h = self._pieces[0].T
 
         def integrate(values: _Points) -> float:
             return float(np.trapezoid(values, axial))
 
-        area = integrate(2.0 * h)
-        centre = integrate(2.0 * h * axial) / area
+        area, centre = self.area, self.centre
         x = axial / self.body_length
-        envelope = self.body_length * self.gait.evaluate_envelope(x)
-        waves = [envelope * trig(self.gait.wavenumber * x) for trig in (np.sin, np.cos)]
-        waves.append(self.body_length * x * x)
-        waves = [wave - integrate(2.0 * h * wave) / area for wave in waves]
-        return _to_shape(
-            device,
+        modes = self.body_length * self.gait.evaluate_modes(x)
+        waves = [wave - integrate(2.0 * h * wave) / area for wave in modes]
+        values = (
             places[:, 0] - centre,
             places[:, 1],
             spacing,
@@ -267,27 +309,46 @@ class Fish(Outline):
             integrate(2.0 * h * (axial - centre) ** 2 + 2.0 / 3.0 * h**3),
             self.density_ratio,
         )
+        return Shape(*_to_tensors(device, *values))
+
+    def _make_midline(self, device: torch.device | str) -> MidlineShape:
+        """Put points on the midline, four between neighbouring markers of one side."""
+        places, spacing = self._place_markers()
+        half = self.num_markers // 2
+        upper = np.clip(places[: half + 1, 0], 0.0, self.body_length)
+        knots = np.concatenate(([0.0], upper, [self.body_length]))
+        fine = np.interp(np.arange(4 * (half + 2) + 1) / 4.0, np.arange(half + 3), knots)
+        own = 4 * (1 + np.arange(half + 1))
+        step = np.diff(fine, prepend=0.0)
+        half_thickness = self.section.compute_half_thickness(
+            np.minimum(fine / self.body_length, 1.0), self.thickness
+        )
+        scales = self.body_length ** (1.0 - np.arange(3.0))
+        modes = [
+            s * self.gait.evaluate_modes(fine / self.body_length, k) for k, s in enumerate(scales)
+        ]
+        values = (
+            spacing,
+            places[:, 1],
+            np.concatenate((own, own[-2:0:-1])),
+            step,
+            0.5 * (step + np.append(step[1:], 0.0)),
+            self.body_length * half_thickness,
+            np.stack(modes, 1),
+            self.area,
+            self.density_ratio,
+        )
+        return MidlineShape(*_to_tensors(device, *values))
+
+    def deform(self, shape: AnyShape, beat: Beat) -> Deformation:
+        """Return the outline at one instant."""
+        return bend_midline(shape, beat) if isinstance(shape, MidlineShape) else deform(shape, beat)
 
 
-def compute_naca_half_thickness(x: _Points, thickness: float) -> _Points:
-    """Return the half-thickness of a symmetric NACA 4-digit section, closed trailing edge.
-
-    Args:
-        x: distance from the nose in body lengths.
-        thickness: largest thickness in body lengths (0.12 for NACA0012).
-
-    Source: Jacobs, Ward & Pinkerton 1933, with -0.1036 x^4 for a closed trailing edge.
-    """
-    poly = 0.2969 * np.sqrt(x) - 0.1260 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1036 * x**4
-    return np.asarray(5.0 * thickness * poly, dtype=np.float64)
-
-
-def _draw_naca(length: float, thickness: float) -> list[_Points]:
-    if not 0.0 < thickness <= 0.4:
-        raise ValueError(f"thickness = {thickness}: allowed is (0, 0.4] body lengths")
+def _draw_section(section: Section, length: float, thickness: float) -> list[_Points]:
+    """Return the upper side to the tail and the lower side back."""
     x = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, _STATIONS)))
-    h = np.maximum(compute_naca_half_thickness(x, thickness), 0.0)
-    upper = length * np.stack([x, h], -1)
+    upper = length * np.stack([x, section.compute_half_thickness(x, thickness)], -1)
     return [upper, upper[::-1] * np.array([1.0, -1.0])]
 
 
@@ -301,8 +362,7 @@ def _check_size(name: str, value: float) -> None:
         raise ValueError(f"{name} = {value} nodes: a body needs at least 8 nodes along each axis")
 
 
-def _to_shape(device: torch.device | str, *values: _Points | float) -> Shape:
-    def convert(value: _Points | float) -> Tensor:
-        return torch.as_tensor(np.asarray(value), dtype=torch.float64, device=device)[None]
-
-    return Shape(*(convert(value) for value in values))
+def _to_tensors(device: torch.device | str, *values: NDArray[Any] | float) -> list[Tensor]:
+    return [
+        torch.as_tensor(np.asarray(v), dtype=torch.float64, device=device)[None] for v in values
+    ]

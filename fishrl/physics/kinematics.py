@@ -12,7 +12,7 @@ third such mode. ``midline.py`` has the other deformation, which keeps the midli
 """
 
 from dataclasses import dataclass
-from math import pi
+from math import comb, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -35,10 +35,25 @@ class Gait:
     envelope: tuple[float, float, float]
     wavenumber: float
 
-    def evaluate_envelope(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return a(x) in body lengths at ``x`` body lengths from the head."""
-        c0, c1, c2 = self.envelope
-        return self.amplitude * (c0 + c1 * x + c2 * x * x)
+    def evaluate_envelope(self, x: NDArray[np.float64], order: int = 0) -> NDArray[np.float64]:
+        """Return a(x), or a derivative of it, in body lengths at ``x`` from the head."""
+        polynomial = np.polynomial.Polynomial(self.envelope).deriv(order)
+        return np.asarray(self.amplitude * polynomial(x), dtype=np.float64)
+
+    def evaluate_modes(self, x: NDArray[np.float64], order: int = 0) -> NDArray[np.float64]:
+        """Return a sin kx, a cos kx and the bend x^2, or derivatives, ``[3, n]``, body lengths."""
+        k = self.wavenumber
+        waves = []
+        for shift in (0.0, 0.5 * pi):
+            terms = (
+                comb(order, j)
+                * self.evaluate_envelope(x, j)
+                * k ** (order - j)
+                * np.sin(k * x + shift + 0.5 * pi * (order - j))
+                for j in range(order + 1)
+            )
+            waves.append(sum(terms, np.zeros_like(x)))
+        return np.stack([*waves, np.polynomial.Polynomial((0.0, 0.0, 1.0)).deriv(order)(x)])
 
     @property
     def tail_speed(self) -> float:
@@ -53,6 +68,7 @@ CARANGIFORM = Gait(amplitude=0.1, envelope=(0.2, -0.8, 1.6), wavenumber=2 * pi)
 # The paper's k = 3 read as radians per body length, with Carling's envelope (the paper's is
 # unsaid).
 LONG_WAVE = Gait(amplitude=0.125 / 1.03125, envelope=(0.03125, 1.0, 0.0), wavenumber=3.0)
+GAITS = {"carling": CARLING, "carangiform": CARANGIFORM, "long wave": LONG_WAVE}
 
 
 class Shape(NamedTuple):
@@ -138,6 +154,14 @@ class Beat(NamedTuple):
     bend_rate: Tensor
 
 
+def compute_amplitudes(beat: Beat) -> tuple[list[Tensor], list[Tensor]]:
+    """Return the amplitudes ``[B]`` of the modes (sine, cosine, bend) and their rates per step."""
+    ramp, ramp_rate = compute_ramp(beat.age, beat.frequency)
+    cos, sin, rate = torch.cos(beat.phase), torch.sin(beat.phase), 2.0 * pi * beat.frequency
+    swing_rates = [ramp_rate * cos - ramp * rate * sin, -ramp_rate * sin - ramp * rate * cos]
+    return [ramp * cos, -ramp * sin, beat.bend], [*swing_rates, beat.bend_rate]
+
+
 def deform(shape: Shape, beat: Beat) -> Deformation:
     """Shear a body vertically by its modes, y -> y + Z(X, t).
 
@@ -145,11 +169,7 @@ def deform(shape: Shape, beat: Beat) -> Deformation:
         shape: of the body; one mode (all zero) for a rigid one, three for a fish.
         beat: the instant.
     """
-    ramp, ramp_rate = compute_ramp(beat.age, beat.frequency)
-    cos, sin, rate = torch.cos(beat.phase), torch.sin(beat.phase), 2.0 * pi * beat.frequency
-    e = [ramp * cos, -ramp * sin, beat.bend]
-    e_t = [ramp_rate * cos - ramp * rate * sin, -ramp_rate * sin - ramp * rate * cos]
-    e_t += [beat.bend_rate]
+    e, e_t = compute_amplitudes(beat)
     lateral, velocity = shape.lateral, torch.zeros_like(shape.lateral)
     inertia, inertia_rate = shape.inertia, torch.zeros_like(beat.phase)
     momentum = torch.zeros_like(beat.phase)

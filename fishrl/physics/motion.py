@@ -20,6 +20,7 @@ class Body(NamedTuple):
         phase: of the body wave or oscillation, radians.
         frequency: tail beats or oscillations per step.
         age: steps since the body began to move.
+        bend: kappa of the midline's bend kappa L x^2; see ``Bending``.
         turn: commanded change of heading, radians.
         turn_steps: steps over which the turn is spread.
         turn_clock: steps since the command.
@@ -43,6 +44,7 @@ class Body(NamedTuple):
     phase: Tensor
     frequency: Tensor
     age: Tensor
+    bend: Tensor
     turn: Tensor
     turn_steps: Tensor
     turn_clock: Tensor
@@ -98,10 +100,9 @@ class Motion:
         """Return velocity ``[B, 2]`` and Omega ``[B]``; read where the flow does not decide."""
         return body.velocity, body.angular_velocity
 
-    def compute_bend(self, body: Body) -> tuple[Tensor, Tensor]:
-        """Return the bend of a fish's midline ``[B]`` (see ``Bending``) and its rate per step."""
-        zero = torch.zeros_like(body.heading)
-        return zero, zero
+    def compute_bend_rate(self, body: Body) -> Tensor:
+        """Return the change per step of a fish's bend, ``[B]``; see ``Bending``."""
+        return torch.zeros_like(body.bend)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,11 +183,15 @@ class Commanded(Motion):
 class Bending(Motion):
     """A free fish that turns by bending its midline towards the command; no torque from outside.
 
-    The bend adds L kappa(t) x^2 to the midline, x in body lengths from the head, with
-    kappa = gain * turn * (1 - cos 2 pi t / n) / 2 over the n steps of the command.
+    The bend adds L kappa x^2 to the midline, x in body lengths from the head. During a command
+    kappa relaxes towards -gain * turn, afterwards back to zero, with a sixth of the command's
+    length as time constant: the tail goes to the side that the fish turns to, and commands in a row
+    keep it there.
 
     Args:
-        gain: bend per radian of commanded turn.
+        gain: bend per radian of commanded turn. With 1, commands of 15 degrees in a row turn a
+            Carling swimmer at Re = 7000 and L = 50 by 12 degrees per tail beat, with 0.5 by 8; more
+            than 1 only slows it.
     """
 
     moves_freely: ClassVar[bool] = True
@@ -194,10 +199,8 @@ class Bending(Motion):
 
     gain: float = 1.0
 
-    def compute_bend(self, body: Body) -> tuple[Tensor, Tensor]:
-        """Return the bend and its rate."""
-        angle = 2.0 * pi * body.turn_clock / body.turn_steps
-        size = torch.where(body.turn_clock < body.turn_steps, 0.5 * self.gain * body.turn, 0.0)
-        return size * (1.0 - torch.cos(angle)), size * torch.sin(angle) * (
-            2.0 * pi / body.turn_steps
-        )
+    def compute_bend_rate(self, body: Body) -> Tensor:
+        """Return the relaxation towards the command."""
+        is_asked = body.turn_clock < body.turn_steps
+        goal = torch.where(is_asked, -self.gain * body.turn, torch.zeros_like(body.turn))
+        return (goal - body.bend) * 6.0 / body.turn_steps.clamp_min(6.0)

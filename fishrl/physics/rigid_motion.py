@@ -18,9 +18,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from fishrl.physics.bodies import Outline
+from fishrl.physics.bodies import AnyShape, Outline
 from fishrl.physics.immersed_boundary import ForceSolve
-from fishrl.physics.kinematics import Beat, Deformation, Shape, advance_phase
+from fishrl.physics.kinematics import Beat, Deformation, advance_phase
 from fishrl.physics.motion import Body
 
 
@@ -45,10 +45,10 @@ class Markers(NamedTuple):
     deformation_velocity: Tensor
 
 
-def deform_body(outline: Outline, shape: Shape, body: Body) -> Deformation:
+def deform_body(outline: Outline, shape: AnyShape, body: Body) -> Deformation:
     """Return the outline of a body in its own frame."""
-    bend = outline.motion.compute_bend(body)
-    return outline.deform(shape, Beat(body.phase, body.frequency, body.age, *bend))
+    rate = outline.motion.compute_bend_rate(body)
+    return outline.deform(shape, Beat(body.phase, body.frequency, body.age, body.bend, rate))
 
 
 def place_markers(body: Body, deformation: Deformation) -> Markers:
@@ -106,7 +106,7 @@ class _Freedom(NamedTuple):
 
 def solve_body_force(
     outlines: Sequence[Outline],
-    shapes: Sequence[Shape],
+    shapes: Sequence[AnyShape],
     bodies: Sequence[Body],
     deformations: Sequence[Deformation],
     markers: Sequence[Markers],
@@ -267,7 +267,7 @@ def _is_zero(entry: Tensor | float) -> bool:
 
 
 def move_body(
-    outline: Outline, shape: Shape, body: Body, deformation: Deformation, update: RigidUpdate
+    outline: Outline, shape: AnyShape, body: Body, deformation: Deformation, update: RigidUpdate
 ) -> Body:
     """Advance rigid motion, phase and ledgers of one body by one step.
 
@@ -287,6 +287,7 @@ def move_body(
         angular_velocity=update.angular_velocity,
         phase=advance_phase(body.phase, body.frequency),
         age=body.age + 1.0,
+        bend=body.bend + outline.motion.compute_bend_rate(body),
         turn_clock=body.turn_clock + 1.0,
         work=body.work + update.power,
         positive_work=body.positive_work + update.positive_power,

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from fishrl.physics.bodies import AnyShape
 from fishrl.physics.boundaries import apply_boundaries_
 from fishrl.physics.collision import (
     collide_mrt,
@@ -24,7 +25,7 @@ from fishrl.physics.immersed_boundary import (
     make_stencil,
     overlap_markers,
 )
-from fishrl.physics.kinematics import Deformation, Shape
+from fishrl.physics.kinematics import Deformation
 from fishrl.physics.motion import Body
 from fishrl.physics.rigid_motion import (
     Markers,
@@ -115,7 +116,7 @@ class Place(NamedTuple):
 
 
 def locate_bodies(
-    bodies: Sequence[Body], config: FlowConfig, shapes: Sequence[Shape], dtype: torch.dtype
+    bodies: Sequence[Body], config: FlowConfig, shapes: Sequence[AnyShape], dtype: torch.dtype
 ) -> Place:
     """Deform the bodies, place their markers and find the nodes they see."""
     triples = zip(config.bodies, shapes, bodies, strict=True)
@@ -131,7 +132,7 @@ def locate_bodies(
 def exchange(
     bodies: Sequence[Body],
     config: FlowConfig,
-    shapes: Sequence[Shape],
+    shapes: Sequence[AnyShape],
     place: Place,
     rho: Tensor,
     ux: Tensor,

@@ -8,12 +8,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fishrl.physics.bodies import Fish, Outline
+from fishrl.physics.bodies import AnyShape, Fish, Outline
 from fishrl.physics.boundaries import Boundaries, Side
 from fishrl.physics.collision import Rates
 from fishrl.physics.delta import Kernel, Roma3
 from fishrl.physics.immersed_boundary import ForceSolve, IterativeForcing
-from fishrl.physics.kinematics import Shape
 from fishrl.physics.motion import Body
 from fishrl.physics.rigid_motion import Coupling
 from fishrl.physics.units import MAX_WALL_SPEED, check_tau
@@ -126,7 +125,7 @@ class FlowConfig:
 
     def get_structure(self) -> object:
         """Return what all flows of one batch must share."""
-        bodies = tuple((type(b), b.num_markers, b.motion) for b in self.bodies)
+        bodies = tuple(body.get_structure() for body in self.bodies)
         alike = replace(self, tau=1.0, stream_speed=0.0, ramp_steps=0, bodies=())
         return alike, bodies
 
@@ -164,7 +163,7 @@ class FlowParams(NamedTuple):
     tau: Tensor
     stream_speed: Tensor
     ramp_steps: Tensor
-    shapes: tuple[Shape, ...]
+    shapes: tuple[AnyShape, ...]
 
 
 class FlowState(NamedTuple):
@@ -196,16 +195,16 @@ def make_params(configs: Sequence[FlowConfig], device: torch.device | str = "cpu
             )
     numbers = [[c.tau, c.stream_speed, float(c.ramp_steps)] for c in configs]
     tau, speed, ramp = torch.tensor(numbers, dtype=torch.float64, device=device).unbind(-1)
-    made: dict[Outline, Shape] = {}
+    made: dict[Outline, AnyShape] = {}
     for config in configs:
         for outline in config.bodies:
             if outline not in made:
                 made[outline] = outline.make_shape(device)
-    shapes = tuple(
-        Shape(*(torch.cat(t) for t in zip(*(made[c.bodies[m]] for c in configs), strict=True)))
-        for m in range(len(configs[0].bodies))
-    )
-    return FlowParams(tau, speed, ramp, shapes)
+    shapes = []
+    for m in range(len(configs[0].bodies)):
+        each = [made[c.bodies[m]] for c in configs]
+        shapes.append(type(each[0])(*(torch.cat(t) for t in zip(*each, strict=True))))
+    return FlowParams(tau, speed, ramp, tuple(shapes))
 
 
 def compute_stream_speed(params: FlowParams, clock: Tensor) -> Tensor:

@@ -1,7 +1,8 @@
 """From Reynolds number, body length and a Mach budget to lattice units.
 
 A preset is a body length and a speed budget; everything else follows. The fastest thing in the flow
-is the tail, 2 pi a(1) L / T, so the budget is set on it. nu = L^2 / (Re T), tau = 3 nu + 1/2.
+is the tail, 2 pi a(1) f L, or the stream, so the budget is set on them. nu = L^2 / (Re T), tau =
+3 nu + 1/2.
 """
 
 from dataclasses import dataclass
@@ -31,6 +32,25 @@ def check_tau(tau: float) -> None:
         )
 
 
+def compute_tau(*, length: float, speed: float, reynolds: float) -> float:
+    """Return the relaxation time of a flow around a body.
+
+    Args:
+        length: D or L in nodes.
+        speed: U in nodes per step.
+        reynolds: U D / nu.
+
+    Raises:
+        ValueError: if the result lies outside the validated range.
+    """
+    for name, value in (("length", length), ("speed", speed), ("reynolds", reynolds)):
+        if value <= 0:
+            raise ValueError(f"{name} = {value}: must be positive")
+    tau = 3.0 * speed * length / reynolds + 0.5
+    check_tau(tau)
+    return tau
+
+
 @dataclass(frozen=True, kw_only=True)
 class Scales:
     """Lattice units of a swimming fish.
@@ -40,12 +60,16 @@ class Scales:
         reynolds: Re_f = L^2 / (T nu).
         period: T, steps per tail beat; even.
         gait: sets the tail's speed.
+        max_frequency: fastest beat that will be commanded, tail beats per T.
+        stream_speed_bl: fastest stream, L / T.
     """
 
     body_length: int
     reynolds: float
     period: int
     gait: Gait = CARLING
+    max_frequency: float = 1.0
+    stream_speed_bl: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what was never validated, and say what to do."""
@@ -55,11 +79,16 @@ class Scales:
             raise ValueError(f"reynolds = {self.reynolds}: must be positive")
         if self.period < 2 or self.period % 2:
             raise ValueError(f"period = {self.period}: must be an even number of steps, at least 2")
-        if self.tail_speed > MAX_WALL_SPEED:
+        if self.max_frequency <= 0 or self.stream_speed_bl < 0:
             raise ValueError(
-                f"tail speed = {self.tail_speed:.3f} nodes per step (Mach "
-                f"{self.tail_speed * 3**0.5:.2f}) > {MAX_WALL_SPEED}: raise period or lower "
-                "max_wall_speed"
+                f"max_frequency = {self.max_frequency}, stream_speed_bl = {self.stream_speed_bl}: "
+                "give a positive frequency and no negative speed"
+            )
+        fastest, name = max((self.tail_speed, "tail speed"), (self.stream_speed, "stream speed"))
+        if fastest > MAX_WALL_SPEED:
+            raise ValueError(
+                f"{name} = {fastest:.3f} nodes per step (Mach {fastest * 3**0.5:.2f}) > "
+                f"{MAX_WALL_SPEED}: raise period or lower max_wall_speed"
             )
         check_tau(self.tau)
 
@@ -71,23 +100,35 @@ class Scales:
         reynolds: float,
         max_wall_speed: float = DEFAULT_WALL_SPEED,
         gait: Gait = CARLING,
+        max_frequency: float = 1.0,
+        stream_speed_bl: float = 0.0,
     ) -> "Scales":
-        """Choose the shortest even period that keeps the tail within ``max_wall_speed``.
+        """Choose the shortest even period that keeps tail and stream within ``max_wall_speed``.
 
         Args:
             body_length: L in nodes.
             reynolds: Re_f = L^2 / (T nu).
-            max_wall_speed: largest tail speed, nodes per step; times sqrt(3) it is a Mach number.
+            max_wall_speed: largest speed of tail and stream, nodes per step; times sqrt(3) it is a
+                Mach number.
             gait: sets the tail's speed.
+            max_frequency: fastest beat that will be commanded, tail beats per T.
+            stream_speed_bl: fastest stream, L / T.
         """
         if not 0.0 < max_wall_speed <= MAX_WALL_SPEED:
             raise ValueError(
                 f"max_wall_speed = {max_wall_speed} (Mach {max_wall_speed * 3**0.5:.2f}): allowed "
                 f"is (0, {MAX_WALL_SPEED}]; {DEFAULT_WALL_SPEED} is the validated default"
             )
-        period = gait.tail_speed * body_length / max_wall_speed
-        even = 2 * -int(-period // 2)
-        return cls(body_length=body_length, reynolds=reynolds, period=even, gait=gait)
+        fastest_bl = max(gait.tail_speed * max_frequency, stream_speed_bl)
+        even = max(2, 2 * -int(-fastest_bl * body_length / max_wall_speed // 2))
+        return cls(
+            body_length=body_length,
+            reynolds=reynolds,
+            period=even,
+            gait=gait,
+            max_frequency=max_frequency,
+            stream_speed_bl=stream_speed_bl,
+        )
 
     @property
     def nu(self) -> float:
@@ -107,9 +148,14 @@ class Scales:
     @property
     def tail_speed(self) -> float:
         """Fastest wall, nodes per step."""
-        return self.gait.tail_speed * self.reference_speed
+        return self.gait.tail_speed * self.max_frequency * self.reference_speed
+
+    @property
+    def stream_speed(self) -> float:
+        """Fastest stream, nodes per step."""
+        return self.stream_speed_bl * self.reference_speed
 
     @property
     def mach(self) -> float:
-        """Mach number of the fastest wall."""
-        return self.tail_speed * 3**0.5
+        """Mach number of the fastest wall or stream."""
+        return max(self.tail_speed, self.stream_speed) * 3**0.5

@@ -10,6 +10,7 @@ from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.diagnostics import compute_area
 from fishrl.physics.kinematics import CARANGIFORM, CARLING, LONG_WAVE, Beat, Gait, deform
+from fishrl.physics.midline import MidlineShape
 from fishrl.physics.motion import (
     Bending,
     Body,
@@ -228,3 +229,58 @@ def test_a_mirrored_start_swims_the_mirrored_way() -> None:
     a, b = (run(config, body, 250).bodies[0] for body in (up, down))
     assert float(a.position[0, 0]) == pytest.approx(float(b.position[0, 0]), abs=1e-9)
     assert float(a.position[0, 1]) == pytest.approx(height - float(b.position[0, 1]), abs=1e-9)
+
+
+@pytest.mark.parametrize("gait", GAITS.values(), ids=GAITS.keys())
+def test_a_midline_that_keeps_its_length_keeps_length_area_and_momentum(gait: Gait) -> None:
+    """Against sums over 400 x 41 points of the body, to half a percent of the largest velocity."""
+    fish = Fish(body_length=100, gait=gait, keeps_length=True)
+    one = torch.ones(1, dtype=torch.float64)
+    for phase in (0.2, 1.7, 4.0):
+        body = make_fish_body()._replace(age=1e6 * one, phase=phase * one)
+        before, after = (
+            outline(fish, body._replace(phase=body.phase + d * 2 * math.pi * body.frequency))
+            for d in (-0.5, 0.5)
+        )
+        shape = deform_body(fish, fish.make_shape(), body)
+        middle = outline(fish, body)[0]
+        half = len(middle) // 2
+        spine = 0.5 * (middle[1:half] + middle[half + 1 :].flip(0))
+        length = float((spine[1:] - spine[:-1]).norm(dim=-1).sum())
+        straight = fish.make_shape()
+        assert isinstance(straight, MidlineShape)
+        ends = straight.step.cumsum(1)[0, straight.station[0, [1, half - 1]].long()]
+        assert length == pytest.approx(float(ends[1] - ends[0]), rel=2e-3)
+        assert float(compute_area(middle[None])) == pytest.approx(fish.area, rel=2e-3)
+        # the markers' displacement over a step is their velocity (the frame turns by its own rate)
+        imposed = place_markers(body, shape).deformation_velocity
+        turn = torch.stack((-(middle[:, 1] - 30.6), middle[:, 0] - 40.3), -1) * shape.spin
+        moved = after - before + turn
+        assert float((moved - imposed).abs().max()) < 5e-3 * float(imposed.abs().max())
+        # neither linear nor angular momentum: sections of equal velocity, weighted by area
+        x, y = middle.unbind(-1)
+        cross = x * y.roll(-1) - y * x.roll(-1)
+        centre = torch.stack((((x + x.roll(-1)) * cross).sum(), ((y + y.roll(-1)) * cross).sum()))
+        centre = centre / (3.0 * cross.sum())
+        assert float((centre - torch.tensor([40.3, 30.6])).abs().max()) < 0.05
+
+
+def test_a_gait_too_steep_for_a_midline_of_constant_length_is_refused() -> None:
+    steep = Gait(amplitude=0.2, envelope=(0.0, 1.0, 0.0), wavenumber=2 * math.pi)
+    with pytest.raises(ValueError, match=r"rises by 1.2. per unit of arc, allowed is 0.95"):
+        Fish(body_length=50, gait=steep, keeps_length=True)
+
+
+def test_a_bent_fish_turns_without_a_torque_from_outside() -> None:
+    """Bending one way and beating turns a free fish that way; angular momentum is the flow's."""
+    turned = []
+    for turn in (0.5, -0.5):
+        config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, motion=Bending())
+        one = torch.ones(1, dtype=torch.float64)
+        steps = SCALES.period * one
+        body = make_fish_body()._replace(turn=turn * one, turn_steps=steps, turn_clock=0 * one)
+        after = run(config, body, SCALES.period + 100).bodies[0]
+        assert float(after.force.abs().max()) < 1e-12
+        turned.append(float(after.heading + after.internal_angle) - math.pi)
+        assert abs(float(after.bend)) > 0.01
+    assert turned[0] - turned[1] > 0.1

@@ -4,7 +4,7 @@ import pytest
 
 from fishrl.physics.bodies import Fish
 from fishrl.physics.state import FlowConfig
-from fishrl.physics.units import Scales
+from fishrl.physics.units import Scales, compute_tau
 
 
 def test_budget_keeps_reynolds_number_and_tail_speed() -> None:
@@ -28,6 +28,8 @@ def test_the_papers_scale_is_available() -> None:
         ({"reynolds": 0.0}, "reynolds = 0.0: must be positive"),
         ({"period": 601}, "period = 601.*even"),
         ({"period": 400}, "tail speed = .*raise period"),
+        ({"stream_speed_bl": 1.2}, "stream speed = 0.200.*raise period"),
+        ({"max_frequency": 0.0}, "max_frequency = 0.0"),
         ({"reynolds": 1e6}, "tau = 0.50005.*raise body_length"),
         ({"reynolds": 10.0}, "tau = 5.50000.*raise reynolds"),
     ],
@@ -35,6 +37,32 @@ def test_the_papers_scale_is_available() -> None:
 def test_unusable_scales_are_refused_with_a_remedy(bad: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Scales(**({"body_length": 100, "reynolds": 7000.0, "period": 600} | bad))
+
+
+def test_the_budget_holds_for_the_fastest_beat_and_the_fastest_stream() -> None:
+    beat = Scales.from_budget(body_length=50, reynolds=500.0, max_frequency=1.6)
+    assert 0.0697 < beat.tail_speed <= 0.07
+    stream = Scales.from_budget(body_length=50, reynolds=500.0, stream_speed_bl=1.5)
+    assert 0.0697 < stream.stream_speed <= 0.07
+    assert stream.tail_speed < 0.04
+    assert stream.mach == pytest.approx(stream.stream_speed * 3**0.5)
+
+
+def test_tau_of_a_cylinder_follows_from_its_reynolds_number() -> None:
+    """The paper's Task 2: D = 40, U = 0.1, Re = 200 gives nu = 0.02 and tau = 0.56."""
+    assert compute_tau(length=40, speed=0.1, reynolds=200) == pytest.approx(0.56)
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        ({"speed": 0.0}, "speed = 0.0: must be positive"),
+        ({"reynolds": 1e6}, "tau = 0.50001 lies outside"),
+    ],
+)
+def test_a_flow_without_a_usable_tau_is_refused(bad: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        compute_tau(**({"length": 40.0, "speed": 0.1, "reynolds": 200.0} | bad))
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.2])
@@ -63,6 +91,8 @@ def test_a_flow_that_cannot_run_is_refused(bad: dict[str, object], message: str)
         ({"thickness": 0.0}, "thickness"),
         ({"density_ratio": 0.5}, "density_ratio = 0.5"),
         ({"marker_spacing": 3.0}, "marker_spacing = 3.0"),
+        ({"inset": 1.5}, "inset = 1.5"),
+        ({"num_markers": 10}, "num_markers = 10"),
     ],
 )
 def test_a_fish_that_markers_cannot_resolve_is_refused(bad: dict[str, float], message: str) -> None:

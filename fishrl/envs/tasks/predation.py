@@ -122,10 +122,9 @@ class Predation(AbstractTask):
         where their sum is largest.
         """
         length, config = self.body_length, self.flow_config()
-        shape = self.fish.make_shape()
-        station = ((shape.axial[0] - shape.axial[0, 0]) / length).numpy()
-        amplitude = length * torch.from_numpy(self.fish.gait.evaluate_envelope(station))
-        beside = self.wall_margin + float((shape.lateral[0].abs() + amplitude).max())
+        x, h = self.fish.draw()[0].T
+        amplitude = length * self.fish.gait.evaluate_envelope(x / length)
+        beside = self.wall_margin + float((h + amplitude).max())
         x = (
             ceil(max(self.start_x_bl[0] * length, self.wall_margin)),
             floor(min(self.start_x_bl[1] * length, config.width - 1 - self.wall_margin - length)),

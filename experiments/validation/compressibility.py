@@ -1,0 +1,171 @@
+"""What the Mach number does: the same flows at the default speed, at half of it and at double."""
+
+from collections.abc import Sequence
+
+import torch
+from matplotlib.figure import Figure
+
+from experiments.figures import COLOURS
+from experiments.validation.case import Case, Check, Job, Result, Results
+from experiments.validation.convergence import tidy
+from experiments.validation.swimming import estimate_cost, swim
+from fishrl.physics import Cylinder, Fixed, FlowConfig, InPlaceSolver
+from fishrl.physics.boundaries import Boundaries, NonEquilibrium
+from fishrl.physics.immersed_boundary import DirectSolve
+from fishrl.physics.units import DEFAULT_WALL_SPEED
+
+BODY_LENGTH = 70
+NUM_BEATS = 8
+FACTORS = (2.0, 1.0, 0.5)  # of the default wall speed
+DIAMETER = 20
+REYNOLDS = 100.0
+TRAVELS = 120  # diameters that the stream travels; the last third is measured
+BAR = 0.02
+
+
+def tow_cylinder(*, speed: float) -> Result:
+    """Hold a cylinder in a stream until its wake is periodic.
+
+    Args:
+        speed: of the stream, nodes per step.
+
+    Returns:
+        Mean drag coefficient and root mean square of the lift coefficient.
+    """
+    stream = NonEquilibrium(velocity=(1.0, 0.0))
+    travel = round(DIAMETER / speed)
+    config = FlowConfig(
+        width=20 * DIAMETER,
+        height=10 * DIAMETER,
+        tau=3.0 * speed * DIAMETER / REYNOLDS + 0.5,
+        stream_speed=speed,
+        bodies=(
+            Cylinder(
+                diameter=DIAMETER,
+                motion=Fixed(kick_speed=0.2 * speed, kick_steps=4 * travel),
+            ),
+        ),
+        boundaries=Boundaries(
+            left=stream, right=NonEquilibrium(density=1.0), bottom=stream, top=stream
+        ),
+        force_solve=DirectSolve(regularisation=0.0),
+    )
+    solver = InPlaceSolver(config=config, num_workers=0)
+    place = torch.tensor([[6.0 * DIAMETER, 5.0 * DIAMETER]])
+    solver.reset_(torch.ones(1, dtype=torch.bool), place, velocity=(1.0, 0.0))
+    samples_per_travel = 20
+    gap = max(2, 2 * (travel // (2 * samples_per_travel)))
+    solver.advance_(2 * (TRAVELS * travel // 3))
+    start, forces = solver.body.impulse[0].clone(), []
+    num_samples = TRAVELS * travel // 3 // gap
+    for _ in range(num_samples):
+        solver.advance_(gap)
+        forces.append(solver.body.hydro_force[0].clone())
+    mean = (solver.body.impulse[0] - start) / (num_samples * gap)
+    lift = torch.stack(forces)[:, 1]
+    unit = 0.5 * speed**2 * DIAMETER
+    return {"drag": float(mean[0]) / unit, "lift": float((lift - lift.mean()).std()) / unit}
+
+
+def _label(flow: str, factor: float) -> str:
+    return f"{flow}, {factor * DEFAULT_WALL_SPEED:g} nodes per step"
+
+
+class Compressibility(Case):
+    """The default Mach budget, halved and doubled."""
+
+    name = "compressibility"
+    title = "Compressibility"
+    source = "own bar: halving the speed changes forces and swimming speed by less than 2 %"
+    setup = (
+        f"The swimmer (L = {BODY_LENGTH}, Re = 7142, free) with its tail, and a cylinder "
+        f"(D = {DIAMETER}, Re = 100, domain 20 D × 10 D) with its stream, at 0.14, 0.07 (the "
+        "default budget, Mach 0.12) and 0.035 nodes per step. Reynolds number and grid are fixed, "
+        "so viscosity and the length of a step follow. Swimming speed over beat 8; drag over 40 D "
+        "of travel, lift as root mean square."
+    )
+
+    def jobs(self, *, quick: bool) -> Sequence[Job]:
+        """Return both flows at three speeds; quick ones only the swimmer's two."""
+        if quick:
+            return []
+        jobs = []
+        for factor in FACTORS:
+            speed = factor * DEFAULT_WALL_SPEED
+            jobs.append(
+                Job(
+                    label=_label("swimmer", factor),
+                    function=swim,
+                    arguments={
+                        "body_length": BODY_LENGTH,
+                        "num_beats": NUM_BEATS,
+                        "max_wall_speed": speed,
+                    },
+                    cost=estimate_cost(BODY_LENGTH, NUM_BEATS, speed),
+                )
+            )
+            jobs.append(
+                Job(
+                    label=_label("cylinder", factor),
+                    function=tow_cylinder,
+                    arguments={"speed": speed},
+                    cost=200.0 * DIAMETER**3 * TRAVELS / speed,
+                )
+            )
+        return jobs
+
+    def judge(self, results: Results) -> Sequence[Check]:
+        """Judge what halving the default speed changes."""
+        checks = []
+        for name, flow, key in (
+            ("swimming speed", "swimmer", "speed"),
+            ("mean drag of the cylinder", "cylinder", "drag"),
+            ("lift of the cylinder", "cylinder", "lift"),
+        ):
+            values = _read(results, flow, key)
+            checks.append(
+                Check(
+                    quantity=f"{name}: default speed / half of it",
+                    ours=values[1.0] / values[0.5],
+                    reference=1.0,
+                    source="incompressible flow",
+                    tolerance=BAR,
+                    resolution=f"L = {BODY_LENGTH}" if key == "speed" else f"D = {DIAMETER}",
+                    refinement={
+                        f"{f * DEFAULT_WALL_SPEED:g} nodes per step": v for f, v in values.items()
+                    },
+                )
+            )
+        return checks
+
+    def draw(self, results: Results) -> Figure:
+        """Draw everything against the speed, relative to its value at the lowest."""
+        figure = Figure(figsize=(5.5, 3.8), layout="constrained")
+        axes = figure.subplots()
+        for (name, flow, key), colour in zip(
+            (
+                ("swimming speed", "swimmer", "speed"),
+                ("drag of the cylinder", "cylinder", "drag"),
+                ("lift of the cylinder", "cylinder", "lift"),
+            ),
+            COLOURS,
+            strict=False,
+        ):
+            values = _read(results, flow, key)
+            speeds = [f * DEFAULT_WALL_SPEED for f in values]
+            change = [100.0 * (v / values[min(values)] - 1.0) for v in values.values()]
+            axes.plot(speeds, change, "o-", color=colour, label=name)
+        axes.axhspan(-100.0 * BAR, 100.0 * BAR, color="#eeeeee", zorder=0)
+        axes.set(
+            xlabel="fastest wall or stream, nodes per step",
+            ylabel="change from the lowest speed, %",
+            xlim=(0.0, None),
+        )
+        axes.legend(fontsize=9)
+        tidy(axes)
+        return figure
+
+
+def _read(results: Results, flow: str, key: str) -> dict[float, float]:
+    values = {f: results[_label(flow, f)][key] for f in FACTORS if _label(flow, f) in results}
+    return {f: v[-1] if isinstance(v, list) else v for f, v in values.items()}

@@ -1,0 +1,301 @@
+"""Where the method holds: fish that turn at random, and a cylinder set off at once."""
+
+from collections.abc import Iterator, Sequence
+from math import isfinite, pi, radians
+
+import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from experiments.validation.case import Case, Check, Job, Result, Results
+from experiments.validation.convergence import tidy
+from fishrl.physics import Cylinder, Fixed, FlowConfig, InPlaceSolver, Scales
+from fishrl.physics.boundaries import Boundaries, NonEquilibrium
+from fishrl.physics.cases import make_swimmer_config
+from fishrl.physics.collision import Rates
+from fishrl.physics.immersed_boundary import DirectSolve
+
+REYNOLDS = 7000.0
+NUM_BEATS = 14
+DEFAULT = Rates()
+ENERGIES = (0.4, 0.6, 0.9, 1.2, 1.4, 1.64)
+FLUXES = (1.0, 1.2, 1.5, 1.9)
+NUM_EPISODES = 16
+PAPER_SPEED = 0.785 / 6.0  # of the tail at the paper's L = 100, T = 600
+# name: L, budget, episodes
+PRESETS = {
+    "small, L = 50": (50, 0.07, 128),
+    "paper, L = 100": (100, 0.07, 16),
+    "the paper's own T, L = 50": (50, PAPER_SPEED, 128),
+    "the paper's own T, L = 100": (100, PAPER_SPEED, 16),
+}
+DIAMETERS, SPEEDS = (10, 20, 40), (0.05, 0.1, 0.15, 0.2)
+CYLINDER_REYNOLDS = (100, 400, 1600, 6400)
+TRAVELS = 6.0  # diameters
+FINEST = (DIAMETERS[-1], SPEEDS[0])
+
+
+def turn_at_random(
+    *,
+    body_length: int,
+    max_wall_speed: float,
+    energy: float,
+    flux: float,
+    num_episodes: int,
+) -> Result:
+    """Let fish turn at random in a tank of 10 L × 5 L until they meet a wall, diverge or stop.
+
+    Args:
+        body_length: L in nodes.
+        max_wall_speed: of the tail, nodes per step.
+        energy: relaxation rate.
+        flux: relaxation rate.
+        num_episodes: fish.
+
+    Returns:
+        Number of diverged fish, of beats swum, and the largest speed seen at the end of a fifth of
+        a beat.
+    """
+    scales = Scales.from_budget(
+        body_length=body_length, reynolds=REYNOLDS, max_wall_speed=max_wall_speed
+    )
+    config = make_swimmer_config(scales, rates=Rates(energy=energy, flux=flux))
+    solver = InPlaceSolver(config=config, frequency=1.0 / scales.period, num_workers=0)
+    generator = torch.Generator().manual_seed(0)
+    size = torch.tensor([config.width, config.height])
+    num_diverged, num_beats, fastest = 0, 0, 0.0
+    for _ in range(num_episodes):
+        heading = 2.0 * pi * torch.rand(1, generator=generator)
+        solver.reset_(torch.ones(1, dtype=torch.bool), heading=heading)
+        for _ in _swim(solver, scales, generator):
+            num_beats += 1
+            if solver.is_diverged().any():
+                num_diverged += 1
+                break
+            fastest = max(fastest, float(solver.macroscopic()[1].norm(dim=1).max()))
+            markers, margin = solver.markers(), 0.1 * body_length
+            if not ((markers > margin) & (markers < size - margin)).all():
+                break
+    return {"diverged": num_diverged, "fifths": num_beats, "fastest": fastest}
+
+
+def _swim(solver: InPlaceSolver, scales: Scales, generator: torch.Generator) -> Iterator[None]:
+    """Advance by fifths of a beat, with a new command at every beat."""
+    for _ in range(NUM_BEATS):
+        turn = (torch.randint(3, (1,), generator=generator) - 1) * radians(15.0)
+        solver.command_(turn, scales.period)
+        for _ in range(5):
+            solver.advance_(2 * (scales.period // 10))
+            yield
+
+
+def start_cylinder(*, diameter: int, speed: float, reynolds: float) -> Result:
+    """Set a stream off at once past a cylinder and measure its mean drag from 1 D of travel on.
+
+    Args:
+        diameter: D in nodes.
+        speed: of the stream, nodes per step.
+        reynolds: U D / nu.
+
+    Returns:
+        The drag coefficient, None if the flow diverged; tau; None for both where tau is refused.
+    """
+    tau = 3.0 * speed * diameter / reynolds + 0.5
+    stream = NonEquilibrium(velocity=(1.0, 0.0))
+    try:
+        config = FlowConfig(
+            width=12 * diameter,
+            height=8 * diameter,
+            tau=tau,
+            stream_speed=speed,
+            bodies=(Cylinder(diameter=diameter, motion=Fixed()),),
+            boundaries=Boundaries(
+                left=stream, right=NonEquilibrium(density=1.0), bottom=stream, top=stream
+            ),
+            force_solve=DirectSolve(regularisation=0.0),
+        )
+    except ValueError:
+        return {"drag": None, "tau": tau, "is_refused": True}
+    solver = InPlaceSolver(config=config, num_workers=0)
+    place = torch.tensor([[4.0 * diameter, 4.0 * diameter]])
+    solver.reset_(torch.ones(1, dtype=torch.bool), place, velocity=(1.0, 0.0))
+    travel = diameter / speed
+    solver.advance_(2 * round(0.5 * travel))
+    before = float(solver.body.impulse[0, 0])
+    num_steps = 2 * round(0.5 * (TRAVELS - 1.0) * travel)
+    solver.advance_(num_steps)
+    force = (float(solver.body.impulse[0, 0]) - before) / num_steps
+    drag = force / (0.5 * speed**2 * diameter)
+    is_fine = isfinite(drag) and not bool(solver.is_diverged().any())
+    return {"drag": drag if is_fine else None, "tau": tau, "is_refused": False}
+
+
+def _rates_label(energy: float, flux: float) -> str:
+    return f"turning fish, energy {energy:g}, flux {flux:g}"
+
+
+def _cylinder_label(diameter: int, speed: float, reynolds: float) -> str:
+    return f"cylinder, D = {diameter}, U = {speed:g}, Re = {reynolds:g}"
+
+
+class Stability(Case):
+    """Map of what runs, for collision rates, presets and a cylinder."""
+
+    name = "stability"
+    title = "Where the method holds"
+    source = "own bar: fewer than one episode in a thousand diverges in a shipped preset"
+    setup = (
+        "Fish (Re = 7000, heading commanded) turn by −15°, 0 or 15° at random every beat, up to 14 "
+        "beats or until 0.1 L from a wall; what counts is whether the flow diverges (not finite, "
+        "or faster than 0.5 nodes per step). The map of collision rates is taken at the speed of "
+        "the paper's own scale, T = 600 at L = 100, where the tail runs at 0.131 nodes per step. "
+        "Beside it a cylinder in a stream that starts at once, an open domain of 12 D × 8 D: mean "
+        "drag from 1 D to 6 D of travel, against the run with the finest grid and the lowest speed."
+    )
+
+    def jobs(self, *, quick: bool) -> Sequence[Job]:
+        """Return the maps; nothing if quick."""
+        if quick:
+            return []
+        jobs = [
+            _make_fish_job(_rates_label(e, f), 50, PAPER_SPEED, e, f, NUM_EPISODES)
+            for e in ENERGIES
+            for f in FLUXES
+        ]
+        jobs += [
+            _make_fish_job(name, length, speed, DEFAULT.energy, DEFAULT.flux, num)
+            for name, (length, speed, num) in PRESETS.items()
+        ]
+        jobs += [
+            Job(
+                label=_cylinder_label(d, u, re),
+                function=start_cylinder,
+                arguments={"diameter": d, "speed": u, "reynolds": re},
+                cost=96.0 * d**3 * TRAVELS / u,
+            )
+            for d in DIAMETERS
+            for u in SPEEDS
+            for re in CYLINDER_REYNOLDS
+        ]
+        return jobs
+
+    def judge(self, results: Results) -> Sequence[Check]:
+        """Judge the presets; record the maps."""
+        checks = []
+        for name, (_, speed, num) in PRESETS.items():
+            result = results[name]
+            checks.append(
+                Check(
+                    quantity=f"share of diverged episodes, {name}",
+                    ours=result["diverged"] / num,
+                    reference=(0.0, 0.001) if speed < PAPER_SPEED else None,
+                    source="own bar",
+                    resolution=f"{num} episodes",
+                    note=(
+                        f"Largest speed seen {result['fastest']:.2f} nodes per step. With none of "
+                        f"{num} diverged the share lies below {3.0 / num:.3f} at 95 % confidence."
+                    ),
+                )
+            )
+        shares = {
+            f"energy {e:g}, flux {f:g}": results[_rates_label(e, f)]["diverged"] / NUM_EPISODES
+            for e in ENERGIES
+            for f in FLUXES
+        }
+        errors = _find_errors(results)
+        checks.append(
+            Check(
+                quantity="share of diverged episodes at the paper's speed, by collision rates",
+                ours=shares[f"energy {DEFAULT.energy:g}, flux {DEFAULT.flux:g}"],
+                resolution="L = 50",
+                refinement=shares,
+            )
+        )
+        checks.append(
+            Check(
+                quantity="cylinders set off at once that diverge, of those that are not refused",
+                ours=float(sum(error is None for error in errors.values())),
+                resolution=f"of {len(errors)}",
+            )
+        )
+        return checks
+
+    def draw(self, results: Results) -> Figure:
+        """Draw both maps."""
+        figure = Figure(figsize=(11.0, 6.4), layout="constrained")
+        grid = figure.add_gridspec(2, len(DIAMETERS))
+        _draw_rates(figure.add_subplot(grid[0, :]), results)
+        for i, diameter in enumerate(DIAMETERS):
+            _draw_cylinders(figure.add_subplot(grid[1, i]), results, diameter)
+        return figure
+
+
+def _make_fish_job(
+    label: str, length: int, speed: float, energy: float, flux: float, num_episodes: int
+) -> Job:
+    return Job(
+        label=label,
+        function=turn_at_random,
+        arguments={
+            "body_length": length,
+            "max_wall_speed": speed,
+            "energy": energy,
+            "flux": flux,
+            "num_episodes": num_episodes,
+        },
+        cost=50.0 * length**3 * 0.785 / speed * NUM_BEATS * num_episodes,
+    )
+
+
+def _find_errors(results: Results) -> dict[tuple[int, float, int], float | None]:
+    """Return the error of the drag for each cylinder that was not refused; None if diverged."""
+    errors: dict[tuple[int, float, int], float | None] = {}
+    for d in DIAMETERS:
+        for u in SPEEDS:
+            for re in CYLINDER_REYNOLDS:
+                result = results[_cylinder_label(d, u, re)]
+                finest = results[_cylinder_label(*FINEST, re)]["drag"]
+                if not result["is_refused"]:
+                    drag = result["drag"]
+                    errors[d, u, re] = None if drag is None else drag / finest - 1.0
+    return errors
+
+
+def _draw_rates(axes: Axes, results: Results) -> None:
+    shares = torch.tensor(
+        [[results[_rates_label(e, f)]["diverged"] / NUM_EPISODES for e in ENERGIES] for f in FLUXES]
+    )
+    axes.imshow(shares.numpy(), cmap="Reds", vmin=0.0, vmax=1.0, origin="lower", aspect="auto")
+    for i, j in [(i, j) for i in range(len(FLUXES)) for j in range(len(ENERGIES))]:
+        share = float(shares[i, j])
+        shade = "white" if share > 0.6 else "black"
+        axes.text(j, i, f"{100 * share:.0f} %", ha="center", va="center", color=shade)
+    axes.set_xticks(range(len(ENERGIES)), [f"{e:g}" for e in ENERGIES])
+    axes.set_yticks(range(len(FLUXES)), [f"{f:g}" for f in FLUXES])
+    axes.set(
+        xlabel="relaxation rate of the energy  s_e",
+        ylabel="rate of the flux  s_q",
+        title=f"diverged episodes of {NUM_EPISODES}, L = 50, tail at {PAPER_SPEED:.3f}",
+    )
+
+
+def _draw_cylinders(axes: Axes, results: Results, diameter: int) -> None:
+    errors = _find_errors(results)
+    for (d, u, re), error in errors.items():
+        if d == diameter:
+            colour = "#D55E00" if error is None else "#009E73" if abs(error) < 0.05 else "#E69F00"
+            axes.scatter(re, u, s=260, color=colour, marker="X" if error is None else "o")
+            if error is not None:
+                axes.annotate(
+                    f"{100 * error:+.0f} %", (re, u), (0, -14), textcoords="offset points",
+                    ha="center", va="top", fontsize=8,
+                )  # fmt: skip
+    axes.set_xscale("log")
+    axes.set_xticks(CYLINDER_REYNOLDS, [str(re) for re in CYLINDER_REYNOLDS])
+    axes.minorticks_off()
+    axes.set(
+        xlabel="U D / ν", title=f"cylinder, D = {diameter}", ylim=(0.02, 0.22), xlim=(60, 11000)
+    )
+    if diameter == DIAMETERS[0]:
+        axes.set_ylabel("stream  U, nodes per step")
+    tidy(axes)
