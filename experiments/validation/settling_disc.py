@@ -67,7 +67,6 @@ TARGETS: dict[str, tuple[str, str, float | tuple[float, float], str]] = {
     "fast": ("peak ρ_s v d / μ", "reynolds", (438.6, 503.4), "Glowinski 2001 – Wang 2008"),
     "channel": ("mean v d / ν", "mean_reynolds", 259.5, "Wachs 2009"),
 }
-NOTES: dict[tuple[str, float], str] = {}
 
 
 def settle(*, experiment: str, nodes: int, speed: float = SPEED, inset: float = 0.0) -> Result:
@@ -189,7 +188,6 @@ class SettlingDisc(Case):
                         tolerance=0.04,
                         resolution=f"d = {max(known)}",
                         refinement={f"d = {n}": value for n, value in known.items()},
-                        note=NOTES.get((experiment, inset), ""),
                     )
                 )
         return checks

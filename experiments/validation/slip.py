@@ -19,11 +19,11 @@ from fishrl.physics.solver import exchange, gather, locate_bodies, make_rest, sp
 from fishrl.physics.state import FlowParams, make_params
 
 RELAXATIONS = (1.0, 1.7)
-COUNTS = (1, 2, 3, 4, 6, 8, 12, 16, 24)
+COUNTS = (1, 2, 3, 4, 6, 10, 20)
 DEFAULT = IterativeForcing()
 EXACT = DirectSolve(regularisation=1e-13)
 DIRECT = {"direct": EXACT, "direct, regularised by 1e-4": DirectSolve()}
-NUM_STEPS = 60  # with each solve; the second half is averaged
+NUM_STEPS = 40  # with each solve; the second half is averaged
 BODIES = ("fish", "cylinder")
 
 
