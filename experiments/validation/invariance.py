@@ -245,6 +245,6 @@ class Invariance(Case):
         axes.set_yticks([-i for i in range(len(rows))], [name for name, _ in rows], fontsize=8)
         axes.set(xscale="log", xlabel="difference from the flow as it is / its size")
         axes.set_title("The same flow shifted, mirrored, turned and moving", loc="left")
-        axes.legend(fontsize=9, loc="upper left")
+        axes.legend(fontsize=9, loc="center")
         tidy(axes)
         return figure

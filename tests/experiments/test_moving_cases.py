@@ -34,7 +34,7 @@ def test_a_mirrored_vector_is_compared_with_its_own_image() -> None:
 
 
 def test_slip_interpolated_from_the_nodes_is_the_slip_that_the_solve_reports() -> None:
-    config, state, _, _ = slip._make_flow("cylinder")
+    config, state, _, _ = slip._make_flow("fish")
     params = make_params([config])
     for _ in range(20):
         state = step(state, config, params)
