@@ -113,8 +113,8 @@ class Gaits(Case):
                     beats = [beat + 0.5 for beat in range(len(result["speed"]))]
                     name = f"{gait}, Re = {reynolds}"
                     left.plot(beats, result["speed"], style, color=colour, label=name)
-        left.set(xlabel="time  t / T", ylabel="speed over each beat  U T / L", ylim=(0.0, None))
-        left.legend(fontsize=8)
+        left.set(xlabel="time  t / T", ylabel="speed over each beat  U T / L", ylim=(0.0, 0.8))
+        left.legend(fontsize=8, loc="upper left")
         speeds = {
             re: results[_label("carling", re)]["speed"][-1]
             for re in REYNOLDS
@@ -127,6 +127,8 @@ class Gaits(Case):
         line = [motion[0] * (s / sw[0]) ** (4.0 / 3.0) for s in sw]
         right.loglog(sw, line, "--", color="#777777", label="Sw^(4/3)")
         right.set(xlabel="swimming number  Sw", ylabel="Reynolds number of the motion  U L / ν")
+        right.set_xticks(sw, [f"{s:.0f}" for s in sw])
+        right.minorticks_off()
         right.legend(fontsize=8)
         for axes in (left, right):
             tidy(axes)

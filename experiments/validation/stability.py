@@ -18,16 +18,16 @@ from fishrl.physics.immersed_boundary import DirectSolve
 REYNOLDS = 7000.0
 NUM_BEATS = 14
 DEFAULT = Rates()
-ENERGIES = (0.4, 0.6, 0.9, 1.2, 1.4, 1.64)
-FLUXES = (1.0, 1.2, 1.5, 1.9)
-NUM_EPISODES = 16
+ENERGIES = (0.6, 1.0, 1.4, 1.64)
+FLUXES = (1.0, 1.2, 1.5, 1.7, 1.9)
+NUM_EPISODES = 8
 PAPER_SPEED = 0.785 / 6.0  # of the tail at the paper's L = 100, T = 600
 # name: L, budget, episodes
 PRESETS = {
-    "small, L = 50": (50, 0.07, 128),
-    "paper, L = 100": (100, 0.07, 16),
-    "the paper's own T, L = 50": (50, PAPER_SPEED, 128),
-    "the paper's own T, L = 100": (100, PAPER_SPEED, 16),
+    "small, L = 50": (50, 0.07, 64),
+    "paper, L = 100": (100, 0.07, 8),
+    "the paper's own T, L = 50": (50, PAPER_SPEED, 64),
+    "the paper's own T, L = 100": (100, PAPER_SPEED, 8),
 }
 DIAMETERS, SPEEDS = (10, 20, 40), (0.05, 0.1, 0.15, 0.2)
 CYLINDER_REYNOLDS = (100, 400, 1600, 6400)

@@ -211,7 +211,7 @@ def test_a_body_carried_by_a_uniform_stream_leaves_the_flow_untouched(motion: Mo
 
 
 def test_the_papers_explicit_coupling_runs_where_the_body_is_heavy() -> None:
-    fish = Fish(body_length=24, density_ratio=8.0)
+    fish = Fish(body_length=24, density_ratio=16.0)
     config = make_swimmer_config(
         SCALES, length_bl=4, height_bl=3, bodies=(fish,), coupling=Coupling.EXPLICIT
     )

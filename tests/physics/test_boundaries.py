@@ -1,0 +1,97 @@
+"""Edges that move, profiles along them, sponges and the stream's rise."""
+
+import math
+from itertools import pairwise
+
+import pytest
+import torch
+
+from fishrl.physics.boundaries import (
+    Boundaries,
+    NonEquilibrium,
+    NoSlip,
+    Periodic,
+    Profile,
+    Side,
+)
+from fishrl.physics.collision import compute_macroscopic
+from fishrl.physics.solver import make_rest, step
+from fishrl.physics.state import (
+    FlowConfig,
+    FlowState,
+    Sponge,
+    compute_stream_speed,
+    make_params,
+)
+
+
+@pytest.mark.parametrize("top", [NoSlip(velocity=(1.0, 0.0)), NonEquilibrium(velocity=(1.0, 0.0))])
+def test_a_sliding_wall_drives_an_exact_couette_flow(top: NoSlip | NonEquilibrium) -> None:
+    """u = U y / H, H from wall to wall: a linear profile is met to round-off."""
+    edges = Boundaries(left=Periodic(), right=Periodic(), bottom=NoSlip(), top=top)
+    config = FlowConfig(width=4, height=12, tau=0.9, stream_speed=0.05, boundaries=edges)
+    state = FlowState(make_rest(config, 1))
+    for _ in range(1500):
+        state = step(state, config)
+    rho, jx, _ = compute_macroscopic(state.f.unbind(1))
+    u = (jx / (rho + 1.0))[0, :, 1]
+    gap = 12.0 if isinstance(top, NoSlip) else 11.5
+    exact = 0.05 * (torch.arange(12, dtype=torch.float64) + 0.5) / gap
+    torch.testing.assert_close(u, exact, rtol=0, atol=1e-6)
+
+
+def test_profiles_span_the_walls_at_their_ends() -> None:
+    walls = Boundaries(
+        left=NonEquilibrium(velocity=(1.0, 0.0), profile=Profile.PARABOLA),
+        bottom=NoSlip(),
+        top=NoSlip(),
+    )
+    parabola = walls.evaluate_profile(Side.LEFT, 8)[1:-1]
+    s = (torch.arange(8, dtype=torch.float64) + 0.5) / 8
+    torch.testing.assert_close(parabola, 4 * s * (1 - s))
+    shear = Boundaries(left=NonEquilibrium(velocity=(1.0, 0.0), profile=Profile.SHEAR))
+    torch.testing.assert_close(
+        shear.evaluate_profile(Side.LEFT, 5)[1:-1], torch.linspace(-1, 1, 5).double()
+    )
+
+
+def test_a_sponge_raises_tau_smoothly_towards_its_edge_alone() -> None:
+    config = FlowConfig(width=40, height=10, tau=0.52, sponges=(Sponge(length=15, tau=1.0),))
+    tau = 1.0 / config.compute_omega(torch.tensor([0.52, 0.6]))
+    assert tau.shape == (2, 10, 40)
+    torch.testing.assert_close(tau[:, 3, -1], torch.ones(2).double())
+    torch.testing.assert_close(tau[0, :, :24], torch.full((10, 24), 0.52).double())
+    assert (tau[0, 0, 24:].diff() > 0).all()
+
+
+def test_the_stream_rises_smoothly_to_its_speed() -> None:
+    config = FlowConfig(width=8, height=8, tau=0.6, stream_speed=0.1, ramp_steps=100)
+    params = make_params([config])
+    speeds = [float(compute_stream_speed(params, torch.tensor([float(t)]))) for t in range(150)]
+    assert speeds[0] == 0.0 and speeds[50] == pytest.approx(0.05) and speeds[149] == 0.1
+    assert max(b - a for a, b in pairwise(speeds)) < 0.1 * math.pi / 200 * 1.01
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Sponge(length=0), "sponge.length = 0"),
+        (lambda: Sponge(length=5, tau=0.5), "tau = 0.50000 lies outside"),
+        (
+            lambda: FlowConfig(width=8, height=8, tau=0.6, ramp_steps=-1),
+            "ramp_steps = -1",
+        ),
+        (
+            lambda: FlowConfig(
+                width=8,
+                height=8,
+                tau=0.6,
+                boundaries=Boundaries(left=NonEquilibrium(velocity=(0.5, 0.0))),
+            ),
+            "an edge imposes 0.500 nodes per step",
+        ),
+    ],
+)
+def test_edges_that_cannot_be_are_refused(make: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()  # type: ignore[operator]
