@@ -16,6 +16,7 @@ NUM_BEATS = 10
 VARIANT_LENGTH = 100
 VARIANTS: dict[str, dict[str, float | str | bool]] = {
     "tank twice as high": {"height_bl": 10.0},
+    "markers 0.45 nodes inside": {"inset": 0.45},
     "heading held": {"is_free": False},
     "midline keeps its length": {"keeps_length": True},
     "eel, 8 % thick": {"section": "eel", "thickness": 0.08},

@@ -1,7 +1,12 @@
 """The flow and the bodies in it: batched immersed-boundary lattice Boltzmann in torch."""
 
 from fishrl.physics.bodies import Cylinder, DCylinder, Ellipse, Fish, Foil
-from fishrl.physics.diagnostics import compute_area, compute_vorticity
+from fishrl.physics.diagnostics import (
+    compute_area,
+    compute_pressure,
+    compute_vorticity,
+    find_period,
+)
 from fishrl.physics.in_place import InPlaceSolver
 from fishrl.physics.motion import Bending, Commanded, Driven, Fixed, Free, Oscillating
 from fishrl.physics.rigid_motion import Coupling
@@ -26,5 +31,7 @@ __all__ = [
     "Oscillating",
     "Scales",
     "compute_area",
+    "compute_pressure",
     "compute_vorticity",
+    "find_period",
 ]

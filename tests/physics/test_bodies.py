@@ -25,15 +25,19 @@ def get_shape(outline: Outline) -> Shape:
 @pytest.mark.parametrize(
     ("outline", "area", "inertia"),
     [
-        (Cylinder(diameter=40), math.pi * 20**2, math.pi / 2 * 20**4),
-        (Ellipse(length=40, width=20), math.pi * 200, math.pi * 200 * (20**2 + 10**2) / 4),
+        (Cylinder(diameter=40, inset=0.0), math.pi * 20**2, math.pi / 2 * 20**4),
+        (
+            Ellipse(length=40, width=20, inset=0.0),
+            math.pi * 200,
+            math.pi * 200 * (20**2 + 10**2) / 4,
+        ),
         # polar moment about the centre of area: pi r^4 / 4 less A (4 r / 3 pi)^2
         (
-            DCylinder(diameter=40),
+            DCylinder(diameter=40, inset=0.0),
             math.pi * 200,
             math.pi * 20**4 / 4 - math.pi * 200 * (80 / (3 * math.pi)) ** 2,
         ),
-        (Foil(chord=100), 0.08171 * 100**2, 0.0045097 * 100**4),
+        (Foil(chord=100, inset=0.0), 0.08171 * 100**2, 0.0045097 * 100**4),
     ],
     ids=["cylinder", "ellipse", "half disc", "foil"],
 )
@@ -50,7 +54,12 @@ def test_outlines_have_the_area_and_inertia_of_their_formulas(
 
 @pytest.mark.parametrize(
     "outline",
-    [Cylinder(diameter=30), Ellipse(length=40, width=20), DCylinder(diameter=40), Foil(chord=60)],
+    [
+        Cylinder(diameter=30, inset=0.0),
+        Ellipse(length=40, width=20, inset=0.0),
+        DCylinder(diameter=40, inset=0.0),
+        Foil(chord=60, inset=0.0),
+    ],
     ids=lambda o: type(o).__name__,
 )
 def test_markers_stand_for_the_whole_outline_at_about_one_node_each(outline: Outline) -> None:
@@ -63,7 +72,7 @@ def test_markers_stand_for_the_whole_outline_at_about_one_node_each(outline: Out
 
 
 def test_half_disc_has_markers_on_its_corners_and_faces_with_its_round_side() -> None:
-    outline = DCylinder(diameter=40)
+    outline = DCylinder(diameter=40, inset=0.0)
     shape = get_shape(outline)
     centroid = 20 - 80 / (3 * math.pi)  # from the nose
     assert float(shape.axial[0, 0]) == pytest.approx(-centroid, abs=1e-3)
@@ -76,7 +85,7 @@ def test_half_disc_has_markers_on_its_corners_and_faces_with_its_round_side() ->
 
 
 def test_an_inset_moves_every_marker_inwards_and_keeps_the_mass() -> None:
-    plain, inset = Cylinder(diameter=40), Cylinder(diameter=40, inset=0.3)
+    plain, inset = Cylinder(diameter=40, inset=0.0), Cylinder(diameter=40, inset=0.3)
     radius = torch.hypot(get_shape(inset).axial, get_shape(inset).lateral)
     torch.testing.assert_close(radius, torch.full_like(radius, 19.7), rtol=0, atol=1e-3)
     assert inset.area == plain.area
