@@ -4,7 +4,12 @@ from experiments.validation.case import Case
 from experiments.validation.cavity import Cavity
 from experiments.validation.compressibility import Compressibility
 from experiments.validation.gaits import Gaits
+from experiments.validation.invariance import Invariance
+from experiments.validation.oscillating_cylinder import OscillatingCylinder
 from experiments.validation.poiseuille import Poiseuille
+from experiments.validation.settling_disc import SettlingDisc
+from experiments.validation.sheared_ellipse import ShearedEllipse
+from experiments.validation.slip import Slip
 from experiments.validation.swimmer import Swimmer
 from experiments.validation.taylor_green import TaylorGreen
 
@@ -12,6 +17,11 @@ CASES: tuple[Case, ...] = (
     TaylorGreen(),
     Poiseuille(),
     Cavity(),
+    Invariance(),
+    Slip(),
+    OscillatingCylinder(),
+    SettlingDisc(),
+    ShearedEllipse(),
     Swimmer(),
     Gaits(),
     Compressibility(),

@@ -1,0 +1,226 @@
+"""A heavy disc sinks: free motion, coupled to the flow."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import pi, sqrt
+
+import torch
+from matplotlib.figure import Figure
+
+from experiments.figures import COLOURS
+from experiments.validation.case import Case, Check, Job, Result, Results, as_range
+from experiments.validation.convergence import tidy
+from fishrl.physics import Cylinder, FlowConfig, InPlaceSolver
+from fishrl.physics.boundaries import Boundaries, NoSlip
+from fishrl.physics.motion import Free
+
+NUM_SAMPLES = 300
+SPEED = 0.05
+INSET = 0.4  # nodes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Experiment:
+    """A disc and its box, in any consistent units; the fluid's density is 1.
+
+    Args:
+        diameter: of the disc.
+        width: of the box.
+        height: of the box.
+        start: centre of the disc (x, y), from the lower left corner.
+        density_ratio: disc over fluid.
+        viscosity: of the fluid.
+        gravity: downwards.
+        top_speed: about what the disc reaches; sets the time step.
+        duration: the run ends then, or 1.5 diameters above the bottom.
+    """
+
+    diameter: float
+    width: float
+    height: float
+    start: tuple[float, float]
+    density_ratio: float
+    viscosity: float
+    gravity: float
+    top_speed: float
+    duration: float
+
+
+SLOW = Experiment(  # centimetres, grams, seconds
+    diameter=0.25, width=2.0, height=6.0, start=(1.0, 4.0), gravity=980.0,
+    density_ratio=1.25, viscosity=0.1, top_speed=5.6, duration=0.9,
+)  # fmt: skip
+CHANNEL = Experiment(  # in diameters; off the middle, as PacIFiC runs it
+    diameter=1.0, width=4.0, height=80.0, start=(1.0, 75.0), gravity=10.0,
+    density_ratio=1.5, viscosity=0.008088, top_speed=2.4, duration=60.0,
+)  # fmt: skip
+EXPERIMENTS = {
+    "slow": SLOW,
+    "fast": replace(SLOW, density_ratio=1.5, viscosity=0.01, top_speed=14.0, duration=0.5),
+    "channel": CHANNEL,
+}
+SIZES = {"slow": (16, 24, 32), "fast": (16, 24, 32), "channel": (16, 24, 32)}
+QUICK_SIZES = {"slow": (16,), "fast": (16,)}
+# quantity, what it is called in the results, reference, source
+TARGETS: dict[str, tuple[str, str, float | tuple[float, float], str]] = {
+    "slow": ("peak ρ_s v d / μ", "reynolds", (17.15, 17.45), "Wan & Turek 2006"),
+    "fast": ("peak ρ_s v d / μ", "reynolds", (438.6, 503.4), "Glowinski 2001 – Wang 2008"),
+    "channel": ("mean v d / ν", "mean_reynolds", 259.5, "Wachs 2009"),
+}
+
+
+def settle(*, experiment: str, nodes: int, speed: float = SPEED, inset: float = 0.0) -> Result:
+    """Let a disc sink from rest in a box with walls all round.
+
+    Args:
+        experiment: key of ``EXPERIMENTS``.
+        nodes: the disc's diameter d in nodes.
+        speed: about what it will reach, nodes per step.
+        inset: of the markers from the surface, nodes.
+
+    Returns:
+        ``time``, ``height`` and ``velocity`` of the disc in the experiment's units; ``reynolds``:
+        largest v d / nu; ``mean_reynolds`` over the last third of the time; ``sideways``: largest
+        distance from the start across, in d; ``slip``: largest at a marker / ``speed``.
+    """
+    case = EXPERIMENTS[experiment]
+    space = case.diameter / nodes
+    time = space * speed / case.top_speed
+    config = FlowConfig(
+        width=round(case.width / space),
+        height=round(case.height / space),
+        tau=3.0 * case.viscosity * time / space**2 + 0.5,
+        bodies=(
+            Cylinder(diameter=nodes, density_ratio=case.density_ratio, inset=inset, motion=Free()),
+        ),
+        boundaries=Boundaries(left=NoSlip(), right=NoSlip(), bottom=NoSlip(), top=NoSlip()),
+    )
+    solver = InPlaceSolver(config=config, num_workers=0)
+    start = torch.tensor([case.start], dtype=torch.float64) / space - 0.5
+    solver.reset_(torch.ones(1, dtype=torch.bool), start)
+    body = solver.body
+    excess = (case.density_ratio - 1.0) * 0.25 * pi * nodes**2
+    body.load[:, 1] = -excess * case.gravity * time**2 / space
+    stride = 2 * max(1, round(case.duration / time / NUM_SAMPLES / 2))
+    times, heights, velocities = [0.0], [case.start[1]], [0.0]
+    sideways, slip = 0.0, 0.0
+    while times[-1] < case.duration and heights[-1] > 1.5 * case.diameter:
+        solver.advance_(stride)
+        times.append(times[-1] + stride * time)
+        heights.append((float(body.position[0, 1]) + 0.5) * space)
+        velocities.append(float(body.velocity[0, 1]) * space / time)
+        sideways = max(sideways, abs(float(body.position[0, 0] - start[0, 0])) / nodes)
+        slip = max(slip, float(body.slip_error) / speed)
+    if bool(solver.is_diverged().any()):
+        raise RuntimeError("the flow diverged: lower the speed or give the disc more nodes")
+    scale = case.diameter / case.viscosity
+    late = 2 * len(times) // 3
+    return {
+        "time": times,
+        "height": heights,
+        "velocity": velocities,
+        "reynolds": -min(velocities) * scale,
+        "mean_reynolds": float((heights[late] - heights[-1]) / (times[-1] - times[late]) * scale),
+        "sideways": sideways,
+        "slip": slip,
+    }
+
+
+def _label(experiment: str, nodes: int, inset: float) -> str:
+    return f"{experiment}, d = {nodes}" + (f", inset {inset}" if inset else "")
+
+
+class SettlingDisc(Case):
+    """Heavy disc sinking in a box and in a channel."""
+
+    name = "settling-disc"
+    title = "Settling disc"
+    source = (
+        "box: Glowinski et al. 2001, J. Comput. Phys. 169; Wan & Turek 2006, Int. J. Numer. Meth. "
+        "Fluids 51, 531; Uhlmann 2005; Wang, Fan & Luo 2008, as quoted in open-source codes; "
+        "channel: Wachs 2009 and Yu et al. 2002, as quoted in PacIFiC"
+    )
+    setup = (
+        "A disc of d = 0.25 cm is let go at (1, 4) cm in a closed box of 2 × 6 cm, g = 980 cm/s², "
+        "fluid density 1 g/cm³: *slow*: density ratio 1.25, μ = 0.1 g/(cm s); *fast*: 1.5, 0.01. "
+        "*Channel*: W = 4 d, 80 d high, ratio 1.5, ν = 0.008088, g = 10 (d = 1), let go a quarter "
+        "of the width from the wall; mean over the last third of the time. Half-way bounce-back "
+        f"walls, free body, implicit coupling, top speed about {SPEED} nodes per step. The load is "
+        "weight less buoyancy of the true disc. Peak Reynolds numbers of the box are formed with "
+        "the disc's density, ρ_s v d / μ: with the fluid's, the published 17.2 would mean a drag "
+        "coefficient of 2.0 between walls 8 d apart, less than that of an unbounded cylinder "
+        "(2.00–2.09 at Re = 20). No source that we could see says which is meant. The channel's is "
+        "v d / ν, and its drag coefficient agrees with it."
+    )
+
+    def jobs(self, *, quick: bool) -> Sequence[Job]:
+        """Return a run for each experiment, resolution and inset."""
+        sizes = QUICK_SIZES if quick else SIZES
+        return [
+            Job(
+                label=_label(experiment, nodes, inset),
+                function=settle,
+                arguments={"experiment": experiment, "nodes": nodes, "inset": inset},
+                cost=nodes**3 * (10.0 * 4 * 80 * 80 if experiment == "channel" else 8 * 24 * 400),
+            )
+            for experiment, known in sizes.items()
+            for nodes in known
+            for inset in ((0.0,) if quick else (0.0, INSET))
+        ]
+
+    def judge(self, results: Results) -> Sequence[Check]:
+        """Judge peak and mean Reynolds numbers, with markers on the surface and inside."""
+        checks = []
+        for experiment, (quantity, key, reference, source) in TARGETS.items():
+            ratio = EXPERIMENTS[experiment].density_ratio if key == "reynolds" else 1.0
+            for inset in (0.0, INSET):
+                labels = {n: _label(experiment, n, inset) for n in SIZES[experiment]}
+                known = {n: ratio * results[s][key] for n, s in labels.items() if s in results}
+                if not known:
+                    continue
+                where = f", markers {inset} nodes inside" if inset else ""
+                checks.append(
+                    Check(
+                        quantity=f"{experiment}: {quantity}{where}",
+                        ours=known[max(known)],
+                        reference=reference,
+                        source=source,
+                        tolerance=0.04,
+                        resolution=f"d = {max(known)}",
+                        refinement={f"d = {n}": value for n, value in known.items()},
+                    )
+                )
+        return checks
+
+    def draw(self, results: Results) -> Figure:
+        """Draw velocity against time at each resolution."""
+        figure = Figure(figsize=(11.0, 3.6), layout="constrained")
+        for axes, (experiment, case) in zip(
+            figure.subplots(1, 3), EXPERIMENTS.items(), strict=True
+        ):
+            _, key, reference, _ = TARGETS[experiment]
+            ratio = case.density_ratio if key == "reynolds" else 1.0
+            scale, clock = (
+                -ratio * case.diameter / case.viscosity,
+                sqrt(case.gravity / case.diameter),
+            )
+            for inset, line in ((0.0, "-"), (INSET, "--")):
+                for nodes, colour in zip(SIZES[experiment], COLOURS, strict=False):
+                    result = results.get(_label(experiment, nodes, inset))
+                    if result is not None:
+                        axes.plot(
+                            [clock * t for t in result["time"]],
+                            [scale * v for v in result["velocity"]],
+                            line,
+                            color=colour,
+                            label=f"d = {nodes}" + (f", inset {inset}" if inset else ""),
+                        )
+            low, high = as_range(reference)
+            axes.axhspan(low, high, color="#777777", alpha=0.3)
+            axes.axhline(high, color="#777777", linewidth=0.8, label="reference")
+            name = "ρ_s v d / μ" if key == "reynolds" else "v d / ν"
+            axes.set(xlabel="time t √(g / d)", ylabel=f"Reynolds number {name}")
+            axes.set_title(f"{experiment}: ρ_s / ρ = {case.density_ratio}", loc="left")
+            tidy(axes)
+            axes.legend(fontsize=8, loc="lower center")
+        return figure

@@ -1,0 +1,182 @@
+"""How well the boundary's velocity is met: slip against iterations, and of the direct solve."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import pi
+
+import torch
+from matplotlib.figure import Figure
+
+from experiments.figures import COLOURS
+from experiments.validation.case import Case, Check, Job, Result, Results
+from experiments.validation.convergence import tidy
+from fishrl.physics import Cylinder, Fish, FlowConfig, FlowState, Free, Scales
+from fishrl.physics.boundaries import Boundaries, NonEquilibrium
+from fishrl.physics.collision import compute_macroscopic
+from fishrl.physics.immersed_boundary import DirectSolve, ForceSolve, IterativeForcing, interpolate
+from fishrl.physics.motion import make_body
+from fishrl.physics.solver import exchange, gather, locate_bodies, make_rest, spread, step
+from fishrl.physics.state import FlowParams, make_params
+
+RELAXATIONS = (1.0, 1.7)
+COUNTS = (1, 2, 3, 4, 6, 10, 20)
+DEFAULT = IterativeForcing()
+EXACT = DirectSolve(regularisation=1e-13)
+DIRECT = {"direct": EXACT, "direct, regularised by 1e-4": DirectSolve()}
+NUM_STEPS = 40  # with each solve; the second half is averaged
+BODIES = ("fish", "cylinder")
+
+
+def _make_flow(body: str) -> tuple[FlowConfig, FlowState, float, int]:
+    """Return a flow at rest, the speed to compare with and the steps until it is measured."""
+    if body == "fish":
+        scales = Scales.from_budget(body_length=50, reynolds=7000.0)
+        config = FlowConfig(
+            width=240, height=120, tau=scales.tau, bodies=(Fish(body_length=50, motion=Free()),)
+        )
+        place, frequency, speed = (140.3, 60.2), 1.0 / scales.period, scales.tail_speed
+        num_steps = round(0.7 * scales.period)
+    else:
+        speed, diameter = 0.05, 20
+        edge = NonEquilibrium(velocity=(1.0, 0.0))
+        config = FlowConfig(
+            width=200,
+            height=120,
+            tau=0.53,
+            stream_speed=speed,
+            ramp_steps=200,
+            bodies=(Cylinder(diameter=diameter),),
+            boundaries=Boundaries(
+                left=edge, right=NonEquilibrium(density=1.0), bottom=edge, top=edge
+            ),
+        )
+        place, frequency, num_steps = (60.3, 60.2), 0.0, 600
+    zero = torch.zeros(1, dtype=torch.float64)
+    position = torch.tensor([place], dtype=torch.float64)
+    state = make_body(position, zero + pi, zero + frequency)
+    return config, FlowState(make_rest(config, 1), (state,), zero), speed, num_steps
+
+
+def measure_slip(state: FlowState, config: FlowConfig, params: FlowParams) -> float:
+    """Return the largest difference between fluid and body at a marker in the next step.
+
+    The velocity is interpolated anew from the nodes, force included, not taken from the solve.
+    """
+    rho, jx, jy = compute_macroscopic(state.f.unbind(1))
+    ux, uy = jx / (rho + 1.0), jy / (rho + 1.0)
+    place = locate_bodies(state.bodies, config, params.shapes, rho.dtype)
+    nodes = place.stencil.index_nodes(config.width)
+    fluid = (gather(v, nodes) for v in (rho, ux, uy))
+    moved, *shares = exchange(state.bodies, config, params.shapes, place, *fluid)
+    body, markers = moved[0], place.markers[0]
+    spin = torch.stack((-markers.arm[..., 1], markers.arm[..., 0]), -1)
+    wall = body.velocity[:, None] + body.angular_velocity[:, None, None] * spin
+    wall = wall + markers.deformation_velocity
+    slip = []
+    for axis, (u, share) in enumerate(zip((ux, uy), shares, strict=True)):
+        forced = u + 0.5 * spread(share, nodes, rho) / (rho + 1.0)
+        slip.append(interpolate(gather(forced, nodes), place.stencil.weights) - wall[..., axis])
+    return float(torch.stack(slip).double().square().sum(0).sqrt().max())
+
+
+def compare_solves(*, body: str) -> Result:
+    """Run a body into motion, then go on with each way to solve for the force.
+
+    Args:
+        body: "fish" or "cylinder".
+
+    Returns:
+        Slip / fastest wall or stream: by relaxation, one per number of iterations; of the direct
+        solves; of the exact one in single precision.
+    """
+    config, start, speed, num_steps = _make_flow(body)
+    params = make_params([config])
+    for _ in range(num_steps):
+        start = step(start, config, params)
+
+    def go_on(solve: ForceSolve, dtype: torch.dtype = torch.float64) -> float:
+        state, own = start._replace(f=start.f.to(dtype)), replace(config, force_solve=solve)
+        slips = []
+        for count in range(NUM_STEPS):
+            if count >= NUM_STEPS // 2:
+                slips.append(measure_slip(state, own, params))
+            state = step(state, own, params)
+        return sum(slips) / len(slips) / speed
+
+    result: Result = {
+        f"relaxation {w}": [go_on(IterativeForcing(num_iterations=k, relaxation=w)) for k in COUNTS]
+        for w in RELAXATIONS
+    }
+    result |= {name: go_on(solve) for name, solve in DIRECT.items()}
+    result["direct, float32"] = go_on(EXACT, torch.float32)
+    return result
+
+
+class Slip(Case):
+    """Slip at the markers of a fish and of a cylinder."""
+
+    name = "slip"
+    title = "Slip at the boundary"
+    source = "no slip; relaxation 1 is the paper's iteration (Zhang et al. 2016)"
+    setup = (
+        "A free fish (L = 50, Re_f = 7000) beats for 0.7 T from rest, a cylinder (D = 20) stands "
+        "in a stream for 1.5 D / U after a smooth start, Re = 100. From there each way to solve "
+        f"for the force goes on for {NUM_STEPS} readable steps; slip is the largest difference at "
+        "a marker between the velocity interpolated from the nodes, force included, and the "
+        "body's, averaged over the second half, as a share of the tail's or the stream's speed."
+    )
+
+    def jobs(self, *, quick: bool) -> Sequence[Job]:
+        """Return a run for each body."""
+        return [
+            Job(label=body, function=compare_solves, arguments={"body": body}, cost=1e9)
+            for body in (BODIES[1:] if quick else BODIES)
+        ]
+
+    def judge(self, results: Results) -> Sequence[Check]:
+        """Judge the direct solve; record the iterations."""
+        checks = []
+        for body, result in results.items():
+            bars = (("direct", "float64", 1e-12), ("direct, float32", "float32", 1e-6))
+            checks += [
+                Check(
+                    quantity=f"slip / speed of the direct solve, {body}, {precision}",
+                    ours=result[key],
+                    reference=(0.0, bar),
+                    source="round-off",
+                )
+                for key, precision, bar in bars
+            ]
+            checks += [
+                Check(
+                    quantity=f"slip / speed, {body}, relaxation {w}",
+                    ours=result[f"relaxation {w}"][COUNTS.index(DEFAULT.num_iterations)],
+                    resolution=f"{DEFAULT.num_iterations} iterations",
+                    refinement=dict(
+                        zip((f"K = {k}" for k in COUNTS), result[f"relaxation {w}"], strict=True)
+                    ),
+                )
+                for w in RELAXATIONS
+            ]
+        return checks
+
+    def draw(self, results: Results) -> Figure:
+        """Draw the slip against the number of iterations."""
+        figure = Figure(figsize=(6.0, 4.0), layout="constrained")
+        axes = figure.subplots()
+        marks = {"fish": "o", "cylinder": "s"}
+        for body, result in results.items():
+            for (w, line), colour in zip(
+                zip(RELAXATIONS, ("--", "-"), strict=True), COLOURS, strict=False
+            ):
+                axes.loglog(
+                    COUNTS, result[f"relaxation {w}"], marks[body] + line, color=colour,
+                    markerfacecolor="none", label=f"{body}, relaxation {w}",
+                )  # fmt: skip
+        axes.set_xticks(COUNTS, [str(k) for k in COUNTS])
+        axes.minorticks_off()
+        axes.set(xlabel="iterations per step", ylabel="largest slip / speed of tail or stream")
+        axes.set_title("Slip against the number of force iterations", loc="left")
+        axes.legend(fontsize=9)
+        tidy(axes)
+        return figure

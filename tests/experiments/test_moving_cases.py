@@ -1,0 +1,44 @@
+"""What the cases with moving bodies compute from their runs."""
+
+import numpy as np
+import pytest
+import torch
+
+from experiments.validation import sheared_ellipse, slip
+from experiments.validation.invariance import BASE, MIRRORED, _compare
+from experiments.validation.oscillating_cylinder import _fit
+from fishrl.physics.solver import step
+from fishrl.physics.state import make_params
+
+
+def test_the_fit_of_an_oscillation_finds_drag_and_added_mass() -> None:
+    phase = np.linspace(0.0, 2.0 * np.pi, 50, endpoint=False)
+    v, a = np.cos(phase), -1.7 * np.sin(phase)
+    force = -0.5 * 2.1 * np.abs(v) * v - 0.25 * np.pi * 1.45 * a
+    assert _fit(force, v, a) == pytest.approx((2.1, 1.45))
+
+
+def test_the_period_is_extrapolated_to_no_inertia_and_no_walls() -> None:
+    results = {
+        sheared_ellipse._label(16, reynolds, gap): {"period": 15.0 + 0.7 * reynolds + 9.0 / gap**2}
+        for reynolds in sheared_ellipse.REYNOLDS
+        for gap in sheared_ellipse.GAPS
+    }
+    assert sheared_ellipse._extrapolate(results, 16) == pytest.approx(15.0)
+    assert sheared_ellipse._extrapolate(results, 24) is None
+
+
+def test_a_mirrored_vector_is_compared_with_its_own_image() -> None:
+    results = {"disc: force": {BASE: [3.0, 4.0], MIRRORED: [3.0, -4.0], "shifted": [3.0, 4.5]}}
+    assert _compare(results) == {"disc: force": {MIRRORED: 0.0, "shifted": 0.1}}
+
+
+def test_slip_interpolated_from_the_nodes_is_the_slip_that_the_solve_reports() -> None:
+    config, state, _, _ = slip._make_flow("fish")
+    params = make_params([config])
+    for _ in range(20):
+        state = step(state, config, params)
+    measured = slip.measure_slip(state, config, params)
+    reported = float(step(state, config, params).bodies[0].slip_error)
+    assert reported > 1e-6
+    torch.testing.assert_close(measured, reported, rtol=1e-9, atol=0.0)
