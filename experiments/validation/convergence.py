@@ -6,6 +6,7 @@ from math import log
 from matplotlib.axes import Axes
 
 from experiments.figures import COLOURS
+from experiments.validation.case import Check
 
 GRID = "#e6e6e6"
 
@@ -70,3 +71,24 @@ def find_extreme(positions: Sequence[float], values: Sequence[float], *, sign: i
     before, here, after = values[at - 1], values[at], values[at + 1]
     bend = before - 2.0 * here + after
     return here if bend == 0.0 else here - (after - before) ** 2 / (8.0 * bend)
+
+
+def check_finest(
+    quantity: str,
+    values: Mapping[int, float],
+    reference: float | tuple[float, float] | None,
+    source: str = "",
+    tolerance: float | None = None,
+    note: str = "",
+) -> Check:
+    """Return the check of a quantity at its finest resolution, D nodes; the others beside it."""
+    return Check(
+        quantity=quantity,
+        ours=values[max(values)],
+        reference=reference,
+        source=source,
+        tolerance=tolerance,
+        resolution=f"D = {max(values)}",
+        refinement={f"D = {n}": value for n, value in values.items()},
+        note=note,
+    )

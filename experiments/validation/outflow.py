@@ -1,0 +1,193 @@
+"""What an outflow throws back: of a vortex that leaves, and of sound."""
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from experiments.figures import COLOURS
+from experiments.validation.case import Case, Check, Job, Result, Results
+from experiments.validation.convergence import tidy
+from fishrl.physics import FlowConfig, InPlaceSolver
+from fishrl.physics.boundaries import Boundaries, Boundary, NonEquilibrium, OpenEdge, Periodic
+from fishrl.physics.collision import compute_equilibrium
+from fishrl.physics.state import Sponge
+
+WIDTH, HEIGHT, AHEAD = 240, 200, 80  # nodes; the disturbance starts so far ahead of the outflow
+RADIUS, SPEED, TAU = 10.0, 0.1, 0.53
+VORTEX_SPEED, PULSE = 0.03, 0.01
+SOUND = 3.0**-0.5
+STREAM, PINNED = NonEquilibrium(velocity=(1.0, 0.0)), NonEquilibrium(density=1.0)
+OUTFLOWS: Mapping[str, tuple[Boundary, int]] = {
+    "pinned density": (PINNED, 0),
+    "pinned, sponge 20": (PINNED, 20),
+    "pinned, sponge 40": (PINNED, 40),
+    "pinned, sponge 80": (PINNED, 80),
+    "open to plane waves": (OpenEdge(), 0),
+    "open to plane waves, sponge 40": (OpenEdge(), 40),
+    "open at each node": (OpenEdge(is_plane=False), 0),
+}
+KINDS = ("vortex", "plane pulse", "round pulse")
+
+
+def disturb_outflow(*, outflow: str, kind: str) -> Result:
+    """Send a disturbance through an outflow, beside a domain twice as long.
+
+    Args:
+        outflow: key of ``OUTFLOWS``.
+        kind: key of ``_FIELDS``.
+
+    Returns:
+        Over time, the largest difference from the long domain in velocity (vortex, relative to its
+        speed) or density (pulse, relative to its height when it meets the outflow), where the
+        disturbance has gone by; and its largest value.
+    """
+    boundary, sponge = OUTFLOWS[outflow]
+    is_vortex = kind == "vortex"
+    short, long = (
+        _start(boundary, sponge if width == WIDTH else 0, kind, width)
+        for width in (WIDTH, 2 * WIDTH)
+    )
+    speed = SPEED if is_vortex else SPEED + SOUND
+    begin = round((AHEAD + 4.0 * RADIUS) / speed)  # the disturbance is out
+    end = round(2.0 * AHEAD / speed)
+    gap = 2 * max(1, (end - begin) // 60)
+    arrival = 2 * round(AHEAD / speed / 2.0)
+    times: list[int] = []
+    errors: list[float] = []
+    scale = VORTEX_SPEED
+    rows = slice(HEIGHT // 4, 3 * HEIGHT // 4)  # where a round wave meets the outflow head on
+    columns = slice(0, WIDTH - max(sponge, 2))
+    for now in (arrival, *range(begin + begin % 2, end, gap)):
+        for solver in (short, long):
+            solver.advance_(now - (times[-1] if times else 0))
+        (rho, u), (rho_long, u_long) = short.macroscopic(), long.macroscopic()
+        times.append(now)
+        if is_vortex:
+            error = (u - u_long[..., :WIDTH]).norm(dim=1)
+        else:
+            error = (rho - rho_long[..., :WIDTH]).abs()
+            if now == arrival:
+                scale = float((rho_long - 1.0).abs().max())
+        errors.append(float(error[..., rows, columns].max()) / scale)
+    return {"time": times[1:], "error": errors[1:], "worst": max(errors[1:]), "height": scale}
+
+
+def _start(boundary: Boundary, sponge: int, kind: str, width: int) -> InPlaceSolver:
+    """Return a flow with a disturbance ``AHEAD`` of where the shorter domain ends."""
+    config = FlowConfig(
+        width=width,
+        height=HEIGHT,
+        tau=TAU,
+        stream_speed=SPEED,
+        boundaries=Boundaries(left=STREAM, right=boundary, bottom=Periodic(), top=Periodic()),
+        sponges=(Sponge(length=sponge),) if sponge else (),
+    )
+    solver = InPlaceSolver(config=config, num_envs=1, num_workers=0)
+    y, x = torch.meshgrid(
+        torch.arange(HEIGHT).double() - 0.5 * HEIGHT,
+        torch.arange(width).double() - (WIDTH - AHEAD),
+        indexing="ij",
+    )
+    rho, u, v = _FIELDS[kind](x[None] / RADIUS, y[None] / RADIUS)
+    solver.set_populations_(torch.stack(compute_equilibrium(rho, SPEED + u, v), 1).float())
+    return solver
+
+
+def _make_vortex(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return density - 1 and velocity of a Taylor vortex: no circulation, pressure in balance."""
+    decay = VORTEX_SPEED * torch.exp(0.5 * (1.0 - x * x - y * y))
+    return -1.5 * decay * decay, -y * decay, x * decay
+
+
+def _make_plane_pulse(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return a pulse of sound that runs along x."""
+    rho = PULSE * torch.exp(-0.5 * x * x) + 0.0 * y
+    return rho, SOUND * rho, 0.0 * rho
+
+
+def _make_round_pulse(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return a pulse of density at rest, which spreads in circles."""
+    rho = PULSE * torch.exp(-0.5 * (x * x + y * y))
+    return rho, 0.0 * rho, 0.0 * rho
+
+
+_FIELDS = dict(zip(KINDS, (_make_vortex, _make_plane_pulse, _make_round_pulse), strict=True))
+
+
+def _label(outflow: str, kind: str) -> str:
+    return f"{kind}, {outflow}"
+
+
+class Outflow(Case):
+    """Vortices and sound that leave."""
+
+    name = "outflow"
+    title = "What an outflow throws back"
+    source = "the same flow in a domain twice as long"
+    setup = (
+        "Uniform stream U = 0.1, τ = 0.53, 240 × 200 nodes, periodic across. A Taylor vortex of "
+        "radius 10 nodes and speed 0.3 U (no circulation, pressure in balance), a plane pulse of "
+        "sound and a round pulse of density (1 %, standard deviation 10 nodes) start 80 nodes "
+        "ahead of the outflow. The error is the largest difference from a domain twice as long, "
+        "ahead of the sponge where there is one, in the middle half of the height, from when the "
+        "disturbance has gone through until it would be 80 nodes behind: of the velocity relative "
+        "to the vortex's, of the density relative to the pulse's height at the outflow. Outflows: "
+        "density pinned by non-equilibrium extrapolation, also behind sponges in which τ rises to "
+        "1; open to plane waves, a density that lets waves out by the means along the edge; and "
+        "the same at each node by itself."
+    )
+
+    def jobs(self, *, quick: bool) -> Sequence[Job]:
+        """Return a run per outflow and disturbance."""
+        return [
+            Job(
+                label=_label(outflow, kind),
+                function=disturb_outflow,
+                arguments={"outflow": outflow, "kind": kind},
+                cost=1e8 if kind == "vortex" else 3e7,
+            )
+            for kind in KINDS
+            for outflow in OUTFLOWS
+            if not quick or (outflow in ("pinned density", "pinned, sponge 40"))
+        ]
+
+    def judge(self, results: Results) -> Sequence[Check]:
+        """Show what each outflow throws back; nothing is judged."""
+        checks = []
+        for kind in KINDS:
+            row = {o: r["worst"] for o in OUTFLOWS if (r := results.get(_label(o, kind)))}
+            checks.append(
+                Check(
+                    quantity=f"{kind} thrown back, share",
+                    ours=row["pinned density"],
+                    resolution="pinned density",
+                    refinement=row,
+                )
+            )
+        return checks
+
+    def draw(self, results: Results) -> Figure:
+        """Draw the error over time behind each outflow."""
+        figure = Figure(figsize=(10.0, 3.9), layout="constrained")
+        grid = figure.subplots(1, len(KINDS), sharey=True)
+        for axes, kind in zip(grid, KINDS, strict=True):
+            for i, outflow in enumerate(OUTFLOWS):
+                run = results.get(_label(outflow, kind))
+                if run:
+                    axes.semilogy(
+                        run["time"],
+                        run["error"],
+                        color=COLOURS[i % len(COLOURS)],
+                        linestyle="-" if i < len(COLOURS) else "--",
+                        label=outflow,
+                    )
+            axes.set_title(kind, loc="left")
+            axes.set(xlabel="time  [steps]")
+            tidy(axes)
+        grid[0].set(ylabel="error / height of the disturbance")
+        figure.legend(
+            *grid[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=9
+        )
+        return figure
