@@ -154,8 +154,8 @@ class HalfDisc(Case):
         "side of the half disc 6.25 D behind the inflow; streams of 0.1, 0.125 and 0.15 nodes per "
         "step make Re = 200, 250 and 300 (conditions I, II, III). Flat side downstream, inflow and "
         "sides move with the stream, the outflow lets plane sound waves out; markers 0.45 "
-        "nodes inside the outline, no slip solved directly. A kick, then 120 D / U, of which the second half is "
-        "measured over whole periods. St = f D / U of the lift, by its zero crossings and by its "
+        "nodes inside the outline, no slip solved directly. A kick, then 120 D / U, of which the "
+        "second half is measured over whole periods. St = f D / U of the lift, by its zero crossings and by its "
         "spectrum. At D = 20 beside it: sides that let sound out as well, no-slip walls, half the "
         "speed at the same Re, the flat side upstream, and a pinned density at the outflow."
     )
