@@ -267,8 +267,8 @@ class InPlaceSolver:
         given = position.to(self.device, torch.float64), heading.to(self.device, torch.float64)
         shape = self.num_envs, num_bodies
         got = tuple(given[0].shape), tuple(given[1].shape)
-        if num_bodies == 1 and given[0].dim() == 2:
-            given = given[0][:, None], given[1].view(-1, 1)
+        if num_bodies == 1:
+            given = given[0].reshape(-1, 1, 2), given[1].reshape(-1, 1)
         if given[0].shape != (*shape, 2) or given[1].shape != shape:
             raise ValueError(
                 f"position and heading have shapes {got[0]} and {got[1]}: give {(*shape, 2)} and "
