@@ -157,7 +157,8 @@ class HalfDisc(Case):
         "nodes inside the outline, no slip solved directly. A kick, then 120 D / U, of which the "
         "second half is measured over whole periods. St = f D / U of the lift, by its zero "
         "crossings and by its spectrum. At D = 20 beside it: sides that let sound out as well, "
-        "no-slip walls, half the speed at the same Re, the flat side upstream, and a pinned density at the outflow."
+        "no-slip walls, half the speed at the same Re, the flat side upstream, and a pinned "
+        "density at the outflow."
     )
 
     def jobs(self, *, quick: bool) -> Sequence[Job]:
