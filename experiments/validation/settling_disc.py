@@ -16,7 +16,7 @@ from fishrl.physics.motion import Free
 
 NUM_SAMPLES = 300
 SPEED = 0.05
-INSET = 0.4  # nodes
+INSET = 0.45  # nodes, as bodies have unless told otherwise
 
 
 @dataclass(frozen=True, kw_only=True)
