@@ -17,6 +17,7 @@ from experiments.validation.slip import Slip
 from experiments.validation.stability import Stability
 from experiments.validation.swimmer import Swimmer
 from experiments.validation.taylor_green import TaylorGreen
+from experiments.validation.turning import Turning
 
 CASES: tuple[Case, ...] = (
     TaylorGreen(),
@@ -33,6 +34,7 @@ CASES: tuple[Case, ...] = (
     ShearedEllipse(),
     Swimmer(),
     Gaits(),
+    Turning(),
     Compressibility(),
     Stability(),
 )

@@ -1,0 +1,106 @@
+"""Heading modes: how far a fish turns when it is commanded, and when it bends."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from math import degrees, hypot, pi, radians
+
+import torch
+from matplotlib.figure import Figure
+
+from experiments.figures import COLOURS
+from experiments.validation.case import Case, Check, Job, Result, Results
+from experiments.validation.convergence import tidy
+from fishrl.physics import Bending, Commanded, InPlaceSolver, Scales
+from fishrl.physics.cases import make_swimmer_config
+
+BODY_LENGTH = 50
+REYNOLDS = 7000.0
+TURN = 15.0  # degrees per beat
+NUM_BEFORE, NUM_TURNS, NUM_AFTER = 4, 4, 2
+MODES: dict[str, float | None] = {
+    "heading commanded": None,
+    "bending, gain 0.5": 0.5,
+    "bending, gain 1": 1.0,
+    "bending, gain 2": 2.0,
+}
+
+
+def turn(*, gain: float | None) -> Result:
+    """Swim straight, turn left for some beats and swim on.
+
+    Args:
+        gain: of the bend; None holds the heading by command.
+
+    Returns:
+        The path in L, and of each beat the change of the body axis in degrees and the speed L / T.
+    """
+    scales = Scales.from_budget(body_length=BODY_LENGTH, reynolds=REYNOLDS)
+    motion = Commanded() if gain is None else Bending(gain=gain)
+    config = make_swimmer_config(scales, motion=motion)
+    solver = InPlaceSolver(config=config, frequency=1.0 / scales.period, num_workers=0)
+    start = torch.tensor([[8.0 * BODY_LENGTH, 3.5 * BODY_LENGTH]])
+    solver.reset_(torch.ones(1, dtype=torch.bool), start, torch.tensor([pi]))
+    path, axes = [(8.0, 3.5)], [pi]
+    for beat in range(NUM_BEFORE + NUM_TURNS + NUM_AFTER):
+        is_turning = NUM_BEFORE <= beat < NUM_BEFORE + NUM_TURNS
+        solver.command_(torch.tensor([radians(TURN) if is_turning else 0.0]), scales.period)
+        solver.advance_(scales.period)
+        x, y = (solver.body.position[0] / BODY_LENGTH).tolist()
+        path.append((x, y))
+        axes.append(float(solver.body.heading[0] + solver.body.internal_angle[0]))
+    if solver.is_diverged().any():
+        raise RuntimeError("the flow diverged")
+    return {
+        "x": [x for x, _ in path],
+        "y": [y for _, y in path],
+        "turned": [degrees(b - a) for a, b in pairwise(axes)],
+        "speed": [hypot(c - a, d - b) for (a, b), (c, d) in pairwise(path)],
+    }
+
+
+class Turning(Case):
+    """A fish that is told to turn."""
+
+    name = "turning"
+    title = "Heading modes"
+    source = "none: measured for the record"
+    setup = (
+        f"The swimmer at L = {BODY_LENGTH}, Re = 7000 swims straight for {NUM_BEFORE} beats, is "
+        f"told to turn left by {TURN:g}° in each of the next {NUM_TURNS}, and swims on. "
+        "Commanded, its heading follows and the torque comes from outside; bending, its midline bends and the flow turns "
+        "it. The rate is the mean turn of the body axis over the last two of the commanded beats."
+    )
+
+    def jobs(self, *, quick: bool) -> Sequence[Job]:
+        """Return a swim for each mode; none is quick."""
+        return [
+            Job(label=name, function=turn, arguments={"gain": gain}, cost=7e8)
+            for name, gain in ([] if quick else MODES.items())
+        ]
+
+    def judge(self, results: Results) -> Sequence[Check]:
+        """Record turn rate and radius."""
+        checks = []
+        last = slice(NUM_BEFORE + NUM_TURNS - 2, NUM_BEFORE + NUM_TURNS)
+        for name, result in results.items():
+            rate, speed = (sum(result[key][last]) / 2.0 for key in ("turned", "speed"))
+            checks.append(
+                Check(
+                    quantity=f"turn of the body axis, degrees per beat, {name}",
+                    ours=rate,
+                    resolution=f"L = {BODY_LENGTH}",
+                    note=f"Speed {speed:.2f} L / T, turning radius {speed / radians(rate):.1f} L.",
+                )
+            )
+        return checks
+
+    def draw(self, results: Results) -> Figure:
+        """Draw the paths."""
+        figure = Figure(figsize=(6.5, 3.8), layout="constrained")
+        axes = figure.subplots()
+        for (name, result), colour in zip(results.items(), COLOURS, strict=False):
+            axes.plot(result["x"], result["y"], "o-", ms=3, color=colour, label=name)
+        axes.set(xlabel="x / L", ylabel="y / L", aspect="equal", title="centre of mass, every beat")
+        axes.legend(fontsize=8)
+        tidy(axes)
+        return figure
