@@ -136,7 +136,6 @@ QUANTITIES = {
     "lift_amplitude": "C_l amplitude",
 }
 VIEW_D = (4 - FACE_D, 22 - FACE_D, 2 - 0.5 * HEIGHT_D, 10.5 - 0.5 * HEIGHT_D)
-FINE_VARIANTS = ("", "open sides")
 
 
 def _label(reynolds: int, size: int, variant: str) -> str:
@@ -164,7 +163,7 @@ class HalfDisc(Case):
     def jobs(self, *, quick: bool) -> Sequence[Job]:
         """Return a run per condition, size and variant."""
         runs = [(re, 20, variant) for re in SPEEDS for variant in ("", *VARIANTS)]
-        runs += [(re, 40, variant) for re in SPEEDS for variant in FINE_VARIANTS]
+        runs += [(re, 40, "") for re in SPEEDS]
         if quick:
             runs = [(200, 20, "")]
         return [
@@ -187,7 +186,6 @@ class HalfDisc(Case):
             named = {
                 "D = 20": (20, ""),
                 "D = 40": (40, ""),
-                "D = 40, open sides": (40, "open sides"),
             } | {f"D = 20, {variant}": (20, variant) for variant in VARIANTS}
             for key, name in QUANTITIES.items():
                 finest = max(known)

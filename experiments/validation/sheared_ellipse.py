@@ -20,7 +20,7 @@ NUM_SAMPLES = 400  # per 5 pi / G, Jeffery's period
 JEFFERY = 2.0 * pi * (ASPECT_RATIO + 1.0 / ASPECT_RATIO)  # period times shear rate
 REYNOLDS = (0.5, 1.0)
 GAPS = (5.0, 10.0)
-LENGTHS = (16, 24, 32)
+LENGTHS = (16, 24)
 USUAL = {"length": 24, "reynolds": 0.5, "gap": 5.0}
 # slowest rate / G by Reynolds number: Ding & Aidun 2000, fig. 9, read to 0.001
 SLOWEST = {15.0: 0.055, 20.0: 0.032, 24.0: 0.017}
