@@ -68,7 +68,8 @@ class Turning(Case):
         f"The swimmer at L = {BODY_LENGTH}, Re = 7000 swims straight for {NUM_BEFORE} beats, is "
         f"told to turn left by {TURN:g}° in each of the next {NUM_TURNS}, and swims on. "
         "Commanded, its heading follows and the torque comes from outside; bending, its midline "
-        "bends and the flow turns it. The rate is the mean turn of the body axis over the last two of the commanded beats."
+        "bends and the flow turns it. The rate is the mean turn of the body axis over the last "
+        "two of the commanded beats."
     )
 
     def jobs(self, *, quick: bool) -> Sequence[Job]:
