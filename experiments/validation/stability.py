@@ -18,7 +18,7 @@ from fishrl.physics.immersed_boundary import DirectSolve
 REYNOLDS = 7000.0
 NUM_BEATS = 14
 DEFAULT = Rates()
-ENERGIES = (0.6, 1.0, 1.4, 1.64)
+ENERGIES = (1.0, 1.4, 1.64)
 FLUXES = (1.0, 1.2, 1.5, 1.7, 1.9)
 NUM_EPISODES = 8
 PAPER_SPEED = 0.785 / 6.0  # of the tail at the paper's L = 100, T = 600
