@@ -40,9 +40,9 @@ CURVE = (
 )  # fmt: skip
 INERTIA_NOTE = (
     "for comparison, not judged: the spread markers move a cylinder about 0.45 nodes larger all "
-    "round, and c_i counts its area and the fluid it displaces: (1 + c_i) (1 + 0.9 / D)² − 1 is 1.68 at D = 20 and 1.56 at D = "
-    "40, about what is measured. Markers that far inside, where bodies have them by default, cure "
-    "it."
+    "round, and c_i counts its area and the fluid it displaces: (1 + c_i) (1 + 0.9 / D)² − 1 is "
+    "1.68 at D = 20 and 1.56 at D = 40, about what is measured. Markers that far inside, where "
+    "bodies have them by default, cure it."
 )
 
 

@@ -14,7 +14,7 @@ from fishrl.physics.boundaries import Boundaries, Boundary, NonEquilibrium, Open
 from fishrl.physics.collision import compute_equilibrium
 from fishrl.physics.state import Sponge
 
-WIDTH, HEIGHT, AHEAD = 240, 200, 80  # nodes; the disturbance starts so far ahead of the outflow
+WIDTH, HEIGHT, AHEAD = 240, 320, 80  # nodes; the disturbance starts so far ahead of the outflow
 RADIUS, SPEED, TAU = 10.0, 0.1, 0.53
 VORTEX_SPEED, PULSE = 0.03, 0.01
 SOUND = 3.0**-0.5
@@ -51,13 +51,14 @@ def disturb_outflow(*, outflow: str, kind: str) -> Result:
     )
     speed = SPEED if is_vortex else SPEED + SOUND
     begin = round((AHEAD + 4.0 * RADIUS) / speed)  # the disturbance is out
-    end = round(2.0 * AHEAD / speed)
+    # a vortex: as far behind the outflow; sound: what is thrown back has left the longest sponge
+    end = round(2.0 * AHEAD / speed if is_vortex else AHEAD / speed + 1.6 * AHEAD / (SOUND - SPEED))
     gap = 2 * max(1, (end - begin) // 60)
     arrival = 2 * round(AHEAD / speed / 2.0)
     times: list[int] = []
     errors: list[float] = []
     scale = VORTEX_SPEED
-    rows = slice(HEIGHT // 4, 3 * HEIGHT // 4)  # where a round wave meets the outflow head on
+    rows = slice(HEIGHT // 2 - 50, HEIGHT // 2 + 50)  # where a round wave meets the outflow head on
     columns = slice(0, WIDTH - max(sponge, 2))
     for now in (arrival, *range(begin + begin % 2, end, gap)):
         for solver in (short, long):
@@ -127,13 +128,14 @@ class Outflow(Case):
     title = "What an outflow throws back"
     source = "the same flow in a domain twice as long"
     setup = (
-        "Uniform stream U = 0.1, τ = 0.53, 240 × 200 nodes, periodic across. A Taylor vortex of "
+        "Uniform stream U = 0.1, τ = 0.53, 240 × 320 nodes, periodic across. A Taylor vortex of "
         "radius 10 nodes and speed 0.3 U (no circulation, pressure in balance), a plane pulse of "
         "sound and a round pulse of density (1 %, standard deviation 10 nodes) start 80 nodes "
         "ahead of the outflow. The error is the largest difference from a domain twice as long, "
-        "ahead of the sponge where there is one, in the middle half of the height, from when the "
-        "disturbance has gone through until it would be 80 nodes behind: of the velocity relative "
-        "to the vortex's, of the density relative to the pulse's height at the outflow. Outflows: "
+        "ahead of the sponge where there is one, in the middle 100 rows, from when the "
+        "disturbance has gone through until a vortex would be 80 nodes behind and sound thrown "
+        "back 128 nodes ahead: of the velocity relative to the vortex's, of the density relative to the "
+        "pulse's height at the outflow. Outflows: "
         "density pinned by non-equilibrium extrapolation, also behind sponges in which τ rises to "
         "1; open to plane waves, a density that lets waves out by the means along the edge; and "
         "the same at each node by itself."
