@@ -17,15 +17,17 @@ from torch.utils import _pytree as pytree
 
 from fishrl.physics.boundaries import Boundary, Side
 from fishrl.physics.collision import collide_mrt, compute_force_increment, compute_macroscopic
-from fishrl.physics.compiled import compile_inplace
+from fishrl.physics.compiled import compile_inplace, is_own
 from fishrl.physics.lattice import OPPOSITE, Q
 from fishrl.physics.motion import Body
 from fishrl.physics.solver import Place, exchange, locate_bodies
 from fishrl.physics.state import FlowConfig, FlowParams, compute_stream_speed
+from fishrl.physics.storage import Storage
 from fishrl.physics.streaming import InPlaceLayout
 
 _Function = Callable[..., Any]
 
+_GRAPH_PAIRS = 50  # most pairs of steps in one CUDA graph
 # The bodies' part is small and scatters: one thread, and weights are kept, not computed again for
 # every pair of markers (six times slower at L = 100).
 _BODY: dict[str, object] = {"cpp.threads": 1, "realize_opcount_threshold": 10}
@@ -64,6 +66,7 @@ class FlowGroup:
         self.edges = [stepper.gather_edge_arguments(populations, flow, p) for p in (0, 1)]
         self.crossings = [stepper.gather_crossings(populations, p) for p in (0, 1)]
         self.body_arguments = [stepper.gather_body_arguments(populations, flow, p) for p in (0, 1)]
+        self.graphs: dict[int, torch.cuda.CUDAGraph] = {}
         self.collisions = [(flow.clock, omega, *cells) for cells in self.cells]
 
 
@@ -84,7 +87,7 @@ class Stepper:
         self.layout = InPlaceLayout(num_envs=group_size, height=config.height, width=config.width)
         self._collide = _make_collide(config)
         groups = config.boundaries.in_order()
-        self._set_edges = [_make_edge_step(sides) for sides in groups]
+        self._set_edges = [_make_edge_step(sides, config.storage) for sides in groups]
         self._profiles = [[self._make_profile(side) for side, _ in sides] for sides in groups]
         if config.bodies:
             self._prepare_bodies(sample, group_size)
@@ -151,22 +154,50 @@ class Stepper:
 
     def compile(self, group: FlowGroup) -> None:
         """Compile every part of the step for groups like ``group``."""
-        self._collide = compile_inplace(self._collide, group.collisions[0])
+        structure = self.config.get_structure()
+        name = repr(structure) if is_own(structure) else None
+
+        def build(part: str, function: _Function, example: Sequence[Tensor]) -> _Function:
+            patches = _BODY if part in ("locate", "act") else {}
+            return compile_inplace(function, example, name=name and part + name, **patches)
+
+        self._collide = build("collide", self._collide, group.collisions[0])
         for i, views in enumerate(group.edges[0]):
-            self._set_edges[i] = compile_inplace(self._set_edges[i], views)
+            self._set_edges[i] = build(f"edges {i}", self._set_edges[i], views)
         if self.config.bodies:
             locate, act = group.body_arguments[0]
             if self.config.is_still:
-                self._locate = compile_inplace(self._locate, locate, **_BODY)
-            self._act = compile_inplace(self._act, act, **_BODY)
+                self._locate = build("locate", self._locate, locate)
+            self._act = build("act", self._act, act)
 
     def advance_(self, group: FlowGroup, num_steps: int) -> None:
         """Advance one group by an even number of steps."""
         if self.config.bodies and self.config.is_still:
             self._locate(*group.body_arguments[0][0])
-        for _ in range(num_steps // 2):
+        num_pairs = num_steps // 2
+        if self.device.type == "cuda" and num_pairs:
+            if not group.graphs:  # kernels are built in a first call, which cannot be captured
+                self._advance_pairs_(group, 1)
+                num_pairs -= 1
+            while num_pairs > 0:
+                self._replay_(group, min(num_pairs, _GRAPH_PAIRS))
+                num_pairs -= _GRAPH_PAIRS
+        else:
+            self._advance_pairs_(group, num_pairs)
+
+    def _advance_pairs_(self, group: FlowGroup, num_pairs: int) -> None:
+        for _ in range(num_pairs):
             self.step_(group, 0)
             self.step_(group, 1)
+
+    def _replay_(self, group: FlowGroup, num_pairs: int) -> None:
+        """Advance by pairs of steps that are launched as one CUDA graph, recorded once."""
+        if num_pairs not in group.graphs:
+            graph = torch.cuda.CUDAGraph()
+            with torch.cuda.graph(graph):
+                self._advance_pairs_(group, num_pairs)
+            group.graphs[num_pairs] = graph
+        group.graphs[num_pairs].replay()
 
     def step_(self, group: FlowGroup, parity: int) -> None:
         """Advance one group by one step."""
@@ -181,11 +212,13 @@ class Stepper:
 
 def _make_collide(config: FlowConfig) -> _Function:
     """Return: collide without force; on the incoming views this streams as well."""
+    storage = config.storage
 
     def collide(clock: Tensor, omega: Tensor, *f: Tensor) -> None:
         clock.add_(1.0)
-        for q, g in enumerate(collide_mrt(f, omega, config.rates)):
-            f[OPPOSITE[q]].copy_(g)
+        decoded = [storage.decode(g) for g in f]
+        for q, g in enumerate(collide_mrt(decoded, omega, config.rates)):
+            f[OPPOSITE[q]].copy_(storage.encode(g))
 
     return collide
 
@@ -211,7 +244,7 @@ def _make_locate(config: FlowConfig, trees: _Trees) -> _Function:
 
 def _make_act(config: FlowConfig, layout: InPlaceLayout, trees: _Trees) -> _Function:
     """Return: the bodies read the fluid, move, and put their force into the populations."""
-    form = pytree.tree_structure(trees)
+    form, storage = pytree.tree_structure(trees), config.storage
 
     def act(
         data: Tensor, force_x: Tensor, force_y: Tensor, offsets: Tensor, first_cell: Tensor,
@@ -221,17 +254,18 @@ def _make_act(config: FlowConfig, layout: InPlaceLayout, trees: _Trees) -> _Func
         if not config.is_still:
             place = locate_bodies(bodies, config, shapes, torch.float32)
         nodes = place.stencil.index_nodes(layout.row_length) + first_cell[:, None, None]
-        rho, jx, jy = compute_macroscopic([data[nodes + offsets[q]] for q in range(Q)])
+        slots = [nodes + offsets[q] for q in range(Q)]
+        rho, jx, jy = compute_macroscopic([storage.decode(data[slot]) for slot in slots])
         ux, uy = jx / (rho + 1.0), jy / (rho + 1.0)
-        moved, *shares = exchange(bodies, config, shapes, place, rho, ux, uy)
-        for total, share in zip((force_x, force_y), shares, strict=True):
+        moved, share_x, share_y = exchange(bodies, config, shapes, place, rho, ux, uy)
+        for total, share in ((force_x, share_x), (force_y, share_y)):
             total.index_put_((nodes,), share, accumulate=True)
         increment = compute_force_increment(
-            rho, ux, uy, force_x[nodes], force_y[nodes], *shares,
+            rho, ux, uy, force_x[nodes], force_y[nodes], share_x, share_y,
             (1.0 / tau).to(rho)[:, None, None], config.rates,
         )  # fmt: skip
-        for q, values in enumerate(increment):
-            data.index_put_((nodes + offsets[q],), values, accumulate=True)
+        for slot, values in zip(slots, increment, strict=True):
+            data.index_put_((slot,), storage.encode(values), accumulate=True)
         for total in (force_x, force_y):
             total.index_put_((nodes,), torch.zeros_like(rho))
         _copy_tree(bodies, moved)
@@ -239,7 +273,7 @@ def _make_act(config: FlowConfig, layout: InPlaceLayout, trees: _Trees) -> _Func
     return act
 
 
-def _make_edge_step(sides: list[tuple[Side, Boundary]]) -> _Function:
+def _make_edge_step(sides: list[tuple[Side, Boundary]], storage: Storage) -> _Function:
     """Return: set some edges, from the arguments of ``gather_edge_arguments``."""
 
     def set_edges(
@@ -249,9 +283,10 @@ def _make_edge_step(sides: list[tuple[Side, Boundary]]) -> _Function:
         speed_now = compute_stream_speed(params, clock).float()[:, None]
         profiles, views = rest[: len(sides)], rest[len(sides) :]
         for i, (side, boundary) in enumerate(sides):
-            edge, neighbour, outgoing = (views[(3 * i + j) * Q :][:Q] for j in range(3))
+            edge, *known = (views[(3 * i + j) * Q :][:Q] for j in range(3))
+            neighbour, outgoing = ([storage.decode(f) for f in views] for views in known)
             speed = speed_now * profiles[i]
             for q, values in boundary.compute_edge(side, neighbour, outgoing, speed).items():
-                edge[q].copy_(values)
+                edge[q].copy_(storage.encode(values))
 
     return set_edges
