@@ -24,6 +24,13 @@ logger = logging.getLogger(__name__)
 
 Step = Callable[..., Any]
 
+# Fused multiply-add, and no check of each argument's shape at each call: they never change.
+_SETTINGS: dict[str, object] = {
+    "cpp.enable_floating_point_contract_flag": "fast",
+    "size_asserts": False,
+    "alignment_asserts": False,
+}
+
 
 @cache
 def find_compiler_problem(device_type: str) -> str | None:
@@ -95,7 +102,7 @@ def compile_inplace(
     device = example[0].device
     if find_compiler_problem(device.type):
         return function
-    settings = {"cpp.enable_floating_point_contract_flag": "fast", **patches}
+    settings = {**_SETTINGS, **patches}
     path = None if name is None else _locate_artefact(name, example, settings)
     if path is not None and (kept := _load(path, settings)) is not None:
         return kept
