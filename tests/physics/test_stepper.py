@@ -5,6 +5,8 @@ from collections.abc import Sequence
 
 import pytest
 import torch
+from torch._inductor import config as inductor_config
+from torch._inductor.graph import GraphLowering
 from torch.profiler import ProfilerActivity, profile
 
 from fishrl.physics import DCylinder, Fish, FlowConfig, FlowState, InPlaceSolver, Storage
@@ -17,6 +19,7 @@ from fishrl.physics.boundaries import (
     Profile,
 )
 from fishrl.physics.compiled import compile_inplace, is_own
+from fishrl.physics.lattice import Q
 from fishrl.physics.motion import Commanded, Fixed, make_body
 from fishrl.physics.solver import make_uniform, step
 from fishrl.physics.state import make_params
@@ -162,6 +165,22 @@ def test_the_compiled_step_equals_the_eager_one_and_repeats_bit_for_bit() -> Non
     assert torch.equal(compiled[0].populations(), compiled[1].populations())
     scale = float(eager.populations().abs().max())
     assert float((compiled[0].populations() - eager.populations()).abs().max()) < 1e-4 * scale
+
+
+@pytest.mark.compile
+@pytest.mark.parametrize("storage", Storage)
+def test_the_bulk_pass_is_one_loop_of_nine_loads_and_nine_stores(
+    storage: Storage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[str] = []
+    monkeypatch.setattr(GraphLowering, "save_output_code", written.append)
+    solver = start(make_config(storage=storage), rows=[0])
+    with inductor_config.patch(force_disable_caches=True):
+        compile_inplace(solver._stepper._collide, solver._groups[0].collisions[0])
+    (code,) = written  # one graph
+    assert code.count("for(int64_t ") == 1
+    assert code.count("::loadu(") == code.count(".store(") == Q
+    assert "= empty_strided_cpu(" not in code, "the pass takes memory"
 
 
 @pytest.mark.compile
