@@ -21,9 +21,6 @@ from fishrl.physics.workers import SharedMemory, Workers, map_shared
 
 logger = logging.getLogger(__name__)
 
-# A flow whose speed passes this (Mach 0.87) is beyond the method and counts as diverged.
-MAX_SPEED = 0.5
-
 
 class InPlaceSolver:
     """A batch of flows and the bodies in them, advanced in place.
@@ -66,15 +63,15 @@ class InPlaceSolver:
                 f"num_workers = {num_workers} on {device}: allowed is 0 on a GPU, 0 or more "
                 "on a CPU"
             )
-        self._num_workers = min(num_workers, num_envs)
         self._workers: Workers | None = None
         self._frequency = torch.as_tensor(frequency, dtype=torch.float64, device=device)
-        self._is_closed = False
+        self._is_closed = self._is_ready = False
         size = flows_per_launch or (1 if is_cpu else num_envs)
         if size < 1 or num_envs % size:
             raise ValueError(
                 f"flows_per_launch = {flows_per_launch}: must divide the number of flows {num_envs}"
             )
+        self._num_workers = min(num_workers, num_envs // size)
         fresh = self._prepare(configs, device, compile, size)
         num_bytes = self._memory.count_bytes()
         self._shared = SharedMemory(num_bytes) if self._num_workers else None
@@ -116,10 +113,12 @@ class InPlaceSolver:
         """Return a worker's solver, which advances ``groups`` of a batch in shared memory."""
         self = cls.__new__(cls)
         self._workers, self._num_workers, self._shared = None, 0, None
+        self._is_closed = self._is_ready = False
         self._frequency = torch.zeros((), dtype=torch.float64)
         self._prepare(configs, torch.device("cpu"), compile, size)
         self._bind(map_shared(path, self._memory.count_bytes()), groups)
-        self.compile()
+        if compile:
+            self._stepper.compile(next(iter(self._groups.values())))
         return self
 
     def _bind(self, memory: Tensor, groups: range) -> None:
@@ -160,31 +159,32 @@ class InPlaceSolver:
 
     def compile(self) -> None:
         """Compile the step and start the workers; the first ``advance_`` does it otherwise."""
-        if self._num_workers and self._workers is None:
-            assert self._shared is not None
-            start = time.perf_counter()
-            logger.info(
-                "compiling the flow step for %d processes (up to a minute when new) ...",
-                self._num_workers,
-            )
-            num_groups = len(self._groups)
-            job = {
-                "configs": self.configs,
-                "path": str(self._shared.path),
-                "compile": self._wants_compile,
-                "size": self._stepper.layout.num_envs,
-                "log_level": logging.WARNING,
-            }
-            shares = [range(w, num_groups, self._num_workers) for w in range(self._num_workers)]
-            self._workers = Workers([job | {"groups": share} for share in shares])
-            self._shared.unlink()
-            logger.info("flow step ready after %.1f s", time.perf_counter() - start)
-        elif not self._num_workers and self._wants_compile:
-            start = time.perf_counter()
-            logger.info("compiling the flow step (up to a minute when new) ...")
-            self._stepper.compile(next(iter(self._groups.values())))
-            self._wants_compile = False
-            logger.info("flow step ready after %.1f s", time.perf_counter() - start)
+        if self._is_ready or not (self._num_workers or self._wants_compile):
+            return
+        start = time.perf_counter()
+        logger.info("compiling the flow step (up to a minute when new) ...")
+        first = next(iter(self._groups.values()))
+        if self._num_workers:
+            self._start_workers()
+        else:
+            self._stepper.compile(first)
+        if self._wants_compile:
+            self._stepper.compile_check(first)
+        self._is_ready = True
+        logger.info("flow step ready after %.1f s", time.perf_counter() - start)
+
+    def _start_workers(self) -> None:
+        assert self._shared is not None
+        job = {
+            "configs": self.configs,
+            "path": str(self._shared.path),
+            "compile": self._wants_compile,
+            "size": self._stepper.layout.num_envs,
+            "log_level": logging.WARNING,
+        }
+        num, count = len(self._groups), self._num_workers
+        self._workers = Workers([job | {"groups": range(w, num, count)} for w in range(count)])
+        self._shared.unlink()
 
     def close(self) -> None:
         """End the workers, if any; the flows can still be read."""
@@ -321,8 +321,7 @@ class InPlaceSolver:
 
     def _read(self, group: FlowGroup) -> list[Tensor]:
         """Return the nine incoming populations ``[B, Y, X]`` of a group."""
-        nodes = self._stepper.layout.nodes(group.populations, 0, False)
-        return [self.config.storage.decode(f) for f in nodes]
+        return [self.config.storage.decode(f) for f in group.nodes]
 
     def macroscopic(self) -> tuple[Tensor, Tensor]:
         """Return density ``[B, Y, X]`` and velocity ``[B, 2, Y, X]``."""
@@ -354,9 +353,7 @@ class InPlaceSolver:
 
     def is_diverged(self) -> Tensor:
         """Return ``[B]``: not finite, too fast for the method, or a body outside the grid."""
-        # comparisons with NaN are false, so a broken flow is never "fine"
-        speeds = [(self._read_group(g)[1] ** 2).sum(1).flatten(1) for g in self._groups.values()]
-        fine = torch.cat([(s < MAX_SPEED**2).all(-1) for s in speeds])
+        fine = torch.cat([self._stepper.is_fine(group) for group in self._groups.values()])
         size = torch.tensor([self.config.width, self.config.height], device=self.device)
         for index in range(len(self.bodies)):
             markers = self.markers(index)

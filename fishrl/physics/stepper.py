@@ -27,6 +27,8 @@ from fishrl.physics.streaming import InPlaceLayout
 
 _Function = Callable[..., Any]
 
+# A flow whose speed passes this (Mach 0.87) is beyond the method and counts as diverged.
+MAX_SPEED = 0.5
 _GRAPH_PAIRS = 50  # most pairs of steps in one CUDA graph
 # The bodies' part is small and scatters: one thread, and weights are kept, not computed again for
 # every pair of markers (six times slower at L = 100).
@@ -63,6 +65,7 @@ class FlowGroup:
         layout = stepper.layout
         self.populations, self.omega, self.flow = populations, omega, flow
         self.cells = [layout.cells(populations, p) for p in (0, 1)]
+        self.nodes = layout.nodes(populations, 0, False)
         self.edges = [stepper.gather_edge_arguments(populations, flow, p) for p in (0, 1)]
         self.crossings = [stepper.gather_crossings(populations, p) for p in (0, 1)]
         self.body_arguments = [stepper.gather_body_arguments(populations, flow, p) for p in (0, 1)]
@@ -89,6 +92,8 @@ class Stepper:
         groups = config.boundaries.in_order()
         self._set_edges = [_make_edge_step(sides, config.storage) for sides in groups]
         self._profiles = [[self._make_profile(side) for side, _ in sides] for sides in groups]
+        self._check = _make_check(config)
+        self._is_fine = torch.zeros(group_size, dtype=torch.bool, device=device)
         if config.bodies:
             self._prepare_bodies(sample, group_size)
 
@@ -154,21 +159,30 @@ class Stepper:
 
     def compile(self, group: FlowGroup) -> None:
         """Compile every part of the step for groups like ``group``."""
-        structure = self.config.get_structure()
-        name = repr(structure) if is_own(structure) else None
-
-        def build(part: str, function: _Function, example: Sequence[Tensor]) -> _Function:
-            patches = _BODY if part in ("locate", "act") else {}
-            return compile_inplace(function, example, name=name and part + name, **patches)
-
-        self._collide = build("collide", self._collide, group.collisions[0])
+        self._collide = self._build("collide", self._collide, group.collisions[0])
         for i, views in enumerate(group.edges[0]):
-            self._set_edges[i] = build(f"edges {i}", self._set_edges[i], views)
+            self._set_edges[i] = self._build(f"edges {i}", self._set_edges[i], views)
         if self.config.bodies:
             locate, act = group.body_arguments[0]
             if self.config.is_still:
-                self._locate = build("locate", self._locate, locate)
-            self._act = build("act", self._act, act)
+                self._locate = self._build("locate", self._locate, locate, **_BODY)
+            self._act = self._build("act", self._act, act, **_BODY)
+
+    def compile_check(self, group: FlowGroup) -> None:
+        """Compile ``is_fine`` for groups like ``group``."""
+        self._check = self._build("check", self._check, (self._is_fine, *group.nodes))
+
+    def _build(
+        self, part: str, function: _Function, example: Sequence[Tensor], **patches: object
+    ) -> _Function:
+        structure = self.config.get_structure()
+        name = part + repr(structure) if is_own(structure) else None
+        return compile_inplace(function, example, name=name, **patches)
+
+    def is_fine(self, group: FlowGroup) -> Tensor:
+        """Return ``[B]``: whether everything is finite and slower than ``MAX_SPEED``."""
+        self._check(self._is_fine, *group.nodes)
+        return self._is_fine.clone()
 
     def advance_(self, group: FlowGroup, num_steps: int) -> None:
         """Advance one group by an even number of steps."""
@@ -271,6 +285,19 @@ def _make_act(config: FlowConfig, layout: InPlaceLayout, trees: _Trees) -> _Func
         _copy_tree(bodies, moved)
 
     return act
+
+
+def _make_check(config: FlowConfig) -> _Function:
+    """Return: look at every node of the flows."""
+    storage = config.storage
+
+    def check(is_fine: Tensor, *f: Tensor) -> None:
+        rho, jx, jy = compute_macroscopic([storage.decode(g) for g in f])
+        limit = MAX_SPEED * (rho + 1.0)
+        # comparisons with NaN are false, so a broken flow is never fine
+        is_fine.copy_((jx * jx + jy * jy < limit * limit).flatten(1).all(-1))
+
+    return check
 
 
 def _make_edge_step(sides: list[tuple[Side, Boundary]], storage: Storage) -> _Function:

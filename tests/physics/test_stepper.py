@@ -131,6 +131,17 @@ def test_flows_in_one_launch_equal_flows_alone(flows_per_launch: int) -> None:
         )
 
 
+@pytest.mark.compile
+def test_launches_shared_by_processes_equal_launches_here() -> None:
+    config = make_config()
+    here = start(config, flows_per_launch=3, compile=True)
+    there = start(config, flows_per_launch=3, compile=True, num_workers=2)
+    for solver in (here, there):
+        solver.advance_(20)
+    assert torch.equal(here.populations(), there.populations())
+    there.close()
+
+
 def test_launches_of_unequal_size_are_refused() -> None:
     with pytest.raises(ValueError, match="must divide the number of flows 3"):
         start(make_config(), flows_per_launch=2)
