@@ -1,138 +1,115 @@
-"""How fast the flow is: ``python -m experiments.benchmark`` (``make bench``).
+"""How fast everything is: ``python -m experiments.benchmark`` (``make bench``).
 
-Cases take turns in short bursts, so that a machine that changes its mind does so for all of them;
-medians and quartiles over the rounds are printed and written as JSON. MLUPS are million lattice
-node updates per second; the ceiling of a single-precision step that reads and writes each
-population once is the copy bandwidth divided by 72 bytes.
+Every code runs in a process of its own, and all take turns in short bursts, so that a machine that
+changes its mind does so for all of them; tables, goals and figures are made of medians and
+quartiles over the rounds, ratios of the same round. Codes that are not installed are left out with
+a word; ``pip install -e '.[bench]'`` brings those that pip can.
+
+    python -m experiments.benchmark --groups solver peers    # some groups
+    python -m experiments.benchmark --docs docs              # put the last results into the page
 """
 
+from __future__ import annotations
+
 import argparse
-import json
+import logging
 import os
-import platform
-import statistics
+import sys
 import time
-from collections.abc import Callable
-from math import pi
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import torch
 
-from fishrl.physics import FlowConfig, InPlaceSolver, Scales
-from fishrl.physics.cases import make_swimmer_config
+from experiments.benchmarks.contest import run_contest
+from experiments.benchmarks.entry import Settings
+from experiments.benchmarks.groups import GROUPS, choose_groups
+from experiments.benchmarks.machine import describe_machine, describe_surroundings
+from experiments.benchmarks.page import write_page
+from experiments.benchmarks.plots import write_plots
+from experiments.benchmarks.probes import list_probes
+from experiments.benchmarks.results import Results
+from experiments.benchmarks.tables import describe_run, list_tables, render_plain
+from experiments.command_line import plain_errors, set_up_logging
 
-BYTES_PER_NODE = 72
-Case = tuple[str, int, Callable[[], object]]
+logger = logging.getLogger(__name__)
 
 
-def make_copy(num_nodes: int) -> Case:
-    """Copy nine populations of ``num_nodes``: 36 bytes read and 36 written per node."""
-    source = torch.rand(9 * num_nodes)
-    target = torch.empty_like(source)
-    return "copy at 72 B per node (ceiling)", num_nodes, lambda: target.copy_(source)
+def measure(names: Sequence[str], settings: Settings) -> Results:
+    """Measure some groups: those of short bursts together, then those of long ones, then the rest.
 
-
-def make_flow(
-    name: str,
-    config: FlowConfig,
-    *,
-    num_envs: int = 1,
-    period: int,
-    num_steps: int,
-    num_workers: int | None = None,
-) -> Case:
-    """Advance ``num_envs`` flows, the fish swimming in the middle of each."""
-    solver = InPlaceSolver(
-        config=config, num_envs=num_envs, frequency=1.0 / period, num_workers=num_workers
+    Args:
+        names: of the groups.
+        settings: what they share.
+    """
+    torch.set_num_threads(settings.threads)
+    results = Results(
+        machine=describe_machine() | describe_surroundings(),
+        settings=asdict(settings) | {"groups": list(names)},
     )
-    rows = torch.ones(num_envs, dtype=torch.bool)
-    centre = torch.tensor([[0.5 * config.width, 0.5 * config.height]]).expand(num_envs, 2)
-    solver.reset_(rows, centre, torch.full((num_envs,), pi))
-    solver.compile()
-    num_nodes = num_steps * num_envs * config.width * config.height
-    return name, num_nodes, lambda: solver.advance_(num_steps)
+    for is_long, words in ((False, "short bursts"), (True, "long bursts")):
+        chosen = [GROUPS[name].list_teams for name in names if GROUPS[name].is_long == is_long]
+        teams = [team for list_teams in chosen if list_teams for team in list_teams(settings)]
+        if teams:
+            probes = [] if is_long else list_probes(settings)
+            rows, skipped = run_contest([*probes, *teams], settings, name=words)
+            results.rows += rows
+            results.skipped += skipped
+    for name in names:
+        run = GROUPS[name].run
+        if run is not None:
+            logger.info("%s ...", name)
+            results.studies[name] = run(settings)
+    return results
 
 
-def make_cases(body_length: int) -> list[Case]:
-    """Make the cases of one body length L: tank 10 L x 5 L, Reynolds number 7000."""
-    scales = Scales.from_budget(body_length=body_length, reynolds=7000.0)
-    config = make_swimmer_config(scales)
-    size = f"{config.width}x{config.height}"
-    empty = make_swimmer_config(scales, bodies=())
-    half = Scales.from_budget(body_length=body_length // 2, reynolds=3500.0)
-    small = make_swimmer_config(half)
-    period, threads = scales.period, torch.get_num_threads()
-    one = {"period": period, "num_steps": 20}
-    return [
-        make_copy(config.width * config.height),
-        make_flow(f"1 x {size}, flow and walls, {threads} threads", empty, num_workers=0, **one),
-        make_flow(f"1 x {size}, swimming fish, {threads} threads", config, num_workers=0, **one),
-        make_flow(f"1 x {size}, swimming fish, one core", config, num_workers=1, **one),
-        make_flow(
-            f"16 x {small.width}x{small.height}, fish in each, core each",
-            small,
-            num_envs=16,
-            period=half.period,
-            num_steps=10,
-        ),
-    ]
-
-
-def measure(cases: list[Case], rounds: int) -> list[dict[str, Any]]:
-    """Run the cases in turn and return a row of MLUPS for each."""
-    speeds: list[list[float]] = [[] for _ in cases]
-    for number in range(rounds + 1):
-        for (_, num_nodes, run), seen in zip(cases, speeds, strict=True):
-            start = time.perf_counter()
-            run()
-            seconds = time.perf_counter() - start
-            if number:  # the first round warms up
-                seen.append(num_nodes / seconds / 1e6)
-    rows: list[dict[str, Any]] = []
-    for (name, _, _), seen in zip(cases, speeds, strict=True):
-        low, median, high = statistics.quantiles(seen, n=4)
-        ratio = statistics.median(a / b for a, b in zip(seen, speeds[0], strict=True))
-        rows.append({"case": name, "mlups": median, "quartiles": [low, high], "of_copy": ratio})
-    return rows
-
-
-def describe_machine() -> dict[str, object]:
-    """Name what the figures were measured on."""
-    model = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        lines = [line for line in info.read_text().splitlines() if line.startswith("model name")]
-        model = lines[0].split(":", 1)[1].strip() if lines else model
-    return {
-        "cpu": model,
-        "cores": os.cpu_count(),
-        "threads": torch.get_num_threads(),
-        "torch": torch.__version__,
-        "python": platform.python_version(),
-    }
+def report(results: Results) -> None:
+    """Print machine, tables and goals."""
+    print(describe_run(results))
+    for table in list_tables(results):
+        print("\n" + render_plain(table))
 
 
 def main() -> None:
-    """Measure, print a table, write JSON."""
-    parser = argparse.ArgumentParser(description="Measure the speed of the flow step.")
-    parser.add_argument("--rounds", type=int, default=15, help="bursts per case (default 15)")
-    parser.add_argument("--body-length", type=int, default=100, help="L in nodes (default 100)")
-    parser.add_argument("--save", type=Path, default=Path("runs/benchmark.json"))
+    """Measure, print tables, write JSON and figures; or put what was measured into the page."""
+    parser = argparse.ArgumentParser(description="Measure the speed of everything.")
+    parser.add_argument(
+        "--groups", nargs="+", default=[], metavar="GROUP", help=f"some of: {', '.join(GROUPS)}"
+    )
+    parser.add_argument("--rounds", type=int, default=15, help="bursts of each case (default 15)")
+    parser.add_argument("--burst", type=float, default=0.03, help="seconds of a burst")
+    parser.add_argument("--threads", type=int, default=os.cpu_count(), help="cores of each code")
+    parser.add_argument("--body-length", type=int, default=100, help="L of the large case")
+    parser.add_argument("--folder", type=Path, default=Path("runs/benchmark"))
+    parser.add_argument(
+        "--docs", type=Path, help="measure nothing, write the page in this folder from the last run"
+    )
     options = parser.parse_args()
-    if options.rounds < 2:
-        parser.error(f"--rounds {options.rounds}: quartiles need at least 2")
-    machine = describe_machine()
-    print(", ".join(f"{key} {value}" for key, value in machine.items()))
-    print("compiling ...", flush=True)
-    rows = measure(make_cases(options.body_length), options.rounds)
-    print(f"{'case':42} {'MLUPS':>7} {'quartiles':>15} {'/ copy':>7}")
-    for row in rows:
-        low, high = row["quartiles"]
-        print(f"{row['case']:42} {row['mlups']:7.0f} {low:7.0f}-{high:7.0f} {row['of_copy']:7.2f}")
-    options.save.parent.mkdir(parents=True, exist_ok=True)
-    options.save.write_text(json.dumps({"machine": machine, "rows": rows}, indent=2) + "\n")
-    print(f"written to {options.save}")
+    set_up_logging()
+    path = options.folder / "results.json"
+    with plain_errors():
+        if options.docs is not None:
+            for file in write_page(Results.load(path), options.docs):
+                print(f"written: {file}")
+            return
+        names = choose_groups(options.groups)
+        settings = Settings(
+            body_length=options.body_length,
+            threads=options.threads,
+            rounds=options.rounds,
+            burst=options.burst,
+        )
+        # read by every library that the processes will load
+        os.environ["OMP_NUM_THREADS"] = str(settings.threads)
+        start = time.perf_counter()
+        results = measure(names, settings)
+        results.settings["minutes"] = (time.perf_counter() - start) / 60.0
+        results.save(path)
+        report(results)
+        write_plots(results, options.folder)
+        print(f"\n{results.settings['minutes']:.1f} minutes; written to {options.folder}")
+    sys.exit(1 if any(skipped.has_failed for skipped in results.skipped) else 0)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from experiments.benchmark import describe_machine
+from experiments.benchmarks.machine import describe_machine
 from experiments.flow_pictures import STYLE
 from experiments.validation.case import Case, Check, Job, Result
 from experiments.validation.fingerprint import fingerprint
