@@ -10,7 +10,7 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 # Tests that need CUDA are left out where there is none.
 MARKERS ?= not slow$(shell $(BIN)/python -c 'import torch; print("" if torch.cuda.is_available() else " and not gpu")' 2>/dev/null)
 
-.PHONY: help setup train test check bench validate validate-quick format clean
+.PHONY: help setup train test check bench bench-peers validate validate-quick format clean
 
 help: ## say what there is to make
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -40,8 +40,11 @@ check: $(STAMP) ## lint, formatting, types, who may import whom
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q tests/test_architecture.py
 
-bench: $(STAMP) ## measure the speed of the solver
+bench: $(STAMP) ## measure the speed of everything, about ten minutes; ARGS="--groups solver coupled" narrows
 	$(BIN)/python -m experiments.benchmark $(ARGS)
+
+bench-peers: $(STAMP) ## install the codes that the benchmark compares with
+	$(BIN)/python -m pip install --quiet -e '.[bench]' -c constraints.txt
 
 validate: $(STAMP) ## judge the solver by the literature and write docs/validation.md
 	$(BIN)/python -m experiments.validate $(ARGS)

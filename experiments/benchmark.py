@@ -29,7 +29,7 @@ from experiments.benchmarks.machine import describe_machine, describe_surroundin
 from experiments.benchmarks.page import write_page
 from experiments.benchmarks.plots import write_plots
 from experiments.benchmarks.probes import list_probes
-from experiments.benchmarks.results import Results
+from experiments.benchmarks.results import Results, Skipped
 from experiments.benchmarks.tables import describe_run, list_tables, render_plain
 from experiments.command_line import plain_errors, set_up_logging
 
@@ -58,9 +58,15 @@ def measure(names: Sequence[str], settings: Settings) -> Results:
             results.skipped += skipped
     for name in names:
         run = GROUPS[name].run
-        if run is not None:
-            logger.info("%s ...", name)
+        if run is None:
+            continue
+        logger.info("%s ...", name)
+        try:
             results.studies[name] = run(settings)
+        except Exception as problem:  # what was measured before must not be lost
+            logger.exception("%s failed", name)
+            why = f"{type(problem).__name__}: {problem}"
+            results.skipped.append(Skipped("fishrl", name, why, True))
     return results
 
 

@@ -8,10 +8,9 @@ import tempfile
 import time
 from typing import Any
 
+from experiments.benchmarks.alone import run_alone
 from experiments.benchmarks.entry import Settings
 from experiments.benchmarks.flows import make_scales, make_tank
-from experiments.validation.case import Job
-from experiments.validation.pool import Finish, run_jobs
 from fishrl.physics import InPlaceSolver
 
 logger = logging.getLogger(__name__)
@@ -45,18 +44,3 @@ def run(settings: Settings) -> dict[str, Any]:
                 time_compilation, body_length=settings.body_length // 2, folder=folder
             )["seconds"]
     return found
-
-
-def run_alone(function: Any, **arguments: Any) -> dict[str, Any]:
-    """Run a function in a process of its own and return what it returns.
-
-    Raises:
-        RuntimeError: with its message if it fails.
-    """
-    job = Job(label=function.__name__, function=function, arguments=arguments)
-    for event in run_jobs([job], num_workers=1):
-        if isinstance(event, Finish):
-            if event.done.result is None:
-                raise RuntimeError(f"{function.__name__}: {event.done.error}")
-            return event.done.result
-    raise AssertionError("unreachable: every job finishes")

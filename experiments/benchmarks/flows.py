@@ -33,9 +33,10 @@ def make_solver(
     num_envs: int = 1,
     num_workers: int = 0,
     device: str = "cpu",
+    compile: bool = True,
     **changes: Any,
 ) -> InPlaceSolver:
-    """Return compiled flows in the paper's tank, a fish in the middle of each if there is one.
+    """Return flows in the paper's tank, a fish in the middle of each if there is one.
 
     Args:
         body_length: L; the tank is 10 L x 5 L.
@@ -43,6 +44,7 @@ def make_solver(
         num_envs: number of flows.
         num_workers: processes that share them; 0 advances them here.
         device: cpu or cuda.
+        compile: compile the step.
         **changes: fields of ``FlowConfig``.
     """
     scales = make_scales(body_length)
@@ -52,6 +54,7 @@ def make_solver(
         num_envs=num_envs,
         frequency=1.0 / scales.period,
         device=device,
+        compile=compile,
         num_workers=num_workers,
     )
     rows = torch.ones(num_envs, dtype=torch.bool, device=device)

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from experiments.benchmarks.compiling import run_alone
+from experiments.benchmarks.alone import run_alone
 from experiments.benchmarks.entry import Settings
 from experiments.benchmarks.flows import describe_size, make_scales, make_tank
 from fishrl.physics import InPlaceSolver
@@ -18,7 +18,7 @@ def count_tensor_bytes() -> int:
     gc.collect()
     storages = {}
     for thing in gc.get_objects():
-        if isinstance(thing, torch.Tensor):
+        if issubclass(type(thing), torch.Tensor):  # isinstance would wake deprecated things
             storage = thing.untyped_storage()
             storages[storage.data_ptr()] = storage.nbytes()
     return sum(storages.values())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +63,7 @@ def draw_roofline(results: Results) -> Figure | None:
             i, median, color=SCOPES[row.scope], alpha=1.0 if is_ours else 0.45, height=0.72,
             xerr=[[median - low], [high - median]], error_kw={"elinewidth": 1.0, "capsize": 2},
         )  # fmt: skip
-        axes.text(high, i, f"  {median:.0f}", va="center", fontsize=8)
+        axes.text(high, i, f"  {median:.{0 if median >= 10.0 else 1}f}", va="center", fontsize=8)
     axes.set_yticks(range(len(rows)), [f"{row.code}: {row.name}" for row in rows], fontsize=8)
     for tick, row in zip(axes.get_yticklabels(), rows, strict=True):
         tick.set_fontweight("bold" if row.code == "fishrl" else "normal")
@@ -71,7 +72,7 @@ def draw_roofline(results: Results) -> Figure | None:
     axes.margins(x=0.08)
     handles = [mpl.patches.Patch(color=colour, label=name) for name, colour in SCOPES.items()]
     axes.legend(handles=handles, loc="lower right", fontsize=8, title="strong: fishrl")
-    axes.set_title("Bandwidth achieved, and what the memory does", loc="left")
+    axes.set_title("Bandwidth achieved, and what the memory does", loc="left", pad=18)
     tidy(axes)
     axes.grid(axis="y", visible=False)
     return figure
@@ -84,7 +85,7 @@ def _draw_probes(axes: Axes, results: Results) -> None:
             speed = probe.bandwidth.median
             axes.axvline(speed, color="#222222", linestyle=style, linewidth=1.0)
             axes.annotate(
-                f"{name} {speed:.0f}", (speed, 1.0), (2, -2), fontsize=8, rotation=90, va="top",
+                f"{name} {speed:.0f}", (speed, 1.0), (0, 2), fontsize=8, ha="center",
                 xycoords=("data", "axes fraction"), textcoords="offset points",
             )  # fmt: skip
 
@@ -99,7 +100,7 @@ def draw_scaling(results: Results) -> Figure | None:
     grid = [row for row in rows if row.label.startswith("grid/")]
     batch = [row for row in rows if row.label.startswith("batch/")]
     _draw_line(left, [row.num_nodes for row in grid], grid, COLOURS[1])
-    _draw_line(right, [row.facts["num_flows"] for row in batch], batch, COLOURS[0])
+    _draw_line(right, [row.facts["flows"] for row in batch], batch, COLOURS[0])
     for row in grid:
         left.annotate(
             f"L = {row.facts['body_length']}", (row.num_nodes, row.mlups.median), (4, -12),
@@ -118,7 +119,7 @@ def draw_scaling(results: Results) -> Figure | None:
         axes.set_xscale("log", base=10 if axes is left else 2)
         tidy(axes)
     if batch:
-        counts = [row.facts["num_flows"] for row in batch]
+        counts = [row.facts["flows"] for row in batch]
         right.set_xticks(counts, [str(count) for count in counts])
         length = batch[0].facts["body_length"]
         right.set_title(f"batches of L = {length}, one core each", loc="left")
@@ -141,13 +142,16 @@ def draw_profile(results: Results) -> Figure | None:
     study = results.studies.get("profile")
     if study is None:
         return None
-    figure = Figure(figsize=(9.0, 4.6), layout="constrained")
+    figure = Figure(figsize=(9.0, 4.4), layout="constrained")
     whole, rest = figure.subplots(2, 1)
-    others = [row for row in study["rows"] if row["where"] != "flow"]
-    _stack(whole, study["rows"])
-    _stack(rest, others)
-    total = sum(row["seconds"] for row in study["rows"])
+    flow, others = (
+        [row for row in study["rows"] if (row["where"] == "flow") == is_flow]
+        for is_flow in (True, False)
+    )
     beside = sum(row["seconds"] for row in others)
+    total = beside + sum(row["seconds"] for row in flow)
+    _stack(whole, [*flow, {"part": "beside the flow", "seconds": beside}])
+    _stack(rest, others)
     whole.set_title(
         f"One environment step, {study['num_envs']} × {study['size']}, {study['substeps']} steps "
         f"of the flow on one core: {1e3 * total:.0f} ms",
@@ -156,14 +160,13 @@ def draw_profile(results: Results) -> Figure | None:
     rest.set_title(
         f"Thereof beside the flow: {1e3 * beside:.1f} ms, {100 * beside / total:.2f} %", loc="left"
     )
-    rest.set_xlabel("ms")
     return figure
 
 
 def _stack(axes: Axes, parts: Sequence[dict[str, Any]]) -> None:
     """Draw one bar of parts, with their names and shares in a legend below."""
     total, start = sum(part["seconds"] for part in parts), 0.0
-    for part, colour in zip(parts, _repeat(COLOURS, len(parts)), strict=True):
+    for part, colour in zip(parts, cycle(COLOURS), strict=False):
         width = 1e3 * part["seconds"]
         share = 100 * part["seconds"] / total
         axes.barh(0, width, left=start, color=colour, label=f"{part['part']}, {share:.1f} %")
@@ -174,11 +177,8 @@ def _stack(axes: Axes, parts: Sequence[dict[str, Any]]) -> None:
             )  # fmt: skip
         start += width
     axes.set(yticks=[], ylim=(-0.45, 0.45), xlim=(0.0, start))
+    axes.xaxis.set_major_formatter("{x:g} ms")
     axes.legend(
-        loc="upper center", bbox_to_anchor=(0.5, -0.22), ncols=3, fontsize=8, columnspacing=1.2
+        loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3, fontsize=8, columnspacing=1.2
     )
     axes.spines[["top", "right", "left"]].set_visible(False)
-
-
-def _repeat(colours: Sequence[str], count: int) -> list[str]:
-    return [colours[i % len(colours)] for i in range(count)]

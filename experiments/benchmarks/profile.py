@@ -14,7 +14,7 @@ from typing import Any
 
 import torch
 
-from experiments.benchmarks.compiling import run_alone
+from experiments.benchmarks.alone import run_alone
 from experiments.benchmarks.entry import Settings
 from experiments.benchmarks.environment import Stage, make_task
 from experiments.benchmarks.parts import replace_parts
@@ -26,7 +26,7 @@ NAMES = {
     "collide": "collision",
     "set edges": "edges",
     "locate": "markers and stencils",
-    "push": "force solve and motion",
+    "push": "fluid at the markers, force, motion",
     "absorb": "increments of the populations",
     "act": "bodies: markers, force, motion, spreading",
 }
@@ -56,19 +56,17 @@ class Stopwatch:
         return timed
 
 
-def profile_step(
-    *, body_length: int, num_envs: int, num_actions: int, compile: bool = True
+def profile_task(
+    task: Any, *, num_envs: int, num_actions: int, compile: bool = True
 ) -> dict[str, Any]:
-    """Step the whole environment, and return the seconds of each part per action.
+    """Step the whole environment of a task, and return the seconds of each part per action.
 
     Args:
-        body_length: L.
+        task: what the fish has to do.
         num_envs: number of flows.
         num_actions: that are timed, after one that is not.
         compile: compile the flow step.
     """
-    torch.set_num_threads(1)
-    task = make_task(body_length)
     stage = Stage(task=task, num_envs=num_envs, compile=False)
     solver = InPlaceSolver(
         config=task.flow_config(),
@@ -110,6 +108,13 @@ def profile_step(
     }
 
 
+def profile_batch(*, body_length: int, num_envs: int, num_actions: int) -> dict[str, Any]:
+    """Profile the task of the benchmark on one thread."""
+    torch.set_num_threads(1)
+    return profile_task(make_task(body_length), num_envs=num_envs, num_actions=num_actions)
+
+
 def run(settings: Settings) -> dict[str, Any]:
     """Profile a batch of the middle size in a process of its own."""
-    return run_alone(profile_step, body_length=settings.body_length // 2, num_envs=4, num_actions=3)
+    length = settings.body_length // 2
+    return run_alone(profile_batch, body_length=length, num_envs=4, num_actions=3)

@@ -32,7 +32,7 @@ def make_flows(*, body_length: int, threads: int, presets: dict[int, str]) -> li
 
     def add(solver: InPlaceSolver, label: str, how: str, num_flows: int, length: int) -> None:
         facts: dict[str, Any] = {"body_length": length, "period": make_scales(length).period}
-        facts |= {"num_flows": num_flows, "preset": presets.get(length) if num_flows == 1 else None}
+        facts |= {"flows": num_flows, "preset": presets.get(length) if num_flows == 1 else None}
         entries.append(make_entry(solver, label=label, how=how, num_flows=num_flows, **facts))
 
     entries: list[Entry] = []

@@ -43,7 +43,7 @@ def make_flows(*, body_length: int, threads: int) -> list[Entry]:
     return entries
 
 
-def make_periodic(width: int, height: int) -> InPlaceSolver:
+def make_periodic(width: int, height: int, *, compile: bool = True) -> InPlaceSolver:
     """Return a periodic flow; it has damped a shear wave as it should.
 
     Raises:
@@ -51,7 +51,7 @@ def make_periodic(width: int, height: int) -> InPlaceSolver:
     """
     wave = ShearWave(width, height)
     config = FlowConfig(width=width, height=height, tau=wave.tau, boundaries=PERIODIC_EDGES)
-    solver = InPlaceSolver(config=config, num_workers=0)
+    solver = InPlaceSolver(config=config, num_workers=0, compile=compile)
     velocity = torch.as_tensor(wave.velocity())[None]
     solver.set_populations_(make_uniform(torch.zeros_like(velocity), velocity, 0.0 * velocity))
     wave.check(lambda n: solver.advance_(n), lambda: solver.macroscopic()[1][0, 0].numpy())

@@ -138,7 +138,7 @@ def _tabulate_scaling(results: Results) -> Table:
                 f"{1e6 * seconds:.0f}",
                 f"{row.mlups.median:.0f}",
                 f"{beat:.2f}",
-                f"{beat / row.facts['num_flows']:.2f}",
+                f"{beat / row.facts['flows']:.2f}",
                 row.facts["preset"] or "–",
             ]
         )

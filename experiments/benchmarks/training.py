@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import torch
 
@@ -22,11 +23,11 @@ class Loop:
 
     Args:
         config: settings of the run.
-        body_length: L of its fish.
+        task: what its fish learns.
     """
 
-    def __init__(self, *, config: TrainConfig, body_length: int) -> None:
-        self.config, self.task = config, make_task(body_length)
+    def __init__(self, *, config: TrainConfig, task: Any) -> None:
+        self.config, self.task = config, task
         brain = BrainOf.task_of(self.task)
         self.learner = Learner(
             num_inputs=brain.num_inputs, num_actions=brain.num_actions, config=config
@@ -73,7 +74,7 @@ def make_loop(*, body_length: int, threads: int, compile: bool, num_envs: int) -
     torch.set_num_threads(threads)
     overrides = [f"num_envs={num_envs}", f"compile={str(compile).lower()}"]
     config = load_config("train", ["preset=small", *overrides])
-    loop = Loop(config=config, body_length=body_length)
+    loop = Loop(config=config, task=make_task(body_length))
     flow, substeps = loop.env.base_env.solver.config, loop.task.n_substeps
     updates = round(config.updates_per_frame * num_envs)
     return [
