@@ -129,7 +129,7 @@ def _locate_artefact(name: str, example: Sequence[Tensor], settings: dict[str, o
     if device.type == "cuda":
         machine = torch.cuda.get_device_name(device)
     else:
-        machine = torch.backends.cpu.get_cpu_capability()
+        machine = f"{torch.backends.cpu.get_cpu_capability()}, {torch.get_num_threads()} threads"
     arguments = [(tuple(t.shape), t.stride(), t.dtype) for t in example]
     parts = (name, hash_sources(), torch.__version__, sys.version, machine, arguments, settings)
     word = hashlib.sha256(repr(parts).encode()).hexdigest()[:32]

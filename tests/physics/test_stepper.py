@@ -238,6 +238,21 @@ def test_a_compiled_function_is_kept_and_loaded_without_tracing(
     assert len(traced) == 2
 
 
+@pytest.mark.compile
+def test_a_function_kept_for_one_thread_is_not_taken_for_two(
+    tmp_path: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
+    before = torch.get_num_threads()
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            compile_inplace(lambda x: x.mul_(2.0), (torch.ones(8),), name="double")
+    finally:
+        torch.set_num_threads(before)
+    assert len(list(tmp_path.glob("fishrl/*.bin"))) == 2  # type: ignore[attr-defined]
+
+
 def test_what_others_wrote_is_not_kept_by_name() -> None:
     class Magnetic(NoSlip):
         """An edge whose source this package does not hold."""
