@@ -8,7 +8,7 @@ transforms: frame stacking, time limit, action mask.
 """
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -22,12 +22,12 @@ from torchrl.envs import (
     InitTracker,
     RewardSum,
     StepCounter,
+    Transform,
     TransformedEnv,
 )
 
 from fishrl.envs.draws import draw_uniform
 from fishrl.envs.schedule import make_schedule
-from fishrl.envs.starts import place_fish
 from fishrl.envs.task import AbstractTask
 
 logger = logging.getLogger(__name__)
@@ -84,7 +84,10 @@ class FlowEnv(EnvBase):
             starts = starts.to(self.device)
         self.task, self.starts, self.on_frame = task, starts, on_frame
         self._schedule = make_schedule(
-            task.n_substeps, checks=task.checks_per_action, frames=frames_per_action
+            task.n_substeps,
+            checks=task.checks_per_action,
+            frames=frames_per_action,
+            samples=task.num_samples,
         )
         self._rows = torch.arange(num_envs, device=self.device)
         self._seed, self._next_start = seed, 0
@@ -97,8 +100,8 @@ class FlowEnv(EnvBase):
         every_row = torch.ones_like(self._rows, dtype=torch.bool)
         self.start, _ = self._draw_starts(every_row)
         self._next_start = 0
-        self._place(every_row)
-        self.now = self.measure()
+        task.place_(self.solver, every_row, self.start)
+        self.now = self._begin()
         self._make_specs()
 
     @property
@@ -109,6 +112,18 @@ class FlowEnv(EnvBase):
     def measure(self) -> TensorDict:
         """Measure the flows as they are, within an action too."""
         return self.task.measure(self.solver, self.start)
+
+    def _begin(self) -> TensorDict:
+        """Measure as at the beginning of an episode: with one sample, and nothing remembered."""
+        now = self.measure()
+        if self.task.num_samples:
+            now.update(_repeat(self._sense(), self.task.num_samples))
+        return now.update(self.task.begin(now))
+
+    def _sense(self) -> TensorDict:
+        return TensorDict(
+            self.task.sense(self.solver, self.start), self.batch_size, device=self.device
+        )
 
     def _make_specs(self) -> None:
         """Derive the specs from what the task says about a first measurement."""
@@ -124,10 +139,11 @@ class FlowEnv(EnvBase):
                     f"{(*rows, size)}: make it agree with n_obs and num_actions"
                 )
         reported = {
-            name: Binary(1, dtype=torch.bool)
+            name: Binary(shape[-1], shape=shape, dtype=torch.bool)
             if value.dtype == torch.bool
-            else Unbounded((1,), dtype=value.dtype)
+            else Unbounded(shape, dtype=value.dtype)
             for name, value in task.report(self.now).items()
+            for shape in [tuple(value.shape[1:]) or (1,)]
         }
         self.observation_spec_unbatched = Composite(
             observation=Unbounded((task.n_obs,), dtype=observed.dtype),
@@ -154,10 +170,6 @@ class FlowEnv(EnvBase):
         self._next_start = (self._next_start + int(rows.sum())) % self.starts.shape[0]
         return self.starts[index], index
 
-    def _place(self, rows: Tensor) -> None:
-        position, heading = place_fish(self.start, self.task.fish)
-        self.solver.reset_(rows, position, heading)
-
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
         rows = torch.ones_like(self._rows, dtype=torch.bool)
         if tensordict is not None and "_reset" in tensordict:
@@ -166,18 +178,20 @@ class FlowEnv(EnvBase):
         self.start = _merge(rows, drawn, self.start)
         self._start_index = torch.where(rows, index, self._start_index)
         self._episode = self._episode + rows
-        self._place(rows)
-        self.now = _merge(rows, self.measure(), self.now)
+        self.task.place_(self.solver, rows, self.start)
+        self.now = _merge(rows, self._begin(), self.now)
         none = torch.zeros_like(rows)
         return self._write(diverged=none, done=none, terminated=none, truncated=none)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        before = self.now
         action = tensordict["action"]
-        self._check_action(action, self.task.action_mask(before))
+        self._check_action(action, self.task.action_mask(self.now))
+        before = self.now.copy().update(self._read_inputs(tensordict))
         turn, frequency = self.task.command(action, before)
         self.solver.command_(turn, self.task.n_substeps, frequency)
-        self.now, diverged = self._advance(before)
+        now, diverged = self._advance(before)
+        now.update(self.task.remember(before, action, now))
+        self.now = _merge(~diverged, now, self.now)
         self._count(diverged)
         terminated = self.task.is_terminated(self.now) & ~diverged
         reward = self.task.reward(before, self.now).masked_fill(diverged, 0.0)
@@ -193,13 +207,17 @@ class FlowEnv(EnvBase):
         """Run the flows for one action.
 
         Returns:
-            Each row's measurement at its end, or at the end of the action; of diverged rows the
-            one ``before``. And ``[B]``, which rows diverged.
+            Each row's measurement at its end, or at the end of the action, with what was sensed on
+            the way; nothing to rely on in diverged rows. And ``[B]``, which rows diverged.
         """
         now, diverged = before, torch.zeros_like(self._rows, dtype=torch.bool)
         is_decided = self.is_resting
+        samples: list[TensorDict] = []
         for stretch in self._schedule:
             self.solver.advance_(stretch.num_steps, ~is_decided)
+            if stretch.is_sample:
+                sensed = self._sense()
+                samples.append(_merge(is_decided, samples[-1], sensed) if samples else sensed)
             if stretch.is_check:
                 seen = self.measure()
                 is_ending = self.task.is_terminated(seen) | stretch.is_last
@@ -207,11 +225,11 @@ class FlowEnv(EnvBase):
                 if is_new.any():
                     # Reading whole flows is dear: do it when a row's outcome hangs on it.
                     diverged = diverged | is_new & self.solver.is_diverged()
-                    now = _merge(is_new, seen, now)
+                    now = _merge(is_new, seen, now.select(*seen.keys()))
                     is_decided = is_decided | is_new
             if stretch.is_frame and self.on_frame is not None:
                 self.on_frame(self)
-        return _merge(diverged, before, now), diverged
+        return now.update(torch.stack(samples, 1)) if samples else now, diverged
 
     def _count(self, diverged: Tensor) -> None:
         if diverged.any():
@@ -232,6 +250,17 @@ class FlowEnv(EnvBase):
                 "honour 'action_mask', and random actions are legal in environments of make_env"
             )
 
+    def _read_inputs(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
+        """Return what the task wants of the brain's side beside the action."""
+        missing = [name for name in self.task.inputs if name not in tensordict]
+        if missing:
+            raise ValueError(
+                f"{type(self.task).__name__} reads {missing}, and the tensordict of this step has "
+                "no such entry: append the transform that writes it (make_env(transforms=[...])), "
+                "or set the task up to do without"
+            )
+        return {name: tensordict[name].reshape(self.batch_size) for name in self.task.inputs}
+
     def _write(self, **flags: Tensor) -> TensorDict:
         """Return everything there is to see, with flags ``[B]`` as columns."""
         columns = {**self.task.report(self.now), **flags}
@@ -240,7 +269,10 @@ class FlowEnv(EnvBase):
                 "observation": self.task.observe(self.now),
                 "action_mask": self.task.action_mask(self.now),
                 "start_index": self._start_index.clone(),
-                **{name: value.unsqueeze(-1).clone() for name, value in columns.items()},
+                **{
+                    name: (value.unsqueeze(-1) if value.dim() == 1 else value).clone()
+                    for name, value in columns.items()
+                },
             },
             self.batch_size,
             device=self.device,
@@ -303,13 +335,15 @@ def make_env(
     starts: TensorDictBase | None = None,
     frames_per_action: int = 1,
     on_frame: Callable[[FlowEnv], None] | None = None,
+    transforms: Sequence[Transform] = (),
 ) -> TransformedEnv:
     """Return the environment as a brain sees it; for the arguments see ``FlowEnv``.
 
     Beside the keys of ``FlowEnv`` there are ``observation_stack`` ``[B, num_stacked * n_obs]``,
     oldest first (the first observation fills it at reset), ``is_init``, ``step_count`` and
     ``episode_reward``; an episode is truncated after ``task.time_limit`` decisions, and random
-    actions are legal ones.
+    actions are legal ones. ``transforms`` of one's own come before the frames are stacked and may
+    lengthen ``observation``.
     """
     env = TransformedEnv(
         FlowEnv(
@@ -327,6 +361,7 @@ def make_env(
         InitTracker(),
         StepCounter(max_steps=task.time_limit),
         RewardSum(),
+        *transforms,
         CatFrames(
             N=task.num_stacked, dim=-1, in_keys=["observation"], out_keys=["observation_stack"]
         ),
@@ -334,6 +369,11 @@ def make_env(
     ):
         env.append_transform(transform)
     return env
+
+
+def _repeat(sample: TensorDictBase, num: int) -> TensorDict:
+    """Return ``num`` times the same sample ``[B, ...]``, as ``[B, num, ...]``."""
+    return sample.apply(lambda t: t.unsqueeze(1).expand(-1, num, *t.shape[1:]))
 
 
 def _merge(rows: Tensor, new: TensorDictBase, old: TensorDictBase) -> TensorDict:

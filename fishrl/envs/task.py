@@ -4,7 +4,8 @@ A task says where fish start, what an action orders, what is measured, and what 
 and end follow from the measurement. It never loops over the batch: everything is a tensor or a
 TensorDict with a leading batch axis B, and rows differ by masks (``torch.where``). It keeps no
 state: what lasts from one decision to the next is in the flow, in the starts or in the last
-measurement. The environment does the rest: specs, resets, sub-steps, divergence, saving.
+measurement, to which ``sense``, ``begin`` and ``remember`` add what a task needs beyond the moment.
+The environment does the rest: specs, resets, sub-steps, divergence, saving.
 """
 
 from abc import ABC, abstractmethod
@@ -17,7 +18,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.schedule import make_schedule
-from fishrl.envs.starts import check_fit, check_pattern
+from fishrl.envs.starts import check_fit, check_pattern, place_fish
 from fishrl.physics.bodies import Fish
 from fishrl.physics.in_place import InPlaceSolver
 from fishrl.physics.state import FlowConfig
@@ -41,7 +42,9 @@ class AbstractTask(ABC):
     """A fish in still water between walls, deciding once per tail beat; subclasses say what for.
 
     Class attributes of every task: ``n_obs``, numbers in one observation; ``num_actions``; and
-    ``num_draws``, random numbers that one start takes.
+    ``num_draws``, random numbers that one start takes. Of some: ``inputs``, names of entries
+    ``[B]`` that a transform writes and ``command`` finds in the measurement; and ``num_samples``,
+    how often ``sense`` is called within an action.
 
     Args:
         body_length: L in nodes; at Reynolds number 7000 at least 50 for an honest swimming speed.
@@ -57,6 +60,8 @@ class AbstractTask(ABC):
     n_obs: ClassVar[int]
     num_actions: ClassVar[int]
     num_draws: ClassVar[int]
+    inputs: ClassVar[tuple[str, ...]] = ()
+    num_samples: ClassVar[int] = 0
 
     body_length: int = 50
     reynolds: float = 7000.0
@@ -73,7 +78,9 @@ class AbstractTask(ABC):
         for name in ("num_stacked", "time_limit"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be at least 1")
-        stretches = make_schedule(self.n_substeps, checks=self.checks_per_action, frames=1)
+        stretches = make_schedule(
+            self.n_substeps, checks=self.checks_per_action, samples=self.num_samples
+        )
         self.flow_config()  # refuses a domain too small for the fish
         # A marker must not pass from the margin out of the grid between two checks; swimming and
         # turning add at most as much again to the tail's speed.
@@ -159,13 +166,25 @@ class AbstractTask(ABC):
             starts, self.fish, width=config.width, height=config.height, margin=self.wall_margin
         )
 
+    def place_(self, solver: InPlaceSolver, rows: Tensor, starts: TensorDictBase) -> None:
+        """Let episodes begin: put fish into their flows; still water unless a task overrides this.
+
+        Args:
+            solver: the flows.
+            rows: ``[B]`` bool, which of them; others must not be touched.
+            starts: ``[B]``, read where ``rows`` is true.
+        """
+        position, heading = place_fish(starts, self.fish)
+        solver.reset_(rows, position, heading)
+
     @abstractmethod
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
         """Turn actions ``[B]`` (int64, in [0, num_actions)) into orders to the body.
 
         Args:
             action: legal ones only.
-            before: the measurement ``[B]`` at the decision.
+            before: the measurement ``[B]`` at the decision, with what was sensed and remembered,
+                and ``inputs``.
         """
 
     @abstractmethod
@@ -180,6 +199,31 @@ class AbstractTask(ABC):
             starts: the start of each row, ``[B]``.
         """
 
+    def sense(self, solver: InPlaceSolver, starts: TensorDictBase) -> dict[str, Tensor]:
+        """Return ``[B, ...]`` tensors of which a series is kept within each action.
+
+        It is called ``num_samples`` = W times within an action, at equal distances, the last time
+        at its end. The measurement at the next decision holds them as ``[B, W, ...]``, oldest
+        first; at reset all W are the first. After a row's end its last sample is repeated.
+        """
+        return {}
+
+    def begin(self, now: TensorDictBase) -> dict[str, Tensor]:
+        """Return ``[B, ...]`` what the measurement shall hold beside it when an episode begins."""
+        return {}
+
+    def remember(
+        self, before: TensorDictBase, action: Tensor, now: TensorDictBase
+    ) -> dict[str, Tensor]:
+        """Return the same entries after an action; reward and observation see them in ``now``.
+
+        Args:
+            before: the measurement at the decision, as ``command`` saw it.
+            action: ``[B]``, legal ones only.
+            now: the new measurement, with what was sensed.
+        """
+        return {}
+
     @abstractmethod
     def observe(self, now: TensorDictBase) -> Tensor:
         """Return the observation ``[B, n_obs]``, float32."""
@@ -190,14 +234,17 @@ class AbstractTask(ABC):
 
     @abstractmethod
     def is_terminated(self, now: TensorDictBase) -> Tensor:
-        """Return ``[B]`` bool: whether the task is over, by success or failure (not by time)."""
+        """Return ``[B]`` bool: whether the task is over, by success or failure (not by time).
+
+        It is asked within actions too, of what ``measure`` alone returns.
+        """
 
     def action_mask(self, now: TensorDictBase) -> Tensor:
         """Return ``[B, num_actions]`` bool: the legal actions, at least one, at the end too."""
         return torch.ones(*now.shape, self.num_actions, dtype=torch.bool, device=now.device)
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
-        """Return ``[B]`` tensors that the environment shall write beside the observation."""
+        """Return ``[B, ...]`` tensors that the environment shall write beside the observation."""
         return {}
 
 

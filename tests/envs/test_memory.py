@@ -1,0 +1,140 @@
+"""What a task senses within actions, keeps between them, and reads beside them."""
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import TensorSpec, Unbounded
+from torchrl.envs import Transform, check_env_specs
+
+from fishrl.envs import FlowEnv, make_env
+from tests.envs.conftest import SMALL
+from tests.envs.mindful_task import Mindful
+
+pytestmark = pytest.mark.usefixtures("gliding")
+
+
+class Tell(Transform):
+    """Write ``told`` and lengthen the observation by it."""
+
+    def __init__(self) -> None:
+        super().__init__(in_keys=["observation"], out_keys=["observation", "told"])
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        told = next_tensordict["observation"][..., 0] * 0.1
+        longer = torch.cat((next_tensordict["observation"], told[..., None]), -1)
+        return next_tensordict.set("told", told).set("observation", longer)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        spec = observation_spec.clone()
+        batch = spec.shape
+        spec["observation"] = Unbounded((*batch, 3))
+        spec["told"] = Unbounded(batch)
+        return spec
+
+
+def make(num_envs: int, **arguments: float) -> FlowEnv:
+    return FlowEnv(task=Mindful(**SMALL, **arguments), num_envs=num_envs, compile_flow=False)
+
+
+def act(env: FlowEnv, *actions: int) -> TensorDict:
+    rows = env.batch_size
+    return env.step(
+        TensorDict({"action": torch.tensor(actions), "told": torch.full(rows, 0.2)}, rows)
+    )["next"]
+
+
+def test_at_reset_a_series_is_its_first_sample_repeated() -> None:
+    env = make(2)
+    trace = env.reset()["trace"]
+    assert trace.shape == (2, 4, 3)
+    assert (trace == trace[:, :1]).all()
+
+
+def test_a_series_holds_equally_spaced_samples_oldest_first_up_to_the_decision() -> None:
+    env = make(2)
+    env.reset()
+    before = env.now["x"].clone()
+    after = act(env, 0, 0)
+    nose = after["trace"][:, :, 0].double()
+    way = (before - env.now["x"])[:, None] * torch.tensor([[26.0, 52.0, 80.0, 106.0]]) / 106.0
+    torch.testing.assert_close(nose, before[:, None] - way, rtol=0, atol=1e-6)
+
+
+def test_after_a_rows_end_its_last_sample_is_repeated() -> None:
+    env = make(2)
+    env.reset()
+    env.solver.body.position[1, 0] = 34.0  # the nose crosses the goal within the action
+    after = act(env, 0, 0)
+    assert after["terminated"].squeeze(-1).tolist() == [False, True]
+    assert (after["trace"][0].diff(dim=0) < 0).all()
+    steps = after["trace"][1].diff(dim=0)
+    assert (steps[0] < 0).all() and (steps[-1] == 0).all()
+
+
+def test_memory_lasts_from_decision_to_decision_and_begins_anew_with_its_row() -> None:
+    env = make(2)
+    env.reset()
+    act(env, 1, 0)
+    assert act(env, 1, 1)["observation"][:, 1].tolist() == [2.0, 1.0]
+    kept = env.now.clone()
+    env.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
+    assert env.now["total"].tolist() == [0.0, 1.0]
+    assert (env.now[1] == kept[1]).all()
+    assert act(env, 0, 1)["total"].squeeze(-1).tolist() == [0.0, 2.0]
+
+
+def test_a_diverged_row_keeps_what_it_sensed_and_remembered_before() -> None:
+    env = make(2)
+    env.reset()
+    act(env, 1, 1)
+    before = env.now.clone()
+    env.solver.body.position[1] = torch.nan
+    after = act(env, 1, 1)
+    assert after["diverged"].squeeze(-1).tolist() == [False, True]
+    assert (env.now[1] == before[1]).all()
+    assert after["total"].squeeze(-1).tolist() == [2.0, 1.0]
+
+
+def test_what_a_transform_says_reaches_the_command_and_the_stack() -> None:
+    task = Mindful(**SMALL)
+    env = make_env(task=task, num_envs=2, compile=False, transforms=[Tell()])
+    state = env.reset()
+    assert state["observation_stack"].shape == (2, 3 * task.num_stacked)
+    heading = env.base_env.now["heading"].clone()
+    env.step(state.set("action", torch.tensor([0, 1])))
+    turned = env.base_env.now["heading"] - heading
+    expected = torch.stack((torch.zeros(()), state["told"][1])).double()
+    torch.testing.assert_close(turned, expected, rtol=0, atol=1e-12)
+
+
+def test_a_missing_input_is_an_error_that_says_what_to_append() -> None:
+    env = make(2)
+    state = env.reset()
+    with pytest.raises(ValueError, match=r"Mindful reads \['told'\].*append the transform"):
+        env.step(state.set("action", torch.zeros(2, dtype=torch.int64)))
+
+
+def test_a_saved_environment_goes_on_with_its_memory() -> None:
+    env, other = make(2), make(2)
+    env.reset()
+    act(env, 1, 0)
+    other.load_state_dict(env.state_dict())
+    assert (act(env, 1, 1) == act(other, 1, 1)).all()
+    assert (env.now == other.now).all()
+
+
+def test_the_specs_hold_with_series_of_several_dimensions() -> None:
+    env = make_env(task=Mindful(**SMALL), num_envs=3, compile=False, transforms=[Tell()])
+    assert env.observation_spec["trace"].shape == (3, 4, 3)
+    check_env_specs(env, seed=0)
+
+
+def test_more_samples_than_pairs_of_steps_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Mindful, "num_samples", 54)
+    with pytest.raises(ValueError, match=r"num_samples = 54: must lie in \[0, 53\]"):
+        Mindful(**SMALL)
