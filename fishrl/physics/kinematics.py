@@ -106,9 +106,13 @@ def advance_phase(phase: Tensor, frequency: Tensor) -> Tensor:
     return torch.remainder(phase + 2.0 * pi * frequency, 2.0 * pi)
 
 
-def compute_ramp(age: Tensor, frequency: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the start-up amplitude sin(pi t / 2 T) for t < T, then 1, and its rate per step."""
-    beats = (age * frequency).clamp(max=1.0)
+def compute_ramp(beats: Tensor, frequency: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the start-up amplitude sin(pi t / 2 T) for t < T, then 1, and its rate per step.
+
+    ``beats`` = t / T are counted, so that the amplitude stays continuous when the frequency
+    changes within the first beat.
+    """
+    beats = beats.clamp(max=1.0)
     rate = torch.where(beats < 1.0, 0.5 * pi * frequency, torch.zeros_like(frequency))
     return torch.sin(0.5 * pi * beats), rate * torch.cos(0.5 * pi * beats)
 
@@ -142,21 +146,21 @@ class Beat(NamedTuple):
     Attributes:
         phase: radians.
         frequency: tail beats per step.
-        age: steps since the fish began to swim.
+        beats: tail beats since the fish began to swim.
         bend: kappa, of the bend kappa L x^2.
         bend_rate: its change per step.
     """
 
     phase: Tensor
     frequency: Tensor
-    age: Tensor
+    beats: Tensor
     bend: Tensor
     bend_rate: Tensor
 
 
 def compute_amplitudes(beat: Beat) -> tuple[list[Tensor], list[Tensor]]:
     """Return the amplitudes ``[B]`` of the modes (sine, cosine, bend) and their rates per step."""
-    ramp, ramp_rate = compute_ramp(beat.age, beat.frequency)
+    ramp, ramp_rate = compute_ramp(beat.beats, beat.frequency)
     cos, sin, rate = torch.cos(beat.phase), torch.sin(beat.phase), 2.0 * pi * beat.frequency
     swing_rates = [ramp_rate * cos - ramp * rate * sin, -ramp_rate * sin - ramp * rate * cos]
     return [ramp * cos, -ramp * sin, beat.bend], [*swing_rates, beat.bend_rate]

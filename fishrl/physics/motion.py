@@ -19,6 +19,7 @@ class Body(NamedTuple):
         angular_velocity: Omega, without the beating's own rotation.
         phase: of the body wave or oscillation, radians.
         frequency: tail beats or oscillations per step.
+        beats: tail beats or oscillations since reset.
         age: steps since the body began to move.
         bend: kappa of the midline's bend kappa L x^2; see ``Bending``.
         turn: commanded change of heading, radians.
@@ -43,6 +44,7 @@ class Body(NamedTuple):
     angular_velocity: Tensor
     phase: Tensor
     frequency: Tensor
+    beats: Tensor
     age: Tensor
     bend: Tensor
     turn: Tensor

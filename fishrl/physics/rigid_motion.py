@@ -48,7 +48,7 @@ class Markers(NamedTuple):
 def deform_body(outline: Outline, shape: AnyShape, body: Body) -> Deformation:
     """Return the outline of a body in its own frame."""
     rate = outline.motion.compute_bend_rate(body)
-    return outline.deform(shape, Beat(body.phase, body.frequency, body.age, body.bend, rate))
+    return outline.deform(shape, Beat(body.phase, body.frequency, body.beats, body.bend, rate))
 
 
 def place_markers(body: Body, deformation: Deformation) -> Markers:
@@ -286,6 +286,7 @@ def move_body(
         velocity=update.velocity,
         angular_velocity=update.angular_velocity,
         phase=advance_phase(body.phase, body.frequency),
+        beats=body.beats + body.frequency,
         age=body.age + 1.0,
         bend=body.bend + outline.motion.compute_bend_rate(body),
         turn_clock=body.turn_clock + 1.0,

@@ -62,7 +62,7 @@ class GlidingSolver:
 
     def markers(self) -> Tensor:
         still = torch.zeros_like(self.body.phase)
-        straight = self.body._replace(phase=still, frequency=still, age=still)
+        straight = self.body._replace(phase=still, frequency=still, beats=still)
         assert self.config.fish is not None
         return place_markers(
             self.body, deform_body(self.config.fish, self.shape, straight)

@@ -29,7 +29,7 @@ def make_markers(heading: float = 0.7) -> torch.Tensor:
     fish = Fish(body_length=50)
     centre = torch.tensor([[48.3, 47.6]], dtype=torch.float64)
     one = torch.ones(1, dtype=torch.float64)
-    body = make_body(centre, heading * one, one / 500)._replace(age=900 * one, phase=1.1 * one)
+    body = make_body(centre, heading * one, one / 500)._replace(beats=1.8 * one, phase=1.1 * one)
     return place_markers(body, deform_body(fish, fish.make_shape(), body)).position
 
 
