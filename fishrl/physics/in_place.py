@@ -14,6 +14,7 @@ from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
 from fishrl.physics.compiled import find_compiler_problem
 from fishrl.physics.memory import FlowMemory
 from fishrl.physics.motion import Body, make_body
+from fishrl.physics.probes import sample_flow
 from fishrl.physics.rigid_motion import deform_body, place_markers
 from fishrl.physics.state import FlowConfig, list_configs, make_params
 from fishrl.physics.stepper import FlowData, FlowGroup, Stepper
@@ -332,6 +333,11 @@ class InPlaceSolver:
         rho, jx, jy = compute_macroscopic(self._read(group))
         density = rho + 1.0
         return density, torch.stack((jx / density, jy / density), 1)
+
+    def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Return density ``[B, P]`` and velocity ``[B, P, 2]`` at points ``[B, P, 2]`` (x, y)."""
+        layout = self._stepper.layout
+        return sample_flow(self._data, layout, self.config.storage, points.to(self.device))
 
     def markers(self, index: int = 0) -> Tensor:
         """Return the closed outline ``[B, N, 2]`` of a body in nodes, nose first.

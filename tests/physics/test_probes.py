@@ -1,0 +1,58 @@
+"""Reading the flow at points equals reading the whole of it."""
+
+import pytest
+import torch
+
+from fishrl.physics import FlowConfig, InPlaceSolver, Storage
+
+
+def make_solver(storage: Storage = Storage.FLOAT32, flows_per_launch: int = 1) -> InPlaceSolver:
+    config = FlowConfig(width=12, height=9, tau=0.6, storage=storage)
+    solver = InPlaceSolver(
+        config=config, num_envs=4, compile=False, flows_per_launch=flows_per_launch
+    )
+    generator = torch.Generator().manual_seed(0)
+    solver.set_populations_(0.01 * torch.randn(4, 9, 9, 12, generator=generator))
+    return solver
+
+
+@pytest.mark.parametrize("storage", Storage, ids=lambda s: s.name)
+@pytest.mark.parametrize("flows_per_launch", [1, 2])
+def test_at_a_node_the_flow_is_that_of_the_node(storage: Storage, flows_per_launch: int) -> None:
+    solver = make_solver(storage, flows_per_launch)
+    solver.advance_(2)
+    points = torch.tensor([[3.0, 4.0], [11.0, 8.0], [0.0, 0.0]]).double().expand(4, 3, 2)
+    density, velocity = solver.sample(points)
+    rho, u = solver.macroscopic()
+    x, y = points[0].long().unbind(-1)
+    torch.testing.assert_close(density, rho[:, y, x], rtol=0, atol=1e-6)
+    torch.testing.assert_close(velocity, u[:, :, y, x].mT, rtol=0, atol=1e-6)
+
+
+def test_between_nodes_the_flow_is_bilinear() -> None:
+    solver = make_solver()
+    density, velocity = solver.sample(torch.tensor([[[3.25, 4.5]]]).expand(4, 1, 2))
+    rho, u = solver.macroscopic()
+    fields = torch.cat((rho[:, None], u), 1)
+    low, high = (0.75 * fields[:, :, y, 3] + 0.25 * fields[:, :, y, 4] for y in (4, 5))
+    expected = 0.5 * (low + high)
+    torch.testing.assert_close(torch.cat((density[..., None], velocity), -1)[:, 0], expected)
+
+
+def test_points_outside_the_grid_or_nowhere_read_its_edge() -> None:
+    solver = make_solver()
+    outside = torch.tensor([[-5.0, 20.0], [99.0, 3.0], [torch.nan, 2.0]])
+    edge = torch.tensor([[0.0, 8.0], [11.0, 3.0], [0.0, 2.0]])
+    for got, expected in zip(
+        solver.sample(outside.expand(4, 3, 2)), solver.sample(edge.expand(4, 3, 2)), strict=True
+    ):
+        torch.testing.assert_close(got, expected)
+
+
+def test_a_row_alone_reads_the_same() -> None:
+    solver = make_solver()
+    points = torch.rand(4, 5, 2, generator=torch.Generator().manual_seed(1)) * 8.0
+    alone = InPlaceSolver(config=solver.config, compile=False)
+    alone.set_populations_(solver.populations()[2:3])
+    for mine, all_of_them in zip(alone.sample(points[2:3]), solver.sample(points), strict=True):
+        assert torch.equal(mine[0], all_of_them[2])
