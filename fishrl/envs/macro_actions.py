@@ -1,0 +1,206 @@
+"""How a fish chooses its tail beat: by speeding up and slowing down, or directly.
+
+The state of the choice is the *gear*, an index into a row of frequencies. With macro-actions there
+is one row for each known flow, and the gear means in each flow something alike: gear 0 sinks back,
+the last swims up (the paper's macro-action system). If another flow is named on the way, the gear
+stays and the row switches. The phase of the body wave is integrated, so the body never jumps.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from itertools import pairwise
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrequencyBank:
+    """Tail-beat frequencies that a fish may choose from, one row for each known flow.
+
+    Args:
+        rows: tail beats per T, rising within each row; all rows have the same length, at least two.
+    """
+
+    rows: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self) -> None:
+        """Refuse rows without a choice; turns sequences from files into tuples."""
+        rows = tuple(_as_row(row) for row in self.rows)
+        object.__setattr__(self, "rows", rows)
+        if not rows:
+            raise ValueError("bank.rows is empty: give one row of frequencies for each known flow")
+        if len({len(row) for row in rows}) > 1:
+            raise ValueError(
+                f"bank.rows have {[len(row) for row in rows]} frequencies: give all the same number"
+            )
+
+    @property
+    def num_gears(self) -> int:
+        """Frequencies in each row."""
+        return len(self.rows[0])
+
+
+class FrequencyControl(ABC):
+    """What actions mean for the tail beat."""
+
+    @property
+    @abstractmethod
+    def num_flows(self) -> int | None:
+        """Number of flows that it tells apart; None if it does not look at the flow."""
+
+    @property
+    @abstractmethod
+    def num_actions(self) -> int:
+        """Number of actions."""
+
+    @property
+    @abstractmethod
+    def max_frequency(self) -> float:
+        """Fastest beat that can be chosen, tail beats per T."""
+
+    @property
+    @abstractmethod
+    def start_gear(self) -> int:
+        """Gear in which an episode begins."""
+
+    @abstractmethod
+    def shift(self, gear: Tensor, action: Tensor) -> Tensor:
+        """Return the gear ``[B]`` after legal actions ``[B]``, int64."""
+
+    @abstractmethod
+    def select(self, gear: Tensor, flow: Tensor) -> Tensor:
+        """Return tail beats per T ``[B]``, float64.
+
+        Args:
+            gear: ``[B]``.
+            flow: ``[B]`` which flow it is taken to be, an index.
+        """
+
+    @abstractmethod
+    def mask(self, gear: Tensor) -> Tensor:
+        """Return ``[B, num_actions]`` bool, which actions are legal."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MacroActions(FrequencyControl):
+    """Decelerate (0), cruise (1) or accelerate (2): one step in the row of the flow, or none.
+
+    Decelerating is illegal in the first gear, accelerating in the last.
+
+    Args:
+        bank: the frequencies.
+        first_gear: in which an episode begins, counted from 0; by default the middle one.
+    """
+
+    bank: FrequencyBank
+    first_gear: int | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a gear that there is not."""
+        if self.first_gear is not None:
+            _check_gear(self.first_gear, self.bank.num_gears)
+
+    @property
+    def num_flows(self) -> int:
+        """Number of rows."""
+        return len(self.bank.rows)
+
+    @property
+    def num_actions(self) -> int:
+        """Three."""
+        return 3
+
+    @property
+    def max_frequency(self) -> float:
+        """Fastest beat of all rows."""
+        return max(row[-1] for row in self.bank.rows)
+
+    @property
+    def start_gear(self) -> int:
+        """Gear in which an episode begins."""
+        return (self.bank.num_gears - 1) // 2 if self.first_gear is None else self.first_gear
+
+    def shift(self, gear: Tensor, action: Tensor) -> Tensor:
+        """Return the gear ``[B]`` after legal actions ``[B]``."""
+        return gear + action - 1
+
+    def select(self, gear: Tensor, flow: Tensor) -> Tensor:
+        """Return tail beats per T ``[B]``; gear and flow must exist."""
+        rows = torch.tensor(self.bank.rows, dtype=torch.float64, device=gear.device)
+        return rows[flow, gear]
+
+    def mask(self, gear: Tensor) -> Tensor:
+        """Return ``[B, 3]`` bool."""
+        can_slow, can_speed = gear > 0, gear < self.bank.num_gears - 1
+        return torch.stack((can_slow, torch.ones_like(can_slow), can_speed), -1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DirectFrequencies(FrequencyControl):
+    """Choose one of n frequencies outright, in any flow the same: the ablation.
+
+    Args:
+        frequencies: tail beats per T, rising; 0 is a passive fish.
+        first_gear: index of the frequency at the start; by default the middle one.
+    """
+
+    frequencies: tuple[float, ...]
+    first_gear: int | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a list without a choice."""
+        object.__setattr__(self, "frequencies", _as_row(self.frequencies))
+        if self.first_gear is not None:
+            _check_gear(self.first_gear, len(self.frequencies))
+
+    @property
+    def num_flows(self) -> None:
+        """None: all flows are alike to it."""
+        return None
+
+    @property
+    def num_actions(self) -> int:
+        """One per frequency."""
+        return len(self.frequencies)
+
+    @property
+    def max_frequency(self) -> float:
+        """Fastest beat."""
+        return self.frequencies[-1]
+
+    @property
+    def start_gear(self) -> int:
+        """Index of the frequency at the start."""
+        return (len(self.frequencies) - 1) // 2 if self.first_gear is None else self.first_gear
+
+    def shift(self, gear: Tensor, action: Tensor) -> Tensor:
+        """Return the action itself."""
+        return action
+
+    def select(self, gear: Tensor, flow: Tensor) -> Tensor:
+        """Return tail beats per T ``[B]``, whatever the flow."""
+        return torch.tensor(self.frequencies, dtype=torch.float64, device=gear.device)[gear]
+
+    def mask(self, gear: Tensor) -> Tensor:
+        """Return ``[B, n]``: everything is legal."""
+        return torch.ones(*gear.shape, self.num_actions, dtype=torch.bool, device=gear.device)
+
+
+def _as_row(values: object) -> tuple[float, ...]:
+    """Return rising frequencies as a tuple; a list from a file will do."""
+    row = tuple(float(value) for value in values) if isinstance(values, list | tuple) else ()
+    if len(row) < 2:
+        raise ValueError(
+            f"frequencies = {values}: give at least two, or there is nothing to choose"
+        )
+    if row[0] < 0.0 or any(not low < high for low, high in pairwise(row)):
+        raise ValueError(f"frequencies = {values}: must not be negative, and rise from one to next")
+    if not row[-1] < float("inf"):
+        raise ValueError(f"frequencies = {values}: must be finite")
+    return row
+
+
+def _check_gear(gear: int, num_gears: int) -> None:
+    if not 0 <= gear < num_gears:
+        raise ValueError(f"first_gear = {gear}: allowed is 0 to {num_gears - 1}")

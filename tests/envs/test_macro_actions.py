@@ -1,0 +1,89 @@
+"""Gears, rows and what is legal in them."""
+
+import pytest
+import torch
+
+from fishrl.envs.macro_actions import DirectFrequencies, FrequencyBank, MacroActions
+
+ROWS = ((0.5, 1.0, 1.5, 2.0), (0.75, 1.25, 1.75, 2.25), (1.0, 1.5, 2.0, 3.0))
+MACRO = MacroActions(bank=FrequencyBank(rows=ROWS))
+DIRECT = DirectFrequencies(frequencies=(0.0, 1.0, 2.5))
+DECELERATE, CRUISE, ACCELERATE = torch.arange(3)
+
+
+def test_accelerating_goes_one_step_up_in_the_row_of_the_flow() -> None:
+    gear, flow = torch.tensor([1, 1, 1]), torch.tensor([0, 1, 2])
+    for action, expected in ((DECELERATE, 0), (CRUISE, 1), (ACCELERATE, 2)):
+        after = MACRO.shift(gear, action.expand(3))
+        assert MACRO.select(after, flow).tolist() == [row[expected] for row in ROWS]
+
+
+def test_at_the_ends_of_a_row_the_way_out_is_illegal_and_cruising_never_is() -> None:
+    assert MACRO.mask(torch.arange(4)).tolist() == [
+        [False, True, True],
+        [True, True, True],
+        [True, True, True],
+        [True, True, False],
+    ]
+
+
+def test_when_another_flow_is_named_the_gear_stays_and_the_row_switches() -> None:
+    gear = MACRO.shift(torch.tensor([2]), CRUISE[None])
+    assert MACRO.select(gear, torch.tensor([0])).item() == 1.5
+    assert MACRO.select(gear, torch.tensor([2])).item() == 2.0
+
+
+def test_an_episode_begins_in_the_middle_unless_told_otherwise() -> None:
+    assert MACRO.start_gear == 1 and DIRECT.start_gear == 1
+    assert MacroActions(bank=MACRO.bank, first_gear=3).start_gear == 3
+    assert DirectFrequencies(frequencies=(1, 2), first_gear=1).start_gear == 1
+
+
+def test_chosen_directly_every_frequency_is_legal_and_the_flow_does_not_matter() -> None:
+    gear = DIRECT.shift(torch.tensor([0, 0, 2]), torch.tensor([2, 0, 1]))
+    assert DIRECT.select(gear, torch.tensor([0, 1, 2])).tolist() == [2.5, 0.0, 1.0]
+    assert DIRECT.mask(gear).all() and DIRECT.mask(gear).shape == (3, 3)
+    assert DIRECT.num_flows is None and DIRECT.num_actions == 3
+
+
+def test_the_fastest_beat_is_known_for_the_speed_budget() -> None:
+    assert MACRO.max_frequency == 3.0
+    assert DIRECT.max_frequency == 2.5
+    assert MACRO.num_flows == 3 and MACRO.num_actions == 3
+
+
+def test_lists_from_a_file_will_do() -> None:
+    assert FrequencyBank(rows=[[1, 2], [2, 3]]).rows == ((1.0, 2.0), (2.0, 3.0))
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ((), "bank.rows is empty"),
+        (((1.0,), (1.0,)), r"frequencies = \(1.0,\): give at least two"),
+        (((),), "give at least two"),
+        (((1.0, 2.0), (1.0, 2.0, 3.0)), r"have \[2, 3\] frequencies: give all the same number"),
+        (((2.0, 1.0),), "rise from one to next"),
+        (((1.0, 1.0),), "rise from one to next"),
+        (((-1.0, 1.0),), "must not be negative"),
+        (((1.0, float("inf")),), "must be finite"),
+        (((1.0, float("nan"), 2.0),), "rise from one to next"),
+        ((3.0, 4.0), "give at least two"),
+    ],
+)
+def test_a_bank_without_a_choice_is_refused(rows: tuple, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        FrequencyBank(rows=rows)
+
+
+@pytest.mark.parametrize("gear", [-1, 4])
+def test_a_gear_that_there_is_not_is_refused(gear: int) -> None:
+    with pytest.raises(ValueError, match=rf"first_gear = {gear}: allowed is 0 to 3"):
+        MacroActions(bank=MACRO.bank, first_gear=gear)
+    with pytest.raises(ValueError, match=rf"first_gear = {gear}: allowed is 0 to 2"):
+        DirectFrequencies(frequencies=(0.0, 1.0, 2.5), first_gear=gear)
+
+
+def test_one_frequency_is_no_choice() -> None:
+    with pytest.raises(ValueError, match="give at least two"):
+        DirectFrequencies(frequencies=(1.0,))
