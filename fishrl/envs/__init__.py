@@ -2,6 +2,6 @@
 
 from fishrl.envs.flow_env import FlowEnv, make_env
 from fishrl.envs.task import AbstractTask, Command
-from fishrl.envs.tasks import Predation
+from fishrl.envs.tasks import KarmanGait, Predation
 
-__all__ = ["AbstractTask", "Command", "FlowEnv", "Predation", "make_env"]
+__all__ = ["AbstractTask", "Command", "FlowEnv", "KarmanGait", "Predation", "make_env"]

@@ -1,4 +1,4 @@
-"""What the fish and its task perceive, as free functions of tensors with a leading batch axis.
+"""What the fish and its task perceive, by eye: free functions of tensors with a leading batch axis.
 
 Only operations that round the same wherever a row lies in the batch are used: ``atan2`` and
 ``hypot`` have a vector and a scalar form that differ in the last bit, so that a row alone would not

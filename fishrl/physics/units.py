@@ -85,7 +85,7 @@ class Scales:
                 "give a positive frequency and no negative speed"
             )
         fastest, name = max((self.tail_speed, "tail speed"), (self.stream_speed, "stream speed"))
-        if fastest > MAX_WALL_SPEED:
+        if fastest > MAX_WALL_SPEED * (1.0 + 1e-9):  # a budget at its limit may round up
             raise ValueError(
                 f"{name} = {fastest:.3f} nodes per step (Mach {fastest * 3**0.5:.2f}) > "
                 f"{MAX_WALL_SPEED}: raise period or lower max_wall_speed"

@@ -3,9 +3,12 @@
 from typing import Any
 
 import pytest
+import torch
 
 import fishrl.envs.task
 from fishrl.envs import Predation
+from fishrl.envs.streams import Stream
+from fishrl.envs.wakes import WakeBank
 from tests.envs.gliding import GlidingSolver
 
 #: Smallest scales that the units and the wall margin allow without much delay; not honest physics.
@@ -19,8 +22,10 @@ SMALL: dict[str, Any] = {
 
 @pytest.fixture
 def gliding(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replace the flow by fish that glide."""
+    """Replace the flow by fish that glide, and developed wakes by nothing."""
     monkeypatch.setattr(fishrl.envs.task, "InPlaceSolver", GlidingSolver)
+    bank = WakeBank(populations=torch.zeros(3, 1, 1, 1, 1), shedding_frequencies=torch.ones(3))
+    monkeypatch.setattr(Stream, "load_wakes", lambda *_: bank)
 
 
 @pytest.fixture

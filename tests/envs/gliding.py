@@ -1,5 +1,7 @@
 """A fish without a flow: it glides along its heading, and tests of the env take milliseconds."""
 
+from types import SimpleNamespace
+
 import torch
 from torch import Tensor
 
@@ -26,6 +28,10 @@ class GlidingSolver:
         assert config.fish is not None
         self.config, self.num_envs, self.frequency = config, num_envs, frequency
         self.shape = config.fish.make_shape(device)
+        speed = torch.full((num_envs,), config.stream_speed, dtype=torch.float64, device=device)
+        self.flow = SimpleNamespace(
+            params=SimpleNamespace(stream_speed=speed, shapes=(self.shape,))
+        )
         rest = torch.zeros(num_envs, dtype=torch.float64, device=device)
         fresh = make_body(rest[:, None].expand(-1, 2), rest, rest + frequency)
         self.body = Body(*(t.clone() for t in fresh))
@@ -37,7 +43,16 @@ class GlidingSolver:
     def close(self) -> None:
         self.is_closed = True
 
-    def reset_(self, rows: Tensor, position: Tensor, heading: Tensor) -> None:
+    def reset_(
+        self,
+        rows: Tensor,
+        position: Tensor,
+        heading: Tensor,
+        *,
+        velocity: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        if position.dim() == 3:  # other bodies are not there
+            position, heading = position[:, 0], heading[:, 0]
         fresh = make_body(position, heading, torch.full_like(heading, self.frequency))
         for old, new in zip(self.body, fresh, strict=True):
             old.copy_(torch.where(rows.view(-1, *(1,) * (old.dim() - 1)), new, old))
@@ -59,6 +74,16 @@ class GlidingSolver:
             body.position.add_(2.0 * (moves * speed)[:, None] * direction)
             body.heading.add_(2.0 * moves * body.turn / body.turn_steps)
             body.age.add_(2.0 * moves)
+
+    def set_populations_(self, f: Tensor, rows: Tensor) -> None:
+        """There is no flow to set."""
+        assert f.shape[0] == rows.shape[0] == self.num_envs
+
+    def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the undisturbed stream."""
+        still = torch.zeros(points.shape[:2], device=points.device)
+        stream = still + self.flow.params.stream_speed.float()[:, None]
+        return still + 1.0, torch.stack((stream, still), -1)
 
     def markers(self) -> Tensor:
         still = torch.zeros_like(self.body.phase)

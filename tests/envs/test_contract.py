@@ -105,10 +105,12 @@ def test_measuring_changes_nothing_and_shares_no_memory_with_the_flows(
     assert (first == kept).all()
 
 
-def test_reward_ends_and_reports_are_one_number_a_row(task: AbstractTask) -> None:
+def test_reward_and_ends_are_one_number_a_row_and_reports_begin_with_the_rows(
+    task: AbstractTask,
+) -> None:
     env = FlowEnv(task=task, num_envs=5, compile_flow=False)
     env.reset()
     assert task.reward(env.now, env.now).shape == (5,)
     assert task.is_terminated(env.now).shape == (5,)
     assert task.is_terminated(env.now).dtype == torch.bool
-    assert all(value.shape == (5,) for value in task.report(env.now).values())
+    assert all(value.shape[0] == 5 for value in task.report(env.now).values())

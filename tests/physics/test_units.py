@@ -98,3 +98,11 @@ def test_a_flow_that_cannot_run_is_refused(bad: dict[str, object], message: str)
 def test_a_fish_that_markers_cannot_resolve_is_refused(bad: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Fish(**({"body_length": 50} | bad))
+
+
+def test_a_budget_at_its_limit_is_kept_although_it_rounds() -> None:
+    scales = Scales.from_budget(
+        body_length=20, reynolds=500.0, max_wall_speed=0.15, stream_speed_bl=1.5
+    )
+    assert scales.period == 200
+    assert scales.stream_speed == pytest.approx(0.15, rel=1e-12)

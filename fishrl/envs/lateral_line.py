@@ -1,0 +1,189 @@
+"""The lateral line: neuromasts along the body that feel the flow beside the skin."""
+
+import difflib
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from fishrl.envs.draws import draw_uniform
+from fishrl.physics.in_place import InPlaceSolver
+from fishrl.physics.rigid_motion import deform_body, place_markers
+
+#: The paper's: time since the start in T, place in body lengths, velocity, pressure and speed as
+#: an onlooker sees them. Time and place give a flow away by bookkeeping.
+PAPER = ("t", "x", "y", "u_x", "u_y", "p", "speed")
+#: What a fish can feel: velocity past the skin, ahead and to its left, its magnitude, and how much
+#: the pressure differs from its mean over the neuromasts.
+LOCAL = ("ahead", "left", "pressure", "slip")
+#: Estimate of the shear at the skin: velocity along it, over the distance.
+SHEAR = "shear"
+KNOWN = (*PAPER, *LOCAL, SHEAR)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LateralLine:
+    """P neuromasts on both sides of a fish; one more at the nose where P is odd.
+
+    Velocities are in L / T, pressures in rho (L / T)^2, shear in 1 / T. Noise and silence are drawn
+    from a key of the episode, so that they are the same in any batch.
+
+    Args:
+        num_neuromasts: P; the paper has 5.
+        features: names of what each neuromast tells, from ``KNOWN``, in this order.
+        num_samples: W, samples of one control interval.
+        first_bl: place of the foremost pair along the body, behind the nose, in body lengths.
+        last_bl: place of the hindmost pair.
+        distance: from the skin, nodes; nearer than 2 the boundary's own nodes blur the flow.
+        is_averaged: report the mean over the neuromasts, as the paper does.
+        noise: standard deviation of what is added to velocity (L / T) and pressure, each sample.
+        silence: chance that a neuromast says nothing but 0 for a whole episode.
+        delay: samples by which the brain learns late of what is felt; at most W.
+    """
+
+    num_neuromasts: int = 5
+    features: tuple[str, ...] = LOCAL
+    num_samples: int = 8
+    first_bl: float = 0.2
+    last_bl: float = 0.7
+    distance: float = 2.0
+    is_averaged: bool = False
+    noise: float = 0.0
+    silence: float = 0.0
+    delay: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse a sensor that cannot be."""
+        object.__setattr__(self, "features", tuple(self.features))
+        for name in ("num_neuromasts", "num_samples"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} = {getattr(self, name)}: must be at least 1")
+        unknown = [name for name in self.features if name not in KNOWN]
+        if unknown or not self.features:
+            near = difflib.get_close_matches(unknown[0] if unknown else "", KNOWN, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise ValueError(f"features = {self.features}: allowed are {KNOWN}{hint}")
+        if not 0.0 < self.first_bl <= self.last_bl < 1.0:
+            raise ValueError(
+                f"first_bl = {self.first_bl}, last_bl = {self.last_bl}: allowed is "
+                "0 < first_bl <= last_bl < 1"
+            )
+        if self.distance <= 0.0 or self.noise < 0.0:
+            raise ValueError(
+                f"distance = {self.distance}, noise = {self.noise}: give a positive distance and "
+                "no negative noise"
+            )
+        if not 0.0 <= self.silence <= 1.0:
+            raise ValueError(f"silence = {self.silence}: a chance lies in [0, 1]")
+        if not 0 <= self.delay <= self.num_samples:
+            raise ValueError(f"delay = {self.delay}: allowed is 0 to {self.num_samples} samples")
+
+    @property
+    def layout(self) -> dict[str, Any]:
+        """What a classifier must know of its input; noise and such are left to chance."""
+        return {
+            "num_neuromasts": 1 if self.is_averaged else self.num_neuromasts,
+            "num_felt": self.num_neuromasts,
+            "features": list(self.features),
+            "num_samples": self.num_samples,
+            "first_bl": self.first_bl,
+            "last_bl": self.last_bl,
+            "distance": self.distance,
+        }
+
+    def place(self, solver: InPlaceSolver) -> tuple[Tensor, Tensor, Tensor]:
+        """Return where the neuromasts are and how the skin below them moves.
+
+        Returns:
+            Points ``[B, P, 2]`` in nodes; the skin's velocity there ``[B, P, 2]``, nodes per step;
+            unit normals ``[B, P, 2]`` out of the body.
+        """
+        body, shape = solver.body, solver.flow.params.shapes[0]
+        markers = place_markers(body, deform_body(solver.config.bodies[0], shape, body))
+        num = markers.position.shape[1]
+        own = self._choose_markers(num)
+        after, before = ([(i + step) % num for i in own] for step in (1, -1))
+        tangent = markers.position[:, after] - markers.position[:, before]
+        length = (tangent * tangent).sum(-1, keepdim=True).sqrt()
+        tx, ty = (tangent / length).unbind(-1)
+        normal = torch.stack((-ty, tx), -1)  # outlines run clockwise
+        rx, ry = markers.arm[:, own].unbind(-1)
+        spin = body.angular_velocity[:, None]
+        skin = markers.deformation_velocity[:, own] + torch.stack((-spin * ry, spin * rx), -1)
+        skin = skin + body.velocity[:, None]
+        return markers.position[:, own] + self.distance * normal, skin, normal
+
+    def _choose_markers(self, num_markers: int) -> list[int]:
+        """Return the markers below the neuromasts: nose, then left and right of each pair."""
+        half, num_pairs = num_markers // 2, self.num_neuromasts // 2
+        span = self.last_bl - self.first_bl
+        own = [0] * (self.num_neuromasts % 2)
+        for k in range(num_pairs):
+            at = self.first_bl + (span * k / (num_pairs - 1) if num_pairs > 1 else 0.0)
+            own += [round(at * half), num_markers - round(at * half)]
+        return own
+
+    def feel(
+        self, solver: InPlaceSolver, key: Tensor, *, body_length: float, period: int
+    ) -> tuple[Tensor, Tensor]:
+        """Return what the neuromasts tell now.
+
+        Args:
+            solver: the flows; the first body is the fish.
+            key: ``[B]`` int64 of the episode.
+            body_length: L in nodes.
+            period: T in steps.
+
+        Returns:
+            The signal ``[B, P, F]`` (P = 1 if averaged), and the velocity (x, y) of the water as an
+            onlooker sees it, mean over the neuromasts, ``[B, 2]`` in L / T; float32.
+        """
+        points, skin, normal = self.place(solver)
+        density, velocity = solver.sample(points)
+        unit, age = body_length / period, solver.body.age
+        pressure = ((density - 1.0) / (3.0 * unit * unit)).double()
+        ux, uy = (velocity.double() / unit).unbind(-1)
+        if self.noise > 0.0:
+            error = self.noise * _draw_normal(key, age.long(), 3 * self.num_neuromasts)
+            ex, ey, ep = error.chunk(3, -1)
+            ux, uy, pressure = ux + ex, uy + ey, pressure + ep
+        sx, sy = (skin / unit).unbind(-1)
+        angle = solver.body.heading + solver.body.internal_angle
+        cos, sin = torch.cos(angle)[:, None], torch.sin(angle)[:, None]
+        past_x, past_y = ux - sx, uy - sy
+        nx, ny = normal.unbind(-1)
+        told = {
+            "t": (age / period)[:, None].expand_as(ux),
+            "x": points[..., 0] / body_length,
+            "y": points[..., 1] / body_length,
+            "u_x": ux,
+            "u_y": uy,
+            "p": pressure,
+            "speed": (ux * ux + uy * uy).sqrt(),
+            "ahead": cos * past_x + sin * past_y,
+            "left": cos * past_y - sin * past_x,
+            "pressure": pressure - pressure.mean(-1, keepdim=True),
+            "slip": (past_x * past_x + past_y * past_y).sqrt(),
+            "shear": (ny * past_x - nx * past_y) * (body_length / self.distance),
+        }
+        signal = torch.stack([told[name] for name in self.features], -1)
+        if self.silence > 0.0:
+            chance = draw_uniform(1, key, torch.zeros_like(key), self.num_neuromasts)
+            signal = signal.masked_fill((chance < self.silence)[..., None], 0.0)
+        if self.is_averaged:
+            signal = signal.mean(1, keepdim=True)
+        return signal.float(), torch.stack((ux.mean(-1), uy.mean(-1)), -1).float()
+
+    def delay_series(self, before: Tensor, now: Tensor) -> Tensor:
+        """Return what the brain learns ``[B, W, ...]`` from the last two intervals' series."""
+        if self.delay == 0:
+            return now
+        both = torch.cat((before, now), 1)
+        return both[:, self.num_samples - self.delay : 2 * self.num_samples - self.delay]
+
+
+def _draw_normal(key: Tensor, age: Tensor, num: int) -> Tensor:
+    """Draw ``[B, num]`` of mean 0 and deviation 1: sums of four uniform numbers."""
+    a, b, c, d = draw_uniform(0, key, age, 4 * num).chunk(4, -1)
+    return (a + b + c + d - 2.0) * 3.0**0.5

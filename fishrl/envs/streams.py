@@ -1,0 +1,131 @@
+"""Streams to hold station in: several speeds, with or without a half disc upstream."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import pi
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from fishrl.envs.wakes import WakeBank, WakeRecipe, load_wakes
+from fishrl.physics.bodies import DCylinder, Fish
+from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
+from fishrl.physics.in_place import InPlaceSolver
+from fishrl.physics.state import FlowConfig
+from fishrl.physics.units import Scales
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stream:
+    """Streams along +x, which differ in speed and are otherwise alike.
+
+    Inflow and sides move with the stream, the outflow lets plane sound waves out. The half disc
+    turns its flat side downstream, as that of Liao et al. 2003; the paper does not say.
+
+    Args:
+        speeds_bl: of the flows, L / T; the paper's conditions I, II and III by default.
+        has_disc: whether there is a half disc; without one the stream is free, and places are
+            still counted from where it would be.
+        diameter_bl: D of the half disc, body lengths.
+        face_bl: distance of its flat side from the inflow.
+        num_phases: snapshots of a shedding period that episodes may start from.
+        num_travels: time that a wake has to develop, D / U; see ``wakes.WakeRecipe``.
+        wake_folder: where they are kept.
+    """
+
+    speeds_bl: tuple[float, ...] = (1.0, 1.25, 1.5)
+    has_disc: bool = True
+    diameter_bl: float = 0.4
+    face_bl: float = 2.5
+    num_phases: int = 8
+    num_travels: float = 100.0
+    wake_folder: str = "runs/wakes"
+
+    def __post_init__(self) -> None:
+        """Refuse streams that stand still; turns sequences from files into tuples."""
+        speeds = tuple(float(speed) for speed in self.speeds_bl)
+        object.__setattr__(self, "speeds_bl", speeds)
+        if not speeds or min(speeds) <= 0.0:
+            raise ValueError(f"speeds_bl = {speeds}: give at least one, all positive")
+
+    @property
+    def labels(self) -> list[dict[str, Any]]:
+        """What tells the flows apart, in their order."""
+        diameter = self.diameter_bl if self.has_disc else 0.0
+        return [
+            {"name": f"{speed:g} L/T", "stream_speed_bl": speed, "diameter_bl": diameter}
+            for speed in self.speeds_bl
+        ]
+
+    def make_config(self, fish: Fish, scales: Scales, domain_bl: tuple[float, float]) -> FlowConfig:
+        """Return the fastest flow with the fish and, where there is one, the half disc in it."""
+        width, height = (round(size * scales.body_length) for size in domain_bl)
+        moving = NonEquilibrium(velocity=(1.0, 0.0))
+        bodies = (fish, DCylinder(diameter=self.diameter_bl * scales.body_length))
+        return FlowConfig(
+            width=width,
+            height=height,
+            tau=scales.tau,
+            stream_speed=max(self.speeds_bl) * scales.reference_speed,
+            bodies=bodies if self.has_disc else bodies[:1],
+            boundaries=Boundaries(left=moving, right=OpenEdge(), bottom=moving, top=moving),
+        )
+
+    def find_origin(self, config: FlowConfig, scales: Scales) -> tuple[float, float]:
+        """Return the middle of the flat side (x, y) in nodes."""
+        return self.face_bl * scales.body_length, 0.5 * (config.height - 1)
+
+    def find_disc(self, config: FlowConfig, scales: Scales) -> tuple[float, float]:
+        """Return the half disc's centre of area, 2 D / (3 pi) upstream of its flat side."""
+        x, y = self.find_origin(config, scales)
+        return x - 2.0 * self.diameter_bl * scales.body_length / (3.0 * pi), y
+
+    def load_wakes(self, config: FlowConfig, scales: Scales) -> WakeBank:
+        """Return the developed wakes of all flows; they are made unless their file is there.
+
+        Args:
+            config: as ``make_config`` gives.
+            scales: of the task.
+        """
+        recipe = WakeRecipe(
+            config=replace(config, bodies=config.bodies[1:]),
+            position=self.find_disc(config, scales),
+            heading=pi,
+            speeds=tuple(scales.reference_speed * speed for speed in self.speeds_bl),
+            num_phases=self.num_phases,
+            num_travels=self.num_travels,
+        )
+        return load_wakes(recipe, self.wake_folder)
+
+    def begin_(
+        self,
+        solver: InPlaceSolver,
+        rows: Tensor,
+        starts: Mapping[str, Tensor],
+        place: tuple[Tensor, Tensor],
+        *,
+        scales: Scales,
+        wakes: WakeBank | None,
+    ) -> None:
+        """Set speed, wake and bodies of some flows.
+
+        Args:
+            solver: the flows.
+            rows: ``[B]`` bool, which of them.
+            starts: ``flow_index`` and ``wake_phase``, ``[B]`` each.
+            place: centre of mass ``[B, 2]`` and heading ``[B]`` of the fish.
+            scales: of the task.
+            wakes: to begin in; None begins in the undisturbed stream.
+        """
+        flow, (position, heading) = starts["flow_index"], place
+        speeds = torch.tensor(self.speeds_bl, dtype=torch.float64, device=rows.device)
+        speed = solver.flow.params.stream_speed
+        speed.copy_(torch.where(rows, scales.reference_speed * speeds[flow], speed))
+        if self.has_disc:
+            disc = torch.tensor(self.find_disc(solver.config, scales)).to(position)
+            position = torch.stack((position, disc.expand_as(position)), 1)
+            heading = torch.stack((heading, torch.full_like(heading, pi)), 1)
+        solver.reset_(rows, position, heading, velocity=(1.0, 0.0))
+        if wakes is not None:
+            solver.set_populations_(wakes.take(flow, starts["wake_phase"]), rows)

@@ -1,0 +1,309 @@
+"""Kármán gait, the paper's second task: hold station in the wake of a half disc."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import pi
+from typing import Any, final
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from fishrl.envs.lateral_line import LateralLine
+from fishrl.envs.macro_actions import FrequencyBank, FrequencyControl, MacroActions
+from fishrl.envs.sensors import compute_clearance
+from fishrl.envs.starts import place_fish
+from fishrl.envs.stations import SafeArea, StationReward
+from fishrl.envs.steering import PDSteering, Steering
+from fishrl.envs.streams import Stream
+from fishrl.envs.task import AbstractTask, Command, as_pair
+from fishrl.envs.wakes import WakeBank
+from fishrl.physics.in_place import InPlaceSolver
+from fishrl.physics.state import FlowConfig
+from fishrl.physics.units import Scales
+
+#: Tail beats per T for the paper's three flows.
+DEFAULT_BANK = FrequencyBank(rows=((0.5, 0.75, 1.0, 1.25, 1.5),) * 3)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class KarmanGait(AbstractTask):
+    """Choose the tail beat so as to stay behind a half disc in a stream, or in a free stream.
+
+    Places are those of the nose from the middle of the disc's flat side, x downstream, in body
+    lengths. Observation: x, y, their change since the last decision, the water's velocity (x, y) at
+    the lateral line, mean over neuromasts and interval, in L / T, and the frequency in beats per T
+    (0 before the first beat). Actions: those of ``control``; ``steering`` turns the fish. An
+    episode starts at some phase of a developed wake and ends in the danger area or at an edge.
+
+    Beside the observation stand, per row: ``lateral_line``, ``flow_index`` (which flow it is),
+    gear, frequency, heading, angle of attack (from upstream, radians) and the work done so far by
+    all, pushing, or lateral forces, in rho L^2 (L / T)^2.
+
+    Args:
+        stream: the flows.
+        start_flows: indices of those flows that episodes take place in, drawn evenly.
+        control: what actions mean for the tail beat; rows in the order of the flows.
+        reads_flow_class: take the row of the flow that ``flow_class`` names, which a transform
+            writes, instead of that of the flow it is.
+        steering: who turns the fish.
+        lateral_line: its neuromasts.
+        start_x_bl: range of the nose at start.
+        start_y_bl: the same along y.
+        safe_area: where it must stay.
+        reward_terms: what it earns there.
+        repeats_frequency: observe the frequency three times, as the paper does.
+    """
+
+    num_draws = 5
+
+    body_length: int = 40
+    reynolds: float = 500.0
+    max_wall_speed: float = 0.1
+    wall_margin_bl: float = 0.2
+    num_stacked: int = 2
+    time_limit: int = 100
+    stream: Stream = field(default_factory=Stream)
+    start_flows: tuple[int, ...] = (0, 1, 2)
+    control: FrequencyControl = field(default_factory=lambda: MacroActions(bank=DEFAULT_BANK))
+    reads_flow_class: bool = False
+    steering: Steering = field(default_factory=PDSteering)
+    lateral_line: LateralLine = field(default_factory=LateralLine)
+    start_x_bl: tuple[float, float] = (1.5, 2.0)
+    start_y_bl: tuple[float, float] = (-0.1, 0.1)
+    safe_area: SafeArea = field(default_factory=SafeArea)
+    reward_terms: StationReward = field(default_factory=StationReward)
+    repeats_frequency: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse flows, rows and starts that do not go together."""
+        for name in ("start_x_bl", "start_y_bl"):
+            object.__setattr__(self, name, as_pair(name, getattr(self, name)))
+        object.__setattr__(self, "start_flows", tuple(self.start_flows))
+        num = len(self.stream.speeds_bl)
+        if not self.start_flows or not all(0 <= i < num for i in self.start_flows):
+            raise ValueError(
+                f"start_flows = {self.start_flows}: give one or more of the indices 0 to {num - 1}"
+            )
+        if self.control.num_flows not in (None, num):
+            raise ValueError(
+                f"control has rows for {self.control.num_flows} flows, but stream.speeds_bl has "
+                f"{num}: give one row for each"
+            )
+        super().__post_init__()
+        corners = torch.cartesian_prod(torch.tensor([0.0, 1.0]), torch.tensor([0.0, 1.0])).double()
+        others = torch.zeros(4, self.num_draws - 2, dtype=torch.float64)
+        self.check_starts(self.starts_from(torch.cat((corners, others), 1)))
+
+    @property
+    def n_obs(self) -> int:  # type: ignore[override]
+        """Numbers in one observation."""
+        return 9 if self.repeats_frequency else 7
+
+    @property
+    def num_actions(self) -> int:  # type: ignore[override]
+        """Number of actions."""
+        return self.control.num_actions
+
+    @property
+    def num_samples(self) -> int:  # type: ignore[override]
+        """Samples of the lateral line within an action."""
+        return self.lateral_line.num_samples
+
+    @property
+    def inputs(self) -> tuple[str, ...]:  # type: ignore[override]
+        """What the tensordict must say beside the action."""
+        return ("flow_class",) if self.reads_flow_class else ()
+
+    @cached_property
+    def scales(self) -> Scales:
+        """Lattice units of the task: the fastest beat and the fastest stream set T."""
+        return Scales.from_budget(
+            body_length=self.body_length,
+            reynolds=self.reynolds,
+            max_wall_speed=self.max_wall_speed,
+            max_frequency=self.control.max_frequency,
+            stream_speed_bl=max(self.stream.speeds_bl),
+        )
+
+    @property
+    def flow_labels(self) -> list[dict[str, Any]]:
+        """What tells the flows apart, in the order of ``flow_index``."""
+        return [{**label, "reynolds": self.reynolds} for label in self.stream.labels]
+
+    @property
+    def lateral_line_layout(self) -> Mapping[str, Any]:
+        """What a classifier must know of the entry ``lateral_line``."""
+        interval = self.n_substeps / self.scales.period / self.num_samples
+        return self.lateral_line.layout | {"interval_T": interval}
+
+    def flow_config(self) -> FlowConfig:
+        """Return the fastest of the flows."""
+        return self.stream.make_config(self.fish, self.scales, self.domain_bl)
+
+    @cached_property
+    def origin(self) -> Tensor:
+        """Middle of the disc's flat side, ``[2]`` (x, y) in nodes, float64."""
+        place = self.stream.find_origin(self.flow_config(), self.scales)
+        return torch.tensor(place, dtype=torch.float64)
+
+    @cached_property
+    def wakes(self) -> WakeBank | None:
+        """The developed wakes that episodes begin in; None in free streams."""
+        if not self.stream.has_disc:
+            return None
+        return self.stream.load_wakes(self.flow_config(), self.scales)
+
+    def starts_from(self, uniform: Tensor) -> TensorDict:
+        """Draw nose, flow, phase of the wake, and a key for whatever else is drawn."""
+        ranges = torch.tensor((self.start_x_bl, self.start_y_bl)).to(uniform)
+        low, high = ranges.T
+        place = low + uniform[:, :2] * (high - low)
+        flows = torch.tensor(self.start_flows, device=uniform.device)
+        return TensorDict(
+            {
+                "head": self.origin.to(uniform.device) + self.body_length * place,
+                "heading": torch.full_like(uniform[:, 0], pi),
+                "flow_index": flows[(uniform[:, 2] * len(flows)).long()],
+                "wake_phase": uniform[:, 3].clone(),
+                "episode_key": (uniform[:, 4] * 2.0**53).long(),
+            },
+            uniform.shape[:1],
+            device=uniform.device,
+        )
+
+    def check_starts(self, starts: TensorDictBase) -> None:
+        """Refuse also flows and phases that there are not, and noses in the danger area."""
+        super().check_starts(starts)
+        flow, phase = starts["flow_index"], starts["wake_phase"]
+        num = len(self.stream.speeds_bl)
+        if not ((flow >= 0) & (flow < num)).all():
+            raise ValueError(f"starts['flow_index'] = {flow.tolist()}: allowed is 0 to {num - 1}")
+        if not ((phase >= 0.0) & (phase < 1.0)).all():
+            raise ValueError(f"starts['wake_phase'] = {phase.tolist()}: allowed is [0, 1)")
+        place, area = self._locate(starts["head"]), self.safe_area
+        is_wrong = ~(area.measure_margin(place) > 0.0)
+        if is_wrong.any():
+            i = int(is_wrong.int().argmax())
+            x, y = place[i].tolist()
+            raise ValueError(
+                f"start {i}, nose at ({x:.2f}, {y:.2f}) L from the disc, is in the danger area: "
+                f"allowed is x in ({area.near_bl}, {area.far_bl}), y within {area.aside_bl} of 0; "
+                "move it (start_x_bl, start_y_bl), or widen safe_area"
+            )
+
+    def place_(self, solver: InPlaceSolver, rows: Tensor, starts: TensorDictBase) -> None:
+        """Set the stream of each row, its wake, and the fish in it."""
+        place = place_fish(starts, self.fish)
+        self.stream.begin_(solver, rows, starts, place, scales=self.scales, wakes=self.wakes)
+
+    def command(self, action: Tensor, before: TensorDictBase) -> Command:
+        """Shift gear; the steering turns."""
+        flow, num = self._name_flow(before), len(self.stream.speeds_bl)
+        if not ((flow >= 0) & (flow < num)).all():
+            raise ValueError(f"flow_class = {flow.tolist()}: allowed is 0 to {num - 1}")
+        frequency = self.control.select(self.control.shift(before["gear"], action), flow)
+        return Command(self.steering.turn(before["sights"]), frequency / self.scales.period)
+
+    def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
+        """Measure place, heading, the walls' distance and the work done so far."""
+        markers, body = solver.markers(), solver.body
+        unit = (self.scales.reference_speed * self.body_length) ** 2
+        return TensorDict(
+            {
+                "place": self._locate(markers[:, 0]),
+                "heading": body.heading.clone(),
+                "clearance": compute_clearance(
+                    markers, width=solver.config.width, height=solver.config.height
+                ),
+                "work": body.work / unit,
+                "positive_work": body.positive_work / unit,
+                "lateral_work": body.lateral_work / unit,
+                "flow_index": starts["flow_index"].clone(),
+            },
+            starts.batch_size,
+            device=starts.device,
+        )
+
+    def sense(self, solver: InPlaceSolver, starts: TensorDictBase) -> dict[str, Tensor]:
+        """Return what the lateral line feels, before any delay."""
+        felt, velocity = self.lateral_line.feel(
+            solver,
+            starts["episode_key"],
+            body_length=self.body_length,
+            period=self.scales.period,
+        )
+        return {"felt": felt, "felt_velocity": velocity}
+
+    def begin(self, now: TensorDictBase) -> dict[str, Tensor]:
+        """Begin in the first gear of ``control``, at rest, with nothing seen before."""
+        sight = self._look(now)
+        return {
+            "gear": torch.full_like(now["flow_index"], self.control.start_gear),
+            "frequency": torch.zeros_like(now["heading"]),
+            "moved": torch.zeros_like(now["place"]),
+            "sights": sight[:, None].expand(-1, self.steering.num_stacked, -1),
+            "lateral_line": now["felt"],
+            "velocity": now["felt_velocity"],
+        }
+
+    def remember(
+        self, before: TensorDictBase, action: Tensor, now: TensorDictBase
+    ) -> dict[str, Tensor]:
+        """Remember gear and frequency, the way since the last decision, and what was seen."""
+        gear, line = self.control.shift(before["gear"], action), self.lateral_line
+        return {
+            "gear": gear,
+            "frequency": self.control.select(gear, self._name_flow(before)),
+            "moved": now["place"] - before["place"],
+            "sights": torch.cat((before["sights"][:, 1:], self._look(now)[:, None]), 1),
+            "lateral_line": line.delay_series(before["felt"], now["felt"]),
+            "velocity": line.delay_series(before["felt_velocity"], now["felt_velocity"]),
+        }
+
+    def observe(self, now: TensorDictBase) -> Tensor:
+        """Return place, way, mean velocity at the lateral line and frequency."""
+        frequency = now["frequency"][:, None].expand(-1, self.n_obs - 6)
+        velocity = now["velocity"].mean(1).double()
+        return torch.cat((now["place"], now["moved"], velocity, frequency), -1).float()
+
+    def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
+        """Return what the interval earned, see ``stations.StationReward``."""
+        margin = self.safe_area.measure_margin(now["place"])
+        return self.reward_terms.compute(
+            drift=now["moved"][:, 0],
+            work=now["work"] - before["work"],
+            depth=(self.safe_area.rim_bl - margin).clamp_min(0.0),
+            is_in_danger=self.is_terminated(now),
+        )
+
+    def is_terminated(self, now: TensorDictBase) -> Tensor:
+        """Return whether the fish is in the danger area or at an edge."""
+        hits_edge: Tensor = now["clearance"] < self.wall_margin
+        return hits_edge | (self.safe_area.measure_margin(now["place"]) <= 0.0)
+
+    def action_mask(self, now: TensorDictBase) -> Tensor:
+        """Return which actions ``control`` allows."""
+        gear: Tensor = now["gear"]
+        return self.control.mask(gear)
+
+    def report(self, now: TensorDictBase) -> dict[str, Tensor]:
+        """Return the lateral line, the true flow, and what diagnostics need."""
+        names = ("flow_index", "gear", "frequency", "heading", "work", "positive_work")
+        return {
+            **{name: now[name] for name in (*names, "lateral_work", "lateral_line")},
+            "angle_of_attack": now["heading"] - pi,
+        }
+
+    def _locate(self, head: Tensor) -> Tensor:
+        return (head - self.origin.to(head.device)) / self.body_length
+
+    def _look(self, now: TensorDictBase) -> Tensor:
+        place, heading = now["place"], now["heading"]
+        return self.steering.look(place, heading)
+
+    def _name_flow(self, before: TensorDictBase) -> Tensor:
+        flow: Tensor = before["flow_class" if self.reads_flow_class else "flow_index"]
+        return flow

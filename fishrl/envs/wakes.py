@@ -1,0 +1,194 @@
+"""Developed wakes for episodes to begin in: built once, kept in a file, drawn from at resets.
+
+A wake behind an obstacle takes some fifty lengths of travel to develop, longer than many episodes.
+So it is run once for each stream speed without fish; when it repeats itself, one shedding period
+is cut into snapshots of equal distance. Phase 0 is where the lift on the obstacle crosses its mean
+upwards.
+"""
+
+import hashlib
+import logging
+import os
+import pickle
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from fishrl.physics.compiled import hash_sources
+from fishrl.physics.diagnostics import find_crossings, measure_cycles
+from fishrl.physics.in_place import InPlaceSolver
+from fishrl.physics.motion import Fixed
+from fishrl.physics.state import FlowConfig
+
+logger = logging.getLogger(__name__)
+
+_FORMAT = "fishrl wakes, 1"
+_SAMPLES_PER_TRAVEL = 16  # of the lift; a shedding period is about five travels
+
+
+@dataclass(frozen=True, kw_only=True)
+class WakeRecipe:
+    """Everything that shapes a bank of wakes. A *travel* is the time D / U.
+
+    Args:
+        config: of the flow with the obstacle alone in it.
+        position: centre of the obstacle (x, y) in nodes.
+        heading: of the obstacle, radians.
+        speeds: stream speeds, nodes per step, one for each flow.
+        num_phases: snapshots per shedding period.
+        num_travels: that a wake has time to develop; in the second half its shedding frequency is
+            measured.
+    """
+
+    config: FlowConfig
+    position: tuple[float, float]
+    heading: float
+    speeds: tuple[float, ...]
+    num_phases: int = 8
+    num_travels: float = 100.0
+
+    def __post_init__(self) -> None:
+        """Refuse a bank without an obstacle, flows or snapshots."""
+        if len(self.config.bodies) != 1:
+            raise ValueError(
+                f"a wake recipe has {len(self.config.bodies)} bodies: give the obstacle alone; a "
+                "free stream needs no bank"
+            )
+        if not self.speeds or min(self.speeds) <= 0.0:
+            raise ValueError(f"speeds = {self.speeds}: give at least one, all positive")
+        if self.num_phases < 1 or self.num_travels <= 0.0:
+            raise ValueError(
+                f"num_phases = {self.num_phases}, num_travels = {self.num_travels}: give at least "
+                "one snapshot, and a positive time"
+            )
+
+    @property
+    def key(self) -> str:
+        """A word that changes when the wakes may: this recipe, or the physics."""
+        text = "\0".join((repr(self), hash_sources(), torch.__version__))
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True, kw_only=True)
+class WakeBank:
+    """Developed wakes of n flows in K phases.
+
+    Args:
+        populations: ``[n, K, Q, Y, X]`` shifted by the weights, float32.
+        shedding_frequencies: ``[n]`` per step, from the zero crossings of the lift, float64.
+    """
+
+    populations: Tensor
+    shedding_frequencies: Tensor
+
+    def take(self, flow: Tensor, phase: Tensor) -> Tensor:
+        """Return the wakes ``[B, Q, Y, X]`` of flows ``[B]`` at phases ``[B]`` in [0, 1)."""
+        snapshot = (phase * self.populations.shape[1]).long().to(self.populations.device)
+        return self.populations[flow.to(self.populations.device), snapshot]
+
+
+def load_wakes(recipe: WakeRecipe, folder: str | Path, *, compile: bool = True) -> WakeBank:
+    """Read the bank of a recipe from its file in ``folder``; make bank and file if there is none.
+
+    Raises:
+        ValueError: if the file cannot be read, or holds the wakes of something else.
+    """
+    path = Path(folder).expanduser() / f"wakes-{recipe.key}.pt"
+    if path.is_file():
+        return _read(path, recipe)
+    logger.info("developing %d wakes, once for all: they will be in %s", len(recipe.speeds), path)
+    bank = develop_wakes(recipe, compile=compile)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    stage = path.with_suffix(f".{os.getpid()}.stage")
+    torch.save({"format": _FORMAT, "key": recipe.key, **vars(bank)}, stage)
+    stage.replace(path)  # whoever looks meanwhile sees no file or a whole one
+    return bank
+
+
+def _read(path: Path, recipe: WakeRecipe) -> WakeBank:
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
+        raise ValueError(f"wakes {path}: cannot be read ({error}); delete the file") from error
+    if not isinstance(content, dict) or content.pop("format", None) != _FORMAT:
+        raise ValueError(f"wakes {path}: there are no wakes in it; delete the file")
+    config, key = recipe.config, content.pop("key")
+    shape = (len(recipe.speeds), recipe.num_phases, 9, config.height, config.width)
+    bank = WakeBank(**content)
+    if key != recipe.key or tuple(bank.populations.shape) != shape:
+        raise ValueError(
+            f"wakes {path}: they are those of recipe {key} with shape "
+            f"{tuple(bank.populations.shape)}, expected {recipe.key} with {shape}; delete the file"
+        )
+    return bank
+
+
+def develop_wakes(recipe: WakeRecipe, *, compile: bool = True) -> WakeBank:
+    """Run each flow until its wake repeats itself, and cut one period of it into snapshots.
+
+    Raises:
+        ValueError: if too few vortices are shed to measure their frequency.
+    """
+    config, (body,) = recipe.config, recipe.config.bodies
+    size, fastest = body.size, max(recipe.speeds)
+    kick = Fixed(kick_speed=0.3 * fastest, kick_steps=round(3.0 * size / fastest))
+    config = replace(config, bodies=(replace(body, motion=kick),), stream_speed=fastest)
+    solver = InPlaceSolver(config=config, num_envs=1, compile=compile, num_workers=0)
+    wakes, frequencies = [], []
+    for number, speed in enumerate(recipe.speeds, start=1):
+        snapshots, frequency = _develop(solver, recipe, speed)
+        strouhal = frequency * size / speed
+        logger.info("wake %d of %d: Strouhal %.4f", number, len(recipe.speeds), strouhal)
+        wakes.append(snapshots)
+        frequencies.append(frequency)
+    solver.close()
+    return WakeBank(
+        populations=torch.stack(wakes),
+        shedding_frequencies=torch.tensor(frequencies, dtype=torch.float64),
+    )
+
+
+def _develop(solver: InPlaceSolver, recipe: WakeRecipe, speed: float) -> tuple[Tensor, float]:
+    """Return the snapshots ``[K, Q, Y, X]`` of one flow and its frequency per step."""
+    travel = solver.config.bodies[0].size / speed
+    solver.flow.params.stream_speed.fill_(speed)
+    solver.reset_(
+        torch.ones(1, dtype=torch.bool),
+        torch.tensor([recipe.position], dtype=torch.float64),
+        torch.tensor([recipe.heading], dtype=torch.float64),
+        velocity=(1.0, 0.0),
+    )
+    interval = 2 * max(1, round(0.5 * travel / _SAMPLES_PER_TRAVEL))
+    num = round(0.5 * recipe.num_travels * travel / interval)
+    solver.advance_(num * interval)
+    lift = _record_lift(solver, num, interval)
+    try:
+        cycles = measure_cycles(lift, interval)
+    except ValueError as error:
+        raise ValueError(
+            f"the wake at {speed:.4f} nodes per step sheds too few vortices within num_travels = "
+            f"{recipe.num_travels:g} D / U ({error}): raise it"
+        ) from error
+    period = 1.0 / cycles.frequency
+    # a sample is the mean over the interval before it, so that its middle lies half of one earlier
+    last = (len(lift) - 0.5 - float(find_crossings(lift - cycles.mean)[-1])) * interval
+    begin = period * -(-last // period) - last
+    snapshots, now = [], 0
+    for k in range(recipe.num_phases):
+        target = 2 * round(0.5 * (begin + k * period / recipe.num_phases))
+        solver.advance_(target - now)
+        now = target
+        snapshots.append(solver.populations()[0].cpu())
+    return torch.stack(snapshots), cycles.frequency
+
+
+def _record_lift(solver: InPlaceSolver, num: int, interval: int) -> Tensor:
+    """Advance and return the mean lift over each interval ``[num]``."""
+    impulses: list[Sequence[float]] = [solver.body.impulse[0].tolist()]
+    for _ in range(num):
+        solver.advance_(interval)
+        impulses.append(solver.body.impulse[0].tolist())
+    return torch.tensor(impulses, dtype=torch.float64)[:, 1].diff() / interval
