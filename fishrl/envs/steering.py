@@ -159,7 +159,9 @@ def load_weights(path: str | Path) -> list[tuple[Tensor, Tensor]]:
         layers = torch.load(file, map_location="cpu", weights_only=True)
         sizes = [(tuple(weight.shape), tuple(bias.shape)) for weight, bias in layers]
     except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
-        raise ValueError(f"steering weights {file}: cannot be read ({error})") from error
+        raise ValueError(
+            f"steering weights {file}: cannot be read; write it anew with save_weights"
+        ) from error
     except (TypeError, ValueError, AttributeError) as error:
         raise ValueError(f"steering weights {file}: no list of layers in it") from error
     follows = all(a[0][0] == b[0][1] for a, b in pairwise(sizes))

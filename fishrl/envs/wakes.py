@@ -112,7 +112,7 @@ def _read(path: Path, recipe: WakeRecipe) -> WakeBank:
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
-        raise ValueError(f"wakes {path}: cannot be read ({error}); delete the file") from error
+        raise ValueError(f"wakes {path}: cannot be read; delete the file") from error
     if not isinstance(content, dict) or content.pop("format", None) != _FORMAT:
         raise ValueError(f"wakes {path}: there are no wakes in it; delete the file")
     config, key = recipe.config, content.pop("key")

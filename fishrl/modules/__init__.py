@@ -3,8 +3,13 @@
 from fishrl.modules.actors import make_actor, make_mlp
 from fishrl.modules.controllers import InterceptPolicy, PursuitPolicy, RandomPolicy
 from fishrl.modules.critics import make_twin_critics
+from fishrl.modules.gait_controllers import PID, BangBang, FixedFrequency, GaitPolicy
 
 __all__ = [
+    "PID",
+    "BangBang",
+    "FixedFrequency",
+    "GaitPolicy",
     "InterceptPolicy",
     "PursuitPolicy",
     "RandomPolicy",

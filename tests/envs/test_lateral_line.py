@@ -1,0 +1,181 @@
+"""Neuromasts: where they sit, what they tell, and how they err."""
+
+from math import pi
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from fishrl.envs.lateral_line import LOCAL, PAPER, LateralLine
+from fishrl.physics import Fish, FlowConfig, InPlaceSolver
+from fishrl.physics.solver import make_uniform
+
+LENGTH, PERIOD = 20, 200
+UNIT = LENGTH / PERIOD
+KEYS = torch.tensor([5, 6])
+
+
+def make_solver(
+    ux: float = 0.0, uy: float = 0.0, rho: float = 0.0, heading: float = pi
+) -> InPlaceSolver:
+    """Return two fish amid a uniform flow."""
+    config = FlowConfig(width=60, height=50, tau=0.6, bodies=(Fish(body_length=LENGTH),))
+    solver = InPlaceSolver(config=config, num_envs=2, frequency=1.0 / PERIOD, compile=False)
+    place = torch.tensor([[30.0, 25.0]]).expand(2, 2)
+    solver.reset_(torch.ones(2, dtype=torch.bool), place, torch.full((2,), heading))
+    full = torch.ones(2, 50, 60)
+    solver.set_populations_(make_uniform(rho * full, ux * full, uy * full))
+    return solver
+
+
+def feel(line: LateralLine, solver: InPlaceSolver, keys: Tensor = KEYS) -> dict[str, Tensor]:
+    signal, _ = line.feel(solver, keys, body_length=LENGTH, period=PERIOD)
+    return dict(zip(line.features, signal.double().unbind(-1), strict=True))
+
+
+@pytest.mark.parametrize("heading", [pi, 0.7])
+def test_neuromasts_sit_beside_the_skin_left_and_right_and_one_ahead_of_the_nose(
+    heading: float,
+) -> None:
+    solver = make_solver(heading=heading)
+    points, _, normal = LateralLine(num_neuromasts=5, first_bl=0.25, last_bl=0.75).place(solver)
+    markers = solver.markers()
+    gap = (points[:, :, None] - markers[:, None]).square().sum(-1).sqrt().amin(-1)
+    torch.testing.assert_close(gap, torch.full_like(gap, 2.0), rtol=0, atol=0.05)
+    forward = torch.tensor([torch.cos(torch.tensor(heading)), torch.sin(torch.tensor(heading))])
+    left = torch.stack((-forward[1], forward[0]))
+    away = (points - markers[:, :1])[0].float()
+    ahead, aside = away @ forward / LENGTH, away @ left
+    expected = torch.tensor([0.1, -0.25, -0.25, -0.75, -0.75])
+    torch.testing.assert_close(ahead, expected, rtol=0, atol=0.06)
+    assert (aside.sign()[1:].tolist(), round(float(aside[0]), 6)) in (
+        ([-1.0, 1.0, -1.0, 1.0], 0.0),
+        ([1.0, -1.0, 1.0, -1.0], 0.0),
+    )
+    torch.testing.assert_close(normal.square().sum(-1), torch.ones(2, 5).double())
+
+
+@pytest.mark.parametrize("num", [1, 2, 3, 8])
+def test_there_may_be_any_number_of_neuromasts(num: int) -> None:
+    line = LateralLine(num_neuromasts=num)
+    signal, velocity = line.feel(make_solver(), KEYS, body_length=LENGTH, period=PERIOD)
+    assert signal.shape == (2, num, len(LOCAL)) and signal.dtype == torch.float32
+    assert velocity.shape == (2, 2)
+
+
+def test_an_onlooker_sees_time_place_velocity_pressure_and_speed() -> None:
+    line = LateralLine(features=PAPER)
+    solver = make_solver(ux=0.03, uy=-0.04, rho=0.006)
+    points, _, _ = line.place(solver)
+    told = feel(line, solver)
+    torch.testing.assert_close(told["x"], points[..., 0] / LENGTH, rtol=0, atol=1e-6)
+    torch.testing.assert_close(told["y"], points[..., 1] / LENGTH, rtol=0, atol=1e-6)
+    for name, value in (("t", 0.0), ("u_x", 0.3), ("u_y", -0.4), ("speed", 0.5), ("p", 0.2)):
+        wanted = torch.full_like(told[name], value)
+        torch.testing.assert_close(told[name], wanted, rtol=0, atol=1e-4)
+    solver.body.age.fill_(100.0)
+    assert (feel(line, solver)["t"] == 0.5).all()
+
+
+def test_a_fish_feels_the_water_past_its_skin_in_its_own_frame() -> None:
+    """It drifts at 0.01 along x, the water at 0.03: seen by a fish that faces -x, 0.2 L/T come from
+    behind. A turning fish feels the difference between nose and tail."""
+    line = LateralLine(num_neuromasts=4, features=("ahead", "left", "slip"))
+    solver = make_solver(ux=0.03)
+    solver.body.velocity.copy_(torch.tensor([[0.01, 0.0], [0.01, 0.0]]))
+    solver.body.frequency.zero_()
+    told = feel(line, solver)
+    torch.testing.assert_close(told["ahead"], torch.full((2, 4), -0.2).double(), rtol=0, atol=1e-4)
+    torch.testing.assert_close(told["left"], torch.zeros(2, 4).double(), rtol=0, atol=1e-4)
+    torch.testing.assert_close(told["slip"], torch.full((2, 4), 0.2).double(), rtol=0, atol=1e-4)
+    solver.body.angular_velocity.fill_(0.001)  # counter-clockwise: the nose of it goes left
+    left = feel(line, solver)["left"][0]
+    assert left[0] < 0.0 < left[-1]
+
+
+def test_what_is_felt_does_not_depend_on_where_the_fish_heads() -> None:
+    line = LateralLine(features=(*LOCAL, "shear"))
+    c = 0.03
+    one = feel(line, make_solver(ux=-c))
+    other = feel(line, make_solver(uy=c, heading=0.5 * pi))
+    for name in line.features:
+        torch.testing.assert_close(one[name], other[name], rtol=0, atol=1e-4)
+
+
+def test_pressure_is_felt_as_a_difference_and_shear_as_velocity_over_distance() -> None:
+    line = LateralLine(num_neuromasts=4, features=("pressure", "shear"), distance=2.5)
+    solver = make_solver(ux=0.03, rho=0.01)
+    solver.body.frequency.zero_()
+    told = feel(line, solver)
+    assert told["pressure"].abs().max() < 1e-5
+    flat = 0.3 * LENGTH / 2.5
+    assert (told["shear"].abs() < 1.01 * flat).all() and (told["shear"].abs() > 0.9 * flat).all()
+    assert told["shear"][0, 0] * told["shear"][0, 1] < 0.0  # clockwise round both sides
+
+
+def test_averaging_leaves_one_number_a_feature() -> None:
+    solver = make_solver(ux=0.03)
+    each, mean = feel(LateralLine(features=PAPER), solver), None
+    line = LateralLine(features=PAPER, is_averaged=True)
+    mean = feel(line, solver)
+    for name, values in each.items():
+        torch.testing.assert_close(mean[name][:, 0], values.mean(-1), rtol=0, atol=1e-6)
+    assert line.layout["num_neuromasts"] == 1
+
+
+def test_noise_has_its_deviation_and_depends_on_key_and_time_alone() -> None:
+    solver = make_solver()
+    line, keys = LateralLine(num_neuromasts=5, features=("u_x", "u_y"), noise=0.1), KEYS
+    told = []
+    for age in range(200):
+        solver.body.age.fill_(age)
+        told.append(line.feel(solver, keys, body_length=LENGTH, period=PERIOD)[0])
+    noise = torch.stack(told)
+    assert noise.mean().abs() < 0.01 and noise.std().item() == pytest.approx(0.1, rel=0.05)
+    again, _ = line.feel(solver, keys.flip(0), body_length=LENGTH, period=PERIOD)
+    assert torch.equal(again, noise[-1].flip(0))
+    assert not torch.equal(noise[0], noise[1])
+
+
+def test_silent_neuromasts_stay_silent_for_an_episode() -> None:
+    solver = make_solver(ux=0.03, uy=0.01)
+    line = LateralLine(num_neuromasts=40, features=("u_x", "speed"), silence=0.4)
+    first, _ = line.feel(solver, KEYS, body_length=LENGTH, period=PERIOD)
+    solver.body.age.fill_(7.0)
+    later, _ = line.feel(solver, KEYS, body_length=LENGTH, period=PERIOD)
+    is_silent = (first == 0.0).all(-1)
+    assert torch.equal(is_silent, (later == 0.0).all(-1))
+    assert not torch.equal(is_silent[0], is_silent[1])
+    assert 0.2 < is_silent.float().mean() < 0.6
+
+
+def test_a_delay_hands_over_what_was_felt_so_many_samples_ago() -> None:
+    before, now = torch.arange(4).view(1, 4, 1), torch.arange(4, 8).view(1, 4, 1)
+    late = [LateralLine(num_samples=4, delay=d).delay_series(before, now) for d in (0, 1, 4)]
+    assert [each.flatten().tolist() for each in late] == [[4, 5, 6, 7], [3, 4, 5, 6], [0, 1, 2, 3]]
+
+
+def test_the_layout_tells_what_a_classifier_must_know_and_not_how_the_sensor_errs() -> None:
+    assert LateralLine(noise=0.1, silence=0.2, delay=1).layout == LateralLine().layout
+    assert LateralLine().layout["features"] == list(LOCAL)
+    assert LateralLine(distance=3.0).layout != LateralLine().layout
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        ({"num_neuromasts": 0}, "num_neuromasts = 0: must be at least 1"),
+        ({"num_samples": 0}, "num_samples = 0: must be at least 1"),
+        ({"features": ("presure",)}, r"features = \('presure',\).*did you mean 'pressure'"),
+        ({"features": ()}, r"features = \(\): allowed are"),
+        ({"first_bl": 0.8}, "allowed is 0 < first_bl <= last_bl < 1"),
+        ({"distance": 0.0}, "give a positive distance"),
+        ({"noise": -0.1}, "no negative noise"),
+        ({"silence": 1.1}, r"silence = 1.1: a chance lies in \[0, 1\]"),
+        ({"delay": 9}, "delay = 9: allowed is 0 to 8 samples"),
+    ],
+)
+def test_sensors_that_cannot_be_are_refused(bad: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        LateralLine(**bad)

@@ -1,0 +1,130 @@
+"""Kármán gait on the real flow: small and for few actions, so it is not honest physics."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from fishrl.envs import FlowEnv, KarmanGait
+from fishrl.envs.lateral_line import LateralLine
+from fishrl.envs.stations import SafeArea
+from fishrl.envs.streams import Stream
+from fishrl.envs.wakes import WakeBank
+
+#: A stream of 4 L x 2.4 L, where an eager action takes about a second.
+TINY = {
+    "body_length": 20,
+    "reynolds": 300.0,
+    "max_wall_speed": 0.15,
+    "wall_margin_bl": 0.15,
+    "domain_bl": (4.0, 2.4),
+    "start_x_bl": (0.8, 0.9),
+    "safe_area": SafeArea(near_bl=0.2, far_bl=1.5, aside_bl=0.5),
+    "lateral_line": LateralLine(num_samples=4, noise=0.1, silence=0.2),
+}
+STREAM = {"face_bl": 1.0, "num_travels": 30.0, "num_phases": 4}
+
+
+@pytest.fixture(scope="module")
+def task(tmp_path_factory: pytest.TempPathFactory) -> KarmanGait:
+    """Return a task whose wakes are nothing but the undisturbed streams, and a bit of noise."""
+    folder = tmp_path_factory.mktemp("wakes")
+    task = KarmanGait(**TINY, stream=Stream(**STREAM, wake_folder=str(folder)))
+    config = task.flow_config()
+    generator = torch.Generator().manual_seed(0)
+    noise = torch.randn(3, 4, 9, config.height, config.width, generator=generator)
+    bank = WakeBank(populations=1e-4 * noise, shedding_frequencies=torch.ones(3))
+    task.__dict__["wakes"] = bank
+    return task
+
+
+def make(task: KarmanGait, num_envs: int, **arguments: object) -> FlowEnv:
+    return FlowEnv(task=task, num_envs=num_envs, compile_flow=False, **arguments)
+
+
+def act(env: FlowEnv, *actions: int) -> TensorDict:
+    return env.step(TensorDict({"action": torch.tensor(actions)}, env.batch_size))["next"]
+
+
+def memory_of(env: FlowEnv) -> dict[str, torch.Tensor]:
+    bodies = {
+        f"{name}_{i}": t.clone()
+        for i, body in enumerate(env.solver.bodies)
+        for name, t in body._asdict().items()
+    }
+    speed = env.solver.flow.params.stream_speed.clone()
+    populations = env.solver.populations()
+    return {"f": populations, "speed": speed, **bodies, **env.now.clone().to_dict()}
+
+
+def test_a_row_of_a_batch_equals_the_same_row_alone_and_resets_touch_no_other(
+    task: KarmanGait,
+) -> None:
+    starts = task.sample_starts(3, torch.Generator().manual_seed(4))
+    starts["flow_index"] = torch.tensor([0, 2, 1])
+    env, alone = make(task, 2, starts=starts[:2]), make(task, 1, starts=starts[1:2])
+    env.reset()
+    alone.reset()
+    assert (act(alone, 2)[0] == act(env, 0, 2)[1]).exclude("start_index").all()
+    env.starts, env._next_start = starts[2:], 0
+    before = memory_of(env)
+    env.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
+    after = memory_of(env)
+    for name, value in before.items():
+        assert torch.equal(after[name][1], value[1]), name
+    assert not torch.equal(after["f"][0], before["f"][0])
+    assert after["flow_index"].tolist() == [1, 2]
+    act(env, 1, 1)
+    act(alone, 1)
+    for name, value in memory_of(alone).items():
+        assert torch.equal(value[0], memory_of(env)[name][1]), name
+
+
+def test_a_saved_environment_goes_on_exactly_and_resets_alike(task: KarmanGait) -> None:
+    env, other = make(task, 2, seed=1), make(task, 2, seed=2)
+    env.reset()
+    other.reset()
+    act(env, 2, 0)
+    other.load_state_dict(env.state_dict())
+    assert (act(env, 1, 1) == act(other, 1, 1)).all()
+    for each in (env, other):
+        each.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
+    assert (act(env, 0, 2) == act(other, 0, 2)).all()
+    for name, value in memory_of(env).items():
+        assert torch.equal(memory_of(other)[name], value), name
+
+
+def test_an_episode_begins_in_the_wake_that_its_start_names(task: KarmanGait) -> None:
+    starts = task.sample_starts(2, torch.Generator().manual_seed(5))
+    starts["flow_index"], starts["wake_phase"] = (
+        torch.tensor([2, 0]),
+        torch.tensor([0.8, 0.1]).double(),
+    )
+    env = make(task, 2, starts=starts)
+    env.reset()
+    assert task.wakes is not None
+    expected = task.wakes.populations[[2, 0], [3, 0]]
+    assert torch.equal(env.solver.populations(), expected)
+    disc = env.solver.markers(1)
+    x, y = task.origin.tolist()
+    assert disc[..., 0].max().item() == pytest.approx(x, abs=0.5)
+    assert disc[..., 1].mean().item() == pytest.approx(y, abs=0.1)
+
+
+def test_wakes_are_made_at_the_first_reset_and_then_read(tmp_path: Path) -> None:
+    """An undeveloped wake of one flow, to save time; the file is the one for its recipe."""
+    stream = Stream(**STREAM | {"num_phases": 1}, wake_folder=str(tmp_path))
+    task = KarmanGait(**TINY, stream=stream)
+    with pytest.MonkeyPatch.context() as patch:
+        config = task.flow_config()
+        bank = WakeBank(
+            populations=torch.zeros(3, 1, 9, config.height, config.width),
+            shedding_frequencies=torch.ones(3),
+        )
+        patch.setattr("fishrl.envs.wakes.develop_wakes", lambda *_, **__: bank)
+        make(task, 1)
+    assert len(list(tmp_path.iterdir())) == 1
+    again = KarmanGait(**TINY, stream=stream)
+    assert again.wakes is not None
+    assert torch.equal(again.wakes.populations, bank.populations)

@@ -1,0 +1,52 @@
+"""The danger area and what holding a station earns."""
+
+import pytest
+import torch
+
+from fishrl.envs.stations import SafeArea, StationReward
+
+QUIET = {
+    "drift": torch.tensor([0.0]),
+    "work": torch.tensor([0.0]),
+    "depth": torch.tensor([0.0]),
+    "is_in_danger": torch.tensor([False]),
+}
+
+
+def test_the_margin_is_the_distance_from_the_nearest_danger() -> None:
+    area = SafeArea(near_bl=0.5, far_bl=4.0, aside_bl=1.0)
+    places = torch.tensor([[0.7, 0.0], [3.9, 0.1], [2.0, -0.8], [0.4, 0.0], [2.0, 1.3]])
+    margins = torch.tensor([0.2, 0.1, 0.2, -0.1, -0.3])
+    torch.testing.assert_close(area.measure_margin(places), margins)
+
+
+@pytest.mark.parametrize(
+    ("what", "expected"),
+    [
+        ({}, 1.0 + 0.1),
+        ({"drift": torch.tensor([0.2])}, 1.0 + 0.1),
+        ({"drift": torch.tensor([0.21])}, -1.0 + 0.1),
+        ({"work": torch.tensor([2.0])}, 1.0),
+        ({"work": torch.tensor([3.0])}, 1.0 - 0.05),
+        ({"depth": torch.tensor([0.1])}, 1.0 + 0.1 - 1.0),
+        ({"is_in_danger": torch.tensor([True])}, 1.0 + 0.1 - 5.0),
+    ],
+)
+def test_drift_work_nearness_and_danger_add_up_as_in_the_paper(
+    what: dict[str, torch.Tensor], expected: float
+) -> None:
+    reward = StationReward(work_reference=2.0).compute(**QUIET | what)
+    assert reward.item() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    "bad", [{"near_bl": 4.0}, {"aside_bl": 0.0}, {"rim_bl": -0.1}], ids=lambda b: next(iter(b))
+)
+def test_an_area_with_nothing_in_it_is_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="allowed is near < far, aside > 0, rim >= 0"):
+        SafeArea(**bad)
+
+
+def test_work_needs_a_reference() -> None:
+    with pytest.raises(ValueError, match=r"work_reference = 0.0: must be positive"):
+        StationReward(work_reference=0.0)

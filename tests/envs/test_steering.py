@@ -1,0 +1,107 @@
+"""Steering: to the line, against drift, within bounds, and by a learned network."""
+
+from math import pi, radians
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from fishrl.envs.steering import PDSteering, PolicySteering, Steering, load_weights, save_weights
+from fishrl.modules import make_mlp
+
+
+def sights(steering: Steering, y: list[float], heading: float = pi) -> Tensor:
+    """Return what is remembered of a fish at some distances from the line, one after another."""
+    seen = [
+        steering.look(
+            torch.tensor([[1.5, each]]).double(), torch.tensor([heading], dtype=torch.float64)
+        )
+        for each in y
+    ]
+    return torch.stack(seen[-steering.num_stacked :], 1)
+
+
+def test_a_fish_above_the_line_turns_downwards_and_one_below_upwards() -> None:
+    steering = PDSteering(gain=0.5)
+    turn = steering.turn(torch.cat([sights(steering, [y, y]) for y in (0.2, -0.2, 0.0)]))
+    torch.testing.assert_close(turn, torch.tensor([0.1, -0.1, 0.0]).double())
+    # heading pi + 0.1 points to (-cos 0.1, -sin 0.1): down
+
+
+def test_a_fish_that_heads_elsewhere_is_turned_back_upstream() -> None:
+    steering = PDSteering()
+    turn = steering.turn(sights(steering, [0.0, 0.0], heading=pi - 0.15))
+    assert turn.item() == pytest.approx(0.15)
+
+
+def test_damping_turns_against_a_growing_offset() -> None:
+    steering = PDSteering(gain=0.0, damping=1.0)
+    assert steering.turn(sights(steering, [0.0, 0.1])).item() == pytest.approx(0.1)
+
+
+def test_the_turn_of_an_interval_and_the_angle_off_upstream_are_bounded() -> None:
+    steering = PDSteering(gain=5.0, max_angle_degrees=20.0, max_turn_degrees=8.0)
+    assert steering.turn(sights(steering, [1.0, 1.0])).item() == pytest.approx(radians(8.0))
+    there = sights(steering, [1.0, 1.0], heading=pi + radians(19.0))
+    assert steering.turn(there).item() == pytest.approx(radians(1.0))
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        ({"gain": -1.0}, "gain = -1.0: must not be negative"),
+        ({"damping": -0.1}, "damping = -0.1: must not be negative"),
+        ({"max_angle_degrees": 0.0}, "max_angle_degrees = 0.0: allowed is"),
+        ({"max_turn_degrees": 91.0}, "max_turn_degrees = 91.0: allowed is"),
+    ],
+)
+def test_steering_that_cannot_be_is_refused(bad: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        PDSteering(**bad)
+
+
+def linear_layers(network: torch.nn.Sequential) -> list[tuple[Tensor, Tensor]]:
+    return [(m.weight, m.bias) for m in network if isinstance(m, torch.nn.Linear)]
+
+
+def test_the_networks_likeliest_action_turns_the_fish(tmp_path: Path) -> None:
+    network = make_mlp(
+        num_inputs=16, num_outputs=3, hidden=(256, 256), generator=torch.Generator().manual_seed(3)
+    )
+    save_weights(linear_layers(network), tmp_path / "steer.pt")
+    steering = PolicySteering(path=str(tmp_path / "steer.pt"))
+    seen = torch.randn(40, 4, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    expected = network(seen.flatten(1).float()).argmax(-1)
+    assert len(expected.unique()) > 1
+    torch.testing.assert_close(steering.turn(seen), radians(15.0) * (expected.double() - 1.0))
+
+
+def test_the_network_sees_a_point_upstream_as_it_saw_food(tmp_path: Path) -> None:
+    """x and y of the point from the nose, its distance, and how far to the left it lies."""
+    save_weights(linear_layers(make_mlp(num_inputs=16, num_outputs=3, hidden=(8,))), tmp_path / "w")
+    steering = PolicySteering(path=str(tmp_path / "w"), ahead_bl=2.0)
+    (seen,) = steering.look(torch.tensor([[1.5, 0.5]]).double(), torch.tensor([pi]).double())
+    expected = torch.tensor([-2.0, -0.5, 4.25**0.5, torch.atan(torch.tensor(0.25))]).double()
+    torch.testing.assert_close(seen, expected, rtol=0, atol=1e-6)
+
+
+def test_weights_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "weights.pt"
+    save_weights(linear_layers(make_mlp(num_inputs=8, num_outputs=3, hidden=(4,))), path)
+    with pytest.raises(ValueError, match=r"layers of widths \[8, 4, 3\], expected 16 numbers in"):
+        PolicySteering(path=str(path))
+    save_weights(linear_layers(make_mlp(num_inputs=16, num_outputs=3, hidden=(4,))), path)
+    with pytest.raises(ValueError, match=r"ahead_bl = 0.0: must be positive"):
+        PolicySteering(path=str(path), ahead_bl=0.0)
+    save_weights([(torch.zeros(4, 16), torch.zeros(4)), (torch.zeros(3, 5), torch.zeros(3))], path)
+    with pytest.raises(ValueError, match="do not fit together"):
+        load_weights(path)
+    torch.save({"a": 1}, path)
+    with pytest.raises(ValueError, match="no list of layers in it"):
+        load_weights(path)
+    path.write_bytes(b"no weights")
+    with pytest.raises(ValueError, match="cannot be read"):
+        load_weights(path)
+    with pytest.raises(ValueError, match="there is no such file"):
+        load_weights(tmp_path / "nothing")

@@ -1,0 +1,130 @@
+"""Banks of wakes: developed once, phases in order, files that are what they say."""
+
+import logging
+from dataclasses import replace
+from math import pi
+from pathlib import Path
+
+import pytest
+import torch
+
+from fishrl.envs.wakes import WakeBank, WakeRecipe, develop_wakes, load_wakes
+from fishrl.physics import DCylinder, FlowConfig, InPlaceSolver
+from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
+
+STREAM = NonEquilibrium(velocity=(1.0, 0.0))
+#: A half disc of 8 nodes at Re 100: far too coarse to trust, fast enough to test with.
+RECIPE = WakeRecipe(
+    config=FlowConfig(
+        width=72,
+        height=48,
+        tau=0.5 + 3.0 * 0.12 * 8 / 100,
+        stream_speed=0.12,
+        bodies=(DCylinder(diameter=8.0),),
+        boundaries=Boundaries(left=STREAM, right=OpenEdge(), bottom=STREAM, top=STREAM),
+    ),
+    position=(16.3, 23.5),
+    heading=pi,
+    speeds=(0.12,),
+    num_phases=4,
+    num_travels=50.0,
+)
+
+
+@pytest.fixture(scope="module")
+def bank() -> WakeBank:
+    torch.set_num_threads(1)
+    return develop_wakes(RECIPE, compile=False)
+
+
+def test_vortices_are_shed_at_a_plausible_frequency(bank: WakeBank) -> None:
+    """Strouhal numbers of half discs lie at 0.15 to 0.27, see the validation page."""
+    assert bank.populations.shape == (1, 4, 9, 48, 72)
+    assert 0.15 < bank.shedding_frequencies.item() * 8 / 0.12 < 0.27
+
+
+def test_snapshots_follow_each_other_by_equal_parts_of_a_period(bank: WakeBank) -> None:
+    """A quarter of a period on, each snapshot has become the next, and the last the first."""
+    config = RECIPE.config
+    solver = InPlaceSolver(config=config, num_envs=4, compile=False)
+    solver.reset_(
+        torch.ones(4, dtype=torch.bool),
+        torch.tensor(RECIPE.position).expand(4, 2),
+        torch.full((4,), pi),
+    )
+    phase = torch.arange(4) / 4.0
+    solver.set_populations_(bank.take(torch.zeros(4, dtype=torch.int64), phase))
+    solver.advance_(2 * round(0.125 / bank.shedding_frequencies.item()))
+    behind = (slice(None), slice(None), slice(8, 40), slice(24, 60))
+    after, snapshots = solver.populations()[behind], bank.populations[0][behind]
+    error = (after[:, None] - snapshots[None]).square().mean((-1, -2, -3)).sqrt()
+    assert error.argmin(1).tolist() == [1, 2, 3, 0]
+    assert (error.amin(1) < 0.15 * error.amax(1)).all()
+
+
+def test_a_phase_names_the_snapshot_before_it(bank: WakeBank) -> None:
+    flow = torch.zeros(3, dtype=torch.int64)
+    taken = bank.take(flow, torch.tensor([0.0, 0.49, 0.999]))
+    assert torch.equal(taken, bank.populations[0, [0, 1, 3]])
+
+
+def test_a_file_is_made_once_and_read_the_next_time(
+    bank: WakeBank,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setattr("fishrl.envs.wakes.develop_wakes", lambda *_, **__: bank)
+    with caplog.at_level(logging.INFO):
+        load_wakes(RECIPE, tmp_path / "new")
+    assert "developing 1 wakes, once for all" in caplog.text
+    monkeypatch.setattr("fishrl.envs.wakes.develop_wakes", None)
+    again = load_wakes(RECIPE, tmp_path / "new")
+    assert torch.equal(again.populations, bank.populations)
+    assert torch.equal(again.shedding_frequencies, bank.shedding_frequencies)
+    assert [path.suffix for path in (tmp_path / "new").iterdir()] == [".pt"]
+
+
+def test_the_key_covers_all_that_shapes_the_wakes_and_nothing_else() -> None:
+    same = replace(RECIPE, config=replace(RECIPE.config, bodies=(DCylinder(diameter=8.0),)))
+    assert same.key == RECIPE.key
+    others = [
+        replace(RECIPE, speeds=(0.11,)),
+        replace(RECIPE, num_phases=5),
+        replace(RECIPE, config=replace(RECIPE.config, tau=0.53)),
+        replace(RECIPE, config=replace(RECIPE.config, bodies=(DCylinder(diameter=9.0),))),
+    ]
+    assert len({RECIPE.key, *(other.key for other in others)}) == 5
+
+
+def test_files_that_hold_something_else_are_refused(bank: WakeBank, tmp_path: Path) -> None:
+    path = tmp_path / f"wakes-{RECIPE.key}.pt"
+    path.write_bytes(b"no wakes")
+    with pytest.raises(ValueError, match=r"wakes .*: cannot be read; delete the file"):
+        load_wakes(RECIPE, tmp_path)
+    torch.save({"populations": bank.populations}, path)
+    with pytest.raises(ValueError, match="there are no wakes in it; delete the file"):
+        load_wakes(RECIPE, tmp_path)
+    torch.save({"format": "fishrl wakes, 1", "key": "another", **vars(bank)}, path)
+    with pytest.raises(ValueError, match=f"those of recipe another .* expected {RECIPE.key}"):
+        load_wakes(RECIPE, tmp_path)
+
+
+def test_too_short_a_time_to_see_vortices_is_an_error_with_a_remedy() -> None:
+    with pytest.raises(ValueError, match=r"sheds too few vortices within num_travels = 4 .*raise"):
+        develop_wakes(replace(RECIPE, num_travels=4.0), compile=False)
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        ({"speeds": ()}, r"speeds = \(\): give at least one"),
+        ({"speeds": (0.0,)}, r"speeds = \(0.0,\): give at least one, all positive"),
+        ({"num_phases": 0}, "num_phases = 0.*at least one snapshot"),
+        ({"num_travels": 0.0}, "num_travels = 0.0: .*a positive time"),
+        ({"config": replace(RECIPE.config, bodies=())}, "has 0 bodies: give the obstacle alone"),
+    ],
+)
+def test_recipes_that_cannot_be_are_refused(bad: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(RECIPE, **bad)
