@@ -4,6 +4,7 @@ from fishrl.modules.actors import make_actor, make_mlp
 from fishrl.modules.controllers import InterceptPolicy, PursuitPolicy, RandomPolicy
 from fishrl.modules.critics import make_twin_critics
 from fishrl.modules.gait_controllers import PID, BangBang, FixedFrequency, GaitPolicy
+from fishrl.modules.lateral_line import LateralLineMachine
 
 __all__ = [
     "PID",
@@ -11,6 +12,7 @@ __all__ = [
     "FixedFrequency",
     "GaitPolicy",
     "InterceptPolicy",
+    "LateralLineMachine",
     "PursuitPolicy",
     "RandomPolicy",
     "make_actor",
