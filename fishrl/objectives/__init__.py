@@ -1,5 +1,21 @@
-"""Losses the brains learn by."""
+"""Losses the brains learn by, and the fit of the lateral-line machine."""
 
+from fishrl.objectives.classification import (
+    Curves,
+    FitSettings,
+    Score,
+    fit_classifier,
+    score_classifier,
+    split_episodes,
+)
 from fishrl.objectives.discrete_sac import MaskedDiscreteSACLoss
 
-__all__ = ["MaskedDiscreteSACLoss"]
+__all__ = [
+    "Curves",
+    "FitSettings",
+    "MaskedDiscreteSACLoss",
+    "Score",
+    "fit_classifier",
+    "score_classifier",
+    "split_episodes",
+]

@@ -1,0 +1,206 @@
+"""Fit a classifier of signals: cross-entropy, Adam, and data that are split by episode.
+
+Neighbouring samples of one episode are almost the same: a split by sample would put twins on both
+sides and report memory as skill. So the parts that fit, stop and judge share no episode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import dataclass, field
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor, nn
+from torch.nn.functional import cross_entropy
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitSettings:
+    """How a classifier is fitted.
+
+    Args:
+        learning_rate: of Adam.
+        batch_size: samples per gradient step.
+        num_epochs: passes over the data at most.
+        patience: epochs without a lower validation loss after which the fit ends with the weights
+            of the lowest one; None runs all epochs and keeps the last weights.
+        weight_decay: of Adam (L2).
+
+    Raises:
+        ValueError: for values out of range.
+    """
+
+    learning_rate: float = 1e-3
+    batch_size: int = 64
+    num_epochs: int = 300
+    patience: int | None = 30
+    weight_decay: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot run."""
+        for name in ("batch_size", "num_epochs", "patience"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise ValueError(f"{name} = {value}: must be at least 1")
+        if self.learning_rate <= 0.0:
+            raise ValueError(f"learning_rate = {self.learning_rate}: must be positive")
+        if self.weight_decay < 0.0:
+            raise ValueError(f"weight_decay = {self.weight_decay}: must not be negative")
+
+    @classmethod
+    def of_the_paper(cls) -> FitSettings:
+        """Adam at 0.01, batches of 64, 1000 epochs; meant for 6000 samples."""
+        return cls(learning_rate=0.01, batch_size=64, num_epochs=1000, patience=None)
+
+
+@dataclass(kw_only=True)
+class Curves:
+    """Accuracy and loss after each epoch.
+
+    Those of the training part are means over the epoch, while the weights still change.
+
+    Attributes:
+        chosen_epoch: the one whose weights were kept, from 0.
+    """
+
+    train_loss: list[float] = field(default_factory=list)
+    train_accuracy: list[float] = field(default_factory=list)
+    validation_loss: list[float] = field(default_factory=list)
+    validation_accuracy: list[float] = field(default_factory=list)
+    chosen_epoch: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """How well a classifier does on some data.
+
+    Attributes:
+        accuracy: share of samples named rightly.
+        loss: mean cross-entropy, in nats.
+        confusion: ``[n, n]`` int64, how many samples of each true class (row) got each name.
+    """
+
+    accuracy: float
+    loss: float
+    confusion: Tensor
+
+
+def split_episodes(
+    episode: Tensor,
+    label: Tensor,
+    *,
+    shares: Sequence[float],
+    generator: torch.Generator,
+) -> list[Tensor]:
+    """Divide samples into parts that share no episode, each with episodes of every class.
+
+    Args:
+        episode: ``[N]`` int64, the episode of each sample; an episode has one label.
+        label: ``[N]`` int64.
+        shares: of the episodes that each part gets, positive, of sum 1.
+        generator: what falls where.
+
+    Returns:
+        One mask ``[N]`` bool per part.
+
+    Raises:
+        ValueError: if the shares are none, or a class has fewer episodes than there are parts.
+    """
+    if min(shares) <= 0.0 or abs(sum(shares) - 1.0) > 1e-6:
+        raise ValueError(f"shares = {list(shares)}: must be positive and sum to 1")
+    parts = [torch.zeros_like(label, dtype=torch.bool) for _ in shares]
+    for kind in label.unique():
+        ids = episode[label == kind].unique()
+        if len(ids) < len(shares):
+            raise ValueError(
+                f"class {int(kind)} has {len(ids)} episodes for {len(shares)} parts: collect at "
+                "least one of every class for each part"
+            )
+        ids = ids[torch.randperm(len(ids), generator=generator)]
+        # One episode for each part, the rest by shares.
+        cumulative = torch.tensor([0.0, *shares], dtype=torch.float64).cumsum(0)
+        ends = (cumulative * (len(ids) - len(shares))).round().long()
+        ends = ends + torch.arange(len(shares) + 1)
+        for part, start, end in zip(parts, ends[:-1], ends[1:], strict=True):
+            part |= torch.isin(episode, ids[start:end]) & (label == kind)
+    return parts
+
+
+def fit_classifier(
+    classifier: nn.Module,
+    *,
+    training: TensorDictBase,
+    validation: TensorDictBase,
+    settings: FitSettings,
+    generator: torch.Generator,
+    noise: Tensor | float = 0.0,
+) -> Curves:
+    """Fit a classifier in place.
+
+    Args:
+        classifier: maps ``lateral_line`` ``[N, ...]`` to logits ``[N, n]``.
+        training: TensorDict ``[N]`` with ``lateral_line`` and ``flow_index`` ``[N]`` int64.
+        validation: the same, of other episodes; it decides only when to stop.
+        settings: see ``FitSettings``.
+        generator: of the batches and the noise.
+        noise: standard deviation of what is added to the signals of each batch, of a shape that
+            broadcasts over them.
+
+    Raises:
+        ValueError: if there is nothing to fit or to validate on.
+    """
+    for name, part in (("training", training), ("validation", validation)):
+        if part.shape[0] == 0:
+            raise ValueError(f"{name} holds no samples: collect more, or change the shares")
+    signals, labels = training["lateral_line"], training["flow_index"]
+    has_noise = bool(torch.as_tensor(noise).any())
+    optimiser = torch.optim.Adam(
+        classifier.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
+    )
+    curves = Curves()
+    best_loss, kept = float("inf"), None
+    for epoch in range(settings.num_epochs):
+        classifier.train()
+        loss_sum, num_right = signals.new_zeros(()), labels.new_zeros(())
+        for batch in torch.randperm(len(labels), generator=generator).split(settings.batch_size):
+            signal, label = signals[batch], labels[batch]
+            if has_noise:
+                drawn = torch.randn(signal.shape, generator=generator, dtype=signal.dtype)
+                signal = signal + noise * drawn.to(signal.device)
+            logits = classifier(signal)
+            loss = cross_entropy(logits, label)
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            loss_sum += loss.detach() * len(batch)
+            num_right += (logits.argmax(-1) == label).sum()
+        score = score_classifier(classifier, validation)
+        curves.train_loss.append(float(loss_sum) / len(labels))
+        curves.train_accuracy.append(float(num_right) / len(labels))
+        curves.validation_loss.append(score.loss)
+        curves.validation_accuracy.append(score.accuracy)
+        if settings.patience is None or score.loss < best_loss:
+            best_loss, curves.chosen_epoch = score.loss, epoch
+            kept = deepcopy(classifier.state_dict()) if settings.patience else None
+        elif epoch - curves.chosen_epoch >= settings.patience:
+            break
+    if kept is not None:
+        classifier.load_state_dict(kept)
+    classifier.eval()
+    return curves
+
+
+@torch.no_grad()
+def score_classifier(classifier: nn.Module, data: TensorDictBase) -> Score:
+    """Judge a classifier on data as for ``fit_classifier``; it is left in ``eval`` mode."""
+    classifier.eval()
+    logits, label = classifier(data["lateral_line"]), data["flow_index"]
+    num = logits.shape[-1]
+    named = logits.argmax(-1)
+    return Score(
+        accuracy=float((named == label).double().mean()),
+        loss=float(cross_entropy(logits, label)),
+        confusion=torch.bincount(label * num + named, minlength=num * num).view(num, num),
+    )

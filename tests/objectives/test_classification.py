@@ -1,0 +1,184 @@
+"""The fit of a classifier: it learns, other episodes judge it, and one seed gives one fit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import nn
+
+from fishrl.modules import LateralLineMachine
+from fishrl.objectives import (
+    Curves,
+    FitSettings,
+    fit_classifier,
+    score_classifier,
+    split_episodes,
+)
+from tests.sines import FLOWS, SENSORS, make_samples
+
+SHARES = (0.6, 0.2, 0.2)
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def make_parts(num_episodes: int = 60) -> list[TensorDict]:
+    data = make_samples(num_episodes)
+    masks = split_episodes(
+        data["episode"], data["flow_index"], shares=SHARES, generator=generator()
+    )
+    return [data[mask] for mask in masks]
+
+
+def make_network(seed: int = 0) -> LateralLineMachine:
+    machine = LateralLineMachine(
+        flows=FLOWS, sensors=SENSORS, hidden=(32,), generator=generator(seed)
+    )
+    machine.set_normalisation(make_samples(9)["lateral_line"])
+    return machine
+
+
+def fit(network: nn.Module, parts: list[TensorDict], **changes: Any) -> Curves:
+    arguments: dict[str, Any] = {
+        "settings": FitSettings(learning_rate=0.003, num_epochs=40),
+        "generator": generator(),
+    }
+    return fit_classifier(network, training=parts[0], validation=parts[1], **(arguments | changes))
+
+
+def test_parts_share_no_episode_and_lose_none() -> None:
+    data = make_samples(20)
+    masks = split_episodes(
+        data["episode"], data["flow_index"], shares=SHARES, generator=generator()
+    )
+    assert torch.equal(sum(mask.int() for mask in masks), torch.ones(200, dtype=torch.int32))
+    ids = [set(data["episode"][mask].tolist()) for mask in masks]
+    assert not ids[0] & ids[1] and not ids[1] & ids[2] and not ids[0] & ids[2]
+
+
+def test_every_part_has_episodes_of_every_class_in_about_its_share() -> None:
+    parts = make_parts(60)
+    for part, share in zip(parts, SHARES, strict=True):
+        per_flow = [part["episode"][part["flow_index"] == k].unique().numel() for k in range(3)]
+        assert per_flow == [pytest.approx(20 * share, abs=1)] * 3
+
+
+def test_as_few_episodes_as_parts_are_enough() -> None:
+    for part in make_parts(9):
+        assert part["flow_index"].unique().tolist() == [0, 1, 2]
+
+
+def test_one_generator_gives_one_split() -> None:
+    episode, label = torch.arange(30), torch.zeros(30, dtype=torch.int64)
+    first, again, other = (
+        split_episodes(episode, label, shares=(0.5, 0.5), generator=generator(seed))[0]
+        for seed in (0, 0, 1)
+    )
+    assert torch.equal(first, again) and not torch.equal(first, other)
+
+
+@pytest.mark.parametrize("shares", [(0.5, 0.6), (1.0, 0.0), (1.2, -0.2)])
+def test_shares_that_are_none_are_refused(shares: tuple[float, ...]) -> None:
+    episode = torch.arange(4)
+    with pytest.raises(ValueError, match="must be positive and sum to 1"):
+        split_episodes(episode, 0 * episode, shares=shares, generator=generator())
+
+
+def test_too_few_episodes_of_a_class_are_refused() -> None:
+    data = make_samples(8)  # two of class 2
+    with pytest.raises(ValueError, match="class 2 has 2 episodes for 3 parts"):
+        split_episodes(data["episode"], data["flow_index"], shares=SHARES, generator=generator())
+
+
+def test_a_fit_tells_sines_of_unseen_episodes_apart() -> None:
+    parts, network = make_parts(), make_network()
+    before = score_classifier(network, parts[2])
+    curves = fit(network, parts)
+    after = score_classifier(network, parts[2])
+    assert before.accuracy < 0.6
+    assert after.accuracy > 0.95  # the frequencies differ by factors of 2 and 1.5
+    assert curves.train_loss[-1] < 0.5 * curves.train_loss[0]
+    assert curves.train_accuracy[-1] > 0.95
+
+
+def test_confusion_counts_true_classes_in_rows() -> None:
+    data = TensorDict(
+        {
+            "lateral_line": torch.tensor([[9.0, 0.0, 0.0], [0.0, 9.0, 0.0], [0.0, 9.0, 0.0]]),
+            "flow_index": torch.tensor([0, 1, 2]),
+        },
+        [3],
+    )
+    score = score_classifier(nn.Identity(), data)
+    assert score.confusion.tolist() == [[1, 0, 0], [0, 1, 0], [0, 1, 0]]
+    assert score.accuracy == pytest.approx(2 / 3)
+
+
+def test_one_seed_gives_one_fit_whatever_the_global_generator_does() -> None:
+    parts = make_parts(12)
+    networks = [make_network() for _ in range(2)]
+    for seed, network in enumerate(networks):
+        torch.manual_seed(seed)
+        fit(network, parts, settings=FitSettings(num_epochs=2), noise=0.1)
+    for a, b in zip(*(network.parameters() for network in networks), strict=True):
+        assert torch.equal(a, b)
+
+
+def test_a_patient_fit_ends_early_with_the_weights_of_the_lowest_validation_loss() -> None:
+    parts, network = make_parts(12), make_network()
+    settings = FitSettings(learning_rate=0.05, num_epochs=200, patience=5)
+    curves = fit(network, parts, settings=settings)
+    losses = curves.validation_loss
+    assert len(losses) < 200
+    assert curves.chosen_epoch == len(losses) - 6 == losses.index(min(losses))
+    assert score_classifier(network, parts[1]).loss == pytest.approx(min(losses))
+
+
+def test_without_patience_all_epochs_are_run_and_the_last_weights_kept() -> None:
+    parts, network = make_parts(9), make_network()
+    curves = fit(network, parts, settings=FitSettings(num_epochs=3, patience=None))
+    assert len(curves.validation_loss) == 3
+    assert curves.chosen_epoch == 2
+    assert score_classifier(network, parts[1]).loss == pytest.approx(curves.validation_loss[-1])
+
+
+def test_noise_on_a_feature_keeps_the_fit_from_relying_on_it() -> None:
+    parts = make_parts()
+    names = torch.zeros(6)
+    names[3:5] = 100.0  # the two that tell
+    network = make_network()
+    fit(network, parts, noise=names)
+    assert score_classifier(network, parts[0]).accuracy < 0.6
+
+
+def test_the_settings_of_the_paper() -> None:
+    paper = FitSettings.of_the_paper()
+    assert (paper.learning_rate, paper.batch_size) == (0.01, 64)  # the paper, lateral-line machine
+    assert (paper.num_epochs, paper.patience) == (1000, None)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("learning_rate", 0.0),
+        ("batch_size", 0),
+        ("num_epochs", 0),
+        ("patience", 0),
+        ("weight_decay", -1.0),
+    ],
+)
+def test_settings_out_of_range_are_refused(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"{name} = {value}: must"):
+        FitSettings(**{name: value})
+
+
+@pytest.mark.parametrize("empty", [0, 1])
+def test_parts_without_samples_are_refused(empty: int) -> None:
+    parts = make_parts(9)
+    parts[empty] = parts[empty][:0]
+    with pytest.raises(ValueError, match="holds no samples"):
+        fit(make_network(), parts)
