@@ -3,5 +3,16 @@
 from fishrl.envs.flow_env import FlowEnv, make_env
 from fishrl.envs.task import AbstractTask, Command
 from fishrl.envs.tasks import KarmanGait, Predation
+from fishrl.envs.transforms import KnowFlow, RecogniseFlow, make_recognition
 
-__all__ = ["AbstractTask", "Command", "FlowEnv", "KarmanGait", "Predation", "make_env"]
+__all__ = [
+    "AbstractTask",
+    "Command",
+    "FlowEnv",
+    "KarmanGait",
+    "KnowFlow",
+    "Predation",
+    "RecogniseFlow",
+    "make_env",
+    "make_recognition",
+]

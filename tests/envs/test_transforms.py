@@ -1,0 +1,188 @@
+"""Naming the flow: what is written, through resets of single rows too, and what is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Categorical, Composite, Unbounded
+from torchrl.envs import CatFrames, EnvBase, StepCounter, TransformedEnv, check_env_specs
+
+from fishrl.envs import FlowEnv, KnowFlow, Predation, RecogniseFlow, make_recognition
+from fishrl.modules import LateralLineMachine
+from fishrl.objectives import FitSettings, fit_classifier
+from tests.envs.conftest import SMALL
+from tests.sines import FLOWS, NUM_FEATURES, SENSORS, make_samples, make_signal
+
+
+class SineTask:
+    """What a transform asks of a task."""
+
+    flow_labels = FLOWS
+    lateral_line_layout = SENSORS
+
+
+class SineEnv(EnvBase):
+    """Rows that feel sines; row b's episodes end after b + 2 steps and change the flow."""
+
+    def __init__(self, num_envs: int = 3) -> None:
+        super().__init__(batch_size=[num_envs])
+        self.task = SineTask()
+        self.age = torch.zeros(num_envs)
+        self.flow = torch.arange(num_envs) % 3
+        self.observation_spec_unbatched = Composite(
+            observation=Unbounded((2,)),
+            lateral_line=Unbounded((16, 5, NUM_FEATURES)),
+            flow_index=Unbounded((1,), dtype=torch.int64),
+        )
+        self.action_spec_unbatched = Categorical(2)
+        self.reward_spec_unbatched = Unbounded((1,))
+
+    def _sense(self) -> dict[str, torch.Tensor]:
+        phase = 0.7 * torch.arange(float(len(self.flow)))
+        return {
+            "observation": torch.stack((self.age, phase), -1),
+            "lateral_line": make_signal(self.flow, self.age, phase),
+            "flow_index": self.flow.unsqueeze(-1).clone(),
+        }
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
+        rows = torch.ones_like(self.flow, dtype=torch.bool)
+        if tensordict is not None and "_reset" in tensordict:
+            rows = tensordict["_reset"].reshape(self.batch_size)
+            self.flow = torch.where(rows, (self.flow + 1) % 3, self.flow)
+        self.age = torch.where(rows, 0.0, self.age)
+        return TensorDict(self._sense(), self.batch_size)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        self.age = self.age + 1.0
+        done = (self.age >= 2.0 + torch.arange(len(self.age))).unsqueeze(-1)
+        flags = {"done": done, "terminated": done.clone(), "reward": torch.zeros(done.shape)}
+        return TensorDict({**self._sense(), **flags}, self.batch_size)
+
+    def _set_seed(self, seed: int | None) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def machine() -> LateralLineMachine:
+    """Return a machine that knows the sines."""
+    generator = torch.Generator().manual_seed(0)
+    made = LateralLineMachine(flows=FLOWS, sensors=SENSORS, hidden=(32,), generator=generator)
+    data = make_samples(60)
+    made.set_normalisation(data["lateral_line"])
+    settings = FitSettings(learning_rate=0.003, num_epochs=30)
+    fit_classifier(made, training=data, validation=data, settings=settings, generator=generator)
+    return made
+
+
+def make(*transforms: Any, num_envs: int = 3) -> TransformedEnv:
+    env = TransformedEnv(SineEnv(num_envs))
+    for transform in transforms:
+        env.append_transform(transform)
+    return env
+
+
+def untrained(**changes: Any) -> LateralLineMachine:
+    arguments = {"flows": FLOWS, "sensors": SENSORS, "hidden": (8,)} | changes
+    return LateralLineMachine(**arguments, generator=torch.Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize("num_samples", [16, 40])
+def test_the_specs_hold_with_stacked_frames_behind(num_samples: int) -> None:
+    stack = CatFrames(N=2, dim=-1, in_keys=["observation"], out_keys=["observation_stack"])
+    env = make(*make_recognition(untrained(num_samples=num_samples)), StepCounter(), stack)
+    check_env_specs(env, seed=0)
+    assert env.observation_spec["observation_stack"].shape == (3, 2 * (2 + 3))
+
+
+def test_probabilities_class_and_observation_say_what_the_machine_says() -> None:
+    machine = untrained()
+    rollout = make(*make_recognition(machine)).rollout(6, break_when_any_done=False)
+    for td in (rollout, rollout["next"]):
+        expected = machine(td["lateral_line"]).softmax(-1)
+        assert torch.allclose(td["flow_probabilities"], expected)
+        assert torch.equal(td["flow_class"], expected.argmax(-1))
+        assert td["flow_class"].dtype == torch.int64
+        assert td["observation"].shape == (3, 6, 5)
+        assert torch.equal(td["observation"][..., 2:], td["flow_probabilities"])
+
+
+def test_a_trained_machine_names_the_flow_of_every_row_after_resets_of_single_rows(
+    machine: LateralLineMachine,
+) -> None:
+    rollout = make(*make_recognition(machine)).rollout(30, break_when_any_done=False)
+    assert rollout["next", "done"].sum(1).flatten().tolist() == [15, 10, 7]
+    assert rollout["flow_index"].unique().numel() == 3
+    named, true = rollout["next", "flow_class"], rollout["next", "flow_index"].squeeze(-1)
+    assert (named == true).double().mean() > 0.95
+
+
+def test_a_row_reset_alone_starts_its_history_anew_and_leaves_the_others() -> None:
+    env = make(*make_recognition(untrained(num_samples=32)))
+    td = env.rollout(3, break_when_any_done=False)[:, -1].exclude("action")["next"]
+    before = td.clone()
+    td = env.reset(td.set("_reset", torch.tensor([[False], [True], [False]])))
+    history, signal = td["lateral_line_history"], td["lateral_line"]
+    assert torch.equal(history[1, :16], signal[1]) and torch.equal(history[1, 16:], signal[1])
+    for row in (0, 2):
+        assert torch.equal(history[row], before["lateral_line_history"][row])
+        assert torch.equal(td["flow_probabilities"][row], before["flow_probabilities"][row])
+    assert torch.allclose(td["flow_probabilities"], env.transform[1].machine(history).softmax(-1))
+
+
+def test_a_saved_environment_names_flows_as_before() -> None:
+    first, second = (make(*make_recognition(untrained(num_samples=32))) for _ in range(2))
+    for parameter in second.transform[1].machine.parameters():
+        parameter.add_(1.0)
+    td = first.rollout(2)[:, -1]["next"]
+    second.reset()
+    second.load_state_dict(first.state_dict())
+    second.base_env.age, second.base_env.flow = first.base_env.age, first.base_env.flow
+    action = torch.zeros(3, dtype=torch.int64)
+    after = [
+        env.step(TensorDict({"action": action}, [3]))["next", "flow_probabilities"]
+        for env in (first, second)
+    ]
+    assert torch.equal(*after) and not torch.equal(after[0], td["flow_probabilities"])
+
+
+def test_the_machine_is_frozen() -> None:
+    machine = untrained().train()
+    RecogniseFlow(machine=machine)
+    assert not machine.training
+    assert not any(parameter.requires_grad for parameter in machine.parameters())
+
+
+def test_the_oracle_names_the_true_flow() -> None:
+    env = make(KnowFlow(num_flows=3))
+    check_env_specs(env, seed=0)
+    rollout = env.rollout(10, break_when_any_done=False)
+    assert torch.equal(rollout["flow_class"], rollout["flow_index"].squeeze(-1))
+    assert torch.equal(rollout["observation"][..., 2:].argmax(-1), rollout["flow_class"])
+
+
+def test_a_machine_for_other_flows_or_sensors_is_refused_when_it_is_attached() -> None:
+    other = untrained(flows=[*FLOWS[:2], {**FLOWS[2], "stream_speed_bl": 2.0}])
+    with pytest.raises(ValueError, match=r"stream_speed_bl = 2\.0, here it is 1\.5"):
+        make(RecogniseFlow(machine=other))
+    with pytest.raises(ValueError, match="trained for num_neuromasts = 3, here it is 5"):
+        make(*make_recognition(untrained(sensors={**SENSORS, "num_neuromasts": 3})))
+    with pytest.raises(ValueError, match="knows 2 flows"):
+        TransformedEnv(SineEnv(), RecogniseFlow(machine=untrained(flows=FLOWS[:2])))
+
+
+def test_an_oracle_of_another_number_of_flows_is_refused() -> None:
+    with pytest.raises(ValueError, match="SineTask has 3 flows to tell apart, here 2"):
+        make(KnowFlow(num_flows=2))
+
+
+@pytest.mark.usefixtures("gliding")
+def test_a_task_without_a_lateral_line_is_refused() -> None:
+    env = TransformedEnv(FlowEnv(task=Predation(**SMALL), num_envs=1, compile_flow=False))
+    with pytest.raises(ValueError, match="Predation has no lateral line to recognise flows by"):
+        env.append_transform(RecogniseFlow(machine=untrained()))
+    with pytest.raises(ValueError, match="Predation has 0 flows to tell apart"):
+        env.append_transform(KnowFlow(num_flows=3))
