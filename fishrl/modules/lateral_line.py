@@ -1,9 +1,9 @@
 """The lateral-line machine: which flow is the fish in, from what its lateral line felt.
 
-The paper's machine is a fully connected network on [t, x, y, u_x, u_y, p, |u|], averaged over five
-points. Here the network is the same, and what it reads is chosen by name: which features, whether
-averaged over the neuromasts, and how many of the newest samples. Time and place give a flow away by
-bookkeeping, so they are left out unless asked for.
+The paper's machine is a fully connected network on one instant of [t, x, y, u_x, u_y, p, |u|],
+averaged over five points. Here the network is the same, and what it reads is a choice: which
+features, and how many of the newest samples. Time and place give a flow away by bookkeeping, so
+they are left out unless asked for.
 """
 
 from __future__ import annotations
@@ -38,7 +38,6 @@ class LateralLineMachine(nn.Module):
         features: names of those that are read; by default all but time and place.
         num_samples: how many of the newest samples are read; by default one control interval of
             them. More than that need the signals of several intervals, one after the other.
-        is_averaged: read the mean over the neuromasts.
         hidden: widths of the hidden layers.
         generator: source of the initial weights.
 
@@ -61,7 +60,6 @@ class LateralLineMachine(nn.Module):
         sensors: Mapping[str, Any],
         features: Sequence[str] | None = None,
         num_samples: int | None = None,
-        is_averaged: bool = False,
         hidden: Sequence[int] = (64, 64),
         generator: torch.Generator | None = None,
     ) -> None:
@@ -81,13 +79,13 @@ class LateralLineMachine(nn.Module):
         self.sensors = {**sensors, "features": known}
         self.features = list(features)
         self.num_samples = int(sensors["num_samples"] if num_samples is None else num_samples)
-        self.is_averaged, self.hidden = is_averaged, list(hidden)
+        self.hidden = list(hidden)
         if self.num_samples < 1:
             raise ValueError(f"num_samples = {num_samples}: must be at least 1")
         self._columns = [known.index(name) for name in self.features]
-        num_points = 1 if is_averaged else int(sensors["num_neuromasts"])
-        self.register_buffer("mean", torch.zeros(num_points, len(self.features)))
-        self.register_buffer("scale", torch.ones(num_points, len(self.features)))
+        shape = (int(sensors["num_neuromasts"]), len(self.features))
+        self.register_buffer("mean", torch.zeros(shape))
+        self.register_buffer("scale", torch.ones(shape))
         self.network = make_mlp(
             num_inputs=self.num_samples * self.mean.numel(),
             num_outputs=len(self.flows),
@@ -106,7 +104,7 @@ class LateralLineMachine(nn.Module):
         return -(-self.num_samples // int(self.sensors["num_samples"]))
 
     def read(self, lateral_line: Tensor) -> Tensor:
-        """Pick what the machine reads: ``[..., W, P, F]`` to ``[..., num_samples, P', F']``.
+        """Pick what the machine reads: ``[..., W, P, F]`` to ``[..., num_samples, P, F']``.
 
         Raises:
             ValueError: if there are too few samples, or other neuromasts or features.
@@ -119,8 +117,7 @@ class LateralLineMachine(nn.Module):
                 f"least {self.num_samples} samples, {expected[0]} neuromasts, {expected[1]} "
                 "features]: stack more control intervals, or train a machine for these sensors"
             )
-        signal = lateral_line[..., -self.num_samples :, :, :][..., self._columns]
-        return signal.mean(-2, keepdim=True) if self.is_averaged else signal
+        return lateral_line[..., -self.num_samples :, :, :][..., self._columns]
 
     @torch.no_grad()
     def set_normalisation(self, lateral_line: Tensor) -> None:
@@ -169,7 +166,6 @@ class LateralLineMachine(nn.Module):
             "sensors": self.sensors,
             "features": self.features,
             "num_samples": self.num_samples,
-            "is_averaged": self.is_averaged,
             "hidden": self.hidden,
         }
         state = {name: value.cpu() for name, value in self.state_dict().items()}
@@ -193,7 +189,10 @@ class LateralLineMachine(nn.Module):
         try:
             content = torch.load(file, map_location="cpu", weights_only=True)
         except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
-            raise ValueError(f"lateral-line machine {file}: cannot be read ({error})") from error
+            raise ValueError(
+                f"lateral-line machine {file}: cannot be read ({type(error).__name__}); train it "
+                "again, or give another file"
+            ) from error
         if not isinstance(content, dict) or content.get("format") != _FORMAT:
             raise ValueError(
                 f"lateral-line machine {file}: not one; give the file that "

@@ -56,11 +56,6 @@ def test_longer_windows_take_more_control_intervals(num_samples: int, intervals:
     assert make(num_samples=num_samples).num_intervals == intervals
 
 
-def test_averaged_neuromasts_may_change_places() -> None:
-    machine, signal = make(is_averaged=True), noise(3, 16)
-    assert torch.allclose(machine(signal), machine(signal.flip(-2)), atol=1e-6)
-
-
 def test_normalised_features_have_mean_zero_and_deviation_one_unless_they_never_change() -> None:
     machine, signal = make(), make_samples(30)["lateral_line"]
     machine.set_normalisation(signal)
@@ -71,7 +66,7 @@ def test_normalised_features_have_mean_zero_and_deviation_one_unless_they_never_
 
 
 def test_a_saved_machine_says_the_same_and_knows_what_it_was_made_for(tmp_path: Path) -> None:
-    machine = make(num_samples=20, is_averaged=True, features=["p", "u"])
+    machine = make(num_samples=20, features=["p", "u"])
     machine.set_normalisation(noise(8, 20))
     machine.save(tmp_path / "machine.pt")
     other = LateralLineMachine.load(tmp_path / "machine.pt")
