@@ -21,8 +21,7 @@ class NameFlow(Transform):
 
     Writes ``flow_probabilities`` ``[B, n]`` and ``flow_class`` ``[B]`` (int64, the likeliest), by
     which the environment picks the row of frequencies at the next step, and appends the
-    probabilities to ``observation``. It keeps nothing from one step to the next. It belongs before
-    the frames are stacked.
+    probabilities to ``observation``. It belongs before the frames are stacked.
 
     Args:
         num_flows: n.
@@ -37,8 +36,14 @@ class NameFlow(Transform):
         self.num_flows = num_flows
 
     @abstractmethod
-    def compute_probabilities(self, tensordict: TensorDictBase) -> Tensor:
-        """Return the probability of each flow ``[*batch, n]``, float32."""
+    def compute_probabilities(self, now: TensorDictBase, *, begins: Tensor | None) -> Tensor:
+        """Return the probability of each flow ``[B, n]``, float32.
+
+        Args:
+            now: what the environment shows.
+            begins: ``[B]`` bool, the rows whose episode begins, at a reset, which leaves the others
+                as they are; None after a step of all rows.
+        """
 
     def set_container(self, container: Transform | EnvBase) -> None:
         """Attach to an environment, if its flows and sensors are the right ones.
@@ -64,23 +69,26 @@ class NameFlow(Transform):
                 f"{self.num_flows} are expected: take a task with `flow_labels`, as many as that"
             )
 
-    @torch.no_grad()
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        probabilities = self.compute_probabilities(next_tensordict)
-        observation = next_tensordict["observation"]
-        next_tensordict.set("flow_probabilities", probabilities)
-        next_tensordict.set("flow_class", probabilities.argmax(-1))
-        next_tensordict.set(
-            "observation", torch.cat((observation, probabilities.to(observation.dtype)), -1)
-        )
-        return next_tensordict
-
-    forward = _call
+        return self._write(next_tensordict, begins=None)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        return self._call(tensordict_reset)
+        batch = tensordict_reset.batch_size
+        begins = tensordict.get("_reset", default=None)
+        if begins is None:
+            begins = torch.ones(batch, dtype=torch.bool, device=tensordict_reset.device)
+        return self._write(tensordict_reset, begins=begins.reshape(batch))
+
+    @torch.no_grad()
+    def _write(self, now: TensorDictBase, *, begins: Tensor | None) -> TensorDictBase:
+        probabilities = self.compute_probabilities(now, begins=begins)
+        observation = now["observation"]
+        now.set("flow_probabilities", probabilities)
+        now.set("flow_class", probabilities.argmax(-1))
+        now.set("observation", torch.cat((observation, probabilities.to(observation.dtype)), -1))
+        return now
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Add the new entries and lengthen the observation."""
@@ -99,15 +107,41 @@ class NameFlow(Transform):
 class RecogniseFlow(NameFlow):
     """Let a lateral-line machine say which flow it is; see ``NameFlow`` for what is written.
 
+    A flow does not change from one decision to the next, so what the machine said before counts
+    too: log-probabilities add up over the episode, those of k decisions ago times ``memory``^k.
+
     Args:
         machine: a ``fishrl.modules.LateralLineMachine``, which is frozen by this; or a network
             like it, with ``num_flows`` and ``check``.
+        memory: in [0, 1]; 0 believes the present signal alone, as the paper's machine does.
         in_key: its signal ``[B, W, P, F]``.
+
+    Raises:
+        ValueError: if the memory is none.
     """
 
-    def __init__(self, *, machine: nn.Module, in_key: str = LATERAL_LINE) -> None:
+    evidence: Tensor
+
+    def __init__(
+        self, *, machine: nn.Module, memory: float = 0.7, in_key: str = LATERAL_LINE
+    ) -> None:
+        if not 0.0 <= memory <= 1.0:
+            raise ValueError(f"memory = {memory}: must lie in [0, 1]")
         super().__init__(num_flows=int(machine.num_flows), in_key=in_key)  # type: ignore[arg-type]
         self.machine = machine.eval().requires_grad_(False)
+        self.memory = memory
+        self.register_buffer("evidence", torch.zeros(0, self.num_flows))
+
+    def set_container(self, container: Transform | EnvBase) -> None:
+        """Attach to an environment, if its flows and sensors are the right ones.
+
+        Raises:
+            ValueError: if they are not.
+        """
+        super().set_container(container)
+        env = self.container
+        if env is not None:
+            self.evidence = torch.zeros(*env.batch_size, self.num_flows, device=env.device)
 
     def check_task(self, task: Any) -> None:
         """Refuse a task whose flows or sensors the machine was not trained for.
@@ -124,10 +158,15 @@ class RecogniseFlow(NameFlow):
             flows=task.flow_labels, sensors=task.lateral_line_layout
         )
 
-    def compute_probabilities(self, tensordict: TensorDictBase) -> Tensor:
-        """Return what the machine says ``[*batch, n]``."""
-        logits: Tensor = self.machine(tensordict[self.in_keys[0]])
-        return logits.float().softmax(-1)
+    def compute_probabilities(self, now: TensorDictBase, *, begins: Tensor | None) -> Tensor:
+        """Return what the machine says, after what it said before ``[B, n]``."""
+        said = self.machine(now[self.in_keys[0]]).float().log_softmax(-1)
+        if begins is None:
+            evidence = self.memory * self.evidence + said
+        else:
+            evidence = torch.where(begins.unsqueeze(-1), said, self.evidence)
+        self.evidence = evidence
+        return evidence.softmax(-1)
 
 
 class KnowFlow(NameFlow):
@@ -142,22 +181,29 @@ class KnowFlow(NameFlow):
     def __init__(self, *, num_flows: int) -> None:
         super().__init__(num_flows=num_flows, in_key="flow_index")
 
-    def compute_probabilities(self, tensordict: TensorDictBase) -> Tensor:
-        """Return 1 for the true flow ``[*batch, n]``."""
-        index = tensordict["flow_index"].reshape(tensordict.batch_size)
+    def compute_probabilities(self, now: TensorDictBase, *, begins: Tensor | None) -> Tensor:
+        """Return 1 for the true flow ``[B, n]``."""
+        index = now["flow_index"].reshape(now.batch_size)
         return one_hot(index, self.num_flows).float()
 
 
-def make_recognition(machine: nn.Module) -> list[Transform]:
+def make_recognition(machine: nn.Module, *, memory: float = 0.7) -> list[Transform]:
     """Return the transforms by which a machine recognises flows, in order.
 
     A machine that reads more than one control interval gets the signals of several, one after the
     other, as ``lateral_line_history``; at the start of an episode its first signal is repeated.
+
+    Args:
+        machine: see ``RecogniseFlow``.
+        memory: see ``RecogniseFlow``.
+
+    Raises:
+        ValueError: if the memory is none.
     """
     num_intervals = int(machine.num_intervals)  # type: ignore[arg-type]
     if num_intervals == 1:
-        return [RecogniseFlow(machine=machine)]
+        return [RecogniseFlow(machine=machine, memory=memory)]
     return [
         CatFrames(N=num_intervals, dim=-3, in_keys=[LATERAL_LINE], out_keys=[HISTORY]),
-        RecogniseFlow(machine=machine, in_key=HISTORY),
+        RecogniseFlow(machine=machine, memory=memory, in_key=HISTORY),
     ]

@@ -98,9 +98,9 @@ def test_the_specs_hold_with_stacked_frames_behind(num_samples: int) -> None:
     assert env.observation_spec["observation_stack"].shape == (3, 2 * (2 + 3))
 
 
-def test_probabilities_class_and_observation_say_what_the_machine_says() -> None:
+def test_without_memory_probabilities_class_and_observation_say_what_the_machine_says() -> None:
     machine = untrained()
-    rollout = make(*make_recognition(machine)).rollout(6, break_when_any_done=False)
+    rollout = make(*make_recognition(machine, memory=0.0)).rollout(6, break_when_any_done=False)
     for td in (rollout, rollout["next"]):
         expected = machine(td["lateral_line"]).softmax(-1)
         assert torch.allclose(td["flow_probabilities"], expected)
@@ -130,7 +130,26 @@ def test_a_row_reset_alone_starts_its_history_anew_and_leaves_the_others() -> No
     for row in (0, 2):
         assert torch.equal(history[row], before["lateral_line_history"][row])
         assert torch.equal(td["flow_probabilities"][row], before["flow_probabilities"][row])
-    assert torch.allclose(td["flow_probabilities"], env.transform[1].machine(history).softmax(-1))
+    said = env.transform[1].machine(history).softmax(-1)
+    assert torch.allclose(td["flow_probabilities"][1], said[1])
+
+
+def test_what_the_machine_said_before_counts_less_and_less_and_not_beyond_the_episode() -> None:
+    machine = untrained()
+    env = make(RecogniseFlow(machine=machine, memory=0.5))
+    rollout = env.rollout(6, break_when_any_done=False)
+    said = machine(rollout["lateral_line"]).log_softmax(-1)
+    age, total = rollout["observation"][..., 0], torch.zeros(3, 3)
+    for k in range(6):
+        total = torch.where((age[:, k] == 0.0)[:, None], 0.0, 0.5 * total) + said[:, k]
+        assert torch.allclose(rollout["flow_probabilities"][:, k], total.softmax(-1), atol=1e-6)
+    assert (age == 0.0).sum(1).tolist() == [3, 2, 2]  # episodes begin at different times
+
+
+@pytest.mark.parametrize("memory", [-0.1, 1.1])
+def test_a_memory_that_is_none_is_refused(memory: float) -> None:
+    with pytest.raises(ValueError, match=r"memory = .*: must lie in \[0, 1\]"):
+        RecogniseFlow(machine=untrained(), memory=memory)
 
 
 def test_a_saved_environment_names_flows_as_before() -> None:
