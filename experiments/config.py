@@ -18,15 +18,26 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError  # type: ignore[import-untyped]
 
 from experiments.run_folder import RunFolder
-from experiments.settings import ConfigError, EvaluateConfig, TrainConfig, nearest
+from experiments.settings import (
+    ConfigError,
+    EvaluateConfig,
+    LateralLineConfig,
+    TrainConfig,
+    nearest,
+)
 
 CONF = Path(__file__).parent / "conf"
 #: Settings that the saved state of a run depends on.
 FIXED_BY_RUN = ("task", "preset", "seed", "num_envs", "hidden", "buffer_size", "logger")
 
 
-SCHEMAS: dict[str, type] = {"train": TrainConfig, "evaluate": EvaluateConfig}
+SCHEMAS: dict[str, type] = {
+    "train": TrainConfig,
+    "evaluate": EvaluateConfig,
+    "train_lateral_line": LateralLineConfig,
+}
 ConfigStore.instance().store(name="train_schema", node=TrainConfig)
+ConfigStore.instance().store(name="train_lateral_line_schema", node=LateralLineConfig)
 # Plain, so that a preset may also set what only training reads.
 ConfigStore.instance().store(
     name="evaluate_schema", node=OmegaConf.to_container(OmegaConf.structured(EvaluateConfig))
@@ -39,7 +50,7 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
     Every argument of a ``_target_``'s constructor can be set, whether the YAML names it or not.
 
     Args:
-        program: train or evaluate.
+        program: train, evaluate or train_lateral_line.
         arguments: the command line; options of hydra (``--multirun``, ``hydra.x=y``) pass as is.
 
     Returns:
@@ -90,11 +101,11 @@ def load_config(program: str, arguments: Sequence[str] = ()) -> Any:
     """Compose the settings of a program as its command line would.
 
     Args:
-        program: train or evaluate.
+        program: train, evaluate or train_lateral_line.
         arguments: overrides.
 
     Returns:
-        The settings, a ``TrainConfig`` or ``EvaluateConfig``.
+        The settings: a ``TrainConfig``, ``EvaluateConfig`` or ``LateralLineConfig``.
 
     Raises:
         ConfigError: for unknown keys and values, and for values out of range.

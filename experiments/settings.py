@@ -135,6 +135,77 @@ class EvaluateConfig:
             )
 
 
+@dataclass(kw_only=True)
+class LateralLineConfig:
+    """Settings of a study of the lateral line, which ends with a machine.
+
+    Args:
+        task: ``_target_`` and arguments of the task whose flows shall be told apart.
+        seed: of data, splits and fits.
+        device: cpu or cuda, of the flows.
+        compile: compile the flow solver.
+        folder: where run folders lie.
+        name: of the run folder; by default made from task and seed.
+        data_folder: where collected data are kept, for every study that can use them.
+        num_envs: flows that advance together.
+        num_samples: decisions to collect, one signal of a control interval each.
+        max_decisions: after which an episode is cut; more episodes tell more than longer ones.
+        window: samples that the machine reads, the newest; by default one control interval of them.
+        hidden: widths of its hidden layers.
+        learning_rate: of the fits.
+        batch_size: of the fits.
+        num_epochs: of the fits, at most.
+        patience: epochs without a lower validation loss that end a fit.
+        weight_decay: of the fits.
+        noise: added to what the machine is fitted on, as a share of each feature's deviation.
+        paper_epochs: epochs of the machine fitted as the paper does, with its other settings too.
+        num_splits: divisions of the episodes over which accuracies are averaged.
+        windows: lengths of window to compare, in samples.
+        noises: levels of noise to compare, as shares of each feature's deviation.
+        memories: to compare, of what the machine said before; see ``RecogniseFlow``.
+    """
+
+    task: Any = MISSING
+    seed: int = 0
+    device: str = "cpu"
+    compile: bool = True
+    folder: str = "runs"
+    name: str | None = None
+    data_folder: str = "runs/lateral_line_data"
+    num_envs: int = 16
+    num_samples: int = 6000
+    max_decisions: int = 12
+    window: int | None = None
+    hidden: list[int] = field(default_factory=lambda: [64, 64])
+    learning_rate: float = 1e-3
+    batch_size: int = 64
+    num_epochs: int = 300
+    patience: int = 15
+    weight_decay: float = 1e-3
+    noise: float = 0.2
+    paper_epochs: int = 1000
+    num_splits: int = 3
+    windows: list[int] = field(default_factory=lambda: [1, 2, 4, 8, 16, 32])
+    noises: list[float] = field(default_factory=lambda: [0.0, 0.1, 0.2, 0.5, 1.0])
+    memories: list[float] = field(default_factory=lambda: [0.0, 0.7, 1.0])
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot run."""
+        for name in ("num_envs", "num_samples", "max_decisions", "batch_size", "num_epochs"):
+            _at_least(name, getattr(self, name), 1)
+        for name in ("patience", "paper_epochs", "num_splits"):
+            _at_least(name, getattr(self, name), 1)
+        for name in ("seed", "noise", "weight_decay"):
+            _at_least(name, getattr(self, name), 0)
+        for window in (*self.windows, 1 if self.window is None else self.window):
+            _at_least("window", window, 1)
+        for name, values in (("noises", self.noises), ("memories", self.memories)):
+            for value in values:
+                _at_least(name, value, 0)
+        if self.learning_rate <= 0:
+            raise ConfigError(f"learning_rate = {self.learning_rate}: must be greater than 0")
+
+
 def nearest(word: str, known: Iterable[str]) -> str:
     """Give `` Did you mean 'x'?`` for the most similar known word, or nothing."""
     known = list(known)

@@ -1,0 +1,65 @@
+"""From episodes to samples: windows of any length, as the machine would feel them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+
+from fishrl.envs.lateral_line import KNOWN
+
+
+def feel(episodes: TensorDict, *, features: Sequence[str], is_averaged: bool) -> TensorDict:
+    """Return episodes with the signal of a lateral line that tells less than everything.
+
+    Args:
+        episodes: ``[E, D]`` as ``collect`` returns.
+        features: names of those it tells.
+        is_averaged: whether it tells only the mean over the neuromasts.
+    """
+    signal = episodes["lateral_line"][..., [KNOWN.index(name) for name in features]]
+    if is_averaged:
+        signal = signal.mean(-2, keepdim=True)
+    return episodes.copy().set("lateral_line", signal)
+
+
+def cut_windows(episodes: TensorDictBase, *, num_samples: int) -> TensorDict:
+    """Cut the signal of each episode into windows, one that ends at each of its samples.
+
+    Before the start the first sample is repeated, as the environment does.
+
+    Args:
+        episodes: ``[E, D]`` as ``collect`` returns.
+        num_samples: length of the windows.
+
+    Returns:
+        TensorDict ``[N]`` with ``lateral_line`` ``[N, num_samples, P, F]``; ``decision``, the
+        number (from 0) of that before which it was felt; ``is_whole``, whether it ends right at the
+        decision; and the other entries of ``episodes``.
+
+    Raises:
+        ValueError: if a window would hold nothing.
+    """
+    if num_samples < 1:
+        raise ValueError(f"num_samples = {num_samples}: a window has at least 1")
+    signal = episodes["lateral_line"]
+    rows, num_decisions, interval = signal.shape[:3]
+    series = signal.flatten(1, 2)  # [E, D * W, P, F]
+    first = series[:, :1].expand(-1, num_samples - 1, -1, -1)
+    windows = torch.cat((first, series), 1).unfold(1, num_samples, 1).movedim(-1, 2)
+    is_whole = (torch.arange(num_decisions * interval) + 1) % interval == 0
+    decision = torch.arange(num_decisions).repeat_interleave(interval)
+    is_used = episodes["is_decision"].repeat_interleave(interval, 1)
+    is_used &= is_whole | (decision > 0)  # at reset all samples of the interval are the first one
+    kept = {
+        "decision": decision.expand(rows, -1),
+        "is_whole": is_whole.expand(rows, -1),
+        **{
+            str(name): value.repeat_interleave(interval, 1)
+            for name, value in episodes.items()
+            if name not in ("lateral_line", "is_decision")
+        },
+    }
+    cut = {name: value[is_used] for name, value in kept.items()}
+    return TensorDict({"lateral_line": windows[is_used], **cut}, [int(is_used.sum())])

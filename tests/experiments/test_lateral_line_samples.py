@@ -1,0 +1,86 @@
+"""From episodes to windows: which samples a machine is fitted on."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from experiments.lateral_line.samples import cut_windows, feel
+from fishrl.envs.lateral_line import KNOWN
+
+#: Two episodes of at most three decisions with four samples each, numbered; one neuromast.
+SIGNAL = torch.arange(24.0).view(2, 3, 4, 1, 1)
+
+
+def make_episodes() -> TensorDict:
+    signal = SIGNAL.clone()
+    signal[:, 0] = signal[:, 0, :1]  # at reset the first sample is repeated
+    return TensorDict(
+        {
+            "lateral_line": signal,
+            "is_decision": torch.tensor([[True, True, True], [True, True, False]]),
+            "flow_index": torch.tensor([[0, 0, 0], [1, 1, 1]]),
+            "episode": torch.tensor([[7, 7, 7], [8, 8, 8]]),
+        },
+        [2, 3],
+    )
+
+
+def windows_of(data: TensorDict) -> list[list[int]]:
+    return data["lateral_line"].squeeze(-1).squeeze(-1).int().tolist()
+
+
+def test_whole_windows_of_one_interval_are_what_the_environment_shows() -> None:
+    data = cut_windows(make_episodes(), num_samples=4)
+    data = data[data["is_whole"]]
+    assert windows_of(data) == [
+        [0, 0, 0, 0],
+        [4, 5, 6, 7],
+        [8, 9, 10, 11],
+        [12, 12, 12, 12],
+        [16, 17, 18, 19],
+    ]
+    assert data["decision"].tolist() == [0, 1, 2, 0, 1]
+    assert data["episode"].tolist() == [7, 7, 7, 8, 8]
+    assert data["flow_index"].tolist() == [0, 0, 0, 1, 1]
+
+
+def test_a_longer_window_reaches_back_and_repeats_the_first_sample_before_the_start() -> None:
+    data = cut_windows(make_episodes(), num_samples=6)
+    assert windows_of(data[data["is_whole"]])[:3] == [
+        [0, 0, 0, 0, 0, 0],
+        [0, 0, 4, 5, 6, 7],
+        [6, 7, 8, 9, 10, 11],
+    ]
+
+
+def test_a_window_ends_at_every_sample_but_the_repeated_ones_of_the_reset() -> None:
+    data = cut_windows(make_episodes(), num_samples=1)
+    assert windows_of(data) == [[k] for k in (0, *range(4, 12), 12, *range(16, 20))]
+    data = cut_windows(make_episodes(), num_samples=2)
+    assert windows_of(data)[:4] == [[0, 0], [0, 4], [4, 5], [5, 6]]
+    assert data["is_whole"].tolist() == 2 * [True, False, False, False] + [True] * 2 + [
+        False, False, False, True,
+    ]  # fmt: skip
+    assert data["decision"].tolist() == [0, *[1] * 4, *[2] * 4, 0, *[1] * 4]
+
+
+def test_nothing_after_the_end_of_an_episode_is_used() -> None:
+    for length in (1, 3, 9):
+        data = cut_windows(make_episodes(), num_samples=length)
+        assert data["lateral_line"].max() <= 19
+
+
+def test_a_window_without_samples_is_refused() -> None:
+    with pytest.raises(ValueError, match="num_samples = 0: a window has at least 1"):
+        cut_windows(make_episodes(), num_samples=0)
+
+
+def test_a_lateral_line_of_fewer_features_tells_those_and_their_mean() -> None:
+    signal = torch.randn(2, 3, 4, 5, len(KNOWN), generator=torch.Generator().manual_seed(0))
+    episodes = make_episodes().set("lateral_line", signal)
+    each = feel(episodes, features=("slip", "u_x"), is_averaged=False)["lateral_line"]
+    mean = feel(episodes, features=("slip", "u_x"), is_averaged=True)["lateral_line"]
+    assert torch.equal(each[..., 1], signal[..., KNOWN.index("u_x")])
+    assert torch.allclose(mean, each.mean(-2, keepdim=True))
