@@ -41,6 +41,7 @@ def make_task(*, speeds: tuple[float, ...] = (1.0, 1.5), **changes: Any) -> Karm
         "stream": Stream(speeds_bl=speeds, has_disc=False),
         "start_flows": (0, 1),
         "control": MacroActions(bank=FrequencyBank(rows=((0.5, 1.0, 1.5), (1.0, 1.25, 1.5)))),
+        "start_x_bl": (1.0, 1.2),
         "safe_area": SafeArea(far_bl=2.5),
         "lateral_line": LateralLine(num_neuromasts=3, num_samples=INTERVAL),
     }
