@@ -62,7 +62,7 @@ class KarmanGait(AbstractTask):
     body_length: int = 40
     reynolds: float = 500.0
     max_wall_speed: float = 0.1
-    wall_margin_bl: float = 0.2
+    wall_margin_bl: float = 0.25
     num_stacked: int = 2
     time_limit: int = 100
     stream: Stream = field(default_factory=Stream)
