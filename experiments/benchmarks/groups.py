@@ -10,6 +10,7 @@ from typing import Any
 from experiments.benchmarks import (
     compiling,
     coupled,
+    cuda_code,
     environment,
     gpu,
     memory,
@@ -48,6 +49,7 @@ GROUPS: dict[str, Group] = {
     "profile": Group(run=profile.run),
     "compile": Group(run=compiling.run),
     "memory": Group(run=memory.run),
+    "cuda": Group(run=cuda_code.run),
 }
 
 

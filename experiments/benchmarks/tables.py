@@ -31,6 +31,7 @@ def list_tables(results: Results) -> list[Table]:
         _tabulate_training(results),
         _tabulate_profile(results),
         _tabulate_studies(results),
+        _tabulate_cuda(results),
     ]
     return [table for table in tables if len(table.cells) > 1]
 
@@ -193,6 +194,16 @@ def _tabulate_studies(results: Results) -> Table:
         for row in results.studies.get("memory", {}).get("rows", [])
     ]
     return Table("Compilation and memory", "", cells)
+
+
+def _tabulate_cuda(results: Results) -> Table:
+    """Return what a GPU would be asked to do."""
+    keys = ("kernels", "library_calls", "temporaries", "loads", "stores")
+    rows = results.studies.get("cuda", {}).get("rows", [])
+    cells = [["part", *(key.replace("_", " ") for key in keys)]]
+    cells += [[row["name"], *(str(row[key]) for key in keys)] for row in rows]
+    note = "Inductor's Triton source for one step of two flows, counted and not run."
+    return Table("Code for a GPU", note, cells)
 
 
 def describe_run(results: Results) -> str:

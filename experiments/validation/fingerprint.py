@@ -6,15 +6,13 @@ import hashlib
 import inspect
 import json
 from collections.abc import Callable, Iterator
-from functools import cache
-from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import torch
 
-import fishrl.physics
 from experiments.validation.case import Job
+from fishrl.physics.compiled import hash_sources
 
 
 def fingerprint(job: Job) -> str:
@@ -29,19 +27,10 @@ def fingerprint(job: Job) -> str:
         f"{job.function.__module__}.{job.function.__qualname__}",
         json.dumps(job.arguments, sort_keys=True),
         *sorted(_sources(job.function)),
-        _hash_physics(),
+        hash_sources(),
         torch.__version__,
     ]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
-
-
-@cache
-def _hash_physics() -> str:
-    folder = Path(inspect.getfile(fishrl.physics)).parent
-    digest = hashlib.sha256()
-    for path in sorted(folder.glob("*.py")):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()
 
 
 def _sources(function: Callable[..., Any]) -> set[str]:

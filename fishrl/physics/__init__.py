@@ -15,6 +15,7 @@ from fishrl.physics.in_place import InPlaceSolver
 from fishrl.physics.motion import Bending, Commanded, Driven, Fixed, Free, Oscillating
 from fishrl.physics.rigid_motion import Coupling
 from fishrl.physics.state import FlowConfig, FlowState
+from fishrl.physics.storage import Storage
 from fishrl.physics.units import Scales
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "InPlaceSolver",
     "Oscillating",
     "Scales",
+    "Storage",
     "compute_area",
     "compute_coefficient",
     "compute_pressure",

@@ -15,14 +15,11 @@ from fishrl.physics.compiled import find_compiler_problem
 from fishrl.physics.memory import FlowMemory
 from fishrl.physics.motion import Body, make_body
 from fishrl.physics.rigid_motion import deform_body, place_markers
-from fishrl.physics.state import FlowConfig, make_params
+from fishrl.physics.state import FlowConfig, list_configs, make_params
 from fishrl.physics.stepper import FlowData, FlowGroup, Stepper
 from fishrl.physics.workers import SharedMemory, Workers, map_shared
 
 logger = logging.getLogger(__name__)
-
-# A flow whose speed passes this (Mach 0.87) is beyond the method and counts as diverged.
-MAX_SPEED = 0.5
 
 
 class InPlaceSolver:
@@ -38,6 +35,8 @@ class InPlaceSolver:
             at most one per flow, where the step is compiled; 0 runs all flows here, each on all of
             torch's threads, which is faster for a single large flow on a quiet machine and much
             slower on a busy one. On a GPU it must be 0.
+        flows_per_launch: flows that each pass over memory advances together; a divisor of B. None
+            is one on a CPU, whose cache holds a flow, and all on a GPU.
     """
 
     def __init__(
@@ -49,8 +48,9 @@ class InPlaceSolver:
         device: torch.device | str = "cpu",
         compile: bool = True,
         num_workers: int | None = None,
+        flows_per_launch: int | None = None,
     ) -> None:
-        configs = _list_configs(config, num_envs)
+        configs = list_configs(config, num_envs)
         num_envs = len(configs)
         device = torch.device(device)
         is_cpu = device.type == "cpu"
@@ -63,11 +63,16 @@ class InPlaceSolver:
                 f"num_workers = {num_workers} on {device}: allowed is 0 on a GPU, 0 or more "
                 "on a CPU"
             )
-        self._num_workers = min(num_workers, num_envs)
         self._workers: Workers | None = None
         self._frequency = torch.as_tensor(frequency, dtype=torch.float64, device=device)
-        self._is_closed = False
-        fresh = self._prepare(configs, device, compile)
+        self._is_closed = self._is_ready = False
+        size = flows_per_launch or (1 if is_cpu else num_envs)
+        if size < 1 or num_envs % size:
+            raise ValueError(
+                f"flows_per_launch = {flows_per_launch}: must divide the number of flows {num_envs}"
+            )
+        self._num_workers = min(num_workers, num_envs // size)
+        fresh = self._prepare(configs, device, compile, size)
         num_bytes = self._memory.count_bytes()
         self._shared = SharedMemory(num_bytes) if self._num_workers else None
         if self._shared is None:
@@ -80,7 +85,7 @@ class InPlaceSolver:
         self._fill_omega()
 
     def _prepare(
-        self, configs: Sequence[FlowConfig], device: torch.device, compile: bool
+        self, configs: Sequence[FlowConfig], device: torch.device, compile: bool, size: int
     ) -> FlowData:
         """Make the stepper and return the numbers that flows begin with."""
         self.configs, self.config = list(configs), configs[0]
@@ -91,26 +96,29 @@ class InPlaceSolver:
         place = centre.to(device).expand(self.num_envs, 2)
         body = make_body(place, rest, rest + self._frequency)
         fresh = FlowData(rest, params, tuple(body for _ in self.config.bodies))
-        # one flow at a time fits a core's cache; a GPU wants them all in one launch
-        size = 1 if device.type == "cpu" else self.num_envs
         sample = pytree.tree_map(lambda t: t[:size], fresh)
         self._stepper = Stepper(config=self.config, group_size=size, sample=sample, device=device)
         self._memory = FlowMemory(
-            fresh, self._stepper.layout, has_omega_field=bool(self.config.sponges)
+            fresh,
+            self._stepper.layout,
+            dtype=self.config.storage.dtype,
+            has_omega_field=bool(self.config.sponges),
         )
         return fresh
 
     @classmethod
     def attach(
-        cls, *, configs: Sequence[FlowConfig], path: str, groups: range, compile: bool
+        cls, *, configs: Sequence[FlowConfig], path: str, groups: range, compile: bool, size: int
     ) -> "InPlaceSolver":
         """Return a worker's solver, which advances ``groups`` of a batch in shared memory."""
         self = cls.__new__(cls)
         self._workers, self._num_workers, self._shared = None, 0, None
+        self._is_closed = self._is_ready = False
         self._frequency = torch.zeros((), dtype=torch.float64)
-        self._prepare(configs, torch.device("cpu"), compile)
+        self._prepare(configs, torch.device("cpu"), compile, size)
         self._bind(map_shared(path, self._memory.count_bytes()), groups)
-        self.compile()
+        if compile:
+            self._stepper.compile(next(iter(self._groups.values())))
         return self
 
     def _bind(self, memory: Tensor, groups: range) -> None:
@@ -151,30 +159,32 @@ class InPlaceSolver:
 
     def compile(self) -> None:
         """Compile the step and start the workers; the first ``advance_`` does it otherwise."""
-        if self._num_workers and self._workers is None:
-            assert self._shared is not None
-            start = time.perf_counter()
-            logger.info(
-                "compiling the flow step for %d processes (up to a minute when new) ...",
-                self._num_workers,
-            )
-            num_groups = len(self._groups)
-            job = {
-                "configs": self.configs,
-                "path": str(self._shared.path),
-                "compile": self._wants_compile,
-                "log_level": logging.WARNING,
-            }
-            shares = [range(w, num_groups, self._num_workers) for w in range(self._num_workers)]
-            self._workers = Workers([job | {"groups": share} for share in shares])
-            self._shared.unlink()
-            logger.info("flow step ready after %.1f s", time.perf_counter() - start)
-        elif not self._num_workers and self._wants_compile:
-            start = time.perf_counter()
-            logger.info("compiling the flow step (up to a minute when new) ...")
-            self._stepper.compile(next(iter(self._groups.values())))
-            self._wants_compile = False
-            logger.info("flow step ready after %.1f s", time.perf_counter() - start)
+        if self._is_ready or not (self._num_workers or self._wants_compile):
+            return
+        start = time.perf_counter()
+        logger.info("compiling the flow step (up to a minute when new) ...")
+        first = next(iter(self._groups.values()))
+        if self._num_workers:
+            self._start_workers()
+        else:
+            self._stepper.compile(first)
+        if self._wants_compile:
+            self._stepper.compile_check(first)
+        self._is_ready = True
+        logger.info("flow step ready after %.1f s", time.perf_counter() - start)
+
+    def _start_workers(self) -> None:
+        assert self._shared is not None
+        job = {
+            "configs": self.configs,
+            "path": str(self._shared.path),
+            "compile": self._wants_compile,
+            "size": self._stepper.layout.num_envs,
+            "log_level": logging.WARNING,
+        }
+        num, count = len(self._groups), self._num_workers
+        self._workers = Workers([job | {"groups": range(w, num, count)} for w in range(count)])
+        self._shared.unlink()
 
     def close(self) -> None:
         """End the workers, if any; the flows can still be read."""
@@ -252,7 +262,8 @@ class InPlaceSolver:
             mask = rows[mine]
             if size > 1 or mask.item():
                 for f, value in zip(group.cells[0], start, strict=True):
-                    f.copy_(torch.where(mask[:, None], value[mine, None], f))
+                    stored = self.config.storage.encode(value[mine, None])
+                    f.copy_(torch.where(mask[:, None], stored, f))
 
     def _spread_places(
         self, position: Tensor | None, heading: Tensor | None
@@ -284,7 +295,8 @@ class InPlaceSolver:
             mine = slice(index * size, (index + 1) * size)
             mask = wanted[mine].view(-1, 1, 1)
             for q, view in enumerate(self._stepper.layout.nodes(group.populations, 0, False)):
-                view.copy_(torch.where(mask, f[mine, q].to(view), view))
+                stored = self.config.storage.encode(f[mine, q].to(self.device))
+                view.copy_(torch.where(mask, stored, view))
 
     def command_(self, turn: Tensor, num_steps: int, frequency: Tensor | None = None) -> None:
         """Order the first body to turn and, optionally, to beat at a new frequency.
@@ -305,10 +317,11 @@ class InPlaceSolver:
 
     def populations(self) -> Tensor:
         """Return a copy of the incoming populations ``[B, Q, Y, X]`` (shifted)."""
-        layout = self._stepper.layout
-        return torch.cat(
-            [torch.stack(layout.nodes(g.populations, 0, False), 1) for g in self._groups.values()]
-        )
+        return torch.cat([torch.stack(self._read(g), 1) for g in self._groups.values()])
+
+    def _read(self, group: FlowGroup) -> list[Tensor]:
+        """Return the nine incoming populations ``[B, Y, X]`` of a group."""
+        return [self.config.storage.decode(f) for f in group.nodes]
 
     def macroscopic(self) -> tuple[Tensor, Tensor]:
         """Return density ``[B, Y, X]`` and velocity ``[B, 2, Y, X]``."""
@@ -316,7 +329,7 @@ class InPlaceSolver:
         return torch.cat([rho for rho, _ in fields]), torch.cat([u for _, u in fields])
 
     def _read_group(self, group: FlowGroup) -> tuple[Tensor, Tensor]:
-        rho, jx, jy = compute_macroscopic(self._stepper.layout.nodes(group.populations, 0, False))
+        rho, jx, jy = compute_macroscopic(self._read(group))
         density = rho + 1.0
         return density, torch.stack((jx / density, jy / density), 1)
 
@@ -340,9 +353,7 @@ class InPlaceSolver:
 
     def is_diverged(self) -> Tensor:
         """Return ``[B]``: not finite, too fast for the method, or a body outside the grid."""
-        # comparisons with NaN are false, so a broken flow is never "fine"
-        speeds = [(self._read_group(g)[1] ** 2).sum(1).flatten(1) for g in self._groups.values()]
-        fine = torch.cat([(s < MAX_SPEED**2).all(-1) for s in speeds])
+        fine = torch.cat([self._stepper.is_fine(group) for group in self._groups.values()])
         size = torch.tensor([self.config.width, self.config.height], device=self.device)
         for index in range(len(self.bodies)):
             markers = self.markers(index)
@@ -371,19 +382,3 @@ class InPlaceSolver:
             ("omega", self._omega),
             *((pytree.keystr(path).lstrip("."), leaf) for path, leaf in pairs),
         ]
-
-
-def _list_configs(
-    config: FlowConfig | Sequence[FlowConfig], num_envs: int | None
-) -> list[FlowConfig]:
-    """Return one configuration per flow."""
-    if isinstance(config, FlowConfig):
-        num_envs = 1 if num_envs is None else num_envs
-        if num_envs < 1:
-            raise ValueError(f"num_envs = {num_envs}: at least one flow is needed")
-        return [config] * num_envs
-    if not config or num_envs not in (None, len(config)):
-        raise ValueError(
-            f"num_envs = {num_envs} with {len(config)} configurations: give one per flow"
-        )
-    return list(config)

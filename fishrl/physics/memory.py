@@ -16,13 +16,21 @@ class FlowMemory:
     Args:
         sample: numbers of all flows, for their shapes.
         layout: of one group's populations.
+        dtype: of the populations.
         has_omega_field: whether the relaxation rate differs from node to node.
     """
 
-    def __init__(self, sample: FlowData, layout: InPlaceLayout, *, has_omega_field: bool) -> None:
+    def __init__(
+        self,
+        sample: FlowData,
+        layout: InPlaceLayout,
+        *,
+        dtype: torch.dtype,
+        has_omega_field: bool,
+    ) -> None:
         leaves, self._form = pytree.tree_flatten(sample)
         self._shapes = [leaf.shape for leaf in leaves]
-        self._num_envs = len(sample.clock)
+        self._num_envs, self._dtype = len(sample.clock), dtype
         self._omega_length = layout.flow_length if has_omega_field else 1
         self._slots = self._num_envs // layout.num_envs, layout.num_slots
         self._num_doubles: int = sum(prod(shape) for shape in self._shapes)
@@ -30,7 +38,11 @@ class FlowMemory:
 
     def count_bytes(self) -> int:
         """Return the size of the block."""
-        return 8 * self._num_doubles + 4 * (self._num_omegas + self._slots[0] * self._slots[1])
+        return self._first_slot + self._dtype.itemsize * self._slots[0] * self._slots[1]
+
+    @property
+    def _first_slot(self) -> int:
+        return 8 * self._num_doubles + 4 * self._num_omegas
 
     def carve(self, memory: Tensor) -> tuple[FlowData, Tensor, Tensor]:
         """Return views of the block ``[bytes]``: numbers, omega ``[B, n]``, populations."""
@@ -40,8 +52,8 @@ class FlowMemory:
             part.view(shape)
             for part, shape in zip(torch.split(doubles, sizes), self._shapes, strict=True)
         ]
-        singles = memory[8 * self._num_doubles :].view(torch.float32)
+        singles = memory[8 * self._num_doubles : self._first_slot].view(torch.float32)
         omega = singles[: self._num_envs * self._omega_length].view(self._num_envs, -1)
-        populations = singles[self._num_omegas :].view(self._slots)
+        populations = memory[self._first_slot :].view(self._dtype).view(self._slots)
         flow: FlowData = pytree.tree_unflatten(parts, self._form)
         return flow, omega, populations

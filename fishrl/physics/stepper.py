@@ -17,14 +17,22 @@ from torch.utils import _pytree as pytree
 
 from fishrl.physics.boundaries import Boundary, Side
 from fishrl.physics.collision import collide_mrt, compute_force_increment, compute_macroscopic
-from fishrl.physics.compiled import compile_inplace
+from fishrl.physics.compiled import compile_inplace, is_own
 from fishrl.physics.lattice import OPPOSITE, Q
 from fishrl.physics.motion import Body
 from fishrl.physics.solver import Place, exchange, locate_bodies
 from fishrl.physics.state import FlowConfig, FlowParams, compute_stream_speed
+from fishrl.physics.storage import Storage
 from fishrl.physics.streaming import InPlaceLayout
 
 _Function = Callable[..., Any]
+
+# A flow whose speed passes this (Mach 0.87) is beyond the method and counts as diverged.
+MAX_SPEED = 0.5
+_GRAPH_PAIRS = 50  # most pairs of steps in one CUDA graph
+# The bodies' part is small and scatters: one thread, and weights are kept, not computed again for
+# every pair of markers (six times slower at L = 100).
+_BODY: dict[str, object] = {"cpp.threads": 1, "realize_opcount_threshold": 10}
 
 
 class FlowData(NamedTuple):
@@ -57,9 +65,12 @@ class FlowGroup:
         layout = stepper.layout
         self.populations, self.omega, self.flow = populations, omega, flow
         self.cells = [layout.cells(populations, p) for p in (0, 1)]
+        self.nodes = layout.nodes(populations, 0, False)
         self.edges = [stepper.gather_edge_arguments(populations, flow, p) for p in (0, 1)]
         self.crossings = [stepper.gather_crossings(populations, p) for p in (0, 1)]
         self.body_arguments = [stepper.gather_body_arguments(populations, flow, p) for p in (0, 1)]
+        self.graphs: dict[int, torch.cuda.CUDAGraph] = {}
+        self.collisions = [(flow.clock, omega, *cells) for cells in self.cells]
 
 
 class Stepper:
@@ -79,8 +90,10 @@ class Stepper:
         self.layout = InPlaceLayout(num_envs=group_size, height=config.height, width=config.width)
         self._collide = _make_collide(config)
         groups = config.boundaries.in_order()
-        self._set_edges = [_make_edge_step(sides) for sides in groups]
+        self._set_edges = [_make_edge_step(sides, config.storage) for sides in groups]
         self._profiles = [[self._make_profile(side) for side, _ in sides] for sides in groups]
+        self._check = _make_check(config)
+        self._is_fine = torch.zeros(group_size, dtype=torch.bool, device=device)
         if config.bodies:
             self._prepare_bodies(sample, group_size)
 
@@ -94,35 +107,28 @@ class Stepper:
         self._place: Place = locate_bodies(
             sample.bodies, self.config, sample.params.shapes, torch.float32
         )
-        entries = self._place.stencil.weights.numel()
         self._first_cell = (
             torch.arange(group_size, device=device) * layout.flow_length + layout.first_cell
         )
         self._offsets = [torch.tensor(layout.offsets(p, True), device=device) for p in (0, 1)]
-        self._force = torch.zeros(2 * layout.num_cells, device=device)
-        self._nodes = torch.zeros(2 * entries, dtype=torch.int64, device=device)
-        self._shares = torch.zeros(2 * entries, device=device)
-        self._fluid = torch.zeros(3, entries, device=device)
-        self._slots = torch.zeros(Q * entries, dtype=torch.int64, device=device)
-        self._increments = torch.zeros(Q * entries, device=device)
-        trees = (sample.bodies, sample.params.shapes, self._place)
+        self._force = [torch.zeros(layout.num_cells, device=device) for _ in range(2)]
+        trees = self._gather_trees(sample)
         self._locate = _make_locate(self.config, trees)
-        self._push = _make_push(self.config, layout, trees)
-        self._absorb = _make_absorb(self.config)
+        self._act = _make_act(self.config, layout, trees)
+
+    def _gather_trees(self, flow: FlowData) -> "_Trees":
+        """Return bodies, shapes and, where it is kept, their place."""
+        return flow.bodies, flow.params.shapes, self._place if self.config.is_still else ()
 
     def gather_body_arguments(
         self, populations: Tensor, flow: FlowData, parity: int
     ) -> tuple[Sequence[Tensor], ...]:
-        """Return the arguments of locate, push and absorb after a step of ``parity``."""
+        """Return the arguments of locate and act after a step of ``parity``."""
         if not self.config.bodies:
             return ()
-        offsets, scratch = self._offsets[parity], (self._nodes, self._shares, self._fluid)
-        everything = pytree.tree_leaves((flow.bodies, flow.params.shapes, self._place))
-        return (
-            everything,
-            (populations, offsets, self._first_cell, *scratch, *everything),
-            (self._force, *scratch, flow.params.tau, offsets, self._slots, self._increments),
-        )
+        everything = pytree.tree_leaves(self._gather_trees(flow))
+        where = self._offsets[parity], self._first_cell
+        return everything, (populations, *self._force, *where, flow.params.tau, *everything)
 
     def gather_edge_arguments(
         self, populations: Tensor, flow: FlowData, parity: int
@@ -153,35 +159,65 @@ class Stepper:
 
     def compile(self, group: FlowGroup) -> None:
         """Compile every part of the step for groups like ``group``."""
-        self._collide = compile_inplace(self._collide, (group.omega, *group.cells[0]))
+        self._collide = self._build("collide", self._collide, group.collisions[0])
         for i, views in enumerate(group.edges[0]):
-            self._set_edges[i] = compile_inplace(self._set_edges[i], views)
+            self._set_edges[i] = self._build(f"edges {i}", self._set_edges[i], views)
         if self.config.bodies:
-            locate, push, absorb = group.body_arguments[0]
-            self._locate = compile_inplace(self._locate, locate)
-            self._push = compile_inplace(self._push, push)
-            self._absorb = compile_inplace(self._absorb, absorb)
+            locate, act = group.body_arguments[0]
+            if self.config.is_still:
+                self._locate = self._build("locate", self._locate, locate, **_BODY)
+            self._act = self._build("act", self._act, act, **_BODY)
+
+    def compile_check(self, group: FlowGroup) -> None:
+        """Compile ``is_fine`` for groups like ``group``."""
+        self._check = self._build("check", self._check, (self._is_fine, *group.nodes))
+
+    def _build(
+        self, part: str, function: _Function, example: Sequence[Tensor], **patches: object
+    ) -> _Function:
+        structure = self.config.get_structure()
+        name = part + repr(structure) if is_own(structure) else None
+        return compile_inplace(function, example, name=name, **patches)
+
+    def is_fine(self, group: FlowGroup) -> Tensor:
+        """Return ``[B]``: whether everything is finite and slower than ``MAX_SPEED``."""
+        self._check(self._is_fine, *group.nodes)
+        return self._is_fine.clone()
 
     def advance_(self, group: FlowGroup, num_steps: int) -> None:
         """Advance one group by an even number of steps."""
         if self.config.bodies and self.config.is_still:
             self._locate(*group.body_arguments[0][0])
-        for _ in range(num_steps // 2):
-            self._step_(group, 0)
-            self._step_(group, 1)
+        num_pairs = num_steps // 2
+        if self.device.type == "cuda" and num_pairs:
+            if not group.graphs:  # kernels are built in a first call, which cannot be captured
+                self._advance_pairs_(group, 1)
+                num_pairs -= 1
+            while num_pairs > 0:
+                self._replay_(group, min(num_pairs, _GRAPH_PAIRS))
+                num_pairs -= _GRAPH_PAIRS
+        else:
+            self._advance_pairs_(group, num_pairs)
 
-    def _step_(self, group: FlowGroup, parity: int) -> None:
-        self._collide(group.omega, *group.cells[parity])
+    def _advance_pairs_(self, group: FlowGroup, num_pairs: int) -> None:
+        for _ in range(num_pairs):
+            self.step_(group, 0)
+            self.step_(group, 1)
+
+    def _replay_(self, group: FlowGroup, num_pairs: int) -> None:
+        """Advance by pairs of steps that are launched as one CUDA graph, recorded once."""
+        if num_pairs not in group.graphs:
+            graph = torch.cuda.CUDAGraph()
+            with torch.cuda.graph(graph):
+                self._advance_pairs_(group, num_pairs)
+            group.graphs[num_pairs] = graph
+        group.graphs[num_pairs].replay()
+
+    def step_(self, group: FlowGroup, parity: int) -> None:
+        """Advance one group by one step."""
+        self._collide(*group.collisions[parity])
         if self.config.bodies:
-            locate, push, absorb = group.body_arguments[parity]
-            if not self.config.is_still:
-                self._locate(*locate)
-            self._push(*push)
-            self._force.index_add_(0, self._nodes, self._shares)
-            self._absorb(*absorb)
-            group.populations.index_add_(0, self._slots, self._increments)
-            self._force.index_fill_(0, self._nodes, 0.0)
-        group.flow.clock.add_(1.0)
+            self._act(*group.body_arguments[parity][1])
         for to, origin in group.crossings[parity]:
             to.copy_(origin)
         for set_edges, arguments in zip(self._set_edges, group.edges[parity], strict=True):
@@ -190,15 +226,18 @@ class Stepper:
 
 def _make_collide(config: FlowConfig) -> _Function:
     """Return: collide without force; on the incoming views this streams as well."""
+    storage = config.storage
 
-    def collide(omega: Tensor, *f: Tensor) -> None:
-        for q, g in enumerate(collide_mrt(f, omega, config.rates)):
-            f[OPPOSITE[q]].copy_(g)
+    def collide(clock: Tensor, omega: Tensor, *f: Tensor) -> None:
+        clock.add_(1.0)
+        decoded = [storage.decode(g) for g in f]
+        for q, g in enumerate(collide_mrt(decoded, omega, config.rates)):
+            f[OPPOSITE[q]].copy_(storage.encode(g))
 
     return collide
 
 
-_Trees = tuple[Any, Any, Place]
+_Trees = tuple[Any, Any, Place | tuple[()]]
 
 
 def _copy_tree(old: object, new: object) -> None:
@@ -207,7 +246,7 @@ def _copy_tree(old: object, new: object) -> None:
 
 
 def _make_locate(config: FlowConfig, trees: _Trees) -> _Function:
-    """Return: deform the bodies, place markers and stencils."""
+    """Return: place markers and stencils of bodies that stay where they are."""
     form = pytree.tree_structure(trees)
 
     def locate(*leaves: Tensor) -> None:
@@ -217,50 +256,51 @@ def _make_locate(config: FlowConfig, trees: _Trees) -> _Function:
     return locate
 
 
-def _make_push(config: FlowConfig, layout: InPlaceLayout, trees: _Trees) -> _Function:
-    """Return: markers read the fluid, force and motion are solved, the bodies move."""
-    form = pytree.tree_structure(trees)
+def _make_act(config: FlowConfig, layout: InPlaceLayout, trees: _Trees) -> _Function:
+    """Return: the bodies read the fluid, move, and put their force into the populations."""
+    form, storage = pytree.tree_structure(trees), config.storage
 
-    def push(
-        data: Tensor, offsets: Tensor, first_cell: Tensor,
-        nodes_out: Tensor, shares_out: Tensor, fluid_out: Tensor, *leaves: Tensor,
+    def act(
+        data: Tensor, force_x: Tensor, force_y: Tensor, offsets: Tensor, first_cell: Tensor,
+        tau: Tensor, *leaves: Tensor,
     ) -> None:  # fmt: skip
         bodies, shapes, place = pytree.tree_unflatten(leaves, form)
+        if not config.is_still:
+            place = locate_bodies(bodies, config, shapes, torch.float32)
         nodes = place.stencil.index_nodes(layout.row_length) + first_cell[:, None, None]
-        rho, jx, jy = compute_macroscopic([data[nodes + offsets[q]] for q in range(Q)])
+        slots = [nodes + offsets[q] for q in range(Q)]
+        rho, jx, jy = compute_macroscopic([storage.decode(data[slot]) for slot in slots])
         ux, uy = jx / (rho + 1.0), jy / (rho + 1.0)
         moved, share_x, share_y = exchange(bodies, config, shapes, place, rho, ux, uy)
-        flat = nodes.reshape(-1)
-        nodes_out.copy_(torch.cat((flat, flat + layout.num_cells)))
-        shares_out.copy_(torch.cat((share_x.reshape(-1), share_y.reshape(-1))))
-        fluid_out.copy_(torch.stack((rho, ux, uy)).reshape(3, -1))
+        for total, share in ((force_x, share_x), (force_y, share_y)):
+            total.index_put_((nodes,), share, accumulate=True)
+        increment = compute_force_increment(
+            rho, ux, uy, force_x[nodes], force_y[nodes], share_x, share_y,
+            (1.0 / tau).to(rho)[:, None, None], config.rates,
+        )  # fmt: skip
+        for slot, values in zip(slots, increment, strict=True):
+            data.index_put_((slot,), storage.encode(values), accumulate=True)
+        for total in (force_x, force_y):
+            total.index_put_((nodes,), torch.zeros_like(rho))
         _copy_tree(bodies, moved)
 
-    return push
+    return act
 
 
-def _make_absorb(config: FlowConfig) -> _Function:
-    """Return: from the nodes' total force, what each marker adds to the populations."""
+def _make_check(config: FlowConfig) -> _Function:
+    """Return: look at every node of the flows."""
+    storage = config.storage
 
-    def absorb(
-        force: Tensor, nodes: Tensor, shares: Tensor, fluid: Tensor, tau: Tensor,
-        offsets: Tensor, slots_out: Tensor, increments_out: Tensor,
-    ) -> None:  # fmt: skip
-        rows = len(tau), -1
-        fx, fy = (t.view(rows) for t in force[nodes].chunk(2))
-        part_x, part_y = (t.view(rows) for t in shares.chunk(2))
-        rho, ux, uy = (t.view(rows) for t in fluid)
-        omega = (1.0 / tau).to(fx)[:, None]
-        increment = compute_force_increment(
-            rho, ux, uy, fx, fy, part_x, part_y, omega, config.rates
-        )
-        increments_out.copy_(torch.cat([t.reshape(-1) for t in increment]))
-        slots_out.copy_((offsets[:, None] + nodes.chunk(2)[0]).reshape(-1))
+    def check(is_fine: Tensor, *f: Tensor) -> None:
+        rho, jx, jy = compute_macroscopic([storage.decode(g) for g in f])
+        limit = MAX_SPEED * (rho + 1.0)
+        # comparisons with NaN are false, so a broken flow is never fine
+        is_fine.copy_((jx * jx + jy * jy < limit * limit).flatten(1).all(-1))
 
-    return absorb
+    return check
 
 
-def _make_edge_step(sides: list[tuple[Side, Boundary]]) -> _Function:
+def _make_edge_step(sides: list[tuple[Side, Boundary]], storage: Storage) -> _Function:
     """Return: set some edges, from the arguments of ``gather_edge_arguments``."""
 
     def set_edges(
@@ -270,9 +310,10 @@ def _make_edge_step(sides: list[tuple[Side, Boundary]]) -> _Function:
         speed_now = compute_stream_speed(params, clock).float()[:, None]
         profiles, views = rest[: len(sides)], rest[len(sides) :]
         for i, (side, boundary) in enumerate(sides):
-            edge, neighbour, outgoing = (views[(3 * i + j) * Q :][:Q] for j in range(3))
+            edge, *known = (views[(3 * i + j) * Q :][:Q] for j in range(3))
+            neighbour, outgoing = ([storage.decode(f) for f in views] for views in known)
             speed = speed_now * profiles[i]
             for q, values in boundary.compute_edge(side, neighbour, outgoing, speed).items():
-                edge[q].copy_(values)
+                edge[q].copy_(storage.encode(values))
 
     return set_edges

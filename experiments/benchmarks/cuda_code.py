@@ -1,0 +1,145 @@
+"""Group ``cuda``: what Inductor would launch on a GPU, generated where there is none.
+
+The parts of the step are traced as on a CPU, moved to an imaginary CUDA device and lowered to
+Triton source, which is counted and not run. It needs the package triton, but no device.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from types import SimpleNamespace
+from typing import Any
+from unittest import mock
+
+import torch
+from torch import Tensor
+from torch._subclasses import FakeTensorMode
+from torch.fx import GraphModule
+from torch.fx.experimental.proxy_tensor import make_fx
+
+from experiments.benchmarks.entry import Settings
+from experiments.benchmarks.flows import make_scales, make_tank
+from fishrl.physics import InPlaceSolver
+
+# What code generation asks of a device; the numbers are an H100's.
+_PROPERTIES: dict[str, Any] = {
+    "multi_processor_count": 132,
+    "major": 9,
+    "minor": 0,
+    "regs_per_multiprocessor": 65536,
+    "max_threads_per_multi_processor": 2048,
+    "max_threads_per_block": 1024,
+    "warp_size": 32,
+    "shared_memory_per_block": 49152,
+    "shared_memory_per_block_optin": 232448,
+    "L2_cache_size": 50 * 2**20,
+    "total_memory": 80 * 2**30,
+    "name": "imagined",
+    "gcnArchName": "",
+}
+
+
+def generate(function: Callable[..., Any], arguments: Sequence[Tensor], patches: Any) -> str:
+    """Return the module that Inductor would write for ``function`` on CUDA."""
+    from torch._inductor import config
+    from torch._inductor.debug import DebugContext
+    from torch._inductor.graph import GraphLowering
+    from torch._inductor.virtualized import V
+
+    graph = _trace(function, arguments)
+    fake_mode = FakeTensorMode(allow_non_fake_inputs=True)
+    with fake_mode:
+        imagined = [
+            torch.empty_strided(t.shape, t.stride(), dtype=t.dtype, device="cuda")
+            for t in arguments
+        ]
+    with (
+        _imagine_device(),
+        config.patch({"size_asserts": False, "alignment_asserts": False, **patches}),
+    ):
+        lowering = GraphLowering(graph, example_inputs=imagined, is_inference=True)
+        with (
+            V.set_fake_mode(fake_mode),
+            V.set_debug_handler(DebugContext()),
+            V.set_graph_handler(lowering),
+        ):
+            lowering.run(*imagined)
+            code, _ = lowering.codegen()
+    return str(code.value)
+
+
+def _trace(function: Callable[..., Any], arguments: Sequence[Tensor]) -> GraphModule:
+    """Trace as AOTAutograd would: mutations at the end, then in place where that is safe."""
+    from torch._inductor.decomposition import select_decomp_table
+    from torch._inductor.fx_passes.reinplace import reinplace_inplaceable_ops
+    from torch._inductor.fx_utils import FakeTensorUpdater
+    from torch._inductor.virtualized import V
+
+    graph: GraphModule = make_fx(
+        torch.func.functionalize(function, remove="mutations"),
+        decomposition_table=select_decomp_table(),
+        tracing_mode="fake",
+    )(*arguments)
+    places = [node for node in graph.graph.nodes if node.op == "placeholder"]
+    with V.set_fake_mode(places[0].meta["val"].fake_mode):
+        reinplace_inplaceable_ops(FakeTensorUpdater(graph), graph.graph)
+    for node in graph.graph.nodes:
+        if "device" in node.kwargs:
+            node.kwargs = {**node.kwargs, "device": torch.device("cuda")}
+    graph.recompile()
+    return graph
+
+
+@contextmanager
+def _imagine_device() -> Iterator[None]:
+    """Answer what code generation asks of a device."""
+    from torch._inductor.runtime.hints import DeviceProperties
+
+    known = {f: v for f, v in _PROPERTIES.items() if f in DeviceProperties._fields}
+    properties = DeviceProperties(type="cuda", index=0, cc=90, **known)
+    answers: dict[str, Any] = {
+        "torch.cuda.is_available": True,
+        "torch.cuda.device_count": 1,
+        "torch.cuda.current_device": 0,
+        "torch.cuda.synchronize": None,
+        "torch.cuda.get_device_capability": (9, 0),
+        "torch.cuda.get_device_properties": SimpleNamespace(**_PROPERTIES),
+        "torch.utils._triton.triton_hash_with_backend": "imagined",
+    }
+    with ExitStack() as stack:
+        for name, answer in answers.items():
+            stack.enter_context(mock.patch(name, mock.Mock(return_value=answer)))
+        create = mock.Mock(return_value=properties)
+        stack.enter_context(mock.patch.object(DeviceProperties, "create", create))
+        yield
+
+
+def count(code: str) -> dict[str, int]:
+    """Return how often the module launches, calls libraries, takes memory, loads and stores."""
+    body = code.split("def call(")[1]
+    return {
+        "kernels": len(re.findall(r"triton_\w+\.run\(", body)),
+        "library_calls": body.count("extern_kernels."),
+        "temporaries": body.count("= empty_strided_cuda("),
+        "loads": code.count("tl.load("),
+        "stores": code.count("tl.store(") + code.count("tl.atomic_add("),
+    }
+
+
+def run(settings: Settings) -> dict[str, Any]:
+    """Count for a batch of two flows with a fish in each, as one launch."""
+    if importlib.util.find_spec("triton") is None:
+        return {"skipped": "triton is not installed (pip install triton)"}
+    config = make_tank(make_scales(settings.body_length // 2), has_fish=True)
+    solver = InPlaceSolver(config=config, num_envs=2, flows_per_launch=2, compile=False)
+    step, group = solver._stepper, next(iter(solver._groups.values()))
+    parts = {
+        "collide": (step._collide, group.collisions[0], {}),
+        "bodies": (step._act, group.body_arguments[0][1], {"realize_opcount_threshold": 10}),
+    }
+    for i, (edges, arguments) in enumerate(zip(step._set_edges, group.edges[0], strict=True)):
+        parts[f"edges {i + 1}"] = (edges, arguments, {})
+    return {"rows": [{"name": name} | count(generate(*part)) for name, part in parts.items()]}

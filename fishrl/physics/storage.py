@@ -1,0 +1,31 @@
+"""How populations are kept in memory: in single precision, or in half of it for bandwidth.
+
+Arithmetic is always in single precision. What is stored are deviations f - w, so that half
+precision spends its eleven bits on the flow and not on the rest state; scaling by a power of two
+keeps small deviations out of the denormals (the FP16S format of Lehmann et al. 2022).
+"""
+
+from enum import Enum
+
+import torch
+from torch import Tensor
+
+
+class Storage(Enum):
+    """A type of number in memory and the factor by which stored values are larger."""
+
+    FLOAT32 = (torch.float32, 1.0)
+    FLOAT16 = (torch.float16, 2.0**15)  # holds deviations below 2
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Type in memory."""
+        return self.value[0]
+
+    def decode(self, stored: Tensor) -> Tensor:
+        """Return populations from memory."""
+        return stored if self.value[1] == 1.0 else stored.float() * (1.0 / self.value[1])
+
+    def encode(self, f: Tensor) -> Tensor:
+        """Return what to keep of populations."""
+        return f.to(self.dtype) if self.value[1] == 1.0 else (f * self.value[1]).to(self.dtype)
