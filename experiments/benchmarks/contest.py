@@ -1,7 +1,9 @@
 """The protocol: a process per code, short bursts in turn, every entry once a round.
 
 A machine that changes its mind does so for all entries of a round, so what is compared are speeds
-of the same round. Each process measures its own bursts; while one runs, the others wait.
+of the same round. Each process measures its own bursts; while one runs, the others wait. A burst
+begins when the threads of the one before have gone to sleep (they look for work for some
+milliseconds first), and with steps that do not count, which fill the caches and wake its own.
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ from experiments.benchmarks.entry import Entry, Settings, Team
 from experiments.benchmarks.results import Row, Skipped
 
 logger = logging.getLogger(__name__)
+_PAUSE = 0.01  # seconds; a thread of GNU's OpenMP was seen to spin for four milliseconds
+_WARM_UP = 4  # such a part of a burst runs before it and does not count
 _BAR = "{desc} {percentage:3.0f}%|{bar:20}| {n_fmt}/{total_fmt} rounds [{elapsed}<{remaining}]"
 _SENT = tuple(f.name for f in fields(Entry) if f.name not in ("advance", "prepare", "multiple"))
 
@@ -56,6 +60,7 @@ class _Player:
     def play(self, *, counts: bool) -> None:
         """Run a burst of each entry; a process that fails is out, with all it has measured."""
         for index in range(len(self.entries)):
+            time.sleep(_PAUSE)
             self.connection.send(index)
             answer = self._receive()
             if isinstance(answer, Skipped):
@@ -190,6 +195,8 @@ def _time(entry: Entry, num_steps: int) -> tuple[float, dict[str, float]]:
     """Return the seconds of one step, and what else the burst has to say."""
     if entry.prepare is not None:
         entry.prepare()
+    if entry.num_steps is None:
+        entry.advance(max(1, num_steps // _WARM_UP // entry.multiple) * entry.multiple)
     start = time.perf_counter()
     extras = entry.advance(num_steps)
     return (time.perf_counter() - start) / num_steps, extras or {}

@@ -30,7 +30,7 @@ class Entry:
         working_set: bytes that a step goes through.
         bytes_per_update: that a node update moves if each population is read and written once.
         multiple: the numbers of steps it can run are multiples of this.
-        num_steps: of each burst; None finds how many fill a burst.
+        num_steps: of each burst, which then has no warm-up; None finds how many fill a burst.
         prepare: called before each burst, outside the time.
         unit: of what takes time, "step" of a flow or what else.
         facts: numbers and words about it that are known before, such as the slip reached.

@@ -92,6 +92,7 @@ def make_entry(
         advance=_advance(solver, rows),
         num_nodes=num_flows * config.width * config.height,
         working_set=count_working_set(solver, num_flows),
+        bytes_per_update=18 * config.storage.dtype.itemsize,
         multiple=2,
         facts=facts,
     )

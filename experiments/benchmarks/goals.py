@@ -107,6 +107,7 @@ GOALS: tuple[Goal, ...] = (
     ),
     at_least(0.90, "gpu/kernel", ["gpu/copy"], "GPU, bulk / copy"),
     at_least(0.75, "gpu/fish", ["gpu/copy"], "GPU, whole step with fish / copy"),
+    at_least(1.6, "gpu/fish, half", ["gpu/fish"], "GPU, stored in half / in single precision"),
     Goal(
         what="share of an environment step outside the flow",
         bar=2.0,

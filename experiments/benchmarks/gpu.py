@@ -8,6 +8,7 @@ import torch
 
 from experiments.benchmarks.entry import PROBE, Entry, Settings, Team
 from experiments.benchmarks.flows import CODE, make_entry, make_kernel_entry, make_solver
+from fishrl.physics.storage import Storage
 
 NUM_FLOWS = 64
 HOW = "all in one launch"
@@ -21,9 +22,19 @@ def make_flows(*, body_length: int, num_flows: int) -> list[Entry]:
     """
     if not torch.cuda.is_available():
         raise ImportError(f"torch {torch.__version__} sees no CUDA device")
-    empty, fish = (
-        make_solver(body_length=body_length, has_fish=has, num_envs=num_flows, device="cuda")
-        for has in (False, True)
+    empty, fish, half = (
+        make_solver(
+            body_length=body_length,
+            has_fish=has_fish,
+            num_envs=num_flows,
+            device="cuda",
+            storage=storage,
+        )
+        for has_fish, storage in (
+            (False, Storage.FLOAT32),
+            (True, Storage.FLOAT32),
+            (True, Storage.FLOAT16),
+        )
     )
     source = torch.rand(9 * num_flows * empty.config.width * empty.config.height, device="cuda")
     target = torch.empty_like(source)
@@ -45,6 +56,7 @@ def make_flows(*, body_length: int, num_flows: int) -> list[Entry]:
         Entry(**vars(kernel) | {"advance": wait_for(kernel.advance)}),
         make_entry(empty, label="gpu/walls", how=HOW),
         make_entry(fish, label="gpu/fish", how=HOW),
+        make_entry(half, label="gpu/fish, half", how=f"{HOW}, half precision"),
     ]
 
 

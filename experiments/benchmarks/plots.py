@@ -71,7 +71,10 @@ def draw_roofline(results: Results) -> Figure | None:
     axes.set(xlabel="GB/s at 72 bytes per node update", ylim=(-0.6, len(rows) - 0.4))
     axes.margins(x=0.08)
     handles = [mpl.patches.Patch(color=colour, label=name) for name, colour in SCOPES.items()]
-    axes.legend(handles=handles, loc="lower right", fontsize=8, title="strong: fishrl")
+    axes.legend(
+        handles=handles, loc="lower right", fontsize=8, title="strong: fishrl", frameon=True,
+        framealpha=1.0, edgecolor="none",
+    )  # fmt: skip
     axes.set_title("Bandwidth achieved, and what the memory does", loc="left", pad=18)
     tidy(axes)
     axes.grid(axis="y", visible=False)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -17,20 +16,22 @@ import torch
 from experiments.benchmarks.alone import run_alone
 from experiments.benchmarks.entry import Settings
 from experiments.benchmarks.environment import Stage, make_task
-from experiments.benchmarks.parts import replace_parts
+from experiments.benchmarks.parts import Function, replace_parts
 from fishrl.physics import InPlaceSolver
 
 FLOW, ENV, BRAIN = "flow", "environment", "TorchRL and policy"
+CHECK = "check for divergence"
 #: What the stepper's parts are called here; one that is not listed goes by its own name.
 NAMES = {
     "collide": "collision",
     "set edges": "edges",
+    "check": CHECK,
     "locate": "markers and stencils",
     "push": "fluid at the markers, force, motion",
     "absorb": "increments of the populations",
     "act": "bodies: markers, force, motion, spreading",
 }
-REST = "scatter, periodic edges, calls"
+REST = "calls, and what is in no part"
 
 
 class Stopwatch:
@@ -40,7 +41,7 @@ class Stopwatch:
         self.seconds: dict[tuple[str, str], float] = defaultdict(float)
         self._inside = 0.0
 
-    def wrap(self, where: str, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    def wrap(self, where: str, name: str, function: Function) -> Function:
         """Return ``function`` with its time counted as part ``name`` of ``where``."""
 
         def timed(*arguments: Any, **keywords: Any) -> Any:
@@ -79,10 +80,15 @@ def profile_task(
     stage.base.solver = solver
     stage.prepare()
     watch = Stopwatch()
-    parts = replace_parts(solver, lambda name, part: watch.wrap(FLOW, NAMES.get(name, name), part))
+
+    def wrap(name: str, part: Function) -> Function:
+        words = NAMES.get(name, name)
+        return watch.wrap(ENV if words == CHECK else FLOW, words, part)
+
+    parts = replace_parts(solver, wrap)
     for owner, name, where, words in (
         (solver, "advance_", FLOW, REST),
-        (solver, "is_diverged", ENV, "check for divergence"),
+        (solver, "is_diverged", ENV, CHECK),
         (stage.base, "measure", ENV, "sensors and measurement"),
         (stage.base, "_step", ENV, "reward, observation, ends"),
         (stage.env, "step_and_maybe_reset", BRAIN, "TorchRL: transforms, specs, resets"),

@@ -81,6 +81,13 @@ def test_a_burst_has_as_many_steps_as_fill_it(
     assert find_length(clock.entry(seconds, multiple=multiple), 0.04) == expected
 
 
+def test_a_burst_begins_with_steps_that_do_not_count(clock: Clock) -> None:
+    counts: list[int] = []
+    entry = Entry(**vars(clock.entry(0.5, multiple=2)) | {"advance": counts.append})
+    contest._time(entry, 20)
+    assert counts == [4, 20]
+
+
 def test_what_is_prepared_before_a_burst_is_not_timed(clock: Clock) -> None:
     def prepare() -> None:
         clock.now += 5.0

@@ -25,6 +25,7 @@ from experiments.config import load_config
 from fishrl.envs import Predation
 from fishrl.physics import InPlaceSolver
 from tests.envs.test_real_flow import TINY
+from tests.experiments import toy_teams
 
 WIDTH, HEIGHT = 32, 100
 
@@ -256,10 +257,6 @@ def test_a_flow_in_place_takes_little_more_than_its_populations() -> None:
 
 
 def test_what_is_run_alone_returns_its_result_and_raises_its_error() -> None:
-    assert run_alone(dict, a=1) == {"a": 1}
-    with pytest.raises(ValueError, match="invalid literal"):
-        run_alone(_parse, text="x")
-
-
-def _parse(*, text: str) -> int:
-    return int(text)
+    assert run_alone(toy_teams.halve, number=6) == 3
+    with pytest.raises(ValueError, match="5 is odd"):
+        run_alone(toy_teams.halve, number=5)

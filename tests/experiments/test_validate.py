@@ -60,6 +60,8 @@ def test_failed_jobs_are_misses_and_the_others_go_on(tmp_path: Path) -> None:
 def test_a_stopped_run_keeps_what_is_finished(tmp_path: Path, name: str) -> None:
     script = (
         "import signal, sys; from pathlib import Path\n"
+        # a shell's background jobs begin with SIGINT ignored
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from experiments.validate import resumable\n"
         "from experiments.validation.runner import run_cases\n"
         "from tests.experiments.toy_cases import Squares, stop_parent\n"

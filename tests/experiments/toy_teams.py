@@ -50,3 +50,9 @@ def list_walkers(settings: Settings) -> list[Team]:
 
 def list_failures(settings: Settings) -> list[Team]:
     return [make_team(fail_at_once, "fishrl")]
+
+
+def halve(*, number: int) -> int:
+    if number % 2:
+        raise ValueError(f"{number} is odd")
+    return number // 2
