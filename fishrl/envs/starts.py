@@ -7,7 +7,7 @@ from torch import Tensor
 from fishrl.envs.sensors import compute_clearance
 from fishrl.physics.bodies import Fish
 from fishrl.physics.motion import make_body
-from fishrl.physics.rigid_motion import deform_body, place_markers
+from fishrl.physics.rigid_motion import locate_markers
 
 
 def place_fish(starts: TensorDictBase, fish: Fish) -> tuple[Tensor, Tensor]:
@@ -28,7 +28,7 @@ def place_outline(starts: TensorDictBase, fish: Fish) -> Tensor:
     position, heading = place_fish(starts, fish)
     body = make_body(position, heading, torch.zeros_like(heading))
     shape = fish.make_shape(heading.device)
-    return place_markers(body, deform_body(fish, shape, body)).position
+    return locate_markers(fish, shape, body)
 
 
 def check_pattern(starts: TensorDictBase, pattern: TensorDictBase) -> None:

@@ -14,7 +14,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fishrl.physics.kinematics import CARLING, Beat, Deformation, Gait, Shape, deform
+from fishrl.physics.kinematics import (
+    CARLING,
+    Beat,
+    Deformation,
+    Gait,
+    Shape,
+    compute_amplitudes,
+    deform,
+    shear,
+)
 from fishrl.physics.midline import MidlineShape, bend_midline
 from fishrl.physics.motion import Commanded, Fixed, Motion
 from fishrl.physics.sections import Section
@@ -155,6 +164,13 @@ class Outline(ABC):
         """Return the outline at one instant."""
         assert isinstance(shape, Shape)
         return deform(shape, beat)
+
+    def draw_at(self, shape: AnyShape, beat: Beat) -> tuple[Tensor, Tensor]:
+        """Return the same outline, along and across the axis ``[B, N]``, without its motion."""
+        if isinstance(shape, Shape):
+            return shape.axial, shear(shape, compute_amplitudes(beat)[0])
+        deformation = self.deform(shape, beat)
+        return deformation.axial, deformation.lateral
 
 
 @dataclass(frozen=True, kw_only=True)

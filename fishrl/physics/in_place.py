@@ -15,7 +15,7 @@ from fishrl.physics.compiled import find_compiler_problem
 from fishrl.physics.memory import FlowMemory
 from fishrl.physics.motion import Body, make_body
 from fishrl.physics.probes import sample_flow
-from fishrl.physics.rigid_motion import deform_body, place_markers
+from fishrl.physics.rigid_motion import locate_markers
 from fishrl.physics.state import FlowConfig, list_configs, make_params
 from fishrl.physics.stepper import FlowData, FlowGroup, Stepper
 from fishrl.physics.workers import SharedMemory, Workers, map_shared
@@ -351,7 +351,7 @@ class InPlaceSolver:
                 "index below their number"
             )
         body, shape = self.bodies[index], self.flow.params.shapes[index]
-        return place_markers(body, deform_body(self.config.bodies[index], shape, body)).position
+        return locate_markers(self.config.bodies[index], shape, body)
 
     def head(self) -> Tensor:
         """Return the nose of the first body ``[B, 2]`` in nodes."""

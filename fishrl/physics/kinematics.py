@@ -11,6 +11,7 @@ momentum-free frame needs is a constant times e1, e2 or their products. A bend o
 third such mode. ``midline.py`` has the other deformation, which keeps the midline's length.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import comb, pi
 from typing import NamedTuple
@@ -166,6 +167,14 @@ def compute_amplitudes(beat: Beat) -> tuple[list[Tensor], list[Tensor]]:
     return [ramp * cos, -ramp * sin, beat.bend], [*swing_rates, beat.bend_rate]
 
 
+def shear(shape: Shape, amplitudes: Sequence[Tensor]) -> Tensor:
+    """Return the markers' place across the axis ``[B, N]`` at amplitudes ``[B]`` of the modes."""
+    lateral = shape.lateral
+    for j in range(shape.modes.shape[1]):
+        lateral = lateral + shape.modes[:, j] * amplitudes[j][:, None]
+    return lateral
+
+
 def deform(shape: Shape, beat: Beat) -> Deformation:
     """Shear a body vertically by its modes, y -> y + Z(X, t).
 
@@ -174,11 +183,10 @@ def deform(shape: Shape, beat: Beat) -> Deformation:
         beat: the instant.
     """
     e, e_t = compute_amplitudes(beat)
-    lateral, velocity = shape.lateral, torch.zeros_like(shape.lateral)
+    lateral, velocity = shear(shape, e), torch.zeros_like(shape.lateral)
     inertia, inertia_rate = shape.inertia, torch.zeros_like(beat.phase)
     momentum = torch.zeros_like(beat.phase)
     for j in range(shape.modes.shape[1]):
-        lateral = lateral + shape.modes[:, j] * e[j][:, None]
         velocity = velocity + shape.modes[:, j] * e_t[j][:, None]
         momentum = momentum + shape.moments[:, j] * e_t[j]
         for k in range(shape.modes.shape[1]):

@@ -47,21 +47,35 @@ class Markers(NamedTuple):
 
 def deform_body(outline: Outline, shape: AnyShape, body: Body) -> Deformation:
     """Return the outline of a body in its own frame."""
+    return outline.deform(shape, _read_beat(outline, body))
+
+
+def locate_markers(outline: Outline, shape: AnyShape, body: Body) -> Tensor:
+    """Return the positions of ``place_markers`` alone, ``[B, N, 2]`` in nodes."""
+    axial, lateral = outline.draw_at(shape, _read_beat(outline, body))
+    return body.position[:, None] + _turn(body, axial, lateral)
+
+
+def _read_beat(outline: Outline, body: Body) -> Beat:
     rate = outline.motion.compute_bend_rate(body)
-    return outline.deform(shape, Beat(body.phase, body.frequency, body.beats, body.bend, rate))
+    return Beat(body.phase, body.frequency, body.beats, body.bend, rate)
+
+
+def _turn(body: Body, axial: Tensor, lateral: Tensor) -> Tensor:
+    """Turn vectors along and across the body's axis into the flow's frame, ``[B, N, 2]``."""
+    angle = body.heading + pi + body.internal_angle
+    cos, sin = torch.cos(angle)[:, None], torch.sin(angle)[:, None]
+    return torch.stack((cos * axial - sin * lateral, sin * axial + cos * lateral), -1)
 
 
 def place_markers(body: Body, deformation: Deformation) -> Markers:
     """Carry the deformed outline into the flow; the body axis runs from head to tail."""
-    angle = body.heading + pi + body.internal_angle
-    cos, sin = torch.cos(angle)[:, None], torch.sin(angle)[:, None]
-    rx = cos * deformation.axial - sin * deformation.lateral
-    ry = sin * deformation.axial + cos * deformation.lateral
+    arm = _turn(body, deformation.axial, deformation.lateral)
+    rx, ry = arm.unbind(-1)
     spin = deformation.spin[:, None]
-    vx = -spin * ry + cos * deformation.axial_velocity - sin * deformation.lateral_velocity
-    vy = spin * rx + sin * deformation.axial_velocity + cos * deformation.lateral_velocity
-    arm = torch.stack((rx, ry), -1)
-    return Markers(body.position[:, None] + arm, arm, torch.stack((vx, vy), -1))
+    velocity = _turn(body, deformation.axial_velocity, deformation.lateral_velocity)
+    velocity = velocity + torch.stack((-spin * ry, spin * rx), -1)
+    return Markers(body.position[:, None] + arm, arm, velocity)
 
 
 class RigidUpdate(NamedTuple):

@@ -20,7 +20,7 @@ from fishrl.physics.motion import (
     compute_turn_rate,
     make_body,
 )
-from fishrl.physics.rigid_motion import Coupling, deform_body, place_markers
+from fishrl.physics.rigid_motion import Coupling, deform_body, locate_markers, place_markers
 from fishrl.physics.solver import locate_bodies, make_rest, make_uniform, step
 from fishrl.physics.state import FlowConfig, FlowState, make_params
 from fishrl.physics.units import Scales
@@ -287,3 +287,17 @@ def test_a_bent_fish_turns_without_a_torque_from_outside() -> None:
         turned.append(float(after.heading + after.internal_angle) - math.pi)
         assert abs(float(after.bend)) > 0.01
     assert turned[0] - turned[1] > 0.1
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("is_midline", [False, True])
+def test_markers_located_without_their_motion_are_the_same(
+    motion: Motion, is_midline: bool
+) -> None:
+    fish = Fish(body_length=24, motion=motion, keeps_length=is_midline)
+    shape, body = fish.make_shape(), make_fish_body(heading=2.5)
+    assert isinstance(shape, MidlineShape) == is_midline
+    one = torch.ones_like(body.phase)
+    body = body._replace(phase=0.7 * one, beats=0.6 * one, bend=0.02 * one)
+    expected = place_markers(body, deform_body(fish, shape, body)).position
+    assert torch.equal(locate_markers(fish, shape, body), expected)
