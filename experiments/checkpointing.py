@@ -26,11 +26,16 @@ class BrainOf:
     num_actions: int
 
     @classmethod
-    def task_of(cls, task: Any) -> BrainOf:
-        """Describe the brain that a task needs."""
+    def task_of(cls, task: Any, *, num_told: int = 0) -> BrainOf:
+        """Describe the brain that a task needs.
+
+        Args:
+            task: what the fish does.
+            num_told: numbers that transforms put behind each observation.
+        """
         return cls(
             task=type(task).__name__,
-            num_inputs=task.n_obs * task.num_stacked,
+            num_inputs=(task.n_obs + num_told) * task.num_stacked,
             num_actions=task.num_actions,
         )
 

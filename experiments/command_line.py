@@ -81,4 +81,6 @@ def evaluation_settings(config: DictConfig) -> EvaluateConfig:
     changes = OmegaConf.from_dotlist([a for a in given if a.startswith("task.")]).get("task", {})
     settings.task = {**trained["task"], **dict(changes)}
     settings.preset = trained["preset"]
+    if settings.recognition is None:
+        settings.recognition = trained.get("recognition")
     return settings

@@ -28,7 +28,9 @@ from experiments.settings import (
 
 CONF = Path(__file__).parent / "conf"
 #: Settings that the saved state of a run depends on.
-FIXED_BY_RUN = ("task", "preset", "seed", "num_envs", "hidden", "buffer_size", "logger")
+FIXED_BY_RUN = (
+    *("task", "preset", "seed", "num_envs", "hidden", "buffer_size", "logger", "recognition"),
+)
 
 
 SCHEMAS: dict[str, type] = {
@@ -179,17 +181,21 @@ def with_defaults(program: str, config: DictConfig) -> DictConfig:
     """Keep what the program reads, and spell out the plain defaults behind each ``_target_``."""
     filled = OmegaConf.masked_copy(config, [entry.name for entry in fields(SCHEMAS[program])])
     OmegaConf.set_struct(filled, False)
-    for name in filled:
-        if OmegaConf.is_missing(filled, name) or not OmegaConf.is_dict(filled[name]):
-            continue
-        node = filled[name]
-        if "_target_" not in node:
-            continue
-        for key, default in _plain_defaults(str(node["_target_"])).items():
-            if key not in node:
-                node[key] = default
+    _fill(filled)
     OmegaConf.set_struct(filled, True)
     return filled
+
+
+def _fill(config: DictConfig) -> None:
+    for name in config:
+        if OmegaConf.is_missing(config, name) or not OmegaConf.is_dict(config[name]):
+            continue
+        node = config[name]
+        if "_target_" in node:
+            for key, default in _plain_defaults(str(node["_target_"])).items():
+                if key not in node:
+                    node[key] = default
+        _fill(node)
 
 
 def _find(target: str) -> Any:

@@ -28,8 +28,8 @@ def evaluate(
         progress: the bar, if there is one already.
 
     Returns:
-        ``capture_rate``, ``mean_return``, ``mean_time_to_capture_T``, ``episodes``, ``diverged``,
-        and which fish it was.
+        ``success_rate``, ``mean_return``, ``mean_length_T``, ``mean_time_to_success_T``,
+        ``episodes``, ``diverged``, and which fish it was.
 
     Raises:
         ValueError: for settings that cannot be, and checkpoints that do not fit.
@@ -37,19 +37,22 @@ def evaluate(
     from experiments.config import build
     from experiments.evaluation import Evaluator, fixed_starts
     from experiments.policies import load_policy, make_policy
+    from experiments.recognition import Recognition
     from experiments.settings import check_device
     from experiments.training import make_flow_env
 
     progress = progress or Progress(is_shown=False)
     check_device(config.device)
-    task = build(config.task)
-    policy: Any
+    recognition = Recognition(build(config.task), config.recognition)
+    task, policy = recognition.task, None
     if config.checkpoint is not None:
-        policy = load_policy(config.checkpoint, task=task, device=config.device)
+        policy = load_policy(
+            config.checkpoint, task=task, num_told=recognition.num_told, device=config.device
+        )
     else:
         policy = make_policy(str(config.policy), task=task, seed=config.seed)
     progress.rename("compilation" if config.compile else "set-up")
-    env = (make_env or make_flow_env())(
+    env = recognition.equip(make_env or make_flow_env())(
         task=task,
         num_envs=min(config.num_envs, config.episodes),
         seed=config.seed,

@@ -21,25 +21,27 @@ class Evaluation:
     """Outcome of E episodes, in the order of their starts.
 
     Args:
-        captured: ``[E]`` bool, whether the food was caught.
+        succeeded: ``[E]`` bool, whether the task was accomplished, see ``has_succeeded``.
         returns: ``[E]`` sum of rewards.
         lengths_T: ``[E]`` duration in tail beats.
-        diverged: ``[E]`` bool, whether the flow diverged; such an episode counts as no capture.
+        diverged: ``[E]`` bool, whether the flow diverged; such an episode counts as no
+            success.
     """
 
-    captured: Tensor
+    succeeded: Tensor
     returns: Tensor
     lengths_T: Tensor
     diverged: Tensor
 
     def metrics(self) -> dict[str, float]:
-        """Reduce to numbers; the time to capture is NaN where nothing was captured."""
-        times = self.lengths_T[self.captured]
+        """Reduce to numbers; the time to success is NaN where there was none."""
+        times = self.lengths_T[self.succeeded]
         return {
-            "capture_rate": float(self.captured.double().mean()),
+            "success_rate": float(self.succeeded.double().mean()),
             "mean_return": float(self.returns.double().mean()),
-            "mean_time_to_capture_T": float(times.double().mean()) if len(times) else math.nan,
-            "episodes": len(self.captured),
+            "mean_length_T": float(self.lengths_T.double().mean()),
+            "mean_time_to_success_T": float(times.double().mean()) if len(times) else math.nan,
+            "episodes": len(self.succeeded),
             "diverged": int(self.diverged.sum()),
         }
 
@@ -86,10 +88,10 @@ class Evaluator:
     def _run(
         self, policy: Policy, *, num_starts: int, on_episodes: Callable[[int], None] | None
     ) -> Evaluation:
-        num_rows = self.env.batch_size[0]
+        num_rows, name = self.env.batch_size[0], self.env.base_env.task.success
         results = TensorDict(
             {
-                "captured": torch.zeros(num_starts, dtype=torch.bool),
+                "succeeded": torch.zeros(num_starts, dtype=torch.bool),
                 "returns": torch.zeros(num_starts),
                 "lengths_T": torch.zeros(num_starts),
                 "diverged": torch.zeros(num_starts, dtype=torch.bool),
@@ -120,7 +122,7 @@ class Evaluator:
                 for row in ended:
                     results[running[row]] = TensorDict(
                         {
-                            "captured": has_captured(after)[row].any(),
+                            "succeeded": has_succeeded(after, name)[row].any(),
                             "returns": after["episode_reward"][row].sum(),
                             "lengths_T": after["step_count"][row].sum() * self.decision_T,
                             "diverged": after["diverged"][row].any(),
@@ -130,17 +132,25 @@ class Evaluator:
                 if on_episodes is not None and ended:
                     on_episodes(len(ended))
         return Evaluation(
-            captured=results["captured"],
+            succeeded=results["succeeded"],
             returns=results["returns"],
             lengths_T=results["lengths_T"],
             diverged=results["diverged"],
         )
 
 
-def has_captured(after: TensorDictBase) -> Tensor:
-    """Return ``captured``, or false everywhere for a task in which nothing is caught."""
-    captured: Tensor = after.get("captured", torch.zeros_like(after["done"]))
-    return captured
+def has_succeeded(after: TensorDictBase, name: str) -> Tensor:
+    """Return whether episodes that are done accomplished their task.
+
+    Args:
+        after: where they ended.
+        name: of the entry that says so, ``success`` of the task; without it, those that lasted
+            until the time limit did.
+    """
+    flag: Tensor | None = after.get(name)
+    if flag is not None:
+        return flag
+    return after["truncated"] & ~after["terminated"] & ~after["diverged"]
 
 
 def fixed_starts(task: Any, num: int, *, seed: int) -> TensorDict:

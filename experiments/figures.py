@@ -31,7 +31,7 @@ FRAMES = "frames"
 # Panels of the learning curve: title, and the columns of metrics.csv that it shows.
 PANELS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
     ("return per episode", (("train/return", "training"), ("eval/mean_return", "evaluation"))),
-    ("capture rate", (("train/capture_rate", "training"), ("eval/capture_rate", "evaluation"))),
+    ("rate of success", (("train/success_rate", "training"), ("eval/success_rate", "evaluation"))),
     ("critic loss", (("train/loss_qvalue", "loss"),)),
     ("actor loss", (("train/loss_actor", "loss"),)),
     ("entropy / log(legal actions)", (("train/entropy_fraction", "entropy"),)),
@@ -54,7 +54,7 @@ def write_run_pictures(
         run_dir: run folder; ``metrics.csv`` in it becomes the learning curve, if it is there.
         recordings: episodes; all go into ``trajectories.png``, and the first one that ended with a
             capture (else the first one) into the flow pictures, the animation and the rerun file.
-        baselines: capture rates of swimmers that do not learn, by name, drawn as lines.
+        baselines: rates of success of swimmers that do not learn, by name, drawn as lines.
 
     Returns:
         The files, in the order written.
@@ -110,12 +110,12 @@ def write_learning_curve(
     *,
     baselines: Mapping[str, float] | None = None,
 ) -> None:
-    """Draw return, capture rate, losses, entropy and temperature against env frames.
+    """Draw return, rate of success, losses, entropy and temperature against env frames.
 
     Args:
         metrics: ``metrics.csv`` of a run.
         path: of the PNG.
-        baselines: capture rates of swimmers that do not learn, by name, drawn as lines.
+        baselines: rates of success of swimmers that do not learn, by name, drawn as lines.
     """
     series = read_metrics(metrics)
     panels = [
@@ -138,7 +138,7 @@ def write_learning_curve(
             axes.set_title(title, loc="left")
             axes.grid(color="#e6e6e6", linewidth=0.7)
             axes.spines[["top", "right"]].set_visible(False)
-            if title == "capture rate":
+            if title == "rate of success":
                 _draw_baselines(axes, baselines or {})
             if len(columns) > 1:
                 axes.legend(loc="best", fontsize=9)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDictBase
@@ -13,27 +13,44 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 
 class Histories(NamedTuple):
-    """E episodes of up to N decisions; NaN after an episode's end.
+    """E episodes of up to N decisions, with M frames in each; NaN after an episode's end.
 
     Attributes:
         flow: ``[E]`` which flow it was.
         place: ``[E, N + 1, 2]`` of the nose (x downstream, y), body lengths, from the start on.
         frequency: ``[E, N]`` beats per T of each interval.
+        named: ``[E, N]`` the flow that the fish was told it was in at the decision, else NaN.
         angle_of_attack: ``[E, N]`` at its end, radians.
-        work: ``[E, N + 1]`` done since the start, rho L^2 (L / T)^2.
+        work: ``[E, N + 1]`` done since the start by all forces, rho L^2 (L / T)^2.
+        positive_work: ``[E, N + 1]`` the same where no marker gives back what the flow does on it.
+        lateral_work: ``[E, N + 1]`` the paper's form.
         lengths_T: ``[E]`` duration of the episode; up to N decisions.
         terminated: ``[E]`` bool, whether it ended in danger.
         diverged: ``[E]`` bool.
+        beat: ``[E, N M]`` phase of the tail beat at the end of each frame, radians.
+        aside: ``[E, N M]`` y of the nose, body lengths.
+        lift: ``[E, N M]`` mean lift on the obstacle within each frame, rho (L / T)^2 L; zero
+            without one.
     """
 
     flow: Tensor
     place: Tensor
     frequency: Tensor
+    named: Tensor
     angle_of_attack: Tensor
     work: Tensor
+    positive_work: Tensor
+    lateral_work: Tensor
     lengths_T: Tensor
     terminated: Tensor
     diverged: Tensor
+    beat: Tensor
+    aside: Tensor
+    lift: Tensor
+
+
+_PLACES = ("place", "work", "positive_work", "lateral_work")
+_FRAMES = ("beat", "aside", "lift")
 
 
 def record_histories(
@@ -47,7 +64,8 @@ def record_histories(
     """Run one episode from each start, all side by side.
 
     Args:
-        env: of ``KarmanGait``, with as many flows as there are starts.
+        env: of ``KarmanGait``, with as many flows as there are starts; its ``frames_per_action``
+            is M.
         policy: writes ``action``; a learned one acts greedily.
         starts: ``[E]``.
         num_decisions: N, after which episodes are left.
@@ -59,20 +77,26 @@ def record_histories(
     base, num = env.base_env, starts.shape[0]
     if base.batch_size[0] != num:
         raise ValueError(f"{num} starts in {base.batch_size[0]} flows: give one flow per start")
-    before, base.starts, base._next_start = base.starts, starts, 0
-    names = ("place", "frequency", "angle_of_attack", "work")
-    kept: dict[str, list[Tensor]] = {name: [] for name in names}
-    is_open = torch.ones(num, dtype=torch.bool, device=base.device)
+    kept: dict[str, list[Tensor]] = {}
+    frames = _FrameRecorder(base, kept)
+    before = base.starts, base.on_frame
+    base.starts, base._next_start, base.on_frame = starts, 0, frames
     lengths, terminated, diverged = (torch.zeros(num, device=base.device) for _ in range(3))
     try:
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             state = env.reset()
-            _keep(kept, base.now, is_open)
+            is_open = frames.begin()
+            _keep(kept, is_open, {name: base.now[name] for name in _PLACES})
             for _ in range(num_decisions):
                 base.is_resting = ~is_open
+                frames.is_open = is_open
+                named = state.get("flow_class", torch.full_like(lengths, torch.nan))
                 after = env.step(policy(state))["next"]
                 lengths += is_open
-                _keep(kept, base.now, is_open)
+                now = {name: base.now[name] for name in (*_PLACES, "frequency")}
+                now["angle_of_attack"] = base.now["heading"] - torch.pi
+                now["named"] = named.reshape(num).double()
+                _keep(kept, is_open, now)
                 for total, flag in ((terminated, "terminated"), (diverged, "diverged")):
                     total += is_open & after[flag].squeeze(-1)
                 is_open = is_open & ~after["done"].squeeze(-1)
@@ -82,28 +106,55 @@ def record_histories(
                     break
                 state = after.exclude("reward", "done", "terminated", "truncated")
     finally:
-        base.starts, base.is_resting = before, torch.zeros_like(is_open)
+        base.starts, base.on_frame = before
+        base.is_resting = torch.zeros_like(base.is_resting)
     task = base.task
-    series = {name: torch.stack(values, 1).cpu() for name, values in kept.items()}
     return Histories(
         flow=starts["flow_index"].cpu(),
-        place=series["place"],
-        frequency=series["frequency"][:, 1:],
-        angle_of_attack=series["angle_of_attack"][:, 1:],
-        work=series["work"],
         lengths_T=lengths.cpu() * task.n_substeps / task.scales.period,
         terminated=terminated.bool().cpu(),
         diverged=diverged.bool().cpu(),
+        **{name: torch.stack(values, 1).cpu() for name, values in kept.items()},
     )
 
 
-def _keep(kept: dict[str, list[Tensor]], now: TensorDictBase, is_open: Tensor) -> None:
-    values = {
-        "place": now["place"],
-        "frequency": now["frequency"],
-        "angle_of_attack": now["heading"] - torch.pi,
-        "work": now["work"],
-    }
+class _FrameRecorder:
+    """Looks at body and obstacle several times within an action."""
+
+    def __init__(self, base: Any, kept: dict[str, list[Tensor]]) -> None:
+        self._kept, self._solver, self._task = kept, base.solver, base.task
+        self.is_open = torch.ones(base.batch_size, dtype=torch.bool, device=base.device)
+
+    def begin(self) -> Tensor:
+        """Begin new episodes in all rows, and return them ``[B]``."""
+        self.is_open = torch.ones_like(self.is_open)
+        self._before = self._read()
+        return self.is_open
+
+    def __call__(self, base: Any) -> None:
+        """Keep what there is to see; the env calls this."""
+        solver, task = self._solver, self._task
+        impulse, age = self._read()
+        unit = task.body_length * (task.body_length / task.scales.period) ** 2
+        steps = (age - self._before[1]).clamp_min(1.0)
+        aside = (solver.head()[:, 1] - task.origin[1].to(age)) / task.body_length
+        values = {
+            "beat": solver.body.phase,
+            "aside": aside,
+            "lift": (impulse - self._before[0]) / steps / unit,
+        }
+        self._before = impulse, age
+        _keep(self._kept, self.is_open, values)
+
+    def _read(self) -> tuple[Tensor, Tensor]:
+        """Return the lateral impulse on the obstacle ``[B]`` and the age ``[B]`` of the flows."""
+        bodies = self._solver.bodies
+        age = bodies[0].age.clone()
+        lift = bodies[1].impulse[:, 1].clone() if len(bodies) > 1 else torch.zeros_like(age)
+        return lift, age
+
+
+def _keep(kept: dict[str, list[Tensor]], is_open: Tensor, values: dict[str, Tensor]) -> None:
     for name, value in values.items():
         rows = is_open.view(-1, *(1,) * (value.dim() - 1))
-        kept[name].append(torch.where(rows, value, torch.nan))
+        kept.setdefault(name, []).append(torch.where(rows, value, torch.nan))

@@ -9,21 +9,40 @@ from tensordict.nn import TensorDictModuleBase
 
 from experiments.checkpointing import BrainOf, load_checkpoint, read_metadata
 from experiments.settings import ConfigError, nearest
-from fishrl.modules import InterceptPolicy, PursuitPolicy, RandomPolicy, make_actor
+from fishrl.envs import KarmanGait
+from fishrl.envs.macro_actions import DirectFrequencies, MacroActions
+from fishrl.modules import (
+    PID,
+    BangBang,
+    FixedFrequency,
+    GaitPolicy,
+    InterceptPolicy,
+    PursuitPolicy,
+    RandomPolicy,
+    make_actor,
+)
+from fishrl.modules.gait_controllers import Wish
 
-NAMES = ("random", "pursuit", "intercept")
+#: Hand-written fish: those that are after food, and those that hold a station.
+NAMES = ("random", "pursuit", "intercept", "passive", "shedding", "bang_bang", "pid")
+
+
+def list_baselines(task: Any) -> list[str]:
+    """Name the hand-written fish that a learned one is compared with."""
+    return ["pid", "random"] if isinstance(task, KarmanGait) else ["intercept", "pursuit", "random"]
 
 
 def make_policy(name: str, *, task: Any, seed: int) -> TensorDictModuleBase:
     """Make a hand-written fish.
 
     Args:
-        name: random, pursuit or intercept.
-        task: whose food it is after; the intercepting fish is told the food's route.
+        name: one of ``NAMES``.
+        task: whose food it is after (the intercepting fish is told the food's route), or whose
+            station it holds.
         seed: of the random one.
 
     Raises:
-        ConfigError: if there is none of that name.
+        ConfigError: if there is none of that name, or it cannot do this task.
     """
     if name not in NAMES:
         raise ConfigError(
@@ -32,6 +51,12 @@ def make_policy(name: str, *, task: Any, seed: int) -> TensorDictModuleBase:
         )
     if name == "random":
         return RandomPolicy(seed=seed)
+    if (name in ("pursuit", "intercept")) == isinstance(task, KarmanGait):
+        raise ConfigError(f"policy={name}: that fish has nothing to do in {type(task).__name__}")
+    return _make_holder(name, task) if isinstance(task, KarmanGait) else _make_hunter(name, task)
+
+
+def _make_hunter(name: str, task: Any) -> TensorDictModuleBase:
     turn = math.radians(task.turn_degrees)
     if name == "pursuit":
         return PursuitPolicy(turn=turn)
@@ -45,18 +70,46 @@ def make_policy(name: str, *, task: Any, seed: int) -> TensorDictModuleBase:
     )
 
 
-def load_policy(checkpoint: str, *, task: Any, device: str) -> TensorDictModuleBase:
+def _make_holder(name: str, task: KarmanGait) -> GaitPolicy:
+    """Make a fish that holds its station; it is told which flow it is in."""
+    if name == "pid":
+        return make_gait_policy(PID(), task)
+    if name == "bang_bang":
+        return make_gait_policy(BangBang(), task)
+    if name == "passive":
+        return make_gait_policy(FixedFrequency(0.0), task)
+    if task.wakes is None:
+        raise ConfigError("policy=shedding: in a free stream no vortices are shed")
+    shed = task.wakes.shedding_frequencies * task.scales.period
+    return make_gait_policy(FixedFrequency(shed.tolist()), task)
+
+
+def make_gait_policy(wish: Wish, task: KarmanGait) -> GaitPolicy:
+    """Make a fish that acts towards the frequency it wishes for, with the task's control."""
+    control = task.control
+    if isinstance(control, DirectFrequencies):
+        return GaitPolicy(wish=wish, rows=[control.frequencies], is_direct=True)
+    if not isinstance(control, MacroActions):
+        raise ConfigError(f"hand-written fish cannot handle {type(control).__name__}")
+    flow = "flow_class" if task.reads_flow_class else "flow_index"
+    return GaitPolicy(wish=wish, rows=control.bank.rows, flow_key=flow)
+
+
+def load_policy(
+    checkpoint: str, *, task: Any, device: str, num_told: int = 0
+) -> TensorDictModuleBase:
     """Load the learned fish of a run folder or a checkpoint.
 
     Args:
         checkpoint: where it lies.
         task: what it shall do; the task it has learned.
         device: where it shall think.
+        num_told: see ``Recognition``.
 
     Raises:
         ValueError: if the checkpoint is missing, corrupt, or of another task.
     """
-    brain = BrainOf.task_of(task)
+    brain = BrainOf.task_of(task, num_told=num_told)
     path, metadata = read_metadata(checkpoint)
     brain.check(metadata, path=path)
     actor = make_actor(

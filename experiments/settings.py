@@ -28,6 +28,8 @@ class TrainConfig:
         folder: where run folders lie.
         name: of the run folder; by default made from task, preset and seed.
         resume: run folder to go on with, from its last checkpoint.
+        recognition: who tells the fish which flow it is in: ``oracle``, the file of a lateral-line
+            machine, or nobody.
         num_envs: flows that advance together.
         total_frames: env frames (decisions of one fish) to train for.
         warmup_frames: frames with random legal actions before learning starts.
@@ -45,7 +47,8 @@ class TrainConfig:
         eval_frames: frames between evaluations of the greedy policy.
         eval_episodes: fixed starts of these evaluations, which choose the best checkpoint.
         final_episodes: fixed starts of the evaluation at the end, other ones than those.
-        baselines: hand-written fish that go through the same evaluation at the end.
+        baselines: hand-written fish that go through the same evaluation at the end; by
+            default those of ``policies.list_baselines``.
         picture_episodes: of these starts, how many are recorded and drawn; 0 for no pictures.
     """
 
@@ -58,6 +61,7 @@ class TrainConfig:
     folder: str = "runs"
     name: str | None = None
     resume: str | None = None
+    recognition: str | None = None
     num_envs: int = 16
     total_frames: int = 2800
     warmup_frames: int = 320
@@ -75,7 +79,7 @@ class TrainConfig:
     eval_frames: int = 700
     eval_episodes: int = 16
     final_episodes: int = 32
-    baselines: list[str] = field(default_factory=lambda: ["intercept", "pursuit", "random"])
+    baselines: list[str] | None = None
     picture_episodes: int = 6
 
     def __post_init__(self) -> None:
@@ -104,7 +108,8 @@ class EvaluateConfig:
             or ``preset`` is given.
         preset: name of the preset.
         checkpoint: run folder or checkpoint of the fish to evaluate.
-        policy: hand-written fish to evaluate instead: random, pursuit or intercept.
+        policy: hand-written fish to evaluate instead; ``policies.NAMES`` lists those of each task.
+        recognition: as for training; a checkpoint brings its own.
         episodes: fixed starts, one episode each.
         num_envs: flows that advance together.
         seed: of the starts and of random actions; the same as the run's gives the starts of its
@@ -118,6 +123,7 @@ class EvaluateConfig:
     preset: str = MISSING
     checkpoint: str | None = None
     policy: str | None = None
+    recognition: str | None = None
     episodes: int = 32
     num_envs: int = 16
     seed: int = 0
@@ -131,7 +137,7 @@ class EvaluateConfig:
             _at_least(name, getattr(self, name), 1)
         if (self.checkpoint is None) == (self.policy is None):
             raise ConfigError(
-                "give one of checkpoint=<run folder> and policy=random|pursuit|intercept"
+                "give one of checkpoint=<run folder> and policy=<hand-written fish>, such as random"
             )
 
 

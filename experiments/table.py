@@ -11,7 +11,7 @@ from typing import Any
 
 FISH = ("", "intercept_", "pursuit_", "random_")
 HEADER = (
-    "| run | learned | intercept | pursuit | random | return | time to capture | frames | diverged "
+    "| run | learned | intercept | pursuit | random | return | time to success | frames | diverged "
     "| minutes | MLUPS |"
 )
 
@@ -29,12 +29,12 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 
 def make_row(name: str, summary: dict[str, Any]) -> str:
-    """Write one run as a row: capture rates first."""
+    """Write one run as a row: rates of success first."""
     rates = [
-        f"{summary[f'{fish}capture_rate']:.1%}" if f"{fish}capture_rate" in summary else "-"
+        f"{summary[f'{fish}success_rate']:.1%}" if f"{fish}success_rate" in summary else "-"
         for fish in FISH
     ]
-    duration = summary["mean_time_to_capture_T"]
+    duration = summary["mean_time_to_success_T"]
     cells = [
         name,
         *rates,

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from experiments.progress import Progress
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from omegaconf import DictConfig
@@ -58,23 +57,26 @@ def set_up(
 ) -> Training:
     """Make everything a run needs; see ``train``. Wrong settings show here, not later."""
     from experiments.config import build, to_plain
+    from experiments.recognition import Recognition, keep_machine
     from experiments.run_folder import RunFolder, write_yaml
     from experiments.settings import check_device
     from experiments.training import Training, make_flow_env
 
     check_device(config.device)
-    task = build(config.task)
     metrics_logger = build(config.logger)
+    recognition = Recognition(build(config.task), config.recognition)
     if config.resume:
         folder = RunFolder.of_existing(config.resume)
     else:
-        name = config.name or f"{type(task).__name__.lower()}-{config.preset}-seed{config.seed}"
+        kind = type(recognition.task).__name__.lower()
+        name = config.name or f"{kind}-{config.preset}-seed{config.seed}"
         folder = RunFolder.create(parent=config.folder, name=name)
+        config.recognition = keep_machine(config.recognition, folder.path)
         write_yaml(folder.config, to_plain(config))
     logger.info("run folder: %s", folder.path)
     training = Training(
         config=config,
-        task=task,
+        recognition=recognition,
         make_env=make_env or make_flow_env(),
         folder=folder,
         metrics_logger=metrics_logger,
@@ -94,14 +96,14 @@ def finish(training: Training) -> dict[str, Any]:
     try:
         summary = training.run()
         write_json(folder.summary, summary)
-        if config.picture_episodes > 0:
+        if config.picture_episodes > 0 and hasattr(training.task, "locate_food"):
             draw(training, summary)
             summary["wall_seconds"] = training.wall_seconds()
             write_json(folder.summary, summary)
     finally:
         training.close()
     training.progress.close()
-    report(summary, folder=folder.path, baselines=config.baselines)
+    report(summary, folder=folder.path)
     return summary
 
 
@@ -125,20 +127,22 @@ def draw(training: Training, summary: dict[str, Any]) -> None:
     write_run_pictures(
         training.folder.path,
         recordings,
-        baselines={name: summary[f"{name}_capture_rate"] for name in config.baselines},
+        baselines={name: summary[f"{name}_success_rate"] for name in summary["baselines"]},
     )
 
 
-def report(summary: dict[str, Any], *, folder: Path, baselines: Sequence[str]) -> None:
+def report(summary: dict[str, Any], *, folder: Path) -> None:
     """Print the table of all fish, and where the files lie."""
-    print(f"\n{'fish':<12}{'capture rate':>14}{'mean return':>14}{'time to capture':>18}")
-    for name in ("learned", *baselines):
+    word = summary["success"]
+    print(f"\n{'fish':<12}{word:>14}{'mean return':>14}{'mean duration':>16}{f'until {word}':>18}")
+    for name in ("learned", *summary["baselines"]):
         prefix = "" if name == "learned" else f"{name}_"
-        duration = summary[f"{prefix}mean_time_to_capture_T"]
+        duration = summary[f"{prefix}mean_time_to_success_T"]
         shown = "-" if duration != duration else f"{duration:.1f} T"
         print(
-            f"{name:<12}{summary[f'{prefix}capture_rate']:>13.0%} "
-            f"{summary[f'{prefix}mean_return']:>13.1f}{shown:>18}"
+            f"{name:<12}{summary[f'{prefix}success_rate']:>13.0%} "
+            f"{summary[f'{prefix}mean_return']:>13.1f}"
+            f"{summary[f'{prefix}mean_length_T']:>14.1f} T{shown:>18}"
         )
     print(f"({summary['episodes']} fixed starts, {summary['wall_seconds'] / 60:.1f} minutes)\n")
     for path in sorted(folder.iterdir()):

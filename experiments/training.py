@@ -26,11 +26,12 @@ from experiments.evaluation import (
     Policy,
     copy_state,
     fixed_starts,
-    has_captured,
+    has_succeeded,
 )
 from experiments.learner import LOSS_METRICS, Learner, one_thread
-from experiments.policies import make_policy
+from experiments.policies import list_baselines, make_policy
 from experiments.progress import Progress
+from experiments.recognition import Recognition
 from experiments.run_folder import RunFolder
 from experiments.settings import TrainConfig
 
@@ -45,21 +46,22 @@ METRICS = (
     "frames",
     "train/episodes",
     "train/return",
-    "train/capture_rate",
+    "train/success_rate",
     "train/episode_length",
     "train/diverged",
     "train/updates",
     *(f"train/{name}" for name in LOSS_METRICS),
-    "eval/capture_rate",
+    "eval/success_rate",
     "eval/mean_return",
-    "eval/mean_time_to_capture_T",
+    "eval/mean_length_T",
+    "eval/mean_time_to_success_T",
     "eval/episodes",
     "eval/diverged",
     "time/wall_seconds",
     "time/frames_per_second",
     "time/mlups",
 )
-#: Episodes that the training return and capture rate are averaged over.
+#: Episodes that the training return and rate of success are averaged over.
 WINDOW = 32
 #: Training draws its starts from generators far from those of the fixed starts.
 TRAIN_SEED, SELECTION_SEED, FINAL_SEED = 1000, 1, 0
@@ -88,12 +90,17 @@ class Counters:
             setattr(self, name, value)
         self.recent = deque(state["recent"], maxlen=WINDOW)
 
-    def count(self, transitions: TensorDictBase) -> None:
-        """Count the episodes that end in transitions ``[N]``; diverged ones are no episodes."""
+    def count(self, transitions: TensorDictBase, *, success: str) -> None:
+        """Count the episodes that end in transitions ``[N]``; diverged ones are no episodes.
+
+        Args:
+            transitions: ``[N]``.
+            success: see ``has_succeeded``.
+        """
         after = transitions["next"]
         has_ended = (after["done"] & ~after["diverged"]).reshape(-1)
         ended = after[has_ended]
-        columns = (ended["episode_reward"], has_captured(ended), ended["step_count"])
+        columns = (ended["episode_reward"], has_succeeded(ended, success), ended["step_count"])
         for numbers in zip(*(column.reshape(-1).tolist() for column in columns), strict=True):
             self.episodes += 1
             self.recent.append([float(number) for number in numbers])
@@ -104,7 +111,7 @@ class Training:
 
     Args:
         config: its settings.
-        task: what the fish has to do.
+        recognition: the task, and who tells the fish its flow.
         make_env: makes the env of a task.
         folder: where everything is written.
         metrics_logger: where numbers go.
@@ -116,16 +123,17 @@ class Training:
         self,
         *,
         config: TrainConfig,
-        task: Any,
+        recognition: Recognition,
         make_env: MakeEnv,
         folder: RunFolder,
         metrics_logger: Any,
         progress: Progress,
         began: float,
     ) -> None:
-        self.config, self.task = config, task
+        self.config, self.task = config, recognition.task
+        task = self.task
         self.folder, self.metrics_logger, self.progress = folder, metrics_logger, progress
-        self.brain = BrainOf.task_of(task)
+        self.brain = BrainOf.task_of(task, num_told=recognition.num_told)
         self.counters = Counters()
         self._began = began
         self.decision_T = task.n_substeps / task.scales.period
@@ -139,7 +147,7 @@ class Training:
         )
         progress.rename("compilation" if config.compile else "set-up")
         self.collector = ResumableCollector(
-            make_env(
+            recognition.equip(make_env)(
                 task=task,
                 num_envs=config.num_envs,
                 seed=TRAIN_SEED + config.seed,
@@ -213,7 +221,7 @@ class Training:
             counters.collect_seconds += seconds
             counters.frames += batch.numel()
             counters.diverged += self.learner.remember(batch)
-            counters.count(batch)
+            counters.count(batch, success=self.task.success)
             losses = self._update()
             metrics = self._train_metrics(losses)
             is_over = counters.frames >= config.total_frames
@@ -221,7 +229,7 @@ class Training:
                 metrics |= self._select(plain)
             counters.wall_seconds = self.wall_seconds()
             metrics |= self._time_metrics(batch.numel(), seconds)
-            if "eval/capture_rate" in metrics or _has_crossed(
+            if "eval/success_rate" in metrics or _has_crossed(
                 config.log_frames, before, counters.frames
             ):
                 self.metrics_logger.log(metrics)
@@ -232,7 +240,10 @@ class Training:
                 batch.numel(),
                 frames_per_s=metrics["time/frames_per_second"],
                 MLUPS=metrics["time/mlups"],
-                **{"return": metrics["train/return"], "captured": metrics["train/capture_rate"]},
+                **{
+                    "return": metrics["train/return"],
+                    self.task.success: metrics["train/success_rate"],
+                },
             )
 
     def _phase(self) -> str:
@@ -258,7 +269,7 @@ class Training:
             "frames": counters.frames,
             "train/episodes": counters.episodes,
             "train/return": float(recent[:, 0].mean()),
-            "train/capture_rate": float(recent[:, 1].mean()),
+            "train/success_rate": float(recent[:, 1].mean()),
             "train/episode_length": float(recent[:, 2].mean()),
             "train/diverged": counters.diverged,
             "train/updates": counters.updates,
@@ -284,7 +295,7 @@ class Training:
         result = self._evaluate(
             self.learner.actor, num_starts=self.config.eval_episodes, seed=SELECTION_SEED
         ).metrics()
-        score = [result["capture_rate"], result["mean_return"]]
+        score = [result["success_rate"], result["mean_return"]]
         if score >= self.counters.best:
             self.counters.best = score
             self._save(self.folder.best, plain)
@@ -326,7 +337,8 @@ class Training:
         )
         summary: dict[str, Any] = {}
         fish: dict[str, Policy] = {"learned": self.learner.actor}
-        for name in config.baselines:
+        baselines = list_baselines(self.task) if config.baselines is None else config.baselines
+        for name in baselines:
             fish[name] = make_policy(name, task=self.task, seed=FINAL_SEED)
         self.progress.start("evaluation", total=config.final_episodes * len(fish))
         for name, policy in fish.items():
@@ -341,6 +353,8 @@ class Training:
             summary |= {f"{prefix}{key}": value for key, value in result.items()}
         summary |= {
             "task": self.brain.task,
+            "success": self.task.success,
+            "baselines": list(baselines),
             "preset": config.preset,
             "seed": config.seed,
             "frames": counters.frames,

@@ -42,9 +42,11 @@ class AbstractTask(ABC):
     """A fish in still water between walls, deciding once per tail beat; subclasses say what for.
 
     Class attributes of every task: ``n_obs``, numbers in one observation; ``num_actions``; and
-    ``num_draws``, random numbers that one start takes. Of some: ``inputs``, names of entries
-    ``[B]`` that a transform writes and ``command`` finds in the measurement; and ``num_samples``,
-    how often ``sense`` is called within an action.
+    ``num_draws``, random numbers that one start takes. Of some: ``success``, name of the entry of
+    ``report`` that tells whether the task is accomplished (where there is no such entry, lasting
+    until the time limit is success, and the name is but the word for it); ``inputs``, names of
+    entries ``[B]`` that a transform writes and ``command`` finds in the measurement; and
+    ``num_samples``, how often ``sense`` is called within an action.
 
     Args:
         body_length: L in nodes; at Reynolds number 7000 at least 50 for an honest swimming speed.
@@ -60,6 +62,7 @@ class AbstractTask(ABC):
     n_obs: ClassVar[int]
     num_actions: ClassVar[int]
     num_draws: ClassVar[int]
+    success: ClassVar[str] = "survived"
     inputs: ClassVar[tuple[str, ...]] = ()
     num_samples: ClassVar[int] = 0
 

@@ -160,7 +160,7 @@ def test_a_learned_fish_is_evaluated_as_at_the_end_of_its_run(
         task=TOY, preset="toy", checkpoint=str(tmp_path / "run"), episodes=10, compile=False
     )
     result = evaluate(config, make_env=make_toy_env)
-    for key in ("capture_rate", "mean_return", "episodes", "diverged"):
+    for key in ("success_rate", "mean_return", "episodes", "diverged"):
         assert result[key] == summary[key], key
 
 

@@ -34,10 +34,10 @@ class Fixed:
 def test_the_result_of_each_start_does_not_depend_on_the_batch(num_envs: int) -> None:
     alone = Fixed(1, 12).run(PursuitPolicy())
     result = Fixed(num_envs, 12).run(PursuitPolicy())
-    assert torch.equal(result.captured, alone.captured)
+    assert torch.equal(result.succeeded, alone.succeeded)
     assert torch.equal(result.returns, alone.returns)
     assert torch.equal(result.lengths_T, alone.lengths_T)
-    assert 0 < int(result.captured.sum()) < 12
+    assert 0 < int(result.succeeded.sum()) < 12
 
 
 def test_an_evaluation_repeats_even_on_an_env_that_was_used() -> None:
@@ -76,34 +76,35 @@ def test_counts_episodes_as_they_end() -> None:
     assert sum(ended) == 10
 
 
-def test_diverged_episodes_are_counted_as_no_capture() -> None:
+def test_diverged_episodes_are_counted_as_no_success() -> None:
     result = Fixed(4, 40, divergence_rate=0.2).run(PursuitPolicy())
     metrics = result.metrics()
     assert metrics["diverged"] == int(result.diverged.sum()) > 0
-    assert not (result.diverged & result.captured).any()
+    assert not (result.diverged & result.succeeded).any()
 
 
-def test_metrics_are_means_over_all_starts_but_the_time_over_captures() -> None:
+def test_metrics_are_means_over_all_starts_but_the_time_over_successes() -> None:
     result = Evaluation(
-        captured=torch.tensor([True, False, True, False]),
+        succeeded=torch.tensor([True, False, True, False]),
         returns=torch.tensor([10.0, 0.0, 20.0, -2.0]),
         lengths_T=torch.tensor([8.0, 30.0, 12.0, 3.0]),
         diverged=torch.tensor([False, False, False, True]),
     )
     assert result.metrics() == {
-        "capture_rate": 0.5,
+        "success_rate": 0.5,
         "mean_return": 7.0,
-        "mean_time_to_capture_T": 10.0,
+        "mean_length_T": 13.25,
+        "mean_time_to_success_T": 10.0,
         "episodes": 4,
         "diverged": 1,
     }
     none = Evaluation(
-        captured=torch.zeros(2, dtype=torch.bool),
+        succeeded=torch.zeros(2, dtype=torch.bool),
         returns=torch.zeros(2),
         lengths_T=torch.zeros(2),
         diverged=torch.zeros(2, dtype=torch.bool),
     )
-    assert math.isnan(none.metrics()["mean_time_to_capture_T"])
+    assert math.isnan(none.metrics()["mean_time_to_success_T"])
 
 
 def test_decisions_are_turned_into_tail_beats() -> None:
@@ -135,7 +136,7 @@ def test_hand_written_fish_are_evaluated_by_name() -> None:
         config = EvaluateConfig(task=TOY, preset="toy", policy=name, episodes=16, compile=False)
         result = evaluate(config, make_env=make_toy_env)
         assert (result["fish"], result["task"], result["episodes"]) == (name, "ToyPredation", 16)
-        rates[name] = result["capture_rate"]
+        rates[name] = result["success_rate"]
     assert rates["pursuit"] > rates["random"]
 
 

@@ -14,7 +14,7 @@ from experiments import figures, flow_pictures
 from experiments.recording import Recording
 
 Maker = Callable[..., Recording]
-METRICS = """frames,train/return,eval/mean_return,train/capture_rate,train/loss_qvalue,note
+METRICS = """frames,train/return,eval/mean_return,train/success_rate,train/loss_qvalue,note
 64,-5.0,,0.0,2.0,warm-up
 128,-3.0,-4.0,0.1,nan,
 192,2.0,,0.5,1.0,

@@ -9,12 +9,12 @@ import pytest
 from experiments import table
 
 SUMMARY = {
-    "capture_rate": 0.9375,
-    "intercept_capture_rate": 1.0,
-    "pursuit_capture_rate": 0.25,
-    "random_capture_rate": 0.0,
+    "success_rate": 0.9375,
+    "intercept_success_rate": 1.0,
+    "pursuit_success_rate": 0.25,
+    "random_success_rate": 0.0,
     "mean_return": 30.25,
-    "mean_time_to_capture_T": 11.5,
+    "mean_time_to_success_T": 11.5,
     "frames": 2800,
     "train_diverged": 0,
     "wall_seconds": 600.0,
@@ -43,4 +43,4 @@ def test_a_run_that_is_not_finished_is_named(
 
 
 def test_missing_captures_are_a_dash(tmp_path: Path) -> None:
-    assert "| - |" in table.make_row("x", SUMMARY | {"mean_time_to_capture_T": None})
+    assert "| - |" in table.make_row("x", SUMMARY | {"mean_time_to_success_T": None})

@@ -50,18 +50,18 @@ def test_a_run_writes_its_settings_metrics_checkpoints_and_summary(
         rows = list(csv.DictReader(file))
     assert tuple(rows[0]) == METRICS
     assert [int(row["frames"]) for row in rows] == [40, 80, 120, 160, 200, 240]
-    assert [row["frames"] for row in rows if row["eval/capture_rate"]] == ["120", "240"]
+    assert [row["frames"] for row in rows if row["eval/success_rate"]] == ["120", "240"]
     assert all(row["time/mlups"] and row["time/frames_per_second"] for row in rows)
     assert int(rows[-1]["train/updates"]) == (240 - 80) * 0.25
     written = json.loads((folder / "summary.json").read_text())
     assert written.keys() == summary.keys()
     for key in (
-        "capture_rate",
-        "random_capture_rate",
-        "pursuit_capture_rate",
-        "intercept_capture_rate",
+        "success_rate",
+        "random_success_rate",
+        "pursuit_success_rate",
+        "intercept_success_rate",
         "mean_return",
-        "mean_time_to_capture_T",
+        "mean_time_to_success_T",
         "wall_seconds",
         "mlups",
     ):
@@ -209,7 +209,7 @@ def test_the_last_evaluation_is_of_the_best_checkpoint(
         captured = torch.arange(10) < next(num_captures)
         nothing = torch.zeros(10)
         return Evaluation(
-            captured=captured, returns=nothing, lengths_T=nothing, diverged=nothing.bool()
+            succeeded=captured, returns=nothing, lengths_T=nothing, diverged=nothing.bool()
         )
 
     monkeypatch.setattr(training, "_evaluate", scripted)
@@ -264,8 +264,8 @@ def test_the_fish_learns_to_catch_still_food(toy_config: MakeConfig) -> None:
     )
     summary = training_of(config).run()
     # Two seeds gave 29 and 32 captures of 32, the random fish 6.
-    assert summary["capture_rate"] >= 0.75
-    assert summary["random_capture_rate"] <= 0.4
+    assert summary["success_rate"] >= 0.75
+    assert summary["random_success_rate"] <= 0.4
 
 
 def test_run_folder_of_a_second_run_gets_a_number(tmp_path: Path) -> None:

@@ -65,6 +65,7 @@ class Predation(AbstractTask):
     n_obs: ClassVar[int] = 4
     num_actions: ClassVar[int] = 3
     num_draws: ClassVar[int] = 3
+    success: ClassVar[str] = "captured"
 
     turn_degrees: float = 15.0
     start_x_bl: tuple[float, float] = (5.0, 7.5)

@@ -1,0 +1,222 @@
+"""From histories to numbers: how long a fish held its station, where, how, and at what cost."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from experiments.histories import Histories
+
+#: Nose places (x behind the flat side, |y|), body lengths, that count as inside the vortex street.
+STREET = ((0.8, 3.0), 0.5)
+#: How far the tail beat may be off the shedding frequency, as a share of that, in Kármán gait.
+GAIT_BAND = 0.25
+_STUDENT_95 = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228)
+
+
+def diagnose(
+    histories: Histories, *, shedding_frequency: float, safe_area: Any, time_limit_T: float
+) -> dict[str, float]:
+    """Reduce the episodes of one fish in one flow to numbers; NaN where there is nothing.
+
+    Args:
+        histories: of episodes in that flow alone.
+        shedding_frequency: per T, of the wake without a fish; NaN in a free stream.
+        safe_area: of the task.
+        time_limit_T: duration of an episode that nothing ends.
+
+    Returns:
+        ``survival_T`` (mean, with the half-width ``survival_error_T`` of its 95 % interval) and
+        ``survivors`` (share that lasted); ``ended_near``, ``ended_far``, ``ended_aside`` (shares
+        of all episodes); ``x_mean``, ``x_deviation``, ``y_deviation`` in L; ``frequency`` per T
+        and ``frequency_over_shedding``; ``in_street`` and ``in_gait`` (shares of the intervals:
+        nose in ``STREET``, and there beating within ``GAIT_BAND`` of the shedding frequency);
+        ``accelerations`` and ``decelerations`` per interval; ``angle_mean`` and ``angle_max`` in
+        degrees; ``sway``, root of two times the deviation of the nose's y about its mean over two
+        T, in L; ``phase_lock``, see ``lock_phases``; ``work``, ``positive_work`` and
+        ``lateral_work`` per T in rho L^2 (L / T)^2; ``named_right``, share of decisions at which
+        the fish was told the true flow; and ``episodes``, ``diverged``.
+    """
+    h = histories
+    num = len(h.flow)
+    sound = ~h.diverged
+    lengths = h.lengths_T[sound].double()
+    area, shares = safe_area, {"near": 0, "far": 0, "aside": 0}
+    for episode in range(num):
+        if h.terminated[episode]:
+            shares[_name_end(_last_place(h.place[episode]), area)] += 1
+    x, y = h.place[:, 1:, 0], h.place[:, 1:, 1]
+    (near, far), aside = STREET
+    is_there = ~h.frequency.isnan()
+    in_street = (x >= near) & (x <= far) & (y.abs() <= aside) & is_there
+    ratio = h.frequency / shedding_frequency
+    in_gait = in_street & ((ratio - 1.0).abs() <= GAIT_BAND)
+    change = h.frequency.diff(dim=1)
+    pairs = ~change.isnan()
+    total_T = float(h.lengths_T.sum())
+    per_T = {
+        name: _last_values(getattr(h, name)).nansum().item() / max(total_T, 1e-9)
+        for name in ("work", "positive_work", "lateral_work")
+    }
+    told = ~h.named.isnan() & is_there
+    right = (h.named == h.flow[:, None]) & told
+    angle = h.angle_of_attack.abs() * 180.0 / math.pi
+    return {
+        "episodes": num,
+        "diverged": int(h.diverged.sum()),
+        "survival_T": _mean(lengths),
+        "survival_error_T": half_width(lengths.tolist()),
+        "survivors": _mean((lengths >= time_limit_T - 1e-6).double()),
+        **{f"ended_{name}": count / num for name, count in shares.items()},
+        "x_mean": _mean(x),
+        "x_deviation": _deviation(x),
+        "y_deviation": _deviation(y),
+        "frequency": _mean(h.frequency),
+        "frequency_over_shedding": _mean(ratio),
+        "in_street": _share(in_street, is_there),
+        "in_gait": _share(in_gait, is_there),
+        "accelerations": _share(change > 1e-9, pairs),
+        "decelerations": _share(change < -1e-9, pairs),
+        "angle_mean": _mean(angle),
+        "angle_max": float(angle.nan_to_num(0.0).max()),
+        "sway": measure_sway(h.aside, frames_per_T=_frames_per_T(h)),
+        "phase_lock": lock_phases(h, shedding_frequency),
+        **per_T,
+        "named_right": _share(right, told),
+    }
+
+
+def measure_sway(aside: Tensor, *, frames_per_T: int) -> float:
+    """Return the amplitude of the nose's sideways swing ``[E, frames]``, faster than about 2 T."""
+    swings: list[float] = []
+    for row in aside:
+        values = row[~row.isnan()].double()
+        span = 2 * frames_per_T
+        blocks = values[: len(values) // span * span].reshape(-1, span)
+        swings += blocks.var(1, unbiased=False).tolist()
+    return math.sqrt(2.0 * sum(swings) / len(swings)) if swings else math.nan
+
+
+def lock_phases(histories: Histories, shedding_frequency: float) -> float:
+    """Return how firmly the tail beat keeps step with the lift on the obstacle, 0 to 1.
+
+    Length of the mean of exp(i (beat - shed)) over windows of 8 T, averaged over those; shed is
+    the phase of the lift at the shedding frequency's first harmonic band (Hilbert transform of
+    what lies within half and one and a half of it). Two unrelated phases give about 0.2 here.
+    """
+    if math.isnan(shedding_frequency):
+        return math.nan
+    frames_per_T = _frames_per_T(histories)
+    window = 8 * frames_per_T
+    locks: list[float] = []
+    for beat, lift in zip(histories.beat, histories.lift, strict=True):
+        known = ~beat.isnan()
+        if int(known.sum()) < window + frames_per_T:
+            continue
+        phases, force = (row[known][frames_per_T:].double().numpy() for row in (beat, lift))
+        apart = np.exp(1j * (phases - find_phase(force, shedding_frequency, frames_per_T)))
+        blocks = apart[: len(apart) // window * window].reshape(-1, window)
+        locks += np.abs(blocks.mean(1)).tolist()
+    return float(np.mean(locks)) if locks else math.nan
+
+
+def find_phase(signal: NDArray[np.float64], frequency: float, rate: int) -> NDArray[np.float64]:
+    """Return the phase of a signal's part near a frequency, by its analytic signal.
+
+    Args:
+        signal: ``[n]`` equally spaced.
+        frequency: of interest; what lies outside 0.5 to 1.5 times it is left out.
+        rate: samples per unit of time.
+    """
+    spectrum = np.fft.fft(signal - signal.mean())
+    at = np.fft.fftfreq(len(signal), 1.0 / rate)
+    spectrum[(at < 0.5 * frequency) | (at > 1.5 * frequency)] = 0.0
+    return np.asarray(np.angle(np.fft.ifft(spectrum)))
+
+
+def pick(histories: Histories, rows: Tensor) -> Histories:
+    """Return some of the episodes; ``rows`` is a mask ``[E]``."""
+    return Histories(*(value[rows] for value in histories))
+
+
+def half_width(values: Sequence[float]) -> float:
+    """Return half the width of the 95 % confidence interval of a mean (Student's t)."""
+    count = len(values)
+    if count < 2:
+        return math.nan
+    factor = _STUDENT_95[count - 2] if count - 2 < len(_STUDENT_95) else 2.0
+    return factor * float(np.std(values, ddof=1)) / math.sqrt(count)
+
+
+def combine_seeds(results: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Average the numbers of several seeds; ``survival_error_T`` becomes that over the seeds."""
+    if len(results) == 1:
+        return dict(results[0])
+    mean = {name: float(np.mean([result[name] for result in results])) for name in results[0]}
+    mean["survival_error_T"] = half_width([result["survival_T"] for result in results])
+    mean["angle_max"] = max(result["angle_max"] for result in results)
+    for name in ("episodes", "diverged"):
+        mean[name] = sum(result[name] for result in results)
+    return mean
+
+
+def _frames_per_T(histories: Histories) -> int:
+    return max(1, histories.beat.shape[1] // max(1, histories.frequency.shape[1]))
+
+
+def _last_place(place: Tensor) -> Tensor:
+    return place[~place[:, 0].isnan()][-1]
+
+
+def _last_values(series: Tensor) -> Tensor:
+    """Return the last number of each row ``[E]``."""
+    last = (~series.isnan()).sum(1).clamp_min(1) - 1
+    return series.gather(1, last[:, None]).squeeze(1)
+
+
+def _name_end(place: Tensor, area: Any) -> str:
+    """Say across which side of the safe area an episode ended."""
+    x, y = place.tolist()
+    gaps = {"near": x - area.near_bl, "far": area.far_bl - x, "aside": area.aside_bl - abs(y)}
+    return min(gaps, key=lambda name: gaps[name])
+
+
+def _mean(values: Tensor) -> float:
+    known = values[~values.isnan()]
+    return float(known.double().mean()) if known.numel() else math.nan
+
+
+def _deviation(values: Tensor) -> float:
+    known = values[~values.isnan()]
+    return float(known.double().std(unbiased=False)) if known.numel() else math.nan
+
+
+def _share(flag: Tensor, of: Tensor) -> float:
+    return float((flag & of).sum() / of.sum()) if bool(of.any()) else math.nan
+
+
+def stack(parts: Sequence[Histories]) -> Histories:
+    """Put episodes of several recordings together; shorter ones are filled with NaN."""
+    most = {
+        name: max(getattr(part, name).shape[1] for part in parts)
+        for name in Histories._fields
+        if getattr(parts[0], name).dim() > 1
+    }
+    columns = []
+    for name in Histories._fields:
+        values = [getattr(part, name) for part in parts]
+        if name in most:
+            values = [_widen(value, most[name]) for value in values]
+        columns.append(torch.cat(values))
+    return Histories(*columns)
+
+
+def _widen(values: Tensor, length: int) -> Tensor:
+    shape = (values.shape[0], length - values.shape[1], *values.shape[2:])
+    return torch.cat((values, torch.full(shape, math.nan, dtype=values.dtype)), 1)

@@ -1,0 +1,156 @@
+"""Trials: one fish in every flow, from the same starts; kept in files, run once."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import pickle
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+
+from experiments.checkpointing import read_metadata
+from experiments.config import build
+from experiments.histories import Histories, record_histories
+from experiments.policies import load_policy, make_policy
+from experiments.progress import Progress
+from experiments.recognition import Recognition
+from fishrl.envs import KarmanGait, make_env
+from fishrl.envs.macro_actions import DirectFrequencies
+from fishrl.physics.compiled import hash_sources
+
+logger = logging.getLogger(__name__)
+
+#: Frames within an action: what phases and swings are measured by.
+FRAMES = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """A fish to try.
+
+    Args:
+        name: of it, for tables; trials of one ``arm`` differ in their seed.
+        arm: what kind of fish it is.
+        recognition: its task, and who tells it which flow it is in.
+        make_policy: makes its brain.
+        identity: what shapes its behaviour beside the task, as text.
+    """
+
+    name: str
+    arm: str
+    recognition: Recognition
+    make_policy: Callable[[], Any]
+    identity: str
+
+    @property
+    def task(self) -> KarmanGait:
+        """What it does; in all flows."""
+        task = self.recognition.task
+        return replace(task, start_flows=tuple(range(len(task.stream.speeds_bl))))
+
+
+def load_trial(run: Path) -> Trial:
+    """Take the learned fish of a run folder.
+
+    Raises:
+        ValueError: if there is none, or it does not hold a station.
+    """
+    path, metadata = read_metadata(str(run))
+    config = metadata["config"]
+    recognition = Recognition(build(config["task"]), config.get("recognition"))
+    task = recognition.task
+    if not isinstance(task, KarmanGait):
+        raise ValueError(f"{run}: a fish of {type(task).__name__}; give runs of task=karman_gait")
+    return Trial(
+        name=run.name,
+        arm=name_arm(task, config.get("recognition")),
+        recognition=recognition,
+        make_policy=lambda: load_policy(
+            str(path), task=task, num_told=recognition.num_told, device="cpu"
+        ),
+        identity=f"{metadata['frames']} frames, seed {config['seed']}, {config}",
+    )
+
+
+def name_arm(task: KarmanGait, recognition: str | None) -> str:
+    """Name the kind of a learned fish."""
+    if isinstance(task.control, DirectFrequencies):
+        return "ablation" if recognition is None else "lateral line alone"
+    return {None: "true row, untold", "oracle": "oracle"}.get(recognition, "both modules")
+
+
+def hand_written(name: str, task: KarmanGait) -> Trial:
+    """Take a hand-written fish, which is told the true flow."""
+    task = replace(task, reads_flow_class=False)
+    return Trial(
+        name=name,
+        arm=name,
+        recognition=Recognition(task, None),
+        make_policy=lambda: make_policy(name, task=task, seed=0),
+        identity=name,
+    )
+
+
+def run_trial(
+    trial: Trial,
+    *,
+    episodes: int,
+    folder: Path,
+    num_decisions: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Histories:
+    """Run a fish from fixed starts in every flow, or read what it did before.
+
+    Args:
+        trial: the fish.
+        episodes: in each flow.
+        folder: where histories are kept, in a file for each trial.
+        num_decisions: length of the episodes; by default the task's time limit.
+        seed: of the starts, the same for every fish.
+        progress: the bar.
+    """
+    task = trial.task
+    num_decisions = num_decisions or task.time_limit
+    words = (repr(task), trial.identity, episodes, num_decisions, seed, FRAMES, hash_sources())
+    key = hashlib.sha256("\0".join(map(str, words)).encode()).hexdigest()[:16]
+    path = folder / f"{trial.name}-{key}.pt"
+    if path.is_file():
+        return _read(path)
+    flows = len(task.stream.speeds_bl)
+    starts: TensorDict = task.sample_starts(flows * episodes, torch.Generator().manual_seed(seed))
+    # the same noses, phases and keys in each flow
+    starts = torch.cat([starts[:episodes]] * flows)
+    starts["flow_index"] = torch.arange(flows).repeat_interleave(episodes)
+    env = trial.recognition.equip(make_env)(
+        task=task, num_envs=len(starts), seed=seed, starts=starts, frames_per_action=FRAMES
+    )
+    progress = progress or Progress(is_shown=False)
+    progress.start(trial.name, total=num_decisions)
+    histories = record_histories(
+        env,
+        trial.make_policy(),
+        starts,
+        num_decisions=num_decisions,
+        on_decision=lambda: progress.advance(1),
+    )
+    env.close()
+    folder.mkdir(parents=True, exist_ok=True)
+    stage = path.with_suffix(f".{os.getpid()}.stage")
+    torch.save(histories._asdict(), stage)
+    stage.replace(path)
+    return histories
+
+
+def _read(path: Path) -> Histories:
+    try:
+        content: Mapping[str, Any] = torch.load(path, weights_only=True)
+        return Histories(**content)
+    except (OSError, RuntimeError, EOFError, TypeError, pickle.UnpicklingError) as error:
+        raise ValueError(f"histories {path}: cannot be read; delete the file") from error

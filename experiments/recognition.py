@@ -1,0 +1,86 @@
+"""Whether a fish is told which flow it is in, and by whom: the setting ``recognition``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from shutil import copyfile
+from typing import Any
+
+from torchrl.envs import EnvBase, Transform
+
+from experiments.settings import ConfigError
+from fishrl.envs import KarmanGait, KnowFlow, make_recognition
+from fishrl.modules import LateralLineMachine
+
+ORACLE = "oracle"
+
+
+class Recognition:
+    """The task of a fish that is told its flow, or not, and the transforms that tell it.
+
+    Args:
+        task: as its settings make it.
+        choice: None, nobody tells; ``oracle``, the truth; else the file of a lateral-line machine.
+        memory: of what the machine said before; see ``fishrl.envs.RecogniseFlow``.
+
+    Attributes:
+        task: which takes the row of frequencies that it is told, if it is.
+        num_told: numbers that stand behind each observation, one per flow.
+
+    Raises:
+        ConfigError: if the task has no flows to tell apart.
+        ValueError: if the machine cannot be read, or was trained for other flows or sensors.
+    """
+
+    def __init__(self, task: Any, choice: str | None, *, memory: float = 0.7) -> None:
+        self.task, self.num_told = task, 0
+        self._memory = memory
+        self._machine: LateralLineMachine | None = None
+        if choice is None:
+            return
+        if not isinstance(task, KarmanGait):
+            raise ConfigError(
+                f"recognition={choice}: {type(task).__name__} has no flows to tell apart; leave it "
+                "away, or take task=karman_gait"
+            )
+        self.num_told = len(task.flow_labels)
+        if task.control.num_flows is not None:
+            self.task = replace(task, reads_flow_class=True)
+        if choice != ORACLE:
+            self._machine = LateralLineMachine.load(choice)
+            self._machine.check(flows=task.flow_labels, sensors=task.lateral_line_layout)
+
+    def make_transforms(self) -> list[Transform]:
+        """Return new transforms for one environment."""
+        if self.num_told == 0:
+            return []
+        if self._machine is None:
+            return [KnowFlow(num_flows=self.num_told)]
+        return make_recognition(self._machine, memory=self._memory)
+
+    def equip(self, make_env: Callable[..., EnvBase]) -> Callable[..., EnvBase]:
+        """Return a maker of environments that tell the fish."""
+        if self.num_told == 0:
+            return make_env
+        return partial(make_env, transforms=self.make_transforms())
+
+
+def keep_machine(choice: str | None, folder: Path) -> str | None:
+    """Copy the machine of a run into its folder, where nobody trains it anew; return the setting.
+
+    Raises:
+        ConfigError: if there is no such file.
+    """
+    if choice is None or choice == ORACLE:
+        return choice
+    source, kept = Path(choice).expanduser(), folder / "machine.pt"
+    if not source.is_file():
+        raise ConfigError(
+            f"recognition={choice}: there is no such file; give oracle, or the machine.pt that "
+            "python -m experiments.train_lateral_line wrote"
+        )
+    copyfile(source, kept)
+    return str(kept)

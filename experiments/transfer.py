@@ -1,0 +1,145 @@
+"""Who holds station in streams it never trained in: ``python -m experiments.transfer runs/...``.
+
+Takes the learned fish of run folders (``task=karman_gait``), lets each swim from the same fixed
+starts in every flow, frozen, and puts hand-written fish beside them. Writes tables, figures and
+``transfer.json``; what was swum before is not swum again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from experiments.command_line import plain_errors, set_up_logging
+from experiments.config import build, load_config
+from experiments.gait import pictures, tables
+from experiments.gait.diagnostics import combine_seeds, diagnose, pick
+from experiments.gait.trials import Trial, hand_written, load_trial, run_trial
+from experiments.histories import Histories
+from experiments.progress import Progress
+from fishrl.envs import KarmanGait
+
+HAND_WRITTEN = ("pid", "bang_bang", "shedding")
+
+
+def split_flows(histories: Histories, num_flows: int) -> list[Histories]:
+    """Return the episodes of each flow."""
+    return [pick(histories, histories.flow == flow) for flow in range(num_flows)]
+
+
+def judge(task: KarmanGait, flows: Sequence[Histories]) -> list[dict[str, float]]:
+    """Return the numbers of one fish in each flow."""
+    return [
+        diagnose(
+            histories,
+            shedding_frequency=shed,
+            safe_area=task.safe_area,
+            time_limit_T=task.time_limit * task.n_substeps / task.scales.period,
+        )
+        for histories, shed in zip(flows, list_shedding(task), strict=True)
+    ]
+
+
+def list_shedding(task: KarmanGait) -> list[float]:
+    """Return the shedding frequency of each flow, per T; NaN in free streams."""
+    if task.wakes is None:
+        return [float("nan")] * len(task.stream.speeds_bl)
+    frequencies: list[float] = (task.wakes.shedding_frequencies * task.scales.period).tolist()
+    return frequencies
+
+
+def transfer(
+    trials: Sequence[Trial], *, episodes: int, folder: Path, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Run every trial and write tables and figures.
+
+    Args:
+        trials: the fish; those of one arm are its seeds.
+        episodes: in each flow.
+        folder: for everything.
+        progress: the bar.
+
+    Returns:
+        ``arms``: per arm and flow the numbers over its seeds; ``trials``: of each fish alone.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    task = trials[0].task
+    speeds = task.stream.speeds_bl
+    recorded: dict[str, list[Histories]] = {}
+    alone: dict[str, list[dict[str, float]]] = {}
+    arms: dict[str, list[str]] = {}
+    for trial in trials:
+        histories = run_trial(
+            trial, episodes=episodes, folder=folder / "histories", progress=progress
+        )
+        recorded[trial.name] = split_flows(histories, len(speeds))
+        alone[trial.name] = judge(trial.task, recorded[trial.name])
+        arms.setdefault(trial.arm, []).append(trial.name)
+    combined = {
+        arm: [combine_seeds([alone[name][flow] for name in names]) for flow in range(len(speeds))]
+        for arm, names in arms.items()
+    }
+    results = {"speeds_bl": list(speeds), "arms": combined, "trials": alone, "episodes": episodes}
+    (folder / "transfer.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+    text = tables.write_table(combined, speeds) + "\n" + tables.write_ends(combined, speeds)
+    (folder / "transfer.md").write_text(text, encoding="utf-8")
+    lengths = {
+        arm: [
+            [recorded[name][flow].lengths_T.tolist() for name in names]
+            for flow in range(len(speeds))
+        ]
+        for arm, names in arms.items()
+    }
+    first = {arm: recorded[names[0]] for arm, names in arms.items()}
+    pictures.write_survival(folder / "survival.png", lengths, speeds=speeds)
+    pictures.write_paths(folder / "paths.png", first, task=task)
+    pictures.write_places(folder / "places.png", first, task=task)
+    best = next(iter(first.values()))
+    pictures.write_decisions(
+        folder / "decisions.png", best, task=task, shedding=list_shedding(task)
+    )
+    pictures.write_work(folder / "work.png", best, None, speeds=speeds)
+    return results
+
+
+def main() -> None:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description="Frozen fish in every flow, side by side.")
+    parser.add_argument("runs", type=Path, nargs="*", help="run folders of task=karman_gait")
+    parser.add_argument("--episodes", type=int, default=100, help="in each flow")
+    parser.add_argument(
+        "--hand-written", nargs="*", default=list(HAND_WRITTEN), help="fish to put beside them"
+    )
+    parser.add_argument(
+        "--preset", default="gait_small", help="of the hand-written fish, if there is no run"
+    )
+    parser.add_argument("--folder", type=Path, default=Path("runs/transfer"))
+    arguments = parser.parse_args()
+    set_up_logging()
+    with plain_errors(), Progress() as progress:
+        if arguments.episodes < 1:
+            raise ValueError(f"episodes = {arguments.episodes}: must be at least 1")
+        trials = [load_trial(run) for run in arguments.runs]
+        task = trials[0].task if trials else load_task(arguments.preset)
+        trials += [hand_written(name, task) for name in arguments.hand_written]
+        transfer(trials, episodes=arguments.episodes, folder=arguments.folder, progress=progress)
+    print((arguments.folder / "transfer.md").read_text(encoding="utf-8"))
+    print(f"written to {arguments.folder}")
+
+
+def load_task(preset: str, overrides: Sequence[str] = ()) -> KarmanGait:
+    """Return the task of a preset."""
+    arguments = ["task=karman_gait", f"preset={preset}", *overrides]
+    config: Mapping[str, Any] = load_config("train", arguments).task
+    task: KarmanGait = build(config)
+    return task
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    main()

@@ -1,0 +1,144 @@
+"""Numbers made of histories that are known by heart."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from experiments.gait.diagnostics import (
+    combine_seeds,
+    diagnose,
+    find_phase,
+    half_width,
+    lock_phases,
+    measure_sway,
+    pick,
+    stack,
+)
+from experiments.gait.tables import write_ends, write_table, write_work_table
+from experiments.histories import Histories
+from fishrl.envs.stations import SafeArea
+
+NUM, FRAMES, SHED = 40, 16, 0.625
+
+
+def make_histories(*, lengths: list[int], beat: float = SHED) -> Histories:
+    """Fish at x = 1.5 + 0.01 t that beat at one rate in a wake that sheds at SHED."""
+    num = len(lengths)
+    time = torch.arange(NUM + 1.0).double()
+    fine = (1 + torch.arange(NUM * FRAMES).double()) / FRAMES
+    over = [torch.arange(NUM + 1) > length for length in lengths]
+    gone = torch.stack(over)
+    lost = gone.repeat_interleave(FRAMES, 1)[:, FRAMES:]
+
+    def cut(values: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
+        return values.expand(num, -1).masked_fill(mask, math.nan)
+
+    place = torch.stack((cut(1.5 + 0.01 * time, gone), cut(0.0 * time, gone)), -1)
+    lengths_T = torch.tensor(lengths, dtype=torch.float64)
+    return Histories(
+        flow=torch.zeros(num, dtype=torch.int64),
+        place=place,
+        frequency=cut(torch.full((NUM,), beat).double(), gone[:, 1:]),
+        named=cut((time[1:] % 4 == 0).double(), gone[:, 1:]),
+        angle_of_attack=cut(0.1 * torch.ones(NUM).double(), gone[:, 1:]),
+        work=cut(2.0 * time, gone),
+        positive_work=cut(3.0 * time, gone),
+        lateral_work=cut(1.0 * time, gone),
+        lengths_T=lengths_T,
+        terminated=lengths_T < NUM,
+        diverged=torch.zeros(num, dtype=torch.bool),
+        beat=cut((2.0 * math.pi * beat * fine) % (2.0 * math.pi), lost),
+        aside=cut(0.2 * torch.sin(2.0 * math.pi * SHED * fine), lost),
+        lift=cut(0.7 + torch.sin(2.0 * math.pi * SHED * fine + 1.0), lost),
+    )
+
+
+def judge(histories: Histories) -> dict[str, float]:
+    return diagnose(
+        histories, shedding_frequency=SHED, safe_area=SafeArea(far_bl=1.75), time_limit_T=NUM
+    )
+
+
+def test_survival_is_a_mean_with_its_interval() -> None:
+    result = judge(make_histories(lengths=[40, 40, 20, 10]))
+    assert result["survival_T"] == pytest.approx(27.5)
+    assert result["survivors"] == 0.5
+    deviation = np.std([40, 40, 20, 10], ddof=1)
+    assert result["survival_error_T"] == pytest.approx(3.182 * deviation / 2.0)
+    assert result["diverged"] == 0
+
+
+def test_rates_are_per_T_of_all_episodes_together() -> None:
+    result = judge(make_histories(lengths=[40, 10]))
+    assert result["work"] == pytest.approx(2.0)
+    assert result["positive_work"] == pytest.approx(3.0)
+    assert result["lateral_work"] == pytest.approx(1.0)
+    assert result["angle_mean"] == pytest.approx(math.degrees(0.1))
+    assert result["named_right"] == pytest.approx(38 / 50)  # every fourth is named wrongly
+
+
+def test_an_end_is_named_after_the_nearest_border() -> None:
+    result = judge(make_histories(lengths=[40, 23]))
+    assert (result["ended_far"], result["ended_near"], result["ended_aside"]) == (0.5, 0.0, 0.0)
+
+
+def test_gait_needs_the_right_beat() -> None:
+    assert judge(make_histories(lengths=[40]))["in_gait"] == 1.0
+    fast = judge(make_histories(lengths=[40], beat=2.0 * SHED))
+    assert (fast["in_street"], fast["in_gait"]) == (1.0, 0.0)
+    assert fast["frequency_over_shedding"] == pytest.approx(2.0)
+
+
+def test_a_beat_in_step_with_the_lift_is_locked_and_another_is_not() -> None:
+    assert lock_phases(make_histories(lengths=[40]), SHED) > 0.95
+    assert lock_phases(make_histories(lengths=[40], beat=1.25 * SHED), SHED) < 0.5
+    assert math.isnan(lock_phases(make_histories(lengths=[3]), SHED))
+    assert math.isnan(lock_phases(make_histories(lengths=[40]), math.nan))
+
+
+def test_the_phase_of_a_sine_is_found() -> None:
+    time = np.arange(640) / 16
+    signal = 3.0 + np.cos(2.0 * np.pi * SHED * time + 0.4) + np.cos(2.0 * np.pi * 3.0 * time)
+    off = np.angle(np.exp(1j * (find_phase(signal, SHED, 16) - 2.0 * np.pi * SHED * time - 0.4)))
+    assert np.abs(off).max() < 1e-6
+
+
+def test_sway_is_the_amplitude_of_a_sine() -> None:
+    histories = make_histories(lengths=[40, 12])
+    assert measure_sway(histories.aside, frames_per_T=FRAMES) == pytest.approx(0.2, rel=0.06)
+
+
+def test_seeds_are_averaged_and_their_spread_is_the_error() -> None:
+    one, other = (judge(make_histories(lengths=[n])) for n in (40, 20))
+    both = combine_seeds([one, other])
+    assert both["survival_T"] == pytest.approx(30.0)
+    assert both["survival_error_T"] == pytest.approx(half_width([40.0, 20.0]))
+    assert both["episodes"] == 2
+    assert combine_seeds([one])["survival_T"] == 40.0
+
+
+def test_recordings_of_different_length_go_together() -> None:
+    long, short = make_histories(lengths=[40]), make_histories(lengths=[10])
+    cut = Histories(*(v[:, :11] if v.dim() > 1 else v for v in short))
+    both = stack([long, cut])
+    assert both.place.shape[0] == 2
+    assert torch.equal(pick(both, torch.tensor([True, False])).place, long.place)
+    assert bool(both.place[1, 11:].isnan().all())
+
+
+def test_tables_have_a_row_per_fish_and_flow() -> None:
+    result = judge(make_histories(lengths=[40, 23]))
+    results = {"pid": [result, result], "passive": [result, result]}
+    table = write_table(results, (1.0, 1.5))
+    assert len({line.count("|") for line in table.splitlines()}) == 1
+    assert len(table.splitlines()) == 6
+    assert "| pid | 1.5 | 2 | 31.5 ±" in table
+    assert "| passive | 1 | 50% | 0% | 50% | 0% | 0 |" in write_ends(results, (1.0, 1.5))
+
+
+def test_work_is_compared_as_a_ratio_and_a_saving() -> None:
+    wake = [judge(make_histories(lengths=[40]))]
+    table = write_work_table(wake, [{"work": 8.0, "positive_work": 9.0, "lateral_work": 5.0}], (1,))
+    assert "| 1 | 2.000 | 8.00 | 4.0 | 75.0% | 3.0 | 1.000 | 5.00 | 5.0 | – |" in table
