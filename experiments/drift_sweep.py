@@ -31,7 +31,7 @@ from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.stations import SafeArea
 from fishrl.envs.streams import Stream
 
-FREQUENCIES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0)
+FREQUENCIES = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.1, 2.4)
 #: Distances behind the disc, body lengths, within which drift counts: near it a fish is sucked in
 #: by the recirculation, far from it the wake carries less.
 BANDS = ((0.8, 1.4), (1.4, 2.0), (2.0, 2.6), (2.6, 3.5))

@@ -23,8 +23,15 @@ from fishrl.physics.in_place import InPlaceSolver
 from fishrl.physics.state import FlowConfig
 from fishrl.physics.units import Scales
 
-#: Tail beats per T for the paper's three flows.
-DEFAULT_BANK = FrequencyBank(rows=((0.5, 0.75, 1.0, 1.25, 1.5),) * 3)
+#: Tail beats per T for the paper's three flows, from a measured sweep (``experiments.drift_sweep``):
+#: in each flow the first sinks back and the last swims up.
+DEFAULT_BANK = FrequencyBank(
+    rows=(
+        (0.6, 0.9, 1.2, 1.5, 1.8),
+        (0.6, 1.0, 1.35, 1.7, 2.0),
+        (0.8, 1.2, 1.6, 2.0, 2.4),
+    )
+)
 
 
 @final
