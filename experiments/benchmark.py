@@ -84,7 +84,7 @@ def main() -> None:
         "--groups", nargs="+", default=[], metavar="GROUP", help=f"some of: {', '.join(GROUPS)}"
     )
     parser.add_argument("--rounds", type=int, default=15, help="bursts of each case (default 15)")
-    parser.add_argument("--burst", type=float, default=0.03, help="seconds of a burst")
+    parser.add_argument("--burst", type=float, default=0.1, help="seconds of a burst")
     parser.add_argument("--threads", type=int, default=os.cpu_count(), help="cores of each code")
     parser.add_argument("--body-length", type=int, default=100, help="L of the large case")
     parser.add_argument("--folder", type=Path, default=Path("runs/benchmark"))
