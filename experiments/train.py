@@ -96,7 +96,7 @@ def finish(training: Training) -> dict[str, Any]:
     try:
         summary = training.run()
         write_json(folder.summary, summary)
-        if config.picture_episodes > 0 and hasattr(training.task, "locate_food"):
+        if config.picture_episodes > 0:
             draw(training, summary)
             summary["wall_seconds"] = training.wall_seconds()
             write_json(folder.summary, summary)
@@ -110,11 +110,16 @@ def finish(training: Training) -> dict[str, Any]:
 def draw(training: Training, summary: dict[str, Any]) -> None:
     """Record the learned fish from some of the fixed starts and draw the pictures of the run."""
     from experiments.evaluation import fixed_starts
-    from experiments.figures import write_run_pictures
+    from experiments.figures import write_learning_curve, write_run_pictures
     from experiments.recording import record_episodes
     from experiments.training import FINAL_SEED
 
     config, progress = training.config, training.progress
+    baselines = {name: summary[f"{name}_success_rate"] for name in summary["baselines"]}
+    if not hasattr(training.task, "locate_food"):  # experiments.transfer draws the others
+        path = training.folder.path
+        write_learning_curve(path / "metrics.csv", path / "learning_curve.png", baselines=baselines)
+        return
     starts = fixed_starts(training.task, config.final_episodes, seed=FINAL_SEED)
     starts = starts[: min(config.picture_episodes, config.num_envs)]
     progress.start("pictures", total=starts.shape[0])
@@ -127,7 +132,7 @@ def draw(training: Training, summary: dict[str, Any]) -> None:
     write_run_pictures(
         training.folder.path,
         recordings,
-        baselines={name: summary[f"{name}_success_rate"] for name in summary["baselines"]},
+        baselines=baselines,
     )
 
 

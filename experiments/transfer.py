@@ -24,7 +24,7 @@ from experiments.histories import Histories
 from experiments.progress import Progress
 from fishrl.envs import KarmanGait
 
-HAND_WRITTEN = ("pid", "bang_bang", "shedding")
+HAND_WRITTEN = ("pid", "pid+policy", "bang_bang", "shedding")
 
 
 def split_flows(histories: Histories, num_flows: int) -> list[Histories]:

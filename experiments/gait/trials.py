@@ -22,6 +22,7 @@ from experiments.progress import Progress
 from experiments.recognition import Recognition
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.macro_actions import DirectFrequencies
+from fishrl.envs.steering import PolicySteering
 from fishrl.physics.compiled import hash_sources
 
 logger = logging.getLogger(__name__)
@@ -86,13 +87,23 @@ def name_arm(task: KarmanGait, recognition: str | None) -> str:
 
 
 def hand_written(name: str, task: KarmanGait) -> Trial:
-    """Take a hand-written fish, which is told the true flow."""
+    """Take a hand-written fish, which is told the true flow.
+
+    Args:
+        name: as for ``make_policy``; with ``+policy`` behind it, the learned helmsman steers.
+        task: of the others.
+    """
     task = replace(task, reads_flow_class=False)
+    kind, _, helmsman = name.partition("+")
+    if helmsman not in ("", "policy"):
+        raise ValueError(f"fish {name!r}: behind the + may stand policy")
+    if helmsman:
+        task = replace(task, steering=PolicySteering())
     return Trial(
         name=name,
         arm=name,
         recognition=Recognition(task, None),
-        make_policy=lambda: make_policy(name, task=task, seed=0),
+        make_policy=lambda: make_policy(kind, task=task, seed=0),
         identity=name,
     )
 

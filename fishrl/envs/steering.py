@@ -98,14 +98,15 @@ class PolicySteering(Steering):
     fish, as food would, on the line to hold.
 
     Args:
-        path: file that ``save_weights`` wrote.
+        path: file that ``save_weights`` wrote; by default that of a fish trained on ``Predation``
+            in still water at L = 50, which comes with the package.
         turn_degrees: of one action.
         ahead_bl: how far upstream of the nose the point lies, body lengths.
     """
 
     num_stacked = 4
 
-    path: str
+    path: str = str(Path(__file__).with_name("steering.pt"))
     turn_degrees: float = 15.0
     ahead_bl: float = 2.0
 

@@ -85,6 +85,13 @@ class GlidingSolver:
         stream = still + self.flow.params.stream_speed.float()[:, None]
         return still + 1.0, torch.stack((stream, still), -1)
 
+    @property
+    def bodies(self) -> list[Body]:
+        return [self.body]
+
+    def head(self) -> Tensor:
+        return self.markers()[:, 0]
+
     def markers(self) -> Tensor:
         still = torch.zeros_like(self.body.phase)
         straight = self.body._replace(phase=still, frequency=still, beats=still)

@@ -1,0 +1,217 @@
+"""From a training with a lateral line to the transfer test, on fish that glide."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from experiments import export_steering, free_stream, transfer
+from experiments.config import load_config
+from experiments.evaluate import evaluate
+from experiments.gait.trials import hand_written, load_trial, run_trial
+from experiments.recognition import Recognition, keep_machine
+from experiments.settings import ConfigError, EvaluateConfig
+from experiments.train import train
+from fishrl.envs import KarmanGait, Predation
+from fishrl.envs.steering import PolicySteering
+from fishrl.modules import LateralLineMachine
+from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
+
+pytestmark = pytest.mark.usefixtures("gliding")
+
+SETTINGS = [
+    "task=karman_gait",
+    "preset=gait_small",
+    *(f"task.{name}={value}" for name, value in {**SMALL, "wall_margin_bl": 0.2}.items()),
+    "task.time_limit=6",
+    "compile=false",
+    "num_envs=4",
+    "total_frames=48",
+    "warmup_frames=16",
+    "buffer_size=100",
+    "batch_size=8",
+    "eval_frames=48",
+    "eval_episodes=4",
+    "final_episodes=4",
+    "hidden=[16]",
+]
+
+
+def make_task(**arguments: Any) -> KarmanGait:
+    return KarmanGait(**{**SMALL, "wall_margin_bl": 0.2, "time_limit": 6, **arguments})
+
+
+def make_machine(path: Path, task: KarmanGait | None = None) -> str:
+    task = task or make_task()
+    machine = LateralLineMachine(
+        flows=task.flow_labels,
+        sensors=task.lateral_line_layout,
+        generator=torch.Generator().manual_seed(0),
+    )
+    machine.save(path)
+    return str(path)
+
+
+def run(folder: Path, *overrides: str, **settings: object) -> dict[str, Any]:
+    config = load_config("train", [*SETTINGS, f"folder={folder}", *overrides])
+    for name, value in settings.items():
+        setattr(config, name, value)
+    return train(config)
+
+
+def read_rows(folder: Path) -> list[dict[str, str]]:
+    with (folder / "metrics.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    return [{k: v for k, v in row.items() if not k.startswith("time/")} for row in rows]
+
+
+@pytest.mark.parametrize("who", ["machine", "oracle", "nobody"])
+def test_a_gait_is_trained_evaluated_and_tried_in_every_flow(tmp_path: Path, who: str) -> None:
+    choice = {"machine": make_machine(tmp_path / "m.pt"), "oracle": "oracle", "nobody": None}[who]
+    summary = run(tmp_path, "name=run", f"seed={len(who)}", recognition=choice)
+    assert summary["success"] == "survived"
+    assert summary["baselines"] == ["pid", "random"]
+    assert 0.0 < summary["mean_length_T"] <= 6.0
+    assert summary["train_diverged"] == 0
+    assert (tmp_path / "run" / "learning_curve.png").is_file()
+    assert (tmp_path / "run" / "machine.pt").is_file() == (who == "machine")
+    trial = load_trial(tmp_path / "run")
+    arm = {"machine": "both modules", "oracle": "oracle", "nobody": "true row, untold"}[who]
+    assert trial.arm == arm
+    results = transfer.transfer(
+        [trial, hand_written("pid", trial.task)], episodes=2, folder=tmp_path / "transfer"
+    )
+    assert list(results["arms"]) == [arm, "pid"]
+    flows = results["arms"][arm]
+    assert [flow["episodes"] for flow in flows] == [2, 2, 2]
+    told = {"oracle": 1.0}.get(who)
+    assert told is None or all(flow["named_right"] == told for flow in flows)
+    written = {path.name for path in (tmp_path / "transfer").iterdir()}
+    assert {"transfer.md", "transfer.json", "survival.png", "paths.png", "work.png"} <= written
+
+
+def test_a_run_with_a_lateral_line_goes_on_exactly(tmp_path: Path) -> None:
+    choice = make_machine(tmp_path / "m.pt")
+    whole = run(tmp_path, "name=whole", recognition=choice)
+    run(tmp_path, "name=part", "total_frames=24", recognition=choice)
+    config = load_config("train", [*SETTINGS, f"folder={tmp_path}"])
+    config.recognition = str(tmp_path / "part" / "machine.pt")
+    config.resume = str(tmp_path / "part")
+    resumed = train(config)
+    assert resumed["mean_return"] == whole["mean_return"]
+    assert read_rows(tmp_path / "part")[-1] == read_rows(tmp_path / "whole")[-1]
+
+
+def test_an_evaluation_takes_the_machine_of_the_run(tmp_path: Path) -> None:
+    run(tmp_path, "name=run", recognition=make_machine(tmp_path / "m.pt"))
+    (tmp_path / "m.pt").unlink()
+    plain = load_config("train", SETTINGS)
+    config = EvaluateConfig(
+        task=plain.task,
+        preset="x",
+        checkpoint=str(tmp_path / "run"),
+        recognition=str(tmp_path / "run" / "machine.pt"),
+        episodes=3,
+        compile=False,
+    )
+    result = evaluate(config)
+    assert (result["episodes"], result["task"]) == (3, "KarmanGait")
+    config.recognition = None
+    with pytest.raises(ValueError, match="num_inputs = 20, here it is 14"):
+        evaluate(config)
+
+
+def test_what_was_swum_is_not_swum_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    trial = hand_written("bang_bang", make_task())
+    first = run_trial(trial, episodes=2, folder=tmp_path)
+    monkeypatch.setattr(Recognition, "equip", lambda *_: pytest.fail("swum again"))
+    again = run_trial(trial, episodes=2, folder=tmp_path)
+    assert all(
+        torch.equal(a.nan_to_num(), b.nan_to_num()) for a, b in zip(first, again, strict=True)
+    )
+    (path,) = tmp_path.glob("*.pt")
+    path.write_bytes(b"not a file")
+    with pytest.raises(ValueError, match="cannot be read; delete the file"):
+        run_trial(trial, episodes=2, folder=tmp_path)
+
+
+def test_fish_of_other_tasks_and_unknown_ones_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="behind the \\+ may stand policy"):
+        hand_written("pid+pd", make_task())
+    with pytest.raises(ConfigError, match="has nothing to do in KarmanGait"):
+        run_trial(hand_written("pursuit", make_task()), episodes=1, folder=tmp_path)
+    free = make_task(stream=make_task().stream.__class__(has_disc=False))
+    with pytest.raises(ConfigError, match="no vortices are shed"):
+        run_trial(hand_written("shedding", free), episodes=1, folder=tmp_path)
+
+
+def test_recognition_fits_the_task_or_says_why(tmp_path: Path) -> None:
+    task = make_task()
+    assert Recognition(task, None).task is task
+    told = Recognition(task, "oracle")
+    assert (told.num_told, told.task.reads_flow_class) == (3, True)
+    with pytest.raises(ConfigError, match="Predation has no flows to tell apart"):
+        Recognition(Predation(**SMALL), "oracle")
+    with pytest.raises(ValueError, match="no such file; train one with"):
+        Recognition(task, str(tmp_path / "none.pt"))
+    with pytest.raises(ConfigError, match="give oracle, or the machine.pt"):
+        keep_machine(str(tmp_path / "none.pt"), tmp_path)
+    other = make_task(reynolds=400.0)
+    with pytest.raises(ValueError, match="reynolds"):
+        Recognition(task, make_machine(tmp_path / "other.pt", other))
+
+
+def test_the_programs_say_what_is_wrong_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["transfer", str(tmp_path / "none")])
+    with pytest.raises(SystemExit, match="error: "):
+        transfer.main()
+    monkeypatch.setattr(sys, "argv", ["transfer", "--episodes", "0"])
+    with pytest.raises(SystemExit, match="error: episodes = 0: must be at least 1"):
+        transfer.main()
+
+
+def test_the_free_stream_is_held_without_a_disc(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(transfer, "load_task", lambda preset, overrides=(): make_task())
+    monkeypatch.setattr(free_stream, "load_task", lambda preset, overrides=(): make_task())
+    arguments = ["--episodes", "1", "--periods", "4", "--max-frequency", "2", "--frequency", "1"]
+    monkeypatch.setattr(sys, "argv", ["free_stream", *arguments, "--folder", str(tmp_path)])
+    free_stream.main()
+    result = json.loads((tmp_path / "free_stream.json").read_text())
+    assert [row["episodes"] for row in result["flows"]] == [1, 1, 1]
+    assert "1.25 L/T:" in capsys.readouterr().out
+
+
+def test_a_fish_that_caught_food_becomes_a_helmsman(tmp_path: Path) -> None:
+    config = load_config("train", ["preset=small", f"folder={tmp_path}", "name=run"])
+    config.task |= SMALL
+    config.compile, config.num_envs, config.total_frames, config.warmup_frames = False, 2, 2, 2
+    config.eval_episodes = config.final_episodes = 1
+    config.picture_episodes, config.baselines = 0, []
+    train(config)
+    path = tmp_path / "helmsman.pt"
+    steering = export_steering.export_steering(tmp_path / "run", path)
+    sights = torch.zeros(3, 4, 4, dtype=torch.float64)
+    assert steering.turn(sights).shape == (3,)
+    run(tmp_path, "name=gait")
+    with pytest.raises(ValueError, match="those of a policy trained on Predation"):
+        export_steering.export_steering(tmp_path / "gait", tmp_path / "no.pt")
+    assert not (tmp_path / "no.pt").exists()
+
+
+def test_the_helmsman_of_the_package_steers_back_to_the_line() -> None:
+    steering = PolicySteering()
+    place = torch.tensor([[1.8, 0.6], [1.8, -0.6]], dtype=torch.float64)
+    heading = torch.full((2,), torch.pi, dtype=torch.float64)
+    sight = steering.look(place, heading)
+    turn = steering.turn(sight[:, None].expand(-1, 4, -1))
+    assert turn[0] > 0.0 > turn[1]  # a heading above pi points down
