@@ -23,8 +23,8 @@ from fishrl.physics.in_place import InPlaceSolver
 from fishrl.physics.state import FlowConfig
 from fishrl.physics.units import Scales
 
-#: Tail beats per T for the paper's three flows, from a measured sweep (``experiments.drift_sweep``):
-#: in each flow the first sinks back and the last swims up.
+#: Tail beats per T for the paper's three flows, from a measured sweep (see
+#: ``experiments.drift_sweep``): in each flow the first sinks back and the last swims up.
 DEFAULT_BANK = FrequencyBank(
     rows=(
         (0.6, 0.9, 1.2, 1.5, 1.8),
