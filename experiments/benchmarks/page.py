@@ -7,8 +7,9 @@ from pathlib import Path
 from experiments.benchmarks.plots import write_plots
 from experiments.benchmarks.results import Results
 from experiments.benchmarks.tables import describe_run, list_tables, render_markdown
+from experiments.pages import divide, fill
 
-BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
+NAME = "measured"  # of the marked place
 CAPTIONS = {
     "roofline": "Bandwidth of each step beside a copy and an in-place pass over memory",
     "scaling": "Speed against the size of the grid and the number of flows",
@@ -27,15 +28,9 @@ def write_page(results: Results, docs: Path) -> list[Path]:
         ValueError: if the page is missing, or its marks are.
     """
     page = docs / "performance.md"
-    if not page.is_file():
-        raise ValueError(f"{page}: no such file; give the folder of the documentation")
-    text = page.read_text(encoding="utf-8")
-    if text.count(BEGIN) != 1 or text.count(END) != 1 or text.index(BEGIN) > text.index(END):
-        raise ValueError(f"{page}: put one line {BEGIN} and below it one line {END} into it")
-    before, rest = text.split(BEGIN)
-    after = rest.split(END)[1]
+    divide(page, NAME)  # a page that cannot be filled is found before anything is drawn
     figures = write_plots(results, docs / "figures" / "benchmark")
-    page.write_text(f"{before}{BEGIN}\n{render(results, figures)}\n{END}{after}", encoding="utf-8")
+    fill(page, NAME, render(results, figures))
     return [page, *figures]
 
 

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle, Wedge
 
-from experiments.figures import COLOURS
+from experiments.figures import COLOURS, read_metrics
 from experiments.flow_pictures import STYLE
 from experiments.histories import Histories
 from experiments.validation.convergence import tidy
@@ -54,6 +54,34 @@ def write_survival(
             tidy(axes)
         grid[0].set_ylabel("survival  [T]")
         figure.suptitle("a point per episode, a line per seed: its mean", fontsize=9)
+        figure.savefig(path)
+
+
+def write_training(path: Path, runs: Mapping[str, Sequence[Path]]) -> None:
+    """Draw survival and return during training: a line per run, a colour per arm.
+
+    Args:
+        path: of the PNG.
+        runs: folders of each arm's seeds.
+    """
+    panels = (
+        ("train/episode_length", "survival, mean of 32 episodes  [T]"),
+        ("train/return", "return, mean of 32 episodes"),
+        ("train/loss_actor", "actor loss"),
+    )
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(11, 3.3), layout="constrained")
+        grid = figure.subplots(1, len(panels), sharex=True)
+        for axes, (column, label) in zip(grid, panels, strict=True):
+            for colour, (arm, folders) in zip(COLOURS, runs.items(), strict=False):
+                for number, folder in enumerate(folders):
+                    series = read_metrics(folder / "metrics.csv").get(column)
+                    if series is not None:
+                        name = arm if number == 0 else None
+                        axes.plot(*series, color=colour, linewidth=1.2, alpha=0.8, label=name)
+            axes.set(xlabel="env frames (decisions of all fish)", ylabel=label)
+            tidy(axes)
+        grid[0].legend(fontsize=8, frameon=False)
         figure.savefig(path)
 
 
