@@ -156,7 +156,7 @@ class LateralLineConfig:
         num_envs: flows that advance together.
         num_samples: decisions to collect, one signal of a control interval each.
         max_decisions: after which an episode is cut; more episodes tell more than longer ones.
-        window: samples that the machine reads, the newest; by default one control interval of them.
+        window: samples that the machine reads, the newest; by default two control intervals of them.
         hidden: widths of its hidden layers.
         learning_rate: of the fits.
         batch_size: of the fits.
@@ -182,7 +182,7 @@ class LateralLineConfig:
     num_samples: int = 6000
     max_decisions: int = 12
     window: int | None = None
-    hidden: list[int] = field(default_factory=lambda: [64, 64])
+    hidden: list[int] = field(default_factory=lambda: [128, 128])
     learning_rate: float = 1e-3
     batch_size: int = 64
     num_epochs: int = 300

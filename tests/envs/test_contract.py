@@ -16,13 +16,15 @@ from fishrl.envs import AbstractTask, FlowEnv, make_env
 from tests.envs.conftest import SMALL
 from tests.envs.shy_task import Shy
 
+#: A tail that may beat faster needs more room before an edge.
+SIZES = {fishrl.envs.tasks.KarmanGait: {"checks_per_action": 60}}
 LIBRARY = [getattr(fishrl.envs.tasks, name) for name in fishrl.envs.tasks.__all__]
 pytestmark = pytest.mark.usefixtures("gliding")
 
 
 @pytest.fixture(params=[*LIBRARY, Shy], ids=lambda kind: kind.__name__)
 def task(request: pytest.FixtureRequest) -> AbstractTask:
-    return request.param(**SMALL)
+    return request.param(**SMALL, **SIZES.get(request.param, {}))
 
 
 def test_every_task_of_the_package_is_listed() -> None:
