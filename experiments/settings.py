@@ -156,7 +156,7 @@ class LateralLineConfig:
         num_envs: flows that advance together.
         num_samples: decisions to collect, one signal of a control interval each.
         max_decisions: after which an episode is cut; more episodes tell more than longer ones.
-        window: samples that the machine reads, the newest; by default two control intervals of them.
+        window: samples that the machine reads, the newest; by default those of two intervals.
         hidden: widths of its hidden layers.
         learning_rate: of the fits.
         batch_size: of the fits.
