@@ -72,15 +72,17 @@ def evaluation_settings(config: DictConfig) -> EvaluateConfig:
 
     from experiments.checkpointing import read_metadata
     from experiments.config import to_settings
+    from experiments.recognition import find_machine
 
     settings = cast("EvaluateConfig", to_settings("evaluate", config))
     given = [argument.lstrip("+") for argument in HydraConfig.get().overrides.task]
     if settings.checkpoint is None or any(a.startswith(("task=", "preset=")) for a in given):
         return settings
-    trained = read_metadata(settings.checkpoint)[1]["config"]
+    path, metadata = read_metadata(settings.checkpoint)
+    trained = metadata["config"]
     changes = OmegaConf.from_dotlist([a for a in given if a.startswith("task.")]).get("task", {})
     settings.task = {**trained["task"], **dict(changes)}
     settings.preset = trained["preset"]
     if settings.recognition is None:
-        settings.recognition = trained.get("recognition")
+        settings.recognition = find_machine(trained.get("recognition"), path)
     return settings

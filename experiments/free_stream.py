@@ -12,6 +12,7 @@ import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import replace
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +38,10 @@ def make_trial(
     steps = num_frequencies - 1
     frequencies = tuple(max_frequency * step / steps for step in range(num_frequencies))
     task = load_task(preset)
+    checks = ceil(task.checks_per_action * max_frequency / task.control.max_frequency)
     task = replace(
         task,
+        checks_per_action=max(task.checks_per_action, checks),  # T has so many more steps
         stream=replace(task.stream, has_disc=False),
         control=DirectFrequencies(frequencies=frequencies, first_gear=0),
     )

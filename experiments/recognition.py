@@ -16,6 +16,8 @@ from fishrl.envs import KarmanGait, KnowFlow, make_recognition
 from fishrl.modules import LateralLineMachine
 
 ORACLE = "oracle"
+#: The machine that a run has copied into its folder.
+OWN = "machine.pt"
 
 
 class Recognition:
@@ -76,11 +78,24 @@ def keep_machine(choice: str | None, folder: Path) -> str | None:
     """
     if choice is None or choice == ORACLE:
         return choice
-    source, kept = Path(choice).expanduser(), folder / "machine.pt"
+    source = Path(choice).expanduser()
     if not source.is_file():
         raise ConfigError(
             f"recognition={choice}: there is no such file; give oracle, or the machine.pt that "
             "python -m experiments.train_lateral_line wrote"
         )
-    copyfile(source, kept)
-    return str(kept)
+    copyfile(source, folder / OWN)
+    return OWN
+
+
+def find_machine(choice: str | None, folder: Path) -> str | None:
+    """Return the setting of a run with its own machine as a path, wherever the run lies now.
+
+    Args:
+        choice: as the run's configuration has it.
+        folder: of the run, or of one of its checkpoints.
+    """
+    if choice != OWN:
+        return choice
+    near = [place / OWN for place in (folder, *folder.resolve().parents[:2])]
+    return str(next((path for path in near if path.is_file()), near[0]))

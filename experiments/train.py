@@ -57,14 +57,15 @@ def set_up(
 ) -> Training:
     """Make everything a run needs; see ``train``. Wrong settings show here, not later."""
     from experiments.config import build, to_plain
-    from experiments.recognition import Recognition, keep_machine
+    from experiments.recognition import Recognition, find_machine, keep_machine
     from experiments.run_folder import RunFolder, write_yaml
     from experiments.settings import check_device
     from experiments.training import Training, make_flow_env
 
     check_device(config.device)
     metrics_logger = build(config.logger)
-    recognition = Recognition(build(config.task), config.recognition)
+    choice = find_machine(config.recognition, Path(config.resume or "."))
+    recognition = Recognition(build(config.task), choice)
     if config.resume:
         folder = RunFolder.of_existing(config.resume)
     else:

@@ -19,7 +19,7 @@ from experiments.config import build
 from experiments.histories import Histories, record_histories
 from experiments.policies import load_policy, make_policy
 from experiments.progress import Progress
-from experiments.recognition import Recognition
+from experiments.recognition import Recognition, find_machine
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.steering import PolicySteering
@@ -64,7 +64,8 @@ def load_trial(run: Path) -> Trial:
     """
     path, metadata = read_metadata(str(run))
     config = metadata["config"]
-    recognition = Recognition(build(config["task"]), config.get("recognition"))
+    choice = find_machine(config.get("recognition"), path)
+    recognition = Recognition(build(config["task"]), choice)
     task = recognition.task
     if not isinstance(task, KarmanGait):
         raise ValueError(f"{run}: a fish of {type(task).__name__}; give runs of task=karman_gait")

@@ -14,6 +14,7 @@ import torch
 from experiments import export_steering, free_stream, transfer
 from experiments.config import load_config
 from experiments.evaluate import evaluate
+from experiments.evaluate import main as evaluate_main
 from experiments.gait.trials import hand_written, load_trial, run_trial
 from experiments.recognition import Recognition, keep_machine
 from experiments.settings import ConfigError, EvaluateConfig
@@ -100,29 +101,34 @@ def test_a_run_with_a_lateral_line_goes_on_exactly(tmp_path: Path) -> None:
     choice = make_machine(tmp_path / "m.pt")
     whole = run(tmp_path, "name=whole", recognition=choice)
     run(tmp_path, "name=part", "total_frames=24", recognition=choice)
+    (tmp_path / "m.pt").unlink()
+    (tmp_path / "part").rename(tmp_path / "moved")
     config = load_config("train", [*SETTINGS, f"folder={tmp_path}"])
-    config.recognition = str(tmp_path / "part" / "machine.pt")
-    config.resume = str(tmp_path / "part")
+    config.recognition, config.resume = "machine.pt", str(tmp_path / "moved")
     resumed = train(config)
     assert resumed["mean_return"] == whole["mean_return"]
-    assert read_rows(tmp_path / "part")[-1] == read_rows(tmp_path / "whole")[-1]
+    assert read_rows(tmp_path / "moved")[-1] == read_rows(tmp_path / "whole")[-1]
 
 
-def test_an_evaluation_takes_the_machine_of_the_run(tmp_path: Path) -> None:
+def test_an_evaluation_takes_the_machine_of_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run(tmp_path, "name=run", recognition=make_machine(tmp_path / "m.pt"))
     (tmp_path / "m.pt").unlink()
-    plain = load_config("train", SETTINGS)
+    (tmp_path / "run").rename(tmp_path / "moved")
+    saved = tmp_path / "result.json"
+    arguments = [f"checkpoint={tmp_path / 'moved'}", "episodes=3", "compile=false", f"save={saved}"]
+    monkeypatch.setattr(sys, "argv", ["evaluate", *arguments])
+    evaluate_main()
+    result = json.loads(saved.read_text())
+    assert (result["episodes"], result["task"]) == (3, "KarmanGait")
     config = EvaluateConfig(
-        task=plain.task,
+        task=load_config("train", SETTINGS).task,
         preset="x",
-        checkpoint=str(tmp_path / "run"),
-        recognition=str(tmp_path / "run" / "machine.pt"),
+        checkpoint=str(tmp_path / "moved"),
         episodes=3,
         compile=False,
     )
-    result = evaluate(config)
-    assert (result["episodes"], result["task"]) == (3, "KarmanGait")
-    config.recognition = None
     with pytest.raises(ValueError, match="num_inputs = 20, here it is 14"):
         evaluate(config)
 
