@@ -56,6 +56,8 @@ def set_up(
     began: float | None = None,
 ) -> Training:
     """Make everything a run needs; see ``train``. Wrong settings show here, not later."""
+    from pathlib import Path
+
     from experiments.config import build, to_plain
     from experiments.recognition import Recognition, find_machine, keep_machine
     from experiments.run_folder import RunFolder, write_yaml
