@@ -67,6 +67,7 @@ def tabulate(task: KarmanGait, histories: Histories) -> list[dict[str, float]]:
     The first T of each episode is left out, in which the beat begins.
     """
     x, steps = histories.place[..., 0], histories.place[..., 0].diff(dim=1)
+    whole = torch.arange(1, x.shape[1]) <= histories.lengths_T[:, None]  # not cut short by an end
     work = histories.work.diff(dim=1)
     middle = 0.5 * (x[:, 1:] + x[:, :-1])
     table = []
@@ -74,7 +75,7 @@ def tabulate(task: KarmanGait, histories: Histories) -> list[dict[str, float]]:
         for frequency in histories.frequency[:, 0].unique().tolist():
             mine = (histories.flow == flow) & (histories.frequency[:, 0] == frequency)
             for low, high in BANDS:
-                counts = (middle >= low) & (middle < high) & mine[:, None]
+                counts = (middle >= low) & (middle < high) & mine[:, None] & whole
                 counts[:, 0] = False
                 drift = steps[counts]
                 table.append(

@@ -20,7 +20,7 @@ import torch
 
 from experiments.command_line import plain_errors, set_up_logging
 from experiments.gait import tables
-from experiments.gait.diagnostics import half_width
+from experiments.gait.diagnostics import half_width, pick
 from experiments.gait.trials import Trial, run_trial
 from experiments.histories import Histories
 from experiments.policies import make_gait_policy
@@ -44,6 +44,8 @@ def make_trial(
         checks_per_action=max(task.checks_per_action, checks),  # T has so many more steps
         stream=replace(task.stream, has_disc=False),
         control=DirectFrequencies(frequencies=frequencies, first_gear=0),
+        # from rest it is swept back until it swims
+        safe_area=replace(task.safe_area, far_bl=6.0),
     )
     wish = PID(frequency=frequency, gain=3.0, integral_gain=0.15, damping=4.0, max_sum=20.0)
     return Trial(
@@ -55,12 +57,27 @@ def make_trial(
     )
 
 
-def summarise(flows: Sequence[Histories]) -> list[dict[str, float]]:
-    """Return work per T, frequency and remaining drift in the second half, for each flow."""
+def summarise(flows: Sequence[Histories], *, periods: int) -> list[dict[str, float]]:
+    """Return work per T, frequency and remaining drift in the second half, for each flow.
+
+    Args:
+        flows: episodes in each.
+        periods: T that a fish had to hold; those that did not are left out, and counted.
+
+    Raises:
+        ValueError: if in some flow no fish held.
+    """
     rows = []
-    for histories in flows:
-        half = histories.frequency.shape[1] // 2
-        row: dict[str, float] = {"episodes": len(histories.flow)}
+    for number, everything in enumerate(flows):
+        holds = everything.lengths_T >= periods - 1e-6
+        if not holds.any():
+            raise ValueError(
+                f"flow {number}: no fish held its station for {periods} T; raise --max-frequency "
+                "or --frequency"
+            )
+        histories = pick(everything, holds)
+        half = periods // 2
+        row: dict[str, float] = {"episodes": len(holds), "held": int(holds.sum())}
         for name in ("work", "positive_work", "lateral_work"):
             series = getattr(histories, name)
             per_T = (series[:, -1] - series[:, half]) / (series.shape[1] - 1 - half)
@@ -69,7 +86,6 @@ def summarise(flows: Sequence[Histories]) -> list[dict[str, float]]:
         row["frequency"] = float(histories.frequency[:, half:].mean())
         drift = histories.place[:, -1, 0] - histories.place[:, half, 0]
         row["drift"] = float(drift.mean()) / (histories.place.shape[1] - 1 - half)
-        row["held"] = float((histories.lengths_T >= histories.frequency.shape[1] - 1e-6).sum())
         rows.append(row)
     return rows
 
@@ -103,7 +119,8 @@ def main() -> None:
         )
     task = trial.task
     speeds = task.stream.speeds_bl
-    rows = summarise(split_flows(histories, len(speeds)))
+    with plain_errors():
+        rows = summarise(split_flows(histories, len(speeds)), periods=arguments.periods)
     scales = task.scales
     result: dict[str, Any] = {
         "speeds_bl": list(speeds),

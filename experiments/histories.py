@@ -24,7 +24,8 @@ class Histories(NamedTuple):
         work: ``[E, N + 1]`` done since the start by all forces, rho L^2 (L / T)^2.
         positive_work: ``[E, N + 1]`` the same where no marker gives back what the flow does on it.
         lateral_work: ``[E, N + 1]`` the paper's form.
-        lengths_T: ``[E]`` duration of the episode; up to N decisions.
+        lengths_T: ``[E]`` duration of the episode, until the moment within an interval in which it
+            ended.
         terminated: ``[E]`` bool, whether it ended in danger.
         diverged: ``[E]`` bool.
         beat: ``[E, N M]`` phase of the tail beat at the end of each frame, radians.
@@ -81,7 +82,7 @@ def record_histories(
     frames = _FrameRecorder(base, kept)
     before = base.starts, base.on_frame
     base.starts, base._next_start, base.on_frame = starts, 0, frames
-    lengths, terminated, diverged = (torch.zeros(num, device=base.device) for _ in range(3))
+    ages, terminated, diverged = (torch.zeros(num, device=base.device) for _ in range(3))
     try:
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             state = env.reset()
@@ -90,9 +91,9 @@ def record_histories(
             for _ in range(num_decisions):
                 base.is_resting = ~is_open
                 frames.is_open = is_open
-                named = state.get("flow_class", torch.full_like(lengths, torch.nan))
+                named = state.get("flow_class", torch.full_like(ages, torch.nan))
                 after = env.step(policy(state))["next"]
-                lengths += is_open
+                ages = torch.where(is_open, base.now["age"].to(ages), ages)
                 now = {name: base.now[name] for name in (*_PLACES, "frequency")}
                 now["angle_of_attack"] = base.now["heading"] - torch.pi
                 now["named"] = named.reshape(num).double()
@@ -109,12 +110,18 @@ def record_histories(
         base.starts, base.on_frame = before
         base.is_resting = torch.zeros_like(base.is_resting)
     task = base.task
+    lengths_T = ages.cpu() / task.scales.period
+    series = {name: torch.stack(values, 1).cpu() for name, values in kept.items()}
+    decisions = series["frequency"].shape[1]
+    for name in _FRAMES:  # after an end within an interval the flow stands still
+        time = torch.arange(1, series[name].shape[1] + 1) * (decisions / series[name].shape[1])
+        series[name] = series[name].masked_fill(time > lengths_T[:, None] + 1e-6, torch.nan)
     return Histories(
         flow=starts["flow_index"].cpu(),
-        lengths_T=lengths.cpu() * task.n_substeps / task.scales.period,
+        lengths_T=lengths_T,
         terminated=terminated.bool().cpu(),
         diverged=diverged.bool().cpu(),
-        **{name: torch.stack(values, 1).cpu() for name, values in kept.items()},
+        **series,
     )
 
 

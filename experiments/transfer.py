@@ -53,6 +53,27 @@ def list_shedding(task: KarmanGait) -> list[float]:
     return frequencies
 
 
+def check_trials(trials: Sequence[Trial]) -> None:
+    """Refuse fish that cannot be told apart, or compared.
+
+    Raises:
+        ValueError: for two of one name, or of tasks with other flows or another arena.
+    """
+    names = [trial.name for trial in trials]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise ValueError(f"several fish are called {sorted(twice)}: rename the run folders")
+    first = trials[0].task
+    for trial in trials:
+        for name in ("body_length", "reynolds", "domain_bl", "stream", "safe_area", "time_limit"):
+            known, other = getattr(first, name), getattr(trial.task, name)
+            if known != other:
+                raise ValueError(
+                    f"{trial.name}: its task has {name} = {other}, that of {trials[0].name} "
+                    f"{known}; try them apart"
+                )
+
+
 def transfer(
     trials: Sequence[Trial], *, episodes: int, folder: Path, progress: Progress | None = None
 ) -> dict[str, Any]:
@@ -67,6 +88,7 @@ def transfer(
     Returns:
         ``arms``: per arm and flow the numbers over its seeds; ``trials``: of each fish alone.
     """
+    check_trials(trials)
     folder.mkdir(parents=True, exist_ok=True)
     task = trials[0].task
     speeds = task.stream.speeds_bl
@@ -125,7 +147,8 @@ def main() -> None:
         if arguments.episodes < 1:
             raise ValueError(f"episodes = {arguments.episodes}: must be at least 1")
         trials = [load_trial(run) for run in arguments.runs]
-        task = trials[0].task if trials else load_task(arguments.preset)
+        banked = [trial.task for trial in trials if trial.task.control.num_flows is not None]
+        task = banked[0] if banked else load_task(arguments.preset)
         trials += [hand_written(name, task) for name in arguments.hand_written]
         transfer(trials, episodes=arguments.episodes, folder=arguments.folder, progress=progress)
     print((arguments.folder / "transfer.md").read_text(encoding="utf-8"))

@@ -17,7 +17,14 @@ from experiments.histories import Histories
 STREET = ((0.8, 3.0), 0.5)
 #: How far the tail beat may be off the shedding frequency, as a share of that, in Kármán gait.
 GAIT_BAND = 0.25
-_STUDENT_95 = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228)
+#: Student's t at 97.5 % for some degrees of freedom; between them it is smooth in their inverse.
+_FREEDOM = np.array([1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 15, 20, 30, 60, 120, np.inf])
+_STUDENT_95 = np.array(
+    [
+        *(12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228),
+        *(2.131, 2.086, 2.042, 2.000, 1.980, 1.960),
+    ]
+)
 
 
 def diagnose(
@@ -32,9 +39,10 @@ def diagnose(
         time_limit_T: duration of an episode that nothing ends.
 
     Returns:
-        ``survival_T`` (mean, with the half-width ``survival_error_T`` of its 95 % interval) and
-        ``survivors`` (share that lasted); ``ended_near``, ``ended_far``, ``ended_aside`` (shares
-        of all episodes); ``x_mean``, ``x_deviation``, ``y_deviation`` in L; ``frequency`` per T
+        ``survival_T`` (mean over all episodes, a diverged one until then, with the half-width
+        ``survival_error_T`` of its 95 % interval) and ``survivors`` (share that lasted and did
+        not diverge); ``ended_near``, ``ended_far``, ``ended_aside`` (shares of all episodes);
+        ``x_mean``, ``x_deviation``, ``y_deviation`` in L; ``frequency`` per T
         and ``frequency_over_shedding``; ``in_street`` and ``in_gait`` (shares of the intervals:
         nose in ``STREET``, and there beating within ``GAIT_BAND`` of the shedding frequency);
         ``accelerations`` and ``decelerations`` per interval; ``angle_mean`` and ``angle_max`` in
@@ -45,8 +53,7 @@ def diagnose(
     """
     h = histories
     num = len(h.flow)
-    sound = ~h.diverged
-    lengths = h.lengths_T[sound].double()
+    lengths = h.lengths_T.double()
     area, shares = safe_area, {"near": 0, "far": 0, "aside": 0}
     for episode in range(num):
         if h.terminated[episode]:
@@ -72,7 +79,7 @@ def diagnose(
         "diverged": int(h.diverged.sum()),
         "survival_T": _mean(lengths),
         "survival_error_T": half_width(lengths.tolist()),
-        "survivors": _mean((lengths >= time_limit_T - 1e-6).double()),
+        "survivors": _mean(((lengths >= time_limit_T - 1e-6) & ~h.diverged).double()),
         **{f"ended_{name}": count / num for name, count in shares.items()},
         "x_mean": _mean(x),
         "x_deviation": _deviation(x),
@@ -150,7 +157,7 @@ def half_width(values: Sequence[float]) -> float:
     count = len(values)
     if count < 2:
         return math.nan
-    factor = _STUDENT_95[count - 2] if count - 2 < len(_STUDENT_95) else 2.0
+    factor = float(np.interp(1.0 / (count - 1), 1.0 / _FREEDOM[::-1], _STUDENT_95[::-1]))
     return factor * float(np.std(values, ddof=1)) / math.sqrt(count)
 
 
@@ -158,7 +165,7 @@ def combine_seeds(results: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Average the numbers of several seeds; ``survival_error_T`` becomes that over the seeds."""
     if len(results) == 1:
         return dict(results[0])
-    mean = {name: float(np.mean([result[name] for result in results])) for name in results[0]}
+    mean = {name: _mean(torch.tensor([float(r[name]) for r in results])) for name in results[0]}
     mean["survival_error_T"] = half_width([result["survival_T"] for result in results])
     mean["angle_max"] = max(result["angle_max"] for result in results)
     for name in ("episodes", "diverged"):

@@ -14,12 +14,17 @@ from typing import Any
 import torch
 from tensordict import TensorDict
 
+import experiments.histories as histories_module
+import fishrl.envs
+import fishrl.modules
+from experiments import policies
 from experiments.checkpointing import read_metadata
 from experiments.config import build
 from experiments.histories import Histories, record_histories
 from experiments.policies import load_policy, make_policy
 from experiments.progress import Progress
-from experiments.recognition import Recognition, find_machine
+from experiments.recognition import ORACLE, Recognition, find_machine
+from experiments.settings import ConfigError
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.steering import PolicySteering
@@ -66,7 +71,7 @@ def load_trial(run: Path) -> Trial:
     config = metadata["config"]
     choice = find_machine(config.get("recognition"), path)
     recognition = Recognition(build(config["task"]), choice)
-    task = recognition.task
+    task, weights = recognition.task, sorted(path.rglob("*-actor/*"))
     if not isinstance(task, KarmanGait):
         raise ValueError(f"{run}: a fish of {type(task).__name__}; give runs of task=karman_gait")
     return Trial(
@@ -76,7 +81,7 @@ def load_trial(run: Path) -> Trial:
         make_policy=lambda: load_policy(
             str(path), task=task, num_told=recognition.num_told, device="cpu"
         ),
-        identity=f"{metadata['frames']} frames, seed {config['seed']}, {config}",
+        identity=_hash_files(*weights, *([] if choice in (None, ORACLE) else [Path(choice)])),
     )
 
 
@@ -100,6 +105,8 @@ def hand_written(name: str, task: KarmanGait) -> Trial:
         raise ValueError(f"fish {name!r}: behind the + may stand policy")
     if helmsman:
         task = replace(task, steering=PolicySteering())
+    if kind in ("passive", "shedding"):  # at their own rate exactly, from the start
+        task = _let_beat(task, kind)
     return Trial(
         name=name,
         arm=name,
@@ -107,6 +114,19 @@ def hand_written(name: str, task: KarmanGait) -> Trial:
         make_policy=lambda: make_policy(kind, task=task, seed=0),
         identity=name,
     )
+
+
+def _let_beat(task: KarmanGait, kind: str) -> KarmanGait:
+    """Return the task for a fish that beats not at all, or with the vortices."""
+    if kind == "passive":
+        rates = [0.0]
+    else:
+        if task.wakes is None:
+            raise ConfigError("shedding: in a free stream no vortices are shed")
+        rates = (task.wakes.shedding_frequencies * task.scales.period).tolist()
+    # the fastest beat stays among them: it sets T, and so the flow
+    frequencies = sorted({0.0, *rates, task.control.max_frequency})
+    return replace(task, control=DirectFrequencies(frequencies=tuple(frequencies), first_gear=0))
 
 
 def run_trial(
@@ -130,7 +150,7 @@ def run_trial(
     """
     task = trial.task
     num_decisions = num_decisions or task.time_limit
-    words = (repr(task), trial.identity, episodes, num_decisions, seed, FRAMES, hash_sources())
+    words = (repr(task), trial.identity, episodes, num_decisions, seed, FRAMES, hash_behaviour())
     key = hashlib.sha256("\0".join(map(str, words)).encode()).hexdigest()[:16]
     path = folder / f"{trial.name}-{key}.pt"
     if path.is_file():
@@ -158,6 +178,25 @@ def run_trial(
     torch.save(histories._asdict(), stage)
     stage.replace(path)
     return histories
+
+
+def hash_behaviour() -> str:
+    """Return a word that changes when the flow, the environment or a fish's code may act otherwise.
+
+    The weights of the learned helmsman are among it.
+    """
+    folders = [Path(str(package.__file__)).parent for package in (fishrl.envs, fishrl.modules)]
+    files = [file for folder in folders for file in sorted(folder.rglob("*")) if file.is_file()]
+    files += [Path(str(policies.__file__)), Path(str(histories_module.__file__))]
+    digest = hashlib.sha256(hash_sources().encode())
+    for file in files:
+        if file.suffix in (".py", ".pt"):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _hash_files(*files: Path) -> str:
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
 def _read(path: Path) -> Histories:

@@ -62,7 +62,8 @@ class Collection:
     def key(self) -> str:
         """A word that changes when the data may: these settings, the flow or the environment."""
         folder = Path(inspect.getfile(fishrl.envs)).parent
-        sources = [path.read_bytes() for path in sorted(folder.rglob("*.py"))]
+        files = [*sorted(folder.rglob("*.py")), Path(__file__)]
+        sources = [path.read_bytes() for path in files]
         digest = hashlib.sha256(b"\0".join(sources))
         digest.update("\0".join((repr(self), hash_sources(), torch.__version__)).encode())
         return digest.hexdigest()[:16]
@@ -126,6 +127,15 @@ def collect(
     return data.set("episode", episode.contiguous())
 
 
+def _make_seed(seed: int, number: int) -> int:
+    """Return the seed of a piece: other starts than those that fish are trained and judged from.
+
+    torch's generator on a CPU reads 32 bits, so the numbers are mixed, not put side by side.
+    """
+    word = hashlib.sha256(f"lateral line {seed} {number}".encode()).digest()
+    return int.from_bytes(word[:4], "big")
+
+
 class _Recorder:
     """Runs one piece after another in the same flows."""
 
@@ -143,7 +153,7 @@ class _Recorder:
     def record(self, number: int) -> TensorDict:
         """Return the episodes ``[B, D]`` of piece ``number``; the same whatever ran before."""
         collection, env = self.collection, self.env
-        generator = torch.Generator().manual_seed(2**32 * collection.seed + number)
+        generator = torch.Generator().manual_seed(_make_seed(collection.seed, number))
         num, num_flows = collection.num_envs, len(collection.task.flow_labels)
         starts = collection.task.sample_starts(num, generator)
         flow = (torch.arange(num) + num * number) % num_flows  # as many episodes of each

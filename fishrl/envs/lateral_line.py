@@ -38,7 +38,8 @@ class LateralLine:
         distance: from the skin, nodes; nearer than 2 the boundary's own nodes blur the flow.
         is_averaged: report the mean over the neuromasts, as the paper does.
         noise: standard deviation of what is added to velocity (L / T) and pressure, each sample.
-        silence: chance that a neuromast says nothing but 0 for a whole episode.
+        silence: chance that a neuromast says nothing but 0 for a whole episode; means are over
+            those that speak.
         delay: samples by which the brain learns late of what is felt; at most W.
     """
 
@@ -148,6 +149,11 @@ class LateralLine:
             error = self.noise * _draw_normal(key, age.long(), 3 * self.num_neuromasts)
             ex, ey, ep = error.chunk(3, -1)
             ux, uy, pressure = ux + ex, uy + ey, pressure + ep
+        speaks = torch.ones_like(ux, dtype=torch.bool)
+        if self.silence > 0.0:
+            chance = draw_uniform(1, key, torch.zeros_like(key), self.num_neuromasts)
+            speaks = chance >= self.silence
+        num_speaking = speaks.sum(-1, keepdim=True).clamp_min(1)
         sx, sy = (skin / unit).unbind(-1)
         angle = solver.body.heading + solver.body.internal_angle
         cos, sin = torch.cos(angle)[:, None], torch.sin(angle)[:, None]
@@ -163,17 +169,16 @@ class LateralLine:
             "speed": (ux * ux + uy * uy).sqrt(),
             "ahead": cos * past_x + sin * past_y,
             "left": cos * past_y - sin * past_x,
-            "pressure": pressure - pressure.mean(-1, keepdim=True),
+            "pressure": pressure - (pressure * speaks).sum(-1, keepdim=True) / num_speaking,
             "slip": (past_x * past_x + past_y * past_y).sqrt(),
             "shear": (ny * past_x - nx * past_y) * (body_length / self.distance),
         }
         signal = torch.stack([told[name] for name in self.features], -1)
-        if self.silence > 0.0:
-            chance = draw_uniform(1, key, torch.zeros_like(key), self.num_neuromasts)
-            signal = signal.masked_fill((chance < self.silence)[..., None], 0.0)
+        signal = signal.masked_fill(~speaks[..., None], 0.0)
         if self.is_averaged:
-            signal = signal.mean(1, keepdim=True)
-        return signal.float(), torch.stack((ux.mean(-1), uy.mean(-1)), -1).float()
+            signal = signal.sum(1, keepdim=True) / num_speaking[..., None]
+        mean = [(value * speaks).sum(-1) / num_speaking.squeeze(-1) for value in (ux, uy)]
+        return signal.float(), torch.stack(mean, -1).float()
 
     def delay_series(self, before: Tensor, now: Tensor) -> Tensor:
         """Return what the brain learns ``[B, W, ...]`` from the last two intervals' series."""

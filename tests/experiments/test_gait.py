@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import sys
 from pathlib import Path
@@ -21,6 +22,8 @@ from experiments.settings import ConfigError, EvaluateConfig
 from experiments.train import train
 from fishrl.envs import KarmanGait, Predation
 from fishrl.envs.steering import PolicySteering
+from fishrl.envs.streams import Stream
+from fishrl.envs.wakes import WakeBank
 from fishrl.modules import LateralLineMachine
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 
@@ -83,6 +86,7 @@ def test_a_gait_is_trained_evaluated_and_tried_in_every_flow(tmp_path: Path, who
     assert (tmp_path / "run" / "learning_curve.png").is_file()
     assert (tmp_path / "run" / "machine.pt").is_file() == (who == "machine")
     trial = load_trial(tmp_path / "run")
+    assert trial.identity != hashlib.sha256(b"").hexdigest()
     arm = {"machine": "both modules", "oracle": "oracle", "nobody": "true row, untold"}[who]
     assert trial.arm == arm
     results = transfer.transfer(
@@ -154,7 +158,7 @@ def test_fish_of_other_tasks_and_unknown_ones_are_refused(tmp_path: Path) -> Non
         run_trial(hand_written("pursuit", make_task()), episodes=1, folder=tmp_path)
     free = make_task(stream=make_task().stream.__class__(has_disc=False))
     with pytest.raises(ConfigError, match="no vortices are shed"):
-        run_trial(hand_written("shedding", free), episodes=1, folder=tmp_path)
+        hand_written("shedding", free)
 
 
 def test_recognition_fits_the_task_or_says_why(tmp_path: Path) -> None:
@@ -171,6 +175,29 @@ def test_recognition_fits_the_task_or_says_why(tmp_path: Path) -> None:
     other = make_task(reynolds=400.0)
     with pytest.raises(ValueError, match="reynolds"):
         Recognition(task, make_machine(tmp_path / "other.pt", other))
+
+
+def test_trials_that_cannot_be_told_apart_or_compared_are_refused(tmp_path: Path) -> None:
+    pid = hand_written("pid", make_task())
+    with pytest.raises(ValueError, match=r"several fish are called \['pid'\]: rename"):
+        transfer.transfer([pid, pid], episodes=1, folder=tmp_path)
+    other = hand_written("bang_bang", make_task(reynolds=400.0))
+    with pytest.raises(ValueError, match=r"bang_bang: its task has reynolds = 400"):
+        transfer.transfer([pid, other], episodes=1, folder=tmp_path)
+
+
+def test_a_passive_fish_never_beats_and_another_beats_with_the_vortices(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rates = torch.tensor([0.001, 0.0012, 0.0014], dtype=torch.float64)
+    bank = WakeBank(populations=torch.zeros(3, 1, 1, 1, 1), shedding_frequencies=rates)
+    monkeypatch.setattr(Stream, "load_wakes", lambda *_: bank)
+    passive = run_trial(hand_written("passive", make_task()), episodes=1, folder=tmp_path)
+    assert passive.frequency.nan_to_num(0.0).abs().max() == 0.0
+    trial = hand_written("shedding", make_task())
+    shed = rates * trial.task.scales.period
+    with_them = run_trial(trial, episodes=1, folder=tmp_path)
+    assert with_them.frequency[:, 0].tolist() == pytest.approx(shed.tolist())
 
 
 def test_the_programs_say_what_is_wrong_in_one_line(

@@ -138,7 +138,12 @@ class KarmanGait(AbstractTask):
     @property
     def flow_labels(self) -> list[dict[str, Any]]:
         """What tells the flows apart, in the order of ``flow_index``."""
-        return [{**label, "reynolds": self.reynolds} for label in self.stream.labels]
+        common = {
+            "reynolds": self.reynolds,
+            "body_length": self.body_length,
+            "domain_bl": list(self.domain_bl),
+        }
+        return [{**label, **common} for label in self.stream.labels]
 
     @property
     def lateral_line_layout(self) -> Mapping[str, Any]:
@@ -222,6 +227,7 @@ class KarmanGait(AbstractTask):
             {
                 "place": self._locate(markers[:, 0]),
                 "heading": body.heading.clone(),
+                "age": body.age.clone(),
                 "clearance": compute_clearance(
                     markers, width=solver.config.width, height=solver.config.height
                 ),
