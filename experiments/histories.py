@@ -60,6 +60,7 @@ def record_histories(
     starts: TensorDictBase,
     *,
     num_decisions: int,
+    samples_actions: bool = False,
     on_decision: Callable[[], None] | None = None,
 ) -> Histories:
     """Run one episode from each start, all side by side.
@@ -67,9 +68,11 @@ def record_histories(
     Args:
         env: of ``KarmanGait``, with as many flows as there are starts; its ``frames_per_action``
             is M.
-        policy: writes ``action``; a learned one acts greedily.
+        policy: writes ``action``.
         starts: ``[E]``.
         num_decisions: N, after which episodes are left.
+        samples_actions: let a learned policy draw its actions from torch's global generator, as it
+            does while it learns; otherwise it takes the likeliest.
         on_decision: called after each.
 
     Raises:
@@ -84,7 +87,8 @@ def record_histories(
     base.starts, base._next_start, base.on_frame = starts, 0, frames
     ages, terminated, diverged = (torch.zeros(num, device=base.device) for _ in range(3))
     try:
-        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        kind = ExplorationType.RANDOM if samples_actions else ExplorationType.DETERMINISTIC
+        with torch.no_grad(), set_exploration_type(kind):
             state = env.reset()
             is_open = frames.begin()
             _keep(kept, is_open, {name: base.now[name] for name in _PLACES})

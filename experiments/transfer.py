@@ -75,7 +75,12 @@ def check_trials(trials: Sequence[Trial]) -> None:
 
 
 def transfer(
-    trials: Sequence[Trial], *, episodes: int, folder: Path, progress: Progress | None = None
+    trials: Sequence[Trial],
+    *,
+    episodes: int,
+    folder: Path,
+    samples_actions: bool = False,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Run every trial and write tables and figures.
 
@@ -83,6 +88,7 @@ def transfer(
         trials: the fish; those of one arm are its seeds.
         episodes: in each flow.
         folder: for everything.
+        samples_actions: let learned fish draw their actions; otherwise they take the likeliest.
         progress: the bar.
 
     Returns:
@@ -97,7 +103,11 @@ def transfer(
     arms: dict[str, list[str]] = {}
     for trial in trials:
         histories = run_trial(
-            trial, episodes=episodes, folder=folder / "histories", progress=progress
+            trial,
+            episodes=episodes,
+            folder=folder / "histories",
+            samples_actions=samples_actions,
+            progress=progress,
         )
         recorded[trial.name] = split_flows(histories, len(speeds))
         alone[trial.name] = judge(trial.task, recorded[trial.name])
@@ -106,7 +116,8 @@ def transfer(
         arm: [combine_seeds([alone[name][flow] for name in names]) for flow in range(len(speeds))]
         for arm, names in arms.items()
     }
-    results = {"speeds_bl": list(speeds), "arms": combined, "trials": alone, "episodes": episodes}
+    results = {"speeds_bl": list(speeds), "arms": combined, "trials": alone}
+    results |= {"episodes": episodes, "samples_actions": samples_actions}
     (folder / "transfer.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
     text = tables.write_table(combined, speeds) + "\n" + tables.write_ends(combined, speeds)
     (folder / "transfer.md").write_text(text, encoding="utf-8")
@@ -140,6 +151,9 @@ def main() -> None:
     parser.add_argument(
         "--preset", default="gait_small", help="of the hand-written fish, if there is no run"
     )
+    parser.add_argument(
+        "--sample", action="store_true", help="draw actions as in training, not the likeliest"
+    )
     parser.add_argument("--folder", type=Path, default=Path("runs/transfer"))
     arguments = parser.parse_args()
     set_up_logging()
@@ -150,7 +164,13 @@ def main() -> None:
         banked = [trial.task for trial in trials if trial.task.control.num_flows is not None]
         task = banked[0] if banked else load_task(arguments.preset)
         trials += [hand_written(name, task) for name in arguments.hand_written]
-        transfer(trials, episodes=arguments.episodes, folder=arguments.folder, progress=progress)
+        transfer(
+            trials,
+            episodes=arguments.episodes,
+            folder=arguments.folder,
+            samples_actions=arguments.sample,
+            progress=progress,
+        )
     print((arguments.folder / "transfer.md").read_text(encoding="utf-8"))
     print(f"written to {arguments.folder}")
 

@@ -135,6 +135,7 @@ def run_trial(
     episodes: int,
     folder: Path,
     num_decisions: int | None = None,
+    samples_actions: bool = False,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Histories:
@@ -145,12 +146,14 @@ def run_trial(
         episodes: in each flow.
         folder: where histories are kept, in a file for each trial.
         num_decisions: length of the episodes; by default the task's time limit.
-        seed: of the starts, the same for every fish.
+        samples_actions: see ``record_histories``.
+        seed: of the starts, the same for every fish, and of sampled actions.
         progress: the bar.
     """
     task = trial.task
     num_decisions = num_decisions or task.time_limit
-    words = (repr(task), trial.identity, episodes, num_decisions, seed, FRAMES, hash_behaviour())
+    settings = (episodes, num_decisions, samples_actions, seed, FRAMES)
+    words = (repr(task), trial.identity, settings, hash_behaviour())
     key = hashlib.sha256("\0".join(map(str, words)).encode()).hexdigest()[:16]
     path = folder / f"{trial.name}-{key}.pt"
     if path.is_file():
@@ -163,6 +166,7 @@ def run_trial(
     env = trial.recognition.equip(make_env)(
         task=task, num_envs=len(starts), seed=seed, starts=starts, frames_per_action=FRAMES
     )
+    torch.manual_seed(seed)
     progress = progress or Progress(is_shown=False)
     progress.start(trial.name, total=num_decisions)
     histories = record_histories(
@@ -170,6 +174,7 @@ def run_trial(
         trial.make_policy(),
         starts,
         num_decisions=num_decisions,
+        samples_actions=samples_actions,
         on_decision=lambda: progress.advance(1),
     )
     env.close()
