@@ -73,7 +73,10 @@ def _make_hunter(name: str, task: Any) -> TensorDictModuleBase:
 def _make_holder(name: str, task: KarmanGait) -> GaitPolicy:
     """Make a fish that holds its station; it is told which flow it is in."""
     if name == "pid":
-        return make_gait_policy(PID(), task)
+        if not isinstance(task.control, MacroActions):
+            return make_gait_policy(PID(frequency=0.5 * task.control.max_frequency), task)
+        rows = task.control.bank.rows  # the middle of each holds, more or less
+        return make_gait_policy(PID(frequency=[row[len(row) // 2] for row in rows]), task)
     if name == "bang_bang":
         return make_gait_policy(BangBang(), task)
     if name == "passive":

@@ -116,7 +116,7 @@ def transfer(
         arm: [combine_seeds([alone[name][flow] for name in names]) for flow in range(len(speeds))]
         for arm, names in arms.items()
     }
-    results = {"speeds_bl": list(speeds), "arms": combined, "trials": alone}
+    results: dict[str, Any] = {"speeds_bl": list(speeds), "arms": combined, "trials": alone}
     results |= {"episodes": episodes, "samples_actions": samples_actions}
     (folder / "transfer.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
     text = tables.write_table(combined, speeds) + "\n" + tables.write_ends(combined, speeds)

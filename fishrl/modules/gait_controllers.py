@@ -67,7 +67,7 @@ class PID(Wish):
 
     Args:
         station_bl: x to hold, body lengths.
-        frequency: beats per T at the station at rest.
+        frequency: beats per T at the station at rest, one number or one per flow.
         gain: beats per T and body length.
         integral_gain: beats per T and body length and decision.
         damping: beats per T and body length per decision.
@@ -78,13 +78,14 @@ class PID(Wish):
         self,
         *,
         station_bl: float = 1.8,
-        frequency: float = 1.0,
+        frequency: float | Sequence[float] = 1.0,
         gain: float = 1.0,
         integral_gain: float = 0.0,
         damping: float = 2.5,
         max_sum: float = 5.0,
     ) -> None:
-        self.station_bl, self.frequency = station_bl, frequency
+        self.station_bl = station_bl
+        self.frequency = torch.as_tensor(frequency, dtype=torch.float64)
         self.gain, self.integral_gain, self.damping = gain, integral_gain, damping
         self.max_sum = max_sum
         self._sum = torch.zeros(())
@@ -97,7 +98,9 @@ class PID(Wish):
         before = self._sum if self._sum.shape == offset.shape else torch.zeros_like(offset)
         total = offset + torch.where(is_new, torch.zeros_like(offset), before)
         self._sum = total.clamp(-self.max_sum, self.max_sum)
-        wish = self.frequency + self.gain * offset + self.damping * change
+        frequency = self.frequency.to(flow.device)
+        frequency = frequency[flow] if frequency.dim() else frequency
+        wish = frequency + self.gain * offset + self.damping * change
         return (wish + self.integral_gain * self._sum).double()
 
 
