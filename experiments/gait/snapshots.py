@@ -29,7 +29,7 @@ def write_period(
     Args:
         path: of the PNG.
         trial: the fish.
-        num_decisions: that it swims before.
+        num_decisions: that it swims before; a fish whose episode has ended by then stands still.
         periods_T: shedding period of each flow, T.
         seed: of the starts.
     """
@@ -71,13 +71,13 @@ def _record(
     starts = task.sample_starts(1, torch.Generator().manual_seed(seed))
     starts = starts[[0] * flows]
     starts["flow_index"] = torch.arange(flows)
-    frames: list[tuple[Tensor, list[Tensor], float]] = []
+    frames: list[tuple[Tensor, list[Tensor], Tensor]] = []
 
     def look(base: Any) -> None:
         solver = base.solver
         vorticity = compute_vorticity(solver.macroscopic()[1]) * task.scales.period
         outlines = [solver.markers(index).clone() for index in range(len(solver.bodies))]
-        frames.append((vorticity, outlines, float(solver.body.age.max()) / task.scales.period))
+        frames.append((vorticity, outlines, solver.body.age / task.scales.period))
 
     env = trial.recognition.equip(make_env)(
         task=task, num_envs=flows, seed=seed, starts=starts, frames_per_action=FRAMES
@@ -93,7 +93,7 @@ def _record(
     env.close()
     return [
         [
-            (vorticity[flow], [outline[flow] for outline in outlines], time)
+            (vorticity[flow], [outline[flow] for outline in outlines], float(time[flow]))
             for vorticity, outlines, time in (
                 frames[round(k * FRAMES * period / _NUM_SHOWN)] for k in range(_NUM_SHOWN)
             )
