@@ -48,13 +48,14 @@ def sweep(
     starts["flow_index"] = torch.arange(flows).repeat_interleave(per_flow)
     index = torch.arange(len(frequencies)).repeat_interleave(num_starts).repeat(flows)
     env = make_env(task=task, num_envs=len(index), starts=starts)
+    num_decisions = round(num_periods / task.interval_T)
     with Progress() as progress:
-        progress.start("drift", total=num_periods)
+        progress.start("drift", total=num_decisions)
         histories = record_histories(
             env,
             lambda state: state.set("action", index),
             starts,
-            num_decisions=num_periods,
+            num_decisions=num_decisions,
             on_decision=lambda: progress.advance(1),
         )
     env.close()
@@ -66,17 +67,19 @@ def tabulate(task: KarmanGait, histories: Histories) -> list[dict[str, float]]:
 
     The first T of each episode is left out, in which the beat begins.
     """
-    x, steps = histories.place[..., 0], histories.place[..., 0].diff(dim=1)
-    whole = torch.arange(1, x.shape[1]) <= histories.lengths_T[:, None]  # not cut short by an end
-    work = histories.work.diff(dim=1)
+    interval_T = task.interval_T
+    x = histories.place[..., 0]
+    steps = x.diff(dim=1) / interval_T
+    ends = interval_T * torch.arange(1, x.shape[1])
+    counted = (ends > 1.0 + 1e-6) & (ends <= histories.lengths_T[:, None] + 1e-6)  # uncut ones
+    work = histories.work.diff(dim=1) / interval_T
     middle = 0.5 * (x[:, 1:] + x[:, :-1])
     table = []
     for flow, speed in enumerate(task.stream.speeds_bl):
         for frequency in histories.frequency[:, 0].unique().tolist():
             mine = (histories.flow == flow) & (histories.frequency[:, 0] == frequency)
             for low, high in BANDS:
-                counts = (middle >= low) & (middle < high) & mine[:, None] & whole
-                counts[:, 0] = False
+                counts = (middle >= low) & (middle < high) & mine[:, None] & counted
                 drift = steps[counts]
                 table.append(
                     {

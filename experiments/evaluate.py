@@ -59,7 +59,7 @@ def evaluate(
         device=config.device,
         compile=config.compile,
     )
-    evaluator = Evaluator(env, decision_T=task.n_substeps / task.scales.period)
+    evaluator = Evaluator(env, decision_T=task.interval_T)
     progress.start("evaluation", total=config.episodes)
     result: dict[str, Any] = evaluator.run(
         policy,

@@ -47,7 +47,7 @@ def make_trial(
         # from rest it is swept back until it swims
         safe_area=replace(task.safe_area, far_bl=6.0),
     )
-    wish = PID(frequency=frequency, gain=3.0, integral_gain=0.15, damping=4.0, max_sum=20.0)
+    wish = PID(frequency=frequency, gain=3.0, integral_gain=0.075, damping=8.0, max_sum=40.0)
     return Trial(
         name="free-stream",
         arm="free stream",
@@ -57,12 +57,15 @@ def make_trial(
     )
 
 
-def summarise(flows: Sequence[Histories], *, periods: int) -> list[dict[str, float]]:
+def summarise(
+    flows: Sequence[Histories], *, periods: float, interval_T: float = 1.0
+) -> list[dict[str, float]]:
     """Return work per T, frequency and remaining drift in the second half, for each flow.
 
     Args:
         flows: episodes in each.
         periods: T that a fish had to hold; those that did not are left out, and counted.
+        interval_T: duration of an action in T.
 
     Raises:
         ValueError: if in some flow no fish held.
@@ -76,16 +79,17 @@ def summarise(flows: Sequence[Histories], *, periods: int) -> list[dict[str, flo
                 "or --frequency"
             )
         histories = pick(everything, holds)
-        half = periods // 2
+        half = histories.frequency.shape[1] // 2
+        time_T = interval_T * (histories.frequency.shape[1] - half)
         row: dict[str, float] = {"episodes": len(holds), "held": int(holds.sum())}
         for name in ("work", "positive_work", "lateral_work"):
             series = getattr(histories, name)
-            per_T = (series[:, -1] - series[:, half]) / (series.shape[1] - 1 - half)
+            per_T = (series[:, -1] - series[:, half]) / time_T
             row[name] = float(per_T.mean())
             row[f"{name}_error"] = half_width(per_T.tolist())
         row["frequency"] = float(histories.frequency[:, half:].mean())
         drift = histories.place[:, -1, 0] - histories.place[:, half, 0]
-        row["drift"] = float(drift.mean()) / (histories.place.shape[1] - 1 - half)
+        row["drift"] = float(drift.mean()) / time_T
         rows.append(row)
     return rows
 
@@ -110,17 +114,22 @@ def main() -> None:
             num_frequencies=81,
             frequency=arguments.frequency,
         )
+        num_decisions = round(arguments.periods / trial.task.interval_T)
         histories = run_trial(
             trial,
             episodes=arguments.episodes,
             folder=arguments.folder / "histories",
-            num_decisions=arguments.periods,
+            num_decisions=num_decisions,
             progress=progress,
         )
     task = trial.task
     speeds = task.stream.speeds_bl
     with plain_errors():
-        rows = summarise(split_flows(histories, len(speeds)), periods=arguments.periods)
+        rows = summarise(
+            split_flows(histories, len(speeds)),
+            periods=num_decisions * task.interval_T,
+            interval_T=task.interval_T,
+        )
     scales = task.scales
     result: dict[str, Any] = {
         "speeds_bl": list(speeds),

@@ -39,7 +39,7 @@ def write_transfer(
     write_period(
         figures / "period.png",
         shown,
-        num_decisions=4,
+        num_decisions=8,
         periods_T=[1.0 / frequency for frequency in list_shedding(shown.task)],
     )
     return results

@@ -118,7 +118,8 @@ def record_histories(
     series = {name: torch.stack(values, 1).cpu() for name, values in kept.items()}
     decisions = series["frequency"].shape[1]
     for name in _FRAMES:  # after an end within an interval the flow stands still
-        time = torch.arange(1, series[name].shape[1] + 1) * (decisions / series[name].shape[1])
+        count = series[name].shape[1]
+        time = torch.arange(1, count + 1) * (task.interval_T * decisions / count)
         series[name] = series[name].masked_fill(time > lengths_T[:, None] + 1e-6, torch.nan)
     return Histories(
         flow=starts["flow_index"].cpu(),

@@ -156,7 +156,7 @@ class LateralLineConfig:
         num_envs: flows that advance together.
         num_samples: decisions to collect, one signal of a control interval each.
         max_decisions: after which an episode is cut; more episodes tell more than longer ones.
-        window: samples that the machine reads, the newest; by default those of two intervals.
+        window: samples that the machine reads, the newest; by default those of four intervals.
         hidden: widths of its hidden layers.
         learning_rate: of the fits.
         batch_size: of the fits.
@@ -180,7 +180,7 @@ class LateralLineConfig:
     data_folder: str = "runs/lateral_line_data"
     num_envs: int = 16
     num_samples: int = 6000
-    max_decisions: int = 12
+    max_decisions: int = 20
     window: int | None = None
     hidden: list[int] = field(default_factory=lambda: [128, 128])
     learning_rate: float = 1e-3
@@ -190,8 +190,8 @@ class LateralLineConfig:
     weight_decay: float = 1e-3
     noise: float = 0.2
     paper_epochs: int = 1000
-    num_splits: int = 3
-    windows: list[int] = field(default_factory=lambda: [1, 2, 4, 8, 16, 32])
+    num_splits: int = 2
+    windows: list[int] = field(default_factory=lambda: [1, 2, 4, 8, 16])
     noises: list[float] = field(default_factory=lambda: [0.0, 0.1, 0.2, 0.5, 1.0])
     memories: list[float] = field(default_factory=lambda: [0.0, 0.7, 1.0])
 

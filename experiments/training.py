@@ -136,7 +136,7 @@ class Training:
         self.brain = BrainOf.task_of(task, num_told=recognition.num_told)
         self.counters = Counters()
         self._began = began
-        self.decision_T = task.n_substeps / task.scales.period
+        self.decision_T = task.interval_T
         flow = task.flow_config()
         self.nodes_per_frame = flow.width * flow.height * task.n_substeps
         random.seed(config.seed)

@@ -39,7 +39,8 @@ def judge(task: KarmanGait, flows: Sequence[Histories]) -> list[dict[str, float]
             histories,
             shedding_frequency=shed,
             safe_area=task.safe_area,
-            time_limit_T=task.time_limit * task.n_substeps / task.scales.period,
+            interval_T=task.interval_T,
+            time_limit_T=task.time_limit * task.interval_T,
         )
         for histories, shed in zip(flows, list_shedding(task), strict=True)
     ]
@@ -65,7 +66,15 @@ def check_trials(trials: Sequence[Trial]) -> None:
         raise ValueError(f"several fish are called {sorted(twice)}: rename the run folders")
     first = trials[0].task
     for trial in trials:
-        for name in ("body_length", "reynolds", "domain_bl", "stream", "safe_area", "time_limit"):
+        for name in (
+            "body_length",
+            "reynolds",
+            "domain_bl",
+            "stream",
+            "safe_area",
+            "control_interval_T",
+            "time_limit",
+        ):
             known, other = getattr(first, name), getattr(trial.task, name)
             if known != other:
                 raise ValueError(
@@ -136,7 +145,7 @@ def transfer(
     pictures.write_decisions(
         folder / "decisions.png", best, task=task, shedding=list_shedding(task)
     )
-    pictures.write_work(folder / "work.png", best, None, speeds=speeds)
+    pictures.write_work(folder / "work.png", best, None, speeds=speeds, interval_T=task.interval_T)
     return results
 
 

@@ -28,7 +28,12 @@ _STUDENT_95 = np.array(
 
 
 def diagnose(
-    histories: Histories, *, shedding_frequency: float, safe_area: Any, time_limit_T: float
+    histories: Histories,
+    *,
+    shedding_frequency: float,
+    safe_area: Any,
+    time_limit_T: float,
+    interval_T: float = 1.0,
 ) -> dict[str, float]:
     """Reduce the episodes of one fish in one flow to numbers; NaN where there is nothing.
 
@@ -37,6 +42,7 @@ def diagnose(
         shedding_frequency: per T, of the wake without a fish; NaN in a free stream.
         safe_area: of the task.
         time_limit_T: duration of an episode that nothing ends.
+        interval_T: duration of an interval.
 
     Returns:
         ``survival_T`` (mean over all episodes, a diverged one until then, with the half-width
@@ -64,6 +70,7 @@ def diagnose(
     in_street = (x >= near) & (x <= far) & (y.abs() <= aside) & is_there
     ratio = h.frequency / shedding_frequency
     in_gait = in_street & ((ratio - 1.0).abs() <= GAIT_BAND)
+    frames_per_T = _count_frames(h) / interval_T
     change = h.frequency.diff(dim=1)
     pairs = ~change.isnan()
     total_T = float(h.lengths_T.sum())
@@ -92,25 +99,25 @@ def diagnose(
         "decelerations": _share(change < -1e-9, pairs),
         "angle_mean": _mean(angle),
         "angle_max": float(angle.nan_to_num(0.0).max()),
-        "sway": measure_sway(h.aside, frames_per_T=_frames_per_T(h)),
-        "phase_lock": lock_phases(h, shedding_frequency),
+        "sway": measure_sway(h.aside, frames_per_T=frames_per_T),
+        "phase_lock": lock_phases(h, shedding_frequency, frames_per_T=frames_per_T),
         **per_T,
         "named_right": _share(right, told),
     }
 
 
-def measure_sway(aside: Tensor, *, frames_per_T: int) -> float:
+def measure_sway(aside: Tensor, *, frames_per_T: float) -> float:
     """Return the amplitude of the nose's sideways swing ``[E, frames]``, faster than about 2 T."""
     swings: list[float] = []
     for row in aside:
         values = row[~row.isnan()].double()
-        span = 2 * frames_per_T
+        span = round(2 * frames_per_T)
         blocks = values[: len(values) // span * span].reshape(-1, span)
         swings += blocks.var(1, unbiased=False).tolist()
     return math.sqrt(2.0 * sum(swings) / len(swings)) if swings else math.nan
 
 
-def lock_phases(histories: Histories, shedding_frequency: float) -> float:
+def lock_phases(histories: Histories, shedding_frequency: float, *, frames_per_T: float) -> float:
     """Return how firmly the tail beat keeps step with the lift on the obstacle, 0 to 1.
 
     Length of the mean of exp(i (beat - shed)) over windows of 8 T, averaged over those; shed is
@@ -119,21 +126,20 @@ def lock_phases(histories: Histories, shedding_frequency: float) -> float:
     """
     if math.isnan(shedding_frequency):
         return math.nan
-    frames_per_T = _frames_per_T(histories)
-    window = 8 * frames_per_T
+    window, first = round(8 * frames_per_T), round(frames_per_T)
     locks: list[float] = []
     for beat, lift in zip(histories.beat, histories.lift, strict=True):
         known = ~beat.isnan()
-        if int(known.sum()) < window + frames_per_T:
+        if int(known.sum()) < window + first:
             continue
-        phases, force = (row[known][frames_per_T:].double().numpy() for row in (beat, lift))
+        phases, force = (row[known][first:].double().numpy() for row in (beat, lift))
         apart = np.exp(1j * (phases - find_phase(force, shedding_frequency, frames_per_T)))
         blocks = apart[: len(apart) // window * window].reshape(-1, window)
         locks += np.abs(blocks.mean(1)).tolist()
     return float(np.mean(locks)) if locks else math.nan
 
 
-def find_phase(signal: NDArray[np.float64], frequency: float, rate: int) -> NDArray[np.float64]:
+def find_phase(signal: NDArray[np.float64], frequency: float, rate: float) -> NDArray[np.float64]:
     """Return the phase of a signal's part near a frequency, by its analytic signal.
 
     Args:
@@ -173,7 +179,8 @@ def combine_seeds(results: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return mean
 
 
-def _frames_per_T(histories: Histories) -> int:
+def _count_frames(histories: Histories) -> int:
+    """Return the frames of one interval."""
     return max(1, histories.beat.shape[1] // max(1, histories.frequency.shape[1]))
 
 

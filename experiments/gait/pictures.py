@@ -144,13 +144,13 @@ def write_decisions(
             *grid, flows, speeds, shedding, strict=True
         ):
             for number, colour in zip(range(min(3, len(histories.flow))), COLOURS, strict=False):
-                times = np.arange(histories.frequency.shape[1])
+                times = task.interval_T * np.arange(histories.frequency.shape[1])
                 upper.step(
                     times, histories.frequency[number].numpy(), where="post",
                     color=colour, linewidth=1.0,
                 )  # fmt: skip
                 lower.plot(
-                    times + 1, histories.angle_of_attack[number].numpy() * 180.0 / pi,
+                    times + task.interval_T, histories.angle_of_attack[number].numpy() * 180.0 / pi,
                     color=colour, linewidth=1.0,
                 )  # fmt: skip
             upper.axhline(shed, color="#777777", linestyle=":", label="shedding frequency")
@@ -170,6 +170,7 @@ def write_work(
     free: Sequence[Histories] | None,
     *,
     speeds: Sequence[float],
+    interval_T: float = 1.0,
 ) -> None:
     """Draw the work done since the start, mean over the episodes that still run."""
     names = (("work", "all forces"), ("lateral_work", "lateral, the paper's form"))
@@ -183,7 +184,10 @@ def write_work(
                 for (field, label), colour in zip(names, COLOURS, strict=False):
                     work = getattr(recorded[at], field).numpy()
                     mean = np.nanmean(work, axis=0)
-                    axes.plot(mean, style, color=colour, linewidth=1.4, label=f"{where}: {label}")
+                    times = interval_T * np.arange(len(mean))
+                    axes.plot(
+                        times, mean, style, color=colour, linewidth=1.4, label=f"{where}: {label}"
+                    )
             axes.set(title=f"stream {speed:g} L/T", xlabel="time  [T]", yscale="symlog")
             tidy(axes)
         grid[0].set_ylabel("work  [ρL²(L/T)²]")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -83,9 +84,10 @@ def _record(
         task=task, num_envs=flows, seed=seed, starts=starts, frames_per_action=FRAMES
     )
     policy = trial.make_policy()
+    num_shown = ceil(max(periods_T) / task.interval_T)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         state = env.reset()
-        for number in range(num_decisions + 2):
+        for number in range(num_decisions + num_shown):
             if number == num_decisions:
                 env.base_env.on_frame = look
             after = env.step(policy(state))["next"]
@@ -95,7 +97,8 @@ def _record(
         [
             (vorticity[flow], [outline[flow] for outline in outlines], float(time[flow]))
             for vorticity, outlines, time in (
-                frames[round(k * FRAMES * period / _NUM_SHOWN)] for k in range(_NUM_SHOWN)
+                frames[round(k * FRAMES * period / task.interval_T / _NUM_SHOWN)]
+                for k in range(_NUM_SHOWN)
             )
         ]
         for flow, period in enumerate(periods_T)

@@ -33,7 +33,7 @@ from fishrl.physics.compiled import hash_sources
 logger = logging.getLogger(__name__)
 
 #: Frames within an action: what phases and swings are measured by.
-FRAMES = 16
+FRAMES = 8
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -103,7 +103,7 @@ def fit_machine(study: Study, line: LateralLine, config: LateralLineConfig) -> F
     """Fit the machine that the task will use, on what its own lateral line would have told."""
     diet = Diet(
         features=tuple(name for name in line.features if name not in BOOKKEEPING),
-        num_samples=config.window or 2 * line.num_samples,
+        num_samples=config.window or 4 * line.num_samples,
         is_averaged=line.is_averaged,
         told=line.features,
     )

@@ -44,8 +44,8 @@ class StationReward:
     """Reward for holding a station cheaply: r1 to r4 of the paper's Task 2.
 
     Args:
-        drift_limit_bl: way downstream in one interval beyond which r1 is -1 instead of +1; the
-            paper's 20 nodes.
+        drift_limit_bl: way downstream in one interval beyond which r1 is -1 instead of +1;
+            half the paper's 20 nodes, for half its interval.
         work_weight: r2 = work_weight (1 - work of the interval / work_reference).
         work_reference: in rho L^2 (L / T)^2.
         danger_penalty: r3, taken off on entering the danger area or touching an edge.
@@ -53,9 +53,9 @@ class StationReward:
             (L_max - L_dis) / 10 in nodes.
     """
 
-    drift_limit_bl: float = 0.2
+    drift_limit_bl: float = 0.1
     work_weight: float = 0.1
-    work_reference: float = 1.0
+    work_reference: float = 0.5
     danger_penalty: float = 5.0
     rim_weight: float = 10.0
 

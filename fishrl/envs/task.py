@@ -39,7 +39,7 @@ class Command(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class AbstractTask(ABC):
-    """A fish in still water between walls, deciding once per tail beat; subclasses say what for.
+    """A fish in still water between walls, deciding once per interval; subclasses say what for.
 
     Class attributes of every task: ``n_obs``, numbers in one observation; ``num_actions``; and
     ``num_draws``, random numbers that one start takes. Of some: ``success``, name of the entry of
@@ -55,7 +55,8 @@ class AbstractTask(ABC):
         domain_bl: width and height of the domain in body lengths.
         wall_margin_bl: how near a marker may come to the edge, in body lengths.
         num_stacked: observations that the fish remembers, the present one included.
-        time_limit: decisions after which an episode is truncated, one per period T.
+        time_limit: decisions after which an episode is truncated.
+        control_interval_T: time from one decision to the next, in periods T.
         checks_per_action: how often within an action the ends of the episode are looked for.
     """
 
@@ -73,6 +74,7 @@ class AbstractTask(ABC):
     wall_margin_bl: float = 0.1
     num_stacked: int = 4
     time_limit: int = 30
+    control_interval_T: float = 1.0
     checks_per_action: int = 25
 
     def __post_init__(self) -> None:
@@ -81,6 +83,10 @@ class AbstractTask(ABC):
         for name in ("num_stacked", "time_limit"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be at least 1")
+        if not 0.0 < self.control_interval_T <= 10.0:
+            raise ValueError(
+                f"control_interval_T = {self.control_interval_T}: allowed is above 0, up to 10"
+            )
         stretches = make_schedule(
             self.n_substeps, checks=self.checks_per_action, samples=self.num_samples
         )
@@ -112,8 +118,13 @@ class AbstractTask(ABC):
 
     @property
     def n_substeps(self) -> int:
-        """Steps per action: one period T."""
-        return self.scales.period
+        """Steps per action, an even number."""
+        return 2 * max(1, round(0.5 * self.control_interval_T * self.scales.period))
+
+    @property
+    def interval_T(self) -> float:
+        """Duration of an action in periods T: ``control_interval_T`` in whole steps."""
+        return self.n_substeps / self.scales.period
 
     @property
     def wall_margin(self) -> float:

@@ -53,7 +53,7 @@ class BangBang(Wish):
         station_bl: x to hold, body lengths.
     """
 
-    def __init__(self, *, station_bl: float = 1.8) -> None:
+    def __init__(self, *, station_bl: float = 2.1) -> None:
         self.station_bl = station_bl
 
     def __call__(self, tensordict: TensorDictBase, flow: Tensor) -> Tensor:
@@ -77,11 +77,11 @@ class PID(Wish):
     def __init__(
         self,
         *,
-        station_bl: float = 1.8,
+        station_bl: float = 2.1,
         frequency: float | Sequence[float] = 1.0,
-        gain: float = 1.0,
+        gain: float = 1.5,
         integral_gain: float = 0.0,
-        damping: float = 2.5,
+        damping: float = 5.0,
         max_sum: float = 5.0,
     ) -> None:
         self.station_bl = station_bl

@@ -23,9 +23,8 @@ DECELERATE, CRUISE, ACCELERATE = range(3)
 
 
 def make_task(**arguments: Any) -> KarmanGait:
-    return KarmanGait(
-        **{**SMALL, "wall_margin_bl": 0.2, "control": MacroActions(bank=BANK), **arguments}
-    )
+    settings = {"wall_margin_bl": 0.25, "control_interval_T": 1.0, "checks_per_action": 25}
+    return KarmanGait(**{**SMALL, **settings, "control": MacroActions(bank=BANK), **arguments})
 
 
 def make(num_envs: int = 3, **arguments: Any) -> FlowEnv:
@@ -125,6 +124,18 @@ def test_the_observation_is_place_way_velocity_and_frequency() -> None:
     assert second[2] == pytest.approx(-0.4, abs=0.01)  # it glides 0.4 L in one beat of 1 / T
 
 
+def test_a_shorter_interval_takes_fewer_steps_and_is_timed_in_periods() -> None:
+    env = make(1, control_interval_T=0.5, lateral_line=LateralLine(num_samples=2, features=("t",)))
+    assert env.task.interval_T == pytest.approx(0.5, abs=0.01)
+    first = env.reset()["observation"][0]
+    after = act(env, CRUISE)
+    assert after["observation"][0, 0] - first[0] == pytest.approx(-0.2, abs=0.01)
+    time = after["lateral_line"][0, :, 0, 0]
+    torch.testing.assert_close(time, torch.tensor([0.25, 0.5]), rtol=0, atol=0.01)
+    with pytest.raises(ValueError, match=r"control_interval_T = 0\.0: allowed is above 0, up to 10"):
+        make_task(control_interval_T=0.0)
+
+
 def test_the_frequency_may_be_repeated_as_the_paper_does() -> None:
     env = make(1, repeats_frequency=True)
     env.reset()
@@ -210,7 +221,7 @@ def test_flows_are_labelled_for_classifiers_in_the_order_of_their_index() -> Non
 
 
 def test_the_fastest_beat_and_the_fastest_stream_keep_the_speed_budget() -> None:
-    slow, fast = KarmanGait(), KarmanGait(stream=Stream(speeds_bl=(1.0, 1.25, 2.0)))
+    slow, fast = KarmanGait(), KarmanGait(stream=Stream(speeds_bl=(1.0, 1.25, 2.5)))
     for task in (slow, fast):
         assert max(task.scales.tail_speed, task.scales.stream_speed) <= 0.1 + 1e-12
     assert fast.scales.period > slow.scales.period

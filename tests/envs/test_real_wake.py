@@ -17,7 +17,7 @@ TINY = {
     "body_length": 20,
     "reynolds": 300.0,
     "max_wall_speed": 0.15,
-    "wall_margin_bl": 0.2,
+    "wall_margin_bl": 0.25,
     "domain_bl": (4.0, 2.4),
     "start_x_bl": (0.8, 0.9),
     "safe_area": SafeArea(near_bl=0.2, far_bl=1.5, aside_bl=0.5),

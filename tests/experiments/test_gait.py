@@ -32,8 +32,8 @@ pytestmark = pytest.mark.usefixtures("gliding")
 SETTINGS = [
     "task=karman_gait",
     "preset=gait_small",
-    *(f"task.{name}={value}" for name, value in {**SMALL, "wall_margin_bl": 0.2}.items()),
-    "task.time_limit=6",
+    *(f"task.{name}={value}" for name, value in {**SMALL, "wall_margin_bl": 0.25}.items()),
+    "task.time_limit=12",
     "compile=false",
     "num_envs=4",
     "total_frames=48",
@@ -48,7 +48,7 @@ SETTINGS = [
 
 
 def make_task(**arguments: Any) -> KarmanGait:
-    return KarmanGait(**{**SMALL, "wall_margin_bl": 0.2, "time_limit": 6, **arguments})
+    return KarmanGait(**{**SMALL, "wall_margin_bl": 0.25, "time_limit": 12, **arguments})
 
 
 def make_machine(path: Path, task: KarmanGait | None = None) -> str:

@@ -92,10 +92,12 @@ def test_gait_needs_the_right_beat() -> None:
 
 
 def test_a_beat_in_step_with_the_lift_is_locked_and_another_is_not() -> None:
-    assert lock_phases(make_histories(lengths=[40]), SHED) > 0.95
-    assert lock_phases(make_histories(lengths=[40], beat=1.25 * SHED), SHED) < 0.5
-    assert math.isnan(lock_phases(make_histories(lengths=[3]), SHED))
-    assert math.isnan(lock_phases(make_histories(lengths=[40]), math.nan))
+    assert lock_phases(make_histories(lengths=[40]), SHED, frames_per_T=FRAMES) > 0.95
+    assert (
+        lock_phases(make_histories(lengths=[40], beat=1.25 * SHED), SHED, frames_per_T=FRAMES) < 0.5
+    )
+    assert math.isnan(lock_phases(make_histories(lengths=[3]), SHED, frames_per_T=FRAMES))
+    assert math.isnan(lock_phases(make_histories(lengths=[40]), math.nan, frames_per_T=FRAMES))
 
 
 def test_the_phase_of_a_sine_is_found() -> None:
@@ -103,6 +105,19 @@ def test_the_phase_of_a_sine_is_found() -> None:
     signal = 3.0 + np.cos(2.0 * np.pi * SHED * time + 0.4) + np.cos(2.0 * np.pi * 3.0 * time)
     off = np.angle(np.exp(1j * (find_phase(signal, SHED, 16) - 2.0 * np.pi * SHED * time - 0.4)))
     assert np.abs(off).max() < 1e-6
+
+
+def test_frames_of_shorter_intervals_are_timed_in_periods() -> None:
+    slow = make_histories(lengths=[40])._replace(lengths_T=torch.tensor([20.0]))
+    result = diagnose(
+        slow,
+        shedding_frequency=2.0 * SHED,
+        safe_area=SafeArea(),
+        time_limit_T=20.0,
+        interval_T=0.5,
+    )
+    assert result["phase_lock"] > 0.95
+    assert result["sway"] == pytest.approx(0.2, rel=0.06)
 
 
 def test_sway_is_the_amplitude_of_a_sine() -> None:

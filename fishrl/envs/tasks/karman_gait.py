@@ -27,9 +27,9 @@ from fishrl.physics.units import Scales
 #: ``experiments.drift_sweep``): in each flow the first sinks back and the last swims up.
 DEFAULT_BANK = FrequencyBank(
     rows=(
-        (0.6, 0.9, 1.2, 1.5, 1.8),
-        (0.6, 1.0, 1.35, 1.7, 2.0),
-        (0.8, 1.2, 1.6, 2.0, 2.4),
+        (0.3, 0.9, 1.5, 2.1),
+        (0.3, 0.95, 1.6, 2.25),
+        (0.5, 1.2, 1.9, 2.6),
     )
 )
 
@@ -71,10 +71,14 @@ class KarmanGait(AbstractTask):
     max_wall_speed: float = 0.1
     wall_margin_bl: float = 0.25
     num_stacked: int = 2
-    time_limit: int = 100
+    time_limit: int = 200
+    control_interval_T: float = 0.5
+    checks_per_action: int = 13
     stream: Stream = field(default_factory=Stream)
     start_flows: tuple[int, ...] = (0, 1, 2)
-    control: FrequencyControl = field(default_factory=lambda: MacroActions(bank=DEFAULT_BANK))
+    control: FrequencyControl = field(
+        default_factory=lambda: MacroActions(bank=DEFAULT_BANK, first_gear=2)
+    )
     reads_flow_class: bool = False
     steering: Steering = field(default_factory=PDSteering)
     lateral_line: LateralLine = field(default_factory=LateralLine)
@@ -148,7 +152,7 @@ class KarmanGait(AbstractTask):
     @property
     def lateral_line_layout(self) -> Mapping[str, Any]:
         """What a classifier must know of the entry ``lateral_line``."""
-        interval = self.n_substeps / self.scales.period / self.num_samples
+        interval = self.interval_T / self.num_samples
         return self.lateral_line.layout | {"interval_T": interval}
 
     def flow_config(self) -> FlowConfig:
