@@ -183,12 +183,12 @@ class LateralLineConfig:
     max_decisions: int = 20
     window: int | None = None
     hidden: list[int] = field(default_factory=lambda: [128, 128])
-    learning_rate: float = 1e-3
+    learning_rate: float = 3e-4
     batch_size: int = 64
     num_epochs: int = 300
     patience: int = 15
     weight_decay: float = 1e-3
-    noise: float = 0.2
+    noise: float = 0.5
     paper_epochs: int = 1000
     num_splits: int = 2
     windows: list[int] = field(default_factory=lambda: [1, 2, 4, 8, 16])

@@ -27,6 +27,9 @@ from fishrl.envs.lateral_line import LOCAL, LateralLine
 from fishrl.modules.lateral_line import BOOKKEEPING
 from fishrl.objectives import FitSettings
 
+#: Control intervals that a machine reads unless told otherwise.
+NUM_INTERVALS = 4
+
 
 def examine(
     config: LateralLineConfig, *, task: Any, episodes: TensorDict, folder: Path, progress: Progress
@@ -55,9 +58,10 @@ def examine(
         ),
         seed=config.seed,
     )
-    interval, sample_T = int(study.layout["num_samples"]), study.layout["interval_T"]
+    sample_T = study.layout["interval_T"]
+    window = config.window or NUM_INTERVALS * task.lateral_line.num_samples
     # Counted beforehand for the bar; see the functions below.
-    num_fits = 2 + splits * (len(lengths) + 2 + len(levels) + 3 * len(diets(interval)) + 2)
+    num_fits = 2 + splits * (len(lengths) + 2 + len(levels) + 3 * len(diets(window)) + 2)
     progress.start("fits", total=num_fits)
 
     def on_fit() -> None:
@@ -68,7 +72,7 @@ def examine(
     on_fit()
     paper = fit_as_in_the_paper(study, config)
     on_fit()
-    diet = Diet(features=LOCAL, num_samples=interval)
+    diet = Diet(features=LOCAL, num_samples=window)
     is_decision = episodes["is_decision"]
     findings: dict[str, Any] = {
         "flows": task.flow_labels,
@@ -90,7 +94,7 @@ def examine(
         ),
         "windows": find_window(study, lengths=lengths, num_splits=splits, on_fit=on_fit),
         "noise": find_noise(study, diet, levels=levels, num_splits=splits, on_fit=on_fit),
-        "leaks": find_leaks(study, interval=interval, num_splits=splits, on_fit=on_fit),
+        "leaks": find_leaks(study, window=window, num_splits=splits, on_fit=on_fit),
         "confirmation": find_confirmation(study, diet, num_splits=splits, on_fit=on_fit),
     }
     (folder / "lateral_line.json").write_text(json.dumps(findings, indent=2) + "\n")
@@ -103,7 +107,7 @@ def fit_machine(study: Study, line: LateralLine, config: LateralLineConfig) -> F
     """Fit the machine that the task will use, on what its own lateral line would have told."""
     diet = Diet(
         features=tuple(name for name in line.features if name not in BOOKKEEPING),
-        num_samples=config.window or 4 * line.num_samples,
+        num_samples=config.window or NUM_INTERVALS * line.num_samples,
         is_averaged=line.is_averaged,
         told=line.features,
     )
@@ -114,7 +118,7 @@ def fit_as_in_the_paper(study: Study, config: LateralLineConfig) -> Fit:
     """Fit on single instants of the mean over the neuromasts, with time and place, for long."""
     diet = next(iter(diets(int(study.layout["num_samples"])).values()))
     settings = replace(FitSettings.of_the_paper(), num_epochs=config.paper_epochs)
-    return study.fit(diet, settings=settings, max_samples=config.num_samples)
+    return study.fit(diet, settings=settings, max_samples=config.num_samples, is_mirrored=False)
 
 
 def draw(findings: dict[str, Any], fits: dict[str, Fit], *, folder: Path) -> None:

@@ -58,12 +58,10 @@ def find_noise(
     return answers
 
 
-def find_leaks(
-    study: Study, *, interval: int, num_splits: int, on_fit: Report
-) -> dict[str, Answers]:
+def find_leaks(study: Study, *, window: int, num_splits: int, on_fit: Report) -> dict[str, Answers]:
     """Return accuracies of each diet on what it was fitted on and on three kinds of new data."""
     answers: dict[str, Answers] = {}
-    for name, diet in diets(interval).items():
+    for name, diet in diets(window).items():
         found: Answers = {"fitted": [], "new episodes": [], "new starts": [], "later times": []}
         for number in range(num_splits):
             fit = study.fit(diet, number=number)

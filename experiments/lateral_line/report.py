@@ -30,7 +30,8 @@ def write_page(findings: Mapping[str, Any]) -> str:
         "",
         f"Data: {data['samples']} decisions in {data['episodes']} episodes of random legal "
         f"actions, {sensors['num_samples']} samples per decision at {sensors['num_neuromasts']} "
-        "neuromasts; the row of frequencies is drawn apart from the flow.",
+        "neuromasts; the row of frequencies is drawn apart from the flow. "
+        "But for the paper's, machines are fitted on the mirror image of each sample too.",
         "",
         "| machine | fitted | unseen episodes | samples | epochs |",
         "|---|---|---|---|---|",

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
 
 from fishrl.envs.lateral_line import KNOWN
 
@@ -22,6 +23,33 @@ def feel(episodes: TensorDict, *, features: Sequence[str], is_averaged: bool) ->
     if is_averaged:
         signal = signal.mean(-2, keepdim=True)
     return episodes.copy().set("lateral_line", signal)
+
+
+#: Features that change their sign in a mirror along the stream.
+_ODD = ("u_y", "left", "shear")
+
+
+def mirror(signal: Tensor, *, features: Sequence[str], middle_bl: float) -> Tensor:
+    """Return what the mirror image of a fish would have felt in the mirror image of its flow.
+
+    Flow, disc, fish and steering know no left and right, so this is as true as the original.
+
+    Args:
+        signal: ``[N, W, P, F]``: neuromasts as ``LateralLine`` orders them, or their mean.
+        features: names of the F.
+        middle_bl: y of the plane of symmetry in body lengths.
+    """
+    num = signal.shape[2]
+    order = list(range(num))
+    for left in range(num % 2, num, 2):
+        order[left], order[left + 1] = left + 1, left
+    image = signal[:, :, order].clone()
+    for number, name in enumerate(features):
+        if name in _ODD:
+            image[..., number].neg_()
+        elif name == "y":
+            image[..., number] = 2.0 * middle_bl - image[..., number]
+    return image
 
 
 def cut_windows(episodes: TensorDictBase, *, num_samples: int) -> TensorDict:

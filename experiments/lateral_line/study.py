@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from experiments.lateral_line.samples import cut_windows, feel
+from experiments.lateral_line.samples import cut_windows, feel, mirror
 from fishrl.envs.lateral_line import LOCAL, PAPER
 from fishrl.modules import LateralLineMachine
 from fishrl.modules.lateral_line import BOOKKEEPING
@@ -110,6 +110,7 @@ class Study:
         noise: float = 0.0,
         split: Callable[[TensorDict], Sequence[Tensor]] | None = None,
         max_samples: int | None = None,
+        is_mirrored: bool = True,
     ) -> Fit:
         """Fit a machine and judge it.
 
@@ -120,6 +121,7 @@ class Study:
             noise: deviation of what is added while fitting, as a share of each feature's own.
             split: masks of the three parts, if not the usual ones by episode.
             max_samples: to fit on at most.
+            is_mirrored: fit on the mirror image of each sample too.
         """
         data = self.cut(diet)
         masks = self.split(data, number) if split is None else split(data)
@@ -129,6 +131,8 @@ class Study:
         if max_samples is not None and len(training) > max_samples:
             kept = torch.randperm(len(training), generator=generator)[:max_samples]
             training = training[kept]
+        if is_mirrored:
+            training = torch.cat((training, self._mirror(training, diet)))
         machine = LateralLineMachine(
             flows=self.flows,
             sensors=self.describe(diet),
@@ -154,14 +158,24 @@ class Study:
             test=test,
         )
 
+    def _mirror(self, data: TensorDict, diet: Diet) -> TensorDict:
+        flow = self.flows[0]
+        num_nodes = round(flow["domain_bl"][1] * flow["body_length"])
+        image = mirror(
+            data["lateral_line"],
+            features=diet.told or diet.features,
+            middle_bl=0.5 * (num_nodes - 1) / flow["body_length"],
+        )
+        return data.copy().set("lateral_line", image)
+
 
 def measure_deviation(signal: Tensor) -> Tensor:
     """Return the standard deviation ``[P, F]`` of each feature of signals ``[N, W, P, F]``."""
     return signal.flatten(0, 1).std(0)
 
 
-def diets(interval: int) -> dict[str, Diet]:
-    """Return what is compared, by name; ``interval`` is W, the samples of a control interval."""
+def diets(window: int) -> dict[str, Diet]:
+    """Return what is compared, by name; ``window`` is the number of samples in the longest."""
     some = tuple(name for name in PAPER if name not in BOOKKEEPING)
     return {
         "paper: instant, mean of the neuromasts": Diet(
@@ -173,8 +187,8 @@ def diets(interval: int) -> dict[str, Diet]:
             features=LOCAL, num_samples=1, is_averaged=True
         ),
         "local: instant, each neuromast": Diet(features=LOCAL, num_samples=1),
-        "paper: one interval, each neuromast": Diet(features=PAPER, num_samples=interval),
-        "local: one interval, each neuromast": Diet(features=LOCAL, num_samples=interval),
+        "paper: whole window, each neuromast": Diet(features=PAPER, num_samples=window),
+        "local: whole window, each neuromast": Diet(features=LOCAL, num_samples=window),
     }
 
 

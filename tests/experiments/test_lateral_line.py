@@ -206,8 +206,8 @@ def test_fits_on_the_right_row_and_on_any_get_as_many_samples() -> None:
 
 
 def test_leaks_are_sought_in_every_diet_and_kind_of_new_data() -> None:
-    answers = find_leaks(make_study(), interval=INTERVAL, num_splits=1, on_fit=lambda: None)
-    assert answers["local: one interval, each neuromast"]["new episodes"][0] > 0.9
+    answers = find_leaks(make_study(), window=INTERVAL, num_splits=1, on_fit=lambda: None)
+    assert answers["local: whole window, each neuromast"]["new episodes"][0] > 0.9
     assert all(len(found) == 4 for found in answers.values())
 
 

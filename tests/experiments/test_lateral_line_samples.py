@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from math import pi
+
 import pytest
 import torch
 from tensordict import TensorDict
 
-from experiments.lateral_line.samples import cut_windows, feel
-from fishrl.envs.lateral_line import KNOWN
+from experiments.lateral_line.samples import cut_windows, feel, mirror
+from fishrl.envs.lateral_line import KNOWN, LateralLine
+from fishrl.physics import Fish, FlowConfig, InPlaceSolver
+from fishrl.physics.solver import make_uniform
 
 #: Two episodes of at most three decisions with four samples each, numbered; one neuromast.
 SIGNAL = torch.arange(24.0).view(2, 3, 4, 1, 1)
@@ -29,6 +33,28 @@ def make_episodes() -> TensorDict:
 
 def windows_of(data: TensorDict) -> list[list[int]]:
     return data["lateral_line"].squeeze(-1).squeeze(-1).int().tolist()
+
+
+def test_a_mirrored_signal_is_what_a_mirrored_fish_feels() -> None:
+    length, size = 20, (50, 60)
+    generator = torch.Generator().manual_seed(0)
+    rho, ux, uy = 0.02 * torch.randn(3, 1, *size, generator=generator)
+    line = LateralLine(num_neuromasts=5, features=KNOWN)
+    felt = []
+    for sign, heading in ((1.0, pi - 0.3), (-1.0, pi + 0.3)):
+        config = FlowConfig(width=60, height=50, tau=0.6, bodies=(Fish(body_length=length),))
+        solver = InPlaceSolver(config=config, frequency=0.0, compile=False)
+        place, all_rows = torch.tensor([[30.0, 24.5]]), torch.ones(1, dtype=torch.bool)
+        solver.reset_(all_rows, place, torch.tensor([heading]))
+        flow = [rho, ux, sign * uy]
+        solver.set_populations_(
+            make_uniform(*(field if sign > 0 else field.flip(1) for field in flow))
+        )
+        signal, _ = line.feel(solver, torch.zeros(1).long(), body_length=length, period=200)
+        felt.append(signal[:, None])
+    image = mirror(felt[0], features=KNOWN, middle_bl=24.5 / length)
+    torch.testing.assert_close(image, felt[1], rtol=1e-4, atol=1e-4)
+    assert (felt[0] - felt[1]).abs().max() > 0.1
 
 
 def test_whole_windows_of_one_interval_are_what_the_environment_shows() -> None:
