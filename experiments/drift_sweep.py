@@ -13,6 +13,7 @@ import csv
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +26,13 @@ from experiments.figures import COLOURS
 from experiments.flow_pictures import STYLE
 from experiments.histories import Histories, record_histories
 from experiments.progress import Progress
+from experiments.transfer import load_task
 from experiments.validation.convergence import tidy
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.stations import SafeArea
-from fishrl.envs.streams import Stream
 
-FREQUENCIES = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.1, 2.4)
+FREQUENCIES = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.2, 2.6)
 #: Distances behind the disc, body lengths, within which drift counts: near it a fish is sucked in
 #: by the recirculation, far from it the wake carries less.
 BANDS = ((0.8, 1.4), (1.4, 2.0), (2.0, 2.6), (2.6, 3.5))
@@ -135,8 +136,7 @@ def draw(task: KarmanGait, table: Sequence[dict[str, float]], shedding: Sequence
 def main() -> None:
     """Sweep, write, draw."""
     parser = argparse.ArgumentParser(description="Drift of a fish against its tail beat.")
-    parser.add_argument("--body-length", type=int, default=32, help="L in nodes")
-    parser.add_argument("--speeds", type=float, nargs="+", default=[1.0, 1.25, 1.5], help="L/T")
+    parser.add_argument("--preset", default="gait_small", help="whose task it is")
     parser.add_argument("--frequencies", type=float, nargs="+", default=list(FREQUENCIES))
     parser.add_argument("--starts", type=int, default=6, help="fish per flow and frequency")
     parser.add_argument("--periods", type=int, default=8, help="T that each swims")
@@ -144,10 +144,10 @@ def main() -> None:
     arguments = parser.parse_args()
     set_up_logging()
     with plain_errors():
-        task = KarmanGait(
-            body_length=arguments.body_length,
-            stream=Stream(speeds_bl=tuple(arguments.speeds)),
-            start_flows=tuple(range(len(arguments.speeds))),
+        task = load_task(arguments.preset)
+        task = replace(
+            task,
+            start_flows=tuple(range(len(task.stream.speeds_bl))),
             control=DirectFrequencies(frequencies=tuple(arguments.frequencies)),
             start_x_bl=(1.2, 2.6),
             safe_area=SafeArea(near_bl=0.4, far_bl=4.5),

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import torch
 
-from experiments import export_steering, free_stream, transfer
+from experiments import drift_sweep, export_steering, free_stream, transfer
 from experiments.config import load_config
 from experiments.evaluate import evaluate
 from experiments.evaluate import main as evaluate_main
@@ -222,6 +222,24 @@ def test_the_free_stream_is_held_without_a_disc(
     result = json.loads((tmp_path / "free_stream.json").read_text())
     assert [row["episodes"] for row in result["flows"]] == [1, 1, 1]
     assert "1.25 L/T:" in capsys.readouterr().out
+
+
+def test_drift_is_swept_over_frequencies_in_every_stream(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(drift_sweep, "load_task", lambda preset: make_task())
+    arguments = ["--frequencies", "0.5", "1", "--starts", "2", "--periods", "3"]
+    monkeypatch.setattr(sys, "argv", ["drift_sweep", *arguments, "--folder", str(tmp_path)])
+    drift_sweep.main()
+    with (tmp_path / "drift.csv").open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if float(row["samples"]) > 0]
+    assert {row["stream_speed_bl"] for row in rows} == {"1.0", "1.25", "1.5"}
+    # gliding fish swim 0.4 L in a beat, upstream, whatever the stream
+    for row in rows:
+        expected = -0.4 * float(row["frequency"])
+        assert float(row["drift"]) == pytest.approx(expected, abs=0.02)
+    facts = json.loads((tmp_path / "drift.json").read_text())
+    assert (facts["episodes"], facts["diverged"]) == (12, 0)
 
 
 def test_a_fish_that_caught_food_becomes_a_helmsman(tmp_path: Path) -> None:
