@@ -73,10 +73,11 @@ def _make_hunter(name: str, task: Any) -> TensorDictModuleBase:
 def _make_holder(name: str, task: KarmanGait) -> GaitPolicy:
     """Make a fish that holds its station; it is told which flow it is in."""
     if name == "pid":
+        tuned = {"damping": 2.5 / task.interval_T}  # per decision; 2.5 beats per T and L / T
         if not isinstance(task.control, MacroActions):
-            return make_gait_policy(PID(frequency=0.5 * task.control.max_frequency), task)
+            return make_gait_policy(PID(frequency=0.5 * task.control.max_frequency, **tuned), task)
         rows = task.control.bank.rows  # the middle of each holds, more or less
-        return make_gait_policy(PID(frequency=[row[len(row) // 2] for row in rows]), task)
+        return make_gait_policy(PID(frequency=[row[len(row) // 2] for row in rows], **tuned), task)
     if name == "bang_bang":
         return make_gait_policy(BangBang(), task)
     if name == "passive":

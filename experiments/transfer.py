@@ -161,6 +161,9 @@ def main() -> None:
         "--preset", default="gait_small", help="of the hand-written fish, if there is no run"
     )
     parser.add_argument(
+        "--set", nargs="*", default=[], help="settings of that preset, such as task.time_limit=20"
+    )
+    parser.add_argument(
         "--sample", action="store_true", help="draw actions as in training, not the likeliest"
     )
     parser.add_argument("--folder", type=Path, default=Path("runs/transfer"))
@@ -171,7 +174,7 @@ def main() -> None:
             raise ValueError(f"episodes = {arguments.episodes}: must be at least 1")
         trials = [load_trial(run) for run in arguments.runs]
         banked = [trial.task for trial in trials if trial.task.control.num_flows is not None]
-        task = banked[0] if banked else load_task(arguments.preset)
+        task = banked[0] if banked else load_task(arguments.preset, arguments.set)
         trials += [hand_written(name, task) for name in arguments.hand_written]
         transfer(
             trials,
