@@ -178,7 +178,7 @@ def test_an_absent_peer_is_missed_as_a_module(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
-    with pytest.raises(ModuleNotFoundError, match="No module named|halted"):
+    with pytest.raises(ModuleNotFoundError, match=r"No module named|halted"):
         make(width=WIDTH, height=HEIGHT, **arguments)
 
 
