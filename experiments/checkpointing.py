@@ -167,7 +167,8 @@ def _flush(path: Path) -> None:
 
 def _is_of_the_disk(error: Exception) -> bool:
     """Tell whether writing failed; torch's writer says so with a RuntimeError."""
-    return isinstance(error, OSError) or "inline_container" in str(error)
+    words = ("inline_container", "iostream error")
+    return isinstance(error, OSError) or any(word in str(error) for word in words)
 
 
 def _not_written(path: Path, error: Exception) -> CheckpointNotWritten:
