@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,11 +20,18 @@ class BrainOf:
         task: name of the task's class.
         num_inputs: length of the stacked observation.
         num_actions: number of actions.
+        num_stacked: observations in a stack.
     """
 
     task: str
     num_inputs: int
     num_actions: int
+    num_stacked: int = 1
+
+    @property
+    def num_observed(self) -> int:
+        """Length of one observation."""
+        return self.num_inputs // self.num_stacked
 
     @classmethod
     def task_of(cls, task: Any, *, num_told: int = 0) -> BrainOf:
@@ -37,6 +45,7 @@ class BrainOf:
             task=type(task).__name__,
             num_inputs=(task.n_obs + num_told) * task.num_stacked,
             num_actions=task.num_actions,
+            num_stacked=task.num_stacked,
         )
 
     def check(self, metadata: Mapping[str, Any], *, path: Path) -> None:
@@ -57,6 +66,10 @@ class BrainOf:
                 )
 
 
+class CheckpointNotWritten(OSError):
+    """A checkpoint could not be written; the one before it is as it was."""
+
+
 def save_checkpoint(
     path: Path,
     components: Mapping[str, Any],
@@ -65,8 +78,9 @@ def save_checkpoint(
     preset: str,
     frames: int,
     config: Mapping[str, Any],
+    keep: int = 1,
 ) -> None:
-    """Write the components' states to a folder, replacing it only when all is written.
+    """Write the components' states to a folder, replacing it only when all is on the disk.
 
     Args:
         path: the folder.
@@ -75,22 +89,99 @@ def save_checkpoint(
         preset: name of the preset.
         frames: env frames so far.
         config: the whole configuration.
+        keep: how many checkpoints stay, this one included; older ones get their frames behind
+            their name.
+
+    Raises:
+        CheckpointNotWritten: if the disk is full or the folder cannot be written.
     """
-    for debris in path.parent.glob(f".{path.name}.stage-*"):  # of a process killed while writing
-        shutil.rmtree(debris, ignore_errors=True)
-    _checkpoint(components).save(
-        path,
-        metadata={
-            "task": brain.task,
-            "num_inputs": brain.num_inputs,
-            "num_actions": brain.num_actions,
-            "preset": preset,
-            "frames": frames,
-            "config": config,
-        },
+    fresh = path.with_name(f".{path.name}.new")
+    metadata = {
+        "task": brain.task,
+        "num_inputs": brain.num_inputs,
+        "num_actions": brain.num_actions,
+        "preset": preset,
+        "frames": frames,
+        "config": config,
+    }
+    try:
+        if fresh.exists() and not path.exists():  # killed between the renames: it is the newest
+            os.replace(fresh, path)
+        _clear(path)
+        _checkpoint(components).save(fresh, metadata=metadata)
+        for file in fresh.rglob("*"):
+            _flush(file)
+        _put_in_place(fresh, path, keep=keep)
+    except (OSError, RuntimeError) as error:
+        if not _is_of_the_disk(error):
+            raise
+        _clear(path)
+        raise _not_written(path, error) from error
+
+
+def _put_in_place(fresh: Path, path: Path, *, keep: int) -> None:
+    """Let a complete checkpoint take its place; at any moment a complete one can be found."""
+    older = path.with_name(f".{path.name}.backup")
+    if path.exists():
+        frames = _read_frames(path)
+        if keep > 1 and frames is not None and frames != _read_frames(fresh):
+            older = path.with_name(f"{path.name}-{frames:09d}")
+        if older.exists():
+            shutil.rmtree(older)
+        os.replace(path, older)
+    os.replace(fresh, path)
+    _flush(path.parent)
+    for former in _list_older(path)[keep - 1 :]:
+        shutil.rmtree(former, ignore_errors=True)
+    shutil.rmtree(path.with_name(f".{path.name}.backup"), ignore_errors=True)
+
+
+def _clear(path: Path) -> None:
+    """Remove what a process that was killed while writing left; it is no use beside the place."""
+    if path.exists():
+        for debris in (*path.parent.glob(f".{path.name}.*"), *path.parent.glob(f"..{path.name}.*")):
+            shutil.rmtree(debris, ignore_errors=True)
+
+
+def _list_older(path: Path) -> list[Path]:
+    """List the checkpoints before one, newest first."""
+    return sorted(path.parent.glob(f"{path.name}-" + "[0-9]" * 9), reverse=True)
+
+
+def _read_frames(path: Path) -> int | None:
+    """Return the frames of a checkpoint, or None if it does not say."""
+    try:
+        return int(Checkpoint.manifest(path)["metadata"]["frames"])
+    except (CheckpointError, OSError, ValueError, TypeError, KeyError):
+        return None
+
+
+def _flush(path: Path) -> None:
+    """Wait until a file or folder is on the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _is_of_the_disk(error: Exception) -> bool:
+    """Tell whether writing failed; torch's writer says so with a RuntimeError."""
+    words = ("inline_container", "iostream error")
+    return isinstance(error, OSError) or any(word in str(error) for word in words)
+
+
+def _not_written(path: Path, error: Exception) -> CheckpointNotWritten:
+    known = isinstance(error, OSError) and error.strerror
+    reason = error.strerror if known else "writing failed"  # type: ignore[attr-defined]
+    if not known and path.parent.is_dir():
+        reason = f"writing failed with {shutil.disk_usage(path.parent).free / 1e6:.1f} MB free"
+    frames = _read_frames(path) if path.exists() else None
+    kept = "there is none yet" if frames is None else f"the one of frame {frames} is still there"
+    return CheckpointNotWritten(
+        f"checkpoint {path}: cannot be written ({reason}); {kept}: free space, or change the "
+        "permissions of the folder"
     )
-    for debris in path.parent.glob(f".{path.name}.backup-*"):
-        shutil.rmtree(debris, ignore_errors=True)
 
 
 def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[str, Any]]:
@@ -109,8 +200,10 @@ def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[
         folder /= which if (folder / which).exists() else "last"
     found = folder
     if not found.exists():
-        # Killed between the two renames that replace a checkpoint: the old one still lies there.
-        found = next(iter(sorted(folder.parent.glob(f".{folder.name}.backup-*"))), folder)
+        # Killed between the renames that replace a checkpoint, or the newest one was deleted.
+        complete = [folder.with_name(f".{folder.name}.new")]
+        complete += sorted(folder.parent.glob(f".{folder.name}.backup*")) + _list_older(folder)
+        found = next((place for place in complete if place.exists()), folder)
     if not found.exists():
         raise ValueError(
             f"checkpoint {folder}: there is none; give the folder of a run, or one of its "
@@ -166,7 +259,9 @@ def _checkpoint(components: Mapping[str, Any]) -> Checkpoint:
 
 
 def _corrupt(path: Path, reason: object) -> ValueError:
+    older = [place.name for place in _list_older(path)]
+    remedy = f"; or delete it, and {older[0]} takes its place" if older else ""
     return ValueError(
         f"checkpoint {path}: corrupt or not a checkpoint ({reason}); take another one, such as "
-        "checkpoints/last or checkpoints/best of the run"
+        f"checkpoints/last or checkpoints/best of the run{remedy}"
     )

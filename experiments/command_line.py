@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from tqdm import tqdm
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from experiments.settings import EvaluateConfig, TrainConfig
+    from experiments.training import Training
 
 
 def set_up_logging() -> None:
@@ -34,21 +35,34 @@ class _AboveBar(logging.Handler):
 
 @contextmanager
 def plain_errors() -> Iterator[None]:
-    """End the program with the message alone where something was set wrongly."""
+    """End the program with the message alone where something was set wrongly, or by Ctrl-C."""
     try:
         yield
     except (ValueError, ImportError) as error:
         logging.getLogger(__name__).debug("where it came from:", exc_info=True)
         sys.exit(f"error: {error}")
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        sys.exit(128 + signal.SIGINT)
 
 
 @contextmanager
-def resumable(folder: Path) -> Iterator[None]:
-    """Say how to go on if the program is interrupted."""
+def resumable(training: Training) -> Iterator[None]:
+    """Save and say how to go on if the program is told to end, or cannot write any more."""
+    from experiments.interruption import Interrupted
+
+    hint = f"go on with: python -m experiments.train resume={training.folder.path}"
     try:
-        yield
+        with training.interruption:
+            yield
+    except Interrupted as end:
+        print(f"{end}: saved at frame {training.counters.frames}; {hint}", file=sys.stderr)
+        sys.exit(128 + end.number)
     except KeyboardInterrupt:
-        sys.exit(f"interrupted; go on with: python -m experiments.train resume={folder}")
+        print(f"interrupted; {hint}", file=sys.stderr)
+        sys.exit(128 + signal.SIGINT)
+    except OSError as error:
+        sys.exit(f"error: {error}\n{hint}")
 
 
 def training_settings(config: DictConfig) -> TrainConfig:

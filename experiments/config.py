@@ -30,6 +30,7 @@ CONF = Path(__file__).parent / "conf"
 #: Settings that the saved state of a run depends on.
 FIXED_BY_RUN = (
     *("task", "preset", "seed", "num_envs", "hidden", "buffer_size", "logger", "recognition"),
+    "algorithm",
 )
 
 
@@ -93,7 +94,7 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
             if key not in known_keys:
                 raise _unknown(f"{key}=...", key, [*known_keys, *groups])
             _check_type(base, key, override.value(), is_sweep=override.is_sweep_override())
-            if key.startswith(("task.", "logger.")):
+            if key.startswith(("task.", "logger.", "algorithm.")):
                 line = "++" + line.lstrip("+")  # an argument that the YAML leaves at its default
         result.append(line)
     return result
@@ -148,7 +149,10 @@ def resumed_settings(folder: str, arguments: Sequence[str]) -> TrainConfig:
                 f"{argument}: {name} is fixed in {folder}; leave it away, or start a new run"
             )
     try:
-        stored = OmegaConf.load(path)
+        stored = cast(DictConfig, OmegaConf.load(path))
+        for name in ("alpha_init", "target_entropy_weight"):  # of runs before there was a choice
+            if name in stored:
+                OmegaConf.update(stored, f"algorithm.{name}", stored.pop(name))
         changes = OmegaConf.from_dotlist(given)
         merged = OmegaConf.merge(OmegaConf.structured(TrainConfig), stored, changes)
     except (OmegaConfBaseException, YAMLError) as error:

@@ -1,29 +1,20 @@
-"""The learning fish: its brain, what it remembers, and one gradient step."""
+"""A brain that learns: what acts, what it remembers, and one gradient step."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
-from torchrl.objectives import SoftUpdate
+from torchrl.data.replay_buffers.samplers import Sampler
+from torchrl.envs import Transform
+from torchrl.objectives import LossModule, SoftUpdate
 
 from experiments.settings import TrainConfig
-from fishrl.modules import make_actor, make_twin_critics
-from fishrl.objectives import MaskedDiscreteSACLoss
-
-#: What a gradient step reports, as ``train/<name>``.
-LOSS_METRICS = (
-    "loss_actor",
-    "loss_qvalue",
-    "loss_alpha",
-    "alpha",
-    "entropy",
-    "entropy_fraction",
-)
 
 
 @contextmanager
@@ -38,38 +29,44 @@ def one_thread() -> Iterator[None]:
 
 
 class Learner:
-    """Discrete SAC with a replay buffer.
+    """What every algorithm has: a replay buffer, a loss with target networks, an optimiser.
 
     Args:
-        num_inputs: length of the stacked observation.
-        num_actions: number of actions.
-        config: hyper-parameters.
+        actor: the policy that is evaluated and saved; under ``ExplorationType.DETERMINISTIC`` it
+            acts greedily.
+        explorer: the policy that collects, of the same weights; its state is the collector's.
+        loss: entries ``loss_...`` of what it returns add up to what is minimised.
+        reports: what a gradient step reports, as ``train/<name>``; entries of the same.
+        config: settings that all algorithms share.
+        keys: entries of a transition beside the loss's own that the sampler reads.
+        sampler: draws from the buffer; by default uniformly.
+        transforms: of the environment that collects.
     """
 
-    def __init__(self, *, num_inputs: int, num_actions: int, config: TrainConfig) -> None:
-        generator = torch.Generator().manual_seed(config.seed)
-        sizes: dict[str, Any] = {
-            "num_inputs": num_inputs,
-            "num_actions": num_actions,
-            "hidden": config.hidden,
-            "generator": generator,
-        }
-        self.actor = make_actor(**sizes).to(config.device)
-        self.loss = MaskedDiscreteSACLoss(
-            self.actor,
-            [critic.to(config.device) for critic in make_twin_critics(**sizes)],
-            num_actions=num_actions,
-            alpha_init=config.alpha_init,
-            target_entropy_weight=config.target_entropy_weight,
-        )
+    def __init__(
+        self,
+        *,
+        actor: TensorDictModuleBase,
+        explorer: TensorDictModuleBase,
+        loss: LossModule,
+        reports: Sequence[str],
+        config: TrainConfig,
+        keys: Sequence[Any] = (),
+        sampler: Sampler | None = None,
+        transforms: Sequence[Transform] = (),
+    ) -> None:
+        self.actor, self.explorer, self.loss = actor, explorer, loss
+        self.reports, self.transforms = tuple(reports), tuple(transforms)
         self.loss.make_value_estimator(gamma=config.gamma)
         self.targets = SoftUpdate(self.loss, tau=config.tau)
         self.optimiser = torch.optim.Adam(
             self.loss.parameters(), lr=config.learning_rate, fused=True
         )
+        self._keys = [*self.loss.in_keys, *keys]
         # No prefetch: its threads would draw batches in an order that no seed fixes.
         self.buffer = TensorDictReplayBuffer(
             storage=LazyTensorStorage(config.buffer_size, device=config.device),
+            sampler=sampler,
             batch_size=config.batch_size,
             prefetch=0,
         )
@@ -85,16 +82,16 @@ class Learner:
                 "action_mask: a state has no legal action; every state needs one, also a final one"
             )
         is_sound = ~transitions["next", "diverged"].reshape(-1)
-        sound = transitions.select(*self.loss.in_keys)[is_sound]
+        sound = transitions.select(*self._keys)[is_sound]
         if sound.shape[0] > 0:
             self.buffer.extend(sound)
         return transitions.shape[0] - sound.shape[0]
 
     def update(self) -> TensorDict:
-        """Take one gradient step on actor, critics and temperature, and return the losses."""
+        """Take one gradient step, and return the losses and what else the loss reports."""
         losses = self.loss(self.buffer.sample())
         self.optimiser.zero_grad()
-        (losses["loss_actor"] + losses["loss_qvalue"] + losses["loss_alpha"]).backward()
+        sum(loss for name, loss in losses.items() if name.startswith("loss_")).backward()
         self.optimiser.step()
         self.targets.step()
         return losses.detach()

@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 import csv
+import io
+import logging
 import math
+import os
 import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from experiments.run_folder import write_whole
+
+logger = logging.getLogger(__name__)
+
 
 class CsvLogger:
-    """One row per log step, one column per metric; what a step did not measure is left empty."""
+    """One row per log step, one column per metric; what a step did not measure is left empty.
+
+    Rows that cannot be written, as when the disk is full, are kept for the next time.
+    """
 
     def __init__(self) -> None:
         self._path: Path | None = None
         self._columns: list[str] = []
+        self._unwritten: list[dict[str, Any]] = []
 
     def open(
         self, folder: Path, *, columns: Sequence[str], config: Mapping[str, Any], step: int = 0
@@ -34,10 +45,8 @@ class CsvLogger:
         if step > 0 and self._path.is_file():
             with self._path.open(newline="", encoding="utf-8") as file:
                 kept = [row for row in csv.DictReader(file) if _is_upto(row, columns[0], step)]
-        with self._path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, self._columns, restval="", extrasaction="ignore")
-            writer.writeheader()
-            writer.writerows(kept)
+        header = {name: name for name in self._columns}
+        write_whole(self._path, self._render([header, *kept]))
 
     def log(self, metrics: Mapping[str, float]) -> None:
         """Add a row.
@@ -51,11 +60,35 @@ class CsvLogger:
         if unknown:
             raise ValueError(f"metrics {unknown}: not among the columns {self._columns}")
         row = {name: "" if math.isnan(value) else value for name, value in metrics.items()}
-        with self._path.open("a", newline="", encoding="utf-8") as file:
-            csv.DictWriter(file, self._columns, restval="").writerow(row)
+        self._unwritten.append(row)
+        self._write()
 
     def close(self) -> None:
-        """End the log; rows are on disk already."""
+        """End the log; rows are on disk already, but for those that could not be written."""
+        if self._unwritten:
+            self._write()
+
+    def _write(self) -> None:
+        """Append the rows that are not written yet, all of them or none."""
+        assert self._path is not None  # rows come after open
+        size = self._path.stat().st_size
+        try:
+            with self._path.open("ab", buffering=0) as file:
+                text = self._render(self._unwritten).encode()
+                if file.write(text) < len(text):
+                    raise OSError("the disk is full")
+        except OSError as error:
+            os.truncate(self._path, size)
+            reason = error.strerror or error
+            count = len(self._unwritten)
+            logger.error("%s: %d rows cannot be written (%s)", self._path, count, reason)
+        else:
+            self._unwritten = []
+
+    def _render(self, rows: Sequence[Mapping[str, Any]]) -> str:
+        text = io.StringIO(newline="")
+        csv.DictWriter(text, self._columns, restval="", extrasaction="ignore").writerows(rows)
+        return text.getvalue()
 
 
 class WandbLogger(CsvLogger):
@@ -107,6 +140,7 @@ class WandbLogger(CsvLogger):
 
     def close(self) -> None:
         """End the run at Weights & Biases, so that the next one in this process is another."""
+        super().close()
         if self._run is not None:
             self._run.finish()
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
 
+from experiments.algorithms import build_algorithm
 from experiments.checkpointing import BrainOf, load_checkpoint, read_metadata
 from experiments.settings import ConfigError, nearest
 from fishrl.envs import KarmanGait
@@ -19,7 +20,6 @@ from fishrl.modules import (
     InterceptPolicy,
     PursuitPolicy,
     RandomPolicy,
-    make_actor,
 )
 from fishrl.modules.gait_controllers import Wish
 
@@ -116,10 +116,7 @@ def load_policy(
     brain = BrainOf.task_of(task, num_told=num_told)
     path, metadata = read_metadata(checkpoint)
     brain.check(metadata, path=path)
-    actor = make_actor(
-        num_inputs=brain.num_inputs,
-        num_actions=brain.num_actions,
-        hidden=metadata["config"]["hidden"],
-    ).to(device)
+    config = metadata["config"]
+    actor = build_algorithm(config).make_policy(brain, hidden=config["hidden"]).to(device)
     load_checkpoint(path, {"actor": actor}, brain=brain, device=device)
     return actor

@@ -100,12 +100,27 @@ class RunFolder:
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
     """Write numbers and words; NaN, which JSON does not know, becomes null."""
     plain = {name: None if value != value else value for name, value in values.items()}
-    path.write_text(json.dumps(plain, indent=2) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(plain, indent=2) + "\n")
 
 
 def write_yaml(path: Path, values: Mapping[str, Any]) -> None:
     """Write nested settings."""
-    OmegaConf.save(OmegaConf.create(dict(values)), path)
+    write_whole(path, OmegaConf.to_yaml(OmegaConf.create(dict(values))))
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file, or leave it as it was.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    stage = path.with_name(f".{path.name}.stage")
+    try:
+        stage.write_text(text, encoding="utf-8")
+        stage.replace(path)
+    except OSError:
+        stage.unlink(missing_ok=True)
+        raise
 
 
 def _unwritable(path: Path, reason: str) -> ValueError:

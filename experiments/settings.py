@@ -9,6 +9,9 @@ from typing import Any
 
 from omegaconf import MISSING
 
+#: How a run learns that does not say.
+DEFAULT_ALGORITHM = {"_target_": "experiments.algorithms.DiscreteSAC"}
+
 
 class ConfigError(ValueError):
     """A setting that does not exist or cannot be, in words for the one who typed it."""
@@ -21,6 +24,7 @@ class TrainConfig:
     Args:
         task: ``_target_`` and arguments of the task.
         logger: ``_target_`` and arguments of the logger.
+        algorithm: ``_target_`` and own arguments of the algorithm, see ``experiments.algorithms``.
         preset: name of the preset, kept in the checkpoints.
         seed: of networks, starts and actions; one seed gives one learning curve.
         device: cpu or cuda.
@@ -37,13 +41,12 @@ class TrainConfig:
         batch_size: transitions per gradient step.
         buffer_size: transitions kept.
         gamma: discount per decision.
-        learning_rate: of actor, critics and temperature.
-        tau: step of the target critics.
-        hidden: widths of the hidden layers of actor and critics.
-        alpha_init: initial temperature.
-        target_entropy_weight: share of the largest entropy that the policy shall keep.
+        learning_rate: of everything that is learned.
+        tau: step of the target networks.
+        hidden: widths of the hidden layers of every network.
         log_frames: frames between rows of the metrics.
         checkpoint_frames: frames between checkpoints.
+        keep_checkpoints: how many of them stay, the newest.
         eval_frames: frames between evaluations of the greedy policy.
         eval_episodes: fixed starts of these evaluations, which choose the best checkpoint.
         final_episodes: fixed starts of the evaluation at the end, other ones than those.
@@ -54,6 +57,7 @@ class TrainConfig:
 
     task: Any = MISSING
     logger: Any = MISSING
+    algorithm: Any = field(default_factory=DEFAULT_ALGORITHM.copy)
     preset: str = MISSING
     seed: int = 0
     device: str = "cpu"
@@ -72,10 +76,9 @@ class TrainConfig:
     learning_rate: float = 5e-4
     tau: float = 0.01
     hidden: list[int] = field(default_factory=lambda: [256, 256])
-    alpha_init: float = 1.0
-    target_entropy_weight: float = 0.1
     log_frames: int = 64
     checkpoint_frames: int = 350
+    keep_checkpoints: int = 2
     eval_frames: int = 700
     eval_episodes: int = 16
     final_episodes: int = 32
@@ -86,17 +89,18 @@ class TrainConfig:
         """Refuse what cannot run."""
         for name in ("num_envs", "total_frames", "batch_size", "buffer_size", "log_frames"):
             _at_least(name, getattr(self, name), 1)
-        for name in ("checkpoint_frames", "eval_frames", "eval_episodes", "final_episodes"):
+        for name in ("checkpoint_frames", "keep_checkpoints", "eval_frames"):
+            _at_least(name, getattr(self, name), 1)
+        for name in ("eval_episodes", "final_episodes"):
             _at_least(name, getattr(self, name), 1)
         for name in ("warmup_frames", "updates_per_frame", "seed", "picture_episodes"):
             _at_least(name, getattr(self, name), 0)
-        for name in ("gamma", "tau", "target_entropy_weight"):
+        for name in ("gamma", "tau"):
             _at_least(name, getattr(self, name), 0)
             if getattr(self, name) > 1:
                 raise ConfigError(f"{name} = {getattr(self, name)}: must be at most 1")
-        for name in ("learning_rate", "alpha_init"):
-            if getattr(self, name) <= 0:
-                raise ConfigError(f"{name} = {getattr(self, name)}: must be greater than 0")
+        if self.learning_rate <= 0:
+            raise ConfigError(f"learning_rate = {self.learning_rate}: must be greater than 0")
 
 
 @dataclass(kw_only=True)

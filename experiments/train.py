@@ -58,6 +58,7 @@ def set_up(
     """Make everything a run needs; see ``train``. Wrong settings show here, not later."""
     from pathlib import Path
 
+    from experiments.algorithms import build_algorithm
     from experiments.config import build, to_plain
     from experiments.recognition import Recognition, find_machine, keep_machine
     from experiments.run_folder import RunFolder, write_yaml
@@ -72,7 +73,9 @@ def set_up(
         folder = RunFolder.of_existing(config.resume)
     else:
         kind = type(recognition.task).__name__.lower()
-        name = config.name or f"{kind}-{config.preset}-seed{config.seed}"
+        label = build_algorithm({"algorithm": config.algorithm}).label
+        words = [kind, config.preset, *filter(None, [label]), f"seed{config.seed}"]
+        name = config.name or "-".join(words)
         folder = RunFolder.create(parent=config.folder, name=name)
         config.recognition = keep_machine(config.recognition, folder.path)
         write_yaml(folder.config, to_plain(config))
@@ -128,7 +131,7 @@ def draw(training: Training, summary: dict[str, Any]) -> None:
     progress.start("pictures", total=starts.shape[0])
     recordings = record_episodes(
         env=training.collector.env,
-        policy=training.learner.actor,
+        policy=training.watch(training.learner.actor),
         starts=starts,
         on_episodes=progress.advance,
     )
@@ -181,10 +184,9 @@ def main() -> None:
         @hydra.main(config_path=str(CONF), config_name="train", version_base="1.3")
         def run(config: DictConfig) -> None:
             start = began if bars else time.perf_counter()
-            with bars.pop() if bars else Progress() as bar:
-                with plain_errors():
-                    training = set_up(training_settings(config), progress=bar, began=start)
-                with resumable(training.folder.path):
+            with bars.pop() if bars else Progress() as bar, plain_errors():
+                training = set_up(training_settings(config), progress=bar, began=start)
+                with resumable(training):
                     finish(training)
 
         run()

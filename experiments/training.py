@@ -6,9 +6,8 @@ import logging
 import math
 import random
 import time
-from collections import deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,18 +16,19 @@ from tensordict import TensorDictBase
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.envs import EnvBase
 
-from experiments.checkpointing import BrainOf, load_checkpoint, save_checkpoint
+from experiments.algorithms import build_algorithm
+from experiments.checkpointing import (
+    BrainOf,
+    CheckpointNotWritten,
+    load_checkpoint,
+    save_checkpoint,
+)
 from experiments.collector import ResumableCollector
 from experiments.config import to_plain
-from experiments.evaluation import (
-    Evaluation,
-    Evaluator,
-    Policy,
-    copy_state,
-    fixed_starts,
-    has_succeeded,
-)
-from experiments.learner import LOSS_METRICS, Learner, one_thread
+from experiments.counters import Counters, list_metrics, measure_memory_mb
+from experiments.evaluation import Evaluation, Evaluator, Policy, copy_state, fixed_starts
+from experiments.interruption import Interrupted, Interruption, spare_children
+from experiments.learner import one_thread
 from experiments.policies import list_baselines, make_policy
 from experiments.progress import Progress
 from experiments.recognition import Recognition
@@ -39,71 +39,8 @@ logger = logging.getLogger(__name__)
 
 MakeEnv = Callable[..., EnvBase]
 
-#: Every column of metrics.csv: ``train/`` over the last episodes or of the last gradient step,
-#: ``eval/`` of the greedy policy from fixed starts, ``time/`` of this machine. The seed fixes all
-#: but the last kind.
-METRICS = (
-    "frames",
-    "train/episodes",
-    "train/return",
-    "train/success_rate",
-    "train/episode_length",
-    "train/diverged",
-    "train/updates",
-    *(f"train/{name}" for name in LOSS_METRICS),
-    "eval/success_rate",
-    "eval/mean_return",
-    "eval/mean_length_T",
-    "eval/mean_time_to_success_T",
-    "eval/episodes",
-    "eval/diverged",
-    "time/wall_seconds",
-    "time/frames_per_second",
-    "time/mlups",
-)
-#: Episodes that the training return and rate of success are averaged over.
-WINDOW = 32
 #: Training draws its starts from generators far from those of the fixed starts.
 TRAIN_SEED, SELECTION_SEED, FINAL_SEED = 1000, 1, 0
-
-
-@dataclass
-class Counters:
-    """What a run has done so far."""
-
-    frames: int = 0
-    updates: int = 0
-    episodes: int = 0
-    diverged: int = 0
-    wall_seconds: float = 0.0
-    collect_seconds: float = 0.0
-    best: list[float] = field(default_factory=list)
-    recent: deque[list[float]] = field(default_factory=lambda: deque(maxlen=WINDOW))
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return plain numbers and lists."""
-        return {**vars(self), "recent": list(self.recent)}
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
-        for name, value in state.items():
-            setattr(self, name, value)
-        self.recent = deque(state["recent"], maxlen=WINDOW)
-
-    def count(self, transitions: TensorDictBase, *, success: str) -> None:
-        """Count the episodes that end in transitions ``[N]``; diverged ones are no episodes.
-
-        Args:
-            transitions: ``[N]``.
-            success: see ``has_succeeded``.
-        """
-        after = transitions["next"]
-        has_ended = (after["done"] & ~after["diverged"]).reshape(-1)
-        ended = after[has_ended]
-        columns = (ended["episode_reward"], has_succeeded(ended, success), ended["step_count"])
-        for numbers in zip(*(column.reshape(-1).tolist() for column in columns), strict=True):
-            self.episodes += 1
-            self.recent.append([float(number) for number in numbers])
 
 
 class Training:
@@ -134,7 +71,7 @@ class Training:
         task = self.task
         self.folder, self.metrics_logger, self.progress = folder, metrics_logger, progress
         self.brain = BrainOf.task_of(task, num_told=recognition.num_told)
-        self.counters = Counters()
+        self.counters, self.interruption = Counters(), Interruption()
         self._began = began
         self.decision_T = task.interval_T
         flow = task.flow_config()
@@ -142,20 +79,23 @@ class Training:
         random.seed(config.seed)
         np.random.seed(config.seed % 2**32)  # noqa: NPY002 - whoever uses the global one
         torch.manual_seed(config.seed)
-        self.learner = Learner(
-            num_inputs=self.brain.num_inputs, num_actions=self.brain.num_actions, config=config
-        )
+        self.algorithm = build_algorithm({"algorithm": config.algorithm})
+        self.learner = self.algorithm.make_learner(self.brain, config)
         progress.rename("compilation" if config.compile else "set-up")
-        self.collector = ResumableCollector(
-            recognition.equip(make_env)(
+        with spare_children():  # a checkpoint needs what the flows' processes hold
+            env = recognition.equip(make_env)(
                 task=task,
                 num_envs=config.num_envs,
                 seed=TRAIN_SEED + config.seed,
                 device=config.device,
                 compile=config.compile,
                 frames_per_action=task.checks_per_action,  # for the recording at the end
-            ),
-            self.learner.actor,
+            )
+        for transform in self.learner.transforms:
+            env.append_transform(transform)
+        self.collector = ResumableCollector(
+            env,
+            self.learner.explorer,
             frames_per_batch=config.num_envs,
             total_frames=-1,
             init_random_frames=config.warmup_frames,
@@ -192,15 +132,26 @@ class Training:
         return time.perf_counter() - self._began
 
     def run(self) -> dict[str, Any]:
-        """Train, evaluate against the hand-written fish, and return the summary."""
-        config, counters = self.config, self.counters
-        plain = to_plain(config)
+        """Train, evaluate against the hand-written fish, and return the summary.
+
+        Raises:
+            Interrupted: if the program was told to end; what was learned is saved.
+            CheckpointNotWritten: if the first or the last checkpoint cannot be written.
+        """
+        counters, plain = self.counters, to_plain(self.config)
         self.metrics_logger.open(
-            self.folder.path, columns=METRICS, config=plain, step=counters.frames
+            self.folder.path,
+            columns=list_metrics(self.learner.reports),
+            config=plain,
+            step=counters.frames,
         )
         if counters.frames == 0:
             self._save(self.folder.last, plain)
-        self._learn(plain)
+        try:
+            self._learn(plain)
+        except Interrupted:
+            self._save(self.folder.last, plain)
+            raise
         return self._compare()
 
     def close(self) -> None:
@@ -213,31 +164,14 @@ class Training:
         config, counters = self.config, self.counters
         self.progress.start(self._phase(), total=config.total_frames, done=counters.frames)
         batches = iter(self.collector)
-        while counters.frames < config.total_frames:
-            before = counters.frames
-            start = time.perf_counter()
-            batch = next(batches).reshape(-1)
-            seconds = time.perf_counter() - start
-            counters.collect_seconds += seconds
-            counters.frames += batch.numel()
-            counters.diverged += self.learner.remember(batch)
-            counters.count(batch, success=self.task.success)
-            losses = self._update()
-            metrics = self._train_metrics(losses)
-            is_over = counters.frames >= config.total_frames
-            if is_over or _has_crossed(config.eval_frames, before, counters.frames):
-                metrics |= self._select(plain)
-            counters.wall_seconds = self.wall_seconds()
-            metrics |= self._time_metrics(batch.numel(), seconds)
-            if "eval/success_rate" in metrics or _has_crossed(
-                config.log_frames, before, counters.frames
-            ):
-                self.metrics_logger.log(metrics)
-            if is_over or _has_crossed(config.checkpoint_frames, before, counters.frames):
-                self._save(self.folder.last, plain)
+        while counters.pending or counters.frames < config.total_frames:
+            if not counters.pending:
+                self.interruption.check()
+                counters.pending = self._collect_and_update(batches)
+            metrics = self._conclude(plain)
             self.progress.rename(self._phase())
             self.progress.advance(
-                batch.numel(),
+                config.num_envs,
                 frames_per_s=metrics["time/frames_per_second"],
                 MLUPS=metrics["time/mlups"],
                 **{
@@ -246,10 +180,50 @@ class Training:
                 },
             )
 
+    def _collect_and_update(self, batches: Any) -> dict[str, float]:
+        """Take a decision in every flow, learn from it, and return what was measured."""
+        counters = self.counters
+        start = time.perf_counter()
+        batch = next(batches).reshape(-1)
+        seconds = time.perf_counter() - start
+        counters.collect_seconds += seconds
+        counters.frames += batch.numel()
+        counters.diverged += self.learner.remember(batch)
+        counters.count(batch, success=self.task.success)
+        losses = self._update()
+        return {
+            **counters.metrics(),
+            **({} if losses is None else self._read(losses)),
+            "time/frames_per_second": batch.numel() / seconds,
+            "time/mlups": self._mlups(batch.numel(), seconds),
+        }
+
+    def _conclude(self, plain: dict[str, Any]) -> dict[str, float]:
+        """Complete the row of the newest frames: evaluate, log and save if it is time to."""
+        config, counters, metrics = self.config, self.counters, self.counters.pending
+        before = counters.frames - config.num_envs
+        is_over = counters.frames >= config.total_frames
+        if is_over or _has_crossed(config.eval_frames, before, counters.frames):
+            metrics = metrics | self._select(plain)
+        counters.wall_seconds = metrics["time/wall_seconds"] = self.wall_seconds()
+        if "eval/success_rate" in metrics or _has_crossed(
+            config.log_frames, before, counters.frames
+        ):
+            self.metrics_logger.log(metrics | {"time/memory_mb": measure_memory_mb()})
+        counters.pending = {}
+        if is_over:
+            self._save(self.folder.last, plain)
+        elif _has_crossed(config.checkpoint_frames, before, counters.frames):
+            self._try_to_save(self.folder.last, plain)
+        return metrics
+
     def _phase(self) -> str:
         return "warm-up" if self.counters.frames < self.config.warmup_frames else "training"
 
-    def _update(self) -> Any:
+    def _read(self, losses: TensorDictBase) -> dict[str, float]:
+        return {f"train/{name}": float(losses[name]) for name in self.learner.reports}
+
+    def _update(self) -> TensorDictBase | None:
         """Take the gradient steps that are due since the warm-up, and return the last losses."""
         config, counters = self.config, self.counters
         learned_from = counters.frames - config.warmup_frames
@@ -262,29 +236,6 @@ class Training:
                     counters.updates += 1
         return losses
 
-    def _train_metrics(self, losses: Any) -> dict[str, float]:
-        counters = self.counters
-        recent = np.array(counters.recent) if counters.recent else np.full((1, 3), np.nan)
-        metrics = {
-            "frames": counters.frames,
-            "train/episodes": counters.episodes,
-            "train/return": float(recent[:, 0].mean()),
-            "train/success_rate": float(recent[:, 1].mean()),
-            "train/episode_length": float(recent[:, 2].mean()),
-            "train/diverged": counters.diverged,
-            "train/updates": counters.updates,
-        }
-        if losses is not None:
-            metrics |= {f"train/{name}": float(losses[name]) for name in LOSS_METRICS}
-        return metrics
-
-    def _time_metrics(self, num_frames: int, seconds: float) -> dict[str, float]:
-        return {
-            "time/wall_seconds": self.counters.wall_seconds,
-            "time/frames_per_second": num_frames / seconds,
-            "time/mlups": self._mlups(num_frames, seconds),
-        }
-
     def _mlups(self, num_frames: int, seconds: float) -> float:
         """Million lattice node updates per second of the env, sensing and policy included."""
         return self.nodes_per_frame * num_frames / max(seconds, 1e-9) / 1e6
@@ -296,9 +247,11 @@ class Training:
             self.learner.actor, num_starts=self.config.eval_episodes, seed=SELECTION_SEED
         ).metrics()
         score = [result["success_rate"], result["mean_return"]]
-        if score >= self.counters.best:
+        best = self.counters.best
+        if score >= best:
             self.counters.best = score
-            self._save(self.folder.best, plain)
+            if not self._try_to_save(self.folder.best, plain):
+                self.counters.best = best
         return {f"eval/{name}": value for name, value in result.items()}
 
     def _evaluate(
@@ -312,11 +265,30 @@ class Training:
         """Evaluate in the flows that training uses, and leave them as they were."""
         state = copy_state(self.collector.state_dict())
         starts = fixed_starts(self.task, num_starts, seed=seed)
-        result = self.evaluator.run(policy, starts=starts, on_episodes=on_episodes)
-        self.collector.load_state_dict(state)
-        return result
+        try:
+            return self.evaluator.run(self.watch(policy), starts=starts, on_episodes=on_episodes)
+        finally:
+            self.collector.load_state_dict(state)
 
-    def _save(self, path: Any, plain: dict[str, Any]) -> None:
+    def watch(self, policy: Policy) -> Policy:
+        """Return a policy that stops where the program was told to end."""
+
+        def act(state: TensorDictBase) -> TensorDictBase:
+            self.interruption.check()
+            return policy(state)
+
+        return act
+
+    def _try_to_save(self, path: Path, plain: dict[str, Any]) -> bool:
+        """Save if that is possible; a run does not end because its disk is full for a while."""
+        try:
+            self._save(path, plain)
+        except CheckpointNotWritten as error:
+            logger.error("%s; going on without", error)
+            return False
+        return True
+
+    def _save(self, path: Path, plain: dict[str, Any]) -> None:
         save_checkpoint(
             path,
             self.components(),
@@ -324,6 +296,7 @@ class Training:
             preset=self.config.preset,
             frames=self.counters.frames,
             config=plain,
+            keep=self.config.keep_checkpoints if path == self.folder.last else 1,
         )
 
     def _compare(self) -> dict[str, Any]:
@@ -356,6 +329,7 @@ class Training:
             "success": self.task.success,
             "baselines": list(baselines),
             "preset": config.preset,
+            "algorithm": config.algorithm,
             "seed": config.seed,
             "frames": counters.frames,
             "best_checkpoint_frames": metadata["frames"],

@@ -7,13 +7,14 @@ from typing import Any
 
 import torch
 
+from experiments.algorithms import build_algorithm
 from experiments.benchmarks.entry import FISH, OTHER, Entry, Settings, Team
 from experiments.benchmarks.environment import make_task
 from experiments.benchmarks.flows import CODE, describe_size
 from experiments.checkpointing import BrainOf
 from experiments.collector import ResumableCollector
 from experiments.config import load_config
-from experiments.learner import Learner, one_thread
+from experiments.learner import one_thread
 from experiments.settings import TrainConfig
 from fishrl.envs import make_env
 
@@ -29,16 +30,15 @@ class Loop:
     def __init__(self, *, config: TrainConfig, task: Any) -> None:
         self.config, self.task = config, task
         brain = BrainOf.task_of(self.task)
-        self.learner = Learner(
-            num_inputs=brain.num_inputs, num_actions=brain.num_actions, config=config
-        )
+        algorithm = build_algorithm({"algorithm": config.algorithm})
+        self.learner = algorithm.make_learner(brain, config)
         self.env = make_env(
             task=self.task, num_envs=config.num_envs, seed=0, compile=config.compile
         )
         self._batches = iter(
             ResumableCollector(
                 self.env,
-                self.learner.actor,
+                self.learner.explorer,
                 frames_per_batch=config.num_envs,
                 total_frames=-1,
                 init_random_frames=config.warmup_frames,

@@ -5,17 +5,27 @@ from fishrl.modules.controllers import InterceptPolicy, PursuitPolicy, RandomPol
 from fishrl.modules.critics import make_twin_critics
 from fishrl.modules.gait_controllers import PID, BangBang, FixedFrequency, GaitPolicy
 from fishrl.modules.lateral_line import LateralLineMachine
+from fishrl.modules.value_actors import (
+    EpsilonGreedy,
+    RememberingPolicy,
+    make_recurrent_value_actor,
+    make_value_actor,
+)
 
 __all__ = [
     "PID",
     "BangBang",
+    "EpsilonGreedy",
     "FixedFrequency",
     "GaitPolicy",
     "InterceptPolicy",
     "LateralLineMachine",
     "PursuitPolicy",
     "RandomPolicy",
+    "RememberingPolicy",
     "make_actor",
     "make_mlp",
+    "make_recurrent_value_actor",
     "make_twin_critics",
+    "make_value_actor",
 ]

@@ -9,11 +9,14 @@ from fishrl.objectives.classification import (
     split_episodes,
 )
 from fishrl.objectives.discrete_sac import MaskedDiscreteSACLoss
+from fishrl.objectives.dqn import MaskedDQNLoss, RecurrentDQNLoss
 
 __all__ = [
     "Curves",
     "FitSettings",
+    "MaskedDQNLoss",
     "MaskedDiscreteSACLoss",
+    "RecurrentDQNLoss",
     "Score",
     "fit_classifier",
     "score_classifier",

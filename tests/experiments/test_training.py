@@ -15,12 +15,13 @@ from typing import Any
 import pytest
 import torch
 
+from experiments.counters import list_metrics
 from experiments.evaluation import Evaluation
 from experiments.progress import Progress
 from experiments.run_folder import RunFolder
 from experiments.settings import TrainConfig
 from experiments.train import finish, set_up, train
-from experiments.training import METRICS, Training
+from experiments.training import Training
 from tests.experiments.toy_fish import ToyFishEnv, make_toy_env
 
 ROOT = Path(__file__).parents[2]
@@ -48,7 +49,8 @@ def test_a_run_writes_its_settings_metrics_checkpoints_and_summary(
     assert (folder / "checkpoints" / "last" / "manifest.json").is_file()
     with (folder / "metrics.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == METRICS
+    losses = ("loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy", "entropy_fraction")
+    assert tuple(rows[0]) == list_metrics(losses)
     assert [int(row["frames"]) for row in rows] == [40, 80, 120, 160, 200, 240]
     assert [row["frames"] for row in rows if row["eval/success_rate"]] == ["120", "240"]
     assert all(row["time/mlups"] and row["time/frames_per_second"] for row in rows)
@@ -258,7 +260,7 @@ def test_the_fish_learns_to_catch_still_food(toy_config: MakeConfig) -> None:
         eval_frames=400,
         eval_episodes=10,
         final_episodes=32,
-        target_entropy_weight=0.3,
+        algorithm={"_target_": "experiments.algorithms.DiscreteSAC", "target_entropy_weight": 0.3},
         buffer_size=2000,
         baselines=["random"],
     )

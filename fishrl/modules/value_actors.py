@@ -1,0 +1,186 @@
+"""Policies of value-based algorithms: the greatest value among the legal actions, or a chance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
+from torch import Tensor, nn
+from torchrl.data import Categorical
+from torchrl.envs import TensorDictPrimer
+from torchrl.envs.utils import ExplorationType, exploration_type
+from torchrl.modules import EGreedyModule, LSTMModule, QValueModule
+
+from fishrl.modules.actors import make_mlp
+
+#: What the LSTM remembers, before a decision; after it, the same below ``next``.
+MEMORY = ("recurrent_state_h", "recurrent_state_c")
+
+
+def make_value_actor(
+    *,
+    num_inputs: int,
+    num_actions: int,
+    hidden: Sequence[int] = (256, 256),
+    in_key: str = "observation_stack",
+    mask_key: str = "action_mask",
+    generator: torch.Generator | None = None,
+) -> TensorDictSequential:
+    """Build a network of action values and the greedy policy over the legal actions.
+
+    Reads ``in_key`` ``[..., num_inputs]`` and ``mask_key`` ``[..., num_actions]`` (bool), writes
+    ``action_value`` ``[..., num_actions]`` (of illegal actions the least number there is), the
+    integer ``action`` ``[...]`` and its ``chosen_action_value`` ``[..., 1]``.
+
+    Args:
+        num_inputs: length of the stacked observation.
+        num_actions: number of actions, legal or not.
+        hidden: widths of the hidden layers.
+        in_key: key of the stacked observation.
+        mask_key: key of the mask, true where an action is legal.
+        generator: source of the initial weights.
+
+    Raises:
+        ValueError: if a width is smaller than 1.
+    """
+    network = make_mlp(
+        num_inputs=num_inputs, num_outputs=num_actions, hidden=hidden, generator=generator
+    )
+    return TensorDictSequential(
+        TensorDictModule(network, in_keys=[in_key], out_keys=["action_value"]),
+        QValueModule("categorical", action_mask_key=mask_key),
+    )
+
+
+def make_recurrent_value_actor(
+    *,
+    num_inputs: int,
+    num_actions: int,
+    hidden: Sequence[int] = (256, 256),
+    in_key: str = "observation",
+    mask_key: str = "action_mask",
+    generator: torch.Generator | None = None,
+) -> TensorDictSequential:
+    """Build action values of what was seen so far: layers, an LSTM as the last of them, the rest.
+
+    Reads and writes as ``make_value_actor`` does, and also ``is_init`` ``[..., 1]``, at which it
+    forgets, and what it remembers: ``MEMORY`` ``[..., 1, hidden[-1]]``, written below ``next``.
+
+    Args:
+        num_inputs: length of one observation.
+        num_actions: number of actions, legal or not.
+        hidden: widths of the hidden layers; the last one is the LSTM's.
+        in_key: key of the observation.
+        mask_key: key of the mask, true where an action is legal.
+        generator: source of the initial weights.
+
+    Raises:
+        ValueError: if there is no hidden layer, or a width is smaller than 1.
+    """
+    if not hidden:
+        raise ValueError(f"hidden = {list(hidden)}: give one width or more, the last is the LSTM's")
+    *before, size = hidden
+    layers: list[TensorDictModuleBase] = []
+    if before:
+        encoder = make_mlp(
+            num_inputs=num_inputs, num_outputs=before[-1], hidden=before[:-1], generator=generator
+        )
+        layers.append(
+            TensorDictModule(nn.Sequential(encoder, nn.ReLU()), in_keys=[in_key], out_keys=["seen"])
+        )
+    memory = LSTMModule(
+        input_size=before[-1] if before else num_inputs,
+        hidden_size=size,
+        in_keys=["seen" if before else in_key, *MEMORY],
+        out_keys=["remembered", *(("next", key) for key in MEMORY)],
+    )
+    with torch.no_grad():
+        for weight in memory.parameters():  # as nn.LSTM draws them, but from the generator
+            weight.uniform_(-1.0 / math.sqrt(size), 1.0 / math.sqrt(size), generator=generator)
+    head = make_mlp(num_inputs=size, num_outputs=num_actions, hidden=(), generator=generator)
+    return TensorDictSequential(
+        *layers,
+        memory,
+        TensorDictModule(head, in_keys=["remembered"], out_keys=["action_value"]),
+        QValueModule("categorical", action_mask_key=mask_key),
+    )
+
+
+class RememberingPolicy(TensorDictModuleBase):
+    """A recurrent policy that remembers by itself, in whatever environment it acts.
+
+    It forgets the rows that ``is_init`` marks, and everything when the number of rows changes. One
+    that collects for a replay buffer is its ``network`` alone, in an environment with
+    ``make_primer``: there the memory lies beside the observation.
+
+    Args:
+        network: see ``make_recurrent_value_actor``.
+    """
+
+    def __init__(self, network: TensorDictSequential) -> None:
+        super().__init__()
+        self.network = network
+        self.in_keys = [key for key in network.in_keys if key not in MEMORY]
+        self.out_keys = ["action"]
+        self._memory: dict[str, Tensor] = {}
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``action`` ``[B]``."""
+        seen = TensorDict(
+            {key: tensordict[key] for key in self.in_keys}, batch_size=tensordict.batch_size
+        )
+        if all(value.shape[:-2] == seen.batch_size for value in self._memory.values()):
+            seen.update(self._memory)
+        after = self.network(seen)
+        self._memory = {key: after["next", key].detach() for key in MEMORY}
+        return tensordict.set("action", after["action"])
+
+    def make_primer(self) -> TensorDictPrimer:
+        """Return the transform that lets an environment carry the memory of ``network``."""
+        lstm = next(part for part in self.network.modules() if isinstance(part, LSTMModule))
+        return lstm.make_tensordict_primer()
+
+
+class EpsilonGreedy(EGreedyModule):
+    """Random legal actions now and then, ever less often with every decision it is asked for.
+
+    Behind a greedy policy; under ``ExplorationType.DETERMINISTIC`` it does nothing. The present
+    share is the buffer ``eps``, which a ``state_dict`` keeps.
+
+    Args:
+        num_actions: number of actions, legal or not.
+        start: share of random actions in the beginning.
+        end: share that remains.
+        num_frames: decisions from the one to the other.
+        mask_key: key of the mask, true where an action is legal.
+        device: of the actions.
+    """
+
+    def __init__(
+        self,
+        *,
+        num_actions: int,
+        start: float = 1.0,
+        end: float = 0.05,
+        num_frames: int = 1000,
+        mask_key: str = "action_mask",
+        device: torch.device | str = "cpu",
+    ) -> None:
+        super().__init__(
+            Categorical(num_actions, device=device),
+            eps_init=start,
+            eps_end=end,
+            annealing_num_steps=num_frames,
+            action_mask_key=mask_key,
+            device=torch.device(device),
+        )
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Replace some of the actions ``[B]``."""
+        tensordict = super().forward(tensordict)
+        if exploration_type() in (ExplorationType.RANDOM, None):
+            self.step(tensordict.numel())
+        return tensordict

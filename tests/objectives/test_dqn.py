@@ -1,0 +1,192 @@
+"""Deep Q-learning against its definition, written out by hand."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torch import Tensor, nn
+from torch.nn.functional import smooth_l1_loss
+from torchrl.objectives import SoftUpdate
+
+from fishrl.modules import make_recurrent_value_actor, make_value_actor
+from fishrl.objectives import MaskedDQNLoss, RecurrentDQNLoss
+
+NUM_ACTIONS, NUM_INPUTS, GAMMA, LENGTH, WIDTH = 4, 5, 0.9, 6, 7
+pytestmark = pytest.mark.filterwarnings("ignore:No target network updater")
+
+
+def random_mask(*shape: int) -> Tensor:
+    mask = torch.rand(*shape, NUM_ACTIONS) > 0.5
+    return mask.scatter(-1, torch.randint(NUM_ACTIONS, (*shape, 1)), True)
+
+
+def transitions(num: int = 64, key: str = "observation_stack") -> TensorDict:
+    torch.manual_seed(3)
+    mask, terminated = random_mask(num), torch.rand(num, 1) < 0.2
+    truncated = torch.rand(num, 1) < 0.2
+    following = {
+        key: torch.randn(num, NUM_INPUTS),
+        "action_mask": random_mask(num),
+        "reward": torch.randn(num, 1),
+        "done": terminated | truncated,
+        "terminated": terminated,
+    }
+    return TensorDict(
+        {
+            key: torch.randn(num, NUM_INPUTS),
+            "action_mask": mask,
+            "action": torch.multinomial(mask.float(), 1).squeeze(-1),
+            "next": TensorDict(following, [num]),
+        },
+        [num],
+    )
+
+
+def shift_targets(loss: MaskedDQNLoss) -> None:
+    """Let the target network differ from the one that learns."""
+    torch.manual_seed(1)
+    for weight in loss.target_value_network_params.values(True, True):
+        weight.data.add_(0.3 * torch.randn_like(weight))
+
+
+def make_loss(*, is_double: bool) -> MaskedDQNLoss:
+    generator = torch.Generator().manual_seed(0)
+    actor = make_value_actor(
+        num_inputs=NUM_INPUTS, num_actions=NUM_ACTIONS, hidden=(16,), generator=generator
+    )
+    loss = MaskedDQNLoss(actor, is_double=is_double)
+    loss.make_value_estimator(gamma=GAMMA)
+    SoftUpdate(loss, tau=0.1)
+    shift_targets(loss)
+    return loss
+
+
+def values_of(loss: MaskedDQNLoss, states: Tensor, *, is_target: bool) -> Tensor:
+    weights = loss.target_value_network_params if is_target else loss.value_network_params
+    with weights.to_module(loss.value_network, preserve_module_state=False):
+        return loss.value_network[0].module(states)
+
+
+@pytest.mark.parametrize("is_double", [False, True])
+def test_the_loss_is_that_of_the_papers_among_legal_actions(is_double: bool) -> None:
+    loss, batch = make_loss(is_double=is_double), transitions()
+    after = batch["next"]
+    with torch.no_grad():
+        target = values_of(loss, after["observation_stack"], is_target=True)
+        judge = values_of(loss, after["observation_stack"], is_target=not is_double)
+        best = judge.masked_fill(~after["action_mask"], -torch.inf).argmax(-1, keepdim=True)
+        wanted = after["reward"] + GAMMA * ~after["terminated"] * target.gather(-1, best)
+        values = values_of(loss, batch["observation_stack"], is_target=False)
+        chosen = values.gather(-1, batch["action"][:, None])
+    torch.testing.assert_close(loss(batch)["loss_qvalue"], smooth_l1_loss(chosen, wanted))
+
+
+@pytest.mark.parametrize("is_double", [False, True])
+def test_values_of_illegal_actions_change_nothing(is_double: bool) -> None:
+    loss, batch = make_loss(is_double=is_double), transitions()
+    for td in (batch, batch["next"]):
+        td["action_mask"] = torch.tensor([True, True, True, False]).expand(64, -1)
+    batch["action"] = batch["action"] % 3
+    before = loss(batch)["loss_qvalue"]
+    for weights in (loss.value_network_params, loss.target_value_network_params):
+        weights["module", "0", "module", "2", "bias"].data[3] = 1e6
+    assert torch.equal(loss(batch)["loss_qvalue"], before)
+    before.backward()
+
+
+def test_a_network_that_reads_no_mask_is_refused() -> None:
+    module = TensorDictModule(nn.Linear(2, 2), in_keys=["observation"], out_keys=["action_value"])
+    with pytest.raises(ValueError, match=r"it must read 'action_mask'.*make_value_actor"):
+        MaskedDQNLoss(TensorDictSequential(module))
+
+
+def make_recurrent_loss(
+    *, is_double: bool, hidden: tuple[int, ...] = (8, WIDTH)
+) -> RecurrentDQNLoss:
+    network = make_recurrent_value_actor(
+        num_inputs=NUM_INPUTS,
+        num_actions=NUM_ACTIONS,
+        hidden=hidden,
+        generator=torch.Generator().manual_seed(0),
+    )
+    loss = RecurrentDQNLoss(network, sequence_length=LENGTH, is_double=is_double)
+    loss.make_value_estimator(gamma=GAMMA)
+    SoftUpdate(loss, tau=0.1)
+    shift_targets(loss)
+    return loss
+
+
+def stretches(num: int = 5) -> TensorDict:
+    """Return stretches of 6 decisions, as the sampler gives them; the second is 3 long."""
+    batch = transitions(num * LENGTH, "observation").reshape(num, LENGTH)
+    for key in ("observation", "action_mask"):
+        batch[key][:, 1:] = batch["next", key][:, :-1]
+    batch["action"] = torch.multinomial(batch["action_mask"].flatten(0, 1).float(), 1).reshape(
+        num, LENGTH
+    )
+    batch["next", "terminated"][:, :-1] = False
+    batch["is_init"] = torch.zeros(num, LENGTH, 1, dtype=torch.bool)
+    batch["is_init"][0, 0] = True
+    for key in ("recurrent_state_h", "recurrent_state_c"):
+        batch[key] = torch.randn(num, LENGTH, 1, WIDTH)
+    mask = torch.ones(num, LENGTH, dtype=torch.bool)
+    mask[1, 3:] = False
+    for step in range(3, LENGTH):
+        batch[1, step] = batch[1, 2].clone()
+    batch["collector"] = TensorDict({"mask": mask}, [num, LENGTH])
+    return batch.reshape(-1)
+
+
+def unroll(loss: RecurrentDQNLoss, row: TensorDict, num: int, *, is_target: bool) -> Tensor:
+    """Return the values of a stretch and of the state behind it, one step after the other."""
+    weights = loss.target_value_network_params if is_target else loss.value_network_params
+    values = []
+    memory = row[0].select("recurrent_state_h", "recurrent_state_c")
+    with weights.to_module(loss.value_network, preserve_module_state=False), torch.no_grad():
+        for step in range(num + 1):
+            place = row[step] if step < num else row[num - 1]["next"]
+            state = place.select("observation", "action_mask").update(memory)
+            state["is_init"] = row["is_init"][0] if step == 0 else torch.tensor([False])
+            after = loss.value_network(state.unsqueeze(0))[0]
+            memory = after["next"].select("recurrent_state_h", "recurrent_state_c")
+            values.append(after["action_value"])
+    return torch.stack(values)
+
+
+@pytest.mark.parametrize("hidden", [(8, WIDTH), (WIDTH,)])
+@pytest.mark.parametrize("is_double", [False, True])
+def test_the_recurrent_loss_is_that_of_the_network_step_by_step(
+    is_double: bool, hidden: tuple[int, ...]
+) -> None:
+    loss, batch = make_recurrent_loss(is_double=is_double, hidden=hidden), stretches()
+    rows = batch.reshape(-1, LENGTH)
+    errors = []
+    for row in rows:
+        num = int(row["collector", "mask"].sum())
+        values, target = (unroll(loss, row, num, is_target=flag) for flag in (False, True))
+        for step in range(num):
+            judge = values if is_double else target
+            best = target[step + 1, judge[step + 1].argmax()]
+            after = row[step]["next"]
+            wanted = after["reward"] + GAMMA * ~after["terminated"] * best
+            errors.append(smooth_l1_loss(values[step, row["action"][step]], wanted.squeeze()))
+    assert len(errors) == 4 * LENGTH + 3
+    got = loss(batch)["loss_qvalue"]
+    torch.testing.assert_close(got, torch.stack(errors).mean(), rtol=1e-5, atol=1e-6)
+    got.backward()
+    weights = list(loss.value_network_params.values(True, True))
+    assert all(weight.grad is not None and weight.grad.isfinite().all() for weight in weights)
+    assert all(
+        weight.grad is None for weight in loss.target_value_network_params.values(True, True)
+    )
+
+
+def test_an_episode_begins_without_memory() -> None:
+    loss, batch = make_recurrent_loss(is_double=False), stretches()
+    before = loss(batch)["loss_qvalue"]
+    batch["recurrent_state_h"][0] = 9.0  # at is_init
+    assert torch.equal(loss(batch)["loss_qvalue"], before)
+    batch["recurrent_state_h"][2 * LENGTH] = 9.0  # in the middle of an episode
+    assert not torch.equal(loss(batch)["loss_qvalue"], before)
