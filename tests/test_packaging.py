@@ -11,6 +11,7 @@ from email.message import Message
 from pathlib import Path
 
 import pytest
+from omegaconf import OmegaConf
 
 import fishrl
 
@@ -69,6 +70,18 @@ def test_the_version_is_said_once_and_the_licence_comes_along(installed: Path) -
     assert metadata["Version"] == fishrl.__version__
     assert metadata["License-Expression"] == "MIT"
     assert list(installed.glob("*.dist-info/licenses/LICENSE"))
+
+
+def test_the_citation_is_of_this_version_and_the_changelog_knows_it() -> None:
+    citation = OmegaConf.to_container(OmegaConf.load(ROOT / "CITATION.cff"))
+    assert isinstance(citation, dict)
+    needed = {"cff-version", "message", "title", "authors", "version", "license", "type"}
+    assert needed <= set(citation)
+    assert str(citation["version"]) == fishrl.__version__
+    assert all("name" in author or "family-names" in author for author in citation["authors"])
+    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"## [{fishrl.__version__}]" in changelog
+    assert "## [Unreleased]" in changelog
 
 
 def test_the_extras_that_errors_and_docs_name_exist(installed: Path) -> None:
