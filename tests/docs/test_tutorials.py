@@ -1,13 +1,14 @@
 """What the tutorials show is run, in small: every block of Python of a page, in order."""
 
 import os
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from fishrl.envs.stations import SafeArea
-from tests.docs.pages import count_lines, list_pages, read_blocks
+from tests.docs.pages import DOCS, count_lines, list_pages, read_blocks
 from tests.envs.conftest import SMALL
 from tests.envs.test_real_flow import TINY
 
@@ -53,3 +54,17 @@ def test_a_flow_takes_fifteen_lines_an_environment_ten_and_a_task_sixty() -> Non
     task, yaml, *_ = read_blocks("tutorials/new_task.md")
     assert len(task.code.splitlines()) < 60
     assert (task.file, yaml.file) == ("hold_station.py", "conf/task/hold_station.yaml")
+
+
+def test_the_readme_shows_what_the_pages_show_and_is_run_there() -> None:
+    flow, env = read_blocks("tutorials/cylinder.md")[0], read_blocks("quickstart.md")[0]
+    shown = [block.code for block in read_blocks("../README.md")]
+    assert shown[:2] == [env.code, flow.code]
+
+
+def test_every_link_of_readme_and_pages_leads_to_a_file() -> None:
+    for page in [*DOCS.rglob("*.md"), DOCS.parent / "README.md", DOCS.parent / "CONTRIBUTING.md"]:
+        text = page.read_text(encoding="utf-8")
+        for target in re.findall(r"\]\(([^)#\s]+)", text):
+            is_made = target.endswith("configuration.md")
+            assert is_made or "://" in target or (page.parent / target).exists(), (page, target)

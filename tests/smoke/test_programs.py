@@ -90,8 +90,9 @@ def _run(program: str, *arguments: object) -> None:
     assert status in (None, 0)
 
 
-def _train(folder: Path, name: str, *arguments: str) -> Path:
-    _run("train", f"folder={folder}", f"name={name}", *FEW, *arguments)
+def _train(folder: Path, name: str, *arguments: str, pictures: int = 0) -> Path:
+    few = [*FEW, f"picture_episodes={pictures}"]
+    _run("train", f"folder={folder}", f"name={name}", *few, *arguments)
     assert (folder / name / "summary.json").is_file()
     return folder / name
 
@@ -105,7 +106,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def hunter(runs: Path) -> Path:
     """Train a fish that hunts in a real flow, with its pictures."""
     task = _set_task(REAL["predation"])
-    return _train(runs, "hunter", "task=predation", *task, "picture_episodes=1")
+    return _train(runs, "hunter", "task=predation", *task, pictures=1)
 
 
 @pytest.fixture(scope="module")
