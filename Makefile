@@ -2,15 +2,16 @@
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+DOCS_STAMP := $(VENV)/.docs
 ARGS ?=
 # Python 3.11 to 3.13: the first of these that is one, or name it: make setup PYTHON=/path/to/python3.12
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' 2>/dev/null \
 	&& { echo $$p; break; }; done)
-# Tests that need CUDA are left out where there is none.
-MARKERS ?= not slow$(shell $(BIN)/python -c 'import torch; print("" if torch.cuda.is_available() else " and not gpu")' 2>/dev/null)
+# Tests that need CUDA are left out where there is none; `make smoke` runs those of its marker.
+MARKERS ?= not slow and not smoke$(shell $(BIN)/python -c 'import torch; print("" if torch.cuda.is_available() else " and not gpu")' 2>/dev/null)
 
-.PHONY: help setup train test check bench bench-peers validate validate-quick format clean
+.PHONY: help setup train test smoke docs check bench bench-peers validate validate-quick format clean
 
 help: ## say what there is to make
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -33,6 +34,16 @@ train: $(STAMP) ## teach a fish to catch its food; ARGS="seed=1 ..." overrides t
 
 test: $(STAMP) ## run the tests, a short training among them; ARGS="tests/physics" narrows
 	$(BIN)/python -m pytest -m "$(MARKERS)" $(ARGS)
+
+smoke: $(STAMP) ## every task, every algorithm and every program for a few steps, under 90 s
+	$(BIN)/python -m pytest -m smoke $(ARGS)
+
+$(DOCS_STAMP): $(STAMP)
+	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -e '.[docs]' -c constraints.txt
+	@touch $@
+
+docs: $(DOCS_STAMP) ## build the pages into build/docs; a warning is an error
+	$(BIN)/python -m sphinx -W --keep-going -b html docs build/docs
 
 check: $(STAMP) ## lint, formatting, types, who may import whom
 	$(BIN)/ruff check .

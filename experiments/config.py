@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from pathlib import Path
 from typing import Any, cast
 
 from hydra import compose, initialize_config_dir
@@ -18,6 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError  # type: ignore[import-untyped]
 
 from experiments.run_folder import RunFolder
+from experiments.search_path import CONF, list_groups, select_search_path, split_arguments
 from experiments.settings import (
     ConfigError,
     EvaluateConfig,
@@ -26,7 +26,6 @@ from experiments.settings import (
     nearest,
 )
 
-CONF = Path(__file__).parent / "conf"
 #: Settings that the saved state of a run depends on.
 FIXED_BY_RUN = (
     *("task", "preset", "seed", "num_envs", "hidden", "buffer_size", "logger", "recognition"),
@@ -55,6 +54,7 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
     Args:
         program: train, evaluate or train_lateral_line.
         arguments: the command line; options of hydra (``--multirun``, ``hydra.x=y``) pass as is.
+            ``--config-dir <folder>`` adds a folder with groups (``task/<name>.yaml``) of one's own.
 
     Returns:
         The command line for hydra.
@@ -62,17 +62,15 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
     Raises:
         ConfigError: naming an unknown key or value and the nearest right one.
     """
-    options = [a for a in arguments if a.startswith("-") or a.lstrip("+~").startswith("hydra.")]
+    options, settings = split_arguments(arguments)
     try:
-        overrides = OverridesParser.create().parse_overrides(
-            [argument for argument in arguments if argument not in options]
-        )
+        overrides = OverridesParser.create().parse_overrides(settings)
     except OverrideParseException as error:
         raise ConfigError(
             f"{error.override!r}: settings are written key=value, such as seed=1"
         ) from error
-    groups = _groups()
-    chosen: list[str] = []
+    groups = list_groups(options)
+    chosen = select_search_path(options)
     for override in overrides:
         if override.key_or_group in groups:
             known = groups[override.key_or_group]
@@ -206,7 +204,10 @@ def _find(target: str) -> Any:
     try:
         return get_object(target)
     except (ImportError, ValueError) as error:
-        raise ConfigError(f"_target_={target}: {' '.join(str(error).split())}") from error
+        raise ConfigError(
+            f"_target_={target}: {' '.join(str(error).split())} (the folder of a module of your "
+            "own must be on PYTHONPATH)"
+        ) from error
 
 
 def _plain_defaults(target: str) -> dict[str, Any]:
@@ -225,15 +226,6 @@ def _compose(program: str, overrides: Sequence[str]) -> DictConfig:
             return compose(program, list(overrides))
     except (HydraException, OmegaConfBaseException) as error:
         raise _plain(error) from error
-
-
-def _groups() -> dict[str, list[str]]:
-    """List the config groups and what there is to choose in each."""
-    return {
-        folder.name: sorted(path.stem for path in folder.glob("*.yaml"))
-        for folder in sorted(CONF.iterdir())
-        if folder.is_dir() and any(folder.glob("*.yaml"))
-    }
 
 
 def _keys(config: DictConfig, prefix: str = "") -> set[str]:

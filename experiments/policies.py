@@ -28,8 +28,10 @@ NAMES = ("random", "pursuit", "intercept", "passive", "shedding", "bang_bang", "
 
 
 def list_baselines(task: Any) -> list[str]:
-    """Name the hand-written fish that a learned one is compared with."""
-    return ["pid", "random"] if isinstance(task, KarmanGait) else ["intercept", "pursuit", "random"]
+    """Name the hand-written fish that a learned one is compared with; a new task has but chance."""
+    if isinstance(task, KarmanGait):
+        return ["pid", "random"]
+    return ["intercept", "pursuit", "random"] if _has_food(task) else ["random"]
 
 
 def make_policy(name: str, *, task: Any, seed: int) -> TensorDictModuleBase:
@@ -51,9 +53,14 @@ def make_policy(name: str, *, task: Any, seed: int) -> TensorDictModuleBase:
         )
     if name == "random":
         return RandomPolicy(seed=seed)
-    if (name in ("pursuit", "intercept")) == isinstance(task, KarmanGait):
+    is_hunter = name in ("pursuit", "intercept")
+    if not (_has_food(task) if is_hunter else isinstance(task, KarmanGait)):
         raise ConfigError(f"policy={name}: that fish has nothing to do in {type(task).__name__}")
-    return _make_holder(name, task) if isinstance(task, KarmanGait) else _make_hunter(name, task)
+    return _make_hunter(name, task) if is_hunter else _make_holder(name, task)
+
+
+def _has_food(task: Any) -> bool:
+    return hasattr(task, "food_speed_bl")
 
 
 def _make_hunter(name: str, task: Any) -> TensorDictModuleBase:

@@ -21,6 +21,8 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/envs/__init__.py", TASK_SIDE),
     ("fishrl/envs/flow_env.py", TENSORS | {"torchrl"} | TASK_SIDE),
     ("fishrl/envs/transforms.py", TENSORS | {"torchrl"} | TASK_SIDE),
+    ("fishrl/envs/gymnasium.py", TENSORS | {"torchrl", "gymnasium"} | TASK_SIDE),
+    ("fishrl/envs/stable_baselines.py", {"numpy", "torchrl", "stable_baselines3"} | TASK_SIDE),
     ("fishrl/envs/", TENSORS | TASK_SIDE),
     ("fishrl/modules/", TENSORS | {"torchrl", "fishrl.modules"}),
     ("fishrl/objectives/", TENSORS | {"torchrl", "fishrl.objectives"}),
@@ -28,6 +30,9 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
 )
 TORCHRL_SIDE = {"fishrl.envs.flow_env", "fishrl.envs.transforms"}
 ON_USE = {"rerun", "wandb"}
+#: Modules for users of other frameworks: nothing else imports them, nor what they need.
+WAYS_IN = [ROOT / "fishrl/envs" / name for name in ("gymnasium.py", "stable_baselines.py")]
+FRAMEWORKS = {"gymnasium", "stable_baselines3", "sb3_contrib"}
 
 
 def _sources(*folders: str) -> list[Path]:
@@ -83,7 +88,7 @@ def test_library_files_import_only_what_their_layer_allows(path: Path) -> None:
 
 
 def test_task_files_do_not_reach_torchrl_through_the_env() -> None:
-    gates = {"flow_env.py", "transforms.py", "__init__.py"}
+    gates = {path.name for path in WAYS_IN} | {"flow_env.py", "transforms.py", "__init__.py"}
     tasks = [path for path in _sources("fishrl/envs") if path.name not in gates]
     wrong = [_relative(path) for path in tasks for n in _names(path) if _is_within(n, TORCHRL_SIDE)]
     assert not wrong
@@ -93,6 +98,13 @@ def test_task_files_do_not_reach_torchrl_through_the_env() -> None:
 def test_rerun_and_wandb_are_imported_on_use(path: Path) -> None:
     early = [name for name in _names(path, at_import=True) if _is_within(name, ON_USE)]
     assert not early, f"{_relative(path)} imports {early} at the top: import it where it is used"
+
+
+def test_only_the_ways_in_import_other_frameworks() -> None:
+    ways = {"fishrl.envs.gymnasium", "fishrl.envs.stable_baselines"}
+    for path in set(_sources("fishrl", "experiments")) - set(WAYS_IN):
+        wrong = [name for name in _names(path) if _is_within(name, FRAMEWORKS | ways)]
+        assert not wrong, f"{_relative(path)} imports {wrong}"
 
 
 def test_only_the_viewer_imports_rerun() -> None:

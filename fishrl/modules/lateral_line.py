@@ -1,6 +1,6 @@
 """The lateral-line machine: which flow is the fish in, from what its lateral line felt.
 
-The paper's machine is a fully connected network on one instant of [t, x, y, u_x, u_y, p, |u|],
+The paper's machine is a fully connected network on one instant of ``[t, x, y, u_x, u_y, p, |u|]``,
 averaged over five points. Here the network is the same, and what it reads is a choice: which
 features, and how many of the newest samples. Time and place give a flow away by bookkeeping, so
 they are left out unless asked for.

@@ -1,0 +1,51 @@
+"""How Sphinx builds these pages: ``make docs``."""
+
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE.parent), str(HERE)]
+
+from reference import write_reference  # noqa: E402
+
+import fishrl  # noqa: E402
+
+write_reference(HERE / "configuration.md")
+
+project = "fishrl"
+author = "fishrl developers"
+copyright = author
+release = version = fishrl.__version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+myst_enable_extensions = ["colon_fence", "dollarmath"]
+myst_heading_anchors = 3
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+python_display_short_literal_types = True
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+
+html_theme = "furo"
+html_title = f"fishrl {release}"
+html_static_path: list[str] = []
+
+
+def _part_literals(
+    _app: Any, _what: str, _name: str, _object: Any, _options: Any, lines: list[str]
+) -> None:
+    """Let an exponent follow a literal, as in ``memory``^k: reStructuredText wants a gap there."""
+    lines[:] = [re.sub(r"(``[^`]+``)(\^?)", _set_apart, line) for line in lines]
+
+
+def _set_apart(match: re.Match[str]) -> str:
+    return f"{match[1]}\\ ^" if match[2] else match[1]
+
+
+def setup(app: Any) -> None:
+    """Hook into Sphinx."""
+    app.connect("autodoc-process-docstring", _part_literals)

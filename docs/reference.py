@@ -1,0 +1,131 @@
+"""Write the configuration reference from what constructors say of themselves.
+
+For each program its settings; for each task and logger, and for each object that a YAML puts into
+one, its arguments: name, type, default, and what its docstring says. Nothing is written by hand.
+"""
+
+import inspect
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra.utils import get_object
+from omegaconf import OmegaConf
+
+from experiments.config import SCHEMAS
+from experiments.search_path import CONF, list_groups
+
+HEAD = """# Configuration reference
+
+Every setting is an argument of a constructor, and this page is made from the constructors when
+the pages are built. `key=value` on the command line sets it; a dot goes into an object
+(`task.body_length=64`). A key that does not exist is answered with the nearest that does, a value
+that cannot be with what is allowed.
+
+Choices: {groups}. A folder of your own adds to them: `--config-dir <folder>`, see
+[A task of your own](tutorials/new_task.md).
+"""
+
+
+def write_reference(path: Path) -> None:
+    """Write the page, unless it is there already as it would be."""
+    text = make_reference()
+    if not path.is_file() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
+
+
+def make_reference() -> str:
+    """Return the page as Markdown."""
+    groups = list_groups()
+    said = "; ".join(f"`{name}=` {', '.join(f'`{o}`' for o in groups[name])}" for name in groups)
+    parts = [HEAD.format(groups=said)]
+    for program, schema in SCHEMAS.items():
+        parts.append(f"## python -m experiments.{program}\n\n{describe(schema)}")
+    for group in groups:
+        targets = sorted(set(_find_targets(group)))
+        if targets:
+            parts.append(f"## In {group}\n")
+        parts += [
+            f"### {target.rsplit('.', 1)[-1]}\n\n{describe(get_object(target))}"
+            for target in targets
+        ]
+    return "\n".join(parts)
+
+
+def describe(kind: type) -> str:
+    """Return what a class is and a table of its arguments."""
+    summary = (inspect.getdoc(kind) or "").split("\n\n")[0].replace("\n", " ")
+    texts = _read_arguments(kind)
+    rows = ["| argument | type | default | what |", "|---|---|---|---|"]
+    for name, parameter in inspect.signature(kind).parameters.items():
+        type_name = _show_type(parameter.annotation)
+        rows.append(
+            f"| `{name}` | {_code(type_name)} | {_code(_show_default(kind, parameter))} "
+            f"| {_escape(texts.get(name, ''))} |"
+        )
+    where = f"`{kind.__module__}.{kind.__qualname__}`"
+    return f"{_escape(summary)} {where}\n\n" + "\n".join(rows) + "\n"
+
+
+def _find_targets(group: str) -> Iterator[str]:
+    for path in sorted((CONF / group).glob("*.yaml")):
+        yield from _walk(OmegaConf.to_container(OmegaConf.load(path)))
+
+
+def _walk(node: Any) -> Iterator[str]:
+    if isinstance(node, Mapping):
+        if "_target_" in node:
+            yield node["_target_"]
+        for value in node.values():
+            yield from _walk(value)
+
+
+def _read_arguments(kind: type) -> dict[str, str]:
+    """Return what ``Args:`` of the class and of those it inherits from says, by name."""
+    texts: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        if base.__doc__:
+            texts |= _parse(inspect.cleandoc(base.__doc__))
+    return texts
+
+
+def _parse(doc: str) -> dict[str, str]:
+    match = re.search(r"^Args:\n((?:(?: .*)?\n?)*)", doc, re.MULTILINE)
+    texts: dict[str, str] = {}
+    name = ""
+    for line in match.group(1).splitlines() if match else ():
+        begins = re.match(r" {4}(\w+): (.*)", line)
+        if begins:
+            name = begins.group(1)
+            texts[name] = begins.group(2)
+        elif name and line.strip():
+            texts[name] += " " + line.strip()
+    return texts
+
+
+def _show_type(annotation: Any) -> str:
+    text = annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
+    return re.sub(r"\b(?:\w+\.)+(\w+)", r"\1", text)
+
+
+def _show_default(kind: type, parameter: inspect.Parameter) -> str:
+    default = parameter.default
+    if default is inspect.Parameter.empty or default == "???":
+        return "required"
+    if is_dataclass(kind):
+        by_name = {entry.name: entry for entry in fields(kind)}
+        if by_name[parameter.name].default_factory is not MISSING:
+            default = by_name[parameter.name].default_factory()
+    if is_dataclass(default) or not isinstance(default, bool | int | float | str | tuple | list):
+        return "none" if default is None else f"{type(default).__name__}(…)"
+    return str(list(default)) if isinstance(default, tuple) else str(default)
+
+
+def _code(text: str) -> str:
+    return f"`{text}`".replace("|", "\\|")
+
+
+def _escape(text: str) -> str:
+    return text.replace("``", "`").replace("|", "\\|").replace("<", "&lt;")

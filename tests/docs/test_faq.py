@@ -1,0 +1,47 @@
+"""What the page of errors quotes is what the code says."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.docs.pages import DOCS
+
+ROOT = DOCS.parent
+QUOTE = re.compile(r"^```text\n(.*?)\n```$", re.MULTILINE | re.DOTALL)
+#: Words of Python itself.
+FOREIGN = ("An attempt has been made to start a new process",)
+
+
+def _read_literals(path: Path) -> str:
+    """Return all strings of a file, a line each, with ``…`` for what is filled in."""
+    lines = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.JoinedStr):
+            pieces = [p.value if isinstance(p, ast.Constant) else "…" for p in node.values]
+            lines.append("".join(str(piece) for piece in pieces))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            lines.append(re.sub(r"%(s|d)", "…", node.value))
+    return "\n".join(lines)
+
+
+SOURCES = [_read_literals(p) for f in ("fishrl", "experiments") for p in (ROOT / f).rglob("*.py")]
+QUOTES = QUOTE.findall((DOCS / "faq.md").read_text(encoding="utf-8"))
+
+
+def _list_fragments(quote: str) -> list[str]:
+    return [part for part in re.split("…|\n", quote) if len(part.strip()) > 3]
+
+
+@pytest.mark.parametrize("quote", [q for q in QUOTES if not q.startswith(FOREIGN)])
+def test_the_words_of_an_error_stand_in_one_file_of_the_code(quote: str) -> None:
+    fragments = _list_fragments(quote)
+    assert fragments
+    wrong = [f for f in fragments if not any(f in source for source in SOURCES)]
+    assert not wrong, f"nothing in the code says {wrong}"
+    assert any(all(f in source for f in fragments) for source in SOURCES)
+
+
+def test_there_are_errors_to_look_up() -> None:
+    assert len(QUOTES) >= 15

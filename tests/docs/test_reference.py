@@ -1,0 +1,36 @@
+"""The configuration reference, made from the constructors."""
+
+import inspect
+
+from docs.reference import describe, make_reference
+from experiments.config import SCHEMAS
+from experiments.search_path import list_groups
+from fishrl.envs import KarmanGait, Predation
+from tests.docs.pages import DOCS
+
+
+def test_every_argument_of_programs_and_tasks_has_its_row_with_words() -> None:
+    page = make_reference()
+    for kind in (*SCHEMAS.values(), Predation, KarmanGait):
+        table = describe(kind)
+        assert table in page
+        for name in inspect.signature(kind).parameters:
+            (row,) = [line for line in table.splitlines() if line.startswith(f"| `{name}` |")]
+            cells = row.replace("\\|", "").strip("|").split("|")
+            assert len(cells) == 4 and all(cell.strip() for cell in cells), row
+
+
+def test_types_defaults_and_inherited_words_are_shown() -> None:
+    table = describe(Predation)
+    row = "| `body_length` | `int` | `50` | L in nodes; at Reynolds number 7000 at least 50 for an"
+    assert row in table  # the words of AbstractTask
+    assert "| `domain_bl` | `tuple[float, float]` | `[10.0, 5.0]` |" in table
+    assert "| `stream` | `Stream` | `Stream(…)` |" in describe(KarmanGait)
+    assert "| `name` | `str \\| None` | `none` |" in describe(SCHEMAS["train"])
+
+
+def test_every_choice_is_listed_and_the_page_is_not_kept_in_the_repository() -> None:
+    page = make_reference()
+    for group, names in list_groups().items():
+        assert f"`{group}=` " + ", ".join(f"`{name}`" for name in names) in page
+    assert "docs/configuration.md" in (DOCS.parent / ".gitignore").read_text(encoding="utf-8")

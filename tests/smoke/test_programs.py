@@ -1,0 +1,238 @@
+"""Every program for a few steps, as its command line runs it: ``make smoke``.
+
+Fish that hunt and fish in streams without obstacles swim in a real flow, very small. Those in wakes
+glide, as a wake takes minutes to develop; ``tests/envs/test_real_wake.py`` has one that is real.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+import fishrl.envs.task
+import fishrl.viewer
+from experiments.policies import NAMES, list_baselines
+from experiments.search_path import list_groups
+from fishrl.envs import Predation
+from fishrl.envs.streams import Stream
+from fishrl.envs.wakes import WakeBank
+from tests.docs.pages import DOCS, read_blocks
+from tests.envs.conftest import SMALL
+from tests.envs.gliding import GlidingSolver
+from tests.envs.test_real_flow import TINY
+
+pytestmark = pytest.mark.smoke
+ROOT = Path(__file__).parents[2]
+GROUPS = list_groups()
+
+#: Actions of a few steps, in flows that are hardly larger than the fish.
+BRIEF = {"control_interval_T": 0.1, "checks_per_action": 4}
+REAL: dict[str, dict[str, Any]] = {
+    "predation": TINY | BRIEF,
+    "free_stream": {
+        **BRIEF,
+        "body_length": 20,
+        "reynolds": 300.0,
+        "max_wall_speed": 0.15,
+        "wall_margin_bl": 0.3,
+        "domain_bl": (4.0, 2.4),
+        "start_x_bl": (-1.6, -1.4),
+        "safe_area.near_bl": -2.0,
+        "safe_area.far_bl": 1.0,
+        "safe_area.aside_bl": 0.5,
+    },
+}
+GLIDING: dict[str, Any] = {**SMALL, "wall_margin_bl": 0.25, "time_limit": 6}
+FEW = [
+    *("compile=false", "num_envs=2", "total_frames=8", "warmup_frames=4", "updates_per_frame=1"),
+    *("batch_size=4", "hidden=[8]", "log_frames=4", "checkpoint_frames=8", "eval_frames=8"),
+    *("eval_episodes=1", "final_episodes=1", "task.time_limit=2"),
+]
+
+
+@pytest.fixture
+def gliding(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Replace the flow by fish that glide."""
+    _glide(monkeypatch)
+
+
+def _glide(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fishrl.envs.task, "InPlaceSolver", GlidingSolver)
+    bank = WakeBank(populations=torch.zeros(3, 1, 1, 1, 1), shedding_frequencies=torch.ones(3))
+    monkeypatch.setattr(Stream, "load_wakes", lambda *_: bank)
+
+
+def _set_task(values: dict[str, Any]) -> list[str]:
+    return [
+        f"task.{name}={list(value) if isinstance(value, tuple) else value}"
+        for name, value in values.items()
+    ]
+
+
+def _run(program: str, *arguments: object) -> None:
+    """Run a program in this process; it must end well."""
+    module = importlib.import_module(f"experiments.{program}")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", [program, *map(str, arguments)])
+        try:
+            status = module.main()
+        except SystemExit as end:
+            status = end.code
+    assert status in (None, 0)
+
+
+def _train(folder: Path, name: str, *arguments: str, pictures: int = 0) -> Path:
+    few = [*FEW, f"picture_episodes={pictures}"]
+    _run("train", f"folder={folder}", f"name={name}", *few, *arguments)
+    assert (folder / name / "summary.json").is_file()
+    return folder / name
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("runs")
+
+
+@pytest.fixture(scope="module")
+def hunter(runs: Path) -> Path:
+    """Train a fish that hunts in a real flow, with its pictures."""
+    task = _set_task(REAL["predation"])
+    return _train(runs, "hunter", "task=predation", *task, pictures=1)
+
+
+@pytest.fixture(scope="module")
+def holder(runs: Path) -> Iterator[Path]:
+    """Train a fish that holds a station and is told its flow; it glides."""
+    with pytest.MonkeyPatch.context() as patch:
+        _glide(patch)
+        chosen = ["task=karman_gait", "preset=gait_small", "recognition=oracle"]
+        yield _train(runs, "holder", *chosen, *_set_task(GLIDING), "task.start_flows=[0,1,2]")
+
+
+def test_every_program_is_here() -> None:
+    programs = {
+        path.stem
+        for path in (ROOT / "experiments").glob("*.py")
+        if '__name__ == "__main__"' in path.read_text(encoding="utf-8")
+    }
+    text = Path(__file__).read_text(encoding="utf-8")
+    run = set(re.findall(r'_run\(\s*(?:\*\()?"(\w+)"', text))
+    missing = programs - run
+    assert not missing, f"no smoke test runs {sorted(missing)}"
+
+
+@pytest.mark.parametrize("task", [name for name in GROUPS["task"] if name != "predation"])
+def test_every_task_is_trained(task: str, runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if task not in REAL:
+        _glide(monkeypatch)
+    _train(runs, task, f"task={task}", *_set_task(REAL.get(task, GLIDING)))
+
+
+OTHERS = [
+    f"{group}={name}"
+    for group, names in GROUPS.items()
+    if group not in ("task", "preset", "logger")
+    for name in names
+]
+
+
+@pytest.mark.usefixtures("gliding")
+@pytest.mark.parametrize("choice", ["logger=csv", *OTHERS])
+def test_every_algorithm_and_every_other_choice_trains(choice: str, runs: Path) -> None:
+    _train(runs, choice.replace("=", "-"), choice, *_set_task(SMALL))
+
+
+@pytest.mark.usefixtures("gliding")
+@pytest.mark.parametrize("preset", GROUPS["preset"])
+def test_every_preset_makes_its_task(preset: str, runs: Path) -> None:
+    sizes = GLIDING if preset.startswith("gait") else SMALL
+    _train(runs, f"preset-{preset}", f"preset={preset}", *_set_task(sizes))
+
+
+@pytest.mark.usefixtures("gliding")
+@pytest.mark.parametrize("policy", NAMES)
+def test_every_hand_written_fish_is_evaluated(policy: str) -> None:
+    is_hunter = policy in list_baselines(Predation(**SMALL))
+    task, sizes = ("predation", SMALL) if is_hunter else ("karman_gait", GLIDING)
+    chosen = [f"policy={policy}", f"task={task}", *_set_task(sizes), "task.time_limit=2"]
+    _run("evaluate", *chosen, "episodes=2", "num_envs=2", "compile=false")
+
+
+def test_a_learned_fish_is_evaluated_shown_listed_and_made_a_helmsman(
+    hunter: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _run("evaluate", f"checkpoint={hunter}", "episodes=1", "num_envs=1", "compile=false")
+    _run("table", hunter)
+    _run("export_steering", hunter, tmp_path / "helmsman.pt")
+    verified = []
+
+    def verify(command: list[str], **options: Any) -> None:
+        """Let rerun verify the file instead of opening a window on it."""
+        verified.append(command[-1])
+        subprocess.run([*command[:-1], "rrd", "verify", command[-1]], **options)
+
+    monkeypatch.setattr(fishrl.viewer, "subprocess", type("", (), {"run": staticmethod(verify)}))
+    _run("view", hunter)
+    assert verified == [str(hunter / "capture.rrd")]
+
+
+def test_a_gait_is_tried_in_all_streams_and_its_page_is_written(
+    holder: Path, tmp_path: Path
+) -> None:
+    trial, sweep = tmp_path / "transfer", tmp_path / "sweep"
+    _run("transfer", holder, "--episodes", 1, "--folder", trial)
+    _run(
+        *("drift_sweep", "--starts", 1, "--periods", 1, "--frequencies", 0.9, 1.8),
+        *("--body-length", 32, "--folder", sweep),
+    )
+    _run(
+        *("free_stream", "--episodes", 1, "--periods", 2, "--max-frequency", 2),
+        *("--frequency", 1, "--folder", tmp_path / "free", "--wake", tmp_path / "none"),
+    )
+    shutil.copy(DOCS / "karman_gait.md", tmp_path)
+    _run("gait_page", "--docs", tmp_path, "--drift", sweep)
+    assert (tmp_path / "figures" / "gait" / "drift.png").is_file()
+
+
+@pytest.mark.usefixtures("gliding")
+def test_a_lateral_line_is_studied(tmp_path: Path) -> None:
+    few = ["num_samples=96", "max_decisions=2", "num_envs=6", "num_splits=1", "num_epochs=2"]
+    few += ["paper_epochs=1", "windows=[1]", "noises=[0.0]", "memories=[0.0]", "hidden=[8]"]
+    places = [f"folder={tmp_path}", "name=line", f"data_folder={tmp_path / 'data'}"]
+    sizes = {name: value for name, value in GLIDING.items() if name != "time_limit"}
+    _run("train_lateral_line", *few, *places, *_set_task(sizes), "compile=false")
+    assert (tmp_path / "line" / "machine.pt").is_file()
+
+
+def test_the_solver_is_judged_by_a_case(tmp_path: Path) -> None:
+    _run("validate", "--quick", "--cases", "taylor-green", "--folder", tmp_path, "--jobs", 1)
+
+
+def test_the_memory_of_flows_is_measured(tmp_path: Path) -> None:
+    _run(
+        *("benchmark", "--groups", "memory", "--body-length", 32, "--rounds", 1),
+        *("--burst", 0.01, "--threads", 1, "--folder", tmp_path),
+    )
+
+
+def test_a_task_from_outside_is_trained_in_a_real_flow(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for block in read_blocks("tutorials/new_task.md"):
+        if block.file:
+            (tmp_path / block.file).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / block.file).write_text(block.code, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "hold_station", raising=False)
+    sizes = SMALL | BRIEF | {"domain_bl": (4.0, 3.0), "start_x_bl": 1.5}
+    chosen = [f"--config-dir={tmp_path / 'conf'}", "task=hold_station", *_set_task(sizes)]
+    _train(tmp_path, "mine", *chosen)

@@ -1,0 +1,136 @@
+"""What a user gets with ``pip install``: the whole library, typed, and nothing else."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from email import message_from_bytes
+from email.message import Message
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+import fishrl
+
+ROOT = Path(__file__).parents[1]
+LEFT_OUT = {"__pycache__"}
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build a wheel from a copy of what the build reads."""
+    source = tmp_path_factory.mktemp("source")
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    for name in ("fishrl", "experiments", "tests"):
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns(*LEFT_OUT))
+    build = "from setuptools.build_meta import build_wheel; build_wheel('dist')"
+    done = subprocess.run(
+        [sys.executable, "-c", build], cwd=source, check=False, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    (path,) = (source / "dist").glob("*.whl")
+    return path
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Unpack the wheel, which is all that installing a wheel without programs does."""
+    folder = tmp_path_factory.mktemp("site")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(folder)
+    return folder
+
+
+def _read_metadata(installed: Path) -> Message:
+    (path,) = installed.glob("*.dist-info/METADATA")
+    return message_from_bytes(path.read_bytes())
+
+
+def test_every_file_of_the_library_is_in_the_wheel_and_no_other_package(installed: Path) -> None:
+    files = {
+        path.relative_to(ROOT).as_posix()
+        for path in (ROOT / "fishrl").rglob("*")
+        if path.is_file() and not LEFT_OUT & set(path.parts)
+    }
+    packed = {
+        path.relative_to(installed).as_posix()
+        for path in installed.rglob("*")
+        if path.is_file() and ".dist-info" not in path.as_posix()
+    }
+    assert packed == files
+    assert {"fishrl/py.typed", "fishrl/envs/steering.pt"} <= packed
+
+
+def test_the_version_is_said_once_and_the_licence_comes_along(installed: Path) -> None:
+    metadata = _read_metadata(installed)
+    assert metadata["Version"] == fishrl.__version__
+    assert metadata["License-Expression"] == "MIT"
+    assert list(installed.glob("*.dist-info/licenses/LICENSE"))
+
+
+def test_the_citation_is_of_this_version_and_the_changelog_knows_it() -> None:
+    citation = OmegaConf.to_container(OmegaConf.load(ROOT / "CITATION.cff"))
+    assert isinstance(citation, dict)
+    needed = {"cff-version", "message", "title", "authors", "version", "license", "type"}
+    assert needed <= set(citation)
+    assert str(citation["version"]) == fishrl.__version__
+    assert all("name" in author or "family-names" in author for author in citation["authors"])
+    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"## [{fishrl.__version__}]" in changelog
+    assert "## [Unreleased]" in changelog
+
+
+def test_the_extras_that_errors_and_docs_name_exist(installed: Path) -> None:
+    extras = set(_read_metadata(installed).get_all("Provides-Extra"))
+    assert {"gymnasium", "stable-baselines3", "docs", "dev"} <= extras
+
+
+def test_the_library_works_where_the_repository_is_not(installed: Path, tmp_path: Path) -> None:
+    script = """
+import sys, fishrl.physics, fishrl.envs, fishrl.modules, fishrl.objectives, fishrl.viewer
+from fishrl.envs import Predation, make_env
+from fishrl.envs.steering import PolicySteering
+print(fishrl.__file__)
+steering = PolicySteering()
+env = make_env(task=Predation(
+    body_length=16, reynolds=500.0, max_wall_speed=0.15, wall_margin_bl=0.18,
+    domain_bl=(5.0, 3.0), start_x_bl=(2.5, 3.5), food_x_bl=1.0, food_y_bl=1.5,
+    food_limits_bl=(1.0, 2.0)), num_envs=1, compile=False)
+print(env.rollout(1)["next", "observation_stack"].isfinite().all().item())
+print([name for name in sys.modules if name.split(".")[0] in ("experiments", "hydra", "rerun")])
+"""
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", script],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(installed)},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == [str(installed / "fishrl" / "__init__.py"), "True", "[]"]
+
+
+def test_the_versions_that_were_tested_are_within_what_the_package_asks_for() -> None:
+    """Every requirement has its exact version in constraints.txt."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    asked = [*project["dependencies"], *(line for lines in extras.values() for line in lines)]
+    names = {_normalise(line) for line in asked if not line.startswith("fishrl[")}
+    pinned = {
+        _normalise(line)
+        for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+        if "==" in line
+    }
+    assert names <= pinned
+
+
+def _normalise(requirement: str) -> str:
+    name = requirement.split(";")[0]
+    for mark in ("[", ">", "<", "=", "~", "!"):
+        name = name.split(mark)[0]
+    return name.strip().lower().replace("_", "-")
