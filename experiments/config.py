@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
@@ -31,7 +32,12 @@ CONF = Path(__file__).parent / "conf"
 FIXED_BY_RUN = (
     *("task", "preset", "seed", "num_envs", "hidden", "buffer_size", "logger", "recognition"),
 )
-
+#: Packages of the launchers beside hydra's own.
+LAUNCHERS = {
+    "joblib": "hydra_plugins.hydra_joblib_launcher",
+    "submitit_local": "hydra_plugins.hydra_submitit_launcher",
+    "submitit_slurm": "hydra_plugins.hydra_submitit_launcher",
+}
 
 SCHEMAS: dict[str, type] = {
     "train": TrainConfig,
@@ -61,7 +67,8 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
     Raises:
         ConfigError: naming an unknown key or value and the nearest right one.
     """
-    options = [a for a in arguments if a.startswith("-") or a.lstrip("+~").startswith("hydra.")]
+    options = [argument for argument in arguments if is_option(argument)]
+    _check_launcher(options)
     try:
         overrides = OverridesParser.create().parse_overrides(
             [argument for argument in arguments if argument not in options]
@@ -97,6 +104,11 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
                 line = "++" + line.lstrip("+")  # an argument that the YAML leaves at its default
         result.append(line)
     return result
+
+
+def is_option(argument: str) -> bool:
+    """Tell whether an argument is one of hydra's own."""
+    return argument.startswith("-") or argument.lstrip("+~").startswith(("hydra.", "hydra/"))
 
 
 def load_config(program: str, arguments: Sequence[str] = ()) -> Any:
@@ -221,6 +233,21 @@ def _compose(program: str, overrides: Sequence[str]) -> DictConfig:
             return compose(program, list(overrides))
     except (HydraException, OmegaConfBaseException) as error:
         raise _plain(error) from error
+
+
+def _check_launcher(options: Sequence[str]) -> None:
+    for option in options:
+        key, _, launcher = option.partition("=")
+        if key != "hydra/launcher" or launcher == "basic":
+            continue
+        if launcher not in LAUNCHERS:
+            raise _unknown(option, launcher, ["basic", *LAUNCHERS])
+        try:
+            import_module(LAUNCHERS[launcher])
+        except ImportError as error:
+            raise ConfigError(
+                f"{option}: needs a package that is not here; pip install -e '.[sweep]'"
+            ) from error
 
 
 def _groups() -> dict[str, list[str]]:
