@@ -96,7 +96,8 @@ def name_job(overrides: Sequence[str], *, same: Sequence[str] = ()) -> str:
     for override in overrides:
         key, _, value = override.lstrip("+").partition("=")
         if key not in same:
-            parts.append(re.sub(r"[^\w.+-]+", "_", f"{key.rsplit('.', 1)[-1]}_{value}").strip("_"))
+            key = key.removesuffix("._target_")
+            parts.append(re.sub(r"[^A-Za-z0-9.+-]+", "_", f"{key.rsplit('.', 1)[-1]}_{value}"))
     name = "-".join(parts) or "run"
     if len(name) > LONGEST_NAME:
         rest = hashlib.sha256(name.encode()).hexdigest()[:8]
