@@ -82,7 +82,9 @@ def sweep_arguments(arguments: Sequence[str]) -> tuple[list[str], Path]:
 
 def quote(value: str) -> str:
     """Write words as a value that hydra reads as they are."""
-    return "'" + value.replace("\\", "\\\\").replace("'", "\\'") + "'"
+    from hydra.core.override_parser.types import Quote, QuotedString
+
+    return QuotedString(value, Quote.single).with_quotes()
 
 
 def name_job(overrides: Sequence[str], *, same: Sequence[str] = ()) -> str:
