@@ -130,11 +130,13 @@ class RunFolder:
         file = self.lock.open("a")
         try:
             fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
+        except (BlockingIOError, PermissionError) as error:
             file.close()
             raise HeldError(
                 f"run folder {self.path}: another process writes it; wait for it or end it"
             ) from error
+        except OSError as error:  # a file system without locks
+            logger.info("%s cannot be locked (%s): start nothing twice", self.path, error)
         return file
 
     @contextmanager

@@ -111,8 +111,10 @@ def is_held(path: Path) -> bool:
     with lock.open() as file:
         try:
             fcntl.lockf(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except OSError:
+        except (BlockingIOError, PermissionError):
             return True
+        except OSError:  # a file system without locks
+            return False
     return False
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from experiments import evaluate, train, train_lateral_line
-from experiments.config import CONF
+from experiments.config import CONF, load_config
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 
 pytestmark = pytest.mark.usefixtures("gliding")
@@ -36,8 +36,12 @@ BRIEF = [
 
 
 def run_training(folder: Path, *overrides: str) -> None:
-    sys.argv = ["train", *TINY, *BRIEF, f"folder={folder}", "name=run", *overrides]
-    train.main()
+    line = [*TINY, *BRIEF, f"folder={folder}", "name=run", *overrides]
+    if overrides:
+        train.train(load_config("train", line))
+    else:
+        sys.argv = ["train", *line]
+        train.main()
     summary = json.loads((folder / "run" / "summary.json").read_text())
     assert (summary["frames"], summary["updates"] > 0) == (4, True)
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import errno
+import fcntl
 import json
 import subprocess
 import sys
@@ -229,6 +231,21 @@ def test_a_run_is_held_by_one_process_until_that_is_killed(tmp_path: Path) -> No
         holder.kill()
     assert read_run(path).status == "finished"
     RunFolder(path).hold().close()
+
+
+def test_a_file_system_without_locks_is_put_up_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = write_run(tmp_path, "run", summary=summary_of(1.0))
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "lockf", refuse)
+    with caplog.at_level("INFO"):
+        RunFolder(path).hold().close()
+    assert "cannot be locked" in caplog.text
+    assert read_run(path).status == "finished"
 
 
 def test_a_failure_is_noted_and_forgotten_when_it_is_tried_again(tmp_path: Path) -> None:

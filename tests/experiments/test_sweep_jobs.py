@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -202,3 +203,32 @@ def test_jobs_that_cannot_be_set_up_are_all_named(
     said = capfd.readouterr()
     assert "seed_1: failed at frame 0 (gamma = 2.0: must be at most 1)" in said.out
     assert "Traceback" not in said.err
+
+
+AGENT = """
+import sys
+import tests.experiments.mishaps  # fish that glide
+from experiments import train
+sys.argv[0] = "train"
+train.main()
+"""
+
+
+@pytest.mark.slow
+def test_a_run_of_a_wandb_agent_goes_by_the_name_the_agent_gave_it(tmp_path: Path) -> None:
+    agents = {"WANDB_SWEEP_ID": "abcdefgh", "WANDB_RUN_ID": "agentsid", "WANDB_SILENT": "true"}
+    line = [*SETTINGS, f"folder={tmp_path}", "logger=wandb", "logger.is_offline=true"]
+    line += ["gamma=0.95", "seed=1", "name=run"]  # what ${args_no_hyphens} becomes
+    done = subprocess.run(
+        [sys.executable, "-c", AGENT, *line],
+        cwd=ROOT,
+        env={**os.environ, **agents, "OMP_NUM_THREADS": "1"},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    (recorded,) = (tmp_path / "run").glob("wandb/offline-run-*")
+    assert recorded.name.endswith("-agentsid")
+    run = read_run(tmp_path / "run")
+    assert (run.status, run.config["gamma"], run.config["seed"]) == ("finished", 0.95, 1)
