@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from importlib import import_module
 from typing import Any, cast
 
 from hydra import compose, initialize_config_dir
@@ -31,7 +32,12 @@ FIXED_BY_RUN = (
     *("task", "preset", "seed", "num_envs", "hidden", "buffer_size", "logger", "recognition"),
     "algorithm",
 )
-
+#: Packages of the launchers beside hydra's own.
+LAUNCHERS = {
+    "joblib": "hydra_plugins.hydra_joblib_launcher",
+    "submitit_local": "hydra_plugins.hydra_submitit_launcher",
+    "submitit_slurm": "hydra_plugins.hydra_submitit_launcher",
+}
 
 SCHEMAS: dict[str, type] = {
     "train": TrainConfig,
@@ -63,6 +69,7 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
         ConfigError: naming an unknown key or value and the nearest right one.
     """
     options, settings = split_arguments(arguments)
+    _check_launcher(options)
     try:
         overrides = OverridesParser.create().parse_overrides(settings)
     except OverrideParseException as error:
@@ -226,6 +233,21 @@ def _compose(program: str, overrides: Sequence[str]) -> DictConfig:
             return compose(program, list(overrides))
     except (HydraException, OmegaConfBaseException) as error:
         raise _plain(error) from error
+
+
+def _check_launcher(options: Sequence[str]) -> None:
+    for option in options:
+        key, _, launcher = option.partition("=")
+        if key != "hydra/launcher" or launcher == "basic":
+            continue
+        if launcher not in LAUNCHERS:
+            raise _unknown(option, launcher, ["basic", *LAUNCHERS])
+        try:
+            import_module(LAUNCHERS[launcher])
+        except ImportError as error:
+            raise ConfigError(
+                f"{option}: needs a package that is not here; pip install -e '.[sweep]'"
+            ) from error
 
 
 def _keys(config: DictConfig, prefix: str = "") -> set[str]:

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import logging
 import os
-from collections.abc import Mapping
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from omegaconf import OmegaConf
 
+from experiments.interruption import Interrupted
+
 logger = logging.getLogger(__name__)
+
+
+class HeldError(ValueError):
+    """A run that another process writes."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +54,16 @@ class RunFolder:
     def best(self) -> Path:
         """The checkpoint with the best evaluation."""
         return self.path / "checkpoints" / "best"
+
+    @property
+    def failure(self) -> Path:
+        """Why the run failed; its last line says it in short."""
+        return self.path / "failure.txt"
+
+    @property
+    def lock(self) -> Path:
+        """What the process that writes the run holds; see ``hold``."""
+        return self.path / ".lock"
 
     @classmethod
     def create(cls, *, parent: str, name: str) -> RunFolder:
@@ -95,6 +114,44 @@ class RunFolder:
         if not os.access(self.path, os.W_OK | os.X_OK):
             raise _unwritable(self.path, "no write permission")
         return self
+
+    def has_begun(self) -> bool:
+        """Tell whether there is anything to go on with: a checkpoint, or frames without one."""
+        if self.last.parent.is_dir():
+            return True
+        if not self.metrics.is_file():
+            return False
+        return len(self.metrics.read_text(encoding="utf-8").splitlines()) > 1
+
+    def hold(self) -> TextIO:
+        """Take the run for this process, until the file is closed or the process ends, however.
+
+        Raises:
+            HeldError: if another process has it.
+        """
+        file = self.lock.open("a")
+        try:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except (BlockingIOError, PermissionError) as error:
+            file.close()
+            raise HeldError(
+                f"run folder {self.path}: another process writes it; wait for it or end it"
+            ) from error
+        except OSError as error:  # a file system without locks
+            logger.info("%s cannot be locked (%s): start nothing twice", self.path, error)
+        return file
+
+    @contextmanager
+    def noting_failure(self) -> Iterator[None]:
+        """Write down why it failed, if it does; an interruption is no failure."""
+        self.failure.unlink(missing_ok=True)
+        try:
+            yield
+        except (HeldError, Interrupted):
+            raise
+        except Exception:
+            self.failure.write_text(traceback.format_exc(), encoding="utf-8")
+            raise
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:

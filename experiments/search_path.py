@@ -47,7 +47,7 @@ def split_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
             options += [word, next(words, "")]
         elif name.lstrip("+") == SEARCH_PATH:
             places += _read_places(word)
-        elif word.startswith("-") or word.lstrip("+~").startswith("hydra."):
+        elif word.startswith("-") or word.lstrip("+~").startswith(("hydra.", "hydra/")):
             options.append(word)
         else:
             settings.append(word)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import sys
 import time
+from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING, Any
 
 from experiments.progress import Progress
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from omegaconf import DictConfig
 
+    from experiments.run_folder import RunFolder
     from experiments.settings import TrainConfig
     from experiments.training import Training
 
@@ -59,39 +61,52 @@ def set_up(
     from pathlib import Path
 
     from experiments.algorithms import build_algorithm
-    from experiments.config import build, to_plain
-    from experiments.recognition import Recognition, find_machine, keep_machine
-    from experiments.run_folder import RunFolder, write_yaml
+    from experiments.config import build
+    from experiments.recognition import Recognition, find_machine
+    from experiments.run_folder import RunFolder
     from experiments.settings import check_device
     from experiments.training import Training, make_flow_env
 
-    check_device(config.device)
-    metrics_logger = build(config.logger)
-    choice = find_machine(config.recognition, Path(config.resume or "."))
-    recognition = Recognition(build(config.task), choice)
-    if config.resume:
-        folder = RunFolder.of_existing(config.resume)
-    else:
-        kind = type(recognition.task).__name__.lower()
-        label = build_algorithm({"algorithm": config.algorithm}).label
-        words = [kind, config.preset, *filter(None, [label]), f"seed{config.seed}"]
-        name = config.name or "-".join(words)
-        folder = RunFolder.create(parent=config.folder, name=name)
-        config.recognition = keep_machine(config.recognition, folder.path)
-        write_yaml(folder.config, to_plain(config))
-    logger.info("run folder: %s", folder.path)
-    training = Training(
-        config=config,
-        recognition=recognition,
-        make_env=make_env or make_flow_env(),
-        folder=folder,
-        metrics_logger=metrics_logger,
-        progress=progress or Progress(is_shown=False),
-        began=time.perf_counter() if began is None else began,
-    )
-    if config.resume:
-        training.resume()
-    return training
+    with ExitStack() as stack:
+        if config.resume:
+            folder = RunFolder.of_existing(config.resume)
+            stack.enter_context(folder.noting_failure())
+        check_device(config.device)
+        metrics_logger = build(config.logger)
+        choice = find_machine(config.recognition, Path(config.resume or "."))
+        recognition = Recognition(build(config.task), choice)
+        if not config.resume:
+            kind = type(recognition.task).__name__.lower()
+            label = build_algorithm({"algorithm": config.algorithm}).label
+            words = [kind, config.preset, *filter(None, [label]), f"seed{config.seed}"]
+            name = config.name or "-".join(words)
+            folder = begin_run(config, RunFolder.create(parent=config.folder, name=name))
+            stack.enter_context(folder.noting_failure())
+        logger.info("run folder: %s", folder.path)
+        training = Training(
+            config=config,
+            recognition=recognition,
+            make_env=make_env or make_flow_env(),
+            folder=folder,
+            metrics_logger=metrics_logger,
+            progress=progress or Progress(is_shown=False),
+            began=time.perf_counter() if began is None else began,
+        )
+        if config.resume and folder.has_begun():
+            training.resume()
+            folder.summary.unlink(missing_ok=True)  # it will be another one
+        return training
+
+
+def begin_run(config: TrainConfig, folder: RunFolder) -> RunFolder:
+    """Write into a new folder all that its run needs; ``resume=<folder>`` then starts it."""
+    from experiments.config import to_plain
+    from experiments.recognition import keep_machine
+    from experiments.run_folder import write_yaml
+
+    config.recognition = keep_machine(config.recognition, folder.path)
+    write_yaml(folder.config, to_plain(config))
+    return folder
 
 
 def finish(training: Training) -> dict[str, Any]:
@@ -99,15 +114,13 @@ def finish(training: Training) -> dict[str, Any]:
     from experiments.run_folder import write_json
 
     config, folder = training.config, training.folder
-    try:
+    with folder.noting_failure(), closing(training):
         summary = training.run()
         write_json(folder.summary, summary)
         if config.picture_episodes > 0:
             draw(training, summary)
             summary["wall_seconds"] = training.wall_seconds()
             write_json(folder.summary, summary)
-    finally:
-        training.close()
     training.progress.close()
     report(summary, folder=folder.path)
     return summary
@@ -157,7 +170,8 @@ def report(summary: dict[str, Any], *, folder: Path) -> None:
         )
     print(f"({summary['episodes']} fixed starts, {summary['wall_seconds'] / 60:.1f} minutes)\n")
     for path in sorted(folder.iterdir()):
-        print(f"  {path}")
+        if not path.name.startswith("."):
+            print(f"  {path}")
     print(f"\nlook again: python -m experiments.evaluate checkpoint={folder}")
 
 
@@ -174,22 +188,23 @@ def main() -> None:
             training_settings,
         )
         from experiments.config import CONF, check_overrides
+        from experiments.sweeps.jobs import is_sweep, run_job, sweep
 
         set_up_logging()
         with plain_errors():
             sys.argv[1:] = check_overrides("train", sys.argv[1:])
 
-        bars = [progress]  # of the first job; the others of a sweep make their own
-
-        @hydra.main(config_path=str(CONF), config_name="train", version_base="1.3")
         def run(config: DictConfig) -> None:
-            start = began if bars else time.perf_counter()
-            with bars.pop() if bars else Progress() as bar, plain_errors():
-                training = set_up(training_settings(config), progress=bar, began=start)
+            with plain_errors():
+                training = set_up(training_settings(config), progress=progress, began=began)
                 with resumable(training):
                     finish(training)
 
-        run()
+        decorate = hydra.main(config_path=str(CONF), config_name="train", version_base="1.3")
+        if not is_sweep(sys.argv[1:]):
+            decorate(run)()
+            return
+    sweep(decorate(run_job))
 
 
 if __name__ == "__main__":

@@ -67,6 +67,7 @@ class Training:
         progress: Progress,
         began: float,
     ) -> None:
+        self._lock = folder.hold()
         self.config, self.task = config, recognition.task
         task = self.task
         self.folder, self.metrics_logger, self.progress = folder, metrics_logger, progress
@@ -158,6 +159,7 @@ class Training:
         """End the flows and the log."""
         self.metrics_logger.close()
         self.collector.shutdown()
+        self._lock.close()
 
     def _learn(self, plain: dict[str, Any]) -> None:
         """Run the loop: collect, remember, learn; now and then evaluate, log and save."""

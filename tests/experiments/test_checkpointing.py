@@ -14,7 +14,7 @@ import torch
 from experiments.checkpointing import BrainOf, load_checkpoint, read_metadata, save_checkpoint
 from experiments.evaluate import evaluate
 from experiments.settings import EvaluateConfig, TrainConfig
-from experiments.train import set_up, train
+from experiments.train import finish, set_up, train
 from tests.experiments.toy_fish import ToyPredation, make_toy_env
 
 TOY = {"_target_": "tests.experiments.toy_fish.ToyPredation"}
@@ -184,7 +184,7 @@ def test_a_fish_of_another_task_is_not_evaluated(
 def test_a_run_without_its_checkpoint_is_not_resumed(
     toy_config: Callable[..., TrainConfig], tmp_path: Path
 ) -> None:
-    set_up(toy_config(name="run"), make_env=make_toy_env)
-    shutil.rmtree(tmp_path / "run" / "checkpoints", ignore_errors=True)
+    finish(set_up(toy_config(name="run", total_frames=80), make_env=make_toy_env))
+    shutil.rmtree(tmp_path / "run" / "checkpoints")
     with pytest.raises(ValueError, match="there is none"):
         set_up(toy_config(resume=str(tmp_path / "run")), make_env=make_toy_env)

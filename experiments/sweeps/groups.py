@@ -1,0 +1,147 @@
+"""Runs that differ in nothing but their seed, and what they say together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from experiments.gait.diagnostics import half_width
+from experiments.sweeps.runs import Run
+
+#: Settings that make no other experiment.
+_APART = ("seed", "name", "folder", "resume")
+#: Settings that name several others at once, and so tell runs apart first.
+_FIRST = ("preset", "task._target_")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Group:
+    """Runs with the same settings.
+
+    Attributes:
+        settings: those in which the groups of a sweep differ, as words.
+        runs: finished or not.
+    """
+
+    settings: dict[str, str]
+    runs: list[Run]
+
+    @property
+    def label(self) -> str:
+        """The settings in one line."""
+        return ", ".join(f"{key} {value}" for key, value in self.settings.items()) or "all"
+
+    @property
+    def finished(self) -> list[Run]:
+        """The runs that count in the tables."""
+        return [run for run in self.runs if run.status == "finished"]
+
+    def numbers(self, name: str) -> list[float]:
+        """Return an entry of the summaries of the finished runs, where it is a number."""
+        values: list[Any] = [run.summary.get(name) for run in self.finished]
+        return [float(value) for value in values if _is_number(value)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Statistic:
+    """One number over several seeds.
+
+    Attributes:
+        count: of the seeds.
+        mean: over them.
+        half_width: of the mean's 95 % confidence interval (Student's t); NaN for a single seed.
+        iqm: see ``interquartile_mean``.
+    """
+
+    count: int
+    mean: float
+    half_width: float
+    iqm: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Statistic:
+        """Reduce some values; without any, everything is NaN."""
+        return cls(
+            count=len(values),
+            mean=float(np.mean(values)) if values else math.nan,
+            half_width=half_width(values),
+            iqm=interquartile_mean(values),
+        )
+
+
+def interquartile_mean(values: Sequence[float]) -> float:
+    """Return the mean of the middle half, Agarwal et al. 2021 (arXiv 2108.13264, section 4.3).
+
+    A quarter of the values, rounded down, is left out at either end, as there; below four values
+    it is the plain mean. NaN without values.
+    """
+    if not values:
+        return math.nan
+    cut = len(values) // 4
+    return float(np.mean(sorted(values)[cut : len(values) - cut]))
+
+
+def group_runs(runs: Sequence[Run]) -> list[Group]:
+    """Put runs that differ only in their seed together, in the order in which they come.
+
+    Of the settings that differ, each group is told by the fewest that tell all groups apart: those
+    that follow from others, such as what a preset sets, are left out.
+
+    Args:
+        runs: of a sweep; those that never began have no settings and are left out.
+    """
+    begun = [run for run in runs if run.config]
+    flat = [_flatten(run.config) for run in begun]
+    keys = _telling_keys(flat)
+    groups: dict[tuple[str, ...], Group] = {}
+    for run, settings in zip(begun, flat, strict=True):
+        told = {key: settings.get(key, "–") for key in keys}
+        groups.setdefault(tuple(told.values()), Group(settings=told, runs=[])).runs.append(run)
+    return list(groups.values())
+
+
+def number_names(groups: Sequence[Group]) -> list[str]:
+    """List the entries of the summaries that are numbers, in the order of the first of them."""
+    names: dict[str, None] = {}
+    for group in groups:
+        for run in group.finished:
+            names |= {name: None for name, value in run.summary.items() if _is_number(value)}
+    return [name for name in names if name != "seed"]
+
+
+def _telling_keys(flat: Sequence[Mapping[str, str]]) -> list[str]:
+    names = dict.fromkeys(name for settings in flat for name in settings)
+    ordered = [*(name for name in _FIRST if name in names), *names]
+    kept: list[str] = []
+    parts = 1
+    for name in ordered:
+        wanted = [*kept, name]
+        finer = len({tuple(settings.get(key, "–") for key in wanted) for settings in flat})
+        if finer > parts:
+            kept, parts = wanted, finer
+    return [
+        name for name in kept if _count_parts(flat, [key for key in kept if key != name]) < parts
+    ]
+
+
+def _count_parts(flat: Sequence[Mapping[str, str]], keys: Sequence[str]) -> int:
+    return len({tuple(settings.get(key, "–") for key in keys) for settings in flat})
+
+
+def _flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+    flat: dict[str, str] = {}
+    for name, value in config.items():
+        key = f"{prefix}{name}"
+        if isinstance(value, Mapping):
+            flat |= _flatten(value, f"{key}.")
+        elif key not in _APART:
+            flat[key] = str(value).rsplit(".", 1)[-1] if name == "_target_" else str(value)
+    return flat
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

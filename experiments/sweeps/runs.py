@@ -1,0 +1,133 @@
+"""How runs fared: finished, running, failed or stopped, and how to go on with them."""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from omegaconf import OmegaConf
+
+from experiments.run_folder import RunFolder
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """One run, as its folder tells.
+
+    Attributes:
+        path: its folder.
+        status: ``finished``, ``running``, ``failed`` (the reason is known) or ``stopped``.
+        reason: why it failed, in one line.
+        frames: done, as far as ``metrics.csv`` says.
+        config: its settings; empty if they could not be made.
+        summary: of a finished run.
+    """
+
+    path: Path
+    status: str
+    reason: str
+    frames: int
+    config: dict[str, Any]
+    summary: dict[str, Any]
+
+    @property
+    def command(self) -> str:
+        """What goes on with it, alone."""
+        if not self.config:
+            return "mend the setting and give the command of the sweep again"
+        return f"python -m experiments.train resume={self.path}"
+
+
+def read_runs(folder: Path) -> list[Run]:
+    """Read every run that lies in a folder.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    paths = sorted(folder.iterdir()) if folder.is_dir() else []
+    runs = [
+        read_run(path)
+        for path in paths
+        if RunFolder(path).config.is_file() or RunFolder(path).failure.is_file()
+    ]
+    if not runs:
+        raise ValueError(
+            f"{folder}: holds no runs; give the folder of a sweep, such as runs/sweep-<time>"
+        )
+    return runs
+
+
+def read_run(path: Path) -> Run:
+    """Read one run.
+
+    Raises:
+        ValueError: if its files are damaged.
+    """
+    folder = RunFolder(path)
+    summary: dict[str, Any] = {}
+    config: Any = {}
+    try:
+        if folder.summary.is_file():
+            summary = dict(json.loads(folder.summary.read_text(encoding="utf-8")))
+        if folder.config.is_file():
+            config = OmegaConf.to_container(OmegaConf.load(folder.config))
+    except Exception as error:
+        raise ValueError(f"{path}: damaged ({error}); mend or delete it") from error
+    frames = count_frames(path)
+    status, reason = "stopped", ""
+    if is_held(path):
+        status = "running"
+    elif folder.failure.is_file():
+        lines = folder.failure.read_text(encoding="utf-8").strip().splitlines()
+        status, reason = "failed", lines[-1] if lines else "unknown"
+    elif summary:
+        status = "finished"
+    return Run(
+        path=path, status=status, reason=reason, frames=frames, config=config, summary=summary
+    )
+
+
+def count_frames(path: Path) -> int:
+    """Return the frames in the last whole row of a run's metrics."""
+    metrics = RunFolder(path).metrics
+    if not metrics.is_file():
+        return 0
+    with metrics.open(newline="", encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if None not in row.values()]
+    last = rows[-1].get("frames", "") if rows else ""
+    return int(last) if last.isdigit() else 0
+
+
+def is_held(path: Path) -> bool:
+    """Tell whether another process writes a run; see ``RunFolder.hold``."""
+    lock = RunFolder(path).lock
+    if not lock.is_file():
+        return False
+    with lock.open() as file:
+        try:
+            fcntl.lockf(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except (BlockingIOError, PermissionError):
+            return True
+        except OSError:  # a file system without locks
+            return False
+    return False
+
+
+def advise(runs: Iterable[Run]) -> str:
+    """Say how many runs are finished, and of each other one why not and how to go on."""
+    runs = list(runs)
+    finished = sum(run.status == "finished" for run in runs)
+    lines = [f"{finished} of {len(runs)} runs finished"]
+    for run in runs:
+        if run.status == "finished":
+            continue
+        because = f" ({run.reason})" if run.reason else ""
+        lines.append(f"- {run.path.name}: {run.status} at frame {run.frames}{because}")
+        if run.status != "running":
+            lines.append(f"  rerun: {run.command}")
+    return "\n".join(lines)

@@ -1,0 +1,36 @@
+"""Loggers for runs in other processes, where no fixture reaches. Tests only name them.
+
+Importing this file replaces the flow by fish that glide.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import fishrl.envs.task
+from experiments.logger import CsvLogger
+from tests.envs.gliding import GlidingSolver
+
+fishrl.envs.task.InPlaceSolver = GlidingSolver  # type: ignore[misc, assignment]
+
+
+class Gliding(CsvLogger):
+    """Nothing happens."""
+
+
+class Killed(CsvLogger):
+    """The end that no program can see coming, at frame 8; but not when the run goes on."""
+
+    def open(self, folder: Path, **arguments: Any) -> None:
+        super().open(folder, **arguments)
+        self.mark = folder / "mishap"
+
+    def log(self, metrics: Mapping[str, float]) -> None:
+        super().log(metrics)
+        if metrics["frames"] == 8 and not self.mark.exists():
+            self.mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)

@@ -1,0 +1,124 @@
+"""The search with Optuna: what is searched, that it goes on, that a failed trial is one of many."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from experiments import search
+from experiments.search import Search
+from experiments.settings import ConfigError
+from experiments.sweeps.runs import read_runs
+from tests.experiments.test_sweep_jobs import HERE, SETTINGS
+
+optuna = pytest.importorskip("optuna", reason="pip install -e '.[sweep]'")
+pytestmark = pytest.mark.sweep
+
+
+def plan_of(folder: Path, *overrides: str, **arguments: object) -> Search:
+    return Search(folder=folder, overrides=overrides, **arguments)  # type: ignore[arg-type]
+
+
+def test_every_kind_of_range_is_searched(tmp_path: Path) -> None:
+    plan = plan_of(
+        tmp_path,
+        "gamma=interval(0.9,1)",
+        "learning_rate=tag(log,interval(1e-5,1e-2))",
+        "batch_size=int(interval(16,128))",
+        "hidden=choice([64],[64,64])",
+        "task.time_limit=10,20",
+        "preset=paper",
+    )
+    from optuna.distributions import CategoricalDistribution as Choice
+    from optuna.distributions import FloatDistribution as Float
+    from optuna.distributions import IntDistribution as Whole
+
+    assert plan.space() == {
+        "gamma": Float(0.9, 1.0),
+        "learning_rate": Float(1e-5, 1e-2, log=True),
+        "batch_size": Whole(16, 128),
+        "hidden": Choice(["[64]", "[64,64]"]),
+        "++task.time_limit": Choice(["10", "20"]),
+    }
+    assert plan.fixed() == ["preset=paper"]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (["preset=small"], "nothing to search: give one or more settings as key=interval"),
+        (["gama=interval(0,1)"], "Did you mean 'gamma'"),
+        (["gamma=interval(0,1)", "seed=1"], "seed=...: the search sets it itself"),
+        (["gamma=interval(1,0)"], r"gamma=interval\(1,0\): .*low"),
+    ],
+)
+def test_what_cannot_be_searched_is_named(tmp_path: Path, overrides: list[str], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        plan_of(tmp_path, *overrides)
+    with pytest.raises(ConfigError, match="seeds = 0: must be at least 1"):
+        plan_of(tmp_path, "gamma=interval(0,1)", seeds=0)
+
+
+def test_a_trial_that_was_cut_off_is_finished_before_new_ones(tmp_path: Path) -> None:
+    line = [*SETTINGS, f"logger._target_={HERE}.Gliding", "gamma=interval(0.9,1)"]
+    plan = plan_of(tmp_path, *line, metric="mean_length_T")
+    study = search.search(plan, trials=0)
+    cut_off = study.ask(plan.space())  # and then the process was killed
+    study = search.search(plan, trials=2)
+    assert [trial.state.name for trial in study.trials] == ["COMPLETE", "COMPLETE"]
+    assert study.trials[0].params == cut_off.params
+    runs = read_runs(tmp_path)
+    assert [run.path.name for run in runs] == ["trial_0000-seed_0", "trial_0001-seed_0"]
+    for trial, run in zip(study.trials, runs, strict=True):
+        assert run.config["gamma"] == trial.params["gamma"]
+        assert run.summary["mean_length_T"] == trial.value
+    assert len(search.search(plan, trials=2).trials) == 2  # nothing is left to do
+    with pytest.raises(ConfigError, match="holds another search"):
+        search.search(plan_of(tmp_path, *line, "batch_size=8", metric="mean_length_T"), trials=3)
+    gamma = f"gamma={runs[0].config['gamma']}"
+    with pytest.raises(ConfigError, match=r"metric = mean_retrun: not in .*'mean_return'"):
+        search._run_seed(plan_of(tmp_path, *line, metric="mean_retrun"), 0, [gamma], 0)
+
+
+def test_failed_trials_are_told_and_others_follow(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = ["search", str(tmp_path), "gamma=interval(2,3)", "--trials", "3"]
+    monkeypatch.setattr(sys, "argv", line)
+    search.main()
+    assert "0 of 3 trials finished" in capsys.readouterr().out
+    study = search.search(plan_of(tmp_path, "gamma=interval(2,3)"), trials=3)
+    assert [trial.state.name for trial in study.trials] == ["FAIL"] * 3
+    assert len({trial.params["gamma"] for trial in study.trials}) == 3  # nothing is drawn twice
+
+
+def test_two_searches_share_a_study(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, "gamma=interval(2,3)")
+    study = search.search(plan, trials=0)
+    theirs = study.ask(plan.space())
+    place = search.RunFolder(tmp_path / ".trials" / f"{theirs.number:04d}")
+    place.path.mkdir(parents=True)
+    code = "import sys; from pathlib import Path; from experiments.run_folder import RunFolder; "
+    code += f"held = RunFolder(Path({str(place.path)!r})).hold(); print('held', flush=True); "
+    code += "sys.stdin.read()"
+    root = Path(__file__).parents[2]
+    with subprocess.Popen(
+        [sys.executable, "-c", code], cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"held\n"
+        study = search.search(plan, trials=2)
+        other.kill()
+    assert [trial.state.name for trial in study.trials] == ["RUNNING", "FAIL"]
+
+
+def test_without_optuna_the_error_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    monkeypatch.setattr(sys, "argv", ["search", str(tmp_path), "gamma=interval(0,1)"])
+    with pytest.raises(SystemExit, match=r"pip install -e '\.\[sweep\]'"):
+        search.main()

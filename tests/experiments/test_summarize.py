@@ -1,0 +1,263 @@
+"""From run folders to tables and curves: who belongs together, what is said, who is to be rerun."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import fcntl
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from omegaconf import OmegaConf
+
+from experiments import summarize
+from experiments.run_folder import HeldError, RunFolder
+from experiments.sweeps.curves import average, write_curves
+from experiments.sweeps.groups import Statistic, group_runs, interquartile_mean
+from experiments.sweeps.runs import count_frames, read_run, read_runs
+
+
+def write_run(
+    sweep: Path,
+    name: str,
+    *,
+    seed: int = 0,
+    curve: dict[int, float] | None = None,
+    summary: dict[str, Any] | None = None,
+    **settings: Any,
+) -> Path:
+    folder = RunFolder(sweep / name)
+    folder.path.mkdir(parents=True)
+    config = {
+        "task": {"_target_": "fishrl.envs.Predation"},
+        "seed": seed,
+        "name": name,
+        "folder": str(sweep),
+        **settings,
+    }
+    OmegaConf.save(OmegaConf.create(config), folder.config)
+    if curve is not None:
+        rows = "".join(f"{x},{y},{y / 10}\n" for x, y in curve.items())
+        folder.metrics.write_text(f"frames,eval/mean_return,eval/success_rate\n{rows}")
+    if summary is not None:
+        folder.summary.write_text(json.dumps({"success": "captured", "seed": seed, **summary}))
+    return folder.path
+
+
+def summary_of(value: float) -> dict[str, Any]:
+    return {
+        "success_rate": value / 10,
+        "mean_return": value,
+        "mean_length_T": 3.0,
+        "mean_time_to_success_T": None,
+        "wall_seconds": 90.0,
+    }
+
+
+@pytest.fixture
+def sweep(tmp_path: Path) -> Path:
+    """Two values of gamma with four seeds each; one run failed, one was stopped."""
+    for gamma, values in ((0.9, (1.0, 2.0, 3.0, 10.0)), (0.99, (5.0, 7.0))):
+        for seed, value in enumerate(values):
+            curve = {0: 0.0, 100: value}
+            name = f"gamma_{gamma}-seed_{seed}"
+            write_run(
+                tmp_path, name, seed=seed, curve=curve, summary=summary_of(value), gamma=gamma
+            )
+    path = write_run(tmp_path, "gamma_0.99-seed_2", seed=2, gamma=0.99)
+    (path / "failure.txt").write_text("Traceback ...\nRuntimeError: out of memory\n")
+    write_run(tmp_path, "gamma_0.99-seed_3", seed=3, gamma=0.99, curve={0: 0.0, 50: 4.0})
+    return tmp_path
+
+
+def test_the_interquartile_mean_leaves_out_a_quarter_at_either_end() -> None:
+    assert interquartile_mean([10.0, 1.0, 2.0, 3.0]) == 2.5
+    assert interquartile_mean([1.0, 2.0, 9.0]) == 4.0
+    assert interquartile_mean([*range(8), 100.0]) == 4.0  # of 9, two at either end: 2 ... 6
+    assert interquartile_mean([]) != interquartile_mean([])
+
+
+def test_an_interval_is_students_over_the_seeds() -> None:
+    # By hand: deviation sqrt(50/3), t at 97.5 % for 3 degrees of freedom 3.182, over sqrt(4).
+    found = Statistic.of([1.0, 2.0, 3.0, 10.0])
+    assert (found.count, found.mean, found.iqm) == (4, 4.0, 2.5)
+    assert found.half_width == pytest.approx(3.182 * (50.0 / 3.0) ** 0.5 / 2.0, abs=1e-3)
+    assert Statistic.of([1.0]).half_width != Statistic.of([1.0]).half_width
+
+
+def test_runs_that_differ_in_their_seed_alone_are_one_group(sweep: Path) -> None:
+    groups = group_runs(read_runs(sweep))
+    assert [group.settings for group in groups] == [{"gamma": "0.9"}, {"gamma": "0.99"}]
+    assert [len(group.runs) for group in groups] == [4, 4]
+    assert groups[0].numbers("mean_return") == [1.0, 2.0, 3.0, 10.0]
+    assert groups[1].numbers("mean_time_to_success_T") == []
+
+
+def test_groups_are_told_by_the_fewest_settings(tmp_path: Path) -> None:
+    for preset, frames, length in (("small", 10, 50), ("paper", 20, 100)):
+        for gamma in (0.9, 0.99):
+            task = {"_target_": "fishrl.envs.Predation", "body_length": length}
+            settings = {"preset": preset, "gamma": gamma, "total_frames": frames, "task": task}
+            write_run(tmp_path, f"{preset}-{gamma}", **settings)
+    groups = group_runs(read_runs(tmp_path))
+    assert {tuple(group.settings) for group in groups} == {("preset", "gamma")}
+    assert len(groups) == 4
+
+
+def test_tasks_are_told_apart_by_name(tmp_path: Path) -> None:
+    for name in ("Predation", "KarmanGait"):
+        write_run(tmp_path, name, task={"_target_": f"fishrl.envs.{name}", "a": {name: 1}})
+    labels = [group.label for group in group_runs(read_runs(tmp_path))]
+    assert labels == ["task._target_ KarmanGait", "task._target_ Predation"]
+
+
+def test_the_table_has_mean_interval_and_iqm_and_says_what_to_rerun(sweep: Path) -> None:
+    text = summarize.summarize(sweep)
+    rows = [line for line in text.splitlines() if line.startswith("| 0.9")]
+    assert rows[0].startswith("| 0.9 | 4 | 40.0% ± 65.0% | 25.0% | 4.00 ± 6.50 | 2.50 | 3.0 ± 0.0")
+    assert rows[1].startswith("| 0.99 | 2/4 |")
+    assert "6 of 8 runs finished" in text
+    assert "gamma_0.99-seed_2: failed at frame 0 (RuntimeError: out of memory)" in text
+    assert "gamma_0.99-seed_3: stopped at frame 50" in text
+    assert f"python -m experiments.train resume={sweep}/gamma_0.99-seed_3" in text
+    assert "seed_0: " not in text
+    assert (sweep / "summary.md").read_text() in text
+
+
+def test_the_csv_files_hold_every_number_and_every_run(sweep: Path) -> None:
+    summarize.summarize(sweep)
+    with (sweep / "summary.csv").open(newline="") as file:
+        rows = {(row["gamma"], row["metric"]): row for row in csv.DictReader(file)}
+    row = rows["0.9", "mean_return"]
+    assert (row["seeds"], row["mean"], row["iqm"]) == ("4", "4", "2.5")
+    assert float(row["ci95_high"]) - 4.0 == pytest.approx(4.0 - float(row["ci95_low"]))
+    assert {metric for _, metric in rows} == set(summary_of(0.0)) - {"mean_time_to_success_T"}
+    with (sweep / "runs.csv").open(newline="") as file:
+        runs = {row["run"]: row for row in csv.DictReader(file)}
+    assert len(runs) == 8
+    assert runs["gamma_0.99-seed_2"]["status"] == "failed"
+    assert runs["gamma_0.9-seed_3"]["mean_return"] == "10.0"
+
+
+def test_curves_are_means_over_the_runs_that_have_come_so_far(sweep: Path) -> None:
+    groups = group_runs(read_runs(sweep))
+    frames, mean, half = average(groups[1], "eval/mean_return")
+    assert frames.tolist() == [0.0, 50.0, 100.0]
+    assert mean.tolist() == pytest.approx([0.0, (2.5 + 3.5 + 4.0) / 3, 6.0])
+    assert half[2] == pytest.approx(12.706, abs=1e-3)  # of 5 and 7: t 12.706, deviation sqrt(2)
+    assert average(groups[1], "nothing")[0].size == 0
+
+
+def test_curves_are_drawn_for_more_groups_than_colours(tmp_path: Path) -> None:
+    for number in range(10):
+        write_run(tmp_path, f"run-{number}", gamma=number, curve={0: 0.0, 9: float(number)})
+    groups = group_runs(read_runs(tmp_path))
+    assert write_curves(groups, tmp_path / "curves.png")
+    assert (tmp_path / "curves.png").stat().st_size > 10_000
+
+
+def test_runs_without_any_metrics_have_a_table_and_no_curves(tmp_path: Path) -> None:
+    write_run(tmp_path, "run")
+    assert "| 0/1 | – | – |" in summarize.summarize(tmp_path)
+    assert not (tmp_path / "curves.png").exists()
+
+
+def test_a_run_whose_settings_were_wrong_is_named(tmp_path: Path) -> None:
+    (tmp_path / "gamma_2").mkdir()
+    (tmp_path / "gamma_2" / "failure.txt").write_text("gamma = 2: must be at most 1\n")
+    with pytest.raises(ValueError, match=r"no run has begun\n.*\n.*gamma_2: .* must be at most 1"):
+        summarize.summarize(tmp_path)
+    write_run(tmp_path, "run", summary=summary_of(1.0))
+    assert "mend the setting" in summarize.summarize(tmp_path)
+
+
+def test_a_folder_without_runs_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for folder in (tmp_path, tmp_path / "none"):
+        with pytest.raises(ValueError, match="holds no runs; give the folder of a sweep"):
+            read_runs(folder)
+    monkeypatch.setattr(sys, "argv", ["summarize", str(tmp_path)])
+    with pytest.raises(SystemExit, match=r"error: .* holds no runs"):
+        summarize.main()
+    write_run(tmp_path, "run", summary=summary_of(1.0))
+    summarize.main()
+    assert "1 of 1 runs finished" in capsys.readouterr().out
+
+
+def test_a_damaged_run_is_named(tmp_path: Path) -> None:
+    path = write_run(tmp_path, "run")
+    (path / "summary.json").write_text("{")
+    with pytest.raises(ValueError, match=r"run: damaged .* mend or delete it"):
+        read_runs(tmp_path)
+
+
+def test_frames_are_those_of_the_last_whole_row(tmp_path: Path) -> None:
+    path = write_run(tmp_path, "run", curve={16: 1.0})
+    with (path / "metrics.csv").open("a") as file:
+        file.write("2")  # killed while writing
+    assert count_frames(path) == 16
+    assert count_frames(tmp_path) == 0
+
+
+HOLDER = """
+import sys
+from pathlib import Path
+from experiments.run_folder import RunFolder
+file = RunFolder(Path(sys.argv[1])).hold()
+print("held", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_run_is_held_by_one_process_until_that_is_killed(tmp_path: Path) -> None:
+    path = write_run(tmp_path, "run", summary=summary_of(1.0))
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        cwd=Path(__file__).parents[2],
+    ) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == b"held\n"
+        assert read_run(path).status == "running"
+        assert "rerun" not in summarize.summarize(tmp_path)
+        with pytest.raises(HeldError, match="another process writes it; wait for it or end it"):
+            RunFolder(path).hold()
+        holder.kill()
+    assert read_run(path).status == "finished"
+    RunFolder(path).hold().close()
+
+
+def test_a_file_system_without_locks_is_put_up_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = write_run(tmp_path, "run", summary=summary_of(1.0))
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "lockf", refuse)
+    with caplog.at_level("INFO"):
+        RunFolder(path).hold().close()
+    assert "cannot be locked" in caplog.text
+    assert read_run(path).status == "finished"
+
+
+def test_a_failure_is_noted_and_forgotten_when_it_is_tried_again(tmp_path: Path) -> None:
+    path = write_run(tmp_path, "run")
+    with pytest.raises(KeyboardInterrupt), RunFolder(path).noting_failure():
+        raise KeyboardInterrupt
+    with pytest.raises(HeldError), RunFolder(path).noting_failure():
+        raise HeldError
+    assert read_run(path).status == "stopped"
+    with pytest.raises(RuntimeError), RunFolder(path).noting_failure():
+        raise RuntimeError("no memory")
+    assert (read_run(path).status, read_run(path).reason) == ("failed", "RuntimeError: no memory")
+    with RunFolder(path).noting_failure():
+        pass
+    assert read_run(path).status == "stopped"

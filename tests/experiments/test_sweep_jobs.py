@@ -1,0 +1,234 @@
+"""Jobs of a sweep: what they are called, where they lie, and that each fails for itself."""
+
+from __future__ import annotations
+
+import csv
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from experiments import train
+from experiments.config import check_overrides, load_config
+from experiments.run_folder import RunFolder
+from experiments.settings import ConfigError, TrainConfig
+from experiments.sweeps import jobs
+from experiments.sweeps.runs import read_run, read_runs
+from experiments.train import begin_run, finish, set_up
+from tests.experiments.toy_fish import make_toy_env
+
+ROOT = Path(__file__).parents[2]
+HERE = "tests.experiments.mishaps"  # imported by the runs alone
+SETTINGS = [
+    "task.body_length=20",
+    "task.reynolds=500",
+    "task.max_wall_speed=0.15",
+    "task.wall_margin_bl=0.15",
+    "task.time_limit=4",
+    "compile=false",
+    "num_envs=2",
+    "total_frames=16",
+    "warmup_frames=4",
+    "log_frames=4",
+    "checkpoint_frames=4",
+    "batch_size=4",
+    "hidden=[8]",
+    "eval_frames=8",
+    "eval_episodes=2",
+    "final_episodes=2",
+    "picture_episodes=0",
+    "baselines=[]",
+]
+
+
+def run_program(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["train", *arguments])
+    try:
+        train.main()
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+def rows_of(folder: Path) -> list[dict[str, str]]:
+    with (folder / "metrics.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    return [{k: v for k, v in row.items() if not k.startswith("time/")} for row in rows]
+
+
+def test_jobs_are_named_after_what_differs() -> None:
+    given = ["seed=1", "++task.time_limit=20", "hidden=[64,64]", "preset=small", "folder=runs/x"]
+    assert jobs.name_job(given, same=["preset", "folder"]) == "seed_1-time_limit_20-hidden_64_64_"
+    assert jobs.name_job(["preset=small"], same=["preset"]) == "run"
+    long = [jobs.name_job([f"recognition={'x' * 200}{end}"]) for end in "ab"]
+    assert len(set(long)) == 2
+    assert max(map(len, long)) <= jobs.LONGEST_NAME
+
+
+def test_a_sweep_has_one_folder_and_knows_what_its_jobs_share() -> None:
+    given = ["--multirun", "seed=0,1", "gamma=0.9", "folder=runs/my sweep", "hydra.verbose=true"]
+    assert jobs.is_sweep(given)
+    assert not jobs.is_sweep(["seed=0"])
+    line, folder = jobs.sweep_arguments(given)
+    assert folder == Path("runs/my sweep")
+    assert "folder='runs/my sweep'" in line
+    assert "hydra.job.config.override_dirname.exclude_keys=[folder,gamma]" in line
+    assert {"--multirun", "seed=0,1", "gamma=0.9", "hydra.verbose=true"} <= set(line)
+    _, folder = jobs.sweep_arguments(["-m", "seed=0,1"])
+    assert folder.parent == Path("runs")
+    assert folder.name.startswith("sweep-")
+
+
+@pytest.mark.parametrize(
+    ("argument", "said"),
+    [
+        ("name=x", "named after what differs"),
+        ("resume=runs/x", "go on when the same command is given again"),
+        ("folder=a,b", "a sweep has one folder"),
+    ],
+)
+def test_what_every_run_of_a_sweep_needs_for_itself_is_refused(argument: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        jobs.sweep_arguments(["--multirun", argument])
+
+
+def test_a_launcher_that_is_unknown_or_not_installed_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert check_overrides("train", ["hydra/launcher=basic"]) == ["hydra/launcher=basic"]
+    with pytest.raises(ConfigError, match="Did you mean 'joblib'"):
+        check_overrides("train", ["hydra/launcher=jobli"])
+    monkeypatch.setitem(sys.modules, "hydra_plugins.hydra_submitit_launcher", None)
+    with pytest.raises(ConfigError, match=r"pip install -e '\.\[sweep\]'"):
+        check_overrides("train", ["hydra/launcher=submitit_slurm"])
+
+
+def settings_in(folder: Path, **settings: object) -> TrainConfig:
+    config: TrainConfig = load_config("train", [f"folder={folder}"])
+    for name, value in settings.items():
+        setattr(config, name, value)
+    return config
+
+
+def test_the_same_settings_find_their_run_and_others_make_a_new_one(tmp_path: Path) -> None:
+    first = jobs.find_or_begin(settings_in(tmp_path), name="run")
+    again = jobs.find_or_begin(settings_in(tmp_path), name="run")
+    other = jobs.find_or_begin(settings_in(tmp_path, gamma=0.5), name="run")
+    assert [folder.path.name for folder in (first, again, other)] == ["run", "run", "run-2"]
+    assert OmegaConf.load(other.config).gamma == 0.5
+    (tmp_path / "never").mkdir()
+    (tmp_path / "never" / "failure.txt").write_text("gamma = 2: must be at most 1")
+    mended = jobs.find_or_begin(settings_in(tmp_path), name="never")
+    assert read_run(mended.path).status == "stopped"
+
+
+def test_a_run_with_another_machine_is_another_run(tmp_path: Path) -> None:
+    folders = []
+    for name, content in (("a", b"1"), ("b", b"1"), ("c", b"2")):
+        (tmp_path / name).write_bytes(content)
+        config = settings_in(tmp_path, recognition=str(tmp_path / name))
+        folders.append(jobs.find_or_begin(config, name="run").path.name)
+    assert folders == ["run", "run", "run-2"]
+
+
+def test_a_run_that_never_began_begins_when_it_is_resumed(
+    toy_config: Callable[..., TrainConfig], tmp_path: Path
+) -> None:
+    finish(set_up(toy_config(name="straight", total_frames=80), make_env=make_toy_env))
+    config = toy_config(name="later", total_frames=80)
+    begin_run(config, RunFolder.create(parent=config.folder, name="later"))
+    assert read_run(tmp_path / "later").status == "stopped"
+    config.resume = str(tmp_path / "later")
+    finish(set_up(config, make_env=make_toy_env))
+    assert read_run(tmp_path / "later").status == "finished"
+    assert rows_of(tmp_path / "later") == rows_of(tmp_path / "straight")
+
+
+def test_a_run_that_failed_says_why_and_goes_on(
+    toy_config: Callable[..., TrainConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finish(set_up(toy_config(name="whole"), make_env=make_toy_env))
+    training = set_up(toy_config(name="failed"), make_env=make_toy_env)
+    log = training.metrics_logger.log
+
+    def fail(metrics: Mapping[str, float]) -> None:
+        if metrics["frames"] == 120:
+            raise RuntimeError("the disk is full")
+        log(metrics)
+
+    monkeypatch.setattr(training.metrics_logger, "log", fail)
+    with pytest.raises(RuntimeError):
+        finish(training)
+    run = read_run(tmp_path / "failed")
+    assert (run.status, run.frames) == ("failed", 80)
+    assert run.reason == "RuntimeError: the disk is full"
+    config = toy_config(resume=str(tmp_path / "failed"))
+    finish(set_up(config, make_env=make_toy_env))
+    assert read_run(tmp_path / "failed").status == "finished"
+    assert rows_of(tmp_path / "failed") == rows_of(tmp_path / "whole")
+
+
+def test_a_killed_job_leaves_the_others_and_goes_on_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    loggers = f"logger._target_={HERE}.Killed,{HERE}.Gliding"
+    command = ["--multirun", *SETTINGS, f"folder={tmp_path}", loggers]
+    assert run_program(monkeypatch, *command) == 1
+    killed, whole = (tmp_path / f"logger_{HERE}.{name}" for name in ("Killed", "Gliding"))
+    assert read_run(whole).status == "finished"
+    run = read_run(killed)
+    assert (run.status, run.reason, run.frames) == ("failed", "killed by SIGKILL", 8)
+    said = capfd.readouterr().out
+    assert "1 of 2 runs finished" in said
+    assert f"rerun: {run.command}" in said
+    alone = subprocess.run([sys.executable, *run.command.split()[1:]], cwd=ROOT, check=False)
+    assert alone.returncode == 0
+    assert rows_of(killed) == rows_of(whole)  # as if nothing had happened
+    before = (whole / "summary.json").stat().st_mtime_ns
+    assert run_program(monkeypatch, *command) == 0  # nothing is left to do
+    assert "2 of 2 runs finished" in capfd.readouterr().out
+    assert (whole / "summary.json").stat().st_mtime_ns == before
+
+
+def test_jobs_that_cannot_be_set_up_are_all_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    command = ["--multirun", f"folder={tmp_path}", "gamma=2", "seed=0,1"]
+    assert run_program(monkeypatch, *command) == 1
+    assert [run.reason for run in read_runs(tmp_path)] == ["gamma = 2.0: must be at most 1"] * 2
+    said = capfd.readouterr()
+    assert "seed_1: failed at frame 0 (gamma = 2.0: must be at most 1)" in said.out
+    assert "Traceback" not in said.err
+
+
+AGENT = """
+import sys
+import tests.experiments.mishaps  # fish that glide
+from experiments import train
+sys.argv[0] = "train"
+train.main()
+"""
+
+
+@pytest.mark.slow
+def test_a_run_of_a_wandb_agent_goes_by_the_name_the_agent_gave_it(tmp_path: Path) -> None:
+    agents = {"WANDB_SWEEP_ID": "abcdefgh", "WANDB_RUN_ID": "agentsid", "WANDB_SILENT": "true"}
+    line = [*SETTINGS, f"folder={tmp_path}", "logger=wandb", "logger.is_offline=true"]
+    line += ["gamma=0.95", "seed=1", "name=run"]  # what ${args_no_hyphens} becomes
+    done = subprocess.run(
+        [sys.executable, "-c", AGENT, *line],
+        cwd=ROOT,
+        env={**os.environ, **agents, "OMP_NUM_THREADS": "1"},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    (recorded,) = (tmp_path / "run").glob("wandb/offline-run-*")
+    assert recorded.name.endswith("-agentsid")
+    run = read_run(tmp_path / "run")
+    assert (run.status, run.config["gamma"], run.config["seed"]) == ("finished", 0.95, 1)
