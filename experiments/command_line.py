@@ -6,7 +6,7 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, cast
 
@@ -15,7 +15,7 @@ from tqdm import tqdm
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from experiments.settings import EvaluateConfig, TrainConfig
+    from experiments.settings import EvaluateConfig, TrainConfig, ViewConfig
     from experiments.training import Training
 
 
@@ -38,7 +38,7 @@ def plain_errors() -> Iterator[None]:
     """End the program with the message alone where something was set wrongly, or by Ctrl-C."""
     try:
         yield
-    except (ValueError, ImportError) as error:
+    except (ValueError, ImportError, FileNotFoundError) as error:
         logging.getLogger(__name__).debug("where it came from:", exc_info=True)
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:
@@ -82,21 +82,84 @@ def training_settings(config: DictConfig) -> TrainConfig:
 def evaluation_settings(config: DictConfig) -> EvaluateConfig:
     """Turn what hydra composed into settings; a checkpoint brings its task unless one is given."""
     from hydra.core.hydra_config import HydraConfig
+
+    from experiments.config import to_settings
+
+    settings = cast("EvaluateConfig", to_settings("evaluate", config))
+    if settings.checkpoint is not None:
+        bring_task(settings, settings.checkpoint, HydraConfig.get().overrides.task)
+    return settings
+
+
+def view_settings(arguments: Sequence[str]) -> ViewConfig:
+    """Turn a command line into settings; a path among it is a recording to open.
+
+    Raises:
+        ValueError: for settings that cannot be.
+    """
+    from experiments.config import load_config
+    from experiments.settings import ConfigError
+
+    options = [argument for argument in arguments if argument.startswith("-")]
+    if options:
+        raise ConfigError(
+            f"{options[0]}: settings are written key=value, such as screenshot=picture.png time=2"
+        )
+    given = [
+        argument if "=" in argument else f"recording={_quote(argument)}" for argument in arguments
+    ]
+    sources = [a.split("=", 1)[1] for a in given if a.startswith(("run=", "checkpoint="))]
+    is_free = not any(a.startswith(("task=", "preset=", "policy=")) for a in given)
+    preset = _find_preset(sources[0]) if sources and is_free else None
+    base = [] if preset is None else [f"preset={preset}"]
+    settings = cast("ViewConfig", load_config("view", [*base, *given]))
+    source = settings.run or settings.checkpoint
+    if source is not None:
+        bring_task(settings, source, given)
+    return settings
+
+
+def _find_preset(checkpoint: str) -> str | None:
+    """Return the preset of a run, whose task's arguments may be set; None if it is not ours."""
+    from experiments.checkpointing import read_metadata
+    from experiments.config import CONF
+
+    name = str(read_metadata(checkpoint)[1]["preset"])
+    return name if (CONF / "preset" / f"{name}.yaml").is_file() else None
+
+
+def _quote(path: str) -> str:
+    """Return a path as hydra reads it, whatever letters are in it."""
+    escaped = path.replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"
+
+
+def bring_task(
+    settings: EvaluateConfig | ViewConfig, checkpoint: str, arguments: Sequence[str]
+) -> None:
+    """Take task and recognition from a checkpoint, unless the command line names a task.
+
+    Args:
+        settings: what is filled in.
+        checkpoint: run folder or checkpoint.
+        arguments: the command line.
+
+    Raises:
+        ValueError: if there is no checkpoint.
+    """
     from omegaconf import OmegaConf
 
     from experiments.checkpointing import read_metadata
-    from experiments.config import to_settings
     from experiments.recognition import find_machine
 
-    settings = cast("EvaluateConfig", to_settings("evaluate", config))
-    given = [argument.lstrip("+") for argument in HydraConfig.get().overrides.task]
-    if settings.checkpoint is None or any(a.startswith(("task=", "preset=")) for a in given):
-        return settings
-    path, metadata = read_metadata(settings.checkpoint)
+    given = [argument.lstrip("+") for argument in arguments]
+    if any(argument.startswith(("task=", "preset=")) for argument in given):
+        return
+    path, metadata = read_metadata(checkpoint)
     trained = metadata["config"]
     changes = OmegaConf.from_dotlist([a for a in given if a.startswith("task.")]).get("task", {})
-    settings.task = {**trained["task"], **dict(changes)}
+    task = OmegaConf.merge(OmegaConf.create(trained["task"]), changes)
+    settings.task = OmegaConf.to_container(task)
     settings.preset = trained["preset"]
     if settings.recognition is None:
         settings.recognition = find_machine(trained.get("recognition"), path)
-    return settings

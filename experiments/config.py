@@ -24,6 +24,7 @@ from experiments.settings import (
     EvaluateConfig,
     LateralLineConfig,
     TrainConfig,
+    ViewConfig,
     nearest,
 )
 
@@ -43,13 +44,16 @@ SCHEMAS: dict[str, type] = {
     "train": TrainConfig,
     "evaluate": EvaluateConfig,
     "train_lateral_line": LateralLineConfig,
+    "view": ViewConfig,
 }
 ConfigStore.instance().store(name="train_schema", node=TrainConfig)
 ConfigStore.instance().store(name="train_lateral_line_schema", node=LateralLineConfig)
 # Plain, so that a preset may also set what only training reads.
-ConfigStore.instance().store(
-    name="evaluate_schema", node=OmegaConf.to_container(OmegaConf.structured(EvaluateConfig))
-)
+for _program in ("evaluate", "view"):
+    ConfigStore.instance().store(
+        name=f"{_program}_schema",
+        node=OmegaConf.to_container(OmegaConf.structured(SCHEMAS[_program])),
+    )
 
 
 def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
@@ -58,7 +62,7 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
     Every argument of a ``_target_``'s constructor can be set, whether the YAML names it or not.
 
     Args:
-        program: train, evaluate or train_lateral_line.
+        program: train, evaluate, view or train_lateral_line.
         arguments: the command line; options of hydra (``--multirun``, ``hydra.x=y``) pass as is.
             ``--config-dir <folder>`` adds a folder with groups (``task/<name>.yaml``) of one's own.
 
@@ -109,11 +113,12 @@ def load_config(program: str, arguments: Sequence[str] = ()) -> Any:
     """Compose the settings of a program as its command line would.
 
     Args:
-        program: train, evaluate or train_lateral_line.
+        program: train, evaluate, view or train_lateral_line.
         arguments: overrides.
 
     Returns:
-        The settings: a ``TrainConfig``, ``EvaluateConfig`` or ``LateralLineConfig``.
+        The settings: a ``TrainConfig``, ``EvaluateConfig``, ``ViewConfig`` or
+        ``LateralLineConfig``.
 
     Raises:
         ConfigError: for unknown keys and values, and for values out of range.
@@ -158,7 +163,8 @@ def resumed_settings(folder: str, arguments: Sequence[str]) -> TrainConfig:
         for name in ("alpha_init", "target_entropy_weight"):  # of runs before there was a choice
             if name in stored:
                 OmegaConf.update(stored, f"algorithm.{name}", stored.pop(name))
-        changes = OmegaConf.from_dotlist(given)
+        # whoever looked on before need not look on again
+        changes = OmegaConf.merge({"live": False}, OmegaConf.from_dotlist(given))
         merged = OmegaConf.merge(OmegaConf.structured(TrainConfig), stored, changes)
     except (OmegaConfBaseException, YAMLError) as error:
         raise ConfigError(f"{path}: not the configuration of a run ({error})") from error

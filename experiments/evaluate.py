@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,7 @@ def evaluate(
     """
     from experiments.config import build
     from experiments.evaluation import Evaluator, fixed_starts
+    from experiments.live import LiveView
     from experiments.policies import load_policy, make_policy
     from experiments.recognition import Recognition
     from experiments.settings import check_device
@@ -58,15 +60,22 @@ def evaluate(
         seed=config.seed,
         device=config.device,
         compile=config.compile,
+        frames_per_action=task.checks_per_action if config.live else 1,
     )
     evaluator = Evaluator(env, decision_T=task.interval_T)
     progress.start("evaluation", total=config.episodes)
-    result: dict[str, Any] = evaluator.run(
-        policy,
-        starts=fixed_starts(task, config.episodes, seed=config.seed),
-        on_episodes=progress.advance,
-    ).metrics()
-    env.close()
+    with ExitStack() as stack:
+        stack.callback(env.close)
+        live = None
+        if config.live:
+            live = LiveView(env.base_env, config, is_told=recognition.num_told > 0)
+            stack.callback(live.close)
+        result: dict[str, Any] = evaluator.run(
+            policy,
+            starts=fixed_starts(task, config.episodes, seed=config.seed),
+            on_episodes=progress.advance,
+            on_step=None if live is None else live.settle,
+        ).metrics()
     return {
         "fish": config.checkpoint or config.policy,
         "task": type(task).__name__,

@@ -65,6 +65,7 @@ class Evaluator:
         *,
         starts: TensorDictBase,
         on_episodes: Callable[[int], None] | None = None,
+        on_step: Callable[[TensorDictBase], None] | None = None,
     ) -> Evaluation:
         """Run until the first episode from every start is over.
 
@@ -72,6 +73,7 @@ class Evaluator:
             policy: writes ``action``; a learned one acts greedily.
             starts: ``[E]``, as ``fixed_starts`` gives.
             on_episodes: called with the number of episodes that have just ended.
+            on_step: called after each decision with what the env returned.
 
         Returns:
             The outcome of each start.
@@ -80,13 +82,20 @@ class Evaluator:
         base.load_state_dict(copy_state(self._initial))
         before, base.starts = base.starts, starts.to(self.env.device)
         try:
-            return self._run(policy, num_starts=starts.shape[0], on_episodes=on_episodes)
+            return self._run(
+                policy, num_starts=starts.shape[0], on_episodes=on_episodes, on_step=on_step
+            )
         finally:
             base.starts = before
             base.is_resting = torch.zeros_like(base.is_resting)
 
     def _run(
-        self, policy: Policy, *, num_starts: int, on_episodes: Callable[[int], None] | None
+        self,
+        policy: Policy,
+        *,
+        num_starts: int,
+        on_episodes: Callable[[int], None] | None,
+        on_step: Callable[[TensorDictBase], None] | None,
     ) -> Evaluation:
         num_rows, name = self.env.batch_size[0], self.env.base_env.task.success
         results = TensorDict(
@@ -116,6 +125,8 @@ class Evaluator:
                     [start < 0 for start in running], device=self.env.device
                 )
                 step, state = self.env.step_and_maybe_reset(policy(state))
+                if on_step is not None:
+                    on_step(step)
                 after = step["next"].to("cpu")
                 is_new = after["done"].reshape(-1).tolist()
                 ended = [row for row in range(num_rows) if is_new[row] and running[row] >= 0]

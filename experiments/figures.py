@@ -1,4 +1,4 @@
-"""What a run looks like: learning curve, trajectories, flow, animation; and the rerun file."""
+"""What a run looks like: learning curve, trajectories, flow, animation."""
 
 import csv
 import math
@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 from experiments.flow_pictures import (
     FOOD,
     STYLE,
-    choose_vorticity_limit,
     label_axes,
     write_animation,
     write_flow,
     write_snapshots,
 )
 from experiments.recording import Recording
-from fishrl.viewer import write_recording
 
 # Okabe and Ito: told apart by the colour-blind too.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#7f3fbf", "#555555")
@@ -48,12 +46,12 @@ def write_run_pictures(
     *,
     baselines: Mapping[str, float] | None = None,
 ) -> list[Path]:
-    """Write every picture of a run, and the rerun file of its first capture.
+    """Write every picture of a run.
 
     Args:
         run_dir: run folder; ``metrics.csv`` in it becomes the learning curve, if it is there.
         recordings: episodes; all go into ``trajectories.png``, and the first one that ended with a
-            capture (else the first one) into the flow pictures, the animation and the rerun file.
+            capture (else the first one) into the flow pictures and the animation.
         baselines: rates of success of swimmers that do not learn, by name, drawn as lines.
 
     Returns:
@@ -77,8 +75,6 @@ def write_run_pictures(
     write_flow(shown, written[-1])
     written.append(folder / "capture.gif")
     write_animation(shown, written[-1])
-    written.append(folder / "capture.rrd")
-    write_recording(shown, written[-1], vorticity_limit=choose_vorticity_limit(shown))
     return written
 
 

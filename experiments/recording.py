@@ -1,18 +1,18 @@
 """One episode, kept frame by frame: what the figures and the viewer draw."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from fishrl.physics.diagnostics import compute_vorticity
+from experiments.scenes import TaskView
+from experiments.watching import Watch, run_episodes
+from fishrl.viewer import Frame
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,6 +110,7 @@ def record_episodes(
     starts: TensorDictBase,
     frames_per_T: int = 10,
     on_episodes: Callable[[int], None] | None = None,
+    give: Callable[[int, Frame], None] | None = None,
 ) -> list[Recording]:
     """Run one episode from each start, all side by side, and keep what there is to see.
 
@@ -117,129 +118,66 @@ def record_episodes(
     to the decision before.
 
     Args:
-        env: of a task with food, made with ``frames_per_action=task.checks_per_action``;
-            what it does at the moment is given up. The env of a training that is over will do.
+        env: of a task with food; see ``watching.run_episodes``.
         policy: writes ``action``; a learned one acts greedily.
         starts: ``[E]``, no more than the env has flows.
         frames_per_T: frames per period, about: one of every so many looks that the task takes.
         on_episodes: called with the number of episodes that have just ended.
+        give: called with every frame, too, and the number of the start that it belongs to.
 
     Returns:
         E recordings, in the order of their starts.
     """
-    num_starts, base = starts.shape[0], env.base_env
-    if frames_per_T < 1:
-        raise ValueError(f"frames_per_T = {frames_per_T}: at least one frame per period is needed")
-    if num_starts > base.batch_size[0]:
-        raise ValueError(
-            f"{num_starts} starts, but the env has {base.batch_size[0]} flows: give no more starts"
-        )
-    base.task.check_starts(starts)
-    before = base.starts, base.on_frame
-    base.starts = starts
-    try:
-        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            state = env.reset()
-            row_of = {start: row for row, start in enumerate(state["start_index"].tolist())}
-            recorder = _Recorder(base.task, rows=row_of.values(), frames_per_T=frames_per_T)
-            recorder.keep(base)
-            base.on_frame = recorder.look
-            while recorder.running:
-                step, state = env.step_and_maybe_reset(policy(state))
-                num_ended = recorder.settle(step)
-                if on_episodes is not None and num_ended:
-                    on_episodes(num_ended)
-    finally:
-        base.starts, base.on_frame = before
-    return [recorder.finish(row_of[start]) for start in range(num_starts)]
+    task = env.base_env.task
+    view, config = TaskView(task), task.flow_config()
+    frames: dict[int, list[Frame]] = {}
+    captured: dict[int, bool] = {}
+    watches: list[Watch] = []
+    row_of: dict[int, int] = {}
 
+    def make_watch(start_of: dict[int, int]) -> Watch:
+        row_of.update({start: row for row, start in start_of.items()})
+        frames.update({row: [] for row in start_of})
 
-class _Recorder:
-    """Collects frames row by row until the first episode of each is over.
+        def take(row: int, frame: Frame) -> None:
+            frames[row].append(frame)
+            if give is not None:
+                give(start_of[row], frame)
 
-    Args:
-        task: whose flows these are.
-        rows: which flows to keep.
-        frames_per_T: frames per period, about.
-    """
+        watch = Watch(task, view.read, rows=start_of, frames_per_T=frames_per_T, give=take)
+        watches.append(watch)
+        return watch
 
-    def __init__(self, task: Any, *, rows: Iterable[int], frames_per_T: int) -> None:
-        self.task = task
-        looks_per_T = task.checks_per_action * task.scales.period / task.n_substeps
-        self.stride = max(1, round(looks_per_T / frames_per_T))
-        self.frames_per_T = max(1, round(looks_per_T / self.stride))
-        self.running = set(rows)
-        self.captured = dict.fromkeys(self.running, False)
-        self._frames: dict[int, list[dict[str, Tensor]]] = {row: [] for row in self.running}
-        # Frames of the action under way: its reward is known only when it is over.
-        self._pending: dict[int, list[dict[str, Tensor]]] = {row: [] for row in self.running}
-        self._open = set(self.running)
-        self._num_looks = 0
+    def note(step: TensorDictBase, ended: set[int]) -> None:
+        captured.update({row: bool(step["next", "captured"][row].any()) for row in ended})
+        if on_episodes is not None and ended:
+            on_episodes(len(ended))
 
-    def look(self, env: Any) -> None:
-        """Look at the flows within an action: keep every so many, and every end of an episode."""
-        self._num_looks += 1
-        has_ended = self.task.is_terminated(env.measure()).tolist()
-        ending = {row for row in self._open if has_ended[row]}
-        self.keep(env, self._open if self._num_looks % self.stride == 0 else ending)
-        self._open -= ending
-
-    def keep(self, env: Any, rows: set[int] | None = None) -> None:
-        """Keep a frame of some rows, of all by default."""
-        rows = self.running if rows is None else rows
-        if not rows:
-            return
-        now, markers, age = env.measure(), env.solver.markers(), env.solver.body.age
-        period = self.task.scales.period
-        vorticity = compute_vorticity(env.solver.macroscopic()[1]) * period
-        frame = {
-            "time": age / period,
-            "outline": markers.float(),
-            "vorticity": vorticity.half(),
-            "food": now["food"].float(),
-            "head": now["head"].float(),
-            "heading": now["heading"].float(),
-        }
-        for row in rows:
-            self._pending[row].append({name: v[row].cpu().clone() for name, v in frame.items()})
-
-    def settle(self, step: TensorDictBase) -> int:
-        """Give the frames of an action that is over their action and reward.
-
-        Returns:
-            The number of episodes that it ended.
-        """
-        after = step["next"]
-        ended = set()
-        for row in self.running:
-            action, reward = step["action"][row].cpu(), after["reward"][row].sum().cpu()
-            if not after["diverged"][row].any():
-                self._frames[row] += [
-                    {**frame, "action": action, "reward": reward} for frame in self._pending[row]
-                ]
-            elif not self._frames[row]:
-                # diverged at once: the start is all there is
-                self._frames[row] = [{**self._pending[row][0], "action": action, "reward": reward}]
-            self._pending[row] = []
-            if after["done"][row].any():
-                ended.add(row)
-                self.captured[row] = bool(after["captured"][row].any())
-        self.running -= ended
-        self._open = set(self.running)
-        return len(ended)
-
-    def finish(self, row: int) -> Recording:
-        """Return what was kept of a row."""
-        frames, task = self._frames[row], self.task
-        config = task.flow_config()
-        kept = {name: torch.stack([frame[name] for frame in frames]) for name in frames[0]}
-        self._frames[row] = []
-        return Recording(
+    run_episodes(env, policy, starts, make_watch=make_watch, on_step=note)
+    return [
+        Recording(
             body_length=float(task.scales.body_length),
             period=task.scales.period,
             domain=(config.width, config.height),
-            frames_per_T=self.frames_per_T,
+            frames_per_T=watches[0].frames_per_T,
             capture_radius=float(task.capture_radius),
-            captured=self.captured[row],
-            **kept,
+            captured=captured[row],
+            **_stack(frames.pop(row)),
         )
+        for row in (row_of[start] for start in range(starts.shape[0]))
+    ]
+
+
+def _stack(frames: list[Frame]) -> dict[str, Tensor]:
+    """Return the tensors of a recording."""
+    names = {"outline": "fish", **{name: name for name in ("food", "head", "heading", "reward")}}
+    stacked = {
+        name: torch.stack([frame.values[key] for frame in frames]).float()
+        for name, key in names.items()
+    }
+    return {
+        **stacked,
+        "time": torch.tensor([frame.time for frame in frames], dtype=torch.float64),
+        "vorticity": torch.stack([frame.values["vorticity"] for frame in frames]),
+        "action": torch.stack([frame.values["action"] for frame in frames]),
+    }

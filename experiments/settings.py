@@ -11,6 +11,8 @@ from omegaconf import MISSING
 
 #: How a run learns that does not say.
 DEFAULT_ALGORITHM = {"_target_": "experiments.algorithms.DiscreteSAC"}
+#: Values of ``fishrl.viewer.FieldFormat``, whose module is too slow to import for a setting.
+FIELD_FORMATS = ("jpeg", "u8")
 
 
 class ConfigError(ValueError):
@@ -18,8 +20,47 @@ class ConfigError(ValueError):
 
 
 @dataclass(kw_only=True)
-class TrainConfig:
-    """Settings of a training run.
+class ViewerSettings:
+    """Settings of whatever shows flows.
+
+    Args:
+        live: stream to a viewer on this machine (127.0.0.1) while the flows run.
+        flows: which flows of the batch to show, each in a tab of its own.
+        frames_per_T: about; at most as often as the task looks for the end of an episode.
+        field_format: of the vorticity: jpeg (small) or u8 (values under the mouse).
+        vorticity_limit: at which the colours saturate, 1/T.
+        port: of the live viewer; the next free one if it is taken.
+        live_share: of the wall time that a live view may take from a training or an evaluation.
+    """
+
+    live: bool = False
+    flows: list[int] | None = None
+    frames_per_T: int = 8
+    field_format: str = "jpeg"
+    vorticity_limit: float = 15.0
+    port: int = 9876
+    live_share: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be shown."""
+        _at_least("frames_per_T", self.frames_per_T, 1)
+        if self.field_format not in FIELD_FORMATS:
+            raise ConfigError(
+                f"field_format={self.field_format}: there is no {self.field_format!r}."
+                f"{nearest(self.field_format, FIELD_FORMATS)} "
+                f"There is: {', '.join(FIELD_FORMATS)}."
+            )
+        if self.vorticity_limit <= 0:
+            raise ConfigError(f"vorticity_limit = {self.vorticity_limit}: must be greater than 0")
+        if not 1024 <= self.port <= 65000:
+            raise ConfigError(f"port = {self.port}: allowed is 1024 to 65000")
+        if not 0.0 < self.live_share <= 1.0:
+            raise ConfigError(f"live_share = {self.live_share}: allowed is above 0, up to 1")
+
+
+@dataclass(kw_only=True)
+class TrainConfig(ViewerSettings):
+    """Settings of a training run, beside those of ``ViewerSettings``.
 
     Args:
         task: ``_target_`` and arguments of the task.
@@ -87,6 +128,7 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         """Refuse what cannot run."""
+        super().__post_init__()
         for name in ("num_envs", "total_frames", "batch_size", "buffer_size", "log_frames"):
             _at_least(name, getattr(self, name), 1)
         for name in ("checkpoint_frames", "keep_checkpoints", "eval_frames"):
@@ -104,8 +146,8 @@ class TrainConfig:
 
 
 @dataclass(kw_only=True)
-class EvaluateConfig:
-    """Settings of an evaluation.
+class EvaluateConfig(ViewerSettings):
+    """Settings of an evaluation, beside those of ``ViewerSettings``.
 
     Args:
         task: ``_target_`` and arguments of the task; a checkpoint brings its own unless ``task``
@@ -137,11 +179,67 @@ class EvaluateConfig:
 
     def __post_init__(self) -> None:
         """Refuse what cannot run."""
+        super().__post_init__()
         for name in ("num_envs", "episodes"):
             _at_least(name, getattr(self, name), 1)
         if (self.checkpoint is None) == (self.policy is None):
             raise ConfigError(
                 "give one of checkpoint=<run folder> and policy=<hand-written fish>, such as random"
+            )
+
+
+@dataclass(kw_only=True)
+class ViewConfig(ViewerSettings):
+    """Settings of the program that shows flows, beside those of ``ViewerSettings``.
+
+    Args:
+        task: ``_target_`` and arguments of the task; a run brings its own unless ``task`` or
+            ``preset`` is given.
+        preset: name of the preset.
+        recording: a ``.rrd`` file, or a run folder with one, to open as it is.
+        run: run folder whose learned fish swims.
+        checkpoint: checkpoint whose fish swims.
+        policy: hand-written fish that swims; ``policies.NAMES`` lists those of each task.
+        recognition: as for training; a run brings its own.
+        episodes: fixed starts, one flow each, of which ``flows`` are shown; all by default.
+        periods: T after which episodes are left; nothing lets them end.
+        seed: of the starts; the same as a run's gives those of its last evaluation.
+        device: cpu or cuda.
+        compile: compile the flow solver.
+        save: ``.rrd`` file to write; by default one in the temporary folder.
+        screenshot: PNG to write instead of opening a window.
+        time: of the picture, in T; by default the middle of the recording.
+    """
+
+    task: Any = MISSING
+    preset: str = MISSING
+    recording: str | None = None
+    run: str | None = None
+    checkpoint: str | None = None
+    policy: str | None = None
+    recognition: str | None = None
+    episodes: int = 1
+    periods: float | None = 20.0
+    seed: int = 0
+    device: str = "cpu"
+    compile: bool = True
+    save: str | None = None
+    screenshot: str | None = None
+    time: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be shown."""
+        super().__post_init__()
+        _at_least("episodes", self.episodes, 1)
+        if self.periods is not None and self.periods <= 0:
+            raise ConfigError(f"periods = {self.periods}: must be greater than 0")
+        if self.time is not None:
+            _at_least("time", self.time, 0)
+        sources = (self.recording, self.run, self.checkpoint, self.policy)
+        if sum(source is not None for source in sources) != 1:
+            raise ConfigError(
+                "give one of run=<run folder>, checkpoint=<checkpoint>, policy=<hand-written "
+                "fish>, such as policy=pid preset=gait_small, and the path of a .rrd file"
             )
 
 

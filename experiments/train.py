@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
+#: Flows, and T of each where episodes are long, that a run keeps for the viewer.
+_MAX_FLOWS, _MAX_PERIODS = 3, 20.0
+
 
 def train(
     config: TrainConfig,
@@ -62,6 +65,7 @@ def set_up(
 
     from experiments.algorithms import build_algorithm
     from experiments.config import build
+    from experiments.live import choose_flows
     from experiments.recognition import Recognition, find_machine
     from experiments.run_folder import RunFolder
     from experiments.settings import check_device
@@ -72,6 +76,8 @@ def set_up(
             folder = RunFolder.of_existing(config.resume)
             stack.enter_context(folder.noting_failure())
         check_device(config.device)
+        if config.live:
+            choose_flows(config.flows, config.num_envs, default=[0])
         metrics_logger = build(config.logger)
         choice = find_machine(config.recognition, Path(config.resume or "."))
         recognition = Recognition(build(config.task), choice)
@@ -131,28 +137,48 @@ def draw(training: Training, summary: dict[str, Any]) -> None:
     from experiments.evaluation import fixed_starts
     from experiments.figures import write_learning_curve, write_run_pictures
     from experiments.recording import record_episodes
+    from experiments.scenes import TaskView
     from experiments.training import FINAL_SEED
+    from experiments.watching import draw_episodes
+    from fishrl.viewer import start_drawing
 
-    config, progress = training.config, training.progress
+    config, progress, path = training.config, training.progress, training.folder.path
+    task, env = training.task, training.collector.env
+    actor = training.watch(training.learner.actor)  # stops where the program is told to end
     baselines = {name: summary[f"{name}_success_rate"] for name in summary["baselines"]}
-    if not hasattr(training.task, "locate_food"):  # experiments.transfer draws the others
-        path = training.folder.path
-        write_learning_curve(path / "metrics.csv", path / "learning_curve.png", baselines=baselines)
-        return
-    starts = fixed_starts(training.task, config.final_episodes, seed=FINAL_SEED)
+    starts = fixed_starts(task, config.final_episodes, seed=FINAL_SEED)
     starts = starts[: min(config.picture_episodes, config.num_envs)]
+    flows = list(range(min(_MAX_FLOWS, starts.shape[0])))
+    view = TaskView(task, is_told=training.is_told, vorticity_limit=config.vorticity_limit)
     progress.start("pictures", total=starts.shape[0])
-    recordings = record_episodes(
-        env=training.collector.env,
-        policy=training.watch(training.learner.actor),
-        starts=starts,
-        on_episodes=progress.advance,
-    )
-    write_run_pictures(
-        training.folder.path,
-        recordings,
-        baselines=baselines,
-    )
+    with start_drawing(
+        view.scene,
+        flows=view.name_flows(starts, flows),
+        save=path / "capture.rrd",
+        field_format=config.field_format,
+    ) as drawing:
+        if hasattr(task, "locate_food"):
+            recordings = record_episodes(
+                env=env,
+                policy=actor,
+                starts=starts,
+                on_episodes=progress.advance,
+                give=lambda start, frame: drawing.draw(start, frame) if start in flows else None,
+            )
+            write_run_pictures(path, recordings, baselines=baselines)
+            return
+        draw_episodes(
+            env,
+            actor,
+            starts[flows],
+            view=view,
+            drawing=drawing,
+            flows=flows,
+            frames_per_T=config.frames_per_T,
+            max_T=_MAX_PERIODS,
+        )
+    # experiments.transfer draws the other pictures of a gait
+    write_learning_curve(path / "metrics.csv", path / "learning_curve.png", baselines=baselines)
 
 
 def report(summary: dict[str, Any], *, folder: Path) -> None:

@@ -29,6 +29,7 @@ from experiments.counters import Counters, list_metrics, measure_memory_mb
 from experiments.evaluation import Evaluation, Evaluator, Policy, copy_state, fixed_starts
 from experiments.interruption import Interrupted, Interruption, spare_children
 from experiments.learner import one_thread
+from experiments.live import LiveView
 from experiments.policies import list_baselines, make_policy
 from experiments.progress import Progress
 from experiments.recognition import Recognition
@@ -73,6 +74,7 @@ class Training:
         self.folder, self.metrics_logger, self.progress = folder, metrics_logger, progress
         self.brain = BrainOf.task_of(task, num_told=recognition.num_told)
         self.counters, self.interruption = Counters(), Interruption()
+        self.is_told = recognition.num_told > 0
         self._began = began
         self.decision_T = task.interval_T
         flow = task.flow_config()
@@ -101,6 +103,9 @@ class Training:
             total_frames=-1,
             init_random_frames=config.warmup_frames,
         )
+        self.live: LiveView | None = None
+        if config.live:
+            self.live = LiveView(self.collector.env.base_env, config, is_told=self.is_told)
         self.evaluator = Evaluator(self.collector.env, decision_T=self.decision_T)
 
     def components(self) -> dict[str, Any]:
@@ -156,7 +161,9 @@ class Training:
         return self._compare()
 
     def close(self) -> None:
-        """End the flows and the log."""
+        """End the flows, the log and the live view."""
+        if self.live is not None:
+            self.live.close()
         self.metrics_logger.close()
         self.collector.shutdown()
         self._lock.close()
@@ -188,6 +195,8 @@ class Training:
         start = time.perf_counter()
         batch = next(batches).reshape(-1)
         seconds = time.perf_counter() - start
+        if self.live is not None:
+            self.live.settle(batch)
         counters.collect_seconds += seconds
         counters.frames += batch.numel()
         counters.diverged += self.learner.remember(batch)
@@ -267,10 +276,16 @@ class Training:
         """Evaluate in the flows that training uses, and leave them as they were."""
         state = copy_state(self.collector.state_dict())
         starts = fixed_starts(self.task, num_starts, seed=seed)
+        live = self.live
+        on_step = None if live is None else live.settle
         try:
-            return self.evaluator.run(self.watch(policy), starts=starts, on_episodes=on_episodes)
+            return self.evaluator.run(
+                self.watch(policy), starts=starts, on_episodes=on_episodes, on_step=on_step
+            )
         finally:
             self.collector.load_state_dict(state)
+            if live is not None:
+                live.restart()
 
     def watch(self, policy: Policy) -> Policy:
         """Return a policy that stops where the program was told to end."""

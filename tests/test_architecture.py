@@ -26,7 +26,8 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/envs/", TENSORS | TASK_SIDE),
     ("fishrl/modules/", TENSORS | {"torchrl", "fishrl.modules"}),
     ("fishrl/objectives/", TENSORS | {"torchrl", "fishrl.objectives"}),
-    ("fishrl/viewer.py", {"torch", "numpy", "rerun", "fishrl.physics"}),
+    ("fishrl/viewer/scene.py", {"torch"}),
+    ("fishrl/viewer/", {"torch", "numpy", "rerun", "fishrl.viewer"}),
 )
 TORCHRL_SIDE = {"fishrl.envs.flow_env", "fishrl.envs.transforms"}
 ON_USE = {"rerun", "wandb"}
@@ -113,7 +114,7 @@ def test_only_the_viewer_imports_rerun() -> None:
         for path in _sources("fishrl", "experiments")
         if any(_is_within(name, {"rerun"}) for name in _names(path))
     ]
-    assert set(importers) <= {"fishrl/viewer.py"}
+    assert all(importer.startswith("fishrl/viewer/") for importer in importers)
 
 
 def test_physics_imports_without_torchrl_hydra_rerun_and_wandb() -> None:

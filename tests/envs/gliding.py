@@ -85,6 +85,14 @@ class GlidingSolver:
         stream = still + self.flow.params.stream_speed.float()[:, None]
         return still + 1.0, torch.stack((stream, still), -1)
 
+    def macroscopic(self) -> tuple[Tensor, Tensor]:
+        """Return water that turns like a wheel, with a vorticity of 0.02 per step."""
+        y, x = torch.meshgrid(
+            torch.arange(self.config.height), torch.arange(self.config.width), indexing="ij"
+        )
+        swirl = 0.01 * torch.stack((-y, x)).float()
+        return torch.ones(self.num_envs, *y.shape), swirl.expand(self.num_envs, 2, -1, -1)
+
     @property
     def bodies(self) -> list[Body]:
         return [self.body]

@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,115 +11,22 @@ from tensordict import TensorDict
 from torch import Tensor
 
 import fishrl.envs.task
-from experiments.recording import Recording, _Recorder, record_episodes
+from experiments.recording import Recording, record_episodes
 from fishrl.envs import Predation, make_env
+from fishrl.viewer import Frame
 from tests.envs.gliding import GlidingSolver
 
 Maker = Callable[..., Recording]
-X, Y = 12, 8
 TASK: dict[str, Any] = {
     "body_length": 20, "reynolds": 500.0, "max_wall_speed": 0.15, "wall_margin_bl": 0.15,
     "time_limit": 12, "food_still_T": 99.0,
 }  # fmt: skip
 
 
-class FakeTask:
-    """Four looks per action and period; a row ends where its head passes x = 100."""
-
-    checks_per_action, n_substeps, capture_radius = 4, 8, 1.0
-    scales = SimpleNamespace(period=8, body_length=4)
-
-    def flow_config(self) -> SimpleNamespace:
-        return SimpleNamespace(width=X, height=Y)
-
-    def is_terminated(self, now: TensorDict) -> Tensor:
-        return now["head"][:, 0] > 100.0
-
-
-class FakeEnv:
-    """Two rows whose heads lie at (age, row); row 1 jumps behind x = 100 after ``jump`` steps."""
-
-    def __init__(self, *, jump: int) -> None:
-        self.age, self.jump = torch.zeros(2), jump
-        self.solver: Any = SimpleNamespace(
-            markers=lambda: self.head()[:, None].expand(2, 5, 2),
-            macroscopic=lambda: (None, torch.zeros(2, 2, Y, X)),
-            body=SimpleNamespace(age=self.age),
-        )
-
-    def head(self) -> Tensor:
-        far = torch.tensor([0.0, 200.0]) * (self.age >= self.jump)
-        return torch.stack((self.age + far, torch.tensor([0.0, 1.0])), 1)
-
-    def measure(self) -> TensorDict:
-        return TensorDict(
-            {"head": self.head(), "food": torch.zeros(2, 2), "heading": torch.zeros(2)}, [2]
-        )
-
-
-def act(recorder: _Recorder, env: FakeEnv, **flags: list[bool]) -> int:
-    """Run one action of four looks; flags are what the env says after it."""
-    for _ in range(4):
-        env.age += 2
-        recorder.look(env)
-    none = {"done": [False] * 2, "diverged": [False] * 2, "captured": [False] * 2}
-    after = {name: torch.tensor(value)[:, None] for name, value in {**none, **flags}.items()}
-    after["reward"] = env.age[:, None].clone()
-    return recorder.settle(TensorDict({"action": torch.tensor([0, 2]), "next": after}, [2]))
-
-
-def test_every_so_many_looks_are_kept_and_carry_the_action_and_reward_they_belong_to() -> None:
-    recorder, env = _Recorder(FakeTask(), rows=range(2), frames_per_T=2), FakeEnv(jump=99)
-    recorder.keep(env)
-    act(recorder, env)
-    assert act(recorder, env, done=[True, True]) == 2
-    recording = recorder.finish(1)
-    assert recording.frames_per_T == 2
-    assert recording.time.tolist() == [0.0, 0.5, 1.0, 1.5, 2.0]
-    assert recording.reward.tolist() == [8.0, 8.0, 8.0, 16.0, 16.0]
-    assert recording.action.tolist() == [2] * 5
-    assert recording.head[:, 1].tolist() == [1.0] * 5
-
-
-def test_the_look_that_ends_an_episode_is_its_last_frame() -> None:
-    recorder, env = _Recorder(FakeTask(), rows=range(2), frames_per_T=1), FakeEnv(jump=6)
-    recorder.keep(env)
-    assert act(recorder, env, done=[False, True], captured=[False, True]) == 1
-    recording = recorder.finish(1)
-    assert recording.time.tolist() == [0.0, 0.75]
-    assert recording.captured
-    assert recorder.running == {0}
-
-
-def test_a_flow_that_diverges_is_kept_up_to_the_decision_before() -> None:
-    recorder, env = _Recorder(FakeTask(), rows=range(2), frames_per_T=4), FakeEnv(jump=99)
-    recorder.keep(env)
-    act(recorder, env)
-    act(recorder, env, done=[False, True], diverged=[False, True])
-    assert recorder.finish(1).time.tolist() == [0.0, 0.25, 0.5, 0.75, 1.0]
-
-
-def test_of_a_flow_that_diverges_at_once_the_start_is_kept() -> None:
-    recorder, env = _Recorder(FakeTask(), rows=range(2), frames_per_T=4), FakeEnv(jump=99)
-    recorder.keep(env)
-    act(recorder, env, done=[False, True], diverged=[False, True])
-    assert recorder.finish(1).time.tolist() == [0.0]
-
-
-class TurningWaterSolver(GlidingSolver):
-    """A gliding fish in water that turns like a wheel, so that vorticity is 0.02 per step."""
-
-    def macroscopic(self) -> tuple[None, Tensor]:
-        y, x = torch.meshgrid(
-            torch.arange(self.config.height), torch.arange(self.config.width), indexing="ij"
-        )
-        return None, 0.01 * torch.stack((-y, x)).float().expand(self.num_envs, 2, -1, -1)
-
-
 def test_episodes_are_recorded_from_their_starts_to_the_capture(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(fishrl.envs.task, "InPlaceSolver", TurningWaterSolver)
+    monkeypatch.setattr(fishrl.envs.task, "InPlaceSolver", GlidingSolver)
     task = Predation(**TASK)
     starts = task.sample_starts(2, torch.Generator().manual_seed(0))
     starts["head"] = torch.tensor([[5.0, 2.5], [5.0, 3.75]], dtype=torch.float64) * 20
@@ -129,6 +35,7 @@ def test_episodes_are_recorded_from_their_starts_to_the_capture(
         return td.set("action", torch.ones(3, dtype=torch.int64))
 
     ended: list[int] = []
+    given: list[tuple[int, Frame]] = []
     env = make_env(task=task, num_envs=3, frames_per_action=task.checks_per_action)
     env.rollout(1)  # whatever it did before
     caught, missed = record_episodes(
@@ -136,8 +43,11 @@ def test_episodes_are_recorded_from_their_starts_to_the_capture(
         policy=keep_straight,
         starts=starts,
         on_episodes=ended.append,
+        give=lambda start, frame: given.append((start, frame)),
     )
     assert ended == [1, 1]
+    times = [[frame.time for start, frame in given if start == own] for own in (0, 1)]
+    assert times == [caught.time.tolist(), missed.time.tolist()]
     assert (caught.captured, missed.captured) == (True, False)
     assert caught.reward[-1] == 21.0
     # 2.25 body lengths at 0.4 per period; one look more at the most
@@ -160,7 +70,7 @@ def test_episodes_are_recorded_from_their_starts_to_the_capture(
 def test_no_frames_and_more_starts_than_flows_are_refused(
     monkeypatch: pytest.MonkeyPatch, num_starts: int, frames_per_T: int, message: str
 ) -> None:
-    monkeypatch.setattr(fishrl.envs.task, "InPlaceSolver", TurningWaterSolver)
+    monkeypatch.setattr(fishrl.envs.task, "InPlaceSolver", GlidingSolver)
     task = Predation(**TASK)
     starts = task.sample_starts(num_starts, torch.Generator().manual_seed(0))
     with pytest.raises(ValueError, match=message):

@@ -35,7 +35,6 @@ class ToyPredation:
     turn_degrees, food_limits_bl, food_y_bl = 15.0, (1.5, 3.5), 2.5
     food_still_T, food_direction = 5.0, "up"
     success = "captured"
-    interval_T = 1.0
 
     def __init__(
         self,

@@ -1,0 +1,37 @@
+"""Diverging colours around zero: of the field, and of what neuromasts feel."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: ColorBrewer RdBu, from -1 (blue) over 0 (white) to 1 (red).
+RED_BLUE = (
+    (5, 48, 97), (33, 102, 172), (67, 147, 195), (146, 197, 222), (209, 229, 240), (247, 247, 247),
+    (253, 219, 199), (244, 165, 130), (214, 96, 77), (178, 24, 43), (103, 0, 31),
+)  # fmt: skip
+#: ColorBrewer PRGn, from -1 (purple) over 0 (white) to 1 (green).
+PURPLE_GREEN = (
+    (64, 0, 75), (118, 42, 131), (153, 112, 171), (194, 165, 207), (231, 212, 232), (247, 247, 247),
+    (217, 240, 211), (166, 219, 160), (90, 174, 97), (27, 120, 55), (0, 68, 27),
+)  # fmt: skip
+#: Of lines in plots; Okabe and Ito: told apart by the colour-blind too.
+LINES = (
+    (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (230, 159, 0),
+    (127, 63, 191), (110, 110, 110),
+)  # fmt: skip
+
+Table = tuple[tuple[int, int, int], ...]
+
+
+def quantise(values: NDArray[np.float32], limit: float) -> NDArray[np.uint8]:
+    """Return levels 1 to 255 of values between -limit and limit; 128 is zero."""
+    scaled = np.clip(np.nan_to_num(values / limit), -1.0, 1.0)
+    return np.round(scaled * 127.0 + 128.0).astype(np.uint8)
+
+
+def paint(levels: NDArray[np.uint8], table: Table) -> NDArray[np.uint8]:
+    """Return the colours ``[..., 3]`` of levels."""
+    at = np.clip((np.arange(256) - 1) / 254.0, 0.0, 1.0)
+    position = np.linspace(0.0, 1.0, len(table))
+    colours = np.stack([np.interp(at, position, c) for c in zip(*table, strict=True)], 1)
+    painted: NDArray[np.uint8] = np.round(colours).astype(np.uint8)[levels]
+    return painted

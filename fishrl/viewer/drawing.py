@@ -1,0 +1,334 @@
+"""Frames drawn into a rerun stream.
+
+The y axis points down on a screen and up in the flow: rows are flipped here and nowhere else.
+Everything stands on one timeline, ``sim_time``, on which one second is one period T.
+"""
+
+import logging
+from collections import deque
+from collections.abc import Mapping
+from types import ModuleType, TracebackType
+from typing import Any, Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fishrl.viewer.colours import LINES, PURPLE_GREEN, RED_BLUE, paint, quantise
+from fishrl.viewer.scene import Area, Choice, FieldFormat, Frame, Marks, Outline, Panel, Scene
+
+logger = logging.getLogger(__name__)
+
+TIMELINE = "sim_time"
+#: Where the legends lie, which all flows share.
+LEGEND = "legend"
+_LEGEND_SIZE = (256, 12)
+_LEGAL, _CHOSEN = (120, 170, 130), (230, 159, 0)
+_RIM = (20, 20, 20)
+Points = NDArray[np.float32]
+
+
+def import_rerun() -> ModuleType:
+    """Return rerun, or say what to install."""
+    try:
+        import rerun
+    except ImportError as error:
+        raise ImportError(
+            "rerun is not installed: `pip install 'rerun-sdk>=0.41,<0.42'` brings the viewer"
+        ) from error
+    return rerun
+
+
+def name_flow(flow: int) -> str:
+    """Return the entity below which a flow is drawn."""
+    return f"flow_{flow}"
+
+
+def name_panel(panel: Panel | Choice) -> str:
+    """Return the entity below a flow's that a plot shows."""
+    words = "".join(letter if letter.isalnum() else " " for letter in panel.name).split()
+    return "plots/" + "_".join(words)
+
+
+class Drawing:
+    """Flows of one task, drawn frame by frame into a stream that goes to a file or a viewer.
+
+    Args:
+        stream: rerun's ``RecordingStream``, with its sinks.
+        scene: what there is to see.
+        flows: titles of the flows, by their index.
+        field_format: how the field is stored.
+        is_live: whether it goes to a viewer, too, which may end before.
+    """
+
+    def __init__(
+        self,
+        stream: Any,
+        scene: Scene,
+        *,
+        flows: Mapping[int, str],
+        field_format: FieldFormat = FieldFormat.JPEG,
+        is_live: bool = False,
+    ) -> None:
+        self.stream, self.scene, self.field_format = stream, scene, field_format
+        self._rerun, self._is_live = import_rerun(), is_live
+        self._trails: dict[tuple[int, str], deque[tuple[float, Points]]] = {}
+        self._before: dict[int, Frame] = {}
+        self._draw_legends()
+        for flow, title in flows.items():
+            self._draw_constants(name_flow(flow), title)
+
+    def __enter__(self) -> Self:
+        """Draw within a ``with``."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """End the stream."""
+        self.close()
+
+    def close(self) -> None:
+        """Write what is still on its way, and end the stream."""
+        try:
+            self.stream.flush(timeout_sec=30.0)
+        except RuntimeError as error:
+            if not self._is_live:
+                raise
+            logger.warning("the live viewer has not got everything: %s", error)
+        self.stream.disconnect()
+
+    def draw(self, flow: int, frame: Frame) -> None:
+        """Draw a moment of a flow.
+
+        Args:
+            flow: its index.
+            frame: what it looks like.
+        """
+        rr, scene, root = self._rerun, self.scene, name_flow(flow)
+        self.stream.set_time(TIMELINE, duration=frame.time)
+        field = frame.values.get(scene.field.key)
+        if field is not None:
+            levels = quantise(_to_numpy(field.flip(-2)), scene.field.limit)
+            self._log(f"{root}/world/{scene.field.key}", _encode(rr, levels, self.field_format))
+        for trail in scene.trails:
+            if trail.key in frame.values:
+                self._draw_trail(flow, frame, trail.key, trail.length_T, trail.colour)
+        for outline in scene.outlines:
+            if outline.key in frame.values:
+                self._draw_outline(root, outline, frame.values[outline.key])
+        for marks in scene.marks:
+            if marks.key in frame.values:
+                self._draw_marks(root, marks, frame.values)
+        for panel in scene.panels:
+            if isinstance(panel, Choice):
+                self._draw_choice(f"{root}/{name_panel(panel)}", panel, frame)
+            else:
+                self._draw_panel(f"{root}/{name_panel(panel)}", panel, frame, flow)
+        self._before[flow] = frame
+
+    def _log(self, path: str, what: Any, *, static: bool = False) -> None:
+        self.stream.log(path, what, static=static)
+
+    def _place(self, points: Tensor) -> Points:
+        return place(points, self.scene.height)
+
+    def _draw_outline(self, root: str, outline: Outline, points: Tensor) -> None:
+        curve = self._place(points)
+        lines = [curve]
+        if outline.is_closed:
+            # lines from side to side fill the body: rerun has no filled polygon in two dimensions
+            half = len(curve) // 2
+            ribs = np.stack((curve[1:half], curve[: len(curve) - half : -1]), 1)
+            lines = [np.concatenate((curve, curve[:1])), *ribs]
+        width = 0.35
+        if outline.is_closed:  # so wide that neighbouring ribs touch
+            gaps = np.linalg.norm(np.diff(curve, axis=0), axis=1)
+            width = max(width, 30.0 * float(np.median(gaps)) / self.scene.body_length)
+        self._log(
+            f"{root}/world/{outline.key}",
+            self._make_lines(lines, outline.colour, width, outline.order),
+        )
+
+    def _draw_marks(self, root: str, marks: Marks, values: Mapping[str, Tensor]) -> None:
+        points = self._place(values[marks.key].reshape(-1, 2))
+        colours = np.tile(np.array(marks.colour, np.uint8), (len(points), 1))
+        if marks.value is not None:
+            levels = quantise(_to_numpy(values[marks.value].reshape(-1)), marks.limit)
+            colours = paint(levels, PURPLE_GREEN)
+        rims = np.tile(np.array(_RIM, np.uint8), (len(points), 1))
+        self._log(
+            f"{root}/world/{marks.key}",
+            self._rerun.Points2D(
+                np.concatenate((points, points)),
+                radii=[1.25 * marks.radius] * len(points) + [marks.radius] * len(points),
+                colors=np.concatenate((rims, colours)),
+                draw_order=6.0,
+            ),
+        )
+        if marks.reach > 0.0:
+            angle = np.linspace(0.0, 2.0 * np.pi, 49)
+            circle = marks.reach * np.stack((np.cos(angle), np.sin(angle)), 1)
+            circles = [(point + circle).astype(np.float32) for point in points]
+            self._log(
+                f"{root}/world/{marks.key}_reach",
+                self._make_lines(circles, marks.colour, 0.6, 2.0),
+            )
+
+    def _draw_trail(
+        self, flow: int, frame: Frame, key: str, length_T: float, colour: tuple[int, ...]
+    ) -> None:
+        trail = self._trails.setdefault((flow, key), deque())
+        if frame.begins:
+            trail.clear()
+        trail.append((frame.time, self._place(frame.values[key])))
+        while trail[0][0] < frame.time - length_T:
+            trail.popleft()
+        path = np.stack([point for _, point in trail])
+        self._log(
+            f"{name_flow(flow)}/world/trajectory_{key}",
+            self._make_lines([path], colour, 0.5, 1.0),
+        )
+
+    def _draw_choice(self, path: str, choice: Choice, frame: Frame) -> None:
+        if choice.key in frame.values:
+            self._plot(f"{path}/chosen", float(frame.values[choice.key]))
+        if choice.mask in frame.values:
+            for index, is_legal in enumerate(frame.values[choice.mask].reshape(-1).tolist()):
+                if is_legal:
+                    self._plot(f"{path}/legal_{index}", float(index))
+
+    def _draw_panel(self, path: str, panel: Panel, frame: Frame, flow: int) -> None:
+        before = None if frame.begins else self._before.get(flow)
+        for number, series in enumerate(panel.series):
+            value = _pick(frame, series.key, series.column)
+            if series.is_rate:
+                old = None if before is None else _pick(before, series.key, series.column)
+                span = 0.0 if before is None else frame.time - before.time
+                value = None if value is None or old is None or span <= 0 else (value - old) / span
+            if value is not None and np.isfinite(value):
+                self._plot(f"{path}/{number}", value)
+
+    def _plot(self, path: str, value: float) -> None:
+        self._log(path, self._rerun.Scalars(value))
+
+    def _draw_constants(self, root: str, title: str) -> None:
+        """Draw what holds for the whole recording: areas, names of lines, words."""
+        rr, scene = self._rerun, self.scene
+        for area in scene.areas:
+            self._log(
+                f"{root}/world/{area.key}",
+                self._make_lines(self._hatch(area), area.colour, 0.4, 1.5),
+                static=True,
+            )
+        for panel in scene.panels:
+            path = f"{root}/{name_panel(panel)}"
+            if isinstance(panel, Choice):
+                chosen = rr.SeriesLines(
+                    names="chosen", widths=2, colors=[_CHOSEN], interpolation_mode="StepBefore"
+                )
+                self._log(f"{path}/chosen", chosen, static=True)
+                for index, name in enumerate(panel.names):
+                    dots = rr.SeriesPoints(
+                        names=f"{index}: {name}", colors=[_LEGAL], markers="circle", marker_sizes=2
+                    )
+                    self._log(f"{path}/legal_{index}", dots, static=True)
+                continue
+            mode = "StepBefore" if panel.is_step else "Linear"
+            for number, series in enumerate(panel.series):
+                colour = series.colour or LINES[number % len(LINES)]
+                style = rr.SeriesLines(
+                    names=series.label, widths=1.6, colors=[colour], interpolation_mode=mode
+                )
+                self._log(f"{path}/{number}", style, static=True)
+        about = (
+            f"**{title}**\n\nOne second of `{TIMELINE}` is one period T. Body length "
+            f"L = {scene.body_length:g} nodes; the picture is in nodes.\n\n"
+            f"{scene.field.name}: {scene.field.note}; colours saturate at ±{scene.field.limit:g} "
+            f"{scene.field.unit}. {self._explain_levels()}\n\n{scene.note}"
+        )
+        document = rr.TextDocument(about, media_type="text/markdown")
+        self._log(f"{root}/about", document, static=True)
+
+    def _explain_levels(self) -> str:
+        if self.field_format is FieldFormat.JPEG:
+            return "The colours are stored."
+        return f"A stored value v means (v - 128) / 127 × {self.scene.field.limit:g}."
+
+    def _hatch(self, area: Area) -> list[Points]:
+        """Return a rectangle's border and short strokes on its outer side."""
+        (x0, y0), (x1, y1) = area.low, area.high
+        length = self.scene.body_length
+        step, stroke = 0.125 * length, 0.08 * length
+        corners = torch.tensor([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
+        lines = [self._place(corners)]
+        for x in np.arange(x0, x1, step).tolist():
+            lines += [
+                self._place(torch.tensor([(x, y), (x - sign * stroke, y + sign * stroke)]))
+                for y, sign in ((y0, -1.0), (y1, 1.0))
+            ]
+        for y in np.arange(y0, y1, step).tolist():
+            lines += [
+                self._place(torch.tensor([(x, y), (x + sign * stroke, y - sign * stroke)]))
+                for x, sign in ((x0, -1.0), (x1, 1.0))
+            ]
+        return lines
+
+    def _draw_legends(self) -> None:
+        """Draw a ramp of colours with ticks for the field, and for each coloured set of points."""
+        rr, (width, height) = self._rerun, _LEGEND_SIZE
+        ramp = np.tile(quantise(np.linspace(-1.0, 1.0, width, dtype=np.float32), 1.0), (height, 1))
+        field = self.scene.field
+        bars = [(field.key, field.limit, _encode(rr, ramp, self.field_format))]
+        for marks in self.scene.marks:
+            if marks.value is not None:
+                image = rr.Image(paint(ramp, PURPLE_GREEN), opacity=1.0, draw_order=0.0)
+                bars.append((marks.key, marks.limit, image))
+        for key, limit, image in bars:
+            self._log(f"{LEGEND}/{key}/ramp", image, static=True)
+            ticks = [-1.0, -0.5, 0.0, 0.5, 1.0]
+            places = [((0.5 + 0.5 * tick) * width, height + 1.0) for tick in ticks]
+            labels = [f"{tick * limit:.3g}" for tick in ticks]
+            points = rr.Points2D(
+                places, radii=0.6, colors=[_RIM], labels=labels, show_labels=True, draw_order=1.0
+            )
+            self._log(f"{LEGEND}/{key}/ticks", points, static=True)
+
+    def _make_lines(
+        self, strips: list[Points], colour: tuple[int, ...], width: float, order: float
+    ) -> Any:
+        radius = width * self.scene.body_length / 50.0
+        return self._rerun.LineStrips2D(strips, colors=[colour], radii=radius, draw_order=order)
+
+
+def place(points: Tensor, height: int) -> Points:
+    """Turn node coordinates (y up) into picture coordinates (y down, pixel centres at one half).
+
+    Args:
+        points: ``[..., 2]``.
+        height: of the grid, nodes.
+    """
+    x, y = points.float().unbind(-1)
+    return torch.stack((x + 0.5, height - 0.5 - y), -1).cpu().numpy()
+
+
+def _encode(rr: ModuleType, levels: NDArray[np.uint8], field_format: FieldFormat) -> Any:
+    """Encode levels ``[Y, X]``, top row first."""
+    if field_format is FieldFormat.JPEG:
+        return rr.Image(paint(levels, RED_BLUE), opacity=1.0, draw_order=0.0).compress(85)
+    return rr.DepthImage(levels, colormap="Spectral", depth_range=(1, 255), draw_order=0.0)
+
+
+def _to_numpy(values: Tensor) -> NDArray[np.float32]:
+    return values.detach().float().cpu().numpy()
+
+
+def _pick(frame: Frame, key: str, column: int | None) -> float | None:
+    """Return a number of a frame, None if it is not there."""
+    if key not in frame.values:
+        return None
+    return float(frame.values[key].reshape(-1)[0 if column is None else column])

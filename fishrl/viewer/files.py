@@ -1,0 +1,192 @@
+"""Recordings as ``.rrd`` files: written, opened in a window, photographed without one."""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from fishrl.viewer.blueprint import make_blueprint
+from fishrl.viewer.drawing import TIMELINE, Drawing, import_rerun
+from fishrl.viewer.process import Viewer
+from fishrl.viewer.scene import FieldFormat, Scene
+
+_APPLICATION = "fishrl"
+_PATIENCE_S = 60.0
+_PORT = 29870
+_GREETING_S = 4.5  # for which the viewer shows a word of its own
+_MAX_SIZE = 1920
+_FLUSH_S, _FLUSH_BYTES = 60.0, 2**21
+
+
+def start_drawing(
+    scene: Scene,
+    *,
+    flows: Mapping[int, str],
+    save: str | os.PathLike[str] | None = None,
+    url: str | None = None,
+    field_format: FieldFormat | str = FieldFormat.JPEG,
+) -> Drawing:
+    """Begin to draw flows into a file, a viewer, or both.
+
+    Args:
+        scene: what there is to see.
+        flows: titles of the flows, by their index.
+        save: path of the ``.rrd`` file; one that exists is replaced.
+        url: of a viewer's server, see ``live.Server``.
+        field_format: ``jpeg`` or ``u8``.
+
+    Raises:
+        ValueError: if the format is unknown, or it goes nowhere.
+        FileNotFoundError: if the file's folder does not exist.
+    """
+    chosen = FieldFormat.parse(field_format)
+    if save is None and url is None:
+        raise ValueError("neither save nor url is given: say where the drawing goes")
+    rr = import_rerun()
+    sinks: list[Any] = []
+    name = "live"
+    if save is not None:
+        target = check_folder(save)
+        name = f"{target.absolute().parent.name}-{target.stem}"
+        target.unlink(missing_ok=True)
+        sinks.append(rr.FileSink(str(target)))
+    if url is not None:
+        sinks.append(rr.GrpcSink(url))
+        name = f"{name}-{time.time_ns()}"
+    # chunks carry kilobytes of their own: only who looks on at once needs many small ones
+    batches = rr.ChunkBatcherConfig(flush_tick=_FLUSH_S, flush_num_bytes=_FLUSH_BYTES)
+    stream = rr.RecordingStream(
+        _APPLICATION,
+        recording_id=f"{_APPLICATION}-{name}",
+        batcher_config=batches if url is None else None,
+    )
+    stream.set_sinks(
+        *sinks, default_blueprint=make_blueprint(scene, flows, is_live=url is not None)
+    )
+    return Drawing(stream, scene, flows=flows, field_format=chosen, is_live=url is not None)
+
+
+def open_recording(path: str | os.PathLike[str]) -> None:
+    """Open a ``.rrd`` file in a window and wait until it is closed."""
+    import_rerun()
+    command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", "--port", "auto"]
+    subprocess.run([*command, str(find_recording(path))], check=True)
+
+
+class Picture(NamedTuple):
+    """What one view shows.
+
+    Attributes:
+        name: of the view.
+        origin: the entity that it shows.
+        png: the picture.
+        reports: what the viewer says failed to draw.
+    """
+
+    name: str
+    origin: str
+    png: bytes
+    reports: list[str]
+
+
+def write_screenshot(
+    path: str | os.PathLike[str],
+    picture: str | os.PathLike[str],
+    *,
+    time_T: float | None = None,
+) -> None:
+    """Write what the viewer shows at a time as a PNG, without a window (needs a Vulkan driver).
+
+    Args:
+        path: of the ``.rrd`` file.
+        picture: of the PNG.
+        time_T: when, in T; by default the middle of the recording.
+
+    Raises:
+        FileNotFoundError: if there is no recording, or no folder for the picture.
+    """
+    check_folder(picture)
+    with _headless(path, time_T) as viewer:
+        Path(picture).write_bytes(_settle(viewer))
+
+
+def photograph_views(path: str | os.PathLike[str], *, time_T: float | None = None) -> list[Picture]:
+    """Return a picture of each view in the tab on top, at a time; see ``write_screenshot``."""
+    pictures = []
+    with _headless(path, time_T) as viewer:
+        _settle(viewer)
+        for view in viewer.get_state().views:
+            try:
+                png = viewer.take_screenshot(view.view_id)
+            except ConnectionError as error:
+                if "not found" not in str(error):
+                    raise
+                continue  # in a tab behind
+            reports = [f"{report.severity}: {report.summary}" for report in view.reports]
+            pictures.append(Picture(view.name, view.origin, png, reports))
+    return pictures
+
+
+@contextmanager
+def _headless(path: str | os.PathLike[str], time_T: float | None) -> Iterator[Any]:
+    recording = find_recording(path)
+    import_rerun()
+    from rerun.experimental import ViewerClient
+
+    with Viewer("--headless", "--hide-welcome-screen", port=_PORT) as process:
+        viewer = ViewerClient.connect(process.url)
+        viewer.open(str(recording.resolve()))
+        deadline = time.monotonic() + _PATIENCE_S
+        while viewer.get_state().loading and time.monotonic() < deadline:
+            time.sleep(0.2)
+        moment = _find_middle(viewer) if time_T is None else time_T
+        viewer.set_time(TIMELINE, duration=moment, play_state="paused")
+        yield viewer
+
+
+def _find_middle(viewer: Any) -> float:
+    """Return the middle of what has been loaded, in T."""
+    (recording, *_) = viewer.get_state().recordings
+    spans = [(line.start, line.end) for line in recording.timelines if line.name == TIMELINE]
+    return 0.5e-9 * sum(sum(span) for span in spans)
+
+
+def _settle(viewer: Any) -> bytes:
+    """Return the first screenshot that equals the one before: the viewer draws while it reads."""
+    before, deadline = b"", time.monotonic() + _PATIENCE_S
+    time.sleep(_GREETING_S)
+    while True:
+        time.sleep(0.5)
+        shot: bytes = viewer.take_screenshot(max_size=_MAX_SIZE)
+        if shot == before or time.monotonic() > deadline:
+            return shot
+        before = shot
+
+
+def check_folder(path: str | os.PathLike[str]) -> Path:
+    """Return the path of a file to write.
+
+    Raises:
+        FileNotFoundError: if there is no folder for it.
+    """
+    target = Path(path)
+    if not target.absolute().parent.is_dir():
+        raise FileNotFoundError(f"no folder {target.parent}: make it first")
+    return target
+
+
+def find_recording(path: str | os.PathLike[str]) -> Path:
+    """Return the ``.rrd`` file at a path, or in the run folder at it.
+
+    Raises:
+        FileNotFoundError: if there is none.
+    """
+    file = Path(path)
+    file = file / "capture.rrd" if file.is_dir() else file
+    if not file.is_file() or file.suffix != ".rrd":
+        raise FileNotFoundError(f"no .rrd file at {file}: give one, or a run folder that has one")
+    return file

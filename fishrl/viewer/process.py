@@ -1,0 +1,108 @@
+"""The rerun program as a process of ours: heard on 127.0.0.1 alone, and ended with all it starts.
+
+rerun's own ``serve_grpc``, ``spawn`` and headless viewer listen on every network interface.
+"""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from types import TracebackType
+from typing import Self
+
+from fishrl.viewer.drawing import import_rerun
+
+HOST = "127.0.0.1"
+_PATIENCE_S = 30.0
+_MAX_PORT = 65535
+
+
+class Viewer:
+    """A running rerun program.
+
+    Args:
+        *options: of the program, beside the port.
+        port: where it listens; the next free one if it is taken.
+
+    Attributes:
+        port: where it does listen.
+        url: how one reaches it.
+
+    Raises:
+        ValueError: if no port is free, or it does not start.
+    """
+
+    def __init__(self, *options: str, port: int) -> None:
+        import_rerun()
+        self.port = find_port(port)
+        self.url = f"rerun+http://{HOST}:{self.port}/proxy"
+        self._process = start_rerun("--bind", HOST, "--port", str(self.port), *options)
+        deadline = time.monotonic() + _PATIENCE_S
+        while time.monotonic() < deadline and self._process.poll() is None:
+            if self._listens():
+                return
+            time.sleep(0.05)
+        self.close()
+        raise ValueError(
+            f"rerun does not start on port {self.port} with {' '.join(options)}: see what "
+            "`python -m rerun` says with the same options (without a screen it needs a Vulkan "
+            "driver, such as Mesa's lavapipe), or give another port"
+        )
+
+    def __enter__(self) -> Self:
+        """Run within a ``with``."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """End it."""
+        self.close()
+
+    def close(self) -> None:
+        """End it, and wait until its port is free."""
+        if self._process.poll() is None:
+            os.killpg(self._process.pid, signal.SIGTERM)
+            self._process.wait()
+        deadline = time.monotonic() + _PATIENCE_S
+        while self._listens() and time.monotonic() < deadline:
+            time.sleep(0.05)
+
+    def _listens(self) -> bool:
+        try:
+            socket.create_connection((HOST, self.port), timeout=0.5).close()
+        except OSError:
+            return False
+        return True
+
+
+def start_rerun(*options: str) -> subprocess.Popen[bytes]:
+    """Start rerun in a group of its own: it starts another process, and both end together."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "rerun", *options],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+
+
+def find_port(first: int) -> int:
+    """Return the first port from ``first`` on that nobody on this machine listens to.
+
+    Raises:
+        ValueError: if a hundred are taken.
+    """
+    for port in range(first, min(first + 100, _MAX_PORT)):
+        with socket.socket() as trial:
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                trial.bind((HOST, port))
+            except OSError:
+                continue
+            return port
+    raise ValueError(f"port = {first}: it and the hundred after it are taken; choose another")

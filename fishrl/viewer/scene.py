@@ -1,0 +1,230 @@
+"""What there is to see in a flow: a description that any task can fill, without rerun.
+
+A ``Scene`` says once what is drawn, in what colours and units; a ``Frame`` holds one moment's
+tensors under the keys that the scene names. Places are (x, y) in nodes, y upward; times in T.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+from torch import Tensor
+
+Colour = tuple[int, int, int]
+
+
+class FieldFormat(StrEnum):
+    """How the field is stored: what it costs, and what one can still change in the viewer.
+
+    ``JPEG``: red to blue, small, colours fixed. ``U8``: 255 levels, larger, values under the mouse
+    and the colour map chosen in the viewer.
+    """
+
+    JPEG = "jpeg"
+    U8 = "u8"
+
+    @classmethod
+    def parse(cls, name: str) -> "FieldFormat":
+        """Find a format by its name.
+
+        Raises:
+            ValueError: if there is none of that name.
+        """
+        known = [str(one) for one in cls]
+        if name not in known:
+            raise ValueError(f"field_format = {name!r}: allowed are {known}")
+        return cls(name)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Field:
+    """A field over the whole grid, ``[Y, X]``, drawn in diverging colours around zero.
+
+    Args:
+        key: of its tensor in each frame.
+        name: for the legend.
+        unit: of its values.
+        limit: value at which the colours saturate.
+        note: what the sign means.
+    """
+
+    key: str
+    name: str
+    unit: str
+    limit: float
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse colours without a range."""
+        if not self.limit > 0.0:
+            raise ValueError(f"the limit of {self.name} is {self.limit}: must be positive")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outline:
+    """A curve ``[N, 2]``: closed and filled, or an open line such as a midline.
+
+    Args:
+        key: of its tensor.
+        colour: of it.
+        is_closed: whether it encloses something, which is filled by lines from side to side.
+        order: what is drawn later lies above.
+    """
+
+    key: str
+    colour: Colour
+    is_closed: bool = True
+    order: float = 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Marks:
+    """Points ``[P, 2]`` or one point ``[2]``, in one colour or coloured by a value each.
+
+    Args:
+        key: of their tensor.
+        radius: of a point, nodes.
+        colour: where no value gives one.
+        value: key of the values ``[P]``; they are drawn in diverging colours around zero.
+        name: of the value, for the legend.
+        unit: of the value.
+        limit: value at which the colours saturate.
+        reach: radius of a circle round each, nodes; 0 draws none.
+    """
+
+    key: str
+    radius: float
+    colour: Colour = (120, 120, 120)
+    value: str | None = None
+    name: str = ""
+    unit: str = ""
+    limit: float = 1.0
+    reach: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trail:
+    """The way that a point ``[2]`` has come since its episode began.
+
+    Args:
+        key: of the point.
+        colour: of the line.
+        length_T: how far back it reaches.
+    """
+
+    key: str
+    colour: Colour = (90, 90, 90)
+    length_T: float = 30.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Area:
+    """A rectangle that does not move, outside which lies danger.
+
+    Args:
+        key: its name.
+        low: corner (x, y) in nodes.
+        high: the opposite one.
+        colour: of its border, and of the strokes on the side of the danger.
+    """
+
+    key: str
+    low: tuple[float, float]
+    high: tuple[float, float]
+    colour: Colour = (200, 30, 40)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Series:
+    """One line of a plot.
+
+    Args:
+        key: of its tensor.
+        label: for the legend.
+        column: which of the tensor's numbers; None if it is only one.
+        is_rate: draw its change per T since the frame before instead.
+        colour: of it; by default the viewer chooses.
+    """
+
+    key: str
+    label: str
+    column: int | None = None
+    is_rate: bool = False
+    colour: Colour | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Panel:
+    """A plot over time. NaN and what a frame does not hold is left out.
+
+    Args:
+        name: of the plot, with its unit.
+        series: its lines.
+        span: of the vertical axis; by default what the values need.
+        is_step: values hold since the frame before, rather than at an instant.
+    """
+
+    name: str
+    series: tuple[Series, ...]
+    span: tuple[float, float] | None = None
+    is_step: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """The plot of the action: a line for the chosen one, dots for those that were legal.
+
+    Args:
+        names: of the actions, in their order.
+        key: of the action.
+        mask: key of ``[num_actions]`` bool.
+    """
+
+    names: tuple[str, ...]
+    key: str = "action"
+    mask: str = "action_mask"
+    name: str = "action (line) among the legal ones (dots)"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """What there is to see in each flow of a task.
+
+    Args:
+        body_length: L, nodes.
+        width: of the grid, nodes along x.
+        height: of the grid, nodes along y.
+        field: the flow.
+        outlines: bodies and lines, from below to above.
+        marks: points.
+        trails: ways of points.
+        areas: rectangles.
+        panels: plots beside the flow.
+        note: what else one should know, markdown.
+    """
+
+    body_length: float
+    width: int
+    height: int
+    field: Field
+    outlines: tuple[Outline, ...] = ()
+    marks: tuple[Marks, ...] = ()
+    trails: tuple[Trail, ...] = ()
+    areas: tuple[Area, ...] = ()
+    panels: tuple[Panel | Choice, ...] = ()
+    note: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """One moment of one flow.
+
+    Args:
+        time: in T, not before that of the frame before.
+        values: tensors by the keys of the scene; those that are missing are not drawn.
+        begins: whether an episode begins here.
+    """
+
+    time: float
+    values: Mapping[str, Tensor]
+    begins: bool = False

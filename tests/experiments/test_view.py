@@ -1,0 +1,220 @@
+"""The program that shows flows, and trainings that are looked at, on fish that glide."""
+
+from __future__ import annotations
+
+import csv
+import re
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from experiments import view
+from experiments.command_line import view_settings
+from experiments.config import load_config, resumed_settings, to_plain
+from experiments.evaluate import evaluate
+from experiments.live import LiveView, choose_flows
+from experiments.run_folder import write_yaml
+from experiments.settings import ConfigError, EvaluateConfig
+from experiments.train import train
+from fishrl.viewer import Drawing, Frame
+from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
+from tests.experiments.test_gait import SETTINGS
+
+pytestmark = pytest.mark.usefixtures("gliding")
+
+TASK = [f"task.{name}={value}" for name, value in {**SMALL, "wall_margin_bl": 0.25}.items()]
+GAIT = ["preset=gait_small", *TASK, "compile=false"]
+
+
+def list_entities(path: Path) -> str:
+    command = [sys.executable, "-m", "rerun", "rrd", "print", "-v", str(path)]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+def test_some_flows_of_a_batch_are_recorded_and_their_size_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "x.rrd"
+    arguments = ["policy=pid", "episodes=4", "flows=[1,3]", "periods=1", f"save={path}"]
+    view.main([*GAIT, "recognition=oracle", *arguments])
+    said = capsys.readouterr().out
+    number = r"(\d+\.\d+)"
+    words = rf"{path}: {number} MB for 2 flows, {number} T of them together; {number} MB per 100 T"
+    size, periods, per_100 = map(float, re.match(words, said).groups())
+    assert size == pytest.approx(path.stat().st_size / 1e6, abs=0.005)
+    assert 1.7 < periods < 4.0  # whole decisions, which are longer than half a T at this size
+    assert per_100 == pytest.approx(100.0 * size / periods, rel=0.05)
+    shown = list_entities(path)
+    assert "/flow_1/plots/class_probabilities/2" in shown
+    assert "/flow_3/world/neuromasts" in shown
+    assert "/flow_0/" not in shown
+
+
+def test_the_learned_fish_of_a_run_is_shown_in_its_own_task(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = load_config("train", [*SETTINGS, f"folder={tmp_path}", "name=run"])
+    config.recognition, config.baselines, config.picture_episodes = "oracle", [], 2
+    config.total_frames = config.eval_frames = 16
+    train(config)
+    assert "/flow_0/plots/class_probabilities" in list_entities(tmp_path / "run" / "capture.rrd")
+    settings = view_settings([f"run={tmp_path / 'run'}", "task.stream.speeds_bl=[1.0,1.2,1.4]"])
+    assert (settings.recognition, settings.preset) == ("oracle", "gait_small")
+    assert settings.task["body_length"] == 20
+    assert settings.task["stream"]["speeds_bl"] == [1.0, 1.2, 1.4]
+    assert settings.task["stream"]["_target_"] == "fishrl.envs.streams.Stream"
+    path = tmp_path / "x.rrd"
+    view.main([f"run={tmp_path / 'run'}", f"save={path}", "periods=1", "compile=false"])
+    assert path.is_file()
+
+
+def test_a_path_alone_opens_the_recording_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "it's = a run"
+    folder.mkdir()
+    (folder / "capture.rrd").touch()
+    opened: list[Path] = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr("fishrl.viewer.open_recording", opened.append)
+    monkeypatch.chdir(tmp_path)
+    (folder / "capture.rrd").rename(tmp_path / "it's one.rrd")
+    view.main(["it's one.rrd"])
+    assert opened == [Path("it's one.rrd")]
+
+
+def test_a_live_view_streams_and_stays_until_nobody_looks(tmp_path: Path) -> None:
+    config = view_settings([*GAIT, "policy=pid", "live=true", "periods=1", "port=29600"])
+    waited: list[bool] = []
+
+    def wait() -> None:
+        socket.create_connection(("127.0.0.1", 29600), timeout=2.0).close()
+        waited.append(True)
+
+    view.view(config, wait=wait)
+    assert waited == [True]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "error: give one of run=<run folder>"),
+        (["policy=pid", "run=x"], "error: give one of run=<run folder>"),
+        (["--screenshot", "x.png"], "error: --screenshot: settings are written key=value"),
+        (["nowhere.rrd"], r"error: no \.rrd file at nowhere\.rrd"),
+        (["run=nowhere"], "error: checkpoint nowhere: there is none"),
+        (["policy=pidd", "save=x.rrd"], "error: policy=pidd: there is no 'pidd'. Did you mean"),
+        (["policy=pid", "frames_per_T=0"], "error: frames_per_T = 0: must be at least 1"),
+        (["policy=pid", "field_format=jpg"], "error: field_format=jpg: there is no 'jpg'. Did"),
+        (["policy=pid", "vorticity_limit=0"], "error: vorticity_limit = 0.*: must be greater"),
+        (["policy=pid", "port=80"], "error: port = 80: allowed is 1024 to 65000"),
+        (["policy=pid", "live_share=0"], "error: live_share = 0.*: allowed is above 0, up to 1"),
+        (["policy=pid", "episodes=0"], "error: episodes = 0: must be at least 1"),
+        (["policy=pid", "periods=0"], "error: periods = 0.*: must be greater than 0"),
+        (["policy=pid", "time=-1"], "error: time = -1.*: must be at least 0"),
+        (["policy=pid", "flow=[0]"], r"error: flow=\.\.\.: there is no 'flow'. Did you mean 'flow"),
+        ([*GAIT, "policy=pid", "flows=[1]", "save=x.rrd"], r"error: flows=\[1\]: give some of 0 "),
+        ([*GAIT, "policy=pid", "save=nowhere/x.rrd"], "error: no folder nowhere: make it first"),
+        (
+            [*GAIT, "policy=pid", "save=x.rrd", "screenshot=nowhere/x.png"],
+            "error: no folder nowhere: make it first",
+        ),
+        ([*GAIT, "policy=pid"], "error: there is no screen here to open a window on: give save="),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(
+    arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("fishrl.viewer.has_screen", lambda: False)
+    with pytest.raises(SystemExit, match=said) as error:
+        view.main(arguments)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("flows", [[], [2], [-1], [0, 0]])
+def test_flows_that_are_not_there_are_refused(flows: list[int]) -> None:
+    with pytest.raises(ConfigError, match="give some of 0 to 1, each once"):
+        choose_flows(flows, 2, default=[0])
+
+
+def test_a_training_that_cannot_be_shown_leaves_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"flows=\[9\]: give some of 0 to 3, each once"):
+        train(load_config("train", [*SETTINGS, f"folder={tmp_path}", "live=true", "flows=[9]"]))
+    assert not list(tmp_path.iterdir())
+
+
+class Drawn:
+    """Notes the frames that a drawing gets, and lets it draw them."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.frames: list[tuple[int, Frame]] = []
+        draw = Drawing.draw
+
+        def note(drawing: Drawing, flow: int, frame: Frame) -> None:
+            self.frames.append((flow, frame))
+            draw(drawing, flow, frame)
+
+        monkeypatch.setattr(Drawing, "draw", note)
+
+
+def read_rows(folder: Path) -> list[dict[str, str]]:
+    with (folder / "metrics.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    return [{k: v for k, v in row.items() if not k.startswith("time/")} for row in rows]
+
+
+def test_a_training_that_is_looked_at_learns_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = [*SETTINGS, "recognition=oracle", f"folder={tmp_path}", "picture_episodes=0"]
+    settings += ["total_frames=32", "warmup_frames=8", "eval_frames=16", "eval_episodes=2"]
+    settings += ["final_episodes=1", "baselines=[]", "task.time_limit=4"]
+    train(load_config("train", [*settings, "name=alone"]))
+    drawn = Drawn(monkeypatch)
+    seen = ["name=seen", "live=true", "flows=[1,2]", "port=29620", "live_share=1.0"]
+    summary = train(load_config("train", [*settings, *seen]))
+    assert read_rows(tmp_path / "seen") == read_rows(tmp_path / "alone")
+    assert summary["frames"] == 32
+    for flow in (1, 2):
+        frames = [frame for own, frame in drawn.frames if own == flow]
+        # 8 decisions of half a T each in training alone, about 8 frames in a T
+        assert len(frames) > 8 * 0.5 * 8 * 0.7
+        times = [frame.time for frame in frames]
+        assert times == sorted(times)
+        assert sum(frame.begins for frame in frames) > 1  # evaluations, and training again
+        assert {"flow_probabilities", "action_mask", "felt"} <= set(frames[0].values)
+    assert {flow for flow, _ in drawn.frames} == {1, 2}
+
+
+def test_an_evaluation_that_is_looked_at_finds_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = load_config("evaluate", [*GAIT, "policy=bang_bang", "episodes=3", "num_envs=2"])
+    config.task["time_limit"] = 4
+    alone = evaluate(config)
+    drawn = Drawn(monkeypatch)
+    config.live, config.port, config.flows = True, 29640, [1]
+    assert evaluate(config) == alone
+    assert {flow for flow, _ in drawn.frames} == {1}
+
+
+def test_a_resumed_run_is_looked_at_only_when_asked(tmp_path: Path) -> None:
+    config = load_config("train", ["live=true"])
+    write_yaml(tmp_path / "config.yaml", to_plain(config))
+    assert not resumed_settings(str(tmp_path), []).live
+    assert resumed_settings(str(tmp_path), ["live=true"]).live
+
+
+def test_a_live_view_leaves_the_env_without_a_watcher() -> None:
+    from fishrl.envs import KarmanGait, make_env
+
+    task = KarmanGait(**{**SMALL, "wall_margin_bl": 0.25})
+    env = make_env(task=task, num_envs=1, compile=False)
+    settings: Any = EvaluateConfig(task={}, preset="x", policy="pid", port=29660)
+    live = LiveView(env.base_env, settings, is_told=False)
+    assert env.base_env.on_frame is not None
+    live.close()
+    assert env.base_env.on_frame is None

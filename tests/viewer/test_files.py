@@ -1,0 +1,170 @@
+"""Recordings in files: they verify, every view draws, and errors say what to do."""
+
+import io
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fishrl.viewer import (
+    FieldFormat,
+    find_recording,
+    has_screen,
+    open_recording,
+    photograph_views,
+    start_drawing,
+    write_screenshot,
+)
+from fishrl.viewer import files as files_module
+from tests.viewer.scenes import make_frame, make_scene
+
+FLOWS = {0: "flow 0: slow", 3: "flow 3: fast"}
+ENTITIES = {
+    *(f"/flow_{i}/world/{name}" for i in FLOWS for name in ("vorticity", "fish", "midline")),
+    *(f"/flow_{i}/plots/{name}" for i in FLOWS for name in ("reward/0", "power_x_T/0")),
+    "/flow_0/world/food", "/flow_0/world/food_reach", "/flow_0/world/neuromasts",
+    "/flow_0/world/danger_area", "/flow_0/world/trajectory_head", "/flow_0/about",
+    "/flow_0/plots/class_probabilities/1", "/flow_0/plots/angle/0",
+    "/legend/vorticity/ramp", "/legend/neuromasts/ticks",
+}  # fmt: skip
+
+
+def write(path: Path, *, num_frames: int = 3, field_format: str = "jpeg") -> None:
+    with start_drawing(make_scene(), flows=FLOWS, save=path, field_format=field_format) as drawing:
+        for number in range(num_frames):
+            for flow in FLOWS:
+                drawing.draw(flow, make_frame(number))
+
+
+def run_rerun(*arguments: str) -> str:
+    command = [sys.executable, "-m", "rerun", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("field_format", list(FieldFormat))
+def test_the_file_verifies_and_holds_every_entity_of_every_flow(
+    tmp_path: Path, field_format: FieldFormat
+) -> None:
+    path = tmp_path / "flows.rrd"
+    write(path, field_format=field_format)
+    run_rerun("rrd", "verify", str(path))
+    shown = run_rerun("rrd", "print", "-vvv", str(path))
+    assert {entity for entity in ENTITIES if entity in shown} == ENTITIES
+
+
+def test_writing_the_same_file_twice_replaces_it(tmp_path: Path) -> None:
+    path = tmp_path / "flows.rrd"
+    write(path, num_frames=20)
+    size = path.stat().st_size
+    write(path, num_frames=1)
+    assert path.stat().st_size < size
+    run_rerun("rrd", "verify", str(path))
+
+
+def test_many_frames_go_into_few_chunks(tmp_path: Path) -> None:
+    path = tmp_path / "flows.rrd"
+    write(path, num_frames=1)
+    once = path.stat().st_size
+    write(path, num_frames=41)
+    # a chunk for each frame and entity would take another 2 kB for each of 2 x 18 entities
+    assert (path.stat().st_size - once) / 40 < 2 * 18 * 1000
+
+
+@pytest.mark.skipif(
+    not list(Path("/usr/share/vulkan/icd.d").glob("*.json")),
+    reason="the viewer needs a Vulkan driver: apt install mesa-vulkan-drivers",
+)
+@pytest.mark.parametrize("field_format", ["jpeg", pytest.param("u8", marks=pytest.mark.slow)])
+def test_every_view_of_a_recording_draws(tmp_path: Path, field_format: str) -> None:
+    path = tmp_path / "flows.rrd"
+    write(path, num_frames=9, field_format=field_format)
+    pictures = {picture.name: picture for picture in photograph_views(path, time_T=1.5)}
+    scene = make_scene()
+    expected = {"flow 0: slow", "vorticity [1/T]", "pressure [ρ]", "about"}
+    assert set(pictures) == expected | {panel.name for panel in scene.panels}
+    for name, picture in pictures.items():
+        assert picture.reports == [], name
+        assert picture.origin.startswith(("/flow_0", "/legend"))
+        pixels = read(picture.png)
+        assert count_colours(pixels) >= 8, f"{name} is empty"
+    flow = read(pictures["flow 0: slow"].png)
+    warm, cold = flow[..., 0] - flow[..., 2] > 80, flow[..., 2] - flow[..., 0] > 80
+    assert warm.mean() > 0.02
+    assert cold.mean() > 0.02
+    for panel in scene.panels:
+        pixels = read(pictures[panel.name].png)
+        colourful = pixels.max(-1) - pixels.min(-1) > 60  # grids and letters are grey
+        assert colourful.sum() > 100, f"{panel.name} has no line"
+
+
+def read(png: bytes) -> np.ndarray:
+    with Image.open(io.BytesIO(png)) as picture:
+        return np.asarray(picture.convert("RGB")).astype(int)
+
+
+def count_colours(pixels: np.ndarray) -> int:
+    return len(np.unique(pixels.reshape(-1, 3), axis=0))
+
+
+def test_a_screenshot_into_no_folder_is_refused(tmp_path: Path) -> None:
+    write(tmp_path / "flows.rrd", num_frames=1)
+    with pytest.raises(FileNotFoundError, match=r"no folder .*nowhere: make it first"):
+        write_screenshot(tmp_path / "flows.rrd", tmp_path / "nowhere" / "x.png")
+
+
+def test_an_unknown_field_format_names_those_allowed(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"field_format = 'png': allowed are \['jpeg', 'u8'\]"):
+        write(tmp_path / "x.rrd", field_format="png")
+
+
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"no folder .*nowhere: make it first"):
+        write(tmp_path / "nowhere" / "x.rrd")
+
+
+def test_a_drawing_that_goes_nowhere_is_refused() -> None:
+    with pytest.raises(ValueError, match="say where the drawing goes"):
+        start_drawing(make_scene(), flows=FLOWS)
+
+
+def test_without_rerun_the_error_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    with pytest.raises(ImportError, match="pip install 'rerun-sdk"):
+        write(tmp_path / "x.rrd")
+
+
+def test_a_run_folder_stands_for_its_capture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path / "capture.rrd", num_frames=1)
+    assert find_recording(tmp_path) == tmp_path / "capture.rrd"
+    opened: list[list[str]] = []
+    monkeypatch.setattr(
+        files_module.subprocess, "run", lambda command, check: opened.append(command)
+    )
+    open_recording(tmp_path)
+    (command,) = opened
+    assert command[-1] == str(tmp_path / "capture.rrd")
+    assert command[command.index("--bind") + 1] == "127.0.0.1"
+
+
+def test_a_recording_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"no \.rrd file at .*capture\.rrd"):
+        find_recording(tmp_path)
+
+
+@pytest.mark.parametrize("variable", ["DISPLAY", "WAYLAND_DISPLAY"])
+def test_a_screen_is_known_by_its_variable(monkeypatch: pytest.MonkeyPatch, variable: str) -> None:
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    assert not has_screen()
+    monkeypatch.setenv(variable, ":0")
+    assert has_screen()
