@@ -51,10 +51,10 @@ REAL: dict[str, dict[str, Any]] = {
         "safe_area.aside_bl": 0.5,
     },
 }
-GLIDING: dict[str, Any] = {**SMALL, "wall_margin_bl": 0.25, "time_limit": 6}
+GLIDING: dict[str, Any] = SMALL | BRIEF | {"wall_margin_bl": 0.25}
 FEW = [
-    *("compile=false", "num_envs=2", "total_frames=8", "warmup_frames=4", "updates_per_frame=1"),
-    *("batch_size=4", "hidden=[8]", "log_frames=4", "checkpoint_frames=8", "eval_frames=8"),
+    *("compile=false", "num_envs=2", "total_frames=4", "warmup_frames=2", "updates_per_frame=1"),
+    *("batch_size=2", "hidden=[8]", "log_frames=2", "checkpoint_frames=4", "eval_frames=4"),
     *("eval_episodes=1", "final_episodes=1", "task.time_limit=2"),
 ]
 
@@ -148,22 +148,21 @@ OTHERS = [
 @pytest.mark.usefixtures("gliding")
 @pytest.mark.parametrize("choice", ["logger=csv", *OTHERS])
 def test_every_algorithm_and_every_other_choice_trains(choice: str, runs: Path) -> None:
-    _train(runs, choice.replace("=", "-"), choice, *_set_task(SMALL))
+    _train(runs, choice.replace("=", "-"), choice, *_set_task(GLIDING))
 
 
 @pytest.mark.usefixtures("gliding")
 @pytest.mark.parametrize("preset", GROUPS["preset"])
 def test_every_preset_makes_its_task(preset: str, runs: Path) -> None:
-    sizes = GLIDING if preset.startswith("gait") else SMALL
-    _train(runs, f"preset-{preset}", f"preset={preset}", *_set_task(sizes))
+    _train(runs, f"preset-{preset}", f"preset={preset}", *_set_task(GLIDING))
 
 
 @pytest.mark.usefixtures("gliding")
 @pytest.mark.parametrize("policy", NAMES)
 def test_every_hand_written_fish_is_evaluated(policy: str) -> None:
     is_hunter = policy in list_baselines(Predation(**SMALL))
-    task, sizes = ("predation", SMALL) if is_hunter else ("karman_gait", GLIDING)
-    chosen = [f"policy={policy}", f"task={task}", *_set_task(sizes), "task.time_limit=2"]
+    task = "predation" if is_hunter else "karman_gait"
+    chosen = [f"policy={policy}", f"task={task}", *_set_task(GLIDING), "task.time_limit=2"]
     _run("evaluate", *chosen, "episodes=2", "num_envs=2", "compile=false")
 
 
@@ -189,7 +188,7 @@ def test_a_gait_is_tried_in_all_streams_and_its_page_is_written(
     holder: Path, tmp_path: Path
 ) -> None:
     trial, sweep = tmp_path / "transfer", tmp_path / "sweep"
-    _run("transfer", holder, "--episodes", 1, "--folder", trial)
+    _run("transfer", holder, "--episodes", 1, "--hand-written", "pid", "--folder", trial)
     _run(
         *("drift_sweep", "--starts", 1, "--periods", 1, "--frequencies", 0.9, 1.8),
         *("--body-length", 32, "--folder", sweep),
@@ -208,8 +207,7 @@ def test_a_lateral_line_is_studied(tmp_path: Path) -> None:
     few = ["num_samples=96", "max_decisions=2", "num_envs=6", "num_splits=1", "num_epochs=2"]
     few += ["paper_epochs=1", "windows=[1]", "noises=[0.0]", "memories=[0.0]", "hidden=[8]"]
     places = [f"folder={tmp_path}", "name=line", f"data_folder={tmp_path / 'data'}"]
-    sizes = {name: value for name, value in GLIDING.items() if name != "time_limit"}
-    _run("train_lateral_line", *few, *places, *_set_task(sizes), "compile=false")
+    _run("train_lateral_line", *few, *places, *_set_task(GLIDING), "compile=false")
     assert (tmp_path / "line" / "machine.pt").is_file()
 
 
@@ -219,7 +217,7 @@ def test_the_solver_is_judged_by_a_case(tmp_path: Path) -> None:
 
 def test_the_memory_of_flows_is_measured(tmp_path: Path) -> None:
     _run(
-        *("benchmark", "--groups", "memory", "--body-length", 32, "--rounds", 1),
+        *("benchmark", "--groups", "memory", "--body-length", 80, "--rounds", 2),
         *("--burst", 0.01, "--threads", 1, "--folder", tmp_path),
     )
 
