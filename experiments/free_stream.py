@@ -32,12 +32,17 @@ from fishrl.modules import PID
 
 
 def make_trial(
-    *, preset: str, max_frequency: float, num_frequencies: int, frequency: float
+    *,
+    preset: str,
+    max_frequency: float,
+    num_frequencies: int,
+    frequency: float,
+    max_wall_speed: float,
 ) -> Trial:
     """Return the fish: it may beat at any of ``num_frequencies`` up to ``max_frequency`` per T."""
     steps = num_frequencies - 1
     frequencies = tuple(max_frequency * step / steps for step in range(num_frequencies))
-    task = load_task(preset)
+    task = replace(load_task(preset), max_wall_speed=max_wall_speed)
     checks = ceil(task.checks_per_action * max_frequency / task.control.max_frequency)
     task = replace(
         task,
@@ -101,6 +106,12 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=4, help="in each flow")
     parser.add_argument("--periods", type=int, default=30, help="T that each swims")
     parser.add_argument("--max-frequency", type=float, default=10.0, help="beats per T")
+    parser.add_argument(
+        "--max-wall-speed",
+        type=float,
+        default=0.1,
+        help="so fast a tail diverges at the wake's 0.15",
+    )
     parser.add_argument("--frequency", type=float, default=5.0, help="of the controller at rest")
     parser.add_argument("--wake", type=Path, default=Path("runs/transfer"), help="transfer test")
     parser.add_argument("--arm", default="both modules", help="its fish to compare with")
@@ -113,6 +124,7 @@ def main() -> None:
             max_frequency=arguments.max_frequency,
             num_frequencies=81,
             frequency=arguments.frequency,
+            max_wall_speed=arguments.max_wall_speed,
         )
         num_decisions = round(arguments.periods / trial.task.interval_T)
         histories = run_trial(
