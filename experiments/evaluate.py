@@ -68,7 +68,7 @@ def evaluate(
         stack.callback(env.close)
         live = None
         if config.live:
-            live = LiveView(env.base_env, config, is_told=recognition.num_told > 0)
+            live = LiveView(env.base_env, config, is_told=recognition.is_told)
             stack.callback(live.close)
         result: dict[str, Any] = evaluator.run(
             policy,

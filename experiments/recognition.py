@@ -30,7 +30,8 @@ class Recognition:
 
     Attributes:
         task: which takes the row of frequencies that it is told, if it is.
-        num_told: numbers that stand behind each observation, one per flow.
+        is_told: whether anybody tells.
+        num_told: numbers that stand behind each observation: one per flow, or none.
 
     Raises:
         ConfigError: if the task has no flows to tell apart.
@@ -38,7 +39,7 @@ class Recognition:
     """
 
     def __init__(self, task: Any, choice: str | None, *, memory: float = 0.7) -> None:
-        self.task, self.num_told = task, 0
+        self.task, self.num_told, self.is_told = task, 0, choice is not None
         self._memory = memory
         self._machine: LateralLineMachine | None = None
         if choice is None:
@@ -48,7 +49,8 @@ class Recognition:
                 f"recognition={choice}: {type(task).__name__} has no flows to tell apart; leave it "
                 "away, or take task=karman_gait"
             )
-        self.num_told = len(task.flow_labels)
+        self._num_flows = len(task.flow_labels)
+        self.num_told = self._num_flows if task.observes_flow else 0
         if task.control.num_flows is not None:
             self.task = replace(task, reads_flow_class=True)
         if choice != ORACLE:
@@ -57,15 +59,16 @@ class Recognition:
 
     def make_transforms(self) -> list[Transform]:
         """Return new transforms for one environment."""
-        if self.num_told == 0:
+        if not self.is_told:
             return []
+        is_observed = self.num_told > 0
         if self._machine is None:
-            return [KnowFlow(num_flows=self.num_told)]
-        return make_recognition(self._machine, memory=self._memory)
+            return [KnowFlow(num_flows=self._num_flows, is_observed=is_observed)]
+        return make_recognition(self._machine, memory=self._memory, is_observed=is_observed)
 
     def equip(self, make_env: Callable[..., EnvBase]) -> Callable[..., EnvBase]:
         """Return a maker of environments that tell the fish."""
-        if self.num_told == 0:
+        if not self.is_told:
             return make_env
         return partial(make_env, transforms=self.make_transforms())
 

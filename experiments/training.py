@@ -74,7 +74,7 @@ class Training:
         self.folder, self.metrics_logger, self.progress = folder, metrics_logger, progress
         self.brain = BrainOf.task_of(task, num_told=recognition.num_told)
         self.counters, self.interruption = Counters(), Interruption()
-        self.is_told = recognition.num_told > 0
+        self.is_told = recognition.is_told
         self._began = began
         self.decision_T = task.interval_T
         flow = task.flow_config()

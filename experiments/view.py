@@ -66,7 +66,7 @@ def record(
         policy = load_policy(source, task=task, num_told=recognition.num_told, device=config.device)
     else:
         policy = make_policy(str(config.policy), task=task, seed=config.seed)
-    view = TaskView(task, is_told=recognition.num_told > 0, vorticity_limit=config.vorticity_limit)
+    view = TaskView(task, is_told=recognition.is_told, vorticity_limit=config.vorticity_limit)
     starts = fixed_starts(task, config.episodes, seed=config.seed)
     max_T = task.time_limit * task.interval_T
     if config.periods is not None:

@@ -23,17 +23,22 @@ class NameFlow(Transform):
     which the environment picks the row of frequencies at the next step, and appends the
     probabilities to ``observation``. It belongs before the frames are stacked.
 
+    A brain that learns in one flow alone should not observe them: numbers that never change while
+    it learns have weights that nobody has trained, which another flow then brings into play.
+
     Args:
         num_flows: n.
         in_key: what the probabilities are made of.
+        is_observed: append them to the observation.
     """
 
-    def __init__(self, *, num_flows: int, in_key: str) -> None:
+    def __init__(self, *, num_flows: int, in_key: str, is_observed: bool = True) -> None:
+        observed = ["observation"] if is_observed else []
         super().__init__(
-            in_keys=[in_key, "observation"],
-            out_keys=["flow_probabilities", "flow_class", "observation"],
+            in_keys=[in_key, *observed],
+            out_keys=["flow_probabilities", "flow_class", *observed],
         )
-        self.num_flows = num_flows
+        self.num_flows, self.is_observed = num_flows, is_observed
 
     @abstractmethod
     def compute_probabilities(self, now: TensorDictBase, *, begins: Tensor | None) -> Tensor:
@@ -84,19 +89,21 @@ class NameFlow(Transform):
     @torch.no_grad()
     def _write(self, now: TensorDictBase, *, begins: Tensor | None) -> TensorDictBase:
         probabilities = self.compute_probabilities(now, begins=begins)
-        observation = now["observation"]
         now.set("flow_probabilities", probabilities)
         now.set("flow_class", probabilities.argmax(-1))
-        now.set("observation", torch.cat((observation, probabilities.to(observation.dtype)), -1))
+        if self.is_observed:
+            old = now["observation"]
+            now.set("observation", torch.cat((old, probabilities.to(old.dtype)), -1))
         return now
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
-        """Add the new entries and lengthen the observation."""
+        """Add the new entries, and lengthen the observation if it has them too."""
         assert isinstance(observation_spec, Composite)  # what an environment has
         spec = observation_spec.clone()
         old, batch = spec["observation"], spec.shape
-        longer = (*old.shape[:-1], old.shape[-1] + self.num_flows)
-        spec["observation"] = Unbounded(longer, dtype=old.dtype, device=old.device)
+        if self.is_observed:
+            longer = (*old.shape[:-1], old.shape[-1] + self.num_flows)
+            spec["observation"] = Unbounded(longer, dtype=old.dtype, device=old.device)
         spec["flow_probabilities"] = Bounded(
             0.0, 1.0, shape=(*batch, self.num_flows), dtype=torch.float32, device=old.device
         )
@@ -108,13 +115,15 @@ class RecogniseFlow(NameFlow):
     """Let a lateral-line machine say which flow it is; see ``NameFlow`` for what is written.
 
     A flow does not change from one decision to the next, so what the machine said before counts
-    too: log-probabilities add up over the episode, those of k decisions ago times ``memory``^k.
+    too: log-probabilities add up over the episode, those of k decisions ago times
+    ``memory`` to the power of k.
 
     Args:
         machine: a ``fishrl.modules.LateralLineMachine``, which is frozen by this; or a network
             like it, with ``num_flows`` and ``check``.
         memory: in [0, 1]; 0 believes the present signal alone, as the paper's machine does.
         in_key: its signal ``[B, W, P, F]``.
+        is_observed: see ``NameFlow``.
 
     Raises:
         ValueError: if the memory is none.
@@ -123,11 +132,17 @@ class RecogniseFlow(NameFlow):
     evidence: Tensor
 
     def __init__(
-        self, *, machine: nn.Module, memory: float = 0.7, in_key: str = LATERAL_LINE
+        self,
+        *,
+        machine: nn.Module,
+        memory: float = 0.7,
+        in_key: str = LATERAL_LINE,
+        is_observed: bool = True,
     ) -> None:
         if not 0.0 <= memory <= 1.0:
             raise ValueError(f"memory = {memory}: must lie in [0, 1]")
-        super().__init__(num_flows=int(machine.num_flows), in_key=in_key)  # type: ignore[arg-type]
+        num_flows: int = machine.num_flows  # type: ignore[assignment]
+        super().__init__(num_flows=num_flows, in_key=in_key, is_observed=is_observed)
         self.machine = machine.eval().requires_grad_(False)
         self.memory = memory
         self.register_buffer("evidence", torch.zeros(0, self.num_flows))
@@ -176,10 +191,11 @@ class KnowFlow(NameFlow):
 
     Args:
         num_flows: n.
+        is_observed: see ``NameFlow``.
     """
 
-    def __init__(self, *, num_flows: int) -> None:
-        super().__init__(num_flows=num_flows, in_key="flow_index")
+    def __init__(self, *, num_flows: int, is_observed: bool = True) -> None:
+        super().__init__(num_flows=num_flows, in_key="flow_index", is_observed=is_observed)
 
     def compute_probabilities(self, now: TensorDictBase, *, begins: Tensor | None) -> Tensor:
         """Return 1 for the true flow ``[B, n]``."""
@@ -187,7 +203,9 @@ class KnowFlow(NameFlow):
         return one_hot(index, self.num_flows).float()
 
 
-def make_recognition(machine: nn.Module, *, memory: float = 0.7) -> list[Transform]:
+def make_recognition(
+    machine: nn.Module, *, memory: float = 0.7, is_observed: bool = True
+) -> list[Transform]:
     """Return the transforms by which a machine recognises flows, in order.
 
     A machine that reads more than one control interval gets the signals of several, one after the
@@ -196,14 +214,16 @@ def make_recognition(machine: nn.Module, *, memory: float = 0.7) -> list[Transfo
     Args:
         machine: see ``RecogniseFlow``.
         memory: see ``RecogniseFlow``.
+        is_observed: see ``NameFlow``.
 
     Raises:
         ValueError: if the memory is none.
     """
+    settings: dict[str, Any] = {"machine": machine, "memory": memory, "is_observed": is_observed}
     num_intervals = int(machine.num_intervals)  # type: ignore[arg-type]
     if num_intervals == 1:
-        return [RecogniseFlow(machine=machine, memory=memory)]
+        return [RecogniseFlow(**settings)]
     return [
         CatFrames(N=num_intervals, dim=-3, in_keys=[LATERAL_LINE], out_keys=[HISTORY]),
-        RecogniseFlow(machine=machine, memory=memory, in_key=HISTORY),
+        RecogniseFlow(**settings, in_key=HISTORY),
     ]

@@ -110,6 +110,19 @@ def test_without_memory_probabilities_class_and_observation_say_what_the_machine
         assert torch.equal(td["observation"][..., 2:], td["flow_probabilities"])
 
 
+@pytest.mark.parametrize("oracle", [True, False])
+def test_named_but_not_observed_the_observation_stays_as_it_is(oracle: bool) -> None:
+    if oracle:
+        env = make(KnowFlow(num_flows=3, is_observed=False))
+    else:
+        env = make(*make_recognition(untrained(), is_observed=False))
+    check_env_specs(env, seed=0)
+    rollout = env.rollout(3)
+    assert rollout["observation"].shape[-1] == 2
+    named = rollout["flow_probabilities"].argmax(-1)
+    assert torch.equal(rollout["flow_class"], named)
+
+
 def test_a_trained_machine_names_the_flow_of_every_row_after_resets_of_single_rows(
     machine: LateralLineMachine,
 ) -> None:

@@ -117,7 +117,8 @@ def test_a_run_with_a_lateral_line_goes_on_exactly(tmp_path: Path) -> None:
 def test_an_evaluation_takes_the_machine_of_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run(tmp_path, "name=run", recognition=make_machine(tmp_path / "m.pt"))
+    seen = "task.observes_flow=true"
+    run(tmp_path, "name=run", seen, recognition=make_machine(tmp_path / "m.pt"))
     (tmp_path / "m.pt").unlink()
     (tmp_path / "run").rename(tmp_path / "moved")
     saved = tmp_path / "result.json"
@@ -127,7 +128,7 @@ def test_an_evaluation_takes_the_machine_of_the_run(
     result = json.loads(saved.read_text())
     assert (result["episodes"], result["task"]) == (3, "KarmanGait")
     config = EvaluateConfig(
-        task=load_config("train", SETTINGS).task,
+        task=load_config("train", [*SETTINGS, seen]).task,
         preset="x",
         checkpoint=str(tmp_path / "moved"),
         episodes=3,

@@ -55,6 +55,8 @@ class KarmanGait(AbstractTask):
         control: what actions mean for the tail beat; rows in the order of the flows.
         reads_flow_class: take the row of the flow that ``flow_class`` names, which a transform
             writes, instead of that of the flow it is.
+        observes_flow: whether that transform shall append the flows' probabilities to the
+            observation, see ``transforms.NameFlow``.
         steering: who turns the fish.
         lateral_line: its neuromasts.
         start_x_bl: range of the nose at start.
@@ -80,6 +82,7 @@ class KarmanGait(AbstractTask):
         default_factory=lambda: MacroActions(bank=DEFAULT_BANK, first_gear=2)
     )
     reads_flow_class: bool = False
+    observes_flow: bool = True
     steering: Steering = field(default_factory=PDSteering)
     lateral_line: LateralLine = field(default_factory=LateralLine)
     start_x_bl: tuple[float, float] = (1.5, 2.0)
