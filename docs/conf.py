@@ -1,9 +1,7 @@
 """How Sphinx builds these pages: ``make docs``."""
 
-import re
 import sys
 from pathlib import Path
-from typing import Any
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE)]
@@ -33,19 +31,3 @@ napoleon_use_ivar = True
 html_theme = "furo"
 html_title = f"fishrl {release}"
 html_static_path: list[str] = []
-
-
-def _part_literals(
-    _app: Any, _what: str, _name: str, _object: Any, _options: Any, lines: list[str]
-) -> None:
-    """Let an exponent follow a literal, as in ``memory``^k: reStructuredText wants a gap there."""
-    lines[:] = [re.sub(r"(``[^`]+``)(\^?)", _set_apart, line) for line in lines]
-
-
-def _set_apart(match: re.Match[str]) -> str:
-    return f"{match[1]}\\ ^" if match[2] else match[1]
-
-
-def setup(app: Any) -> None:
-    """Hook into Sphinx."""
-    app.connect("autodoc-process-docstring", _part_literals)
