@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments import evaluate, train, train_lateral_line
+from experiments import evaluate, train, train_lateral_line, view
 from experiments.config import CONF, load_config
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 
@@ -62,11 +62,22 @@ def run_lateral_line(folder: Path) -> None:
     assert (folder / "run" / "machine.pt").is_file()
 
 
+def run_view(folder: Path) -> None:
+    view.main(
+        [*TINY[:-1], "policy=intercept", "episodes=1", "periods=1", f"save={folder / 'x.rrd'}"]
+    )
+    assert (folder / "x.rrd").is_file()
+
+
 #: How a file is run: by its path or, for a group, by the group.
 RUNS: dict[str, Callable[[Path, str], None]] = {
     "train.yaml": lambda folder, _: run_training(folder),
     "evaluate.yaml": lambda folder, _: run_evaluation(folder),
     "train_lateral_line.yaml": lambda folder, _: run_lateral_line(folder),
+    "view.yaml": lambda folder, _: run_view(folder),
+    "algorithm": lambda folder, name: run_training(
+        folder, f"algorithm={name}", *(["algorithm.sequence_length=2"] if name == "drqn" else [])
+    ),
     "preset": lambda folder, name: run_training(folder, f"preset={name}"),
     "task": lambda folder, name: run_training(folder, f"task={name}"),
     "logger": lambda folder, name: run_training(
