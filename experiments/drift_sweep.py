@@ -128,7 +128,8 @@ def draw(task: KarmanGait, table: Sequence[dict[str, float]], shedding: Sequence
             axes.set(title=f"stream {speed:g} L/T", xlabel="tail beats per T")
             tidy(axes)
         grid[0].set_ylabel("drift  [L/T]   (up: swept downstream)")
-        grid[-1].legend(fontsize=8, frameon=False)
+        handles, labels = grid[-1].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(BANDS), fontsize=8)
         figure.suptitle("dotted: shedding frequency; bars: standard error", fontsize=9)
     return figure
 
