@@ -45,6 +45,22 @@ def write_transfer(
     return results
 
 
+def write_design(page: Path, folders: Mapping[str, Path]) -> None:
+    """Put how long the PID fish lasts in tasks of several designs into the page."""
+    lines: list[str] = []
+    for name, folder in folders.items():
+        results = json.loads((folder / "transfer.json").read_text(encoding="utf-8"))
+        if not lines:
+            speeds = "".join(f" {speed:g} L/T |" for speed in results["speeds_bl"])
+            lines = [f"| task | episodes |{speeds}", "|---" * (2 + speeds.count("|")) + "|"]
+        flows = results["arms"]["pid"]
+        shown = "".join(
+            f" {flow['survival_T']:.0f} ± {flow['survival_error_T']:.0f} |" for flow in flows
+        )
+        lines.append(f"| {name} | {flows[0]['episodes']} |{shown}")
+    fill(page, "design", "\n".join(lines))
+
+
 def write_free_stream(page: Path, folder: Path, results: Mapping[str, Any], arm: str) -> None:
     """Put the comparison of work into the page."""
     free = json.loads((folder / "free_stream.json").read_text(encoding="utf-8"))
@@ -87,6 +103,13 @@ def main() -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(description="Write the measured parts of karman_gait.md.")
     parser.add_argument("--docs", type=Path, default=Path("docs"))
+    parser.add_argument(
+        "--design",
+        nargs="*",
+        default=[],
+        metavar="NAME=FOLDER",
+        help="folders of experiments.transfer with a pid fish, and what their tasks are called",
+    )
     parser.add_argument("--drift", type=Path, help="folder of experiments.drift_sweep")
     parser.add_argument("--line", type=Path, help="run folder of experiments.train_lateral_line")
     parser.add_argument("--transfer", type=Path, help="folder of experiments.transfer")
@@ -97,6 +120,9 @@ def main() -> None:
     page, figures = arguments.docs / "karman_gait.md", arguments.docs / "figures" / "gait"
     with plain_errors():
         figures.mkdir(parents=True, exist_ok=True)
+        if arguments.design:
+            pairs = [entry.rpartition("=") for entry in arguments.design]
+            write_design(page, {name: Path(folder) for name, _, folder in pairs})
         if arguments.drift is not None:
             write_drift(page, figures, arguments.drift)
         if arguments.line is not None:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import torch
 
-from experiments import drift_sweep, export_steering, free_stream, transfer
+from experiments import drift_sweep, export_steering, free_stream, gait_page, transfer
 from experiments.config import load_config
 from experiments.evaluate import evaluate
 from experiments.evaluate import main as evaluate_main
@@ -199,6 +199,20 @@ def test_a_passive_fish_never_beats_and_another_beats_with_the_vortices(
     shed = rates * trial.task.scales.period
     with_them = run_trial(trial, episodes=1, folder=tmp_path)
     assert with_them.frequency[:, 0].tolist() == pytest.approx(shed.tolist())
+
+
+def test_designs_of_the_task_are_compared_by_how_long_the_pid_fish_lasts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pid = hand_written("pid", make_task())
+    results = transfer.transfer([pid], episodes=2, folder=tmp_path / "transfer")
+    page = tmp_path / "karman_gait.md"
+    page.write_text("a\n<!-- design: begin -->\n<!-- design: end -->\nz\n")
+    arguments = ["--docs", str(tmp_path), "--design", f"a=1, b={tmp_path / 'transfer'}"]
+    monkeypatch.setattr(sys, "argv", ["gait_page", *arguments])
+    gait_page.main()
+    lasted = results["arms"]["pid"][0]["survival_T"]
+    assert f"| a=1, b | 2 | {lasted:.0f} ± " in page.read_text()
 
 
 def test_the_programs_say_what_is_wrong_in_one_line(
