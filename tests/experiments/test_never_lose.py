@@ -139,12 +139,12 @@ def test_a_signal_ends_the_program_with_one_line_and_everything_saved(
 
 
 def test_a_second_signal_ends_it_at_once(toy_config: MakeConfig, tmp_path: Path) -> None:
-    interruption = Interruption()
+    interruption, before = Interruption(), signal.getsignal(signal.SIGINT)
     with interruption:
         signal.raise_signal(signal.SIGTERM)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is before
     Interruption().check()
     with pytest.raises(Interrupted):
         interruption.check()

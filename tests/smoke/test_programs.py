@@ -19,7 +19,7 @@ import pytest
 import torch
 
 import fishrl.envs.task
-import fishrl.viewer
+import fishrl.viewer.files
 from experiments.policies import NAMES, list_baselines
 from experiments.search_path import list_groups
 from fishrl.envs import Predation
@@ -148,7 +148,8 @@ OTHERS = [
 @pytest.mark.usefixtures("gliding")
 @pytest.mark.parametrize("choice", ["logger=csv", *OTHERS])
 def test_every_algorithm_and_every_other_choice_trains(choice: str, runs: Path) -> None:
-    _train(runs, choice.replace("=", "-"), choice, *_set_task(GLIDING))
+    more = ["algorithm.sequence_length=2"] if choice == "algorithm=drqn" else []
+    _train(runs, choice.replace("=", "-"), choice, *more, *_set_task(GLIDING))
 
 
 @pytest.mark.usefixtures("gliding")
@@ -177,9 +178,12 @@ def test_a_learned_fish_is_evaluated_shown_listed_and_made_a_helmsman(
     def verify(command: list[str], **options: Any) -> None:
         """Let rerun verify the file instead of opening a window on it."""
         verified.append(command[-1])
-        subprocess.run([*command[:-1], "rrd", "verify", command[-1]], **options)
+        subprocess.run([*command[:3], "rrd", "verify", command[-1]], **options)
 
-    monkeypatch.setattr(fishrl.viewer, "subprocess", type("", (), {"run": staticmethod(verify)}))
+    monkeypatch.setattr(
+        fishrl.viewer.files, "subprocess", type("", (), {"run": staticmethod(verify)})
+    )
+    monkeypatch.setenv("DISPLAY", ":0")  # as if there were a screen
     _run("view", hunter)
     assert verified == [str(hunter / "capture.rrd")]
 
@@ -191,7 +195,7 @@ def test_a_gait_is_tried_in_all_streams_and_its_page_is_written(
     _run("transfer", holder, "--episodes", 1, "--hand-written", "pid", "--folder", trial)
     _run(
         *("drift_sweep", "--starts", 1, "--periods", 1, "--frequencies", 0.9, 1.8),
-        *("--body-length", 32, "--folder", sweep),
+        *("--preset", "gait_small", "--folder", sweep),
     )
     _run(
         *("free_stream", "--episodes", 1, "--periods", 2, "--max-frequency", 2),
@@ -200,6 +204,25 @@ def test_a_gait_is_tried_in_all_streams_and_its_page_is_written(
     shutil.copy(DOCS / "karman_gait.md", tmp_path)
     _run("gait_page", "--docs", tmp_path, "--drift", sweep)
     assert (tmp_path / "figures" / "gait" / "drift.png").is_file()
+
+
+@pytest.mark.usefixtures("gliding")
+def test_algorithms_are_compared(tmp_path: Path) -> None:
+    few = [*FEW, "picture_episodes=0", *_set_task(GLIDING)]
+    chosen = ["--algorithms", "discrete_sac", "dqn", "--seeds", "0", "--folder", tmp_path]
+    _run("compare", *few, *chosen)
+    assert (tmp_path / "compare.md").is_file()
+
+
+def test_a_sweep_is_summed_up(hunter: Path) -> None:
+    _run("summarize", hunter.parent)
+    assert (hunter.parent / "summary.md").is_file()
+
+
+def test_a_setting_is_searched_for(tmp_path: Path) -> None:
+    few = [*FEW, "picture_episodes=0", "baselines=[]", *_set_task(REAL["predation"])]
+    _run("search", tmp_path, "gamma=interval(0.9,0.99)", *few, "--trials", 1)
+    assert (tmp_path / "study.db").is_file()
 
 
 @pytest.mark.usefixtures("gliding")
