@@ -32,7 +32,8 @@ _ODD = ("u_y", "left", "shear")
 def mirror(signal: Tensor, *, features: Sequence[str], middle_bl: float) -> Tensor:
     """Return what the mirror image of a fish would have felt in the mirror image of its flow.
 
-    Flow, disc, fish and steering know no left and right, so this is as true as the original.
+    Flow, disc and fish know no left and right, so this is as true as the original; a learned
+    helmsman, who may, is mirrored with them.
 
     Args:
         signal: ``[N, W, P, F]``: neuromasts as ``LateralLine`` orders them, or their mean.
