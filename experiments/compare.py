@@ -23,7 +23,7 @@ from omegaconf import OmegaConf
 
 from experiments.command_line import plain_errors, set_up_logging
 from experiments.config import load_config, resumed_settings, to_plain
-from experiments.figures import COLOURS, read_metrics
+from experiments.figures import COLOURS, frame_curves, read_metrics
 from experiments.flow_pictures import STYLE
 from experiments.gait.diagnostics import half_width
 from experiments.interruption import Interrupted
@@ -234,13 +234,9 @@ def draw(runs: Results, path: Path) -> None:
                     frames, mean, color=colour, label=name.replace("_", " "), marker="o", ms=3
                 )
                 axes.fill_between(frames, mean - half, mean + half, color=colour, alpha=0.15, lw=0)
-            axes.set_title(title, loc="left")
-            axes.set_xlabel("env frames (decisions of all fish)")
-            axes.grid(color="#e6e6e6", linewidth=0.7)
-            axes.spines[["top", "right"]].set_visible(False)
-            if column == "eval/success_rate":
-                axes.set_ylim(-0.03, 1.05)
-                axes.yaxis.set_major_formatter("{x:.0%}")
+            is_rate = column == "eval/success_rate"
+            frame_curves(axes, title, is_rate=is_rate)
+            if is_rate:
                 axes.legend(loc="best", fontsize=9)
         figure.savefig(path)
 

@@ -144,6 +144,17 @@ def write_learning_curve(
         figure.savefig(path)
 
 
+def frame_curves(axes: Axes, title: str, *, is_rate: bool) -> None:
+    """Give axes of learning curves their title, label and grid; rates go from 0 to 100 %."""
+    axes.set_title(title, loc="left")
+    axes.set_xlabel("env frames (decisions of all fish)")
+    axes.grid(color="#e6e6e6", linewidth=0.7)
+    axes.spines[["top", "right"]].set_visible(False)
+    if is_rate:
+        axes.set_ylim(-0.03, 1.05)
+        axes.yaxis.set_major_formatter("{x:.0%}")
+
+
 def _draw_series(
     axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], label: str, colour: str
 ) -> None:

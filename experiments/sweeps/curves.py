@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from experiments.figures import COLOURS, read_metrics
+from experiments.figures import COLOURS, frame_curves, read_metrics
 from experiments.flow_pictures import STYLE
 from experiments.gait.diagnostics import half_width
 from experiments.sweeps.groups import Group
@@ -97,10 +97,4 @@ def _draw(
             linewidth=1.6, label=group.label,
         )  # fmt: skip
         axes.fill_between(frames, mean - half, mean + half, color=colour, alpha=0.15, linewidth=0)
-    axes.set_title(title, loc="left")
-    axes.set_xlabel("env frames")
-    axes.grid(color="#e6e6e6", linewidth=0.7)
-    axes.spines[["top", "right"]].set_visible(False)
-    if title == "rate of success":
-        axes.set_ylim(-0.03, 1.05)
-        axes.yaxis.set_major_formatter("{x:.0%}")
+    frame_curves(axes, title, is_rate=title == PANELS[0][0])
