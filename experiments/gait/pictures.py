@@ -65,7 +65,7 @@ def write_training(path: Path, runs: Mapping[str, Sequence[Path]]) -> None:
         runs: folders of each arm's seeds.
     """
     panels = (
-        ("train/episode_length", "survival, mean of 32 episodes  [T]"),
+        ("train/episode_length", "survival, mean of 32 episodes  [decisions]"),
         ("train/return", "return, mean of 32 episodes"),
         ("train/loss_actor", "actor loss"),
     )
