@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 
 from experiments.algorithms import build_algorithm
 from experiments.checkpointing import BrainOf, load_checkpoint, read_metadata
@@ -80,11 +81,7 @@ def _make_hunter(name: str, task: Any) -> TensorDictModuleBase:
 def _make_holder(name: str, task: KarmanGait) -> GaitPolicy:
     """Make a fish that holds its station; it is told which flow it is in."""
     if name == "pid":
-        tuned = {"damping": 2.5 / task.interval_T}  # per decision; 2.5 beats per T and L / T
-        if not isinstance(task.control, MacroActions):
-            return make_gait_policy(PID(frequency=0.5 * task.control.max_frequency, **tuned), task)
-        rows = task.control.bank.rows  # the middle of each holds, more or less
-        return make_gait_policy(PID(frequency=[row[len(row) // 2] for row in rows], **tuned), task)
+        return make_pid(task)
     if name == "bang_bang":
         return make_gait_policy(BangBang(), task)
     if name == "passive":
@@ -93,6 +90,15 @@ def _make_holder(name: str, task: KarmanGait) -> GaitPolicy:
         raise ConfigError("policy=shedding: in a free stream no vortices are shed")
     shed = task.wakes.shedding_frequencies * task.scales.period
     return make_gait_policy(FixedFrequency(shed.tolist()), task)
+
+
+def make_pid(task: KarmanGait, *, station_bl: float | Tensor = 2.1) -> GaitPolicy:
+    """Make a fish that holds ``station_bl`` behind the obstacle; one number, or ``[B]``."""
+    frequency: float | list[float] = 0.5 * task.control.max_frequency
+    if isinstance(task.control, MacroActions):  # the middle of each row holds, more or less
+        frequency = [row[len(row) // 2] for row in task.control.bank.rows]
+    damping = 4.0 / task.interval_T  # per decision; 4 beats per T and L / T
+    return make_gait_policy(PID(station_bl=station_bl, frequency=frequency, damping=damping), task)
 
 
 def make_gait_policy(wish: Wish, task: KarmanGait) -> GaitPolicy:

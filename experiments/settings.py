@@ -257,7 +257,7 @@ class LateralLineConfig:
         data_folder: where collected data are kept, for every study that can use them.
         num_envs: flows that advance together.
         num_samples: decisions to collect, one signal of a control interval each.
-        max_decisions: after which an episode is cut; more episodes tell more than longer ones.
+        max_decisions: after which an episode is cut.
         window: samples that the machine reads, the newest; by default those of four intervals.
         hidden: widths of its hidden layers.
         learning_rate: of the fits.
@@ -282,7 +282,7 @@ class LateralLineConfig:
     data_folder: str = "runs/lateral_line_data"
     num_envs: int = 16
     num_samples: int = 6000
-    max_decisions: int = 20
+    max_decisions: int = 40
     window: int | None = None
     hidden: list[int] = field(default_factory=lambda: [128, 128])
     learning_rate: float = 3e-4

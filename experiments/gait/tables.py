@@ -86,7 +86,7 @@ def write_work_table(
     ]
     for number, (speed, wake, still) in enumerate(zip(speeds, in_wake, free, strict=True)):
         ratio = {
-            name: still[name] / wake[name] if wake[name] > 0.0 else float("nan")
+            name: still[name] / wake[name] if min(still[name], wake[name]) > 0.0 else float("nan")
             for name in ("work", "positive_work", "lateral_work")
         }
         known = PAPER["work_ratio"]

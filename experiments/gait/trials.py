@@ -21,13 +21,14 @@ from experiments import policies
 from experiments.checkpointing import read_metadata
 from experiments.config import build
 from experiments.histories import Histories, record_histories
-from experiments.policies import load_policy, make_policy
+from experiments.policies import load_policy, make_gait_policy, make_policy
 from experiments.progress import Progress
 from experiments.recognition import ORACLE, Recognition, find_machine
 from experiments.settings import ConfigError
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.steering import PolicySteering
+from fishrl.modules import FixedFrequency
 from fishrl.physics.compiled import hash_sources
 
 logger = logging.getLogger(__name__)
@@ -96,7 +97,8 @@ def hand_written(name: str, task: KarmanGait) -> Trial:
     """Take a hand-written fish, which is told the true flow.
 
     Args:
-        name: as for ``make_policy``; with ``+policy`` behind it, the learned helmsman steers.
+        name: as for ``make_policy``, or ``fixed-0.6``, which beats 0.6 times per T whatever comes;
+            with ``+policy`` behind it, the learned helmsman steers.
         task: of the others.
     """
     task = replace(task, reads_flow_class=False)
@@ -105,28 +107,41 @@ def hand_written(name: str, task: KarmanGait) -> Trial:
         raise ValueError(f"fish {name!r}: behind the + may stand policy")
     if helmsman:
         task = replace(task, steering=PolicySteering())
-    if kind in ("passive", "shedding"):  # at their own rate exactly, from the start
-        task = _let_beat(task, kind)
+    rates = _find_rates(kind, task)
+    if rates is not None:
+        # the fastest beat stays among them: it sets T, and so the flow
+        known = sorted({0.0, *rates, task.control.max_frequency})
+        if known[-1] > task.control.max_frequency:
+            raise ConfigError(f"fish {name!r}: at most {task.control.max_frequency} beats per T")
+        task = replace(task, control=DirectFrequencies(frequencies=tuple(known), first_gear=0))
     return Trial(
         name=name,
         arm=name,
         recognition=Recognition(task, None),
-        make_policy=lambda: make_policy(kind, task=task, seed=0),
+        make_policy=lambda: (
+            make_gait_policy(FixedFrequency(rates if len(rates) > 1 else rates[0]), task)
+            if rates is not None
+            else make_policy(kind, task=task, seed=0)
+        ),
         identity=name,
     )
 
 
-def _let_beat(task: KarmanGait, kind: str) -> KarmanGait:
-    """Return the task for a fish that beats not at all, or with the vortices."""
+def _find_rates(kind: str, task: KarmanGait) -> list[float] | None:
+    """Return the rates that a fish beats at, one or one per flow; None if it chooses."""
+    word, _, rate = kind.partition("-")
+    if word == "fixed":
+        try:
+            return [float(rate)]
+        except ValueError:
+            raise ConfigError(f"fish {kind!r}: give beats per T, such as fixed-0.6") from None
     if kind == "passive":
-        rates = [0.0]
-    else:
+        return [0.0]
+    if kind == "shedding":
         if task.wakes is None:
             raise ConfigError("shedding: in a free stream no vortices are shed")
-        rates = (task.wakes.shedding_frequencies * task.scales.period).tolist()
-    # the fastest beat stays among them: it sets T, and so the flow
-    frequencies = sorted({0.0, *rates, task.control.max_frequency})
-    return replace(task, control=DirectFrequencies(frequencies=tuple(frequencies), first_gear=0))
+        return (task.wakes.shedding_frequencies * task.scales.period).tolist()  # type: ignore[no-any-return]
+    return None
 
 
 def run_trial(

@@ -1,8 +1,10 @@
 """Labelled signals from real flows: collected once, in pieces that survive an interruption.
 
-Fish act at random. The flow that picks their row of frequencies is drawn at random too, apart from
-the flow that they are in: otherwise their own tail beat would give the flow away, and a machine
-that once erred would hear its error confirmed.
+Fish take half of their decisions at random, and half so as to hold a station, drawn for each
+episode: they come where a learner comes, and stay where a learned fish stays. The flow that picks
+their row of frequencies is drawn at random too, apart from the flow that they are in: otherwise
+their own tail beat would give the flow away, and a machine that once erred would hear its error
+confirmed.
 """
 
 from __future__ import annotations
@@ -20,12 +22,16 @@ from tensordict import TensorDict, TensorDictBase
 
 import fishrl.envs
 from experiments.evaluation import copy_state
+from experiments.policies import make_pid
 from experiments.progress import Progress
 from fishrl.envs import FlowEnv
 from fishrl.envs.lateral_line import KNOWN
 from fishrl.physics.compiled import hash_sources
 
 logger = logging.getLogger(__name__)
+
+#: Of the decisions, taken at random.
+RANDOM_SHARE = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,12 +43,12 @@ class Collection:
             every feature of every neuromast is recorded.
         num_envs: flows that advance together; one episode each makes a piece.
         max_decisions: after which an episode is cut.
-        seed: of starts, named flows and actions.
+        seed: of starts, named flows, stations and actions.
     """
 
     task: Any
     num_envs: int = 16
-    max_decisions: int = 12
+    max_decisions: int = 60
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -165,13 +171,20 @@ class _Recorder:
         env.is_resting = is_over.to(env.device)
         td = env.reset()
         start = (starts["head"] / collection.task.body_length).float()
+        area = collection.task.safe_area
+        low, high = area.near_bl + area.rim_bl, area.far_bl - area.rim_bl
+        station = low + (high - low) * torch.rand(num, generator=generator)
+        holder = make_pid(collection.task, station_bl=station.to(env.device))
         told = {"flow_index": flow, "named_flow": named, "start": start}
         decisions: list[TensorDict] = []
-        for _ in range(collection.max_decisions):
+        for decision in range(collection.max_decisions):
             decisions.append(_describe(td, is_decision=~is_over, **told))
-            action = torch.multinomial(td["action_mask"].float().cpu(), 1, generator=generator)
-            td.set("action", action.squeeze(-1).to(env.device))
             td.set("flow_class", named.to(env.device))
+            td.set("is_init", torch.full((num, 1), decision == 0, device=env.device))
+            drawn = torch.multinomial(td["action_mask"].float().cpu(), 1, generator=generator)
+            wanted = holder(td)["action"].cpu()
+            is_random = torch.rand(num, generator=generator) < RANDOM_SHARE
+            td.set("action", torch.where(is_random, drawn.squeeze(-1), wanted).to(env.device))
             td = env.step(td)["next"]
             is_over = is_over | td["done"].squeeze(-1).cpu()
             env.is_resting = is_over.to(env.device)

@@ -28,8 +28,9 @@ def write_page(findings: Mapping[str, Any]) -> str:
         "episodes that had no part in the fit, mean over "
         f"{findings['num_splits']} divisions of the episodes [least-largest].",
         "",
-        f"Data: {data['samples']} decisions in {data['episodes']} episodes of random legal "
-        f"actions, {sensors['num_samples']} samples per decision at {sensors['num_neuromasts']} "
+        f"Data: {data['samples']} decisions in {data['episodes']} episodes, actions half "
+        "drawn at random and half to hold some station, "
+        f"{sensors['num_samples']} samples per decision at {sensors['num_neuromasts']} "
         "neuromasts; the row of frequencies is drawn apart from the flow. "
         "But for the paper's, machines are fitted on the mirror image of each sample too.",
         "",

@@ -30,11 +30,12 @@ class Steering(ABC):
     num_stacked: int
 
     @abstractmethod
-    def look(self, place: Tensor, heading: Tensor) -> Tensor:
+    def look(self, nose: Tensor, middle: Tensor, heading: Tensor) -> Tensor:
         """Return what it sees ``[B, n]``, float64.
 
         Args:
-            place: ``[B, 2]`` of the nose, x downstream, y from the line to hold, body lengths.
+            nose: ``[B, 2]`` its place, x downstream, y from the line to hold, body lengths.
+            middle: ``[B, 2]`` place of the body's middle, the mean of its outline.
             heading: ``[B]`` radians.
         """
 
@@ -51,8 +52,10 @@ class Steering(ABC):
 class PDSteering(Steering):
     """Aim upstream and towards a line, against where the fish is drifting to.
 
-    The wanted heading is off the upstream direction by gain times the lateral offset plus damping
-    times its change, in radians per body length; the turn towards it is bounded.
+    It is the body's middle that is held: the nose sways with every beat, and a helmsman who follows
+    it, looking about once a beat, sees a drift that is none. The wanted heading is off the upstream
+    direction by gain times the lateral offset plus damping times its change, in radians per body
+    length; the turn towards it is bounded.
 
     Args:
         gain: radians per body length of offset.
@@ -77,9 +80,9 @@ class PDSteering(Steering):
             if not 0.0 < getattr(self, name) <= 90.0:
                 raise ValueError(f"{name} = {getattr(self, name)}: allowed is above 0, up to 90")
 
-    def look(self, place: Tensor, heading: Tensor) -> Tensor:
-        """Return how far the nose is above the line, and the heading."""
-        return torch.stack((place[:, 1], heading), -1)
+    def look(self, nose: Tensor, middle: Tensor, heading: Tensor) -> Tensor:
+        """Return how far the middle is above the line, and the heading."""
+        return torch.stack((middle[:, 1], heading), -1)
 
     def turn(self, sights: Tensor) -> Tensor:
         """Return the bounded turn towards the wanted heading."""
@@ -126,10 +129,10 @@ class PolicySteering(Steering):
         """Weight and bias of each layer."""
         return load_weights(self.path)
 
-    def look(self, place: Tensor, heading: Tensor) -> Tensor:
+    def look(self, nose: Tensor, middle: Tensor, heading: Tensor) -> Tensor:
         """Return the point as the head would see food there, see ``sensors.sense_target``."""
-        ahead = torch.stack((place[:, 0] - self.ahead_bl, torch.zeros_like(heading)), -1)
-        return sense_target(place, heading, ahead, body_length=1.0)
+        ahead = torch.stack((nose[:, 0] - self.ahead_bl, torch.zeros_like(heading)), -1)
+        return sense_target(nose, heading, ahead, body_length=1.0)
 
     def turn(self, sights: Tensor) -> Tensor:
         """Return the turn of the likeliest action."""

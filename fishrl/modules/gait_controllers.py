@@ -66,7 +66,7 @@ class PID(Wish):
     """Faster the farther behind the station, the faster it falls back, and the longer it was so.
 
     Args:
-        station_bl: x to hold, body lengths.
+        station_bl: x to hold, body lengths, one number or ``[B]``.
         frequency: beats per T at the station at rest, one number or one per flow.
         gain: beats per T and body length.
         integral_gain: beats per T and body length and decision.
@@ -77,9 +77,9 @@ class PID(Wish):
     def __init__(
         self,
         *,
-        station_bl: float = 2.1,
+        station_bl: float | Tensor = 2.1,
         frequency: float | Sequence[float] = 1.0,
-        gain: float = 1.5,
+        gain: float = 2.0,
         integral_gain: float = 0.0,
         damping: float = 5.0,
         max_sum: float = 5.0,

@@ -13,12 +13,9 @@ from fishrl.modules import make_mlp
 
 def sights(steering: Steering, y: list[float], heading: float = pi) -> Tensor:
     """Return what is remembered of a fish at some distances from the line, one after another."""
-    seen = [
-        steering.look(
-            torch.tensor([[1.5, each]]).double(), torch.tensor([heading], dtype=torch.float64)
-        )
-        for each in y
-    ]
+    place = [torch.tensor([[1.5, each]]).double() for each in y]
+    heads = torch.tensor([heading], dtype=torch.float64)
+    seen = [steering.look(each, each, heads) for each in place]
     return torch.stack(seen[-steering.num_stacked :], 1)
 
 
@@ -27,6 +24,12 @@ def test_a_fish_above_the_line_turns_downwards_and_one_below_upwards() -> None:
     turn = steering.turn(torch.cat([sights(steering, [y, y]) for y in (0.2, -0.2, 0.0)]))
     torch.testing.assert_close(turn, torch.tensor([0.1, -0.1, 0.0]).double())
     # heading pi + 0.1 points to (-cos 0.1, -sin 0.1): down
+
+
+def test_the_sway_of_the_nose_is_not_steered_against() -> None:
+    nose, middle = torch.tensor([[1.5, 0.1]]).double(), torch.tensor([[2.0, 0.0]]).double()
+    seen = PDSteering().look(nose, middle, torch.tensor([pi], dtype=torch.float64))
+    assert PDSteering().turn(seen[:, None].expand(-1, 2, -1)).item() == pytest.approx(0.0)
 
 
 def test_a_fish_that_heads_elsewhere_is_turned_back_upstream() -> None:
@@ -81,7 +84,8 @@ def test_the_network_sees_a_point_upstream_as_it_saw_food(tmp_path: Path) -> Non
     """x and y of the point from the nose, its distance, and how far to the left it lies."""
     save_weights(linear_layers(make_mlp(num_inputs=16, num_outputs=3, hidden=(8,))), tmp_path / "w")
     steering = PolicySteering(path=str(tmp_path / "w"), ahead_bl=2.0)
-    (seen,) = steering.look(torch.tensor([[1.5, 0.5]]).double(), torch.tensor([pi]).double())
+    nose, middle = torch.tensor([[1.5, 0.5]]).double(), torch.tensor([[2.0, 0.0]]).double()
+    (seen,) = steering.look(nose, middle, torch.tensor([pi]).double())
     expected = torch.tensor([-2.0, -0.5, 4.25**0.5, torch.atan(torch.tensor(0.25))]).double()
     torch.testing.assert_close(seen, expected, rtol=0, atol=1e-6)
 

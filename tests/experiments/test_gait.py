@@ -201,6 +201,15 @@ def test_a_passive_fish_never_beats_and_another_beats_with_the_vortices(
     assert with_them.frequency[:, 0].tolist() == pytest.approx(shed.tolist())
 
 
+def test_a_fish_may_beat_at_one_rate_whatever_comes(tmp_path: Path) -> None:
+    task = make_task()
+    beating = run_trial(hand_written("fixed-0.6", task), episodes=1, folder=tmp_path)
+    assert beating.frequency[:, 0].tolist() == pytest.approx([0.6] * 3)
+    for name, said in (("fixed-x", "give beats per T"), ("fixed-99", "at most .* beats per T")):
+        with pytest.raises(ConfigError, match=said):
+            hand_written(name, task)
+
+
 def test_designs_of_the_task_are_compared_by_how_long_the_pid_fish_lasts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -231,6 +240,7 @@ def test_the_free_stream_is_held_without_a_disc(
 ) -> None:
     monkeypatch.setattr(transfer, "load_task", lambda preset, overrides=(): make_task())
     monkeypatch.setattr(free_stream, "load_task", lambda preset, overrides=(): make_task())
+    monkeypatch.chdir(tmp_path)  # no trials in a wake lie there
     arguments = ["--episodes", "1", "--periods", "4", "--max-frequency", "2", "--frequency", "1"]
     monkeypatch.setattr(sys, "argv", ["free_stream", *arguments, "--folder", str(tmp_path)])
     free_stream.main()
@@ -278,6 +288,6 @@ def test_the_helmsman_of_the_package_steers_back_to_the_line() -> None:
     steering = PolicySteering()
     place = torch.tensor([[1.8, 0.6], [1.8, -0.6]], dtype=torch.float64)
     heading = torch.full((2,), torch.pi, dtype=torch.float64)
-    sight = steering.look(place, heading)
+    sight = steering.look(place, place, heading)
     turn = steering.turn(sight[:, None].expand(-1, 4, -1))
     assert turn[0] > 0.0 > turn[1]  # a heading above pi points down

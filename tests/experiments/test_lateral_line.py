@@ -108,6 +108,25 @@ def test_collected_episodes_hold_every_feature_with_the_true_flow(
     assert speed[1] > 1.2 * speed[0] > 0.0
 
 
+def test_fish_hold_stations_and_act_at_random_in_rows_of_any_flow(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def collect_share(share: float) -> TensorDict:
+        monkeypatch.setattr(experiments.lateral_line.collection, "RANDOM_SHARE", share)
+        collection = Collection(task=make_task(), num_envs=6, max_decisions=3)
+        return collect(collection, num_samples=1, folder=tmp_path / str(share), compile=False)
+
+    drawn, holding = collect_share(1.0), collect_share(0.0)
+    assert (drawn["named_flow"] == holding["named_flow"]).all()
+    assert (drawn["named_flow"] != drawn["flow_index"]).any()
+    # swept back at once, all wish to accelerate but those whose station is nearly out of reach
+    assert holding["frequency"][:, 2].mean() > drawn["frequency"][:, 2].mean()
+    rows = torch.tensor(((0.5, 1.0, 1.5), (1.0, 1.25, 1.5)))
+    for episodes in (drawn, holding):
+        row = rows[episodes["named_flow"][:, 1:]]
+        assert (row == episodes["frequency"][:, 1:, None]).any(-1).all()
+
+
 def test_what_was_collected_is_not_run_again(
     collected: tuple[Path, TensorDict], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -72,6 +72,11 @@ def test_a_pid_fish_beats_faster_behind_its_station_and_when_it_falls_back() -> 
     assert act(policy, see([2.0], change=-0.3)) == [0]
 
 
+def test_each_fish_may_hold_a_station_of_its_own() -> None:
+    wish = PID(station_bl=torch.tensor([1.4, 2.0, 2.6]), frequency=1.0, gain=1.0)
+    assert act(GaitPolicy(wish=wish, rows=ROWS), see([2.0, 2.0, 2.0])) == [2, 1, 0]
+
+
 def test_the_integral_grows_is_bounded_and_begins_anew_with_an_episode() -> None:
     wish = PID(station_bl=2.0, gain=0.0, damping=0.0, integral_gain=1.0, max_sum=0.6)
     flow = torch.zeros(1, dtype=torch.int64)

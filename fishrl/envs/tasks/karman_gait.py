@@ -233,6 +233,7 @@ class KarmanGait(AbstractTask):
         return TensorDict(
             {
                 "place": self._locate(markers[:, 0]),
+                "middle": self._locate(markers.mean(1)),
                 "heading": body.heading.clone(),
                 "age": body.age.clone(),
                 "clearance": compute_clearance(
@@ -321,8 +322,7 @@ class KarmanGait(AbstractTask):
         return (head - self.origin.to(head.device)) / self.body_length
 
     def _look(self, now: TensorDictBase) -> Tensor:
-        place, heading = now["place"], now["heading"]
-        return self.steering.look(place, heading)
+        return self.steering.look(now["place"], now["middle"], now["heading"])
 
     def _name_flow(self, before: TensorDictBase) -> Tensor:
         flow: Tensor = before["flow_class" if self.reads_flow_class else "flow_index"]
