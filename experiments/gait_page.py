@@ -47,18 +47,31 @@ def write_transfer(
 
 def write_design(page: Path, folders: Mapping[str, Path]) -> None:
     """Put how long the PID fish lasts in tasks of several designs into the page."""
-    lines: list[str] = []
+    rows = {}
     for name, folder in folders.items():
         results = json.loads((folder / "transfer.json").read_text(encoding="utf-8"))
-        if not lines:
-            speeds = "".join(f" {speed:g} L/T |" for speed in results["speeds_bl"])
-            lines = [f"| task | episodes |{speeds}", "|---" * (2 + speeds.count("|")) + "|"]
-        flows = results["arms"]["pid"]
+        rows[name] = results["arms"]["pid"]
+    fill(page, "design", _tabulate_survival("task", rows, results["speeds_bl"]))
+
+
+def write_fixed(page: Path, folder: Path) -> None:
+    """Put how long fish of one rate last into the page."""
+    results = json.loads((folder / "transfer.json").read_text(encoding="utf-8"))
+    fill(page, "fixed", _tabulate_survival("fish", results["arms"], results["speeds_bl"]))
+
+
+def _tabulate_survival(
+    what: str, rows: Mapping[str, Sequence[Mapping[str, float]]], speeds: Sequence[float]
+) -> str:
+    """Return a table of survival, a row for each name, a column for each flow."""
+    head = "".join(f" {speed:g} L/T |" for speed in speeds)
+    lines = [f"| {what} | episodes |{head}", "|---" * (2 + len(speeds)) + "|"]
+    for name, flows in rows.items():
         shown = "".join(
             f" {flow['survival_T']:.0f} ± {flow['survival_error_T']:.0f} |" for flow in flows
         )
-        lines.append(f"| {name} | {flows[0]['episodes']} |{shown}")
-    fill(page, "design", "\n".join(lines))
+        lines.append(f"| {name} | {flows[0]['episodes']:.0f} |{shown}")
+    return "\n".join(lines)
 
 
 def write_free_stream(page: Path, folder: Path, results: Mapping[str, Any], arm: str) -> None:
@@ -110,6 +123,9 @@ def main() -> None:
         metavar="NAME=FOLDER",
         help="folders of experiments.transfer with a pid fish, and what their tasks are called",
     )
+    parser.add_argument(
+        "--fixed", type=Path, help="folder of experiments.transfer, fish of one rate"
+    )
     parser.add_argument("--drift", type=Path, help="folder of experiments.drift_sweep")
     parser.add_argument("--line", type=Path, help="run folder of experiments.train_lateral_line")
     parser.add_argument("--transfer", type=Path, help="folder of experiments.transfer")
@@ -123,6 +139,8 @@ def main() -> None:
         if arguments.design:
             pairs = [entry.rpartition("=") for entry in arguments.design]
             write_design(page, {name: Path(folder) for name, _, folder in pairs})
+        if arguments.fixed is not None:
+            write_fixed(page, arguments.fixed)
         if arguments.drift is not None:
             write_drift(page, figures, arguments.drift)
         if arguments.line is not None:

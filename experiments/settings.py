@@ -285,8 +285,8 @@ class LateralLineConfig:
     max_decisions: int = 40
     window: int | None = None
     hidden: list[int] = field(default_factory=lambda: [128, 128])
-    learning_rate: float = 3e-4
-    batch_size: int = 64
+    learning_rate: float = 1e-3
+    batch_size: int = 256
     num_epochs: int = 300
     patience: int = 15
     weight_decay: float = 1e-3
