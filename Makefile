@@ -4,9 +4,9 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 DOCS_STAMP := $(VENV)/.docs
 ARGS ?=
-# Python 3.11 to 3.13: the first of these that is one, or name it: make setup PYTHON=/path/to/python3.12
-PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
-	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' 2>/dev/null \
+# Python 3.11: the first of these that is one, or name it: make setup PYTHON=/path/to/python3.11
+PYTHON ?= $(shell for p in python3 python3.11; do \
+	$$p -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null \
 	&& { echo $$p; break; }; done)
 # Tests that need CUDA are left out where there is none; `make smoke` runs those of its marker.
 MARKERS ?= not slow and not smoke$(shell $(BIN)/python -c 'import torch; print("" if torch.cuda.is_available() else " and not gpu")' 2>/dev/null)
@@ -20,7 +20,7 @@ setup: $(STAMP) ## install everything into .venv
 
 # torch comes first and pinned, so that nothing else can ask for another build of it.
 $(STAMP): pyproject.toml constraints.txt
-	@test -n "$(PYTHON)" || { echo "no Python 3.11, 3.12 or 3.13 found: install one, or name it with PYTHON=..."; exit 1; }
+	@test -n "$(PYTHON)" || { echo "no Python 3.11 found: install it, or name it with PYTHON=..."; exit 1; }
 	@echo "setting up $(VENV) with $(PYTHON): a few minutes, once"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "1/2 torch"

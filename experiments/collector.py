@@ -1,13 +1,23 @@
-"""A collector that goes on exactly where it was stopped."""
+"""What collects: a collector that goes on exactly where it was stopped, here or on a cluster."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from tensordict import TensorDict
 from torchrl.collectors import Collector
-from torchrl.envs import ActionMask
+from torchrl.envs import ActionMask, EnvBase, Transform
+
+from experiments.evaluation import copy_state
+from experiments.learner import Learner
+from experiments.recognition import Recognition
+from experiments.settings import TrainConfig
+
+MakeEnv = Callable[..., EnvBase]
 
 
 class ResumableCollector(Collector):
@@ -39,3 +49,71 @@ class ResumableCollector(Collector):
         for transform in self.env.transform:
             if isinstance(transform, ActionMask):  # it keeps the mask inside the action spec
                 transform._call(self._carrier)
+
+    @contextmanager
+    def lend_env(self) -> Iterator[EnvBase]:
+        """Lend the env, and leave everything as it was before."""
+        state = copy_state(self.state_dict())
+        try:
+            yield self.env
+        finally:
+            self.load_state_dict(state)
+
+
+def make_collector(
+    config: TrainConfig,
+    recognition: Recognition,
+    make_env: MakeEnv,
+    learner: Learner,
+    *,
+    seed: int,
+) -> Any:
+    """Make what collects for a run, in this process or in those of a cluster.
+
+    Args:
+        config: settings of the run.
+        recognition: the task, and who tells the fish its flow.
+        make_env: makes the env of a task.
+        learner: whose explorer acts.
+        seed: of the flows.
+    """
+    make = partial(
+        _make_equipped,
+        make_env,
+        recognition,
+        learner.transforms,
+        device=config.device,
+        compile=config.compile,
+    )
+    # the looks within an action are for the recording at the end
+    looks = recognition.task.checks_per_action
+    env = make(num_envs=config.num_envs, seed=seed, frames_per_action=looks)
+    if not config.ray_collectors:
+        return ResumableCollector(
+            env,
+            learner.explorer,
+            frames_per_batch=config.num_envs,
+            total_frames=-1,
+            init_random_frames=config.warmup_frames,
+        )
+    from experiments.cluster import ClusterCollector
+
+    return ClusterCollector(
+        env=env,
+        make_env=make,
+        explorer=learner.explorer,
+        num_collectors=config.ray_collectors,
+        num_envs=config.num_envs,
+        warmup_frames=config.warmup_frames,
+        seed=seed,
+    )
+
+
+def _make_equipped(
+    make_env: MakeEnv, recognition: Recognition, transforms: Sequence[Transform], **arguments: Any
+) -> EnvBase:
+    """Make an env whose transforms are its own."""
+    env = recognition.equip(make_env)(task=recognition.task, **arguments)
+    for transform in transforms:
+        env.append_transform(transform.clone())
+    return env

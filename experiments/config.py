@@ -31,7 +31,7 @@ from experiments.settings import (
 #: Settings that the saved state of a run depends on.
 FIXED_BY_RUN = (
     *("task", "preset", "seed", "num_envs", "hidden", "buffer_size", "logger", "recognition"),
-    "algorithm",
+    *("algorithm", "ray_collectors"),
 )
 #: Packages of the launchers beside hydra's own.
 LAUNCHERS = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import Any
 
 from omegaconf import MISSING
@@ -76,6 +77,8 @@ class TrainConfig(ViewerSettings):
         recognition: who tells the fish which flow it is in: ``oracle``, the file of a lateral-line
             machine, or nobody.
         num_envs: flows that advance together.
+        ray_collectors: processes of a Ray cluster that share the flows; by default all advance in
+            this one.
         total_frames: env frames (decisions of one fish) to train for.
         warmup_frames: frames with random legal actions before learning starts.
         updates_per_frame: gradient steps per env frame.
@@ -108,6 +111,7 @@ class TrainConfig(ViewerSettings):
     resume: str | None = None
     recognition: str | None = None
     num_envs: int = 16
+    ray_collectors: int = 0
     total_frames: int = 2800
     warmup_frames: int = 320
     updates_per_frame: float = 4.0
@@ -137,12 +141,28 @@ class TrainConfig(ViewerSettings):
             _at_least(name, getattr(self, name), 1)
         for name in ("warmup_frames", "updates_per_frame", "seed", "picture_episodes"):
             _at_least(name, getattr(self, name), 0)
+        self._check_collectors()
         for name in ("gamma", "tau"):
             _at_least(name, getattr(self, name), 0)
             if getattr(self, name) > 1:
                 raise ConfigError(f"{name} = {getattr(self, name)}: must be at most 1")
         if self.learning_rate <= 0:
             raise ConfigError(f"learning_rate = {self.learning_rate}: must be greater than 0")
+
+    def _check_collectors(self) -> None:
+        _at_least("ray_collectors", self.ray_collectors, 0)
+        if not self.ray_collectors:
+            return
+        if self.num_envs % self.ray_collectors:
+            raise ConfigError(
+                f"num_envs = {self.num_envs}: must be a multiple of ray_collectors = "
+                f"{self.ray_collectors}"
+            )
+        if self.live or self.device != "cpu":
+            raise ConfigError(
+                f"ray_collectors = {self.ray_collectors}: the flows advance elsewhere and on CPUs; "
+                "take live=false and device=cpu"
+            )
 
 
 @dataclass(kw_only=True)
@@ -348,4 +368,17 @@ def check_device(device: str) -> None:
         raise ConfigError(
             f"device = {device!r}: torch sees no CUDA device here; take device=cpu, or install a "
             "CUDA build of torch and its driver"
+        )
+
+
+def check_cluster(num_collectors: int) -> None:
+    """Check that Ray is installed if it is wanted.
+
+    Raises:
+        ConfigError: if it is not.
+    """
+    if num_collectors and find_spec("ray") is None:
+        raise ConfigError(
+            f"ray_collectors={num_collectors}: needs Ray, which is not here; "
+            "pip install 'fishrl[cluster]'"
         )

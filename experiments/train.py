@@ -68,7 +68,7 @@ def set_up(
     from experiments.live import choose_flows
     from experiments.recognition import Recognition, find_machine
     from experiments.run_folder import RunFolder
-    from experiments.settings import check_device
+    from experiments.settings import check_cluster, check_device
     from experiments.training import Training, make_flow_env
 
     with ExitStack() as stack:
@@ -76,6 +76,7 @@ def set_up(
             folder = RunFolder.of_existing(config.resume)
             stack.enter_context(folder.noting_failure())
         check_device(config.device)
+        check_cluster(config.ray_collectors)
         if config.live:
             choose_flows(config.flows, config.num_envs, default=[0])
         metrics_logger = build(config.logger)

@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torchrl.checkpoint import GlobalRNGState
-from torchrl.envs import EnvBase
 
 from experiments.algorithms import build_algorithm
 from experiments.checkpointing import (
@@ -23,10 +22,10 @@ from experiments.checkpointing import (
     load_checkpoint,
     save_checkpoint,
 )
-from experiments.collector import ResumableCollector
+from experiments.collector import MakeEnv, make_collector
 from experiments.config import to_plain
 from experiments.counters import Counters, list_metrics, measure_memory_mb
-from experiments.evaluation import Evaluation, Evaluator, Policy, copy_state, fixed_starts
+from experiments.evaluation import Evaluation, Evaluator, Policy, fixed_starts
 from experiments.interruption import Interrupted, Interruption, spare_children
 from experiments.learner import one_thread
 from experiments.live import LiveView
@@ -37,8 +36,6 @@ from experiments.run_folder import RunFolder
 from experiments.settings import TrainConfig
 
 logger = logging.getLogger(__name__)
-
-MakeEnv = Callable[..., EnvBase]
 
 #: Training draws its starts from generators far from those of the fixed starts.
 TRAIN_SEED, SELECTION_SEED, FINAL_SEED = 1000, 1, 0
@@ -86,23 +83,9 @@ class Training:
         self.learner = self.algorithm.make_learner(self.brain, config)
         progress.rename("compilation" if config.compile else "set-up")
         with spare_children():  # a checkpoint needs what the flows' processes hold
-            env = recognition.equip(make_env)(
-                task=task,
-                num_envs=config.num_envs,
-                seed=TRAIN_SEED + config.seed,
-                device=config.device,
-                compile=config.compile,
-                frames_per_action=task.checks_per_action,  # for the recording at the end
+            self.collector = make_collector(
+                config, recognition, make_env, self.learner, seed=TRAIN_SEED + config.seed
             )
-        for transform in self.learner.transforms:
-            env.append_transform(transform)
-        self.collector = ResumableCollector(
-            env,
-            self.learner.explorer,
-            frames_per_batch=config.num_envs,
-            total_frames=-1,
-            init_random_frames=config.warmup_frames,
-        )
         self.live: LiveView | None = None
         if config.live:
             self.live = LiveView(self.collector.env.base_env, config, is_told=self.is_told)
@@ -274,16 +257,15 @@ class Training:
         on_episodes: Callable[[int], None] | None = None,
     ) -> Evaluation:
         """Evaluate in the flows that training uses, and leave them as they were."""
-        state = copy_state(self.collector.state_dict())
         starts = fixed_starts(self.task, num_starts, seed=seed)
         live = self.live
         on_step = None if live is None else live.settle
         try:
-            return self.evaluator.run(
-                self.watch(policy), starts=starts, on_episodes=on_episodes, on_step=on_step
-            )
+            with self.collector.lend_env():
+                return self.evaluator.run(
+                    self.watch(policy), starts=starts, on_episodes=on_episodes, on_step=on_step
+                )
         finally:
-            self.collector.load_state_dict(state)
             if live is not None:
                 live.restart()
 
