@@ -33,6 +33,8 @@ from fishrl.physics.compiled import hash_sources
 
 logger = logging.getLogger(__name__)
 
+#: Where the nose is at first, wherever a fish began while it learned; body lengths.
+STARTS = {"start_x_bl": (1.5, 2.0), "start_y_bl": (-0.1, 0.1)}
 #: Frames within an action: what phases and swings are measured by.
 FRAMES = 8
 
@@ -57,9 +59,9 @@ class Trial:
 
     @property
     def task(self) -> KarmanGait:
-        """What it does; in all flows."""
+        """What it does; in all flows, from the same starts."""
         task = self.recognition.task
-        return replace(task, start_flows=tuple(range(len(task.stream.speeds_bl))))
+        return replace(task, start_flows=tuple(range(len(task.stream.speeds_bl))), **STARTS)
 
 
 def load_trial(run: Path) -> Trial:

@@ -20,7 +20,7 @@ class SafeArea:
     """
 
     near_bl: float = 0.4
-    far_bl: float = 2.5
+    far_bl: float = 4.0
     aside_bl: float = 1.0
     rim_bl: float = 0.25
 
