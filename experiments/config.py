@@ -28,6 +28,7 @@ from experiments.settings import (
     ViewConfig,
     nearest,
 )
+from experiments.sweeps.jobs import is_sweep
 
 #: Settings that the saved state of a run depends on.
 FIXED_BY_RUN = (
@@ -76,6 +77,7 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
         ValueError: if there is no such run.
     """
     options, settings = split_arguments(arguments)
+    _check_sweep(program, options)
     _check_launcher(options)
     try:
         overrides = OverridesParser.create().parse_overrides(settings)
@@ -277,6 +279,15 @@ def _compose(program: str, overrides: Sequence[str]) -> DictConfig:
             return compose(program, list(overrides))
     except (HydraException, OmegaConfBaseException) as error:
         raise _plain(error) from error
+
+
+def _check_sweep(program: str, options: Sequence[str]) -> None:
+    for option in options:
+        if program != "train" and is_sweep([option]):
+            raise ConfigError(
+                f"{option}: experiments.{program} runs once; give one command for each value, or "
+                "sweep over trainings with experiments.train"
+            )
 
 
 def _check_launcher(options: Sequence[str]) -> None:
