@@ -54,10 +54,11 @@ class BrainOf:
         Raises:
             ValueError: if the checkpoint is of another task or size.
         """
+        changed = "a setting of the task changes its {}: leave that away; or its code has changed"
         for key, wanted, remedy in (
             ("task", self.task, "choose the task the checkpoint was made for with task=..."),
-            ("num_inputs", self.num_inputs, "the observation of the task has changed since"),
-            ("num_actions", self.num_actions, "the actions of the task have changed since"),
+            ("num_inputs", self.num_inputs, changed.format("observation")),
+            ("num_actions", self.num_actions, changed.format("actions")),
         ):
             if metadata.get(key) != wanted:
                 raise ValueError(

@@ -108,24 +108,11 @@ def view_settings(arguments: Sequence[str]) -> ViewConfig:
     given = [
         argument if "=" in argument else f"recording={_quote(argument)}" for argument in arguments
     ]
-    sources = [a.split("=", 1)[1] for a in given if a.startswith(("run=", "checkpoint="))]
-    is_free = not any(a.startswith(("task=", "preset=", "policy=")) for a in given)
-    preset = _find_preset(sources[0]) if sources and is_free else None
-    base = [] if preset is None else [f"preset={preset}"]
-    settings = cast("ViewConfig", load_config("view", [*base, *given]))
+    settings = cast("ViewConfig", load_config("view", given))
     source = settings.run or settings.checkpoint
     if source is not None:
         bring_task(settings, source, given)
     return settings
-
-
-def _find_preset(checkpoint: str) -> str | None:
-    """Return the preset of a run, whose task's arguments may be set; None if it is not ours."""
-    from experiments.checkpointing import read_metadata
-    from experiments.config import CONF
-
-    name = str(read_metadata(checkpoint)[1]["preset"])
-    return name if (CONF / "preset" / f"{name}.yaml").is_file() else None
 
 
 def _quote(path: str) -> str:
@@ -139,6 +126,8 @@ def bring_task(
 ) -> None:
     """Take task and recognition from a checkpoint, unless the command line names a task.
 
+    Settings of the task (``task.time_limit=40``) go on top of it.
+
     Args:
         settings: what is filled in.
         checkpoint: run folder or checkpoint.
@@ -147,9 +136,8 @@ def bring_task(
     Raises:
         ValueError: if there is no checkpoint.
     """
-    from omegaconf import OmegaConf
-
     from experiments.checkpointing import read_metadata
+    from experiments.config import change_task
     from experiments.recognition import find_machine
 
     given = [argument.lstrip("+") for argument in arguments]
@@ -157,9 +145,7 @@ def bring_task(
         return
     path, metadata = read_metadata(checkpoint)
     trained = metadata["config"]
-    changes = OmegaConf.from_dotlist([a for a in given if a.startswith("task.")]).get("task", {})
-    task = OmegaConf.merge(OmegaConf.create(trained["task"]), changes)
-    settings.task = OmegaConf.to_container(task)
+    settings.task = change_task(trained["task"], arguments)
     settings.preset = trained["preset"]
     if settings.recognition is None:
         settings.recognition = find_machine(trained.get("recognition"), path)

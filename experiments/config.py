@@ -11,6 +11,7 @@ from typing import Any, cast
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException, OverrideParseException
 from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
@@ -27,6 +28,7 @@ from experiments.settings import (
     ViewConfig,
     nearest,
 )
+from experiments.sweeps.jobs import is_sweep
 
 #: Settings that the saved state of a run depends on.
 FIXED_BY_RUN = (
@@ -60,6 +62,7 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
     """Check a command line against everything that can be set, before hydra sees it.
 
     Every argument of a ``_target_``'s constructor can be set, whether the YAML names it or not.
+    Settings of the task are those of the run that is evaluated or shown, if there is one.
 
     Args:
         program: train, evaluate, view or train_lateral_line.
@@ -71,8 +74,10 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
 
     Raises:
         ConfigError: naming an unknown key or value and the nearest right one.
+        ValueError: if there is no such run.
     """
     options, settings = split_arguments(arguments)
+    _check_sweep(program, options)
     _check_launcher(options)
     try:
         overrides = OverridesParser.create().parse_overrides(settings)
@@ -95,6 +100,10 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
                     raise _unknown(f"{override.key_or_group}={value}", value, known)
             chosen.append(f"{override.key_or_group}={values[0]}")
     base = with_defaults(program, _compose(program, chosen))
+    own = _find_own_task(program, overrides)
+    if own is not None:
+        base.task = own
+        base = with_defaults(program, base)
     known_keys = sorted(_keys(base))
     result = list(options)
     for override in overrides:
@@ -107,6 +116,32 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
                 line = "++" + line.lstrip("+")  # an argument that the YAML leaves at its default
         result.append(line)
     return result
+
+
+def _find_own_task(program: str, overrides: Sequence[Override]) -> Any:
+    """Return the task of the run or checkpoint that is given, or None if another one is chosen."""
+    given = {override.key_or_group: override for override in overrides}
+    known = {entry.name for entry in fields(SCHEMAS[program])}
+    fish = [name for name in ("run", "checkpoint", "policy") if name in known & set(given)]
+    if len(fish) != 1 or "policy" in fish or {"task", "preset"} & set(given):
+        return None
+    from experiments.checkpointing import read_metadata  # slow, as it brings torchrl
+
+    return read_metadata(str(given[fish[0]].value()))[1]["config"]["task"]
+
+
+def change_task(task: Mapping[str, Any], arguments: Sequence[str]) -> dict[str, Any]:
+    """Put settings of a command line on top of a task.
+
+    Args:
+        task: ``_target_`` and arguments.
+        arguments: checked overrides; those of ``task.`` are taken.
+    """
+    given = [argument for argument in arguments if argument.lstrip("+").startswith("task.")]
+    changed = OmegaConf.create({"task": dict(task)})
+    for override in OverridesParser.create().parse_overrides(given):
+        OmegaConf.update(changed, override.key_or_group, override.value(), force_add=True)
+    return cast(dict[str, Any], OmegaConf.to_container(changed.task, resolve=True))
 
 
 def load_config(program: str, arguments: Sequence[str] = ()) -> Any:
@@ -181,7 +216,7 @@ def build(node: Mapping[str, Any]) -> Any:
     """Make the object that a ``_target_`` names, and those among its arguments first.
 
     Raises:
-        ConfigError: if there is nothing of that name.
+        ConfigError: if there is nothing of that name, or it does not take these arguments.
         ValueError: from the object's own checks, as it is.
     """
     arguments = {
@@ -189,7 +224,12 @@ def build(node: Mapping[str, Any]) -> Any:
         for name, value in node.items()
         if name != "_target_"
     }
-    return _find(node["_target_"])(**arguments)
+    made = _find(node["_target_"])
+    try:
+        inspect.signature(made).bind(**arguments)
+    except TypeError as error:
+        raise ConfigError(f"{node['_target_']}: {error}") from error
+    return made(**arguments)
 
 
 def with_defaults(program: str, config: DictConfig) -> DictConfig:
@@ -239,6 +279,15 @@ def _compose(program: str, overrides: Sequence[str]) -> DictConfig:
             return compose(program, list(overrides))
     except (HydraException, OmegaConfBaseException) as error:
         raise _plain(error) from error
+
+
+def _check_sweep(program: str, options: Sequence[str]) -> None:
+    for option in options:
+        if program != "train" and is_sweep([option]):
+            raise ConfigError(
+                f"{option}: experiments.{program} runs once; give one command for each value, or "
+                "sweep over trainings with experiments.train"
+            )
 
 
 def _check_launcher(options: Sequence[str]) -> None:

@@ -90,7 +90,7 @@ class TaskView:
             height=config.height,
             field=Field(
                 key="vorticity", name="vorticity", unit="1/T", limit=vorticity_limit,
-                note="red turns counter-clockwise",
+                note="positive turns counter-clockwise",
             ),
             outlines=self._collect("outlines"),
             marks=self._collect("marks"),

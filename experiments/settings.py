@@ -171,7 +171,7 @@ class EvaluateConfig(ViewerSettings):
 
     Args:
         task: ``_target_`` and arguments of the task; a checkpoint brings its own unless ``task``
-            or ``preset`` is given.
+            or ``preset`` is given, and ``task.<argument>`` changes it.
         preset: name of the preset.
         checkpoint: run folder or checkpoint of the fish to evaluate.
         policy: hand-written fish to evaluate instead; ``policies.NAMES`` lists those of each task.
@@ -214,7 +214,7 @@ class ViewConfig(ViewerSettings):
 
     Args:
         task: ``_target_`` and arguments of the task; a run brings its own unless ``task`` or
-            ``preset`` is given.
+            ``preset`` is given, and ``task.<argument>`` changes it.
         preset: name of the preset.
         recording: a ``.rrd`` file, or a run folder with one, to open as it is.
         run: run folder whose learned fish swims.

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from experiments.settings import TrainConfig
+from tests.experiments.real_wake import develop
 
 TOY = "tests.experiments.toy_fish.ToyPredation"
 
@@ -37,3 +38,11 @@ def toy_config(tmp_path: Path) -> Callable[..., TrainConfig]:
         return TrainConfig(task={"_target_": TOY, **(task or {})}, **{**defaults, **settings})
 
     return make
+
+
+@pytest.fixture(scope="session")
+def real_wake(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the developed wake of ``real_wake.gait_settings``."""
+    folder = tmp_path_factory.mktemp("wakes")
+    develop(folder)
+    return folder

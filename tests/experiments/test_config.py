@@ -126,6 +126,13 @@ def test_options_and_sweeps_of_hydra_pass() -> None:
     assert sorted(check_overrides("train", given)) == sorted(given)
 
 
+@pytest.mark.parametrize("program", ["evaluate", "train_lateral_line"])
+@pytest.mark.parametrize("word", ["--multirun", "-m", "hydra.mode=MULTIRUN"])
+def test_only_trainings_are_swept(program: str, word: str) -> None:
+    with pytest.raises(ConfigError, match=f"{word}: experiments.{program} runs once; give one"):
+        check_overrides(program, [word, "seed=0,1"])
+
+
 @pytest.mark.parametrize("given", [[], ["checkpoint=runs/x", "policy=random"]])
 def test_an_evaluation_is_of_one_fish(given: list[str]) -> None:
     with pytest.raises(ConfigError, match="give one of checkpoint="):

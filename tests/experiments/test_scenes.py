@@ -54,6 +54,11 @@ def find_keys(view: TaskView) -> set[str]:
     return keys
 
 
+def test_what_a_sign_means_is_said_without_colours_which_the_format_chooses() -> None:
+    note = TaskView(make_task("predation")).scene.field.note
+    assert note == "positive turns counter-clockwise"
+
+
 @pytest.mark.parametrize("kind", ["predation", "gait", "averaged", "free", "own"])
 def test_everything_that_a_scene_names_can_be_read(kind: str) -> None:
     task = make_task(kind)

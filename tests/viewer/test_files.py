@@ -1,13 +1,10 @@
 """Recordings in files: they verify, every view draws, and errors say what to do."""
 
-import io
 import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
-from PIL import Image
 
 from fishrl.viewer import (
     FieldFormat,
@@ -19,6 +16,7 @@ from fishrl.viewer import (
     write_screenshot,
 )
 from fishrl.viewer import files as files_module
+from tests.viewer.pictures import check_views, needs_vulkan
 from tests.viewer.scenes import make_frame, make_scene
 
 FLOWS = {0: "flow 0: slow", 3: "flow 3: fast"}
@@ -75,40 +73,13 @@ def test_many_frames_go_into_few_chunks(tmp_path: Path) -> None:
     assert (path.stat().st_size - once) / 40 < 2 * 18 * 1000
 
 
-@pytest.mark.skipif(
-    not list(Path("/usr/share/vulkan/icd.d").glob("*.json")),
-    reason="the viewer needs a Vulkan driver: apt install mesa-vulkan-drivers",
-)
+@needs_vulkan
 @pytest.mark.parametrize("field_format", ["jpeg", pytest.param("u8", marks=pytest.mark.slow)])
 def test_every_view_of_a_recording_draws(tmp_path: Path, field_format: str) -> None:
     path = tmp_path / "flows.rrd"
     write(path, num_frames=9, field_format=field_format)
-    pictures = {picture.name: picture for picture in photograph_views(path, time_T=1.5)}
-    scene = make_scene()
-    expected = {"flow 0: slow", "vorticity [1/T]", "pressure [ρ]", "about"}
-    assert set(pictures) == expected | {panel.name for panel in scene.panels}
-    for name, picture in pictures.items():
-        assert picture.reports == [], name
-        assert picture.origin.startswith(("/flow_0", "/legend"))
-        pixels = read(picture.png)
-        assert count_colours(pixels) >= 8, f"{name} is empty"
-    flow = read(pictures["flow 0: slow"].png)
-    warm, cold = flow[..., 0] - flow[..., 2] > 80, flow[..., 2] - flow[..., 0] > 80
-    assert warm.mean() > 0.02
-    assert cold.mean() > 0.02
-    for panel in scene.panels:
-        pixels = read(pictures[panel.name].png)
-        colourful = pixels.max(-1) - pixels.min(-1) > 60  # grids and letters are grey
-        assert colourful.sum() > 100, f"{panel.name} has no line"
-
-
-def read(png: bytes) -> np.ndarray:
-    with Image.open(io.BytesIO(png)) as picture:
-        return np.asarray(picture.convert("RGB")).astype(int)
-
-
-def count_colours(pixels: np.ndarray) -> int:
-    return len(np.unique(pixels.reshape(-1, 3), axis=0))
+    pictures = photograph_views(path, time_T=1.5)
+    check_views(pictures, make_scene(), title="flow 0: slow", least=0.02)
 
 
 def test_a_screenshot_into_no_folder_is_refused(tmp_path: Path) -> None:

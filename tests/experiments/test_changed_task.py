@@ -1,0 +1,160 @@
+"""A frozen fish in a changed task: settings of the task go on top of those of its own run."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from experiments import evaluate
+from experiments.checkpointing import BrainOf, save_checkpoint
+from experiments.command_line import view_settings
+from experiments.config import build, check_overrides, load_config, to_plain
+from experiments.settings import ConfigError
+from experiments.train import train
+from tests.envs.conftest import gliding  # noqa: F401 - a fixture
+from tests.experiments.test_gait import SETTINGS, make_machine, make_task
+
+pytestmark = pytest.mark.usefixtures("gliding")
+
+OWN = [*SETTINGS, "task.stream.speeds_bl=[1.0,1.2,1.4]", "task.observes_flow=true"]
+
+
+def store(folder: Path, *overrides: str, recognition: str | None = None) -> str:
+    """Make what an untrained fish of a gait leaves, as far as settings are concerned."""
+    config = load_config("train", [*OWN, *overrides])
+    config.recognition = recognition
+    task = build(config.task)
+    save_checkpoint(
+        folder / "checkpoints" / "last",
+        {"net": torch.nn.Linear(1, 1)},
+        brain=BrainOf.task_of(task, num_told=0 if recognition is None else 3),
+        preset=config.preset,
+        frames=0,
+        config=to_plain(config),
+    )
+    return f"checkpoint={folder}"
+
+
+def evaluated(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> Any:
+    """Return the settings that the program would evaluate with."""
+    taken: list[Any] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(evaluate, "evaluate", lambda config, **_: taken.append(config) or {})
+        patch.setattr(sys, "argv", ["evaluate", *arguments])
+        evaluate.main()
+    return taken[0]
+
+
+def refuse(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> str:
+    monkeypatch.setattr(sys, "argv", ["evaluate", "compile=false", *arguments])
+    with pytest.raises(SystemExit) as error:
+        evaluate.main()
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+CHANGES = [
+    "task.stream.has_disc=false",
+    "task.safe_area.far_bl=2.75",
+    "task.safe_area={near_bl:0.1}",
+    "task.control.bank.rows=[[0.1,0.2],[0.1,0.2],[0.1,0.2]]",
+    "task.start_flows=[2]",
+    "task.time_limit=7",
+]
+
+
+def test_what_is_not_given_stays_as_in_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checkpoint = store(tmp_path)
+    own = evaluated(monkeypatch, checkpoint).task
+    assert own["stream"]["speeds_bl"] == [1.0, 1.2, 1.4]
+    changed = evaluated(monkeypatch, checkpoint, *CHANGES).task
+    assert view_settings([checkpoint, *CHANGES]).task == changed
+    own["stream"]["has_disc"] = False
+    own["safe_area"] |= {"far_bl": 2.75, "near_bl": 0.1}
+    own["control"]["bank"]["rows"] = [[0.1, 0.2]] * 3
+    own["start_flows"], own["time_limit"] = [2], 7
+    assert changed == own
+
+
+def test_a_task_that_is_chosen_by_name_is_not_that_of_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = [store(tmp_path), "preset=gait_small", "task.stream.has_disc=false"]
+    task = evaluated(monkeypatch, *arguments).task
+    assert (task["body_length"], task["stream"]["has_disc"]) == (32, False)
+    with pytest.raises(ConfigError, match=r"there is no 'task\.stream\.has_disc'"):
+        check_overrides("evaluate", [arguments[0], "task=predation", arguments[2]])
+
+
+@pytest.mark.parametrize(
+    ("argument", "said"),
+    [
+        ("task.stream.has_disk=false", "Did you mean 'task.stream.has_disc'?"),
+        ("task.capture_radius_bl=1", "there is no 'task.capture_radius_bl'"),
+        ("task.stream.has_disc=3", "task.stream.has_disc=3: must be true or false"),
+        ("task.stream={speed:3}", "fishrl.envs.streams.Stream: got an unexpected keyword"),
+    ],
+)
+def test_a_setting_that_the_task_of_the_run_does_not_have_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, argument: str, said: str
+) -> None:
+    assert said in refuse(monkeypatch, store(tmp_path), argument)
+
+
+@pytest.mark.parametrize(
+    ("argument", "said"),
+    [
+        ("task.num_stacked=3", "it is of num_inputs = 14, here it is 21; a setting of the task"),
+        ("task.repeats_frequency=true", "it is of num_inputs = 14, here it is 18"),
+        ("task._target_=fishrl.envs.Predation", "got an unexpected keyword argument"),
+        (
+            "task.control={_target_:fishrl.envs.macro_actions.DirectFrequencies,"
+            "frequencies:[1,1.5,2,2.5]}",
+            "got an unexpected keyword argument 'bank'",
+        ),
+    ],
+)
+def test_what_the_brain_was_made_for_cannot_be_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, argument: str, said: str
+) -> None:
+    assert said in refuse(monkeypatch, store(tmp_path), argument)
+
+
+def test_the_number_of_actions_cannot_be_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checkpoint = store(tmp_path, "task=karman_gait_direct")
+    said = refuse(monkeypatch, checkpoint, "task.control.frequencies=[0.5,1.5,2.6]")
+    assert "it is of num_actions = 4, here it is 3; a setting of the task" in said
+
+
+def test_a_machine_knows_only_its_flows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = build(load_config("train", OWN).task)
+    make_machine(tmp_path / "machine.pt", task)
+    checkpoint = store(tmp_path, recognition="machine.pt")
+    said = refuse(monkeypatch, checkpoint, "task.reynolds=400.0")
+    assert "was trained for reynolds = 500.0, here it is 400.0" in said
+    assert "change the task back" in said
+
+
+def test_a_learned_fish_swims_in_a_changed_task(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = load_config("train", [*OWN, f"folder={tmp_path}", "name=run", "total_frames=8"])
+    config.baselines, config.picture_episodes = [], 0
+    train(config)
+    saved = tmp_path / "result.json"
+    arguments = [f"checkpoint={tmp_path / 'run'}", "episodes=2", "compile=false", f"save={saved}"]
+    changes = ["task.stream.has_disc=false", "task.time_limit=1"]
+    monkeypatch.setattr(sys, "argv", ["evaluate", *arguments, *changes])
+    evaluate.main()
+    assert json.loads(saved.read_text())["mean_length_T"] == pytest.approx(
+        make_task(time_limit=1).interval_T
+    )

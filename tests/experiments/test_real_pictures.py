@@ -1,0 +1,49 @@
+"""What the viewer shows of fish in real flows: every view of a recording draws."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from experiments.config import build
+from experiments.recognition import Recognition
+from experiments.scenes import TaskView
+from experiments.settings import ViewConfig
+from experiments.view import record
+from fishrl.viewer import photograph_views
+from tests.envs.test_real_flow import TINY
+from tests.experiments.real_wake import gait_settings
+from tests.viewer.pictures import check_views, needs_vulkan
+
+HUNT = {"_target_": "fishrl.envs.Predation", **TINY}
+
+
+@needs_vulkan
+@pytest.mark.parametrize("policy", ["intercept", "pid"])
+def test_every_view_of_a_fish_in_a_real_flow_draws(
+    tmp_path: Path, real_wake: Path, policy: str
+) -> None:
+    path = tmp_path / "fish.rrd"
+    if policy == "intercept":  # half a picture of nothing; compression would mix its few nodes
+        task, recognition = HUNT, None
+        looks = {"periods": 2.0, "vorticity_limit": 6.0, "field_format": "u8"}
+        least = 0.001
+    else:
+        task, recognition = gait_settings(real_wake), "oracle"
+        looks = {"periods": 0.6, "vorticity_limit": 30.0, "frames_per_T": 30}
+        least = 0.005
+    config = ViewConfig(
+        task=task,
+        preset="tiny",
+        policy=policy,
+        recognition=recognition,
+        compile=False,
+        **looks,  # type: ignore[arg-type]
+    )
+    drawn = record(config, save=path)
+    assert drawn.periods == pytest.approx(config.periods, abs=0.1)  # whole decisions
+    view = TaskView(Recognition(build(task), recognition).task, is_told=recognition is not None)
+    pictures = photograph_views(path, time_T=0.9 * drawn.periods)
+    (title,) = [one.name for one in pictures if one.origin == "/flow_0/world"]
+    check_views(pictures, view.scene, title=title, least=least)

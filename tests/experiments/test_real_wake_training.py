@@ -1,0 +1,106 @@
+"""A training in a wake that really sheds goes on, after a stop, as if nothing had been."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from experiments.checkpointing import read_metadata
+from experiments.interruption import Interrupted
+from experiments.settings import TrainConfig
+from experiments.train import set_up
+from experiments.training import Training
+from fishrl.envs import FlowEnv, make_env
+from tests.experiments.real_wake import gait_settings
+from tests.experiments.test_training import rows_of
+
+pytestmark = pytest.mark.learning
+
+FRAMES = 16
+
+
+def begin(folder: Path, wakes: Path, **settings: Any) -> Training:
+    config = TrainConfig(
+        task=gait_settings(wakes),
+        logger={"_target_": "experiments.logger.CsvLogger"},
+        preset="tiny",
+        folder=str(folder),
+        compile=False,
+        num_envs=2,
+        total_frames=FRAMES,
+        warmup_frames=4,
+        updates_per_frame=1.0,
+        batch_size=4,
+        buffer_size=8,  # which overflows
+        hidden=[16],
+        log_frames=2,
+        checkpoint_frames=2,
+        eval_frames=8,
+        eval_episodes=1,
+        **settings,
+    )
+    return set_up(config, make_env=make_env)
+
+
+def read_states(run: Path) -> dict[str, Any]:
+    """Return what the newest checkpoint holds, by component; without times."""
+    path, _ = read_metadata(run, which="last")
+    states = {file.parent.name: torch.load(file) for file in sorted(path.rglob("*.pt"))}
+    assert {name.split("-")[-1] for name in states} == {
+        *("actor", "loss", "optimiser", "buffer", "collector", "rng", "counters")
+    }
+    for state in states.values():
+        for name in ("wall_seconds", "collect_seconds"):
+            state.pop(name, None)
+    return states
+
+
+def list_leaves(state: Any, path: str = "") -> dict[str, Any]:
+    """Return tensors and numbers of a nested state by their paths."""
+    if isinstance(state, dict):
+        items = [(str(key), value) for key, value in state.items()]
+    elif isinstance(state, list | tuple):
+        items = [(str(i), value) for i, value in enumerate(state)]
+    else:
+        return {path: state}
+    return {k: v for key, value in items for k, v in list_leaves(value, f"{path}/{key}").items()}
+
+
+def test_a_training_in_a_real_wake_that_is_interrupted_equals_one_that_is_not(
+    tmp_path: Path, real_wake: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Training, "_compare", lambda self: {})
+    whole = begin(tmp_path, real_wake, name="whole")
+    whole.run()
+    part, step, left = begin(tmp_path, real_wake, name="part"), FlowEnv._step, [5]
+
+    def step_and_count(self: FlowEnv, td: Any) -> Any:
+        left[0] -= self.starts is None  # not of evaluations
+        if left[0] == 0:
+            part.interruption.request(signal.SIGTERM)
+        return step(self, td)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(FlowEnv, "_step", step_and_count)
+        with pytest.raises(Interrupted, match="SIGTERM"):
+            part.run()
+    assert read_metadata(tmp_path / "part", which="last")[1]["frames"] == 10
+    assert (part.collector.env.base_env.now["age"] > 0).all()  # amid episodes
+    part.close()
+    resumed = begin(tmp_path, real_wake, resume=str(tmp_path / "part"))
+    assert resumed.counters.frames == 10
+    resumed.run()
+    assert resumed.counters.episodes > 2
+    assert rows_of(tmp_path / "part") == rows_of(tmp_path / "whole")
+    assert len(rows_of(tmp_path / "part")) == FRAMES // 2
+    theirs, ours = (list_leaves(read_states(tmp_path / name)) for name in ("whole", "part"))
+    assert list(ours) == list(theirs)
+    for path, value in theirs.items():
+        if isinstance(value, torch.Tensor):
+            assert torch.equal(ours[path], value), path
+        else:
+            assert ours[path] == value, path

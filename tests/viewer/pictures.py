@@ -1,0 +1,53 @@
+"""Whether the views of a recording drew, and what is in their pictures."""
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fishrl.viewer import Picture, Scene
+
+needs_vulkan = pytest.mark.skipif(
+    not list(Path("/usr/share/vulkan/icd.d").glob("*.json")),
+    reason="the viewer needs a Vulkan driver: apt install mesa-vulkan-drivers",
+)
+
+
+def read(png: bytes) -> np.ndarray:
+    """Return the pixels ``[Y, X, 3]`` as whole numbers from 0 to 255."""
+    with Image.open(io.BytesIO(png)) as picture:
+        return np.asarray(picture.convert("RGB")).astype(int)
+
+
+def count_colours(pixels: np.ndarray) -> int:
+    return len(np.unique(pixels.reshape(-1, 3), axis=0))
+
+
+def check_views(pictures: Sequence[Picture], scene: Scene, *, title: str, least: float) -> None:
+    """Fail unless each view of the first flow is there and shows something.
+
+    Args:
+        pictures: of the views.
+        scene: what was drawn.
+        title: of the flow.
+        least: share of the flow's picture that is red, and that is blue.
+    """
+    views = {picture.name: picture for picture in pictures}
+    legends = {f"{marks.name} [{marks.unit}]" for marks in scene.marks if marks.value}
+    legends.add(f"{scene.field.name} [{scene.field.unit}]")
+    assert set(views) == {title, "about", *legends, *(panel.name for panel in scene.panels)}
+    for name, picture in views.items():
+        assert picture.reports == [], name
+        assert picture.origin.startswith(("/flow_0", "/legend"))
+        assert count_colours(read(picture.png)) >= 8, f"{name} is empty"
+    flow = read(views[title].png)
+    warm, cold = flow[..., 0] - flow[..., 2] > 80, flow[..., 2] - flow[..., 0] > 80
+    assert warm.mean() > least
+    assert cold.mean() > least
+    for panel in scene.panels:
+        pixels = read(views[panel.name].png)
+        colourful = pixels.max(-1) - pixels.min(-1) > 60  # grids and letters are grey
+        assert colourful.sum() > 100, f"{panel.name} has no line"
