@@ -24,6 +24,7 @@ from matplotlib.figure import Figure
 from experiments.command_line import plain_errors, set_up_logging
 from experiments.figures import COLOURS
 from experiments.flow_pictures import STYLE
+from experiments.gait.trials import STARTS
 from experiments.histories import Histories, record_histories
 from experiments.progress import Progress
 from experiments.transfer import load_task
@@ -151,6 +152,7 @@ def main() -> None:
             start_flows=tuple(range(len(task.stream.speeds_bl))),
             control=DirectFrequencies(frequencies=tuple(arguments.frequencies)),
             start_x_bl=(1.2, 2.6),
+            start_y_bl=STARTS["start_y_bl"],
             safe_area=SafeArea(near_bl=0.4, far_bl=4.5),
         )
     task, histories = sweep(

@@ -25,8 +25,7 @@ def write_page(findings: Mapping[str, Any]) -> str:
         "# What the lateral line tells",
         "",
         f"Flows: {flows}; guessing is right in {findings['chance']:.0%}. Accuracies are those on "
-        "episodes that had no part in the fit, mean over "
-        f"{findings['num_splits']} divisions of the episodes [least-largest].",
+        f"episodes that had no part in the fit{_name_divisions(findings['num_splits'])}.",
         "",
         f"Data: {data['samples']} decisions in {data['episodes']} episodes, actions half "
         "drawn at random and half to hold some station, "
@@ -79,6 +78,10 @@ def write_page(findings: Mapping[str, Any]) -> str:
         "",
     ]
     return "\n".join(lines)
+
+
+def _name_divisions(num: int) -> str:
+    return "" if num == 1 else f", mean over {num} divisions of the episodes [least-largest]"
 
 
 def _row(name: str, fit: Mapping[str, Any]) -> str:
