@@ -54,7 +54,7 @@ def run_evaluation(folder: Path) -> None:
 
 
 def run_lateral_line(folder: Path) -> None:
-    brief = ["num_samples=40", "max_decisions=4", "num_epochs=1", "paper_epochs=1", "num_splits=1"]
+    brief = ["num_samples=96", "max_decisions=4", "num_epochs=1", "paper_epochs=1", "num_splits=1"]
     brief += ["windows=[1]", "noises=[0.0]", "memories=[0.0]", "hidden=[4]"]
     brief += [f"folder={folder}", "name=run", f"data_folder={folder / 'data'}"]
     sys.argv = ["train_lateral_line", *TINY, *brief]
