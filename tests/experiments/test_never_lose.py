@@ -29,6 +29,7 @@ from experiments.train import set_up
 from experiments.training import Training
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 from tests.envs.gliding import GlidingSolver
+from tests.experiments.stops import run_and_stop
 from tests.experiments.test_checkpointing import BRAIN, save
 from tests.experiments.test_output import read, read_only_folder  # noqa: F401 - a fixture
 from tests.experiments.test_training import ROOT, rows_of
@@ -59,23 +60,13 @@ def limited_disk(num_bytes: int) -> Iterator[None]:
 
 @pytest.mark.parametrize("during", ["collecting", "evaluating"])
 def test_a_run_told_to_end_saves_and_goes_on_as_if_nothing_had_been(
-    toy_config: MakeConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, during: str
+    toy_config: MakeConfig, tmp_path: Path, during: str
 ) -> None:
     whole = training_of(toy_config(name="whole", **QUICK))
     whole.run()
     part = training_of(toy_config(name="part", **QUICK))
-    step, left = ToyFishEnv._step, [23 if during == "collecting" else 3]
-
-    def step_and_count(self: ToyFishEnv, td: Any) -> Any:
-        left[0] -= (self.starts is None) == (during == "collecting")
-        if left[0] == 0:
-            part.interruption.request(signal.SIGTERM)
-        return step(self, td)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(ToyFishEnv, "_step", step_and_count)
-        with pytest.raises(Interrupted, match="SIGTERM"):
-            part.run()
+    is_late = during == "evaluating"
+    run_and_stop(part, ToyFishEnv, step=3 if is_late else 23, evaluating=is_late)
     frames = 184 if during == "collecting" else 120
     assert read_metadata(tmp_path / "part", which="last")[1]["frames"] == frames
     assert all(int(row["frames"]) < 184 for row in rows_of(tmp_path / "part"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +9,12 @@ import pytest
 import torch
 
 from experiments.checkpointing import read_metadata
-from experiments.interruption import Interrupted
 from experiments.settings import TrainConfig
 from experiments.train import set_up
 from experiments.training import Training
 from fishrl.envs import FlowEnv, make_env
 from tests.experiments.real_wake import gait_settings
+from tests.experiments.stops import run_and_stop
 from tests.experiments.test_training import rows_of
 
 pytestmark = pytest.mark.learning
@@ -76,18 +75,8 @@ def test_a_training_in_a_real_wake_that_is_interrupted_equals_one_that_is_not(
     monkeypatch.setattr(Training, "_compare", lambda self: {})
     whole = begin(tmp_path, real_wake, name="whole")
     whole.run()
-    part, step, left = begin(tmp_path, real_wake, name="part"), FlowEnv._step, [5]
-
-    def step_and_count(self: FlowEnv, td: Any) -> Any:
-        left[0] -= self.starts is None  # not of evaluations
-        if left[0] == 0:
-            part.interruption.request(signal.SIGTERM)
-        return step(self, td)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(FlowEnv, "_step", step_and_count)
-        with pytest.raises(Interrupted, match="SIGTERM"):
-            part.run()
+    part = begin(tmp_path, real_wake, name="part")
+    run_and_stop(part, FlowEnv, step=5)
     assert read_metadata(tmp_path / "part", which="last")[1]["frames"] == 10
     assert (part.collector.env.base_env.now["age"] > 0).all()  # amid episodes
     part.close()
