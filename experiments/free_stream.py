@@ -38,6 +38,7 @@ def make_trial(
     num_frequencies: int,
     frequency: float,
     max_wall_speed: float,
+    periods: float,
 ) -> Trial:
     """Return the fish: it may beat at any of ``num_frequencies`` up to ``max_frequency`` per T."""
     steps = num_frequencies - 1
@@ -52,13 +53,17 @@ def make_trial(
         # from rest it is swept back until it swims
         safe_area=replace(task.safe_area, far_bl=6.0),
     )
-    wish = PID(frequency=frequency, gain=3.0, integral_gain=0.075, damping=8.0, max_sum=40.0)
+    dt = task.interval_T  # sum and change are per decision
+    wish = PID(
+        frequency=frequency, gain=3.0, integral_gain=0.15 * dt, damping=4.0 / dt, max_sum=20.0 / dt
+    )
     return Trial(
         name="free-stream",
         arm="free stream",
         recognition=Recognition(task, None),
         make_policy=lambda: make_gait_policy(wish, task),
         identity=f"PID {vars(wish)}",
+        periods=periods,
     )
 
 
@@ -125,13 +130,12 @@ def main() -> None:
             num_frequencies=81,
             frequency=arguments.frequency,
             max_wall_speed=arguments.max_wall_speed,
+            periods=arguments.periods,
         )
-        num_decisions = round(arguments.periods / trial.task.interval_T)
         histories = run_trial(
             trial,
             episodes=arguments.episodes,
             folder=arguments.folder / "histories",
-            num_decisions=num_decisions,
             progress=progress,
         )
     task = trial.task
@@ -139,7 +143,7 @@ def main() -> None:
     with plain_errors():
         rows = summarise(
             split_flows(histories, len(speeds)),
-            periods=num_decisions * task.interval_T,
+            periods=task.time_limit * task.interval_T,
             interval_T=task.interval_T,
         )
     scales = task.scales

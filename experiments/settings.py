@@ -278,7 +278,7 @@ class LateralLineConfig:
         num_envs: flows that advance together.
         num_samples: decisions to collect, one signal of a control interval each.
         max_decisions: after which an episode is cut.
-        window: samples that the machine reads, the newest; by default those of four intervals.
+        window: samples that the machine reads, the newest; by default those of eight intervals.
         hidden: widths of its hidden layers.
         learning_rate: of the fits.
         batch_size: of the fits.
@@ -302,7 +302,7 @@ class LateralLineConfig:
     data_folder: str = "runs/lateral_line_data"
     num_envs: int = 16
     num_samples: int = 6000
-    max_decisions: int = 40
+    max_decisions: int = 60
     window: int | None = None
     hidden: list[int] = field(default_factory=lambda: [128, 128])
     learning_rate: float = 1e-3

@@ -19,7 +19,7 @@ from experiments.command_line import plain_errors, set_up_logging
 from experiments.config import build, load_config
 from experiments.gait import pictures, tables
 from experiments.gait.diagnostics import combine_seeds, diagnose, pick
-from experiments.gait.trials import Trial, hand_written, load_trial, run_trial
+from experiments.gait.trials import PERIODS, Trial, hand_written, load_trial, run_trial
 from experiments.histories import Histories
 from experiments.progress import Progress
 from fishrl.envs import KarmanGait
@@ -154,6 +154,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Frozen fish in every flow, side by side.")
     parser.add_argument("runs", type=Path, nargs="*", help="run folders of task=karman_gait")
     parser.add_argument("--episodes", type=int, default=100, help="in each flow")
+    parser.add_argument("--periods", type=float, default=PERIODS, help="T that each is tried")
     parser.add_argument(
         "--hand-written", nargs="*", default=list(HAND_WRITTEN), help="fish to put beside them"
     )
@@ -161,7 +162,7 @@ def main() -> None:
         "--preset", default="gait_small", help="of the hand-written fish, if there is no run"
     )
     parser.add_argument(
-        "--set", nargs="*", default=[], help="settings of that preset, such as task.time_limit=20"
+        "--set", nargs="*", default=[], help="settings of that preset, such as task.reynolds=400"
     )
     parser.add_argument(
         "--sample", action="store_true", help="draw actions as in training, not the likeliest"
@@ -172,10 +173,13 @@ def main() -> None:
     with plain_errors(), Progress() as progress:
         if arguments.episodes < 1:
             raise ValueError(f"episodes = {arguments.episodes}: must be at least 1")
-        trials = [load_trial(run) for run in arguments.runs]
+        if arguments.periods <= 0.0:
+            raise ValueError(f"periods = {arguments.periods}: must be positive")
+        periods = arguments.periods
+        trials = [load_trial(run, periods=periods) for run in arguments.runs]
         banked = [trial.task for trial in trials if trial.task.control.num_flows is not None]
         task = banked[0] if banked else load_task(arguments.preset, arguments.set)
-        trials += [hand_written(name, task) for name in arguments.hand_written]
+        trials += [hand_written(name, task, periods=periods) for name in arguments.hand_written]
         transfer(
             trials,
             episodes=arguments.episodes,

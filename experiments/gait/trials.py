@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import math
 import os
 import pickle
 from collections.abc import Callable, Mapping
@@ -33,6 +34,8 @@ from fishrl.physics.compiled import hash_sources
 
 logger = logging.getLogger(__name__)
 
+#: How long a trial lasts, however short the episodes in which a fish learned; T.
+PERIODS = 100.0
 #: Where the nose is at first, wherever a fish began while it learned; body lengths.
 STARTS = {"start_x_bl": (1.5, 2.0), "start_y_bl": (-0.1, 0.1)}
 #: Frames within an action: what phases and swings are measured by.
@@ -49,6 +52,7 @@ class Trial:
         recognition: its task, and who tells it which flow it is in.
         make_policy: makes its brain.
         identity: what shapes its behaviour beside the task, as text.
+        periods: how long it is tried, T; rounded up to whole decisions.
     """
 
     name: str
@@ -56,16 +60,26 @@ class Trial:
     recognition: Recognition
     make_policy: Callable[[], Any]
     identity: str
+    periods: float = PERIODS
 
     @property
     def task(self) -> KarmanGait:
         """What it does; in all flows, from the same starts."""
         task = self.recognition.task
-        return replace(task, start_flows=tuple(range(len(task.stream.speeds_bl))), **STARTS)
+        return replace(
+            task,
+            start_flows=tuple(range(len(task.stream.speeds_bl))),
+            time_limit=math.ceil(self.periods / task.interval_T - 1e-9),
+            **STARTS,
+        )
 
 
-def load_trial(run: Path) -> Trial:
+def load_trial(run: Path, *, periods: float = PERIODS) -> Trial:
     """Take the learned fish of a run folder.
+
+    Args:
+        run: the folder.
+        periods: see ``Trial``.
 
     Raises:
         ValueError: if there is none, or it does not hold a station.
@@ -85,6 +99,7 @@ def load_trial(run: Path) -> Trial:
             str(path), task=task, num_told=recognition.num_told, device="cpu"
         ),
         identity=_hash_files(*weights, *([] if choice in (None, ORACLE) else [Path(choice)])),
+        periods=periods,
     )
 
 
@@ -95,20 +110,21 @@ def name_arm(task: KarmanGait, recognition: str | None) -> str:
     return {None: "true row, untold", "oracle": "oracle"}.get(recognition, "both modules")
 
 
-def hand_written(name: str, task: KarmanGait) -> Trial:
+def hand_written(name: str, task: KarmanGait, *, periods: float = PERIODS) -> Trial:
     """Take a hand-written fish, which is told the true flow.
 
     Args:
         name: as for ``make_policy``, or ``fixed-0.6``, which beats 0.6 times per T whatever comes;
             with ``+policy`` behind it, the learned helmsman steers.
         task: of the others.
+        periods: see ``Trial``.
     """
     task = replace(task, reads_flow_class=False)
     kind, _, helmsman = name.partition("+")
     if helmsman not in ("", "policy"):
         raise ValueError(f"fish {name!r}: behind the + may stand policy")
     if helmsman:
-        task = replace(task, steering=PolicySteering())
+        task = replace(task, steering=PolicySteering(decisions_per_T=round(1.0 / task.interval_T)))
     rates = _find_rates(kind, task)
     if rates is not None:
         # the fastest beat stays among them: it sets T, and so the flow
@@ -126,6 +142,7 @@ def hand_written(name: str, task: KarmanGait) -> Trial:
             else make_policy(kind, task=task, seed=0)
         ),
         identity=name,
+        periods=periods,
     )
 
 
@@ -151,7 +168,6 @@ def run_trial(
     *,
     episodes: int,
     folder: Path,
-    num_decisions: int | None = None,
     samples_actions: bool = False,
     seed: int = 0,
     progress: Progress | None = None,
@@ -162,14 +178,13 @@ def run_trial(
         trial: the fish.
         episodes: in each flow.
         folder: where histories are kept, in a file for each trial.
-        num_decisions: length of the episodes; by default the task's time limit.
         samples_actions: see ``record_histories``.
         seed: of the starts, the same for every fish, and of sampled actions.
         progress: the bar.
     """
     task = trial.task
-    num_decisions = num_decisions or task.time_limit
-    settings = (episodes, num_decisions, samples_actions, seed, FRAMES)
+    num_decisions = task.time_limit
+    settings = (episodes, samples_actions, seed, FRAMES)
     words = (repr(task), trial.identity, settings, hash_behaviour())
     key = hashlib.sha256("\0".join(map(str, words)).encode()).hexdigest()[:16]
     path = folder / f"{trial.name}-{key}.pt"

@@ -28,7 +28,7 @@ from fishrl.modules.lateral_line import BOOKKEEPING
 from fishrl.objectives import FitSettings
 
 #: Control intervals that a machine reads unless told otherwise.
-NUM_INTERVALS = 4
+NUM_INTERVALS = 8
 
 
 def examine(

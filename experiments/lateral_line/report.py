@@ -17,7 +17,7 @@ def write_page(findings: Mapping[str, Any]) -> str:
     data, machine, paper = (findings[name] for name in ("data", "machine", "paper"))
     flows = ", ".join(flow["name"] for flow in findings["flows"])
     windows = {
-        f"{int(length) * data['sample_T']:g} T ({length})": values
+        f"{int(length) * data['sample_T']:.3g} T ({length})": values
         for length, values in findings["windows"].items()
     }
     sensors = findings["sensors"]
@@ -38,7 +38,7 @@ def write_page(findings: Mapping[str, Any]) -> str:
         _row("this one", machine),
         _row("as in the paper: [t, x, y, u_x, u_y, p, speed], mean, instant", paper),
         "",
-        f"This one reads {', '.join(findings['features'])} over {findings['window_T']:g} T.",
+        f"This one reads {', '.join(findings['features'])} over {findings['window_T']:.3g} T.",
         "",
         "![accuracy and loss](curves.png)",
         "",

@@ -45,7 +45,7 @@ class LateralLine:
 
     num_neuromasts: int = 5
     features: tuple[str, ...] = LOCAL
-    num_samples: int = 4
+    num_samples: int = 2
     first_bl: float = 0.2
     last_bl: float = 0.7
     distance: float = 2.0

@@ -45,17 +45,17 @@ class StationReward:
 
     Args:
         drift_limit_bl: way downstream in one interval beyond which r1 is -1 instead of +1;
-            half the paper's 20 nodes, for half its interval.
+            a quarter of the paper's 20 nodes, for a quarter of its interval.
         work_weight: r2 = work_weight (1 - work of the interval / work_reference).
-        work_reference: in rho L^2 (L / T)^2.
+        work_reference: in rho L^2 (L / T)^2, of an interval; 0.4 per T, twice what a gait costs.
         danger_penalty: r3, taken off on entering the danger area or touching an edge.
         rim_weight: r4, taken off per body length that the fish is inside the rim; the paper's
             (L_max - L_dis) / 10 in nodes.
     """
 
-    drift_limit_bl: float = 0.1
+    drift_limit_bl: float = 0.05
     work_weight: float = 0.1
-    work_reference: float = 0.5
+    work_reference: float = 0.1
     danger_penalty: float = 5.0
     rim_weight: float = 10.0
 

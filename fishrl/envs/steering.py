@@ -49,31 +49,36 @@ class Steering(ABC):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PDSteering(Steering):
-    """Aim upstream and towards a line, against where the fish is drifting to.
+class PIDSteering(Steering):
+    """Aim upstream and towards a line, against where the fish is drifting to and long has been.
 
     It is the body's middle that is held: the nose sways with every beat, and a helmsman who follows
     it, looking about once a beat, sees a drift that is none. The wanted heading is off the upstream
-    direction by gain times the lateral offset plus damping times its change, in radians per body
-    length; the turn towards it is bounded.
+    direction by gain times the lateral offset, integral gain times its mean over all sights, and
+    damping times its change, in radians per body length; the turn towards it is bounded. Without
+    the mean, a fish in a wake sits beside the line, leaning against a steady pull outwards.
 
     Args:
+        num_stacked: S, sights that the mean is over, one per decision; not less than 2.
         gain: radians per body length of offset.
+        integral_gain: radians per body length of the mean offset.
         damping: radians per body length that the offset grew within the last interval.
         max_angle_degrees: most that the wanted heading is off upstream.
         max_turn_degrees: most that one interval turns.
     """
 
-    num_stacked = 2
-
+    num_stacked: int = 32
     gain: float = 1.0
+    integral_gain: float = 1.0
     damping: float = 0.0
     max_angle_degrees: float = 15.0
     max_turn_degrees: float = 15.0
 
     def __post_init__(self) -> None:
         """Refuse steering away from the line, and bounds that forbid steering."""
-        for name in ("gain", "damping"):
+        if self.num_stacked < 2:
+            raise ValueError(f"num_stacked = {self.num_stacked}: must be at least 2")
+        for name in ("gain", "integral_gain", "damping"):
             if getattr(self, name) < 0.0:
                 raise ValueError(f"{name} = {getattr(self, name)}: must not be negative")
         for name in ("max_angle_degrees", "max_turn_degrees"):
@@ -86,11 +91,13 @@ class PDSteering(Steering):
 
     def turn(self, sights: Tensor) -> Tensor:
         """Return the bounded turn towards the wanted heading."""
-        offset, before = sights[:, -1, 0], sights[:, -2, 0]
+        offsets, heading = sights[..., 0], sights[:, -1, 1]
+        offset, before = offsets[:, -1], offsets[:, -2]
         most, step = radians(self.max_angle_degrees), radians(self.max_turn_degrees)
         # a heading above pi points down, so a fish that is too high turns counter-clockwise
-        wanted = pi + (self.gain * offset + self.damping * (offset - before)).clamp(-most, most)
-        return (wanted - sights[:, -1, 1]).clamp(-step, step)
+        aim = self.gain * offset + self.integral_gain * offsets.mean(1)
+        aim = aim + self.damping * (offset - before)
+        return (pi + aim.clamp(-most, most) - heading).clamp(-step, step)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,31 +105,39 @@ class PolicySteering(Steering):
     """Let the network that learned to catch food steer, after a point upstream.
 
     It acts greedily: turn clockwise, keep, turn counter-clockwise. The point lies ahead of the
-    fish, as food would, on the line to hold.
+    fish, as food would, on the line to hold. Where it is asked several times per T, it is shown
+    sights a T apart, as when it learned, and each time turns by its share.
 
     Args:
         path: file that ``save_weights`` wrote; by default that of a fish trained on ``Predation``
             in still water at L = 50, which comes with the package.
-        turn_degrees: of one action.
+        turn_degrees: in a T.
         ahead_bl: how far upstream of the nose the point lies, body lengths.
+        decisions_per_T: how often it is asked; it learned with one.
     """
-
-    num_stacked = 4
 
     path: str = str(Path(__file__).with_name("steering.pt"))
     turn_degrees: float = 15.0
     ahead_bl: float = 2.0
+    decisions_per_T: int = 4
 
     def __post_init__(self) -> None:
         """Read the weights, so that a wrong file shows at once."""
         if self.ahead_bl <= 0.0:
             raise ValueError(f"ahead_bl = {self.ahead_bl}: must be positive")
+        if self.decisions_per_T < 1:
+            raise ValueError(f"decisions_per_T = {self.decisions_per_T}: must be at least 1")
         widths = [self.layers[0][0].shape[1], *(len(bias) for _, bias in self.layers)]
-        if widths[0] != 4 * self.num_stacked or widths[-1] != 3:
+        if widths[0] != 16 or widths[-1] != 3:
             raise ValueError(
                 f"steering weights {self.path}: layers of widths {widths}, expected 16 numbers in "
                 "and 3 actions out, those of a policy trained on Predation"
             )
+
+    @property
+    def num_stacked(self) -> int:  # type: ignore[override]
+        """Sights of four T."""
+        return 4 * self.decisions_per_T
 
     @cached_property
     def layers(self) -> list[tuple[Tensor, Tensor]]:
@@ -136,10 +151,11 @@ class PolicySteering(Steering):
 
     def turn(self, sights: Tensor) -> Tensor:
         """Return the turn of the likeliest action."""
-        values = sights.flatten(1).float()
+        every = self.decisions_per_T
+        values = sights[:, every - 1 :: every].flatten(1).float()
         for number, (weight, bias) in enumerate(self.layers):
             values = (relu(values) if number else values) @ weight.to(values).mT + bias.to(values)
-        return radians(self.turn_degrees) * (values.argmax(-1).double() - 1.0)
+        return radians(self.turn_degrees) / every * (values.argmax(-1).double() - 1.0)
 
 
 def save_weights(layers: list[tuple[Tensor, Tensor]], path: str | Path) -> None:
@@ -157,7 +173,7 @@ def load_weights(path: str | Path) -> list[tuple[Tensor, Tensor]]:
     if not file.is_file():
         raise ValueError(
             f"steering weights {file}: there is no such file; write one with save_weights, or take "
-            "PDSteering"
+            "PIDSteering"
         )
     try:
         layers = torch.load(file, map_location="cpu", weights_only=True)

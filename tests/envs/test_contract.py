@@ -17,7 +17,7 @@ from tests.envs.conftest import SMALL
 from tests.envs.shy_task import Shy
 
 #: A tail that may beat faster needs more room before an edge.
-SIZES = {fishrl.envs.tasks.KarmanGait: {"checks_per_action": 60}}
+SIZES = {fishrl.envs.tasks.KarmanGait: {"checks_per_action": 30}}
 LIBRARY = [getattr(fishrl.envs.tasks, name) for name in fishrl.envs.tasks.__all__]
 pytestmark = pytest.mark.usefixtures("gliding")
 

@@ -196,7 +196,7 @@ def test_wrappers_of_gymnasium_fit() -> None:
 
 
 def test_a_task_that_is_told_its_flow_is_told_by_a_transform() -> None:
-    task = KarmanGait(**SMALL, checks_per_action=60)
+    task = KarmanGait(**SMALL, checks_per_action=30)
     envs = make(task=task, transforms=[KnowFlow(num_flows=3)])
     observations, infos = envs.reset(seed=0)
     for _ in range(4):

@@ -11,7 +11,7 @@ from fishrl.envs import FlowEnv, KarmanGait
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import DirectFrequencies, FrequencyBank, MacroActions
 from fishrl.envs.stations import SafeArea, StationReward
-from fishrl.envs.steering import PDSteering
+from fishrl.envs.steering import PIDSteering
 from fishrl.envs.streams import Stream
 from tests.envs.conftest import SMALL
 
@@ -164,7 +164,7 @@ def test_a_late_lateral_line_tells_of_the_interval_before() -> None:
 
 
 def test_steering_turns_the_fish_back_to_the_middle_line() -> None:
-    env = make(2, steering=PDSteering(gain=0.5), start_y_bl=(0.1, 0.1))
+    env = make(2, steering=PIDSteering(gain=0.5, integral_gain=0.0), start_y_bl=(0.1, 0.1))
     env.reset()
     act(env, CRUISE, CRUISE)
     expected = torch.full((2,), pi + 0.05, dtype=torch.float64)
@@ -185,7 +185,11 @@ def test_reward_ends_and_drift_follow_from_the_way() -> None:
     ("x", "y"), [(0.6, 0.0), (2.0, 0.93), (2.0, -0.93)], ids=["near", "above", "below"]
 )
 def test_the_danger_area_ends_an_episode_and_costs(x: float, y: float) -> None:
-    env = make(1, steering=PDSteering(gain=0.0), reward_terms=StationReward(rim_weight=0.0))
+    env = make(
+        1,
+        steering=PIDSteering(gain=0.0, integral_gain=0.0),
+        reward_terms=StationReward(rim_weight=0.0),
+    )
     env.reset()
     place = torch.tensor([[x + env.task.fish.centre / 20, y]]).double() * 20 + env.task.origin
     env.solver.body.position.copy_(place)

@@ -173,7 +173,7 @@ def test_the_layout_tells_what_a_classifier_must_know_and_not_how_the_sensor_err
         ({"distance": 0.0}, "give a positive distance"),
         ({"noise": -0.1}, "no negative noise"),
         ({"silence": 1.1}, r"silence = 1.1: a chance lies in \[0, 1\]"),
-        ({"delay": 9}, "delay = 9: allowed is 0 to 4 samples"),
+        ({"delay": 9}, "delay = 9: allowed is 0 to 2 samples"),
     ],
 )
 def test_sensors_that_cannot_be_are_refused(bad: dict[str, Any], message: str) -> None:

@@ -24,8 +24,8 @@ def test_the_margin_is_the_distance_from_the_nearest_danger() -> None:
     ("what", "expected"),
     [
         ({}, 1.0 + 0.1),
-        ({"drift": torch.tensor([0.1])}, 1.0 + 0.1),
-        ({"drift": torch.tensor([0.11])}, -1.0 + 0.1),
+        ({"drift": torch.tensor([0.05])}, 1.0 + 0.1),
+        ({"drift": torch.tensor([0.06])}, -1.0 + 0.1),
         ({"work": torch.tensor([2.0])}, 1.0),
         ({"work": torch.tensor([3.0])}, 1.0 - 0.05),
         ({"depth": torch.tensor([0.1])}, 1.0 + 0.1 - 1.0),

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fishrl.envs.steering import PDSteering, PolicySteering, Steering, load_weights, save_weights
+from fishrl.envs.steering import PIDSteering, PolicySteering, Steering, load_weights, save_weights
 from fishrl.modules import make_mlp
 
 
@@ -20,7 +20,7 @@ def sights(steering: Steering, y: list[float], heading: float = pi) -> Tensor:
 
 
 def test_a_fish_above_the_line_turns_downwards_and_one_below_upwards() -> None:
-    steering = PDSteering(gain=0.5)
+    steering = PIDSteering(num_stacked=2, gain=0.5, integral_gain=0.0)
     turn = steering.turn(torch.cat([sights(steering, [y, y]) for y in (0.2, -0.2, 0.0)]))
     torch.testing.assert_close(turn, torch.tensor([0.1, -0.1, 0.0]).double())
     # heading pi + 0.1 points to (-cos 0.1, -sin 0.1): down
@@ -28,23 +28,29 @@ def test_a_fish_above_the_line_turns_downwards_and_one_below_upwards() -> None:
 
 def test_the_sway_of_the_nose_is_not_steered_against() -> None:
     nose, middle = torch.tensor([[1.5, 0.1]]).double(), torch.tensor([[2.0, 0.0]]).double()
-    seen = PDSteering().look(nose, middle, torch.tensor([pi], dtype=torch.float64))
-    assert PDSteering().turn(seen[:, None].expand(-1, 2, -1)).item() == pytest.approx(0.0)
+    seen = PIDSteering().look(nose, middle, torch.tensor([pi], dtype=torch.float64))
+    assert PIDSteering().turn(seen[:, None].expand(-1, 32, -1)).item() == pytest.approx(0.0)
 
 
 def test_a_fish_that_heads_elsewhere_is_turned_back_upstream() -> None:
-    steering = PDSteering()
+    steering = PIDSteering()
     turn = steering.turn(sights(steering, [0.0, 0.0], heading=pi - 0.15))
     assert turn.item() == pytest.approx(0.15)
 
 
 def test_damping_turns_against_a_growing_offset() -> None:
-    steering = PDSteering(gain=0.0, damping=1.0)
+    steering = PIDSteering(gain=0.0, integral_gain=0.0, damping=1.0)
     assert steering.turn(sights(steering, [0.0, 0.1])).item() == pytest.approx(0.1)
 
 
+def test_a_fish_that_long_was_beside_the_line_aims_across_it() -> None:
+    steering = PIDSteering(num_stacked=4, gain=0.0, integral_gain=0.5)
+    turn = steering.turn(sights(steering, [0.9, 0.3, 0.2, 0.1, 0.0]))  # of which four are kept
+    assert turn.item() == pytest.approx(0.5 * 0.15)
+
+
 def test_the_turn_of_an_interval_and_the_angle_off_upstream_are_bounded() -> None:
-    steering = PDSteering(gain=5.0, max_angle_degrees=20.0, max_turn_degrees=8.0)
+    steering = PIDSteering(gain=5.0, max_angle_degrees=20.0, max_turn_degrees=8.0)
     assert steering.turn(sights(steering, [1.0, 1.0])).item() == pytest.approx(radians(8.0))
     there = sights(steering, [1.0, 1.0], heading=pi + radians(19.0))
     assert steering.turn(there).item() == pytest.approx(radians(1.0))
@@ -54,14 +60,16 @@ def test_the_turn_of_an_interval_and_the_angle_off_upstream_are_bounded() -> Non
     ("bad", "message"),
     [
         ({"gain": -1.0}, "gain = -1.0: must not be negative"),
+        ({"integral_gain": -1.0}, "integral_gain = -1.0: must not be negative"),
         ({"damping": -0.1}, "damping = -0.1: must not be negative"),
+        ({"num_stacked": 1}, "num_stacked = 1: must be at least 2"),
         ({"max_angle_degrees": 0.0}, "max_angle_degrees = 0.0: allowed is"),
         ({"max_turn_degrees": 91.0}, "max_turn_degrees = 91.0: allowed is"),
     ],
 )
 def test_steering_that_cannot_be_is_refused(bad: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        PDSteering(**bad)
+        PIDSteering(**bad)
 
 
 def linear_layers(network: torch.nn.Sequential) -> list[tuple[Tensor, Tensor]]:
@@ -73,11 +81,12 @@ def test_the_networks_likeliest_action_turns_the_fish(tmp_path: Path) -> None:
         num_inputs=16, num_outputs=3, hidden=(256, 256), generator=torch.Generator().manual_seed(3)
     )
     save_weights(linear_layers(network), tmp_path / "steer.pt")
-    steering = PolicySteering(path=str(tmp_path / "steer.pt"))
-    seen = torch.randn(40, 4, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-    expected = network(seen.flatten(1).float()).argmax(-1)
+    seen = torch.randn(40, 12, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    expected = network(seen[:, [2, 5, 8, 11]].flatten(1).float()).argmax(-1)
     assert len(expected.unique()) > 1
-    torch.testing.assert_close(steering.turn(seen), radians(15.0) * (expected.double() - 1.0))
+    steering = PolicySteering(path=str(tmp_path / "steer.pt"), decisions_per_T=3)
+    assert steering.num_stacked == 12
+    torch.testing.assert_close(steering.turn(seen), radians(5.0) * (expected.double() - 1.0))
 
 
 def test_the_network_sees_a_point_upstream_as_it_saw_food(tmp_path: Path) -> None:
@@ -98,6 +107,8 @@ def test_weights_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     save_weights(linear_layers(make_mlp(num_inputs=16, num_outputs=3, hidden=(4,))), path)
     with pytest.raises(ValueError, match=r"ahead_bl = 0.0: must be positive"):
         PolicySteering(path=str(path), ahead_bl=0.0)
+    with pytest.raises(ValueError, match=r"decisions_per_T = 0: must be at least 1"):
+        PolicySteering(path=str(path), decisions_per_T=0)
     save_weights([(torch.zeros(4, 16), torch.zeros(4)), (torch.zeros(3, 5), torch.zeros(3))], path)
     with pytest.raises(ValueError, match="do not fit together"):
         load_weights(path)

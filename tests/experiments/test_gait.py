@@ -47,6 +47,10 @@ SETTINGS = [
 ]
 
 
+#: T of a trial.
+BRIEF = 2.9
+
+
 def make_task(**arguments: Any) -> KarmanGait:
     return KarmanGait(**{**SMALL, "wall_margin_bl": 0.25, "time_limit": 12, **arguments})
 
@@ -85,12 +89,14 @@ def test_a_gait_is_trained_evaluated_and_tried_in_every_flow(tmp_path: Path, who
     assert summary["train_diverged"] == 0
     assert (tmp_path / "run" / "learning_curve.png").is_file()
     assert (tmp_path / "run" / "machine.pt").is_file() == (who == "machine")
-    trial = load_trial(tmp_path / "run")
+    trial = load_trial(tmp_path / "run", periods=BRIEF)
     assert trial.identity != hashlib.sha256(b"").hexdigest()
     arm = {"machine": "both modules", "oracle": "oracle", "nobody": "true row, untold"}[who]
     assert trial.arm == arm
     results = transfer.transfer(
-        [trial, hand_written("pid", trial.task)], episodes=2, folder=tmp_path / "transfer"
+        [trial, hand_written("pid", trial.task, periods=BRIEF)],
+        episodes=2,
+        folder=tmp_path / "transfer",
     )
     assert list(results["arms"]) == [arm, "pid"]
     flows = results["arms"][arm]
@@ -143,12 +149,21 @@ def test_an_evaluation_takes_the_machine_of_the_run(
         episodes=3,
         compile=False,
     )
-    with pytest.raises(ValueError, match="num_inputs = 20, here it is 14"):
+    with pytest.raises(ValueError, match="num_inputs = 40, here it is 28"):
         evaluate(config)
 
 
+def test_a_trial_lasts_as_long_however_short_the_episodes_of_learning() -> None:
+    for time_limit, dt in ((3, 0.25), (900, 0.25), (3, 0.5)):
+        task = make_task(
+            time_limit=time_limit, control_interval_T=dt, checks_per_action=round(28 * dt)
+        )
+        tried = hand_written("pid", task).task
+        assert 100.0 <= tried.time_limit * tried.interval_T < 100.0 + dt + 0.01
+
+
 def test_what_was_swum_is_not_swum_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    trial = hand_written("bang_bang", make_task())
+    trial = hand_written("bang_bang", make_task(), periods=BRIEF)
     first = run_trial(trial, episodes=2, folder=tmp_path)
     monkeypatch.setattr(Recognition, "equip", lambda *_: pytest.fail("swum again"))
     again = run_trial(trial, episodes=2, folder=tmp_path)
@@ -163,9 +178,9 @@ def test_what_was_swum_is_not_swum_again(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_fish_of_other_tasks_and_unknown_ones_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"behind the \+ may stand policy"):
-        hand_written("pid+pd", make_task())
+        hand_written("pid+pd", make_task(), periods=BRIEF)
     with pytest.raises(ConfigError, match="has nothing to do in KarmanGait"):
-        run_trial(hand_written("pursuit", make_task()), episodes=1, folder=tmp_path)
+        run_trial(hand_written("pursuit", make_task(), periods=BRIEF), episodes=1, folder=tmp_path)
     free = make_task(stream=make_task().stream.__class__(has_disc=False))
     with pytest.raises(ConfigError, match="no vortices are shed"):
         hand_written("shedding", free)
@@ -188,10 +203,10 @@ def test_recognition_fits_the_task_or_says_why(tmp_path: Path) -> None:
 
 
 def test_trials_that_cannot_be_told_apart_or_compared_are_refused(tmp_path: Path) -> None:
-    pid = hand_written("pid", make_task())
+    pid = hand_written("pid", make_task(), periods=BRIEF)
     with pytest.raises(ValueError, match=r"several fish are called \['pid'\]: rename"):
         transfer.transfer([pid, pid], episodes=1, folder=tmp_path)
-    other = hand_written("bang_bang", make_task(reynolds=400.0))
+    other = hand_written("bang_bang", make_task(reynolds=400.0), periods=BRIEF)
     with pytest.raises(ValueError, match=r"bang_bang: its task has reynolds = 400"):
         transfer.transfer([pid, other], episodes=1, folder=tmp_path)
 
@@ -202,9 +217,11 @@ def test_a_passive_fish_never_beats_and_another_beats_with_the_vortices(
     rates = torch.tensor([0.001, 0.0012, 0.0014], dtype=torch.float64)
     bank = WakeBank(populations=torch.zeros(3, 1, 1, 1, 1), shedding_frequencies=rates)
     monkeypatch.setattr(Stream, "load_wakes", lambda *_: bank)
-    passive = run_trial(hand_written("passive", make_task()), episodes=1, folder=tmp_path)
+    passive = run_trial(
+        hand_written("passive", make_task(), periods=BRIEF), episodes=1, folder=tmp_path
+    )
     assert passive.frequency.nan_to_num(0.0).abs().max() == 0.0
-    trial = hand_written("shedding", make_task())
+    trial = hand_written("shedding", make_task(), periods=BRIEF)
     shed = rates * trial.task.scales.period
     with_them = run_trial(trial, episodes=1, folder=tmp_path)
     assert with_them.frequency[:, 0].tolist() == pytest.approx(shed.tolist())
@@ -212,17 +229,17 @@ def test_a_passive_fish_never_beats_and_another_beats_with_the_vortices(
 
 def test_a_fish_may_beat_at_one_rate_whatever_comes(tmp_path: Path) -> None:
     task = make_task()
-    beating = run_trial(hand_written("fixed-0.6", task), episodes=1, folder=tmp_path)
+    beating = run_trial(hand_written("fixed-0.6", task, periods=BRIEF), episodes=1, folder=tmp_path)
     assert beating.frequency[:, 0].tolist() == pytest.approx([0.6] * 3)
     for name, said in (("fixed-x", "give beats per T"), ("fixed-99", "at most .* beats per T")):
         with pytest.raises(ConfigError, match=said):
-            hand_written(name, task)
+            hand_written(name, task, periods=BRIEF)
 
 
 def test_designs_of_the_task_are_compared_by_how_long_the_pid_fish_lasts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pid = hand_written("pid", make_task())
+    pid = hand_written("pid", make_task(), periods=BRIEF)
     results = transfer.transfer([pid], episodes=2, folder=tmp_path / "transfer")
     page = tmp_path / "karman_gait.md"
     page.write_text("a\n<!-- design: begin -->\n<!-- design: end -->\nz\n")
@@ -285,7 +302,7 @@ def test_a_fish_that_caught_food_becomes_a_helmsman(tmp_path: Path) -> None:
     train(config)
     path = tmp_path / "helmsman.pt"
     steering = export_steering.export_steering(tmp_path / "run", path)
-    sights = torch.zeros(3, 4, 4, dtype=torch.float64)
+    sights = torch.zeros(3, steering.num_stacked, 4, dtype=torch.float64)
     assert steering.turn(sights).shape == (3,)
     run(tmp_path, "name=gait")
     with pytest.raises(ValueError, match="those of a policy trained on Predation"):
@@ -298,5 +315,5 @@ def test_the_helmsman_of_the_package_steers_back_to_the_line() -> None:
     place = torch.tensor([[1.8, 0.6], [1.8, -0.6]], dtype=torch.float64)
     heading = torch.full((2,), torch.pi, dtype=torch.float64)
     sight = steering.look(place, place, heading)
-    turn = steering.turn(sight[:, None].expand(-1, 4, -1))
+    turn = steering.turn(sight[:, None].expand(-1, steering.num_stacked, -1))
     assert turn[0] > 0.0 > turn[1]  # a heading above pi points down

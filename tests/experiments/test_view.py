@@ -182,8 +182,8 @@ def test_a_training_that_is_looked_at_learns_the_same(
     assert summary["frames"] == 32
     for flow in (1, 2):
         frames = [frame for own, frame in drawn.frames if own == flow]
-        # 8 decisions of half a T each in training alone, about 8 frames in a T
-        assert len(frames) > 8 * 0.5 * 8 * 0.7
+        # 8 decisions of a quarter of a T each in training alone, about 8 frames in a T
+        assert len(frames) > 8 * 0.25 * 8 * 0.7
         times = [frame.time for frame in frames]
         assert times == sorted(times)
         assert sum(frame.begins for frame in frames) > 1  # evaluations, and training again

@@ -192,7 +192,8 @@ def test_a_gait_is_tried_in_all_streams_and_its_page_is_written(
     holder: Path, tmp_path: Path
 ) -> None:
     trial, sweep = tmp_path / "transfer", tmp_path / "sweep"
-    _run("transfer", holder, "--episodes", 1, "--hand-written", "pid", "--folder", trial)
+    brief = ("--episodes", 1, "--periods", 0.2)
+    _run("transfer", holder, *brief, "--hand-written", "pid", "--folder", trial)
     _run(
         *("drift_sweep", "--starts", 1, "--periods", 1, "--frequencies", 0.9, 1.8),
         *("--preset", "gait_small", "--folder", sweep),

@@ -15,7 +15,7 @@ from fishrl.envs.macro_actions import FrequencyBank, FrequencyControl, MacroActi
 from fishrl.envs.sensors import compute_clearance
 from fishrl.envs.starts import place_fish
 from fishrl.envs.stations import SafeArea, StationReward
-from fishrl.envs.steering import PDSteering, Steering
+from fishrl.envs.steering import PIDSteering, Steering
 from fishrl.envs.streams import Stream
 from fishrl.envs.task import AbstractTask, Command, as_pair
 from fishrl.envs.wakes import WakeBank
@@ -24,12 +24,13 @@ from fishrl.physics.state import FlowConfig
 from fishrl.physics.units import Scales
 
 #: Tail beats per T for the paper's three flows, from a measured sweep (see
-#: ``experiments.drift_sweep``): in each flow the first sinks back and the last swims up.
+#: ``experiments.drift_sweep``): in each flow the second is the shedding frequency, at which a fish
+#: about holds its station, and the last swims up.
 DEFAULT_BANK = FrequencyBank(
     rows=(
-        (0.3, 0.9, 1.5, 2.1),
-        (0.3, 0.95, 1.6, 2.25),
-        (0.5, 1.2, 1.9, 2.6),
+        (0.25, 0.53, 1.0, 1.5, 2.1),
+        (0.3, 0.66, 1.1, 1.65, 2.25),
+        (0.4, 0.78, 1.3, 1.9, 2.6),
     )
 )
 
@@ -72,18 +73,16 @@ class KarmanGait(AbstractTask):
     reynolds: float = 500.0
     max_wall_speed: float = 0.1
     wall_margin_bl: float = 0.25
-    num_stacked: int = 2
-    time_limit: int = 200
-    control_interval_T: float = 0.5
-    checks_per_action: int = 13
+    num_stacked: int = 4
+    time_limit: int = 404
+    control_interval_T: float = 0.25
+    checks_per_action: int = 7
     stream: Stream = field(default_factory=Stream)
     start_flows: tuple[int, ...] = (0, 1, 2)
-    control: FrequencyControl = field(
-        default_factory=lambda: MacroActions(bank=DEFAULT_BANK, first_gear=2)
-    )
+    control: FrequencyControl = field(default_factory=lambda: MacroActions(bank=DEFAULT_BANK))
     reads_flow_class: bool = False
     observes_flow: bool = True
-    steering: Steering = field(default_factory=PDSteering)
+    steering: Steering = field(default_factory=PIDSteering)
     lateral_line: LateralLine = field(default_factory=LateralLine)
     start_x_bl: tuple[float, float] = (1.5, 2.0)
     start_y_bl: tuple[float, float] = (-0.1, 0.1)
