@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import signal
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType, TracebackType
@@ -11,6 +12,8 @@ from types import FrameType, TracebackType
 logger = logging.getLogger(__name__)
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+#: Within which the same signal counts as one: a scheduler and the sweep that it ends both send it.
+TWICE_SECONDS = 1.0
 
 
 class Interrupted(Exception):
@@ -33,6 +36,7 @@ class Interruption:
 
     def __init__(self) -> None:
         self._number: int | None = None
+        self._heard = 0.0
         self._before: dict[signal.Signals, object] = {}
 
     def request(self, number: int = signal.SIGTERM) -> None:
@@ -64,8 +68,11 @@ class Interruption:
 
     def _hear(self, number: int, frame: FrameType | None) -> None:
         if self._number is not None:
+            if number == self._number and time.monotonic() - self._heard < TWICE_SECONDS:
+                return
             raise KeyboardInterrupt
         self.request(number)
+        self._heard = time.monotonic()
         name = signal.Signals(number).name
         logger.warning("%s: saving at the next step; a second signal ends at once", name)
 

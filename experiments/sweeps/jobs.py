@@ -16,6 +16,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from experiments.progress import Progress
@@ -33,6 +34,13 @@ logger = logging.getLogger(__name__)
 #: Longest name of a run folder before a number stands in for the rest.
 LONGEST_NAME = 100
 _LOOK_SECONDS = 0.5
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM. Ctrl-C in a terminal is heard by the runs too, this may be told to the sweep alone.
+
+    A run that is told twice at once takes it as one, see ``Interruption``.
+    """
 
 
 def is_sweep(arguments: Sequence[str]) -> bool:
@@ -181,10 +189,14 @@ def run_alone(path: Path, *, total_frames: int, progress: Progress | None = None
     ):
         done = count_frames(path)
         bar.start(path.name, total=total_frames, done=done)
-        while child.poll() is None:
-            time.sleep(_LOOK_SECONDS)
-            before, done = done, max(done, count_frames(path))
-            bar.advance(done - before)
+        try:
+            while child.poll() is None:
+                time.sleep(_LOOK_SECONDS)
+                before, done = done, max(done, count_frames(path))
+                bar.advance(done - before)
+        except _Terminated:
+            child.terminate()  # it saves first, and is waited for
+            raise
         bar.advance(max(0, count_frames(path) - done))
     run = read_run(path)
     if run.status == "stopped":
@@ -203,16 +215,23 @@ def sweep(launch: Callable[[], Any]) -> None:
 
     with plain_errors():
         sys.argv[1:], folder = sweep_arguments(sys.argv[1:])
+    before = signal.signal(signal.SIGTERM, _stop)
     try:
         launch()
     except KeyboardInterrupt:
         print("\ninterrupted; the same command with the same folder=... goes on", file=sys.stderr)
     finally:
+        signal.signal(signal.SIGTERM, before)
         if folder.is_dir():
             runs = read_runs(folder)
             print(f"\n{folder}: {advise(runs)}")
             print(f"table and curves: python -m experiments.summarize {folder}")
     sys.exit(any(run.status != "finished" for run in runs))
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    signal.signal(number, signal.SIG_IGN)  # it is on its way
+    raise _Terminated
 
 
 def _is_same(config: TrainConfig, path: Path) -> bool:

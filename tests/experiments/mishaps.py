@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,16 @@ fishrl.envs.task.InPlaceSolver = GlidingSolver  # type: ignore[misc, assignment]
 
 class Gliding(CsvLogger):
     """Nothing happens."""
+
+
+class Ending(CsvLogger):
+    """At frame 8 the sweep is told to end, and this run hears of it."""
+
+    def log(self, metrics: Mapping[str, float]) -> None:
+        super().log(metrics)
+        if metrics["frames"] == 8:
+            os.kill(os.getppid(), signal.SIGTERM)
+            time.sleep(3.0)
 
 
 class Killed(CsvLogger):

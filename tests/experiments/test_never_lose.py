@@ -141,6 +141,18 @@ def test_a_second_signal_ends_it_at_once(toy_config: MakeConfig, tmp_path: Path)
         interruption.check()
 
 
+def test_the_same_signal_told_twice_at_once_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    interruption = Interruption()
+    with interruption:
+        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGTERM)
+        monkeypatch.setattr("experiments.interruption.TWICE_SECONDS", 0.0)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+    with pytest.raises(Interrupted):
+        interruption.check()
+
+
 def test_processes_of_the_flows_do_not_hear_what_the_run_is_told() -> None:
     sleep = [sys.executable, "-c", "input()"]
     with spare_children():

@@ -13,6 +13,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from experiments import train
+from experiments.checkpointing import read_metadata
 from experiments.config import check_overrides, load_config
 from experiments.run_folder import RunFolder
 from experiments.settings import ConfigError, TrainConfig
@@ -194,6 +195,23 @@ def test_a_killed_job_leaves_the_others_and_goes_on_alone(
     assert (whole / "summary.json").stat().st_mtime_ns == before
 
 
+def test_a_sweep_that_is_told_to_end_saves_what_runs(tmp_path: Path) -> None:
+    command = ["-m", "experiments.train", "--multirun", *SETTINGS, f"folder={tmp_path}", "seed=0,1"]
+    command.append(f"logger._target_={HERE}.Ending")
+    done = subprocess.run(
+        [sys.executable, *command], cwd=ROOT, check=False, capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert "interrupted; the same command with the same folder=... goes on" in done.stderr
+    assert "Traceback" not in done.stderr
+    (run,) = read_runs(tmp_path)  # the second never began
+    assert (run.status, run.frames) == ("stopped", 8)
+    assert read_metadata(run.path, which="last")[1]["frames"] == 8
+    said = (run.path / "output.log").read_text(encoding="utf-8")
+    assert "SIGTERM: saved at frame 8; go on with: python -m experiments.train resume=" in said
+    assert f"rerun: {run.command}" in done.stdout
+
+
 def test_jobs_that_cannot_be_set_up_are_all_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -209,6 +227,7 @@ AGENT = """
 import sys
 import tests.experiments.mishaps  # fish that glide
 from experiments import train
+from experiments.checkpointing import read_metadata
 sys.argv[0] = "train"
 train.main()
 """
