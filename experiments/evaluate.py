@@ -91,7 +91,7 @@ def main() -> None:
         import hydra
 
         from experiments.command_line import evaluation_settings, plain_errors, set_up_logging
-        from experiments.config import CONF, check_overrides
+        from experiments.config import CONF, check_overrides, to_plain
         from experiments.run_folder import write_json
 
         set_up_logging()
@@ -104,7 +104,7 @@ def main() -> None:
                 settings = evaluation_settings(config)
                 result = evaluate(settings, progress=progress)
                 if settings.save is not None:
-                    write_json(Path(settings.save), result)
+                    write_json(Path(settings.save), result | {"settings": to_plain(settings)})
             progress.close()
             for name, value in result.items():
                 shown = f"{value:.3f}" if isinstance(value, float) else value

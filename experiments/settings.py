@@ -182,7 +182,7 @@ class EvaluateConfig(ViewerSettings):
             last evaluation.
         device: cpu or cuda.
         compile: compile the flow solver.
-        save: file for the result as JSON, or nothing.
+        save: file for the result and all these settings as JSON, or nothing.
     """
 
     task: Any = MISSING

@@ -155,6 +155,7 @@ def test_a_learned_fish_swims_in_a_changed_task(
     changes = ["task.stream.has_disc=false", "task.time_limit=1"]
     monkeypatch.setattr(sys, "argv", ["evaluate", *arguments, *changes])
     evaluate.main()
-    assert json.loads(saved.read_text())["mean_length_T"] == pytest.approx(
-        make_task(time_limit=1).interval_T
-    )
+    result = json.loads(saved.read_text())
+    assert result["mean_length_T"] == pytest.approx(make_task(time_limit=1).interval_T)
+    swum = result["settings"]["task"]
+    assert (swum["stream"]["has_disc"], swum["time_limit"], swum["body_length"]) == (False, 1, 20)
