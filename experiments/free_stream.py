@@ -17,10 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from experiments.command_line import plain_errors, set_up_logging
 from experiments.gait import tables
-from experiments.gait.diagnostics import half_width, pick
+from experiments.gait.diagnostics import half_width, pick, trace_work
 from experiments.gait.trials import Trial, run_trial
 from experiments.histories import Histories
 from experiments.policies import make_gait_policy
@@ -82,7 +83,7 @@ def summarise(
     """
     rows = []
     for number, everything in enumerate(flows):
-        holds = everything.lengths_T >= periods - 1e-6
+        holds = _holds(everything, periods)
         if not holds.any():
             raise ValueError(
                 f"flow {number}: no fish held its station for {periods} T; raise --max-frequency "
@@ -102,6 +103,10 @@ def summarise(
         row["drift"] = float(drift.mean()) / time_T
         rows.append(row)
     return rows
+
+
+def _holds(flow: Histories, periods: float) -> Tensor:
+    return flow.lengths_T >= periods - 1e-6
 
 
 def main() -> None:
@@ -140,10 +145,12 @@ def main() -> None:
         )
     task = trial.task
     speeds = task.stream.speeds_bl
+    periods = task.time_limit * task.interval_T
     with plain_errors():
+        flows = split_flows(histories, len(speeds))
         rows = summarise(
-            split_flows(histories, len(speeds)),
-            periods=task.time_limit * task.interval_T,
+            flows,
+            periods=periods,
             interval_T=task.interval_T,
         )
     scales = task.scales
@@ -153,6 +160,10 @@ def main() -> None:
         "mach": scales.mach,
         "tau": scales.tau,
         "flows": rows,
+        "work": [
+            trace_work(pick(flow, _holds(flow, periods)), interval_T=task.interval_T)
+            for flow in flows
+        ],
     }
     folder: Path = arguments.folder
     (folder / "free_stream.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")

@@ -74,7 +74,9 @@ def _tabulate_survival(
     return "\n".join(lines)
 
 
-def write_free_stream(page: Path, folder: Path, results: Mapping[str, Any], arm: str) -> None:
+def write_free_stream(
+    page: Path, figures: Path, folder: Path, results: Mapping[str, Any], arm: str
+) -> None:
     """Put the comparison of work into the page."""
     free = json.loads((folder / "free_stream.json").read_text(encoding="utf-8"))
     lines = ["| stream, L/T | beats per T | drift, L/T | held |", "|---" * 4 + "|"]
@@ -84,6 +86,9 @@ def write_free_stream(page: Path, folder: Path, results: Mapping[str, Any], arm:
     table = tables.write_work_table(results["arms"][arm], free["flows"], free["speeds_bl"])
     note = f"Free stream: T = {free['steps_per_T']} steps, Mach {free['mach']:.2f}."
     fill(page, "work", "\n".join([*lines, "", table, note]))
+    pictures.write_work(
+        figures / "work.png", results["work"][arm], free["work"], speeds=free["speeds_bl"]
+    )
 
 
 def write_lateral_line(page: Path, figures: Path, folder: Path) -> None:
@@ -150,7 +155,7 @@ def main() -> None:
                 raise ValueError("--transfer: give the run folders of its fish too, with --runs")
             results = write_transfer(page, figures, arguments.transfer, arguments.runs)
             if arguments.free_stream is not None:
-                write_free_stream(page, arguments.free_stream, results, arguments.arm)
+                write_free_stream(page, figures, arguments.free_stream, results, arguments.arm)
     print(f"written: {page}, {figures}")
 
 

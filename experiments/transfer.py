@@ -18,7 +18,7 @@ import torch
 from experiments.command_line import plain_errors, set_up_logging
 from experiments.config import build, load_config
 from experiments.gait import pictures, tables
-from experiments.gait.diagnostics import combine_seeds, diagnose, pick
+from experiments.gait.diagnostics import combine_seeds, diagnose, pick, stack, trace_work
 from experiments.gait.trials import PERIODS, Trial, hand_written, load_trial, run_trial
 from experiments.histories import Histories
 from experiments.progress import Progress
@@ -101,7 +101,8 @@ def transfer(
         progress: the bar.
 
     Returns:
-        ``arms``: per arm and flow the numbers over its seeds; ``trials``: of each fish alone.
+        ``arms``: per arm and flow the numbers over its seeds; ``trials``: of each fish alone;
+        ``work``: per arm and flow as it adds up in time.
     """
     check_trials(trials)
     folder.mkdir(parents=True, exist_ok=True)
@@ -127,6 +128,13 @@ def transfer(
     }
     results: dict[str, Any] = {"speeds_bl": list(speeds), "arms": combined, "trials": alone}
     results |= {"episodes": episodes, "samples_actions": samples_actions}
+    results["work"] = {
+        arm: [
+            trace_work(stack([recorded[name][flow] for name in names]), interval_T=task.interval_T)
+            for flow in range(len(speeds))
+        ]
+        for arm, names in arms.items()
+    }
     (folder / "transfer.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
     text = tables.write_table(combined, speeds) + "\n" + tables.write_ends(combined, speeds)
     (folder / "transfer.md").write_text(text, encoding="utf-8")
@@ -145,7 +153,7 @@ def transfer(
     pictures.write_decisions(
         folder / "decisions.png", best, task=task, shedding=list_shedding(task)
     )
-    pictures.write_work(folder / "work.png", best, None, speeds=speeds, interval_T=task.interval_T)
+    pictures.write_work(folder / "work.png", results["work"][trials[0].arm], None, speeds=speeds)
     return results
 
 

@@ -106,6 +106,25 @@ def diagnose(
     }
 
 
+def trace_work(histories: Histories, *, interval_T: float) -> dict[str, list[float]]:
+    """Return the work since the start about once per T, mean over the episodes that still run.
+
+    Args:
+        histories: of episodes in one flow.
+        interval_T: duration of an interval.
+
+    Returns:
+        ``time_T``, and ``work`` and ``lateral_work`` in rho L^2 (L / T)^2, up to the longest
+        episode's end.
+    """
+    every = max(1, round(1.0 / interval_T))
+    names = ("work", "lateral_work")
+    means = {name: getattr(histories, name)[:, ::every].double().nanmean(0) for name in names}
+    runs = ~means["work"].isnan()
+    times = interval_T * every * torch.arange(len(runs), dtype=torch.float64)
+    return {name: series[runs].tolist() for name, series in {"time_T": times, **means}.items()}
+
+
 def measure_sway(aside: Tensor, *, frames_per_T: float) -> float:
     """Return the amplitude of the nose's sideways swing ``[E, frames]``, faster than about 2 T."""
     swings: list[float] = []

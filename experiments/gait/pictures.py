@@ -166,27 +166,28 @@ def write_decisions(
 
 def write_work(
     path: Path,
-    in_wake: Sequence[Histories],
-    free: Sequence[Histories] | None,
+    in_wake: Sequence[Mapping[str, Sequence[float]]],
+    free: Sequence[Mapping[str, Sequence[float]]] | None,
     *,
     speeds: Sequence[float],
-    interval_T: float = 1.0,
 ) -> None:
-    """Draw the work done since the start, mean over the episodes that still run."""
+    """Draw the work done since the start, in each flow; see ``diagnostics.trace_work``."""
     names = (("work", "all forces"), ("lateral_work", "lateral, the paper's form"))
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(11, 3.4), layout="constrained")
         grid = figure.subplots(1, len(speeds), sharey=True, squeeze=False)[0]
         for at, (axes, speed) in enumerate(zip(grid, speeds, strict=True)):
-            for where, recorded, style in (("wake", in_wake, "-"), ("free stream", free, "--")):
-                if recorded is None:
+            for where, traces, style in (("wake", in_wake, "-"), ("free stream", free, "--")):
+                if traces is None:
                     continue
                 for (field, label), colour in zip(names, COLOURS, strict=False):
-                    work = getattr(recorded[at], field).numpy()
-                    mean = np.nanmean(work, axis=0)
-                    times = interval_T * np.arange(len(mean))
                     axes.plot(
-                        times, mean, style, color=colour, linewidth=1.4, label=f"{where}: {label}"
+                        traces[at]["time_T"],
+                        traces[at][field],
+                        style,
+                        color=colour,
+                        linewidth=1.4,
+                        label=f"{where}: {label}",
                     )
             axes.set(title=f"stream {speed:g} L/T", xlabel="time  [T]", yscale="symlog")
             tidy(axes)

@@ -272,6 +272,7 @@ def test_the_free_stream_is_held_without_a_disc(
     free_stream.main()
     result = json.loads((tmp_path / "free_stream.json").read_text())
     assert [row["episodes"] for row in result["flows"]] == [1, 1, 1]
+    assert [len(flow["work"]) for flow in result["work"]] == [5, 5, 5]  # at 0 to 4 T
     assert "1.25 L/T:" in capsys.readouterr().out
 
 

@@ -15,6 +15,7 @@ from experiments.gait.diagnostics import (
     measure_sway,
     pick,
     stack,
+    trace_work,
 )
 from experiments.gait.tables import write_ends, write_table, write_work_table
 from experiments.histories import Histories
@@ -68,6 +69,13 @@ def test_survival_is_a_mean_with_its_interval() -> None:
     deviation = np.std([40, 40, 20, 10], ddof=1)
     assert result["survival_error_T"] == pytest.approx(3.182 * deviation / 2.0)
     assert result["diverged"] == 0
+
+
+def test_work_adds_up_once_per_T_as_long_as_a_fish_swims() -> None:
+    trace = trace_work(make_histories(lengths=[20, 9]), interval_T=0.25)  # 5 T and a little over 2
+    assert trace["time_T"] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    assert trace["work"] == [0.0, 8.0, 16.0, 24.0, 32.0, 40.0]
+    assert trace["lateral_work"] == [0.0, 4.0, 8.0, 12.0, 16.0, 20.0]
 
 
 def test_rates_are_per_T_of_all_episodes_together() -> None:
