@@ -124,7 +124,8 @@ def hand_written(name: str, task: KarmanGait, *, periods: float = PERIODS) -> Tr
     if helmsman not in ("", "policy"):
         raise ValueError(f"fish {name!r}: behind the + may stand policy")
     if helmsman:
-        task = replace(task, steering=PolicySteering(decisions_per_T=round(1.0 / task.interval_T)))
+        per_T = max(1, round(1.0 / task.interval_T))
+        task = replace(task, steering=PolicySteering(decisions_per_T=per_T))
     rates = _find_rates(kind, task)
     if rates is not None:
         # the fastest beat stays among them: it sets T, and so the flow
