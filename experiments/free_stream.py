@@ -21,7 +21,7 @@ from torch import Tensor
 
 from experiments.command_line import plain_errors, set_up_logging
 from experiments.gait import tables
-from experiments.gait.diagnostics import half_width, pick, trace_work
+from experiments.gait.diagnostics import half_width, measure_lean, pick, trace_work
 from experiments.gait.trials import Trial, run_trial
 from experiments.histories import Histories
 from experiments.policies import make_gait_policy
@@ -101,6 +101,8 @@ def summarise(
         row["frequency"] = float(histories.frequency[:, half:].mean())
         drift = histories.place[:, -1, 0] - histories.place[:, half, 0]
         row["drift"] = float(drift.mean()) / time_T
+        _, leans = measure_lean(histories, interval_T=interval_T)
+        row["lean"] = float(leans.mean())
         rows.append(row)
     return rows
 

@@ -16,7 +16,7 @@ from experiments.gait.trials import load_trial
 from experiments.pages import fill
 from experiments.transfer import list_shedding
 
-FIGURES = ("survival", "paths", "places", "decisions", "work")
+FIGURES = ("survival", "paths", "places", "decisions", "lean", "work")
 
 
 def write_transfer(
@@ -79,10 +79,13 @@ def write_free_stream(
 ) -> None:
     """Put the comparison of work into the page."""
     free = json.loads((folder / "free_stream.json").read_text(encoding="utf-8"))
-    lines = ["| stream, L/T | beats per T | drift, L/T | held |", "|---" * 4 + "|"]
+    lines = ["| stream, L/T | beats per T | drift, L/T | lean, ° | held |", "|---" * 5 + "|"]
     for speed, row in zip(free["speeds_bl"], free["flows"], strict=True):
         held = f"{row['held']:.0f} of {row['episodes']:.0f}"
-        lines.append(f"| {speed:g} | {row['frequency']:.2f} | {row['drift']:+.4f} | {held} |")
+        lines.append(
+            f"| {speed:g} | {row['frequency']:.2f} | {row['drift']:+.4f} "
+            f"| {row['lean']:.1f} | {held} |"
+        )
     table = tables.write_work_table(results["arms"][arm], free["flows"], free["speeds_bl"])
     note = f"Free stream: T = {free['steps_per_T']} steps, Mach {free['mach']:.2f}."
     fill(page, "work", "\n".join([*lines, "", table, note]))

@@ -32,7 +32,14 @@ def list_baselines(task: Any) -> list[str]:
     """Name the hand-written fish that a learned one is compared with; a new task has but chance."""
     if isinstance(task, KarmanGait):
         return ["pid", "random"]
-    return ["intercept", "pursuit", "random"] if _has_food(task) else ["random"]
+    if not _has_food(task):
+        return ["random"]
+    return ["intercept", "pursuit", "random"] if _decides_once_per_T(task) else ["random"]
+
+
+def _decides_once_per_T(task: Any) -> bool:
+    """Return whether decisions are a T apart, as those hunters take them to be."""
+    return math.isclose(task.interval_T, 1.0, rel_tol=0.01)
 
 
 def make_policy(name: str, *, task: Any, seed: int) -> TensorDictModuleBase:
@@ -65,6 +72,11 @@ def _has_food(task: Any) -> bool:
 
 
 def _make_hunter(name: str, task: Any) -> TensorDictModuleBase:
+    if not _decides_once_per_T(task):
+        raise ConfigError(
+            f"policy={name}: that fish decides once per T, here a decision takes "
+            f"{task.interval_T:.3g} T; set control_interval_T=1, or take policy=random"
+        )
     turn = math.radians(task.turn_degrees)
     if name == "pursuit":
         return PursuitPolicy(turn=turn)

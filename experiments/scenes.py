@@ -290,7 +290,7 @@ def _see_lateral_line(task: Any) -> Sight | None:
 
 def _name_neuromasts(num: int) -> list[str]:
     """Name neuromasts in the order of ``LateralLine.place``."""
-    pairs = [f"{side} {pair}" for pair in range(1, num // 2 + 1) for side in ("left", "right")]
+    pairs = [f"{side} {pair}" for pair in range(1, num // 2 + 1) for side in ("right", "left")]
     return ["nose"] * (num % 2) + pairs
 
 

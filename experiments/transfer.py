@@ -18,7 +18,14 @@ import torch
 from experiments.command_line import plain_errors, set_up_logging
 from experiments.config import build, load_config
 from experiments.gait import pictures, tables
-from experiments.gait.diagnostics import combine_seeds, diagnose, pick, stack, trace_work
+from experiments.gait.diagnostics import (
+    combine_seeds,
+    diagnose,
+    measure_lean,
+    pick,
+    stack,
+    trace_work,
+)
 from experiments.gait.trials import PERIODS, Trial, hand_written, load_trial, run_trial
 from experiments.histories import Histories
 from experiments.progress import Progress
@@ -153,6 +160,13 @@ def transfer(
     pictures.write_decisions(
         folder / "decisions.png", best, task=task, shedding=list_shedding(task)
     )
+    leans = [
+        measure_lean(
+            stack([flows[flow] for flows in recorded.values()]), interval_T=task.interval_T
+        )
+        for flow in range(len(speeds))
+    ]
+    pictures.write_lean(folder / "lean.png", leans, speeds=speeds)
     pictures.write_work(folder / "work.png", results["work"][trials[0].arm], None, speeds=speeds)
     return results
 

@@ -136,6 +136,21 @@ def measure_sway(aside: Tensor, *, frames_per_T: float) -> float:
     return math.sqrt(2.0 * sum(swings) / len(swings)) if swings else math.nan
 
 
+def measure_lean(histories: Histories, *, interval_T: float) -> tuple[Tensor, Tensor]:
+    """Return beats per T and lean ``[n]`` of all whole windows of 8 T.
+
+    The lean is how far the body points off the stream on average, either way, degrees.
+    """
+    span = max(1, round(8.0 / interval_T))
+    num = histories.frequency.shape[1] // span * span
+    rates, angles = (
+        getattr(histories, name)[:, :num].double().reshape(-1, span).mean(1)
+        for name in ("frequency", "angle_of_attack")
+    )
+    known = ~angles.isnan() & ~rates.isnan()
+    return rates[known], angles[known].abs() * 180.0 / math.pi
+
+
 def lock_phases(histories: Histories, shedding_frequency: float, *, frames_per_T: float) -> float:
     """Return how firmly the tail beat keeps step with the lift on the obstacle, 0 to 1.
 

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle, Wedge
+from torch import Tensor
 
 from experiments.figures import COLOURS, read_metrics
 from experiments.flow_pictures import STYLE
@@ -19,6 +20,8 @@ from experiments.histories import Histories
 from experiments.validation.convergence import tidy
 
 _MOST_PATHS = 40
+#: Width of the bins of a mean of leans, beats, and how many windows each holds at least.
+_LEAN_BIN, _LEAST = 0.25, 10
 
 Results = Mapping[str, Sequence[Mapping[str, float]]]
 #: Of one fish: its episodes in each flow.
@@ -192,6 +195,39 @@ def write_work(
             axes.set(title=f"stream {speed:g} L/T", xlabel="time  [T]", yscale="symlog")
             tidy(axes)
         grid[0].set_ylabel("work  [ρL²(L/T)²]")
+        grid[0].legend(fontsize=8, frameon=False)
+        figure.savefig(path)
+
+
+def write_lean(
+    path: Path, leans: Sequence[tuple[Tensor, Tensor]], *, speeds: Sequence[float]
+) -> None:
+    """Draw how far fish lean against their beats, per time and per length of stream.
+
+    Args:
+        path: of the PNG.
+        leans: of each flow, see ``diagnostics.measure_lean``.
+        speeds: of the flows, L / T.
+    """
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(9, 3.6), layout="constrained")
+        grid = figure.subplots(1, 2, sharey=True)
+        for (rates, lean), speed, colour in zip(leans, speeds, COLOURS, strict=False):
+            for axes, at in zip(grid, (rates.numpy(), rates.numpy() / speed), strict=True):
+                axes.plot(at, lean.numpy(), ".", color=colour, markersize=2, alpha=0.25)
+                bins = np.round(at / _LEAN_BIN)
+                wanted = [value for value in np.unique(bins) if (bins == value).sum() >= _LEAST]
+                middle = [lean.numpy()[bins == value].mean() for value in wanted]
+                axes.plot(
+                    _LEAN_BIN * np.array(wanted), middle, "o-", color=colour, markersize=4,
+                    linewidth=1.4, label=f"stream {speed:g} L/T",
+                )  # fmt: skip
+        for axes, label in zip(
+            grid, ("tail beats  [1/T]", "tail beats  [1/L of stream]"), strict=True
+        ):
+            axes.set(xlabel=label, ylim=(0.0, None))
+            tidy(axes)
+        grid[0].set_ylabel("lean, mean of 8 T  [°]")
         grid[0].legend(fontsize=8, frameon=False)
         figure.savefig(path)
 

@@ -42,8 +42,8 @@ def mirror(signal: Tensor, *, features: Sequence[str], middle_bl: float) -> Tens
     """
     num = signal.shape[2]
     order = list(range(num))
-    for left in range(num % 2, num, 2):
-        order[left], order[left + 1] = left + 1, left
+    for right in range(num % 2, num, 2):
+        order[right], order[right + 1] = right + 1, right
     image = signal[:, :, order].clone()
     for number, name in enumerate(features):
         if name in _ODD:

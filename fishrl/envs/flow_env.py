@@ -213,11 +213,13 @@ class FlowEnv(EnvBase):
         now, diverged = before, torch.zeros_like(self._rows, dtype=torch.bool)
         is_decided = self.is_resting
         samples: list[TensorDict] = []
+        felt_at_end: TensorDict | None = None  # by rows that end before the first sample
         for stretch in self._schedule:
             self.solver.advance_(stretch.num_steps, ~is_decided)
             if stretch.is_sample:
                 sensed = self._sense()
-                samples.append(_merge(is_decided, samples[-1], sensed) if samples else sensed)
+                kept = samples[-1] if samples else felt_at_end
+                samples.append(sensed if kept is None else _merge(is_decided, kept, sensed))
             if stretch.is_check:
                 seen = self.measure()
                 is_ending = self.task.is_terminated(seen) | stretch.is_last
@@ -227,6 +229,10 @@ class FlowEnv(EnvBase):
                     diverged = diverged | is_new & self.solver.is_diverged()
                     now = _merge(is_new, seen, now.select(*seen.keys()))
                     is_decided = is_decided | is_new
+                    if self.task.num_samples and not samples:
+                        sensed = self._sense()
+                        kept = sensed if felt_at_end is None else felt_at_end
+                        felt_at_end = _merge(is_new, sensed, kept)
             if stretch.is_frame and self.on_frame is not None:
                 self.on_frame(self)
         return now.update(torch.stack(samples, 1)) if samples else now, diverged
@@ -279,9 +285,9 @@ class FlowEnv(EnvBase):
         )
 
     def _set_seed(self, seed: int | None) -> None:
-        """Begin the starts of ``seed`` (0 if None) with each row's next episode."""
+        """Begin anew with the starts of ``seed`` (0 if None) or the given ones, at later resets."""
         self._seed = 0 if seed is None else seed
-        self._episode = torch.zeros_like(self._episode)
+        self._episode, self._next_start = torch.zeros_like(self._episode), 0
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return everything that the future depends on, for ``state_dict``."""

@@ -36,7 +36,8 @@ class LateralLine:
         first_bl: place of the foremost pair along the body, behind the nose, in body lengths.
         last_bl: place of the hindmost pair.
         distance: from the skin, nodes; nearer than 2 the boundary's own nodes blur the flow.
-        is_averaged: report the mean over the neuromasts, as the paper does.
+        is_averaged: report the mean over the neuromasts, as the paper does; not of ``pressure``,
+            which is 0 then.
         noise: standard deviation of what is added to velocity (L / T) and pressure, each sample.
         silence: chance that a neuromast says nothing but 0 for a whole episode; means are over
             those that speak.
@@ -65,6 +66,12 @@ class LateralLine:
             near = difflib.get_close_matches(unknown[0] if unknown else "", KNOWN, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else ""
             raise ValueError(f"features = {self.features}: allowed are {KNOWN}{hint}")
+        if "pressure" in self.features and (self.is_averaged or self.num_neuromasts == 1):
+            raise ValueError(
+                f"features = {self.features}, num_neuromasts = {self.num_neuromasts}, is_averaged "
+                f"= {self.is_averaged}: pressure is felt as the difference from the mean over the "
+                "neuromasts, so that mean is always 0; leave pressure out, or take p"
+            )
         if not 0.0 < self.first_bl <= self.last_bl < 1.0:
             raise ValueError(
                 f"first_bl = {self.first_bl}, last_bl = {self.last_bl}: allowed is "
@@ -116,7 +123,7 @@ class LateralLine:
         return markers.position[:, own] + self.distance * normal, skin, normal
 
     def _choose_markers(self, num_markers: int) -> list[int]:
-        """Return the markers below the neuromasts: nose, then left and right of each pair."""
+        """Return the markers below the neuromasts: nose, then right and left of each pair."""
         half, num_pairs = num_markers // 2, self.num_neuromasts // 2
         span = self.last_bl - self.first_bl
         own = [0] * (self.num_neuromasts % 2)

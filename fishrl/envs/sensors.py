@@ -11,6 +11,11 @@ import torch
 from torch import Tensor
 
 
+def wrap_angle(angle: Tensor) -> Tensor:
+    """Return angles, radians, in (-pi, pi]."""
+    return pi - torch.remainder(pi - angle, 2.0 * pi)
+
+
 def compute_bearing_error(heading: Tensor, away: Tensor) -> Tensor:
     """Return the angle of a direction off the nose.
 

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import relu
 
-from fishrl.envs.sensors import sense_target
+from fishrl.envs.sensors import sense_target, wrap_angle
 
 
 class Steering(ABC):
@@ -25,9 +25,11 @@ class Steering(ABC):
 
     Attributes:
         num_stacked: S, how many sights it remembers, the present one included.
+        decisions_per_T: how often it must be asked; None if that does not matter.
     """
 
     num_stacked: int
+    decisions_per_T: int | None = None
 
     @abstractmethod
     def look(self, nose: Tensor, middle: Tensor, heading: Tensor) -> Tensor:
@@ -97,7 +99,7 @@ class PIDSteering(Steering):
         # a heading above pi points down, so a fish that is too high turns counter-clockwise
         aim = self.gain * offset + self.integral_gain * offsets.mean(1)
         aim = aim + self.damping * (offset - before)
-        return (pi + aim.clamp(-most, most) - heading).clamp(-step, step)
+        return wrap_angle(pi + aim.clamp(-most, most) - heading).clamp(-step, step)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import pi
+from math import inf, pi
 from typing import Any
 
 import torch
@@ -46,7 +46,7 @@ class Stream:
         """Refuse streams that stand still; turns sequences from files into tuples."""
         speeds = tuple(float(speed) for speed in self.speeds_bl)
         object.__setattr__(self, "speeds_bl", speeds)
-        if not speeds or min(speeds) <= 0.0:
+        if not speeds or not all(0.0 < speed < inf for speed in speeds):
             raise ValueError(f"speeds_bl = {speeds}: give at least one, all positive")
 
     @property
@@ -62,15 +62,26 @@ class Stream:
         """Return the fastest flow with the fish and, where there is one, the half disc in it."""
         width, height = (round(size * scales.body_length) for size in domain_bl)
         moving = NonEquilibrium(velocity=(1.0, 0.0))
-        bodies = (fish, DCylinder(diameter=self.diameter_bl * scales.body_length))
-        return FlowConfig(
+        disc = [DCylinder(diameter=self.diameter_bl * scales.body_length)] if self.has_disc else []
+        config = FlowConfig(
             width=width,
             height=height,
             tau=scales.tau,
             stream_speed=max(self.speeds_bl) * scales.reference_speed,
-            bodies=bodies if self.has_disc else bodies[:1],
+            bodies=(fish, *disc),
             boundaries=Boundaries(left=moving, right=OpenEdge(), bottom=moving, top=moving),
         )
+        (x, y), radius = (
+            self.find_origin(config, scales),
+            0.5 * self.diameter_bl * scales.body_length,
+        )
+        if self.has_disc and not (min(x, y) - radius >= 2.0 and x <= width - 3.0):
+            raise ValueError(
+                f"face_bl = {self.face_bl}, diameter_bl = {self.diameter_bl}: the half disc "
+                f"reaches out of the domain of {domain_bl[0]:g} L x {domain_bl[1]:g} L; move it, "
+                "make it smaller, or enlarge domain_bl"
+            )
+        return config
 
     def find_origin(self, config: FlowConfig, scales: Scales) -> tuple[float, float]:
         """Return the middle of the flat side (x, y) in nodes."""

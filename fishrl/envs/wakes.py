@@ -67,8 +67,9 @@ class WakeRecipe:
 
     @property
     def key(self) -> str:
-        """A word that changes when the wakes may: this recipe, or the physics."""
-        text = "\0".join((repr(self), hash_sources(), torch.__version__))
+        """A word that changes when the wakes may: this recipe, the physics, or this file."""
+        own = Path(__file__).read_text(encoding="utf-8")
+        text = "\0".join((repr(self), hash_sources(), own, torch.__version__))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -130,7 +131,7 @@ def develop_wakes(recipe: WakeRecipe, *, compile: bool = True) -> WakeBank:
     """Run each flow until its wake repeats itself, and cut one period of it into snapshots.
 
     Raises:
-        ValueError: if too few vortices are shed to measure their frequency.
+        ValueError: if too few vortices are shed to measure their frequency, or a flow diverges.
     """
     config, (body,) = recipe.config, recipe.config.bodies
     size, fastest = body.size, max(recipe.speeds)
@@ -165,6 +166,11 @@ def _develop(solver: InPlaceSolver, recipe: WakeRecipe, speed: float) -> tuple[T
     num = round(0.5 * recipe.num_travels * travel / interval)
     solver.advance_(num * interval)
     lift = _record_lift(solver, num, interval)
+    if solver.is_diverged().any():
+        raise ValueError(
+            f"the wake at {speed:.4f} nodes per step diverged: lower max_wall_speed or the "
+            "Reynolds number, or raise body_length"
+        )
     try:
         cycles = measure_cycles(lift, interval)
     except ValueError as error:

@@ -127,7 +127,7 @@ class LateralLineMachine(nn.Module):
         """
         signal = self.read(lateral_line).flatten(0, -3).double()
         mean, scale = signal.mean(0), signal.std(0, unbiased=False)
-        is_constant = scale <= 1e-6 * mean.abs()
+        is_constant = scale <= 1e-6 * (1.0 + mean.abs())  # what is felt is of order one
         self.mean.copy_(mean)
         self.scale.copy_(torch.where(is_constant, 1.0, scale))
 

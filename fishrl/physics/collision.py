@@ -12,7 +12,6 @@ equals M f_eq of the second-order equilibrium exactly.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
 from fishrl.physics.lattice import CX, CY, W
@@ -159,8 +158,3 @@ def compute_force_increment(
     return [
         c + (cx * x6 + cy * y6) if cx or cy else c for c, cx, cy in zip(change, CX, CY, strict=True)
     ]
-
-
-def pack(f: Sequence[Tensor]) -> Tensor:
-    """Stack nine ``[B, Y, X]`` tensors to ``f[B, Q, Y, X]``."""
-    return torch.stack(tuple(f), dim=1)

@@ -307,8 +307,8 @@ class InPlaceSolver:
             num_steps: length of the turn.
             frequency: ``[B]`` tail beats per step; the phase stays continuous.
         """
-        if num_steps < 1:
-            raise ValueError(f"num_steps = {num_steps}: a turn takes at least one step")
+        if num_steps < 2:
+            raise ValueError(f"num_steps = {num_steps}: a turn takes at least two steps")
         body = self.body
         body.turn.copy_(turn)
         body.turn_steps.fill_(float(num_steps))
@@ -336,6 +336,11 @@ class InPlaceSolver:
 
     def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Return density ``[B, P]`` and velocity ``[B, P, 2]`` at points ``[B, P, 2]`` (x, y)."""
+        if points.dim() != 3 or (points.shape[0], points.shape[2]) != (self.num_envs, 2):
+            raise ValueError(
+                f"points have shape {tuple(points.shape)}: give ({self.num_envs}, P, 2), some for "
+                "each flow"
+            )
         layout = self._stepper.layout
         return sample_flow(self._data, layout, self.config.storage, points.to(self.device))
 
@@ -373,12 +378,15 @@ class InPlaceSolver:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore ``state_dict()`` exactly."""
         for name, own in self._named_state():
-            if name not in state or state[name].shape != own.shape:
-                got = tuple(state[name].shape) if name in state else "nothing"
+            expected = f"{own.dtype} of shape {tuple(own.shape)}"
+            saved = state.get(name)
+            got = "nothing" if saved is None else f"{saved.dtype} of shape {tuple(saved.shape)}"
+            if got != expected:
                 raise ValueError(
-                    f"state '{name}' has shape {got}, expected {tuple(own.shape)}: it was saved by "
-                    "a solver of another grid, batch or version"
+                    f"state '{name}' is {got}, expected {expected}: it was saved by a solver of "
+                    "another grid, batch, storage or version"
                 )
+        for name, own in self._named_state():
             own.copy_(state[name])
 
     def _named_state(self) -> list[tuple[str, Tensor]]:

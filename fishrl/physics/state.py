@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import pi
+from math import inf, isfinite, pi
 from typing import NamedTuple
 
 import torch
@@ -83,10 +83,18 @@ class FlowConfig:
         check_tau(self.tau)
         self.force_solve.check(self.kernel)
         for name, size in (("width", self.width), ("height", self.height)):
-            if size < 4:
-                raise ValueError(f"{name} = {size}: a flow needs at least 4 nodes along each axis")
-        if self.ramp_steps < 0:
+            if size < 4 or size != int(size):
+                raise ValueError(
+                    f"{name} = {size}: a flow needs a whole number of nodes, at least 4, along "
+                    "each axis"
+                )
+        if not 0 <= self.ramp_steps < inf:
             raise ValueError(f"ramp_steps = {self.ramp_steps}: give 0 or more")
+        if not isfinite(self.stream_speed):
+            raise ValueError(f"stream_speed = {self.stream_speed}: give a finite number")
+        if self.fish is None and any(isinstance(body, Fish) for body in self.bodies):
+            names = [type(body).__name__ for body in self.bodies]
+            raise ValueError(f"bodies = {names}: a fish comes first")
         if self.fastest_edge > 2.0 * MAX_WALL_SPEED:
             raise ValueError(
                 f"an edge imposes {self.fastest_edge:.3f} nodes per step, allowed is "

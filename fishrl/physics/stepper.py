@@ -68,7 +68,9 @@ class FlowGroup:
         self.nodes = layout.nodes(populations, 0, False)
         self.edges = [stepper.gather_edge_arguments(populations, flow, p) for p in (0, 1)]
         self.crossings = [stepper.gather_crossings(populations, p) for p in (0, 1)]
-        self.body_arguments = [stepper.gather_body_arguments(populations, flow, p) for p in (0, 1)]
+        self.body_arguments = [
+            stepper.gather_body_arguments(populations, omega, flow, p) for p in (0, 1)
+        ]
         self.graphs: dict[int, torch.cuda.CUDAGraph] = {}
         self.collisions = [(flow.clock, omega, *cells) for cells in self.cells]
 
@@ -121,14 +123,14 @@ class Stepper:
         return flow.bodies, flow.params.shapes, self._place if self.config.is_still else ()
 
     def gather_body_arguments(
-        self, populations: Tensor, flow: FlowData, parity: int
+        self, populations: Tensor, omega: Tensor, flow: FlowData, parity: int
     ) -> tuple[Sequence[Tensor], ...]:
         """Return the arguments of locate and act after a step of ``parity``."""
         if not self.config.bodies:
             return ()
         everything = pytree.tree_leaves(self._gather_trees(flow))
         where = self._offsets[parity], self._first_cell
-        return everything, (populations, *self._force, *where, flow.params.tau, *everything)
+        return everything, (populations, *self._force, *where, omega, *everything)
 
     def gather_edge_arguments(
         self, populations: Tensor, flow: FlowData, parity: int
@@ -262,7 +264,7 @@ def _make_act(config: FlowConfig, layout: InPlaceLayout, trees: _Trees) -> _Func
 
     def act(
         data: Tensor, force_x: Tensor, force_y: Tensor, offsets: Tensor, first_cell: Tensor,
-        tau: Tensor, *leaves: Tensor,
+        omega: Tensor, *leaves: Tensor,
     ) -> None:  # fmt: skip
         bodies, shapes, place = pytree.tree_unflatten(leaves, form)
         if not config.is_still:
@@ -274,9 +276,14 @@ def _make_act(config: FlowConfig, layout: InPlaceLayout, trees: _Trees) -> _Func
         moved, share_x, share_y = exchange(bodies, config, shapes, place, rho, ux, uy)
         for total, share in ((force_x, share_x), (force_y, share_y)):
             total.index_put_((nodes,), share, accumulate=True)
+        rates = omega[..., None]
+        if config.sponges:  # each node has its own
+            rates = layout.strip_rings(omega).flatten(1)
+            own = place.stencil.index_nodes(config.width)
+            rates = rates.gather(1, own.flatten(1)).view_as(own)
         increment = compute_force_increment(
             rho, ux, uy, force_x[nodes], force_y[nodes], share_x, share_y,
-            (1.0 / tau).to(rho)[:, None, None], config.rates,
+            rates, config.rates,
         )  # fmt: skip
         for slot, values in zip(slots, increment, strict=True):
             data.index_put_((slot,), storage.encode(values), accumulate=True)

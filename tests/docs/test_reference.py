@@ -1,10 +1,16 @@
 """The configuration reference, made from the constructors."""
 
+import importlib
 import inspect
+import re
+from pathlib import Path
+
+import pytest
 
 from docs.reference import describe, make_reference
 from experiments.config import SCHEMAS
 from experiments.search_path import list_groups
+from fishrl import physics
 from fishrl.envs import KarmanGait, Predation
 from tests.docs.pages import DOCS
 
@@ -34,3 +40,27 @@ def test_every_choice_is_listed_and_the_page_is_not_kept_in_the_repository() -> 
     for group, names in list_groups().items():
         assert f"`{group}=` " + ", ".join(f"`{name}`" for name in names) in page
     assert "docs/configuration.md" in (DOCS.parent / ".gitignore").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("package", ["physics", "envs", "modules", "objectives", "viewer"])
+def test_every_public_name_has_its_place_in_the_api_pages(package: str) -> None:
+    module = importlib.import_module(f"fishrl.{package}")
+    page = (DOCS / "api" / f"{package}.md").read_text(encoding="utf-8")
+    shown = set(re.findall(r"automodule:: (\S+)", page))
+    public = {name: getattr(module, name) for name in module.__all__}
+    homes = {name: value.__module__ for name, value in public.items() if hasattr(value, "__name__")}
+    lost = {name: home for name, home in homes.items() if home not in shown}
+    assert homes and (not lost or f"fishrl.{package}" in shown), lost
+
+
+def test_functions_that_the_theory_page_names_exist() -> None:
+    text = (DOCS / "theory.md").read_text(encoding="utf-8")
+    modules = {path.stem for path in Path(physics.__file__).parent.glob("*.py")}
+    named = [pair for pair in re.findall(r"`(\w+)\.([\w.]+)`", text) if pair[0] in modules]
+    assert len(named) > 20
+    for module, name in named:
+        thing = importlib.import_module(f"fishrl.physics.{module}")
+        for part in name.split("."):
+            fields = getattr(thing, "__dataclass_fields__", {})
+            assert hasattr(thing, part) or part in fields, f"{module}.{name}"
+            thing = getattr(thing, part, None)

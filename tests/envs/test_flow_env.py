@@ -93,6 +93,14 @@ def test_setting_the_seed_repeats_the_starts(small_task: Predation) -> None:
     assert torch.equal(env.reset()["observation"], make(small_task, 3).reset()["observation"])
 
 
+def test_setting_the_seed_begins_given_starts_anew(small_task: Predation) -> None:
+    starts = small_task.sample_starts(5, torch.Generator().manual_seed(0))
+    env = make(small_task, 2, starts=starts)
+    for _ in range(2):
+        env.set_seed(0)
+        assert env.reset()["start_index"].tolist() == [0, 1]
+
+
 def test_given_starts_are_taken_in_order_of_resets_and_rows(small_task: Predation) -> None:
     starts = small_task.sample_starts(5, torch.Generator().manual_seed(0))
     env = make(small_task, 3, starts=starts)

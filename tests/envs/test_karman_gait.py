@@ -11,7 +11,7 @@ from fishrl.envs import FlowEnv, KarmanGait
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import DirectFrequencies, FrequencyBank, MacroActions
 from fishrl.envs.stations import SafeArea, StationReward
-from fishrl.envs.steering import PIDSteering
+from fishrl.envs.steering import PIDSteering, PolicySteering
 from fishrl.envs.streams import Stream
 from tests.envs.conftest import SMALL
 
@@ -212,6 +212,7 @@ def test_nearness_to_danger_costs_by_depth() -> None:
 def test_a_free_stream_needs_no_disc_and_no_wake() -> None:
     task = make_task(stream=Stream(has_disc=False))
     assert len(task.flow_config().bodies) == 1 and task.wakes is None
+    make_task(stream=Stream(has_disc=False, diameter_bl=0.1))  # too small, but not there
     assert [label["diameter_bl"] for label in task.flow_labels] == [0.0, 0.0, 0.0]
     env = FlowEnv(task=task, num_envs=2, compile_flow=False)
     env.reset()
@@ -241,6 +242,12 @@ def test_the_fastest_beat_and_the_fastest_stream_keep_the_speed_budget() -> None
         ({"start_x_bl": (3.0, 4.1)}, r"nose at \(4.10, -0.10\) L from the disc, is in the danger"),
         ({"start_y_bl": (0.0, 1.5)}, r"nose at \(1.50, 1.50\) L from the disc, is in the danger"),
         ({"start_x_bl": 2.0}, "start_x_bl = 2.0: give two numbers"),
+        (
+            {"stream": Stream(face_bl=0.1)},
+            "face_bl = 0.1, .*the half disc reaches out of the domain",
+        ),
+        ({"stream": Stream(face_bl=9.9)}, "face_bl = 9.9, .*the half disc reaches out of"),
+        ({"steering": PolicySteering()}, "decisions_per_T = 4, but it is asked every 1 T: give 1"),
     ],
 )
 def test_tasks_that_cannot_be_are_refused(bad: dict[str, Any], message: str) -> None:
@@ -263,7 +270,7 @@ def test_starts_that_cannot_be_are_refused(key: str, value: float, message: str)
         task.check_starts(starts)
 
 
-@pytest.mark.parametrize("speeds", [(), (0.0, 1.0)])
+@pytest.mark.parametrize("speeds", [(), (0.0, 1.0), (1.0, float("nan")), (float("inf"),)])
 def test_streams_that_stand_still_are_refused(speeds: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match="give at least one, all positive"):
         Stream(speeds_bl=speeds)

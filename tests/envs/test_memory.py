@@ -76,6 +76,21 @@ def test_after_a_rows_end_its_last_sample_is_repeated() -> None:
     assert (steps[0] < 0).all() and (steps[-1] == 0).all()
 
 
+def test_a_row_that_ends_before_the_first_sample_reports_what_it_felt_then(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Rows that share a launch move on after their end: what they feel then is nobody's."""
+    env = make(2)
+    advance = env.solver.advance_
+    monkeypatch.setattr(env.solver, "advance_", lambda num, rows: advance(num))
+    env.reset()
+    env.solver.body.position[1, 0] = 27.6  # the nose crosses the goal at once
+    after = act(env, 0, 0)
+    assert after["terminated"].squeeze(-1).tolist() == [False, True]
+    assert (after["trace"][1] == after["trace"][1, 0]).all()
+    assert after["trace"][1, 0, 0] == env.now["x"][1].float()
+
+
 def test_memory_lasts_from_decision_to_decision_and_begins_anew_with_its_row() -> None:
     env = make(2)
     env.reset()

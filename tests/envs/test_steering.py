@@ -56,6 +56,14 @@ def test_the_turn_of_an_interval_and_the_angle_off_upstream_are_bounded() -> Non
     assert steering.turn(there).item() == pytest.approx(radians(1.0))
 
 
+def test_a_heading_and_the_same_a_turn_further_are_steered_alike() -> None:
+    steering = PIDSteering()
+    sights = torch.tensor([[0.0, heading] for heading in (pi, -pi, 3.0 * pi, pi - 0.1)]).double()
+    turns = steering.turn(sights[:, None].expand(-1, steering.num_stacked, -1))
+    expected = torch.tensor([0.0, 0.0, 0.0, 0.1]).double()
+    torch.testing.assert_close(turns, expected, rtol=0, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("bad", "message"),
     [

@@ -115,6 +115,12 @@ def test_too_short_a_time_to_see_vortices_is_an_error_with_a_remedy() -> None:
         develop_wakes(replace(RECIPE, num_travels=4.0), compile=False)
 
 
+def test_a_wake_that_diverges_is_an_error_with_a_remedy() -> None:
+    outside = replace(RECIPE, position=(1.0, 23.5), num_travels=1.0)
+    with pytest.raises(ValueError, match=r"the wake at 0.1200 nodes per step diverged: lower"):
+        develop_wakes(outside, compile=False)
+
+
 @pytest.mark.parametrize(
     ("bad", "message"),
     [

@@ -11,7 +11,9 @@ from tensordict import TensorDict
 
 from experiments.evaluate import evaluate
 from experiments.evaluation import Evaluation, Evaluator, Policy, fixed_starts
+from experiments.policies import list_baselines, make_policy
 from experiments.settings import ConfigError, EvaluateConfig
+from fishrl.envs import Predation
 from fishrl.modules import PursuitPolicy, RandomPolicy
 from tests.experiments.toy_fish import ToyPredation, make_toy_env
 
@@ -144,3 +146,13 @@ def test_an_unknown_fish_is_refused_with_the_nearest_one() -> None:
     config = EvaluateConfig(task=TOY, preset="toy", policy="pursiut", compile=False)
     with pytest.raises(ConfigError, match="Did you mean 'pursuit'"):
         evaluate(config, make_env=make_toy_env)
+
+
+def test_fish_that_decide_once_per_T_are_not_asked_more_often() -> None:
+    often = Predation(control_interval_T=0.5)
+    assert list_baselines(Predation()) == ["intercept", "pursuit", "random"]
+    assert list_baselines(often) == ["random"]
+    with pytest.raises(
+        ConfigError, match=r"decides once per T, here a decision takes 0\.\d+ T; set"
+    ):
+        make_policy("intercept", task=often, seed=0)

@@ -12,6 +12,7 @@ from experiments.gait.diagnostics import (
     find_phase,
     half_width,
     lock_phases,
+    measure_lean,
     measure_sway,
     pick,
     stack,
@@ -131,6 +132,17 @@ def test_frames_of_shorter_intervals_are_timed_in_periods() -> None:
 def test_sway_is_the_amplitude_of_a_sine() -> None:
     histories = make_histories(lengths=[40, 12])
     assert measure_sway(histories.aside, frames_per_T=FRAMES) == pytest.approx(0.2, rel=0.06)
+
+
+def test_lean_is_what_a_swaying_body_points_off_the_stream_on_average() -> None:
+    histories = make_histories(lengths=[40, 12])
+    sway = 0.2 * (-1.0) ** torch.arange(NUM)
+    lean = torch.where(torch.arange(NUM) < 16, 0.1, -0.05)
+    histories = histories._replace(angle_of_attack=histories.angle_of_attack * 0 + lean + sway)
+    rates, leans = measure_lean(histories, interval_T=1.0)
+    degrees = torch.tensor([0.1, 0.1, 0.05, 0.05, 0.05, 0.1]) * 180.0 / math.pi
+    torch.testing.assert_close(leans, degrees.double(), rtol=1e-6, atol=1e-6)  # 40 T, then 12
+    assert rates.tolist() == pytest.approx([SHED] * 6)
 
 
 def test_seeds_are_averaged_and_their_spread_is_the_error() -> None:

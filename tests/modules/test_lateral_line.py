@@ -65,6 +65,14 @@ def test_normalised_features_have_mean_zero_and_deviation_one_unless_they_never_
     assert torch.allclose(deviation, torch.tensor([1.0, 1.0, 0.0]).expand(5, 3), atol=1e-4)
 
 
+def test_a_feature_that_is_zero_but_for_rounding_is_not_blown_up() -> None:
+    machine, signal = make(), make_samples(30)["lateral_line"]
+    noise = torch.randn(signal.shape[:-1], generator=torch.Generator().manual_seed(0))
+    signal[..., machine.sensors["features"].index(machine.features[0])] = 1e-8 * noise
+    machine.set_normalisation(signal)
+    assert (machine.scale[:, 0] == 1.0).all()
+
+
 def test_a_saved_machine_says_the_same_and_knows_what_it_was_made_for(tmp_path: Path) -> None:
     machine = make(num_samples=20, features=["p", "u"])
     machine.set_normalisation(noise(8, 20))

@@ -6,6 +6,7 @@ from itertools import pairwise
 import pytest
 import torch
 
+from fishrl.physics import Cylinder, Fish
 from fishrl.physics.boundaries import (
     Boundaries,
     NonEquilibrium,
@@ -101,6 +102,17 @@ def test_the_stream_rises_smoothly_to_its_speed() -> None:
         (
             lambda: FlowConfig(width=8, height=8, tau=0.6, ramp_steps=-1),
             "ramp_steps = -1",
+        ),
+        (lambda: FlowConfig(width=8.5, height=8, tau=0.6), "width = 8.5: .* whole number"),
+        (
+            lambda: FlowConfig(width=8, height=8, tau=0.6, stream_speed=math.nan),
+            "stream_speed = nan: give a finite",
+        ),
+        (
+            lambda: FlowConfig(
+                width=90, height=60, tau=0.6, bodies=(Cylinder(diameter=9), Fish(body_length=24))
+            ),
+            r"bodies = \['Cylinder', 'Fish'\]: a fish comes first",
         ),
         (
             lambda: FlowConfig(

@@ -107,6 +107,7 @@ COUETTE = Boundaries(
         {"boundaries": PERIODIC},
         {"boundaries": COUETTE, "stream_speed": 0.03, "ramp_steps": 50},
         {"boundaries": INLET, "sponges": (Sponge(length=20), Sponge(length=8, side=Side.TOP))},
+        {"boundaries": INLET, "sponges": (Sponge(length=90),)},
         {"force_solve": DirectSolve()},
     ],
     ids=[
@@ -119,6 +120,7 @@ COUETTE = Boundaries(
         "periodic",
         "sheared",
         "sponges",
+        "in a sponge",
         "direct solve",
     ],
 )
@@ -259,9 +261,16 @@ def test_markers_of_a_flow_without_a_fish_are_refused() -> None:
     ("call", "message"),
     [
         (lambda s: s.advance_(3), "num_steps = 3: must be even"),
-        (lambda s: s.command_(TURN, 0), "at least one step"),
+        (lambda s: s.command_(TURN, 1), "num_steps = 1: a turn takes at least two steps"),
+        (lambda s: s.sample(torch.zeros(1, 5, 2)), r"shape \(1, 5, 2\): give \(3, P, 2\)"),
         (lambda s: s.reset_(torch.ones(2), STARTS, HEADINGS), r"bool tensor of shape \(3,\)"),
-        (lambda s: s.load_state_dict({}), "state 'data' has shape nothing"),
+        (lambda s: s.load_state_dict({}), "state 'data' is nothing, expected torch.float32"),
+        (
+            lambda s: s.load_state_dict(
+                s.state_dict() | {"data": s.state_dict()["data"].to(torch.float16)}
+            ),
+            "state 'data' is torch.float16 of shape .*another grid, batch, storage",
+        ),
     ],
 )
 def test_wrong_calls_are_refused(call: object, message: str) -> None:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import FrequencyBank, FrequencyControl, MacroActions
-from fishrl.envs.sensors import compute_clearance
+from fishrl.envs.sensors import compute_clearance, wrap_angle
 from fishrl.envs.starts import place_fish
 from fishrl.envs.stations import SafeArea, StationReward
 from fishrl.envs.steering import PIDSteering, Steering
@@ -106,6 +106,12 @@ class KarmanGait(AbstractTask):
                 f"{num}: give one row for each"
             )
         super().__post_init__()
+        per_T, wanted = max(1, round(1.0 / self.interval_T)), self.steering.decisions_per_T
+        if wanted not in (None, per_T):
+            raise ValueError(
+                f"steering.decisions_per_T = {wanted}, but it is asked every {self.interval_T:g} "
+                f"T: give {per_T}"
+            )
         corners = torch.cartesian_prod(torch.tensor([0.0, 1.0]), torch.tensor([0.0, 1.0])).double()
         others = torch.zeros(4, self.num_draws - 2, dtype=torch.float64)
         self.check_starts(self.starts_from(torch.cat((corners, others), 1)))
@@ -314,7 +320,7 @@ class KarmanGait(AbstractTask):
         names = ("flow_index", "gear", "frequency", "heading", "work", "positive_work")
         return {
             **{name: now[name] for name in (*names, "lateral_work", "lateral_line")},
-            "angle_of_attack": now["heading"] - pi,
+            "angle_of_attack": wrap_angle(now["heading"] - pi),
         }
 
     def _locate(self, head: Tensor) -> Tensor:

@@ -49,7 +49,7 @@ class Predation(AbstractTask):
     The paper (Task 1) names neither the food's column and limits nor the capture radius.
 
     Args:
-        turn_degrees: heading change of one action, spread smoothly over one period.
+        turn_degrees: heading change of one action, spread smoothly over the interval.
         start_x_bl: range of the nose at start, in body lengths; it starts on whole nodes, the fish
             facing -x, and the range shrinks where the fish would not be clear of the walls.
         start_y_bl: the same along y.
