@@ -1,9 +1,10 @@
 """Compare algorithms at equal effort: ``python -m experiments.compare --seeds 0 1 2 3 4``.
 
-Trains each algorithm with each seed, with the settings of ``experiments.train`` behind the options
-(``preset=small total_frames=2800 eval_frames=350``), and writes ``compare.png``, ``compare.md`` and
-``compare.json``: learning curves and what they say, with 95 % intervals over the seeds. After an
-interruption the same command goes on; what is trained already is not trained again.
+Trains each algorithm with each seed, with settings as for ``experiments.train``
+(``preset=small total_frames=2800 eval_frames=350``, ``--config-dir <folder>``), and writes
+``compare.png``, ``compare.md`` and ``compare.json``: learning curves and what they say, with 95 %
+intervals over the seeds. After an interruption the same command goes on; what is trained already is
+not trained again.
 """
 
 from __future__ import annotations
@@ -13,24 +14,25 @@ import json
 import logging
 import sys
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
-from omegaconf import OmegaConf
 
 from experiments.command_line import plain_errors, set_up_logging
-from experiments.config import load_config, resumed_settings, to_plain
+from experiments.config import load_config, resumed_settings
 from experiments.figures import COLOURS, frame_curves, read_metrics
 from experiments.flow_pictures import STYLE
 from experiments.gait.diagnostics import half_width
 from experiments.interruption import Interrupted
 from experiments.progress import Progress
-from experiments.run_folder import write_json, write_whole
+from experiments.run_folder import RunFolder, write_json, write_whole
 from experiments.settings import ConfigError, TrainConfig
-from experiments.train import finish, set_up
+from experiments.sweeps.jobs import PLACE, find_difference
+from experiments.train import begin_run, finish, set_up
 
 logger = logging.getLogger(__name__)
 
@@ -38,7 +40,7 @@ ALGORITHMS = ("discrete_sac", "dqn", "double_dqn", "drqn")
 #: What a learning curve shows: column of metrics.csv, and its title.
 CURVES = {"eval/success_rate": "rate of success", "eval/mean_return": "return per episode"}
 #: Settings of a run that say nothing about what it learns.
-_PLACE = ("folder", "name", "resume", "baselines", "picture_episodes", "keep_checkpoints")
+_IGNORED = (*PLACE, "baselines", "picture_episodes", "keep_checkpoints")
 
 Results = dict[str, list[dict[str, Any]]]
 
@@ -66,7 +68,8 @@ def compare(
         What ``compare.json`` holds.
 
     Raises:
-        ValueError: if a run in the folder was made with other settings, or efforts differ.
+        ValueError: if a run in the folder was made with other settings or does not name them, or
+            efforts differ.
         Interrupted: if the program was told to end.
     """
     for name, values in (("algorithms", algorithms), ("seeds", seeds)):
@@ -93,31 +96,33 @@ def _train(
     config: TrainConfig, run: Path, make_env: Any, progress: Progress | None
 ) -> dict[str, Any]:
     """Train, go on, or do nothing, and return summary and curves of a run."""
-    if run.exists():
+    folder = RunFolder(run)
+    if folder.config.is_file():
         _check_settings(run, config)
-        if not (run / "summary.json").is_file():
+    elif run.is_dir():  # ended before it wrote its settings
+        if folder.has_begun() or folder.summary.is_file():
+            raise ValueError(f"{run}: holds no config.yaml; delete it, or take another --folder")
+        begin_run(config, folder.checked())
+    if not folder.summary.is_file():
+        if run.is_dir():
             config = resumed_settings(str(run), [])
             config.resume = str(run)
-    if not (run / "summary.json").is_file():
         training = set_up(config, make_env=make_env, progress=progress)
         with training.interruption:
             finish(training)
-    summary: dict[str, Any] = json.loads((run / "summary.json").read_text(encoding="utf-8"))
-    series = read_metrics(run / "metrics.csv")
+    summary: dict[str, Any] = json.loads(folder.summary.read_text(encoding="utf-8"))
+    series = read_metrics(folder.metrics)
     return {"summary": summary, "curves": {column: series[column] for column in CURVES}}
 
 
 def _check_settings(run: Path, config: TrainConfig) -> None:
-    if not (run / "checkpoints").is_dir():
-        raise ValueError(f"{run}: holds no checkpoint; delete it, or take another --folder")
-    known = OmegaConf.to_container(OmegaConf.load(run / "config.yaml"))
-    assert isinstance(known, dict)
-    for name, wanted in to_plain(config).items():
-        if name not in _PLACE and known.get(name) != wanted:
-            raise ValueError(
-                f"{run}: was run with {name} = {known.get(name)!r}, here it is {wanted!r}: take "
-                "another --folder, or the settings of before"
-            )
+    difference = find_difference(config, run, ignored=_IGNORED)
+    if difference is not None:
+        name, known, wanted = difference
+        raise ValueError(
+            f"{run}: was run with {name} = {known!r}, here it is {wanted!r}: take "
+            "another --folder, or the settings of before"
+        )
 
 
 def _check_effort(runs: Results) -> None:
@@ -241,14 +246,28 @@ def draw(runs: Results, path: Path) -> None:
         figure.savefig(path)
 
 
-def main() -> None:
-    """Read the command line."""
+def read_arguments(words: Sequence[str]) -> argparse.Namespace:
+    """Read the command line; settings may stand anywhere, also behind ``--seeds 0 1``."""
     parser = argparse.ArgumentParser(description="Compare algorithms at equal effort.")
     parser.add_argument("--algorithms", nargs="+", default=list(ALGORITHMS), metavar="NAME")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2, 3, 4])
     parser.add_argument("--folder", type=Path, default=Path("runs/compare"))
+    parser.add_argument("--config-dir", metavar="FOLDER", help="of tasks and presets of one's own")
     parser.add_argument("settings", nargs="*", help="of every run, such as preset=small")
-    options = parser.parse_intermixed_args()
+    settings: list[str] = []
+    others: list[str] = []
+    for before, word in pairwise(["", *words]):
+        is_value = before in ("--folder", "--config-dir") or word.startswith("-")
+        (settings if "=" in word and not is_value else others).append(word)
+    options = parser.parse_intermixed_args(others)
+    places = [f"--config-dir={options.config_dir}"] if options.config_dir is not None else []
+    options.settings = [*places, *settings, *options.settings]
+    return options
+
+
+def main() -> None:
+    """Read the command line."""
+    options = read_arguments(sys.argv[1:])
     set_up_logging()
     with plain_errors(), Progress() as progress:
         try:

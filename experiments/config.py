@@ -30,10 +30,11 @@ from experiments.settings import (
 )
 from experiments.sweeps.jobs import is_sweep
 
-#: Settings that the saved state of a run depends on.
+#: Settings that the saved state of a run depends on, or that it brings with it.
 FIXED_BY_RUN = (
     *("task", "preset", "seed", "num_envs", "hidden", "buffer_size", "logger", "recognition"),
-    *("algorithm", "ray_collectors"),
+    *("algorithm", "ray_collectors", "learning_rate", "gamma", "batch_size"),
+    *("warmup_frames", "updates_per_frame"),
 )
 #: Packages of the launchers beside hydra's own.
 LAUNCHERS = {
@@ -62,7 +63,8 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
     """Check a command line against everything that can be set, before hydra sees it.
 
     Every argument of a ``_target_``'s constructor can be set, whether the YAML names it or not.
-    Settings of the task are those of the run that is evaluated or shown, if there is one.
+    Settings of the task are those of the run that is evaluated or shown, if there is one; those
+    that a resumed run has fixed are refused.
 
     Args:
         program: train, evaluate, view or train_lateral_line.
@@ -73,7 +75,7 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
         The command line for hydra.
 
     Raises:
-        ConfigError: naming an unknown key or value and the nearest right one.
+        ConfigError: naming an unknown key or value and the nearest right one, or what is fixed.
         ValueError: if there is no such run.
     """
     options, settings = split_arguments(arguments)
@@ -85,6 +87,7 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
         raise ConfigError(
             f"{error.override!r}: settings are written key=value, such as seed=1"
         ) from error
+    _check_resume(program, overrides)
     groups = list_groups(options)
     chosen = select_search_path(options)
     for override in overrides:
@@ -110,7 +113,7 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
         key, line = override.key_or_group, str(override.input_line)
         if key not in groups:
             if key not in known_keys:
-                raise _unknown(f"{key}=...", key, [*known_keys, *groups])
+                raise _unknown_key(base, key, [*known_keys, *groups])
             _check_type(base, key, override.value(), is_sweep=override.is_sweep_override())
             if key.startswith(("task.", "logger.", "algorithm.")):
                 line = "++" + line.lstrip("+")  # an argument that the YAML leaves at its default
@@ -128,6 +131,26 @@ def _find_own_task(program: str, overrides: Sequence[Override]) -> Any:
     from experiments.checkpointing import read_metadata  # slow, as it brings torchrl
 
     return read_metadata(str(given[fish[0]].value()))[1]["config"]["task"]
+
+
+def _check_resume(program: str, overrides: Sequence[Override]) -> None:
+    """Refuse what a resumed run has fixed, whatever its task and algorithm are."""
+    for override in overrides:
+        is_known = program == "train" and override.key_or_group == "resume"
+        if is_known and not override.is_sweep_override() and override.value() is not None:
+            _check_fixed(str(override.value()), [str(other.input_line) for other in overrides])
+
+
+def _check_fixed(folder: str, arguments: Sequence[str]) -> RunFolder:
+    run = RunFolder.of_existing(folder)
+    for argument in arguments:
+        name = argument.lstrip("+~").split("=", 1)[0].split(".", 1)[0]
+        if name in FIXED_BY_RUN:
+            raise ConfigError(
+                f"{argument.lstrip('+')}: {name} is fixed in {folder}; leave it away, or start a "
+                "new run"
+            )
+    return run
 
 
 def change_task(task: Mapping[str, Any], arguments: Sequence[str]) -> dict[str, Any]:
@@ -185,14 +208,8 @@ def resumed_settings(folder: str, arguments: Sequence[str]) -> TrainConfig:
         ConfigError: if one of them is fixed by what is already learned.
         ValueError: if there is no run in the folder.
     """
-    path = RunFolder.of_existing(folder).config
     given = [argument.lstrip("+") for argument in arguments if not argument.startswith("-")]
-    for argument in given:
-        name = argument.split("=", 1)[0].split(".", 1)[0]
-        if name in FIXED_BY_RUN:
-            raise ConfigError(
-                f"{argument}: {name} is fixed in {folder}; leave it away, or start a new run"
-            )
+    path = _check_fixed(folder, given).config
     try:
         stored = cast(DictConfig, OmegaConf.load(path))
         for name in ("alpha_init", "target_entropy_weight"):  # of runs before there was a choice
@@ -336,6 +353,20 @@ def _check_type(config: DictConfig, key: str, value: Any, *, is_sweep: bool) -> 
 def _unknown(what: str, word: str, known: Sequence[str]) -> ConfigError:
     listed = f" There is: {', '.join(known)}." if len(known) < 12 else ""
     return ConfigError(f"{what}: there is no {word!r}.{nearest(word, known)}{listed}")
+
+
+def _unknown_key(config: DictConfig, key: str, known: Sequence[str]) -> ConfigError:
+    """Name the object that has no such argument, and the nearest one or those that it has."""
+    names = key.split(".")
+    nodes = [OmegaConf.select(config, ".".join(names[:end])) for end in range(1, len(names))]
+    objects = [node for node in nodes if OmegaConf.is_dict(node) and "_target_" in node]
+    known = [name for name in known if not name.endswith("._target_")]
+    if not objects:
+        return _unknown(f"{key}=...", key, known)
+    kind = str(objects[-1]["_target_"]).rsplit(".", 1)[-1]
+    taken = ", ".join(str(name) for name in objects[-1] if name != "_target_") or "nothing"
+    advice = nearest(key, known) or f" It takes {taken}."
+    return ConfigError(f"{key}=...: there is no {key!r} in {kind}.{advice}")
 
 
 def _plain(error: Exception) -> ConfigError:

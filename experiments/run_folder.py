@@ -116,8 +116,14 @@ class RunFolder:
         return self
 
     def has_begun(self) -> bool:
-        """Tell whether there is anything to go on with: a checkpoint, or frames without one."""
-        if self.last.parent.is_dir():
+        """Tell whether there is anything to go on with: a checkpoint, or frames without one.
+
+        ``..<name>`` is what a process left that was killed while writing a checkpoint.
+        """
+        checkpoints = self.last.parent
+        if checkpoints.is_dir() and any(
+            not path.name.startswith("..") for path in checkpoints.iterdir()
+        ):
             return True
         if not self.metrics.is_file():
             return False

@@ -335,13 +335,18 @@ class LateralLineConfig:
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Give `` Did you mean 'x'?`` for the most similar known word, or nothing."""
+    """Give `` Did you mean 'x'?`` for the most similar known word, or nothing.
+
+    Of dotted keys the last parts are compared: what stands before makes all of an object alike.
+    """
     known = list(known)
-    match = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
-    if not match:  # the last part of a dotted key may be right
-        tails = {name.rsplit(".", 1)[-1]: name for name in known}
-        tail = difflib.get_close_matches(word.rsplit(".", 1)[-1], tails, n=1, cutoff=0.6)
-        match = [tails[name] for name in tail]
+    match = [] if "." in word else difflib.get_close_matches(word, known, n=1, cutoff=0.5)
+    if not match:
+        tails: dict[str, list[str]] = {}
+        for name in known:
+            tails.setdefault(name.rsplit(".", 1)[-1], []).append(name)
+        for tail in difflib.get_close_matches(word.rsplit(".", 1)[-1], tails, n=1, cutoff=0.6):
+            match = difflib.get_close_matches(word, tails[tail], n=1, cutoff=0.0)
     return f" Did you mean {match[0]!r}?" if match else ""
 
 

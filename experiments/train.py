@@ -26,6 +26,8 @@ logger = logging.getLogger(__name__)
 
 #: Flows, and T of each where episodes are long, that a run keeps for the viewer.
 _MAX_FLOWS, _MAX_PERIODS = 3, 20.0
+#: Settings that a resume sets for itself alone: whether to look on, and where things lie.
+_OF_THE_MOMENT = ("live", "recognition", "resume")
 
 
 def train(
@@ -99,9 +101,11 @@ def set_up(
             progress=progress or Progress(is_shown=False),
             began=time.perf_counter() if began is None else began,
         )
-        if config.resume and folder.has_begun():
-            training.resume()
-            folder.summary.unlink(missing_ok=True)  # it will be another one
+        if config.resume:
+            if folder.has_begun():
+                training.resume()
+                folder.summary.unlink(missing_ok=True)  # it will be another one
+            note_settings(config, folder)
         return training
 
 
@@ -114,6 +118,23 @@ def begin_run(config: TrainConfig, folder: RunFolder) -> RunFolder:
     config.recognition = keep_machine(config.recognition, folder.path)
     write_yaml(folder.config, to_plain(config))
     return folder
+
+
+def note_settings(config: TrainConfig, folder: RunFolder) -> None:
+    """Write what a resumed run was given anew, for the next resume.
+
+    What is of the moment stays as the run was begun with.
+    """
+    from omegaconf import OmegaConf
+
+    from experiments.config import to_plain
+    from experiments.run_folder import write_yaml
+
+    stored: Any = OmegaConf.to_container(OmegaConf.load(folder.config))
+    begun_with = {name: stored[name] for name in _OF_THE_MOMENT if name in stored}
+    settings = to_plain(config) | begun_with
+    if settings != stored:
+        write_yaml(folder.config, settings)
 
 
 def finish(training: Training) -> dict[str, Any]:

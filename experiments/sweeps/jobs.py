@@ -33,6 +33,8 @@ logger = logging.getLogger(__name__)
 
 #: Longest name of a run folder before a number stands in for the rest.
 LONGEST_NAME = 100
+#: Settings that say where a run lies, not what it does.
+PLACE = ("folder", "name", "resume")
 _LOOK_SECONDS = 0.5
 
 
@@ -163,12 +165,41 @@ def find_or_begin(config: TrainConfig, *, name: str) -> RunFolder:
         if not path.exists():
             return begin_run(config, RunFolder.create(parent=config.folder, name=name))
         if (path / "config.yaml").is_file():
-            if _is_same(config, path):
+            if find_difference(config, path) is None:
                 return RunFolder(path).checked()
         elif (path / "failure.txt").is_file():  # it never began
             (path / "failure.txt").unlink()
             return begin_run(config, RunFolder(path).checked())
         number += 1
+
+
+def find_difference(
+    config: TrainConfig, path: Path, *, ignored: Sequence[str] = PLACE
+) -> tuple[str, Any, Any] | None:
+    """Compare settings with those of the run in a folder, wherever its machine lies.
+
+    Args:
+        config: the settings.
+        path: of the folder.
+        ignored: settings that may differ.
+
+    Returns:
+        A setting that differs, its value there and here; None if there is none.
+    """
+    from omegaconf import OmegaConf
+
+    from experiments.config import to_plain
+
+    stored: Any = OmegaConf.to_container(OmegaConf.load(path / "config.yaml"))
+    wanted = to_plain(config)
+    own, given = path / "machine.pt", Path(wanted["recognition"] or "").expanduser()
+    if own.is_file() and given.is_file():
+        is_equal = filecmp.cmp(own, given, shallow=False)
+        stored["recognition"] = wanted["recognition"] if is_equal else str(own)
+    for name in wanted | stored:
+        if name not in ignored and stored.get(name) != wanted.get(name):
+            return name, stored.get(name), wanted.get(name)
+    return None
 
 
 def run_alone(path: Path, *, total_frames: int, progress: Progress | None = None) -> Run:
@@ -232,25 +263,6 @@ def sweep(launch: Callable[[], Any]) -> None:
 def _stop(number: int, frame: FrameType | None) -> None:
     signal.signal(number, signal.SIG_IGN)  # it is on its way
     raise _Terminated
-
-
-def _is_same(config: TrainConfig, path: Path) -> bool:
-    """Tell whether the run in a folder has these settings, wherever it lies."""
-    from omegaconf import OmegaConf
-
-    from experiments.config import to_plain
-
-    stored: Any = OmegaConf.to_container(OmegaConf.load(path / "config.yaml"))
-    wanted = to_plain(config)
-    machine = path / "machine.pt"
-    if machine.is_file() and wanted["recognition"] and Path(wanted["recognition"]).is_file():
-        wanted["recognition"] = stored["recognition"]
-        if not filecmp.cmp(machine, str(config.recognition), shallow=False):
-            return False
-    for settings in (stored, wanted):
-        for key in ("folder", "resume", "name"):
-            settings.pop(key, None)
-    return bool(stored == wanted)
 
 
 def _say_end(code: int) -> str:

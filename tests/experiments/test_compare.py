@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,14 @@ import pytest
 from PIL import Image
 
 from experiments import compare as compare_module
-from experiments.compare import compare, judge, main, render, summarise
+from experiments.compare import compare, judge, main, read_arguments, render, summarise
+from experiments.config import load_config
 from experiments.interruption import Interrupted
-from experiments.settings import ConfigError
+from experiments.run_folder import RunFolder
+from experiments.settings import ConfigError, TrainConfig
+from experiments.train import begin_run
 from experiments.training import Training
+from tests.docs.pages import DOCS
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 
 SETTINGS = [
@@ -31,8 +36,8 @@ def test_algorithms_are_trained_once_and_compared(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "compare"
-    arguments = ["--algorithms", "discrete_sac", "drqn", "--seeds", "0", "1", "--folder"]
-    monkeypatch.setattr(sys, "argv", ["compare", *arguments, str(folder), *SETTINGS])
+    arguments = ["--folder", str(folder), "--algorithms", "discrete_sac", "drqn", "--seeds", "0"]
+    monkeypatch.setattr(sys, "argv", ["compare", *arguments, "1", *SETTINGS])
 
     def stop(*_: Any) -> None:
         raise Interrupted(15)
@@ -54,11 +59,95 @@ def test_algorithms_are_trained_once_and_compared(
         assert min(picture.size) > 300
     with pytest.raises(ValueError, match=r"was run with total_frames = 16, here it is 32: take"):
         compare(["drqn"], seeds=[0], folder=folder, overrides=[*SETTINGS, "total_frames=32"])
-    (folder / "dqn-seed0").mkdir()
-    with pytest.raises(ValueError, match="holds no checkpoint; delete it"):
-        compare(["dqn"], seeds=[0], folder=folder, overrides=SETTINGS)
     with pytest.raises(ConfigError, match=r"seeds = \[1, 1\]: give one or more different"):
         compare(["dqn"], seeds=[1, 1], folder=folder)
+
+
+def read_documented_line() -> list[str]:
+    page = (DOCS / "algorithms.md").read_text(encoding="utf-8")
+    (line,) = (line for line in page.splitlines() if "-m experiments.compare" in line)
+    return line.split()[3:]
+
+
+def test_the_line_of_the_page_is_read() -> None:
+    options = read_arguments(read_documented_line())
+    assert options.seeds == [0, 1, 2, 3, 4]
+    assert options.settings == ["preset=small", "eval_frames=350"]
+    assert options.algorithms == list(compare_module.ALGORITHMS)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "preset=small num_envs=3 --algorithms dqn drqn --seeds 0 1 --folder runs/a=b",
+        "--folder runs/a=b --seeds 0 1 preset=small --algorithms dqn drqn num_envs=3",
+        "preset=small --algorithms dqn drqn --folder=runs/a=b num_envs=3 --seeds 0 1",
+    ],
+)
+def test_settings_may_stand_before_between_and_behind_the_options(line: str) -> None:
+    options = read_arguments(line.split())
+    assert (options.algorithms, options.seeds) == (["dqn", "drqn"], [0, 1])
+    assert (options.settings, options.folder) == (["preset=small", "num_envs=3"], Path("runs/a=b"))
+
+
+def test_a_word_that_is_no_setting_is_left_to_the_settings() -> None:
+    assert read_arguments(["small", "--seeds", "0"]).settings == ["small"]
+
+
+@pytest.mark.parametrize("words", [["--config-dir", "{}"], ["--config-dir={}"]])
+def test_a_folder_of_configuration_is_taken_as_by_a_training(
+    tmp_path: Path, words: list[str]
+) -> None:
+    (tmp_path / "preset").mkdir()
+    (tmp_path / "preset" / "mine.yaml").write_text("# @package _global_\npreset: mine\nseed: 7\n")
+    line = ["--seeds", "0", *(word.format(tmp_path) for word in words), "preset=mine"]
+    assert load_config("train", read_arguments(line).settings).seed == 7
+
+
+def begin_alone(begun: list[str | None]) -> Callable[..., Any]:
+    """Return a ``set_up`` that is ended before the first frame, and notes what goes on."""
+
+    def set_up(config: TrainConfig, **_: Any) -> None:
+        begun.append(config.resume)
+        if config.resume is None:
+            begin_run(config, RunFolder.create(parent=config.folder, name=str(config.name)))
+        raise Interrupted(15)
+
+    return set_up
+
+
+def test_a_run_that_was_ended_before_its_first_checkpoint_is_started_by_the_same_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[str | None] = []
+    monkeypatch.setattr(compare_module, "set_up", begin_alone(begun))
+    for _ in range(2):
+        with pytest.raises(Interrupted):
+            compare(["dqn"], seeds=[0], folder=tmp_path)
+    (tmp_path / "drqn-seed0").mkdir()  # ended before it wrote its settings
+    with pytest.raises(Interrupted):
+        compare(["drqn"], seeds=[0], folder=tmp_path)
+    assert (tmp_path / "drqn-seed0" / "config.yaml").is_file()
+    assert begun == [None, str(tmp_path / "dqn-seed0"), str(tmp_path / "drqn-seed0")]
+    (tmp_path / "double_dqn-seed0" / "checkpoints" / "last").mkdir(parents=True)
+    with pytest.raises(ValueError, match=r"no config\.yaml; delete it, or take another --folder"):
+        compare(["double_dqn"], seeds=[0], folder=tmp_path)
+
+
+def test_the_same_machine_goes_on_and_another_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[str | None] = []
+    monkeypatch.setattr(compare_module, "set_up", begin_alone(begun))
+    machine = tmp_path / "given.pt"
+    machine.write_bytes(b"1")
+    for _ in range(2):
+        with pytest.raises(Interrupted):
+            compare(["dqn"], seeds=[0], folder=tmp_path, overrides=[f"recognition={machine}"])
+    assert begun == [None, str(tmp_path / "dqn-seed0")]
+    machine.write_bytes(b"2")
+    with pytest.raises(ValueError, match=r"was run with recognition = .*machine\.pt.*given\.pt"):
+        compare(["dqn"], seeds=[0], folder=tmp_path, overrides=[f"recognition={machine}"])
 
 
 def run_of(rates: list[float], **summary: Any) -> dict[str, Any]:

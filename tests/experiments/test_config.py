@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -83,6 +84,33 @@ def test_a_typo_is_named_with_the_nearest_right_word(argument: str, right: str) 
     with pytest.raises(ConfigError, match=f"Did you mean '{right}'") as error:
         check_overrides("train", given)
     assert any(part.split(",")[-1] in str(error.value) for part in wrong)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["task.stream.has_disc=false"], "in Predation. It takes body_length, reynolds, "),
+        (
+            ["task=karman_gait", "task.stream.colour=red"],
+            "'task.stream.colour' in Stream. It takes speeds_bl, has_disc, ",
+        ),
+        (
+            ["algorithm.sequence_length=4"],
+            "in DiscreteSAC. It takes alpha_init, target_entropy_weight.",
+        ),
+        (
+            ["logger.is_offline=true"],
+            "there is no 'logger.is_offline' in CsvLogger. It takes nothing.",
+        ),
+    ],
+)
+def test_a_key_of_another_object_is_answered_with_those_that_there_are(
+    given: list[str], said: str
+) -> None:
+    with pytest.raises(ConfigError) as error:
+        check_overrides("train", given)
+    assert said in str(error.value)
+    assert "Did you mean" not in str(error.value)
 
 
 def test_the_evaluation_names_typos_too() -> None:
@@ -190,13 +218,38 @@ def test_a_resumed_run_brings_its_settings_and_takes_new_ones(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    "argument", ["num_envs=4", "seed=1", "preset=paper", "task=predation", "++task.time_limit=3"]
+    "argument",
+    [
+        *("num_envs=4", "seed=1", "preset=paper", "task=predation", "++task.time_limit=3"),
+        *("learning_rate=1e-4", "gamma=0.9", "batch_size=32", "updates_per_frame=8"),
+        "warmup_frames=0",
+    ],
 )
 def test_what_a_run_has_learned_with_is_not_changed_on_resume(
     tmp_path: Path, argument: str
 ) -> None:
     with pytest.raises(ConfigError, match="is fixed in"):
         resumed_settings(str(stored_run(tmp_path)), [argument])
+
+
+@pytest.mark.parametrize(
+    "argument",
+    [
+        *("task.stream.has_disc=false", "algorithm.sequence_length=4", "logger.is_offline=true"),
+        *("task=nothing", "preset=smal", "+task.time_limit=3"),
+    ],
+)
+def test_what_is_fixed_is_said_whatever_the_task_of_the_run(tmp_path: Path, argument: str) -> None:
+    run = stored_run(tmp_path)
+    fixed = re.escape(
+        f"{argument.lstrip('+')}: {re.split('[.=]', argument.lstrip('+'))[0]} is fixed in {run}"
+    )
+    with pytest.raises(ConfigError, match=fixed):
+        check_overrides("train", [f"resume='{run}'", argument])
+    with pytest.raises(ValueError, match=r"no config\.yaml there"):
+        check_overrides("train", [f"resume='{tmp_path / 'none'}'", argument])
+    with pytest.raises(ConfigError, match="there is no"):
+        check_overrides("train", ["resume=null", "totl_frames=3"])
 
 
 def test_a_resume_of_nothing_is_an_error(tmp_path: Path) -> None:

@@ -189,6 +189,23 @@ def test_an_older_checkpoint_takes_the_place_of_a_corrupt_one(
     assert resumed.counters.frames == 160
 
 
+@pytest.mark.parametrize("is_killed", [False, True])
+def test_a_run_cut_off_in_its_first_checkpoint_begins_anew(
+    toy_config: MakeConfig, tmp_path: Path, is_killed: bool
+) -> None:
+    run = tmp_path / "run"
+    training = training_of(toy_config(name="run", **QUICK))
+    with limited_disk(1000), pytest.raises(CheckpointNotWritten, match="there is none yet"):
+        training.run()
+    training.close()
+    if is_killed:
+        (run / "checkpoints" / "..last.new.stage-0a1b").mkdir()
+    resumed = training_of(toy_config(resume=str(run), total_frames=40, **QUICK))
+    resumed.run()
+    assert not list((run / "checkpoints").glob("..*"))
+    assert [row["frames"] for row in rows_of(run)] == ["40"]
+
+
 @pytest.mark.parametrize("left", [".last.new", ".last.backup", "last-000000007"])
 def test_a_kill_between_the_renames_loses_nothing(tmp_path: Path, left: str) -> None:
     save(tmp_path / "last")

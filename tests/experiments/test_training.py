@@ -14,14 +14,17 @@ from typing import Any
 
 import pytest
 import torch
+from omegaconf import OmegaConf
 
+from experiments.config import resumed_settings
 from experiments.counters import list_metrics
 from experiments.evaluation import Evaluation
 from experiments.progress import Progress
 from experiments.run_folder import RunFolder
 from experiments.settings import TrainConfig
-from experiments.train import finish, set_up, train
+from experiments.train import begin_run, finish, note_settings, set_up, train
 from experiments.training import Training
+from tests.experiments.stops import run_and_stop
 from tests.experiments.toy_fish import ToyFishEnv, make_toy_env
 
 ROOT = Path(__file__).parents[2]
@@ -141,6 +144,35 @@ def test_rows_after_the_last_checkpoint_are_written_once(
     resumed.run()
     frames = [row["frames"] for row in rows_of(tmp_path / "run")]
     assert frames == [*(row["frames"] for row in before), "200"]
+
+
+def test_a_run_made_longer_stays_so_when_it_is_stopped_again(
+    toy_config: MakeConfig, tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    training_of(toy_config(name="run", total_frames=80, eval_episodes=2)).run()
+    longer = resumed_settings(str(folder), ["total_frames=160"])
+    longer.resume = str(folder)
+    run_and_stop(training_of(longer), ToyFishEnv, step=3)
+    again = resumed_settings(str(folder), [])
+    assert (again.total_frames, again.resume) == (160, None)
+    again.resume = str(folder)
+    training = training_of(again)
+    assert training.counters.frames == 104
+    training.run()
+    assert rows_of(folder)[-1]["frames"] == "160"
+
+
+def test_settings_noted_on_resume_leave_what_is_of_the_moment(
+    toy_config: MakeConfig, tmp_path: Path
+) -> None:
+    (tmp_path / "given.pt").touch()
+    config = toy_config(recognition=str(tmp_path / "given.pt"), live=True)
+    folder = begin_run(config, RunFolder.create(parent=str(tmp_path), name="run"))
+    note_settings(toy_config(resume=str(folder.path), total_frames=400), folder)
+    stored = OmegaConf.load(folder.config)
+    assert (stored.total_frames, stored.resume) == (400, None)
+    assert (stored.recognition, stored.live) == ("machine.pt", True)
 
 
 def test_the_collector_goes_on_bit_for_bit(toy_config: MakeConfig) -> None:
