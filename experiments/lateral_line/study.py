@@ -177,6 +177,7 @@ def measure_deviation(signal: Tensor) -> Tensor:
 def diets(window: int) -> dict[str, Diet]:
     """Return what is compared, by name; ``window`` is the number of samples in the longest."""
     some = tuple(name for name in PAPER if name not in BOOKKEEPING)
+    mean = tuple(name for name in LOCAL if name != "pressure")  # whose mean is 0
     return {
         "paper: instant, mean of the neuromasts": Diet(
             features=PAPER, num_samples=1, is_averaged=True
@@ -184,7 +185,7 @@ def diets(window: int) -> dict[str, Diet]:
         "the same without t, x, y": Diet(features=some, num_samples=1, is_averaged=True),
         "t, x, y alone": Diet(features=BOOKKEEPING, num_samples=1, is_averaged=True),
         "local: instant, mean of the neuromasts": Diet(
-            features=LOCAL, num_samples=1, is_averaged=True
+            features=mean, num_samples=1, is_averaged=True
         ),
         "local: instant, each neuromast": Diet(features=LOCAL, num_samples=1),
         "paper: whole window, each neuromast": Diet(features=PAPER, num_samples=window),
