@@ -11,6 +11,7 @@ import argparse
 import json
 import logging
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,8 +20,12 @@ from typing import Any
 from experiments.command_line import plain_errors, set_up_logging
 from experiments.run_folder import HeldError, RunFolder
 from experiments.settings import ConfigError
+from experiments.sweeps.ending import ending_runs
+from experiments.sweeps.runs import Run, read_run
 
 logger = logging.getLogger(__name__)
+
+_LOOK_SECONDS = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,13 +201,12 @@ def _run_seed(plan: Search, number: int, chosen: Sequence[str], seed: int) -> fl
     """Run one seed of a trial, or read its result; None if it failed."""
     from experiments.config import load_config
     from experiments.sweeps.jobs import find_or_begin, quote, run_alone
-    from experiments.sweeps.runs import read_run
 
     place = [f"seed={seed}", f"folder={quote(str(plan.folder))}"]
     name = f"trial_{number:04d}-seed_{seed}"
     try:
         config = load_config("train", [*plan.fixed(), *chosen, *place])
-        run = read_run(find_or_begin(config, name=name).path)
+        run = _wait_for_others(find_or_begin(config, name=name).path)
     except ValueError as error:
         logger.info("%s: failed: %s", name, error)
         return None
@@ -216,6 +220,17 @@ def _run_seed(plan: Search, number: int, chosen: Sequence[str], seed: int) -> fl
         raise ConfigError(f"metric = {plan.metric}: not in {run.path}; there is {numbers}")
     value = run.summary[plan.metric]
     return None if value is None else float(value)
+
+
+def _wait_for_others(path: Path) -> Run:
+    """Read a run once no other process writes it, such as one that outlived its search."""
+    run = read_run(path)
+    if run.status == "running":
+        logger.info("%s: another process writes it, which is waited for", path)
+    while run.status == "running":
+        time.sleep(_LOOK_SECONDS)
+        run = read_run(path)
+    return run
 
 
 def report(plan: Search, study: Any) -> None:
@@ -254,7 +269,9 @@ def main() -> None:
             is_minimized=arguments.minimize,
         )
         try:
-            report(plan, search(plan, trials=arguments.trials))
+            with ending_runs(plan.folder):
+                study = search(plan, trials=arguments.trials)
+            report(plan, study)
         except KeyboardInterrupt:
             sys.exit("interrupted; the same command goes on")
 
