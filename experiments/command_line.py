@@ -124,7 +124,7 @@ def _quote(path: str) -> str:
 def bring_task(
     settings: EvaluateConfig | ViewConfig, checkpoint: str, arguments: Sequence[str]
 ) -> None:
-    """Take task and recognition from a checkpoint, unless the command line names a task.
+    """Take task and recognition from a checkpoint, each unless the command line names one.
 
     Settings of the task (``task.time_limit=40``) go on top of it.
 
@@ -141,11 +141,11 @@ def bring_task(
     from experiments.recognition import find_machine
 
     given = [argument.lstrip("+") for argument in arguments]
-    if any(argument.startswith(("task=", "preset=")) for argument in given):
-        return
     path, metadata = read_metadata(checkpoint)
     trained = metadata["config"]
-    settings.task = change_task(trained["task"], arguments)
-    settings.preset = trained["preset"]
-    if settings.recognition is None:
+    if not any(argument.startswith(("task=", "preset=")) for argument in given):
+        settings.task = change_task(trained["task"], arguments)
+        settings.preset = trained["preset"]
+    is_given = any(argument.startswith("recognition=") for argument in given)
+    if settings.recognition is None and not is_given:
         settings.recognition = find_machine(trained.get("recognition"), path)
