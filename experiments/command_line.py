@@ -98,17 +98,17 @@ def view_settings(arguments: Sequence[str]) -> ViewConfig:
         ValueError: for settings that cannot be.
     """
     from experiments.config import load_config
+    from experiments.search_path import split_arguments
     from experiments.settings import ConfigError
 
-    options = [argument for argument in arguments if argument.startswith("-")]
-    if options:
-        raise ConfigError(
-            f"{options[0]}: settings are written key=value, such as screenshot=picture.png time=2"
-        )
-    given = [
-        argument if "=" in argument else f"recording={_quote(argument)}" for argument in arguments
-    ]
-    settings = cast("ViewConfig", load_config("view", given))
+    options, rest = split_arguments(arguments)
+    for option in options:
+        if option.startswith("-"):
+            raise ConfigError(
+                f"{option}: settings are written key=value, such as screenshot=picture.png time=2"
+            )
+    given = [argument if "=" in argument else f"recording={_quote(argument)}" for argument in rest]
+    settings = cast("ViewConfig", load_config("view", [*options, *given]))
     source = settings.run or settings.checkpoint
     if source is not None:
         bring_task(settings, source, given)

@@ -19,6 +19,7 @@ from typing import Any
 
 from experiments.command_line import plain_errors, set_up_logging
 from experiments.run_folder import HeldError, RunFolder
+from experiments.search_path import FOLDER
 from experiments.settings import ConfigError
 from experiments.sweeps.ending import ending_runs
 from experiments.sweeps.runs import Run, read_run
@@ -248,11 +249,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Search for good settings with Optuna.")
     parser.add_argument("folder", type=Path, help="of the study; one that exists goes on")
     parser.add_argument("overrides", nargs="+", help="key=value, or key=interval(low,high), ...")
+    parser.add_argument(
+        *FOLDER, action="append", default=[], metavar="FOLDER", help="with tasks of one's own"
+    )
     parser.add_argument("--trials", type=int, default=20, help="of the whole study")
     parser.add_argument("--seeds", type=int, default=1, help="runs per trial")
     parser.add_argument("--metric", default="mean_return", help="entry of summary.json")
     parser.add_argument("--minimize", action="store_true", help="the smaller, the better")
-    arguments = parser.parse_args()
+    arguments = parser.parse_intermixed_args()
     set_up_logging()
     with plain_errors():
         try:
@@ -261,9 +265,10 @@ def main() -> None:
             raise ImportError(
                 "the search needs the package optuna: pip install -e '.[sweep]'"
             ) from error
+        folders = [f"--config-dir={folder}" for folder in arguments.config_dir]
         plan = Search(
             folder=arguments.folder,
-            overrides=tuple(arguments.overrides),
+            overrides=(*folders, *arguments.overrides),
             metric=arguments.metric,
             seeds=arguments.seeds,
             is_minimized=arguments.minimize,
