@@ -98,17 +98,17 @@ def view_settings(arguments: Sequence[str]) -> ViewConfig:
         ValueError: for settings that cannot be.
     """
     from experiments.config import load_config
+    from experiments.search_path import split_arguments
     from experiments.settings import ConfigError
 
-    options = [argument for argument in arguments if argument.startswith("-")]
-    if options:
-        raise ConfigError(
-            f"{options[0]}: settings are written key=value, such as screenshot=picture.png time=2"
-        )
-    given = [
-        argument if "=" in argument else f"recording={_quote(argument)}" for argument in arguments
-    ]
-    settings = cast("ViewConfig", load_config("view", given))
+    options, rest = split_arguments(arguments)
+    for option in options:
+        if option.startswith("-"):
+            raise ConfigError(
+                f"{option}: settings are written key=value, such as screenshot=picture.png time=2"
+            )
+    given = [argument if "=" in argument else f"recording={_quote(argument)}" for argument in rest]
+    settings = cast("ViewConfig", load_config("view", [*options, *given]))
     source = settings.run or settings.checkpoint
     if source is not None:
         bring_task(settings, source, given)
@@ -124,7 +124,7 @@ def _quote(path: str) -> str:
 def bring_task(
     settings: EvaluateConfig | ViewConfig, checkpoint: str, arguments: Sequence[str]
 ) -> None:
-    """Take task and recognition from a checkpoint, unless the command line names a task.
+    """Take task and recognition from a checkpoint, each unless the command line names one.
 
     Settings of the task (``task.time_limit=40``) go on top of it.
 
@@ -141,11 +141,11 @@ def bring_task(
     from experiments.recognition import find_machine
 
     given = [argument.lstrip("+") for argument in arguments]
-    if any(argument.startswith(("task=", "preset=")) for argument in given):
-        return
     path, metadata = read_metadata(checkpoint)
     trained = metadata["config"]
-    settings.task = change_task(trained["task"], arguments)
-    settings.preset = trained["preset"]
-    if settings.recognition is None:
+    if not any(argument.startswith(("task=", "preset=")) for argument in given):
+        settings.task = change_task(trained["task"], arguments)
+        settings.preset = trained["preset"]
+    is_given = any(argument.startswith("recognition=") for argument in given)
+    if settings.recognition is None and not is_given:
         settings.recognition = find_machine(trained.get("recognition"), path)

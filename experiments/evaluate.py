@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import os
 import sys
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -85,6 +87,43 @@ def evaluate(
     }
 
 
+def check_result(save: str) -> Path:
+    """Return the path of a file for the result, if it can be written.
+
+    Raises:
+        ValueError: if not.
+        FileNotFoundError: if there is no folder for it.
+    """
+    from fishrl.viewer import check_folder
+
+    path = check_folder(Path(save).expanduser())
+    if path.is_dir():
+        raise _unwritable(path, "it is a folder")
+    if not os.access(path.absolute().parent, os.W_OK | os.X_OK):
+        raise _unwritable(path, "no write permission")
+    return path
+
+
+def write_result(path: Path, values: Mapping[str, Any]) -> None:
+    """Write a result.
+
+    Raises:
+        ValueError: if it cannot be written.
+    """
+    from experiments.run_folder import write_json
+
+    try:
+        write_json(path, values)
+    except OSError as error:
+        raise _unwritable(path, error.strerror or str(error)) from error
+
+
+def _unwritable(path: Path, reason: str) -> ValueError:
+    return ValueError(
+        f"save={path}: cannot be written ({reason}); choose another file or change the permissions"
+    )
+
+
 def main() -> None:
     """Read the command line; show the bar before the slow imports."""
     with Progress() as progress:
@@ -92,7 +131,6 @@ def main() -> None:
 
         from experiments.command_line import evaluation_settings, plain_errors, set_up_logging
         from experiments.config import CONF, check_overrides, to_plain
-        from experiments.run_folder import write_json
 
         set_up_logging()
         with plain_errors():
@@ -102,13 +140,15 @@ def main() -> None:
         def run(config: DictConfig) -> None:
             with plain_errors():
                 settings = evaluation_settings(config)
+                path = None if settings.save is None else check_result(settings.save)
                 result = evaluate(settings, progress=progress)
-                if settings.save is not None:
-                    write_json(Path(settings.save), result | {"settings": to_plain(settings)})
             progress.close()
             for name, value in result.items():
                 shown = f"{value:.3f}" if isinstance(value, float) else value
                 print(f"{name:<24}{shown}")
+            if path is not None:
+                with plain_errors():
+                    write_result(path, result | {"settings": to_plain(settings)})
 
         run()
 

@@ -46,8 +46,8 @@ class Recognition:
             return
         if not isinstance(task, KarmanGait):
             raise ConfigError(
-                f"recognition={choice}: {type(task).__name__} has no flows to tell apart; leave it "
-                "away, or take task=karman_gait"
+                f"recognition={choice}: {type(task).__name__} has no flows to tell apart; "
+                "take recognition=null, or task=karman_gait"
             )
         self._num_flows = len(task.flow_labels)
         self.num_told = self._num_flows if task.observes_flow else 0

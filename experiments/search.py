@@ -11,6 +11,7 @@ import argparse
 import json
 import logging
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,9 +19,14 @@ from typing import Any
 
 from experiments.command_line import plain_errors, set_up_logging
 from experiments.run_folder import HeldError, RunFolder
+from experiments.search_path import FOLDER
 from experiments.settings import ConfigError
+from experiments.sweeps.ending import ending_runs
+from experiments.sweeps.runs import Run, read_run
 
 logger = logging.getLogger(__name__)
+
+_LOOK_SECONDS = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,13 +202,12 @@ def _run_seed(plan: Search, number: int, chosen: Sequence[str], seed: int) -> fl
     """Run one seed of a trial, or read its result; None if it failed."""
     from experiments.config import load_config
     from experiments.sweeps.jobs import find_or_begin, quote, run_alone
-    from experiments.sweeps.runs import read_run
 
     place = [f"seed={seed}", f"folder={quote(str(plan.folder))}"]
     name = f"trial_{number:04d}-seed_{seed}"
     try:
         config = load_config("train", [*plan.fixed(), *chosen, *place])
-        run = read_run(find_or_begin(config, name=name).path)
+        run = _wait_for_others(find_or_begin(config, name=name).path)
     except ValueError as error:
         logger.info("%s: failed: %s", name, error)
         return None
@@ -216,6 +221,17 @@ def _run_seed(plan: Search, number: int, chosen: Sequence[str], seed: int) -> fl
         raise ConfigError(f"metric = {plan.metric}: not in {run.path}; there is {numbers}")
     value = run.summary[plan.metric]
     return None if value is None else float(value)
+
+
+def _wait_for_others(path: Path) -> Run:
+    """Read a run once no other process writes it, such as one that outlived its search."""
+    run = read_run(path)
+    if run.status == "running":
+        logger.info("%s: another process writes it, which is waited for", path)
+    while run.status == "running":
+        time.sleep(_LOOK_SECONDS)
+        run = read_run(path)
+    return run
 
 
 def report(plan: Search, study: Any) -> None:
@@ -233,11 +249,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Search for good settings with Optuna.")
     parser.add_argument("folder", type=Path, help="of the study; one that exists goes on")
     parser.add_argument("overrides", nargs="+", help="key=value, or key=interval(low,high), ...")
+    parser.add_argument(
+        *FOLDER, action="append", default=[], metavar="FOLDER", help="with tasks of one's own"
+    )
     parser.add_argument("--trials", type=int, default=20, help="of the whole study")
     parser.add_argument("--seeds", type=int, default=1, help="runs per trial")
     parser.add_argument("--metric", default="mean_return", help="entry of summary.json")
     parser.add_argument("--minimize", action="store_true", help="the smaller, the better")
-    arguments = parser.parse_args()
+    arguments = parser.parse_intermixed_args()
     set_up_logging()
     with plain_errors():
         try:
@@ -246,15 +265,18 @@ def main() -> None:
             raise ImportError(
                 "the search needs the package optuna: pip install -e '.[sweep]'"
             ) from error
+        folders = [f"--config-dir={folder}" for folder in arguments.config_dir]
         plan = Search(
             folder=arguments.folder,
-            overrides=tuple(arguments.overrides),
+            overrides=(*folders, *arguments.overrides),
             metric=arguments.metric,
             seeds=arguments.seeds,
             is_minimized=arguments.minimize,
         )
         try:
-            report(plan, search(plan, trials=arguments.trials))
+            with ending_runs(plan.folder):
+                study = search(plan, trials=arguments.trials)
+            report(plan, study)
         except KeyboardInterrupt:
             sys.exit("interrupted; the same command goes on")
 

@@ -178,8 +178,8 @@ class EvaluateConfig(ViewerSettings):
         recognition: as for training; a checkpoint brings its own.
         episodes: fixed starts, one episode each.
         num_envs: flows that advance together.
-        seed: of the starts and of random actions; the same as the run's gives the starts of its
-            last evaluation.
+        seed: of the starts and of random actions; 0 gives those of every run's last evaluation, 1
+            those that chose its checkpoint.
         device: cpu or cuda.
         compile: compile the flow solver.
         save: file for the result and all these settings as JSON, or nothing.
@@ -223,7 +223,8 @@ class ViewConfig(ViewerSettings):
         recognition: as for training; a run brings its own.
         episodes: fixed starts, one flow each, of which ``flows`` are shown; all by default.
         periods: T after which episodes are left; nothing lets them end.
-        seed: of the starts; the same as a run's gives those of its last evaluation.
+        seed: of the starts; 0 gives those of every run's last evaluation, 1 those that chose its
+            checkpoint.
         device: cpu or cuda.
         compile: compile the flow solver.
         save: ``.rrd`` file to write; by default one in the temporary folder.

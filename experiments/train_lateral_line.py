@@ -1,7 +1,8 @@
 """Teach a lateral line to name its flow: ``python -m experiments.train_lateral_line seed=0``.
 
-Collects labelled signals of fish that act at random, fits a machine, and writes what it can tell:
-``lateral_line.md`` with figures, ``lateral_line.json``, and ``machine.pt``, which the task takes.
+Collects labelled signals of fish that hold stations and act at random, half of the decisions each,
+fits a machine, and writes what it can tell: ``lateral_line.md`` with figures,
+``lateral_line.json``, and ``machine.pt``, which the task takes.
 Collected data are kept: the same command goes on after an interruption, and other fits use them.
 """
 

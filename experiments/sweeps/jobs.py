@@ -16,12 +16,17 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from experiments.progress import Progress
 from experiments.settings import ConfigError
-from experiments.sweeps.runs import Run, advise, count_frames, read_run, read_runs
+from experiments.sweeps.ending import (
+    TOLD_CODES,
+    Terminated,
+    ending_runs,
+    leave_ending_to_sweep,
+)
+from experiments.sweeps.runs import Run, advise, count_frames, list_runs, read_run
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -36,13 +41,6 @@ LONGEST_NAME = 100
 #: Settings that say where a run lies, not what it does.
 PLACE = ("folder", "name", "resume")
 _LOOK_SECONDS = 0.5
-
-
-class _Terminated(KeyboardInterrupt):
-    """SIGTERM. Ctrl-C in a terminal is heard by the runs too, this may be told to the sweep alone.
-
-    A run that is told twice at once takes it as one, see ``Interruption``.
-    """
 
 
 def is_sweep(arguments: Sequence[str]) -> bool:
@@ -128,6 +126,7 @@ def run_job(config: DictConfig) -> None:
     from experiments.command_line import set_up_logging, training_settings
 
     set_up_logging()
+    leave_ending_to_sweep()
     hydra = HydraConfig.get()
     name = name_job(hydra.overrides.task, same=list(hydra.job.config.override_dirname.exclude_keys))
     try:
@@ -225,12 +224,13 @@ def run_alone(path: Path, *, total_frames: int, progress: Progress | None = None
                 time.sleep(_LOOK_SECONDS)
                 before, done = done, max(done, count_frames(path))
                 bar.advance(done - before)
-        except _Terminated:
-            child.terminate()  # it saves first, and is waited for
+        except Terminated as end:
+            if child.pid not in end.told:  # it has hardly begun; else it saves, and is waited for
+                child.send_signal(end.number)
             raise
         bar.advance(max(0, count_frames(path) - done))
     run = read_run(path)
-    if run.status == "stopped":
+    if run.status == "stopped" and child.returncode not in TOLD_CODES:
         (path / "failure.txt").write_text(f"{_say_end(child.returncode)}\n", encoding="utf-8")
         run = read_run(path)
     return run
@@ -246,23 +246,21 @@ def sweep(launch: Callable[[], Any]) -> None:
 
     with plain_errors():
         sys.argv[1:], folder = sweep_arguments(sys.argv[1:])
-    before = signal.signal(signal.SIGTERM, _stop)
+    folder = folder.expanduser()
+    runs: list[Run] = []
+    is_cut_off = False
     try:
-        launch()
+        with ending_runs(folder):
+            launch()
     except KeyboardInterrupt:
+        is_cut_off = True
         print("\ninterrupted; the same command with the same folder=... goes on", file=sys.stderr)
     finally:
-        signal.signal(signal.SIGTERM, before)
-        if folder.is_dir():
-            runs = read_runs(folder)
+        runs = [read_run(path) for path in list_runs(folder)]
+        if runs:
             print(f"\n{folder}: {advise(runs)}")
             print(f"table and curves: python -m experiments.summarize {folder}")
-    sys.exit(any(run.status != "finished" for run in runs))
-
-
-def _stop(number: int, frame: FrameType | None) -> None:
-    signal.signal(number, signal.SIG_IGN)  # it is on its way
-    raise _Terminated
+    sys.exit(is_cut_off or any(run.status != "finished" for run in runs))
 
 
 def _say_end(code: int) -> str:

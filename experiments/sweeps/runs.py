@@ -5,6 +5,9 @@ from __future__ import annotations
 import csv
 import fcntl
 import json
+import os
+import struct
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +16,9 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from experiments.run_folder import RunFolder
+
+#: Linux' ``struct flock``: type, whence, start, length, process.
+_FLOCK = "hhqqi"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,17 +55,22 @@ def read_runs(folder: Path) -> list[Run]:
     Raises:
         ValueError: if there is none.
     """
-    paths = sorted(folder.iterdir()) if folder.is_dir() else []
-    runs = [
-        read_run(path)
-        for path in paths
-        if RunFolder(path).config.is_file() or RunFolder(path).failure.is_file()
-    ]
+    runs = [read_run(path) for path in list_runs(folder)]
     if not runs:
         raise ValueError(
             f"{folder}: holds no runs; give the folder of a sweep, such as runs/sweep-<time>"
         )
     return runs
+
+
+def list_runs(folder: Path) -> list[Path]:
+    """Return the folders of the runs in a folder, begun or not; none if it is not there."""
+    paths = sorted(folder.iterdir()) if folder.is_dir() else []
+    return [
+        path
+        for path in paths
+        if RunFolder(path).config.is_file() or RunFolder(path).failure.is_file()
+    ]
 
 
 def read_run(path: Path) -> Run:
@@ -116,6 +127,27 @@ def is_held(path: Path) -> bool:
         except OSError:  # a file system without locks
             return False
     return False
+
+
+def find_writers(folder: Path) -> set[int]:
+    """Return the processes that write the runs in a folder: on this machine, and on Linux only."""
+    return {writer for path in list_runs(folder) if (writer := _find_writer(path)) is not None}
+
+
+def _find_writer(path: Path) -> int | None:
+    """Return who holds a run; unlike ``is_held``, take no lock in its way."""
+    lock = RunFolder(path).lock
+    if sys.platform != "linux" or not lock.is_file():
+        return None
+    wanted = struct.pack(_FLOCK, fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0)
+    with lock.open() as file:
+        try:
+            answer = fcntl.fcntl(file, fcntl.F_GETLK, wanted)
+        except OSError:  # a file system without locks
+            return None
+    kind, _, _, _, process = struct.unpack(_FLOCK, answer)
+    # not above 0 where it is on another machine, or hidden from this one
+    return int(process) if kind != fcntl.F_UNLCK and process > 0 else None
 
 
 def advise(runs: Iterable[Run]) -> str:

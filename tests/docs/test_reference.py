@@ -10,6 +10,7 @@ import pytest
 from docs.reference import describe, make_reference
 from experiments.config import SCHEMAS
 from experiments.search_path import list_groups
+from experiments.training import FINAL_SEED, SELECTION_SEED
 from fishrl import physics
 from fishrl.envs import KarmanGait, Predation
 from tests.docs.pages import DOCS
@@ -33,6 +34,13 @@ def test_types_defaults_and_inherited_words_are_shown() -> None:
     assert "| `domain_bl` | `tuple[float, float]` | `[10.0, 5.0]` |" in table
     assert "| `stream` | `Stream` | `Stream(…)` |" in describe(KarmanGait)
     assert "| `name` | `str \\| None` | `none` |" in describe(SCHEMAS["train"])
+
+
+def test_seeds_of_looking_again_are_those_of_the_training() -> None:
+    said = f"{FINAL_SEED} gives those of every run's last evaluation, "
+    said += f"{SELECTION_SEED} those that chose its checkpoint."
+    for program in ("evaluate", "view"):
+        assert said in describe(SCHEMAS[program])
 
 
 def test_every_choice_is_listed_and_the_page_is_not_kept_in_the_repository() -> None:

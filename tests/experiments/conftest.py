@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -46,3 +48,19 @@ def real_wake(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wakes")
     develop(folder)
     return folder
+
+
+@pytest.fixture
+def read_only_folder() -> Iterator[Path]:
+    """A folder that its user may not write; root, who may write anywhere, becomes nobody."""
+    folder = Path(tempfile.mkdtemp())
+    is_root, nobody = os.geteuid() == 0, 65534
+    if is_root:
+        os.chown(folder, nobody, nobody)
+    folder.chmod(0o500)
+    if is_root:
+        os.seteuid(nobody)
+    yield folder
+    if is_root:
+        os.seteuid(0)
+    folder.rmdir()

@@ -33,6 +33,20 @@ class Ending(CsvLogger):
             time.sleep(3.0)
 
 
+class Lingering(CsvLogger):
+    """At frame 8 there is time to end the sweep, and little of it is over at once."""
+
+    def open(self, folder: Path, **arguments: Any) -> None:
+        super().open(folder, **arguments)
+        self.mark = folder / "lingers"
+
+    def log(self, metrics: Mapping[str, float]) -> None:
+        super().log(metrics)
+        if metrics["frames"] == 8:
+            self.mark.touch()
+            time.sleep(4.0)
+
+
 class Killed(CsvLogger):
     """The end that no program can see coming, at frame 8; but not when the run goes on."""
 

@@ -93,6 +93,22 @@ def test_a_task_that_is_chosen_by_name_is_not_that_of_the_run(
         check_overrides("evaluate", [arguments[0], "task=predation", arguments[2]])
 
 
+@pytest.mark.parametrize("chosen", [["preset=gait_small"], ["task=karman_gait"]])
+def test_in_a_task_that_is_chosen_by_name_a_fish_is_told_its_flow_as_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chosen: list[str]
+) -> None:
+    checkpoint = store(tmp_path, recognition="machine.pt")
+    (tmp_path / "machine.pt").touch()
+    for given, wanted in (
+        ([], str(tmp_path / "machine.pt")),
+        (["recognition=oracle"], "oracle"),
+        (["recognition=null"], None),
+    ):
+        arguments = [checkpoint, *chosen, *given]
+        assert evaluated(monkeypatch, *arguments).recognition == wanted
+        assert view_settings(arguments).recognition == wanted
+
+
 @pytest.mark.parametrize(
     ("argument", "said"),
     [

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
 
-from experiments.sweeps.runs import read_runs
-from tests.experiments.test_sweep_jobs import HERE, SETTINGS, run_program
+from experiments.checkpointing import read_metadata
+from experiments.sweeps.runs import read_run, read_runs
+from tests.experiments.test_sweep_jobs import HERE, ROOT, SETTINGS, run_program
 
 pytestmark = pytest.mark.sweep
 
@@ -34,3 +40,39 @@ def test_a_launcher_runs_the_jobs_of_a_sweep(
     if launcher == "submitit":  # one process for each job
         logs = [log for log in (tmp_path / ".submitit").glob("*/*.out") if log.stat().st_size > 0]
         assert len({log.parent for log in logs}) == 2
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_runs_of_joblib_save_before_it_kills_them(tmp_path: Path, number: signal.Signals) -> None:
+    command = ["-m", "experiments.train", "--multirun", "hydra/launcher=joblib", *SETTINGS]
+    command += ["hydra.launcher.n_jobs=2", f"folder={tmp_path}", "seed=0,1"]
+    command.append(f"logger._target_={HERE}.Lingering")
+    sweep = subprocess.Popen(
+        [sys.executable, *command],
+        cwd=ROOT,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    marks = [tmp_path / f"seed_{seed}" / "lingers" for seed in (0, 1)]
+    try:
+        while sweep.poll() is None and not all(mark.exists() for mark in marks):
+            time.sleep(0.1)
+        if number == signal.SIGINT:  # as Ctrl-C in a terminal, which every process hears
+            os.killpg(sweep.pid, number)
+        else:
+            sweep.send_signal(number)
+        out, error = sweep.communicate(timeout=60.0)
+    finally:
+        sweep.kill()
+    assert sweep.returncode == 1, error
+    assert "Traceback" not in error
+    assert "interrupted; the same command with the same folder=... goes on" in error
+    assert "0 of 2 runs finished" in out
+    for mark in marks:
+        assert (read_run(mark.parent).status, read_run(mark.parent).frames) == ("stopped", 8)
+        assert read_metadata(mark.parent, which="last")[1]["frames"] == 8
+        said = (mark.parent / "output.log").read_text(encoding="utf-8")
+        assert f"{number.name}: saved at frame 8" in said

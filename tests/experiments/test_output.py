@@ -7,9 +7,8 @@ import io
 import math
 import os
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -49,22 +48,6 @@ def test_a_folder_without_write_permission_is_an_error(
         RunFolder.create(parent=str(tmp_path), name="run")
     with pytest.raises(ValueError, match="no write permission"):
         RunFolder.of_existing(str(tmp_path))
-
-
-@pytest.fixture
-def read_only_folder() -> Iterator[Path]:
-    """A folder that its user may not write; root, who may write anywhere, becomes nobody."""
-    folder = Path(tempfile.mkdtemp())
-    is_root, nobody = os.geteuid() == 0, 65534
-    if is_root:
-        os.chown(folder, nobody, nobody)
-    folder.chmod(0o500)
-    if is_root:
-        os.seteuid(nobody)
-    yield folder
-    if is_root:
-        os.seteuid(0)
-    folder.rmdir()
 
 
 def test_a_read_only_parent_is_an_error(read_only_folder: Path) -> None:

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from experiments import search
+from experiments.checkpointing import read_metadata
+from experiments.config import load_config
 from experiments.search import Search
 from experiments.settings import ConfigError
-from experiments.sweeps.runs import read_runs
-from tests.experiments.test_sweep_jobs import HERE, SETTINGS
+from experiments.sweeps import jobs
+from experiments.sweeps.runs import is_held, read_run, read_runs
+from tests.experiments.test_sweep_jobs import HERE, ROOT, SETTINGS
 
 optuna = pytest.importorskip("optuna", reason="pip install -e '.[sweep]'")
 pytestmark = pytest.mark.sweep
@@ -83,6 +87,45 @@ def test_a_trial_that_was_cut_off_is_finished_before_new_ones(tmp_path: Path) ->
         search._run_seed(plan_of(tmp_path, *line, metric="mean_retrun"), 0, [gamma], 0)
 
 
+def test_a_search_that_is_told_to_end_has_its_trial_saved_and_leaves_it_unfinished(
+    tmp_path: Path,
+) -> None:
+    line = [*SETTINGS, f"logger._target_={HERE}.Lingering", "gamma=interval(0.9,1)"]
+    command = [sys.executable, "-m", "experiments.search", str(tmp_path), *line]
+    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as started:
+        run = tmp_path / "trial_0000-seed_0"
+        while started.poll() is None and not (run / "lingers").exists():
+            time.sleep(0.1)
+        started.terminate()
+        _, said = started.communicate(timeout=60.0)
+    assert started.returncode == 1
+    assert "interrupted; the same command goes on" in said
+    assert "Traceback" not in said
+    assert not is_held(run)  # nothing is left behind
+    assert (read_run(run).status, read_metadata(run, which="last")[1]["frames"]) == ("stopped", 8)
+    study = optuna.load_study(study_name="search", storage=f"sqlite:///{tmp_path / 'study.db'}")
+    (trial,) = study.trials
+    assert trial.state.name == "RUNNING"  # which the same command takes up
+
+
+def test_a_run_that_outlived_its_search_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(jobs, "run_alone", lambda *_, **__: pytest.fail("run again"))
+    plan = plan_of(tmp_path, "gamma=interval(0.9,1)")
+    settings = ["gamma=0.95", "seed=0", f"folder={tmp_path}"]
+    place = jobs.find_or_begin(load_config("train", settings), name="trial_0000-seed_0")
+    code = "import sys, time; from pathlib import Path; "
+    code += "from experiments.run_folder import RunFolder, write_json; "
+    code += "place = RunFolder(Path(sys.argv[1])); held = place.hold(); print('held', flush=True); "
+    code += "time.sleep(1.0); write_json(place.summary, {'mean_return': 2.5})"
+    command = [sys.executable, "-c", code, str(place.path)]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"held\n"
+        assert search._run_seed(plan, 0, ["gamma=0.95"], 0) == 2.5
+
+
 def test_failed_trials_are_told_and_others_follow(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -104,9 +147,8 @@ def test_two_searches_share_a_study(tmp_path: Path) -> None:
     code = "import sys; from pathlib import Path; from experiments.run_folder import RunFolder; "
     code += f"held = RunFolder(Path({str(place.path)!r})).hold(); print('held', flush=True); "
     code += "sys.stdin.read()"
-    root = Path(__file__).parents[2]
     with subprocess.Popen(
-        [sys.executable, "-c", code], cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        [sys.executable, "-c", code], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as other:
         assert other.stdout is not None
         assert other.stdout.readline() == b"held\n"

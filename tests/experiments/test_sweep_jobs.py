@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -17,8 +18,8 @@ from experiments.checkpointing import read_metadata
 from experiments.config import check_overrides, load_config
 from experiments.run_folder import RunFolder
 from experiments.settings import ConfigError, TrainConfig
-from experiments.sweeps import jobs
-from experiments.sweeps.runs import read_run, read_runs
+from experiments.sweeps import ending, jobs
+from experiments.sweeps.runs import find_writers, read_run, read_runs
 from experiments.train import begin_run, finish, set_up
 from tests.experiments.toy_fish import make_toy_env
 
@@ -210,6 +211,65 @@ def test_a_sweep_that_is_told_to_end_saves_what_runs(tmp_path: Path) -> None:
     said = (run.path / "output.log").read_text(encoding="utf-8")
     assert "SIGTERM: saved at frame 8; go on with: python -m experiments.train resume=" in said
     assert f"rerun: {run.command}" in done.stdout
+
+
+@pytest.mark.parametrize("is_made", [False, True])
+def test_a_sweep_that_is_told_to_end_before_its_first_run_says_just_that(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    is_made: bool,
+) -> None:
+    folder = tmp_path / "sweep"
+    monkeypatch.setattr(sys, "argv", ["train", "--multirun", f"folder={folder}", "seed=0,1"])
+
+    def launch() -> None:
+        if is_made:
+            folder.mkdir()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    with pytest.raises(SystemExit) as end:
+        jobs.sweep(launch)
+    assert end.value.code == 1
+    said = capsys.readouterr()
+    assert (said.out, "interrupted; the same command" in said.err) == ("", True)
+
+
+def test_a_run_that_was_told_to_end_has_not_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = jobs.find_or_begin(settings_in(tmp_path), name="run")
+    for code, status in ((128 + signal.SIGTERM, "stopped"), (3, "failed")):
+        training = folder.path / "training"
+        training.write_text(f"#!/bin/sh\nexit {code}\n")
+        training.chmod(0o700)
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "executable", str(training))
+            assert jobs.run_alone(folder.path, total_frames=8).status == status
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux says who writes a run")
+def test_runs_below_a_process_are_told_to_end_before_it(tmp_path: Path) -> None:
+    folder = jobs.find_or_begin(settings_in(tmp_path), name="run")
+    assert find_writers(tmp_path) == set()
+    code = "import sys; from pathlib import Path; from experiments.run_folder import RunFolder; "
+    code += "held = RunFolder(Path(sys.argv[1])).hold(); print('held', flush=True); "
+    code += "sys.stdin.read()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(folder.path)],
+        cwd=ROOT,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as run:
+        assert run.stdout is not None
+        assert run.stdout.readline() == b"held\n"
+        assert find_writers(tmp_path) == {run.pid}
+        with pytest.raises(ending.Terminated) as end, ending.ending_runs(tmp_path):
+            os.kill(os.getpid(), signal.SIGTERM)
+        assert (end.value.number, end.value.told) == (signal.SIGTERM, {run.pid})
+        assert run.wait() == -signal.SIGTERM
+    assert find_writers(tmp_path) == set()
+    assert not ending._descends(os.getppid(), os.getpid())  # whatever writes a run elsewhere
 
 
 def test_jobs_that_cannot_be_set_up_are_all_named(

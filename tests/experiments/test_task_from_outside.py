@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from experiments import search
+from experiments.command_line import view_settings
 from experiments.config import build, check_overrides, load_config
 from experiments.evaluate import main as evaluate_main
 from experiments.policies import make_policy
@@ -89,6 +91,24 @@ def test_a_folder_of_configuration_may_be_named_in_any_of_hydras_ways(
     )
     assert build(config.task).body_length == 50  # of the default preset
     assert check_overrides("train", [*folder, "seed=1"])[-1] == "seed=1"
+
+
+@pytest.mark.parametrize("words", [["--config-dir", "{}"], ["--config-dir={}"], ["-cd", "{}"]])
+def test_viewer_and_search_take_a_folder_of_configuration_too(
+    outside: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    folder = [word.format(outside / "conf") for word in words]
+    settings = view_settings([*folder, "task=hold_station", "policy=random"])
+    assert settings.task["_target_"] == "hold_station.HoldStation"
+    assert view_settings([*folder, "a recording.rrd"]).recording == "a recording.rrd"
+    plans: list[search.Search] = []
+    monkeypatch.setattr(search, "search", lambda plan, **_: plans.append(plan))
+    monkeypatch.setattr(search, "report", lambda *_: None)
+    line = [str(tmp_path), *folder, "task=hold_station", "--trials", "1", "gamma=interval(0,1)"]
+    monkeypatch.setattr(sys, "argv", ["search", *line])
+    search.main()
+    assert list(plans[0].space()) == ["gamma"]
+    assert load_config("train", plans[0].fixed()).task["_target_"] == "hold_station.HoldStation"
 
 
 def test_a_preset_from_outside_is_found_too(outside: Path) -> None:

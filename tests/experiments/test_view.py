@@ -87,6 +87,18 @@ def test_a_path_alone_opens_the_recording_there(
     assert opened == [Path("it's one.rrd")]
 
 
+def test_help_lists_what_there_is_to_set(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["view", "--help"])
+    with pytest.raises(SystemExit) as end:
+        view.main()
+    assert end.value.code == 0
+    said = capsys.readouterr().out
+    assert "preset: gait_half, gait_paper, gait_small" in said
+    assert "screenshot: null" in said
+
+
 def test_a_live_view_streams_and_stays_until_nobody_looks(tmp_path: Path) -> None:
     config = view_settings([*GAIT, "policy=pid", "live=true", "periods=1", "port=29600"])
     waited: list[bool] = []
