@@ -84,7 +84,7 @@ def record_histories(
     kept: dict[str, list[Tensor]] = {}
     frames = _FrameRecorder(base, kept)
     before = base.starts, base.on_frame
-    base.starts, base._next_start, base.on_frame = starts, 0, frames
+    base.starts, base._next_start, base.on_frame = starts.to(base.device), 0, frames
     ages, terminated, diverged = (torch.zeros(num, device=base.device) for _ in range(3))
     try:
         kind = ExplorationType.RANDOM if samples_actions else ExplorationType.DETERMINISTIC

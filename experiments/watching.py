@@ -175,7 +175,7 @@ def run_episodes(
         )
     base.task.check_starts(starts)
     before = base.starts, base.on_frame
-    base.starts, age_T = starts, 0.0
+    base.starts, age_T = starts.to(base.device), 0.0
     try:
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             state = env.reset()

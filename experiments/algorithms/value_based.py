@@ -108,8 +108,9 @@ class DRQN(DQN):
     """DQN that sees the newest observation alone and remembers the others in an LSTM.
 
     Hausknecht & Stone 2015, fed with stretches of episodes that begin with the state the LSTM was
-    in when they were collected, as in Kapturowski et al. 2019 (R2D2). A gradient step reads as
-    many transitions as that of the other algorithms: ``batch_size / sequence_length`` stretches.
+    in when they were collected, as in Kapturowski et al. 2019 (R2D2). A gradient step reads
+    ``batch_size / sequence_length`` stretches: as many transitions as that of the other algorithms,
+    or fewer where stretches are short.
 
     Args:
         sequence_length: decisions in a stretch; what is left of a shorter episode is one, too.

@@ -1,7 +1,6 @@
 """A batch of flows in memory: what environments hold, reset, command, advance and read."""
 
 import logging
-import os
 import time
 from collections.abc import Collection, Sequence
 from typing import Any
@@ -18,7 +17,7 @@ from fishrl.physics.probes import sample_flow
 from fishrl.physics.rigid_motion import locate_markers
 from fishrl.physics.state import FlowConfig, list_configs, make_params
 from fishrl.physics.stepper import FlowData, FlowGroup, Stepper
-from fishrl.physics.workers import SharedMemory, Workers, map_shared
+from fishrl.physics.workers import SharedMemory, Workers, count_cores, map_shared
 
 logger = logging.getLogger(__name__)
 
@@ -58,7 +57,7 @@ class InPlaceSolver:
         torch.set_flush_denormal(True)  # still water decays into denormals, which are slow
         if num_workers is None:
             can_share = is_cpu and compile and not find_compiler_problem("cpu")
-            num_workers = min(os.cpu_count() or 1, num_envs) if can_share else 0
+            num_workers = min(count_cores(), num_envs) if can_share else 0
         if num_workers < 0 or (num_workers and not is_cpu):
             raise ValueError(
                 f"num_workers = {num_workers} on {device}: allowed is 0 on a GPU, 0 or more "

@@ -52,6 +52,12 @@ def map_shared(path: str, num_bytes: int) -> Tensor:
     return torch.from_file(path, shared=True, size=num_bytes, dtype=torch.uint8)
 
 
+def count_cores() -> int:
+    """Return how many cores this process may use, as ``taskset`` or a cluster gave them."""
+    given = getattr(os, "sched_getaffinity", None)  # Linux
+    return len(given(0)) if given else os.cpu_count() or 1
+
+
 class Workers:
     """Subprocesses that advance their share of the flows.
 

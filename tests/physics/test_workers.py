@@ -1,12 +1,13 @@
 """Flows in processes of their own: what happens when one fails, and what is left behind."""
 
 import gc
+import os
 
 import pytest
 import torch
 
 from fishrl.physics import FlowConfig, InPlaceSolver
-from fishrl.physics.workers import SharedMemory, map_shared
+from fishrl.physics.workers import SharedMemory, count_cores, map_shared
 
 CONFIG = FlowConfig(width=32, height=24, tau=0.6)
 
@@ -65,3 +66,14 @@ def test_shared_memory_is_seen_by_all_who_map_it() -> None:
     memory.unlink()
     memory.tensor[3] = 7
     assert int(other[3]) == 7
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="Linux alone tells")
+def test_flows_use_the_cores_that_the_process_was_given() -> None:
+    given = os.sched_getaffinity(0)
+    try:
+        os.sched_setaffinity(0, {min(given)})
+        assert count_cores() == 1
+    finally:
+        os.sched_setaffinity(0, given)
+    assert count_cores() == len(given)
