@@ -20,11 +20,21 @@ FIGURES = ("survival", "paths", "places", "decisions", "lean", "work")
 
 
 def write_transfer(
-    page: Path, figures: Path, folder: Path, runs: Sequence[Path]
+    page: Path, figures: Path, folder: Path, runs: Sequence[Path], beside: Path | None = None
 ) -> Mapping[str, Any]:
-    """Put tables and figures of a transfer test and of its trainings into the page."""
+    """Put tables and figures of a transfer test and of its trainings into the page.
+
+    Args:
+        page: that takes the tables.
+        figures: folder that takes the figures.
+        folder: of the transfer test.
+        runs: folders of its fish.
+        beside: folder of another test, whose fish stand below in the tables.
+    """
     results: dict[str, Any] = json.loads((folder / "transfer.json").read_text(encoding="utf-8"))
-    speeds, arms = results["speeds_bl"], results["arms"]
+    speeds, arms = results["speeds_bl"], dict(results["arms"])
+    if beside is not None:
+        arms |= json.loads((beside / "transfer.json").read_text(encoding="utf-8"))["arms"]
     fill(
         page, "transfer", tables.write_table(arms, speeds) + "\n" + tables.write_ends(arms, speeds)
     )
@@ -138,6 +148,7 @@ def main() -> None:
     parser.add_argument("--line", type=Path, help="run folder of experiments.train_lateral_line")
     parser.add_argument("--transfer", type=Path, help="folder of experiments.transfer")
     parser.add_argument("--runs", type=Path, nargs="*", default=[], help="its run folders")
+    parser.add_argument("--beside", type=Path, help="folder of another transfer test, with pid")
     parser.add_argument("--free-stream", type=Path, help="folder of experiments.free_stream")
     parser.add_argument("--arm", default="both modules", help="whose work is compared")
     arguments = parser.parse_args()
@@ -156,7 +167,9 @@ def main() -> None:
         if arguments.transfer is not None:
             if not arguments.runs:
                 raise ValueError("--transfer: give the run folders of its fish too, with --runs")
-            results = write_transfer(page, figures, arguments.transfer, arguments.runs)
+            results = write_transfer(
+                page, figures, arguments.transfer, arguments.runs, arguments.beside
+            )
             if arguments.free_stream is not None:
                 write_free_stream(page, figures, arguments.free_stream, results, arguments.arm)
     print(f"written: {page}, {figures}")

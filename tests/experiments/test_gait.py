@@ -294,6 +294,27 @@ def test_drift_is_swept_over_frequencies_in_every_stream(
     assert (facts["episodes"], facts["diverged"]) == (12, 0)
 
 
+def test_fish_of_another_test_stand_below_in_the_tables(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = make_task()
+    for name in ("pid", "fixed-0.6"):
+        trial = hand_written(name, task, periods=BRIEF)
+        transfer.transfer([trial], episodes=2, folder=tmp_path / name)
+    monkeypatch.setattr(gait_page, "load_trial", lambda run: hand_written("pid", task))
+    for name in ("write_period", "list_shedding"):
+        monkeypatch.setattr(gait_page, name, lambda *_, **__: [0.5])
+    monkeypatch.setattr(gait_page.pictures, "write_training", lambda *_: None)
+    page = tmp_path / "page.md"
+    page.write_text("<!-- transfer: begin -->\n<!-- transfer: end -->\n")
+    gait_page.write_transfer(
+        page, tmp_path, tmp_path / "pid", [tmp_path], beside=tmp_path / "fixed-0.6"
+    )
+    rows = [line.split(" | ")[0] for line in page.read_text().splitlines()]
+    assert [rows.count(f"| {name}") for name in ("pid", "fixed-0.6")] == [6, 6]
+    assert rows.index("| pid") < rows.index("| fixed-0.6")
+
+
 def test_a_fish_that_caught_food_becomes_a_helmsman(tmp_path: Path) -> None:
     config = load_config("train", ["preset=small", f"folder={tmp_path}", "name=run"])
     config.task |= SMALL
