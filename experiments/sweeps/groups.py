@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from experiments.gait.diagnostics import half_width
+from experiments.run_folder import RunFolder
 from experiments.sweeps.runs import Run
 
 #: Settings that make no other experiment.
@@ -95,7 +97,7 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
         runs: of a sweep; those that never began have no settings and are left out.
     """
     begun = [run for run in runs if run.config]
-    flat = [_flatten(run.config) for run in begun]
+    flat = [_settings_of(run) for run in begun]
     keys = _telling_keys(flat)
     groups: dict[tuple[str, ...], Group] = {}
     for run, settings in zip(begun, flat, strict=True):
@@ -130,6 +132,14 @@ def _telling_keys(flat: Sequence[Mapping[str, str]]) -> list[str]:
 
 def _count_parts(flat: Sequence[Mapping[str, str]], keys: Sequence[str]) -> int:
     return len({tuple(settings.get(key, "–") for key in keys) for settings in flat})
+
+
+def _settings_of(run: Run) -> dict[str, str]:
+    """Return the settings of a run, its machine by content, as every run calls its own the same."""
+    flat, machine = _flatten(run.config), RunFolder(run.path).machine
+    if flat.get("recognition") == machine.name and machine.is_file():
+        flat["recognition"] = f"machine {hashlib.sha256(machine.read_bytes()).hexdigest()[:8]}"
+    return flat
 
 
 def _flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
