@@ -309,5 +309,6 @@ def test_a_run_of_a_wandb_agent_goes_by_the_name_the_agent_gave_it(tmp_path: Pat
     assert done.returncode == 0, done.stderr
     (recorded,) = (tmp_path / "run").glob("wandb/offline-run-*")
     assert recorded.name.endswith("-agentsid")
+    assert (tmp_path / "run" / "wandb_id").read_text() == "agentsid"  # for a resume
     run = read_run(tmp_path / "run")
     assert (run.status, run.config["gamma"], run.config["seed"]) == ("finished", 0.95, 1)
