@@ -12,10 +12,10 @@ import numpy as np
 
 from experiments.gait.diagnostics import half_width
 from experiments.run_folder import RunFolder
-from experiments.sweeps.runs import Run
+from experiments.sweeps.runs import HARMLESS, Run
 
 #: Settings that make no other experiment.
-_APART = ("seed", "name", "folder", "resume")
+_APART = ("seed", *HARMLESS)
 #: Settings that name several others at once, and so tell runs apart first.
 _FIRST = ("preset", "task._target_")
 
@@ -88,7 +88,7 @@ def interquartile_mean(values: Sequence[float]) -> float:
 
 
 def group_runs(runs: Sequence[Run]) -> list[Group]:
-    """Put runs that differ only in their seed together, in the order in which they come.
+    """Put runs together that differ only in seed and harmless settings, in the order they come in.
 
     Of the settings that differ, each group is told by the fewest that tell all groups apart: those
     that follow from others, such as what a preset sets, are left out.
