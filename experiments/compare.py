@@ -31,7 +31,7 @@ from experiments.interruption import Interrupted
 from experiments.progress import Progress
 from experiments.run_folder import RunFolder, write_json, write_whole
 from experiments.settings import ConfigError, TrainConfig
-from experiments.sweeps.jobs import PLACE, find_difference
+from experiments.sweeps.jobs import find_difference
 from experiments.train import begin_run, finish, set_up
 
 logger = logging.getLogger(__name__)
@@ -39,8 +39,6 @@ logger = logging.getLogger(__name__)
 ALGORITHMS = ("discrete_sac", "dqn", "double_dqn", "drqn")
 #: What a learning curve shows: column of metrics.csv, and its title.
 CURVES = {"eval/success_rate": "rate of success", "eval/mean_return": "return per episode"}
-#: Settings of a run that say nothing about what it learns.
-_IGNORED = (*PLACE, "baselines", "picture_episodes", "keep_checkpoints")
 
 Results = dict[str, list[dict[str, Any]]]
 
@@ -116,7 +114,7 @@ def _train(
 
 
 def _check_settings(run: Path, config: TrainConfig) -> None:
-    difference = find_difference(config, run, ignored=_IGNORED)
+    difference = find_difference(config, run)
     if difference is not None:
         name, known, wanted = difference
         raise ValueError(

@@ -33,7 +33,7 @@ from experiments.sweeps.jobs import is_sweep
 #: Settings that the saved state of a run depends on, or that it brings with it.
 FIXED_BY_RUN = (
     *("task", "preset", "seed", "num_envs", "hidden", "buffer_size", "logger", "recognition"),
-    *("algorithm", "ray_collectors", "learning_rate", "gamma", "batch_size"),
+    *("algorithm", "ray_collectors", "learning_rate", "gamma", "tau", "batch_size"),
     *("warmup_frames", "updates_per_frame"),
 )
 #: Packages of the launchers beside hydra's own.

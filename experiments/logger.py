@@ -131,6 +131,7 @@ class WandbLogger(CsvLogger):
             resume="allow",
             settings=self._wandb.Settings(console="off"),  # or it would log the bar's every move
         )
+        write_whole(folder / "wandb_id", self._run.id)  # an agent has its own
 
     def log(self, metrics: Mapping[str, float]) -> None:
         """Add a row here and there."""

@@ -56,6 +56,11 @@ class RunFolder:
         return self.path / "checkpoints" / "best"
 
     @property
+    def machine(self) -> Path:
+        """The lateral-line machine that tells its fish the flow, if one does."""
+        return self.path / "machine.pt"
+
+    @property
     def failure(self) -> Path:
         """Why the run failed; its last line says it in short."""
         return self.path / "failure.txt"

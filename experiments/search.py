@@ -150,14 +150,18 @@ def search(plan: Search, *, trials: int) -> Any:
         )
     study.set_user_attr("identity", plan.identity())
     for trial in study.get_trials(states=[optuna.trial.TrialState.RUNNING]):
-        _run_trial(plan, study, trial.number, trial.params)
+        _run_trial(plan, study, trial.number)
     while len(study.trials) < trials:
         new = study.ask()
         # Its own seed: a search that goes on, or has several processes, draws nothing twice.
         study.sampler = optuna.samplers.TPESampler(seed=new.number)
-        for name, distribution in plan.space().items():
-            _suggest(new, name, distribution)
-        _run_trial(plan, study, new.number, new.params)
+        try:
+            for name, distribution in plan.space().items():
+                _suggest(new, name, distribution)
+        except optuna.exceptions.UpdateFinishedTrialError:
+            logger.info("trial %d: another search began meanwhile and gave it up", new.number)
+            continue
+        _run_trial(plan, study, new.number)
     return study
 
 
@@ -172,8 +176,8 @@ def _suggest(trial: Any, name: str, distribution: Any) -> None:
     suggest(name, distribution.low, distribution.high, log=distribution.log)
 
 
-def _run_trial(plan: Search, study: Any, number: int, params: dict[str, Any]) -> None:
-    """Train with some parameters and tell the study, unless another process is at it."""
+def _run_trial(plan: Search, study: Any, number: int) -> None:
+    """Train as a trial says and tell the study, unless another process is at it or has done it."""
     from optuna.trial import TrialState
 
     place = RunFolder(plan.folder / ".trials" / f"{number:04d}")
@@ -183,10 +187,13 @@ def _run_trial(plan: Search, study: Any, number: int, params: dict[str, Any]) ->
     except HeldError:
         return
     with lock:
-        if set(params) != set(plan.space()):  # killed before it was begun
+        trial = study.trials[number]  # read anew: another process may just have finished it
+        if trial.state != TrialState.RUNNING:
+            return
+        if set(trial.params) != set(plan.space()):  # killed before it was begun
             study.tell(number, state=TrialState.FAIL)
             return
-        chosen = [f"{key}={value}" for key, value in params.items()]
+        chosen = [f"{key}={value}" for key, value in trial.params.items()]
         logger.info("trial %d: %s", number, " ".join(chosen))
         values = [_run_seed(plan, number, chosen, seed) for seed in range(plan.seeds)]
         known = [value for value in values if value is not None]

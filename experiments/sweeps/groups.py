@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from experiments.gait.diagnostics import half_width
-from experiments.sweeps.runs import Run
+from experiments.run_folder import RunFolder
+from experiments.sweeps.runs import HARMLESS, Run
 
 #: Settings that make no other experiment.
-_APART = ("seed", "name", "folder", "resume")
+_APART = ("seed", *HARMLESS)
 #: Settings that name several others at once, and so tell runs apart first.
 _FIRST = ("preset", "task._target_")
 
@@ -86,7 +88,7 @@ def interquartile_mean(values: Sequence[float]) -> float:
 
 
 def group_runs(runs: Sequence[Run]) -> list[Group]:
-    """Put runs that differ only in their seed together, in the order in which they come.
+    """Put runs together that differ only in seed and harmless settings, in the order they come in.
 
     Of the settings that differ, each group is told by the fewest that tell all groups apart: those
     that follow from others, such as what a preset sets, are left out.
@@ -95,7 +97,7 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
         runs: of a sweep; those that never began have no settings and are left out.
     """
     begun = [run for run in runs if run.config]
-    flat = [_flatten(run.config) for run in begun]
+    flat = [_settings_of(run) for run in begun]
     keys = _telling_keys(flat)
     groups: dict[tuple[str, ...], Group] = {}
     for run, settings in zip(begun, flat, strict=True):
@@ -130,6 +132,14 @@ def _telling_keys(flat: Sequence[Mapping[str, str]]) -> list[str]:
 
 def _count_parts(flat: Sequence[Mapping[str, str]], keys: Sequence[str]) -> int:
     return len({tuple(settings.get(key, "–") for key in keys) for settings in flat})
+
+
+def _settings_of(run: Run) -> dict[str, str]:
+    """Return the settings of a run, its machine by content, as every run calls its own the same."""
+    flat, machine = _flatten(run.config), RunFolder(run.path).machine
+    if flat.get("recognition") == machine.name and machine.is_file():
+        flat["recognition"] = f"machine {hashlib.sha256(machine.read_bytes()).hexdigest()[:8]}"
+    return flat
 
 
 def _flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, str]:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from experiments.progress import Progress
+from experiments.run_folder import RunFolder
 from experiments.settings import ConfigError
 from experiments.sweeps.ending import (
     TOLD_CODES,
@@ -26,20 +27,17 @@ from experiments.sweeps.ending import (
     ending_runs,
     leave_ending_to_sweep,
 )
-from experiments.sweeps.runs import Run, advise, count_frames, list_runs, read_run
+from experiments.sweeps.runs import HARMLESS, Run, advise, count_frames, list_runs, read_run
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from experiments.run_folder import RunFolder
     from experiments.settings import TrainConfig
 
 logger = logging.getLogger(__name__)
 
 #: Longest name of a run folder before a number stands in for the rest.
 LONGEST_NAME = 100
-#: Settings that say where a run lies, not what it does.
-PLACE = ("folder", "name", "resume")
 _LOOK_SECONDS = 0.5
 
 
@@ -154,7 +152,6 @@ def find_or_begin(config: TrainConfig, *, name: str) -> RunFolder:
     Raises:
         ValueError: if it cannot be written.
     """
-    from experiments.run_folder import RunFolder
     from experiments.train import begin_run
 
     config.name = name
@@ -172,18 +169,16 @@ def find_or_begin(config: TrainConfig, *, name: str) -> RunFolder:
         number += 1
 
 
-def find_difference(
-    config: TrainConfig, path: Path, *, ignored: Sequence[str] = PLACE
-) -> tuple[str, Any, Any] | None:
+def find_difference(config: TrainConfig, path: Path) -> tuple[str, Any, Any] | None:
     """Compare settings with those of the run in a folder, wherever its machine lies.
 
     Args:
         config: the settings.
         path: of the folder.
-        ignored: settings that may differ.
 
     Returns:
-        A setting that differs, its value there and here; None if there is none.
+        A setting that differs and is not among the harmless ones, its value there and here; None
+        if there is none.
     """
     from omegaconf import OmegaConf
 
@@ -191,12 +186,12 @@ def find_difference(
 
     stored: Any = OmegaConf.to_container(OmegaConf.load(path / "config.yaml"))
     wanted = to_plain(config)
-    own, given = path / "machine.pt", Path(wanted["recognition"] or "").expanduser()
+    own, given = RunFolder(path).machine, Path(wanted["recognition"] or "").expanduser()
     if own.is_file() and given.is_file():
         is_equal = filecmp.cmp(own, given, shallow=False)
         stored["recognition"] = wanted["recognition"] if is_equal else str(own)
     for name in wanted | stored:
-        if name not in ignored and stored.get(name) != wanted.get(name):
+        if name not in HARMLESS and stored.get(name) != wanted.get(name):
             return name, stored.get(name), wanted.get(name)
     return None
 

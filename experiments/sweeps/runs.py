@@ -9,14 +9,22 @@ import os
 import struct
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from omegaconf import OmegaConf
 
 from experiments.run_folder import RunFolder
+from experiments.settings import ViewerSettings
 
+#: Settings that change neither what a run learns nor how that is judged: where it lies, and what is
+#: shown, logged, saved and compared with it.
+HARMLESS = (
+    *(entry.name for entry in fields(ViewerSettings)),
+    *("folder", "name", "resume", "log_frames", "checkpoint_frames", "keep_checkpoints"),
+    *("baselines", "picture_episodes"),
+)
 #: Linux' ``struct flock``: type, whence, start, length, process.
 _FLOCK = "hhqqi"
 

@@ -150,6 +150,17 @@ def test_the_same_machine_goes_on_and_another_is_refused(
         compare(["dqn"], seeds=[0], folder=tmp_path, overrides=[f"recognition={machine}"])
 
 
+def test_what_is_logged_and_saved_may_differ_from_the_runs_that_are_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[str | None] = []
+    monkeypatch.setattr(compare_module, "set_up", begin_alone(begun))
+    for given in ("log_frames=16", "log_frames=32"):
+        with pytest.raises(Interrupted):
+            compare(["dqn"], seeds=[0], folder=tmp_path, overrides=[given])
+    assert begun == [None, str(tmp_path / "dqn-seed0")]
+
+
 def run_of(rates: list[float], **summary: Any) -> dict[str, Any]:
     frames = np.arange(1, len(rates) + 1) * 100.0
     known = {"frames": 300, "updates": 40, "success_rate": rates[-1], "mean_return": 1.0}

@@ -222,7 +222,7 @@ def test_a_resumed_run_brings_its_settings_and_takes_new_ones(tmp_path: Path) ->
     [
         *("num_envs=4", "seed=1", "preset=paper", "task=predation", "++task.time_limit=3"),
         *("learning_rate=1e-4", "gamma=0.9", "batch_size=32", "updates_per_frame=8"),
-        "warmup_frames=0",
+        *("warmup_frames=0", "tau=0.1"),
     ],
 )
 def test_what_a_run_has_learned_with_is_not_changed_on_resume(

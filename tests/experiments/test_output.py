@@ -10,11 +10,12 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from experiments.config import build
-from experiments.logger import CsvLogger
+from experiments.logger import CsvLogger, WandbLogger
 from experiments.progress import Progress
 from experiments.run_folder import RunFolder, write_json
 from experiments.settings import TrainConfig
@@ -118,6 +119,23 @@ def test_wandb_writes_offline_beside_the_csv(
         time.sleep(0.1)
     assert len(read(folder / "metrics.csv")) == 2
     assert os.environ.get("WANDB_MODE") == before.get("WANDB_MODE")
+
+
+def test_a_run_of_a_wandb_agent_goes_on_under_the_name_the_agent_gave_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def init(*, id: str, **_: object) -> SimpleNamespace:
+        asked.append(id)
+        return SimpleNamespace(id="agentsid" if len(asked) == 1 else id)  # whatever was asked for
+
+    fake = SimpleNamespace(init=init, Settings=dict)
+    monkeypatch.setitem(sys.modules, "wandb", fake)
+    for _ in range(2):
+        WandbLogger().open(tmp_path, columns=["frames"], config={})
+    assert asked[1] == "agentsid"
+    assert (tmp_path / "wandb_id").read_text() == "agentsid"
 
 
 def test_without_wandb_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -157,6 +157,41 @@ def test_two_searches_share_a_study(tmp_path: Path) -> None:
     assert [trial.state.name for trial in study.trials] == ["RUNNING", "FAIL"]
 
 
+def test_a_trial_that_another_search_has_finished_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = plan_of(tmp_path, "gamma=interval(0.9,1)")
+    study = search.search(plan, trials=0)
+    for _ in range(2):
+        study.ask(plan.space())  # and then the process was killed
+
+    def run_seed(_: Search, number: int, *__: object) -> float:
+        if number == 0:  # while the other search is at the other trial
+            study.tell(1, 5.0)
+        return 1.0
+
+    monkeypatch.setattr(search, "_run_seed", run_seed)
+    study = search.search(plan, trials=2)
+    assert [trial.value for trial in study.trials] == [1.0, 5.0]
+
+
+def test_a_search_whose_new_trial_another_one_gives_up_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = plan_of(tmp_path, "gamma=interval(0.9,1)")
+    suggest, started = search._suggest, []
+
+    def start_another_first(*arguments: object) -> None:
+        if not started:
+            started.append(search.search(plan, trials=0))  # which finds a trial without values
+        suggest(*arguments)
+
+    monkeypatch.setattr(search, "_suggest", start_another_first)
+    monkeypatch.setattr(search, "_run_seed", lambda *_: 1.0)
+    study = search.search(plan, trials=2)
+    assert [trial.state.name for trial in study.trials] == ["FAIL", "COMPLETE"]
+
+
 def test_without_optuna_the_error_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -97,6 +97,23 @@ def test_runs_that_differ_in_their_seed_alone_are_one_group(sweep: Path) -> None
     assert groups[1].numbers("mean_time_to_success_T") == []
 
 
+def test_runs_of_different_machines_are_different_groups(tmp_path: Path) -> None:
+    for name, content in (("a", b"1"), ("b", b"2"), ("c", b"1")):
+        path = write_run(tmp_path, name, recognition="machine.pt")
+        (path / "machine.pt").write_bytes(content)
+    write_run(tmp_path, "d", recognition="oracle")
+    write_run(tmp_path, "e", recognition="machine.pt")  # which is lost
+    groups = group_runs(read_runs(tmp_path))
+    assert [[run.path.name for run in group.runs] for group in groups] == [
+        *(["a", "c"], ["b"], ["d"], ["e"])
+    ]
+    # sha256sum of the one byte
+    assert [group.label for group in groups] == [
+        *("recognition machine 6b86b273", "recognition machine d4735e3a"),
+        *("recognition oracle", "recognition machine.pt"),
+    ]
+
+
 def test_groups_are_told_by_the_fewest_settings(tmp_path: Path) -> None:
     for preset, frames, length in (("small", 10, 50), ("paper", 20, 100)):
         for gamma in (0.9, 0.99):

@@ -15,12 +15,13 @@ from omegaconf import OmegaConf
 
 from experiments import train
 from experiments.checkpointing import read_metadata
-from experiments.config import check_overrides, load_config
+from experiments.config import check_overrides, load_config, resumed_settings
 from experiments.run_folder import RunFolder
 from experiments.settings import ConfigError, TrainConfig
 from experiments.sweeps import ending, jobs
+from experiments.sweeps.groups import group_runs
 from experiments.sweeps.runs import find_writers, read_run, read_runs
-from experiments.train import begin_run, finish, set_up
+from experiments.train import begin_run, finish, note_settings, set_up
 from tests.experiments.toy_fish import make_toy_env
 
 ROOT = Path(__file__).parents[2]
@@ -126,6 +127,22 @@ def test_the_same_settings_find_their_run_and_others_make_a_new_one(tmp_path: Pa
     (tmp_path / "never" / "failure.txt").write_text("gamma = 2: must be at most 1")
     mended = jobs.find_or_begin(settings_in(tmp_path), name="never")
     assert read_run(mended.path).status == "stopped"
+
+
+def test_a_run_that_was_resumed_stays_in_its_sweep_unless_it_learns_something_else(
+    tmp_path: Path,
+) -> None:
+    folders = [jobs.find_or_begin(settings_in(tmp_path, seed=seed), name="run") for seed in (0, 1)]
+    given = ["port=9900", "live_share=0.2", "flows=[0,1]", "log_frames=8", "checkpoint_frames=8"]
+    given += ["keep_checkpoints=4", "picture_episodes=0", "baselines=[random]", "live=true"]
+    note_settings(resumed_settings(str(folders[0].path), given), folders[0])
+    assert OmegaConf.load(folders[0].config).log_frames == 8
+    assert len(group_runs(read_runs(tmp_path))) == 1
+    assert jobs.find_or_begin(settings_in(tmp_path), name="run") == folders[0]
+    # which evaluation is the best one depends on when they are made
+    note_settings(resumed_settings(str(folders[1].path), ["eval_frames=8"]), folders[1])
+    assert len(group_runs(read_runs(tmp_path))) == 2
+    assert jobs.find_or_begin(settings_in(tmp_path, seed=1), name="run").path.name == "run-3"
 
 
 def test_a_run_with_another_machine_is_another_run(tmp_path: Path) -> None:
@@ -309,5 +326,6 @@ def test_a_run_of_a_wandb_agent_goes_by_the_name_the_agent_gave_it(tmp_path: Pat
     assert done.returncode == 0, done.stderr
     (recorded,) = (tmp_path / "run").glob("wandb/offline-run-*")
     assert recorded.name.endswith("-agentsid")
+    assert (tmp_path / "run" / "wandb_id").read_text() == "agentsid"  # for a resume
     run = read_run(tmp_path / "run")
     assert (run.status, run.config["gamma"], run.config["seed"]) == ("finished", 0.95, 1)
