@@ -6,7 +6,9 @@ from math import pi
 import pytest
 import torch
 
+import fishrl.envs.task
 from experiments.recording import Recording
+from fishrl.physics import InPlaceSolver
 
 
 def _make_recording(*, num_frames: int = 17, captured: bool = True, lane: float = 1.5) -> Recording:
@@ -61,3 +63,9 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+@pytest.fixture(autouse=True)
+def real_flow() -> None:
+    """Begin each test with the real flow: an earlier one may have left its gliding fish behind."""
+    assert fishrl.envs.task.InPlaceSolver is InPlaceSolver

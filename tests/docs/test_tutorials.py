@@ -56,10 +56,12 @@ def test_a_flow_takes_fifteen_lines_an_environment_ten_and_a_task_sixty() -> Non
     assert (task.file, yaml.file) == ("hold_station.py", "conf/task/hold_station.yaml")
 
 
-def test_the_readme_shows_what_the_pages_show_and_is_run_there() -> None:
+def test_the_readme_shows_what_the_pages_show_and_run_and_the_rest_runs() -> None:
     flow, env = read_blocks("tutorials/cylinder.md")[0], read_blocks("quickstart.md")[0]
-    shown = [block.code for block in read_blocks("../README.md")]
-    assert shown[:2] == [env.code, flow.code]
+    first, second, *others = read_blocks("../README.md")
+    assert [first.code, second.code] == [env.code, flow.code]
+    for block in others:
+        exec(compile(block.small, "README.md", "exec"), {"__name__": "__main__", **SIZES})
 
 
 def test_every_link_of_readme_and_pages_leads_to_a_file() -> None:

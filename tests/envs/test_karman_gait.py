@@ -181,6 +181,19 @@ def test_reward_ends_and_drift_follow_from_the_way() -> None:
     assert act(env, CRUISE)["reward"].item() == -1.0
 
 
+def test_work_is_told_in_rho_L2_of_L_per_T_and_paid_for_by_the_interval() -> None:
+    env = make(1, start_flows=(0,), reward_terms=StationReward(rim_weight=0.0))
+    env.reset()
+    unit = (20 * 20 / env.task.scales.period) ** 2  # rho L^2 (L / T)^2
+    done = {"work": 0.3, "positive_work": 0.5, "lateral_work": 0.2}
+    for name, share in done.items():
+        getattr(env.solver.body, name).fill_(share * unit)
+    first, second = act(env, CRUISE), act(env, CRUISE)
+    assert {name: first[name].item() for name in done} == pytest.approx(done)
+    assert first["reward"].item() == pytest.approx(1.0 + 0.1 * (1.0 - 0.3 / 0.1))
+    assert second["reward"].item() == pytest.approx(1.0 + 0.1)  # nothing was done since
+
+
 @pytest.mark.parametrize(
     ("x", "y"), [(0.6, 0.0), (2.0, 0.93), (2.0, -0.93)], ids=["near", "above", "below"]
 )

@@ -113,6 +113,18 @@ def test_pressure_is_felt_as_a_difference_and_shear_as_velocity_over_distance() 
     assert told["shear"][0, 0] * told["shear"][0, 1] < 0.0  # clockwise round both sides
 
 
+def test_pressure_is_told_as_deviation_from_the_mean_over_neuromasts() -> None:
+    line, solver = LateralLine(num_neuromasts=4, features=("pressure",)), make_solver()
+    x, none = torch.arange(60.0).expand(2, 50, 60), torch.zeros(2, 50, 60)
+    solver.set_populations_(make_uniform(1e-4 * (x - 30.0), none, none))
+    points, _, _ = line.place(solver)
+    pressure = 1e-4 * (points[..., 0] - 30.0) / (3.0 * UNIT**2)  # c_s^2 (rho - 1), in rho (L / T)^2
+    told = feel(line, solver)["pressure"]
+    expected = pressure - pressure.mean(-1, keepdim=True)
+    assert expected.abs().max() > 0.01
+    torch.testing.assert_close(told, expected, rtol=0, atol=1e-4)
+
+
 def test_averaging_leaves_one_number_a_feature() -> None:
     solver = make_solver(ux=0.03)
     each, mean = feel(LateralLine(features=PAPER), solver), None
@@ -132,6 +144,8 @@ def test_noise_has_its_deviation_and_depends_on_key_and_time_alone() -> None:
         told.append(line.feel(solver, keys, body_length=LENGTH, period=PERIOD)[0])
     noise = torch.stack(told)
     assert noise.mean().abs() < 0.01 and noise.std().item() == pytest.approx(0.1, rel=0.05)
+    correlation = torch.corrcoef(noise.flatten(1).T)  # of neuromasts and features, 200 samples
+    assert (correlation - torch.eye(len(correlation))).abs().max() < 5 / 200**0.5
     again, _ = line.feel(solver, keys.flip(0), body_length=LENGTH, period=PERIOD)
     assert torch.equal(again, noise[-1].flip(0))
     assert not torch.equal(noise[0], noise[1])

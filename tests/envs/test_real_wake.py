@@ -112,8 +112,8 @@ def test_an_episode_begins_in_the_wake_that_its_start_names(task: KarmanGait) ->
     assert disc[..., 1].mean().item() == pytest.approx(y, abs=0.1)
 
 
-def test_wakes_are_made_at_the_first_reset_and_then_read(tmp_path: Path) -> None:
-    """An undeveloped wake of one flow, to save time; the file is the one for its recipe."""
+def test_wakes_that_one_environment_had_made_are_read_by_the_next_task(tmp_path: Path) -> None:
+    """Making them is replaced, to save time; the file is the one for its recipe."""
     stream = Stream(**STREAM | {"num_phases": 1}, wake_folder=str(tmp_path))
     task = KarmanGait(**TINY, stream=stream)
     with pytest.MonkeyPatch.context() as patch:

@@ -4,6 +4,7 @@ import logging
 from dataclasses import replace
 from math import pi
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -11,6 +12,7 @@ import torch
 from fishrl.envs.wakes import WakeBank, WakeRecipe, develop_wakes, load_wakes
 from fishrl.physics import DCylinder, FlowConfig, InPlaceSolver
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
+from fishrl.physics.collision import compute_macroscopic
 
 STREAM = NonEquilibrium(velocity=(1.0, 0.0))
 #: A half disc of 8 nodes at Re 100: far too coarse to trust, fast enough to test with.
@@ -60,6 +62,23 @@ def test_snapshots_follow_each_other_by_equal_parts_of_a_period(bank: WakeBank) 
     error = (after[:, None] - snapshots[None]).square().mean((-1, -2, -3)).sqrt()
     assert error.argmin(1).tolist() == [1, 2, 3, 0]
     assert (error.amin(1) < 0.15 * error.amax(1)).all()
+
+
+def test_each_flow_of_a_bank_has_the_wake_of_its_own_speed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One solver develops them all; vortices are left out, to save time."""
+    speeds, frequencies = (0.12, 0.10), iter((0.02, 0.05))
+    shed = lambda *_: SimpleNamespace(frequency=next(frequencies), mean=0.0)  # noqa: E731
+    monkeypatch.setattr("fishrl.envs.wakes.measure_cycles", shed)
+    monkeypatch.setattr("fishrl.envs.wakes.find_crossings", lambda _: [0.0])
+    short = replace(RECIPE, speeds=speeds, num_phases=2, num_travels=1.0)
+    bank = develop_wakes(short, compile=False)
+    assert bank.shedding_frequencies.tolist() == [0.02, 0.05]
+    rho, jx, _ = compute_macroscopic(bank.populations.unbind(2))
+    inflow = (jx / (rho + 1.0))[..., 0]
+    for measured, speed in zip(inflow, speeds, strict=True):
+        torch.testing.assert_close(measured, torch.full_like(measured, speed), rtol=1e-4, atol=0)
 
 
 def test_a_phase_names_the_snapshot_before_it(bank: WakeBank) -> None:

@@ -1,12 +1,14 @@
 """Loggers for runs in other processes, where no fixture reaches. Tests only name them.
 
-Importing this file replaces the flow by fish that glide.
+Importing this file replaces the flow by fish that glide, but not where the tests run: there,
+whatever reads a run's settings imports it too.
 """
 
 from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,7 +18,8 @@ import fishrl.envs.task
 from experiments.logger import CsvLogger
 from tests.envs.gliding import GlidingSolver
 
-fishrl.envs.task.InPlaceSolver = GlidingSolver  # type: ignore[misc, assignment]
+if "pytest" not in sys.modules:
+    fishrl.envs.task.InPlaceSolver = GlidingSolver  # type: ignore[misc, assignment]
 
 
 class Gliding(CsvLogger):

@@ -6,6 +6,7 @@ import csv
 import hashlib
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,9 @@ from experiments import drift_sweep, export_steering, free_stream, gait_page, tr
 from experiments.config import load_config
 from experiments.evaluate import evaluate
 from experiments.evaluate import main as evaluate_main
+from experiments.gait import trials
 from experiments.gait.trials import hand_written, load_trial, run_trial
+from experiments.histories import Histories
 from experiments.recognition import Recognition, keep_machine
 from experiments.settings import ConfigError, EvaluateConfig
 from experiments.train import train
@@ -105,6 +108,9 @@ def test_a_gait_is_trained_evaluated_and_tried_in_every_flow(tmp_path: Path, who
     assert told is None or all(flow["named_right"] == told for flow in flows)
     written = {path.name for path in (tmp_path / "transfer").iterdir()}
     assert {"transfer.md", "transfer.json", "survival.png", "paths.png", "work.png"} <= written
+    for file in (tmp_path / "run").rglob("*-actor/*"):
+        file.write_bytes(b"other weights")
+    assert load_trial(tmp_path / "run", periods=BRIEF).identity != trial.identity
 
 
 def list_learned(folder: Path) -> dict[str, str]:
@@ -174,6 +180,37 @@ def test_what_was_swum_is_not_swum_again(tmp_path: Path, monkeypatch: pytest.Mon
     path.write_bytes(b"not a file")
     with pytest.raises(ValueError, match="cannot be read; delete the file"):
         run_trial(trial, episodes=2, folder=tmp_path)
+
+
+def test_whatever_shapes_a_trial_has_it_swum_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    swum = []
+
+    def pretend(*_: Any, **__: Any) -> Histories:
+        swum.append(None)
+        return Histories(*(torch.zeros(1) for _ in Histories._fields))
+
+    monkeypatch.setattr(trials, "record_histories", pretend)
+    trial = hand_written("bang_bang", make_task(), periods=BRIEF)
+    given: dict[str, Any] = {"episodes": 1, "folder": tmp_path}
+
+    def count(trial: trials.Trial, **settings: Any) -> int:
+        for _ in range(2):  # the second time it is read
+            run_trial(trial, **{**given, **settings})
+        return len(swum)
+
+    assert count(trial) == 1
+    assert count(replace(trial, identity="other weights")) == 2
+    assert count(hand_written("bang_bang", make_task(repeats_frequency=True), periods=BRIEF)) == 3
+    assert count(trial, seed=1) == 4
+    assert count(trial, episodes=2) == 5
+    assert count(trial, samples_actions=True) == 6
+    other = tmp_path / "policies.py"
+    other.write_text("# other code", encoding="utf-8")
+    monkeypatch.setattr(trials.policies, "__file__", str(other))
+    assert count(trial) == 7
+    assert len(list(tmp_path.glob("*.pt"))) == 7
 
 
 def test_fish_of_other_tasks_and_unknown_ones_are_refused(tmp_path: Path) -> None:

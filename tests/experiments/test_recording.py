@@ -60,6 +60,24 @@ def test_episodes_are_recorded_from_their_starts_to_the_capture(
         assert per_period == pytest.approx(0.02 * task.scales.period, rel=1e-3)
 
 
+@pytest.mark.gpu
+@pytest.mark.compile
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA")
+def test_flows_on_a_gpu_are_recorded_from_starts_that_are_not_there() -> None:
+    task = Predation(**{**TASK, "time_limit": 1})
+    starts = task.sample_starts(2, torch.Generator().manual_seed(0))
+    env = make_env(task=task, num_envs=2, device="cuda", frames_per_action=task.checks_per_action)
+
+    def keep_straight(td: TensorDict) -> TensorDict:
+        return td.set("action", torch.ones(2, dtype=torch.int64, device=td.device))
+
+    recordings = record_episodes(env=env, policy=keep_straight, starts=starts)
+    env.close()
+    for recording, start in zip(recordings, starts, strict=True):
+        assert recording.head[0].tolist() == pytest.approx(start["head"].tolist())
+        assert recording.vorticity.device.type == "cpu" and recording.vorticity.any()
+
+
 @pytest.mark.parametrize(
     ("num_starts", "frames_per_T", "message"),
     [

@@ -25,7 +25,7 @@ from experiments.train import begin_run, finish, note_settings, set_up
 from tests.experiments.toy_fish import make_toy_env
 
 ROOT = Path(__file__).parents[2]
-HERE = "tests.experiments.mishaps"  # imported by the runs alone
+HERE = "tests.experiments.mishaps"  # makes fish glide in the runs' own processes
 SETTINGS = [
     "task.body_length=20",
     "task.reynolds=500",

@@ -27,7 +27,7 @@ from fishrl.physics.boundaries import (
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.immersed_boundary import DirectSolve
 from fishrl.physics.motion import Bending, Body, Commanded, Free, make_body
-from fishrl.physics.solver import make_rest, step
+from fishrl.physics.solver import make_rest, make_uniform, step
 from fishrl.physics.state import Sponge, make_params
 
 SCALES = Scales.from_budget(body_length=24, reynolds=800.0, max_wall_speed=0.1)
@@ -64,15 +64,18 @@ def run_reference(config: FlowConfig, num_steps: int) -> FlowState:
 
 
 def assert_equal_to_reference(solver: InPlaceSolver, reference: FlowState) -> None:
-    """Single against double precision: 1e-6 of the largest population and 1e-6 nodes."""
+    """Single against double precision, a few times what 120 steps were measured to differ by.
+
+    1.7e-6 of the largest population, 7e-8 nodes, 1e-8 radians, 1.4e-7 of the work, impulse 2e-7.
+    """
     scale = float(reference.f.abs().max())
     assert scale > 0.005
-    assert float((solver.populations() - reference.f).abs().max()) < 1e-5 * scale
+    assert float((solver.populations() - reference.f).abs().max()) < 5e-6 * scale
     for got, expected in zip(solver.bodies, reference.bodies, strict=True):
-        assert float((got.position - expected.position).abs().max()) < 1e-5
-        assert float((got.heading - expected.heading).abs().max()) < 1e-6
-        torch.testing.assert_close(got.work, expected.work, rtol=1e-4, atol=1e-6)
-        torch.testing.assert_close(got.impulse, expected.impulse, rtol=1e-3, atol=1e-5)
+        assert float((got.position - expected.position).abs().max()) < 1e-6
+        assert float((got.heading - expected.heading).abs().max()) < 1e-7
+        torch.testing.assert_close(got.work, expected.work, rtol=1e-6, atol=1e-6)
+        torch.testing.assert_close(got.impulse, expected.impulse, rtol=1e-6, atol=1e-6)
 
 
 INLET = Boundaries(
@@ -219,6 +222,17 @@ def test_a_diverged_row_is_flagged_and_harms_no_other() -> None:
     assert not solver.is_diverged().any()
 
 
+@pytest.mark.parametrize(("speed", "is_over"), [(0.45, False), (0.55, True)])
+def test_a_flow_too_fast_for_the_method_counts_as_diverged(speed: float, is_over: bool) -> None:
+    """Half a node per step is the most."""
+    solver = make_solver(make_swimmer_config(SCALES, length_bl=4, height_bl=3))
+    f = solver.populations()
+    none = torch.zeros_like(f[:1, 0])
+    f[1] = make_uniform(none, none + speed, none)[0]
+    solver.set_populations_(f)
+    assert solver.is_diverged().tolist() == [False, is_over, False]
+
+
 def test_a_fish_outside_the_grid_counts_as_diverged() -> None:
     solver = make_solver(make_swimmer_config(SCALES, length_bl=4, height_bl=3))
     solver.body.position[2, 0] = -5.0
@@ -292,11 +306,12 @@ def test_an_impossible_batch_is_refused(bad: dict[str, int], message: str) -> No
 
 
 @pytest.mark.compile
-def test_a_free_swimmer_at_re_7000_swims_straight_at_a_plausible_speed() -> None:
-    """0.25 to 0.40 L/T in the sixth beat, in a tank of 6 L x 3 L.
+def test_a_free_swimmer_at_re_7000_swims_straight_at_its_known_speed() -> None:
+    """In the sixth beat, in a tank of 6 L x 3 L: 0.3457 L/T, drift -0.0069 L/T, heading off by 2.1
+    degrees, as measured once; the bars are 3 % wide, or twice the number.
 
-    ``experiments.swim_speed`` measures 0.345 L/T at L = 50 and 0.483 at L = 100 in 10 L x 5 L; an
-    independent solver had 0.375 in the eighth beat at L = 50 (here 0.375) and 0.500 at L = 100.
+    An independent solver had 0.375 L/T in the eighth beat (here 0.375); what the literature says
+    is judged by ``experiments.validation.swimmer``.
     """
     scales = Scales.from_budget(body_length=50, reynolds=7000.0)
     config = make_swimmer_config(scales, length_bl=6, height_bl=3, motion=Free())
@@ -308,7 +323,7 @@ def test_a_free_swimmer_at_re_7000_swims_straight_at_a_plausible_speed() -> None
     solver.advance_(scales.period)
     speed = (fifth - solver.body.position)[0] / scales.body_length
     assert not solver.is_diverged().any()
-    assert 0.25 < float(speed[0]) < 0.40
-    assert abs(float(speed[1])) < 0.15 * float(speed[0])
-    assert abs(float(solver.body.heading[0]) - math.pi) < math.radians(15)
+    assert float(speed[0]) == pytest.approx(0.3457, rel=0.03)
+    assert abs(float(speed[1])) < 0.04 * float(speed[0])
+    assert abs(float(solver.body.heading[0]) - math.pi) < math.radians(4)
     assert float(solver.body.slip_error[0]) < 0.05 * scales.tail_speed

@@ -148,14 +148,17 @@ def test_launches_of_unequal_size_are_refused() -> None:
 
 
 def test_half_precision_storage_stays_near_single_precision() -> None:
-    """Eleven bits of the deviation: a hundredth of the stream after 400 steps is ample."""
+    """Eleven bits of the deviation: a hundredth of the stream after 400 steps is ample.
+
+    Measured: 0.2 % of the stream, and 0.002 nodes.
+    """
     single, half = (start(make_config(storage=storage)) for storage in Storage)
     for solver in (single, half):
         solver.advance_(400)
     assert half._data.dtype == torch.float16
     error = (half.macroscopic()[1] - single.macroscopic()[1]).abs().max()
-    assert 0.0 < float(error) < 0.05 * SPEED
-    assert float((half.body.position - single.body.position).abs().max()) < 0.05
+    assert 0.0 < float(error) < 0.01 * SPEED
+    assert float((half.body.position - single.body.position).abs().max()) < 0.01
 
 
 def test_half_precision_restores_its_state_exactly() -> None:

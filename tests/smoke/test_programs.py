@@ -11,7 +11,6 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -110,12 +109,13 @@ def hunter(runs: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def holder(runs: Path) -> Iterator[Path]:
+def holder(runs: Path) -> Path:
     """Train a fish that holds a station and is told its flow; it glides."""
     with pytest.MonkeyPatch.context() as patch:
         _glide(patch)
         chosen = ["task=karman_gait", "preset=gait_small", "recognition=oracle"]
-        yield _train(runs, "holder", *chosen, *_set_task(GLIDING), "task.start_flows=[0,1,2]")
+        task = [*_set_task(GLIDING), "task.start_flows=[0,1,2]"]
+        return _train(runs, "holder", *chosen, *task)
 
 
 def test_every_program_is_here() -> None:
@@ -188,6 +188,7 @@ def test_a_learned_fish_is_evaluated_shown_listed_and_made_a_helmsman(
     assert verified == [str(hunter / "capture.rrd")]
 
 
+@pytest.mark.usefixtures("gliding")
 def test_a_gait_is_tried_in_all_streams_and_its_page_is_written(
     holder: Path, tmp_path: Path
 ) -> None:
