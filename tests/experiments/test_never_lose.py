@@ -31,7 +31,7 @@ from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 from tests.envs.gliding import GlidingSolver
 from tests.experiments.stops import run_and_stop
 from tests.experiments.test_checkpointing import BRAIN, save
-from tests.experiments.test_output import read, read_only_folder  # noqa: F401 - a fixture
+from tests.experiments.test_output import read
 from tests.experiments.test_training import ROOT, rows_of
 from tests.experiments.toy_fish import ToyFishEnv, make_toy_env
 
