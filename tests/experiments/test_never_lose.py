@@ -248,7 +248,7 @@ def test_an_error_that_is_not_the_disks_is_not_taken_for_it(tmp_path: Path) -> N
         )
 
 
-def test_a_folder_that_cannot_be_written_any_more_is_named(read_only_folder: Path) -> None:  # noqa: F811
+def test_a_folder_that_cannot_be_written_any_more_is_named(read_only_folder: Path) -> None:
     with pytest.raises(CheckpointNotWritten, match=r"\(Permission denied\); there is none yet"):
         save(read_only_folder / "last")
 
