@@ -21,6 +21,7 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/envs/__init__.py", TASK_SIDE),
     ("fishrl/envs/flow_env.py", TENSORS | {"torchrl"} | TASK_SIDE),
     ("fishrl/envs/transforms.py", TENSORS | {"torchrl"} | TASK_SIDE),
+    ("fishrl/envs/wakes.py", TENSORS | {"tqdm"} | TASK_SIDE),
     ("fishrl/envs/gymnasium.py", TENSORS | {"torchrl", "gymnasium"} | TASK_SIDE),
     ("fishrl/envs/stable_baselines.py", {"numpy", "torchrl", "stable_baselines3"} | TASK_SIDE),
     ("fishrl/envs/", TENSORS | TASK_SIDE),

@@ -10,12 +10,14 @@ import hashlib
 import logging
 import os
 import pickle
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NoReturn
 
 import torch
 from torch import Tensor
+from tqdm import tqdm
 
 from fishrl.physics.compiled import hash_sources
 from fishrl.physics.diagnostics import find_crossings, measure_cycles
@@ -26,6 +28,7 @@ from fishrl.physics.state import FlowConfig
 logger = logging.getLogger(__name__)
 
 _FORMAT = "fishrl wakes, 1"
+_BAR = "{desc} {percentage:3.0f}%|{bar:20}| {n:.0f}/{total:.0f}{unit} [{elapsed}<{remaining}]"
 _SAMPLES_PER_TRAVEL = 16  # of the lift; a shedding period is about five travels
 
 
@@ -139,12 +142,14 @@ def develop_wakes(recipe: WakeRecipe, *, compile: bool = True) -> WakeBank:
     config = replace(config, bodies=(replace(body, motion=kick),), stream_speed=fastest)
     solver = InPlaceSolver(config=config, num_envs=1, compile=compile, num_workers=0)
     wakes, frequencies = [], []
-    for number, speed in enumerate(recipe.speeds, start=1):
-        snapshots, frequency = _develop(solver, recipe, speed)
-        strouhal = frequency * size / speed
-        logger.info("wake %d of %d: Strouhal %.4f", number, len(recipe.speeds), strouhal)
-        wakes.append(snapshots)
-        frequencies.append(frequency)
+    total = recipe.num_travels * len(recipe.speeds)
+    with tqdm(total=total, desc="wakes", unit=" D/U", bar_format=_BAR, leave=False) as bar:
+        for number, speed in enumerate(recipe.speeds, start=1):
+            snapshots, frequency = _develop(solver, recipe, speed, bar)
+            strouhal = frequency * size / speed
+            logger.info("wake %d of %d: Strouhal %.4f", number, len(recipe.speeds), strouhal)
+            wakes.append(snapshots)
+            frequencies.append(frequency)
     solver.close()
     return WakeBank(
         populations=torch.stack(wakes),
@@ -152,7 +157,9 @@ def develop_wakes(recipe: WakeRecipe, *, compile: bool = True) -> WakeBank:
     )
 
 
-def _develop(solver: InPlaceSolver, recipe: WakeRecipe, speed: float) -> tuple[Tensor, float]:
+def _develop(
+    solver: InPlaceSolver, recipe: WakeRecipe, speed: float, bar: "tqdm[NoReturn]"
+) -> tuple[Tensor, float]:
     """Return the snapshots ``[K, Q, Y, X]`` of one flow and its frequency per step."""
     travel = solver.config.bodies[0].size / speed
     solver.flow.params.stream_speed.fill_(speed)
@@ -164,8 +171,7 @@ def _develop(solver: InPlaceSolver, recipe: WakeRecipe, speed: float) -> tuple[T
     )
     interval = 2 * max(1, round(0.5 * travel / _SAMPLES_PER_TRAVEL))
     num = round(0.5 * recipe.num_travels * travel / interval)
-    solver.advance_(num * interval)
-    lift = _record_lift(solver, num, interval)
+    lift = _record_lift(solver, 2 * num, interval, lambda: bar.update(interval / travel))[num:]
     if solver.is_diverged().any():
         raise ValueError(
             f"the wake at {speed:.4f} nodes per step diverged: lower max_wall_speed or the "
@@ -191,10 +197,13 @@ def _develop(solver: InPlaceSolver, recipe: WakeRecipe, speed: float) -> tuple[T
     return torch.stack(snapshots), cycles.frequency
 
 
-def _record_lift(solver: InPlaceSolver, num: int, interval: int) -> Tensor:
+def _record_lift(
+    solver: InPlaceSolver, num: int, interval: int, on_interval: Callable[[], object]
+) -> Tensor:
     """Advance and return the mean lift over each interval ``[num]``."""
     impulses: list[Sequence[float]] = [solver.body.impulse[0].tolist()]
     for _ in range(num):
         solver.advance_(interval)
         impulses.append(solver.body.impulse[0].tolist())
+        on_interval()
     return torch.tensor(impulses, dtype=torch.float64)[:, 1].diff() / interval

@@ -81,6 +81,13 @@ def test_each_flow_of_a_bank_has_the_wake_of_its_own_speed(
         torch.testing.assert_close(measured, torch.full_like(measured, speed), rtol=1e-4, atol=0)
 
 
+def test_a_bar_shows_how_far_the_wakes_have_come(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(ValueError, match="sheds too few vortices"):
+        develop_wakes(replace(RECIPE, num_travels=4.0), compile=False)
+    shown = capsys.readouterr().err
+    assert "wakes   0%" in shown and "/4 D/U [" in shown
+
+
 def test_a_phase_names_the_snapshot_before_it(bank: WakeBank) -> None:
     flow = torch.zeros(3, dtype=torch.int64)
     taken = bank.take(flow, torch.tensor([0.0, 0.49, 0.999]))
