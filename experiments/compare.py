@@ -16,6 +16,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
+from shutil import copyfile
 from typing import Any
 
 import matplotlib as mpl
@@ -28,6 +29,7 @@ from experiments.figures import COLOURS, frame_curves, read_metrics
 from experiments.flow_pictures import STYLE
 from experiments.gait.diagnostics import half_width
 from experiments.interruption import Interrupted
+from experiments.pages import fill
 from experiments.progress import Progress
 from experiments.run_folder import RunFolder, write_json, write_whole
 from experiments.settings import ConfigError, TrainConfig
@@ -244,18 +246,26 @@ def draw(runs: Results, path: Path) -> None:
         figure.savefig(path)
 
 
+def write_page(folder: Path, docs: Path) -> None:
+    """Put table and curves of a comparison into docs/algorithms.md."""
+    table = (folder / "compare.md").read_text(encoding="utf-8")
+    fill(docs / "algorithms.md", "compare", table)
+    copyfile(folder / "compare.png", docs / "figures" / "compare.png")
+
+
 def read_arguments(words: Sequence[str]) -> argparse.Namespace:
     """Read the command line; settings may stand anywhere, also behind ``--seeds 0 1``."""
     parser = argparse.ArgumentParser(description="Compare algorithms at equal effort.")
     parser.add_argument("--algorithms", nargs="+", default=list(ALGORITHMS), metavar="NAME")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2, 3, 4])
     parser.add_argument("--folder", type=Path, default=Path("runs/compare"))
+    parser.add_argument("--docs", type=Path, help="folder of the pages to put the result into")
     parser.add_argument("--config-dir", metavar="FOLDER", help="of tasks and presets of one's own")
     parser.add_argument("settings", nargs="*", help="of every run, such as preset=small")
     settings: list[str] = []
     others: list[str] = []
     for before, word in pairwise(["", *words]):
-        is_value = before in ("--folder", "--config-dir") or word.startswith("-")
+        is_value = before in ("--folder", "--config-dir", "--docs") or word.startswith("-")
         (settings if "=" in word and not is_value else others).append(word)
     options = parser.parse_intermixed_args(others)
     places = [f"--config-dir={options.config_dir}"] if options.config_dir is not None else []
@@ -281,6 +291,8 @@ def main() -> None:
             sys.exit(128 + end.number)
         except OSError as error:
             sys.exit(f"error: {error}\nthe same command goes on")
+        if options.docs is not None:
+            write_page(options.folder, options.docs)
     print((options.folder / "compare.md").read_text(encoding="utf-8"))
 
 

@@ -71,8 +71,24 @@ def read_documented_line() -> list[str]:
 
 def test_the_line_of_the_page_is_read() -> None:
     options = read_arguments(read_documented_line())
-    assert options.seeds == [0, 1, 2, 3, 4]
-    assert options.settings == ["preset=small", "eval_frames=350"]
+    assert options.seeds == [0, 1, 2]
+    assert options.settings == ["preset=quick", "eval_frames=350"]
+    assert options.docs is None
+
+
+def test_the_page_takes_table_and_curves(tmp_path: Path) -> None:
+    (tmp_path / "figures").mkdir()
+    page = tmp_path / "algorithms.md"
+    page.write_text("a\n<!-- compare: begin -->\nold\n<!-- compare: end -->\nz\n")
+    (tmp_path / "compare.md").write_text("| new |\n")
+    (tmp_path / "compare.png").write_bytes(b"picture")
+    compare_module.write_page(tmp_path, tmp_path)
+    assert page.read_text() == "a\n<!-- compare: begin -->\n| new |\n<!-- compare: end -->\nz\n"
+    assert (tmp_path / "figures" / "compare.png").read_bytes() == b"picture"
+
+
+def test_the_line_of_the_page_means_all_algorithms() -> None:
+    options = read_arguments(read_documented_line())
     assert options.algorithms == list(compare_module.ALGORITHMS)
 
 

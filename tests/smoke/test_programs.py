@@ -164,6 +164,8 @@ def test_every_hand_written_fish_is_evaluated(policy: str) -> None:
     is_hunter = policy in list_baselines(Predation(**SMALL))
     task = "predation" if is_hunter else "karman_gait"
     chosen = [f"policy={policy}", f"task={task}", *_set_task(GLIDING), "task.time_limit=2"]
+    if is_hunter:  # they decide once per T
+        chosen += ["task.control_interval_T=1", "task.checks_per_action=25"]
     _run("evaluate", *chosen, "episodes=2", "num_envs=2", "compile=false")
 
 
