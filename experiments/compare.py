@@ -224,7 +224,7 @@ def _show(pair: Sequence[float | None]) -> str:
 
 
 def draw(runs: Results, path: Path) -> None:
-    """Draw learning curves, the mean over seeds and its 95 % interval."""
+    """Draw learning curves: thin those of the seeds, thick their mean, its 95 % interval behind."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(11, 4.2), layout="constrained")
         for axes, (column, title) in zip(
@@ -238,7 +238,8 @@ def draw(runs: Results, path: Path) -> None:
                 axes.plot(
                     frames, mean, color=colour, label=name.replace("_", " "), marker="o", ms=3
                 )
-                axes.fill_between(frames, mean - half, mean + half, color=colour, alpha=0.15, lw=0)
+                axes.plot(frames, values.T, color=colour, lw=0.8, alpha=0.35)
+                axes.fill_between(frames, mean - half, mean + half, color=colour, alpha=0.08, lw=0)
             is_rate = column == "eval/success_rate"
             frame_curves(axes, title, is_rate=is_rate)
             if is_rate:
