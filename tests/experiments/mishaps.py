@@ -36,12 +36,16 @@ class Ending(CsvLogger):
             time.sleep(3.0)
 
 
-class Lingering(CsvLogger):
-    """At frame 8 there is time to end the sweep, and little of it is over at once."""
+class Marking(CsvLogger):
+    """Can leave a mark in the run's folder."""
 
     def open(self, folder: Path, **arguments: Any) -> None:
         super().open(folder, **arguments)
-        self.mark = folder / "lingers"
+        self.mark = folder / "mark"
+
+
+class Lingering(Marking):
+    """At frame 8 there is time to end the sweep, and little of it is over at once."""
 
     def log(self, metrics: Mapping[str, float]) -> None:
         super().log(metrics)
@@ -50,12 +54,8 @@ class Lingering(CsvLogger):
             time.sleep(4.0)
 
 
-class Killed(CsvLogger):
+class Killed(Marking):
     """The end that no program can see coming, at frame 8; but not when the run goes on."""
-
-    def open(self, folder: Path, **arguments: Any) -> None:
-        super().open(folder, **arguments)
-        self.mark = folder / "mishap"
 
     def log(self, metrics: Mapping[str, float]) -> None:
         super().log(metrics)

@@ -56,7 +56,7 @@ def test_runs_of_joblib_save_before_it_kills_them(tmp_path: Path, number: signal
         text=True,
         start_new_session=True,
     )
-    marks = [tmp_path / f"seed_{seed}" / "lingers" for seed in (0, 1)]
+    marks = [tmp_path / f"seed_{seed}" / "mark" for seed in (0, 1)]
     try:
         while sweep.poll() is None and not all(mark.exists() for mark in marks):
             time.sleep(0.1)

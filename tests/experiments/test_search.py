@@ -94,7 +94,7 @@ def test_a_search_that_is_told_to_end_has_its_trial_saved_and_leaves_it_unfinish
     command = [sys.executable, "-m", "experiments.search", str(tmp_path), *line]
     with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as started:
         run = tmp_path / "trial_0000-seed_0"
-        while started.poll() is None and not (run / "lingers").exists():
+        while started.poll() is None and not (run / "mark").exists():
             time.sleep(0.1)
         started.terminate()
         _, said = started.communicate(timeout=60.0)
