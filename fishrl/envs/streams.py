@@ -71,10 +71,8 @@ class Stream:
             bodies=(fish, *disc),
             boundaries=Boundaries(left=moving, right=OpenEdge(), bottom=moving, top=moving),
         )
-        (x, y), radius = (
-            self.find_origin(config, scales),
-            0.5 * self.diameter_bl * scales.body_length,
-        )
+        x, y = self.find_origin(config, scales)
+        radius = 0.5 * self.diameter_bl * scales.body_length
         if self.has_disc and not (min(x, y) - radius >= 2.0 and x <= width - 3.0):
             raise ValueError(
                 f"face_bl = {self.face_bl}, diameter_bl = {self.diameter_bl}: the half disc "

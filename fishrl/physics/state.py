@@ -83,7 +83,7 @@ class FlowConfig:
         check_tau(self.tau)
         self.force_solve.check(self.kernel)
         for name, size in (("width", self.width), ("height", self.height)):
-            if size < 4 or size != int(size):
+            if not 4 <= size < inf or size != int(size):
                 raise ValueError(
                     f"{name} = {size}: a flow needs a whole number of nodes, at least 4, along "
                     "each axis"

@@ -104,6 +104,7 @@ def test_the_stream_rises_smoothly_to_its_speed() -> None:
             "ramp_steps = -1",
         ),
         (lambda: FlowConfig(width=8.5, height=8, tau=0.6), "width = 8.5: .* whole number"),
+        (lambda: FlowConfig(width=8, height=math.nan, tau=0.6), "height = nan: .* whole number"),
         (
             lambda: FlowConfig(width=8, height=8, tau=0.6, stream_speed=math.nan),
             "stream_speed = nan: give a finite",
