@@ -1,0 +1,168 @@
+"""Every command that README and pages show is one: each program is asked to read it.
+
+The programs themselves run in tests/smoke; here each line as it is written must name a program,
+its options and settings rightly, without being run.
+"""
+
+import argparse
+import re
+import shlex
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.override_parser.overrides_parser import OverridesParser
+
+from experiments.checkpointing import BrainOf, save_checkpoint
+from experiments.command_line import view_settings
+from experiments.config import SCHEMAS, build, check_overrides, load_config, to_plain
+from experiments.run_folder import RunFolder, write_whole
+from experiments.search_path import split_arguments
+from experiments.sweeps.jobs import is_sweep
+from tests.docs.pages import DOCS, read_blocks
+
+ROOT = DOCS.parent
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
+PROGRAM = re.compile(r"\bpython -m (experiments[\w.]*)([^`\n|]*)")
+TARGET = re.compile(r"(?:^|`)make ([a-z-]+)(?![\w ]*=\d)", re.MULTILINE)
+EXTRA = re.compile(r"pip install [^\n`]*\[([\w-]+)\]")
+#: Runs that the pages speak of, and what is swum in them.
+RUNS = {
+    "runs/name": [],
+    "runs/gait-run": ["preset=gait_small", "recognition=oracle"],
+    "runs/gammas/gamma_0.99-seed_1": ["gamma=0.99", "seed=1"],
+    "runs/holdstation-small-seed0": ["--config-dir=my_fish/conf", "task=hold_station"],
+    "its-folder": [],
+}
+
+
+def _list_commands() -> list[tuple[str, str, str]]:
+    """Return page, module and arguments of every command."""
+    found = []
+    for page in PAGES:
+        text = re.sub(r"\\\n\s*", "", page.read_text(encoding="utf-8"))
+        name = page.relative_to(ROOT).as_posix()
+        found += [(name, module, rest.strip()) for module, rest in PROGRAM.findall(text)]
+    return sorted(set(found))
+
+
+COMMANDS = _list_commands()
+
+
+class _Read(BaseException):
+    """A program has read its command line."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        super().__init__()
+        self.options = options
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Stand in a folder with the runs and the task from outside that the pages speak of."""
+    folder = tmp_path_factory.mktemp("home")
+    for block in read_blocks("tutorials/new_task.md"):
+        if block.file is not None:
+            path = folder / "my_fish" / block.file
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(block.code, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.syspath_prepend(folder / "my_fish")
+        _write_runs()
+        yield folder
+
+
+def _write_runs() -> None:
+    for name, settings in RUNS.items():
+        run = RunFolder(Path(name))
+        run.best.parent.mkdir(parents=True)
+        config = load_config("train", settings)
+        plain = to_plain(config)
+        write_whole(run.config, yaml.safe_dump(plain))
+        brain = BrainOf.task_of(build(plain["task"]), num_told=0)
+        save_checkpoint(run.best, {}, brain=brain, preset=config.preset, frames=0, config=plain)
+
+
+def _split(line: str, home: Path) -> list[str]:
+    """Split a command line as a shell does, with the pages' names for runs filled in."""
+    line = re.sub(r"<([^>]+)>", lambda match: match[1].replace(" ", "-"), line)
+    words = [word for word in shlex.split(line, comments=True) if word != "..."]
+    return [word.replace("~", str(home)) for word in words]
+
+
+def _load(program: str, words: list[str]) -> None:
+    """Read settings as the programs of hydra do, all jobs of a sweep."""
+    if program == "view":
+        view_settings(words)
+        return
+    checked = check_overrides(program, words)
+    if any(word.startswith("resume=") for word in words):
+        return
+    options, settings = split_arguments(checked)
+    overrides = OverridesParser.create().parse_overrides(settings)
+    assert is_sweep(options) or not any(o.is_sweep_override() for o in overrides)
+    kept = [option for option in options if option not in ("--multirun", "-m")]
+    for jobs in BasicSweeper.split_arguments(overrides, None):
+        for job in jobs:
+            load_config(program, [*kept, *job])
+
+
+def _parse(main: Callable[[], None], words: list[str], patch: pytest.MonkeyPatch) -> Any:
+    """Let a program read its command line, and stop it there."""
+
+    def stop_after(read: Callable[..., argparse.Namespace]) -> Callable[..., None]:
+        def stop(*arguments: Any, **options: Any) -> None:
+            raise _Read(read(*arguments, **options))
+
+        return stop
+
+    parser = argparse.ArgumentParser
+    patch.setattr(parser, "parse_args", stop_after(parser.parse_args))
+    patch.setattr(parser, "parse_intermixed_args", stop_after(parser.parse_intermixed_args))
+    patch.setattr(sys, "argv", ["program", *words])
+    with pytest.raises(_Read) as read:
+        main()
+    return read.value.options
+
+
+@pytest.mark.parametrize(("page", "module", "line"), COMMANDS)
+def test_a_program_understands_what_the_pages_show(
+    page: str, module: str, line: str, home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = _split(line, home)
+    program = module.removeprefix("experiments.")
+    if program in SCHEMAS:
+        _load(program, words)
+        return
+    main = import_module(module).main
+    if "--help" in words:
+        return
+    options = vars(_parse(main, words, monkeypatch))
+    chosen = [f"preset={options['preset']}"] if "preset" in options else []
+    for name in ("set", "overrides", "settings"):
+        check_overrides("train", [*chosen, *(options.get(name) or [])])
+    if program == "compare":
+        _load("train", [word for word in words if "=" in word])
+
+
+def test_there_are_commands_of_every_kind() -> None:
+    assert len(COMMANDS) > 50
+    assert {page for page, _, _ in COMMANDS} >= {"README.md", "docs/sweeps.md", "docs/viewer.md"}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_targets_and_extras_of_the_pages_are_there(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for target in TARGET.findall(text):
+        assert re.search(rf"^{target}:", makefile, re.MULTILINE), f"make {target}"
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    for extra in EXTRA.findall(text):
+        assert extra in extras["optional-dependencies"], extra
