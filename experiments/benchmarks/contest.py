@@ -15,6 +15,7 @@ import sys
 import time
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import fields
 from multiprocessing.connection import Connection, wait
 from typing import Any
@@ -61,7 +62,8 @@ class _Player:
         """Run a burst of each entry; a process that fails is out, with all it has measured."""
         for index in range(len(self.entries)):
             time.sleep(_PAUSE)
-            self.connection.send(index)
+            with suppress(ConnectionError):  # it is gone: what it sent last says so
+                self.connection.send(index)
             answer = self._receive()
             if isinstance(answer, Skipped):
                 self._leave(answer)

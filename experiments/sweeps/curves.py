@@ -57,7 +57,7 @@ def write_curves(groups: Sequence[Group], path: Path) -> bool:
 
 
 def average(group: Group, column: str) -> tuple[Numbers, Numbers, Numbers]:
-    """Return frames, mean over the runs, and half-width of its 95 % interval.
+    """Return frames, mean over the seeds, and half-width of its 95 % interval.
 
     At each frame that any run has logged, the runs count that have begun and come so far, linearly
     interpolated.
@@ -67,7 +67,7 @@ def average(group: Group, column: str) -> tuple[Numbers, Numbers, Numbers]:
         column: of metrics.csv.
     """
     series = []
-    for run in group.runs:
+    for run in group.seeds:
         if run.frames == 0:
             continue
         x, y = read_metrics(run.path / "metrics.csv").get(column, (np.empty(0), np.empty(0)))

@@ -38,9 +38,19 @@ class Group:
         return ", ".join(f"{key} {value}" for key, value in self.settings.items()) or "all"
 
     @property
+    def seeds(self) -> list[Run]:
+        """One run of each seed, the one that came farthest: the same again tells nothing new."""
+        chosen: dict[Any, Run] = {}
+        for run in self.runs:
+            known = chosen.setdefault(run.config.get("seed"), run)
+            if _progress(run) > _progress(known):
+                chosen[run.config.get("seed")] = run
+        return list(chosen.values())
+
+    @property
     def finished(self) -> list[Run]:
         """The runs that count in the tables."""
-        return [run for run in self.runs if run.status == "finished"]
+        return [run for run in self.seeds if run.status == "finished"]
 
     def numbers(self, name: str) -> list[float]:
         """Return an entry of the summaries of the finished runs, where it is a number."""
@@ -125,9 +135,11 @@ def _telling_keys(flat: Sequence[Mapping[str, str]]) -> list[str]:
         finer = len({tuple(settings.get(key, "–") for key in wanted) for settings in flat})
         if finer > parts:
             kept, parts = wanted, finer
-    return [
-        name for name in kept if _count_parts(flat, [key for key in kept if key != name]) < parts
-    ]
+    for name in list(kept):
+        others = [key for key in kept if key != name]
+        if _count_parts(flat, others) == parts:
+            kept = others
+    return kept
 
 
 def _count_parts(flat: Sequence[Mapping[str, str]], keys: Sequence[str]) -> int:
@@ -151,6 +163,10 @@ def _flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
         elif key not in _APART:
             flat[key] = str(value).rsplit(".", 1)[-1] if name == "_target_" else str(value)
     return flat
+
+
+def _progress(run: Run) -> tuple[bool, int]:
+    return run.status == "finished", run.frames
 
 
 def _is_number(value: Any) -> bool:

@@ -27,8 +27,8 @@ def write_table(groups: Sequence[Group]) -> str:
         heads += [head] if name == "wall_seconds" else [f"{head}: mean ± 95 % CI", "IQM"]
     lines = [_row(heads), "|---" * len(heads) + "|"]
     for group in groups:
-        finished = len(group.finished)
-        count = str(finished) if finished == len(group.runs) else f"{finished}/{len(group.runs)}"
+        finished, begun = len(group.finished), len(group.seeds)
+        count = str(finished) if finished == begun else f"{finished}/{begun}"
         cells = [*group.settings.values(), count]
         for _, name, form in COLUMNS:
             found = Statistic.of(group.numbers(name))

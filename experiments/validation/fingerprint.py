@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
@@ -41,6 +41,12 @@ def _sources(function: Callable[..., Any]) -> set[str]:
     while waiting:
         name, thing = waiting.pop()
         thing = inspect.unwrap(thing) if callable(thing) else thing
+        if isinstance(thing, Mapping):
+            waiting += [(f"{name}[{key!r}]", value) for key, value in thing.items()]
+            continue
+        if isinstance(thing, tuple | list):
+            waiting += [(f"{name}[{i}]", value) for i, value in enumerate(thing)]
+            continue
         if isinstance(thing, FunctionType | type | ModuleType):
             owner = thing.__name__ if isinstance(thing, ModuleType) else thing.__module__
             if owner.split(".")[0] != package or (source := inspect.getsource(thing)) in seen:

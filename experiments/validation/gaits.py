@@ -33,7 +33,7 @@ class Gaits(Case):
         "The swimmer of the case above, L = 100, with every gait of the library at Re = L² / (T ν) "
         "= 500 (the paper's Task 2) and 7142 (Tasks 0 and 1), Carling's at Reynolds numbers "
         "between. Speed over the tenth beat; the tail's speed is 0.07 nodes per step in all. The "
-        "cost of transport is the power of the muscles over ρ L² U, in (L / T)²; the swimming "
+        "cost of transport is the power of the muscles over ρ L² U, in L / T²; the swimming "
         "number is Sw = 2π a(1) L² / (T ν), the Reynolds number of the motion U L / ν."
     )
 
@@ -77,7 +77,7 @@ class Gaits(Case):
                     ours=speed,
                     resolution=f"L = {BODY_LENGTH}" if len(results) > 1 else "L = 50",
                     note=(
-                        f"Power {power:.4f} ρL⁴/T³, cost of transport {power / speed:.4f} (L/T)², "
+                        f"Power {power:.4f} ρL⁴/T³, cost of transport {power / speed:.4f} L/T², "
                         f"Strouhal number of the tail 2a f / U = {tail / speed:.2f}."
                     ),
                 )

@@ -28,7 +28,6 @@ OUTFLOWS: Mapping[str, tuple[Boundary, int]] = {
     "open to plane waves, sponge 40": (OpenEdge(), 40),
     "open at each node": (OpenEdge(is_plane=False), 0),
 }
-KINDS = ("vortex", "plane pulse", "round pulse")
 
 
 def disturb_outflow(*, outflow: str, kind: str) -> Result:
@@ -36,7 +35,7 @@ def disturb_outflow(*, outflow: str, kind: str) -> Result:
 
     Args:
         outflow: key of ``OUTFLOWS``.
-        kind: key of ``_FIELDS``.
+        kind: key of ``KINDS``.
 
     Returns:
         Over time, the largest difference from the long domain in velocity (vortex, relative to its
@@ -91,7 +90,7 @@ def _start(boundary: Boundary, sponge: int, kind: str, width: int) -> InPlaceSol
         torch.arange(width).double() - (WIDTH - AHEAD),
         indexing="ij",
     )
-    rho, u, v = _FIELDS[kind](x[None] / RADIUS, y[None] / RADIUS)
+    rho, u, v = KINDS[kind](x[None] / RADIUS, y[None] / RADIUS)
     solver.set_populations_(torch.stack(compute_equilibrium(rho, SPEED + u, v), 1).float())
     return solver
 
@@ -114,7 +113,11 @@ def _make_round_pulse(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return rho, 0.0 * rho, 0.0 * rho
 
 
-_FIELDS = dict(zip(KINDS, (_make_vortex, _make_plane_pulse, _make_round_pulse), strict=True))
+KINDS = {
+    "vortex": _make_vortex,
+    "plane pulse": _make_plane_pulse,
+    "round pulse": _make_round_pulse,
+}
 
 
 def _label(outflow: str, kind: str) -> str:

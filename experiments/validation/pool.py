@@ -9,6 +9,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Generator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any, NamedTuple
@@ -86,7 +87,8 @@ def run_jobs(jobs: Sequence[Job], *, num_workers: int) -> Generator[Start | Fini
                 worker.index = waiting.popleft()
                 busy[worker.connection] = worker
                 job = jobs[worker.index]
-                worker.connection.send((job.function, job.arguments))
+                with suppress(ConnectionError):  # it is gone: so its end is received
+                    worker.connection.send((job.function, job.arguments))
                 yield Start(worker.index)
             for connection in wait(list(busy)):
                 assert isinstance(connection, Connection)

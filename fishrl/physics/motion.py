@@ -192,7 +192,7 @@ class Bending(Motion):
 
     Args:
         gain: bend per radian of commanded turn. With 1, commands of 15 degrees in a row turn a
-            Carling swimmer at Re = 7000 and L = 50 by 12 degrees per tail beat, with 0.5 by 8; more
+            Carling swimmer at Re = 7000 and L = 50 by 11 degrees per tail beat, with 0.5 by 8; more
             than 1 only slows it.
     """
 

@@ -96,6 +96,17 @@ def test_what_is_prepared_before_a_burst_is_not_timed(clock: Clock) -> None:
     assert contest._time(entry, 4) == (0.5, {})
 
 
+def test_a_process_that_ends_while_others_are_timed_is_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(contest, "_PAUSE", 0.5)  # it is gone when the next burst is asked for
+    walker = make_team(make_walker, "one", name="one", diary=str(tmp_path / "diary"))
+    rows, (gone,) = run_contest([make_team(toy_teams.die_at_rest, "gone"), walker], SETTINGS)
+    assert [row.code for row in rows] == ["one", "one"]
+    assert gone.code == "gone"
+    assert "exit status 4" in gone.why
+
+
 @pytest.mark.parametrize(
     ("setting", "words"),
     [

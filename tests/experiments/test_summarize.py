@@ -125,6 +125,26 @@ def test_groups_are_told_by_the_fewest_settings(tmp_path: Path) -> None:
     assert len(groups) == 4
 
 
+def test_settings_that_only_together_tell_runs_apart_stay(tmp_path: Path) -> None:
+    designs = [(0, 0, 0), (1, 1, 0), (0, 1, 1), (1, 0, 1), (0, 0, 2)]
+    for i, (tau, gamma, hidden) in enumerate(designs):
+        write_run(tmp_path, f"trial_{i}", tau=tau, gamma=gamma, hidden=hidden)
+    assert len(group_runs(read_runs(tmp_path))) == len(designs)
+
+
+def test_the_same_seed_twice_is_one_seed(tmp_path: Path) -> None:
+    for trial in range(3):
+        write_run(
+            tmp_path, f"trial_{trial}", curve={0: 0.0, 100: 4.0}, summary=summary_of(4.0), gamma=0.9
+        )
+    write_run(
+        tmp_path, "trial_3", seed=1, curve={0: 0.0, 100: 6.0}, summary=summary_of(6.0), gamma=0.9
+    )
+    (group,) = group_runs(read_runs(tmp_path))
+    assert sorted(group.numbers("mean_return")) == [4.0, 6.0]
+    assert average(group, "eval/mean_return")[1].tolist() == [0.0, 5.0]
+
+
 def test_tasks_are_told_apart_by_name(tmp_path: Path) -> None:
     for name in ("Predation", "KarmanGait"):
         write_run(tmp_path, name, task={"_target_": f"fishrl.envs.{name}", "a": {name: 1}})

@@ -222,6 +222,21 @@ def test_fingerprints_follow_what_a_job_reaches(monkeypatch: pytest.MonkeyPatch)
     assert shot(poiseuille) == other
 
 
+def test_fingerprints_are_the_same_in_every_process() -> None:
+    program = (
+        "from experiments.validation.catalogue import CASES\n"
+        "from experiments.validation.fingerprint import fingerprint\n"
+        "print(*(fingerprint(job) for case in CASES for job in case.jobs(quick=False)))"
+    )
+    answers = [
+        subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+        for _ in range(2)
+    ]
+    first, second = (answer.stdout.split() for answer in answers)
+    assert len(first) > 200
+    assert first == second
+
+
 def test_a_bar_in_a_cell_does_not_break_the_table(tmp_path: Path) -> None:
     outcome = Outcome(Squares(diary=tmp_path))
     outcome.checks.append(Check(quantity="|u|", ours=1.0))

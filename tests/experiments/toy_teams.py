@@ -1,6 +1,7 @@
 """Teams of the benchmark that take no time, or go wrong on purpose."""
 
 import os
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -33,6 +34,15 @@ def fail_later() -> list[Entry]:
         raise ZeroDivisionError("by nothing")
 
     return [Entry(label="late/a", name="a trap", advance=advance, num_steps=1)]
+
+
+def die_at_rest() -> list[Entry]:
+    """Answer one burst, and be gone before the next is asked for."""
+
+    def advance(num_steps: int) -> None:
+        threading.Timer(0.005, os._exit, (4,)).start()
+
+    return [Entry(label=f"rest/{i}", name="a rest", advance=advance, num_steps=1) for i in "ab"]
 
 
 def die() -> list[Entry]:
