@@ -81,7 +81,7 @@ def compare(
             given = [*overrides, f"algorithm={algorithm}", f"seed={seed}"]
             config = load_config("train", [*given, f"folder={folder}", "picture_episodes=0"])
             config.name = f"{algorithm}-seed{seed}"
-            if algorithm != algorithms[0]:
+            if runs[algorithms[0]]:
                 config.baselines = []  # once is enough
             runs[algorithm].append(_train(config, folder / config.name, make_env, progress))
     _check_effort(runs)

@@ -29,7 +29,7 @@ from tests.docs.pages import DOCS, read_blocks
 
 ROOT = DOCS.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
-PROGRAM = re.compile(r"\bpython -m (experiments[\w.]*)([^`\n|]*)")
+PROGRAM = re.compile(r"\bpython (?:-m )?(experiments\.[\w.]*|examples/\w+\.py)([^`\n|]*)")
 TARGET = re.compile(r"(?:^|`)make ([a-z-]+)(?![\w ]*=\d)", re.MULTILINE)
 EXTRA = re.compile(r"pip install [^\n`]*\[([\w-]+)\]")
 #: Runs that the pages speak of, and what is swum in them.
@@ -141,7 +141,7 @@ def test_a_program_understands_what_the_pages_show(
     if program in SCHEMAS:
         _load(program, words)
         return
-    main = import_module(module).main
+    main = import_module(module.removesuffix(".py").replace("/", ".")).main
     if "--help" in words:
         return
     options = vars(_parse(main, words, monkeypatch))

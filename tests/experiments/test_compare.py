@@ -54,6 +54,8 @@ def test_algorithms_are_trained_once_and_compared(
     assert (result["frames"], result["updates"], result["num_seeds"]) == (16, 6, 2)
     assert list(result["algorithms"]) == ["discrete_sac", "drqn"]
     assert list(result["baselines"]) == ["random"]
+    again = json.loads((folder / "discrete_sac-seed1" / "summary.json").read_text())
+    assert again["baselines"] == []  # they swim the same whatever is learned
     assert (folder / "compare.md").read_text() in capsys.readouterr().out
     with Image.open(folder / "compare.png") as picture:
         assert min(picture.size) > 300
