@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from experiments.watching import Drawn
 
 #: A flow is recorded for so many T, at least, before the size of longer ones is told from it.
-_LEAST_T = 5.0
+_LEAST_T = 10.0
 
 
 def record(
@@ -111,13 +111,13 @@ def record(
 def describe_size(num_bytes: int, drawn: Drawn, *, field_format: str) -> str:
     """Say in one line how large a recording is, and how large one of 100 T of a flow would be.
 
-    Of a short one most is what each holds once: it says nothing of a long one.
+    Each holds some tenths of a MB once, most of a short one, which says nothing of a long one.
     """
     size, periods, flows = num_bytes / 1e6, drawn.periods, drawn.flows
     rate = drawn.frames / periods if periods > 0 else 0.0
     words = f"{size:.2f} MB for {flows} flow{'s' * (flows != 1)}, {periods:.1f} T of them together"
     if periods >= _LEAST_T * flows:
-        words += f"; {100.0 * size / periods:.1f} MB per 100 T of a flow"
+        words += f"; about {100.0 * size / periods:.0f} MB per 100 T of a flow"
     return f"{words} ({field_format}, {rate:.1f} frames per T)"
 
 

@@ -57,8 +57,8 @@ def test_some_flows_of_a_batch_are_recorded_and_their_size_is_said(
 @pytest.mark.parametrize(
     ("drawn", "words"),
     [
-        (Drawn(1, 40, 5.0), "1.50 MB for 1 flow, 5.0 T of them together; 30.0 MB per 100 T of a "),
-        (Drawn(2, 72, 9.0), "1.50 MB for 2 flows, 9.0 T of them together (u8, 8.0 frames per T)"),
+        (Drawn(1, 80, 10.0), "1.50 MB for 1 flow, 10.0 T of them together; about 15 MB per 100 T "),
+        (Drawn(2, 76, 19.0), "1.50 MB for 2 flows, 19.0 T of them together (u8, 4.0 frames"),
         (Drawn(1, 0, 0.0), "1.50 MB for 1 flow, 0.0 T of them together (u8, 0.0 frames per T)"),
     ],
 )
