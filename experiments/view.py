@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from experiments.settings import ViewConfig
     from experiments.watching import Drawn
 
+#: A flow is recorded for so many T, at least, before the size of longer ones is told from it.
+_LEAST_T = 10.0
+
 
 def record(
     config: ViewConfig,
@@ -105,15 +108,17 @@ def record(
         )
 
 
-def describe_size(path: Path, drawn: Drawn, *, field_format: str) -> str:
-    """Say in one line how large a recording is, and how large one of 100 T would be."""
-    size, periods = path.stat().st_size / 1e6, drawn.periods
+def describe_size(num_bytes: int, drawn: Drawn, *, field_format: str) -> str:
+    """Say in one line how large a recording is, and how large one of 100 T of a flow would be.
+
+    Each holds some tenths of a MB once, most of a short one, which says nothing of a long one.
+    """
+    size, periods, flows = num_bytes / 1e6, drawn.periods, drawn.flows
     rate = drawn.frames / periods if periods > 0 else 0.0
-    per_100 = f"{100.0 * size / periods:.1f}" if periods > 0 else "?"
-    return (
-        f"{path}: {size:.2f} MB for {drawn.flows} flows, {periods:.1f} T of them together; "
-        f"{per_100} MB per 100 T of a flow ({field_format}, {rate:.1f} frames per T)"
-    )
+    words = f"{size:.2f} MB for {flows} flow{'s' * (flows != 1)}, {periods:.1f} T of them together"
+    if periods >= _LEAST_T * flows:
+        words += f"; about {100.0 * size / periods:.0f} MB per 100 T of a flow"
+    return f"{words} ({field_format}, {rate:.1f} frames per T)"
 
 
 def view(
@@ -172,7 +177,8 @@ def view(
                     progress=progress,
                 )
                 progress.close()
-                print(describe_size(path, drawn, field_format=config.field_format))
+                said = describe_size(path.stat().st_size, drawn, field_format=config.field_format)
+                print(f"{config.save}: {said}" if config.save else said)
                 if server is not None:
                     (wait or _wait_for_interrupt)()
         progress.close()

@@ -59,7 +59,7 @@ def _lay_out(rrb: Any, scene: Scene, flow: int, title: str, is_live: bool) -> An
     plots = [_make_plot(rrb, root, panel, is_live) for panel in scene.panels]
     num_columns = 1 if len(plots) < 5 else 2
     return rrb.Horizontal(
-        rrb.Vertical(world, bars, about, row_shares=[6, 1, 1.6]),
+        rrb.Vertical(world, bars, about, row_shares=[5.5, 1, 2.1]),
         rrb.Grid(*plots, grid_columns=num_columns),
         column_shares=[3, 1 if num_columns == 1 else 2],
         name=title,

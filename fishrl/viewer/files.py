@@ -108,6 +108,7 @@ def write_screenshot(
 
     Raises:
         FileNotFoundError: if there is no recording, or no folder for the picture.
+        ValueError: if the viewer does not start, or ends, as it does without a Vulkan driver.
     """
     check_folder(picture)
     with _headless(path, time_T) as viewer:
@@ -138,14 +139,17 @@ def _headless(path: str | os.PathLike[str], time_T: float | None) -> Iterator[An
     from rerun.experimental import ViewerClient
 
     with Viewer("--headless", "--hide-welcome-screen", port=_PORT) as process:
-        viewer = ViewerClient.connect(process.url)
-        viewer.open(str(recording.resolve()))
-        deadline = time.monotonic() + _PATIENCE_S
-        while viewer.get_state().loading and time.monotonic() < deadline:
-            time.sleep(0.2)
-        moment = _find_middle(viewer) if time_T is None else time_T
-        viewer.set_time(TIMELINE, duration=moment, play_state="paused")
-        yield viewer
+        try:
+            viewer = ViewerClient.connect(process.url)
+            viewer.open(str(recording.resolve()))
+            deadline = time.monotonic() + _PATIENCE_S
+            while viewer.get_state().loading and time.monotonic() < deadline:
+                time.sleep(0.2)
+            moment = _find_middle(viewer) if time_T is None else time_T
+            viewer.set_time(TIMELINE, duration=moment, play_state="paused")
+            yield viewer
+        except ConnectionError as error:  # without a driver it listens first, and then ends
+            raise ValueError(process.explain_failure()) from error
 
 
 def _find_middle(viewer: Any) -> float:

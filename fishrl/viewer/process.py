@@ -36,6 +36,7 @@ class Viewer:
 
     def __init__(self, *options: str, port: int) -> None:
         import_rerun()
+        self._options = options
         self.port = find_port(port)
         self.url = f"rerun+http://{HOST}:{self.port}/proxy"
         self._process = start_rerun("--bind", HOST, "--port", str(self.port), *options)
@@ -45,11 +46,7 @@ class Viewer:
                 return
             time.sleep(0.05)
         self.close()
-        raise ValueError(
-            f"rerun does not start on port {self.port} with {' '.join(options)}: see what "
-            "`python -m rerun` says with the same options (without a screen it needs a Vulkan "
-            "driver, such as Mesa's lavapipe), or give another port"
-        )
+        raise ValueError(self.explain_failure())
 
     def __enter__(self) -> Self:
         """Run within a ``with``."""
@@ -63,6 +60,14 @@ class Viewer:
     ) -> None:
         """End it."""
         self.close()
+
+    def explain_failure(self) -> str:
+        """Say what to do when it does not start, or ends while it is needed."""
+        return (
+            f"rerun does not run on port {self.port} with {' '.join(self._options)}: see what "
+            "`python -m rerun` says with the same options (without a screen it needs a Vulkan "
+            "driver, such as Mesa's lavapipe), or give another port"
+        )
 
     def close(self) -> None:
         """End it, and wait until its port is free."""

@@ -35,6 +35,7 @@ EXTRA = re.compile(r"pip install [^\n`]*\[([\w-]+)\]")
 #: Runs that the pages speak of, and what is swum in them.
 RUNS = {
     "runs/name": [],
+    "runs/predation-small-seed0": [],
     "runs/gait-run": ["preset=gait_small", "recognition=oracle"],
     "runs/gammas/gamma_0.99-seed_1": ["gamma=0.99", "seed=1"],
     "runs/holdstation-small-seed0": ["--config-dir=my_fish/conf", "task=hold_station"],

@@ -20,6 +20,7 @@ from experiments.live import LiveView, choose_flows
 from experiments.run_folder import write_yaml
 from experiments.settings import ConfigError, EvaluateConfig
 from experiments.train import train
+from experiments.watching import Drawn
 from fishrl.viewer import Drawing, Frame
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 from tests.experiments.test_gait import SETTINGS
@@ -43,15 +44,26 @@ def test_some_flows_of_a_batch_are_recorded_and_their_size_is_said(
     view.main([*GAIT, "recognition=oracle", *arguments])
     said = capsys.readouterr().out
     number = r"(\d+\.\d+)"
-    words = rf"{path}: {number} MB for 2 flows, {number} T of them together; {number} MB per 100 T"
-    size, periods, per_100 = map(float, re.match(words, said).groups())
+    words = rf"{path}: {number} MB for 2 flows, {number} T of them together \(jpeg, {number} frames"
+    size, periods, _ = map(float, re.match(words, said).groups())
     assert size == pytest.approx(path.stat().st_size / 1e6, abs=0.005)
     assert 1.7 < periods < 4.0  # whole decisions, which are longer than half a T at this size
-    assert per_100 == pytest.approx(100.0 * size / periods, rel=0.05)
     shown = list_entities(path)
     assert "/flow_1/plots/class_probabilities/2" in shown
     assert "/flow_3/world/neuromasts" in shown
     assert "/flow_0/" not in shown
+
+
+@pytest.mark.parametrize(
+    ("drawn", "words"),
+    [
+        (Drawn(1, 80, 10.0), "1.50 MB for 1 flow, 10.0 T of them together; about 15 MB per 100 T "),
+        (Drawn(2, 76, 19.0), "1.50 MB for 2 flows, 19.0 T of them together (u8, 4.0 frames"),
+        (Drawn(1, 0, 0.0), "1.50 MB for 1 flow, 0.0 T of them together (u8, 0.0 frames per T)"),
+    ],
+)
+def test_the_size_of_long_recordings_is_not_told_from_short_ones(drawn: Drawn, words: str) -> None:
+    assert view.describe_size(1_500_000, drawn, field_format="u8").startswith(words)
 
 
 def test_the_learned_fish_of_a_run_is_shown_in_its_own_task(
@@ -99,7 +111,9 @@ def test_help_lists_what_there_is_to_set(
     assert "screenshot: null" in said
 
 
-def test_a_live_view_streams_and_stays_until_nobody_looks(tmp_path: Path) -> None:
+def test_a_live_view_streams_and_stays_until_nobody_looks(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     config = view_settings([*GAIT, "policy=pid", "live=true", "periods=1", "port=29600"])
     waited: list[bool] = []
 
@@ -109,6 +123,9 @@ def test_a_live_view_streams_and_stays_until_nobody_looks(tmp_path: Path) -> Non
 
     view.view(config, wait=wait)
     assert waited == [True]
+    said = capsys.readouterr().out
+    assert " MB for 1 flow, " in said
+    assert ".rrd" not in said  # the file goes with the program
 
 
 @pytest.mark.parametrize(
@@ -160,7 +177,7 @@ def test_a_training_that_cannot_be_shown_leaves_no_folder(tmp_path: Path) -> Non
     assert not list(tmp_path.iterdir())
 
 
-class Drawn:
+class Notes:
     """Notes the frames that a drawing gets, and lets it draw them."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -187,7 +204,7 @@ def test_a_training_that_is_looked_at_learns_the_same(
     settings += ["total_frames=32", "warmup_frames=8", "eval_frames=16", "eval_episodes=2"]
     settings += ["final_episodes=1", "baselines=[]", "task.time_limit=4"]
     train(load_config("train", [*settings, "name=alone"]))
-    drawn = Drawn(monkeypatch)
+    drawn = Notes(monkeypatch)
     seen = ["name=seen", "live=true", "flows=[1,2]", "port=29620", "live_share=1.0"]
     summary = train(load_config("train", [*settings, *seen]))
     assert read_rows(tmp_path / "seen") == read_rows(tmp_path / "alone")
@@ -207,7 +224,7 @@ def test_an_evaluation_that_is_looked_at_finds_the_same(monkeypatch: pytest.Monk
     config = load_config("evaluate", [*GAIT, "policy=bang_bang", "episodes=3", "num_envs=2"])
     config.task["time_limit"] = 4
     alone = evaluate(config)
-    drawn = Drawn(monkeypatch)
+    drawn = Notes(monkeypatch)
     config.live, config.port, config.flows = True, 29640, [1]
     assert evaluate(config) == alone
     assert {flow for flow, _ in drawn.frames} == {1}

@@ -1,6 +1,7 @@
 """Whether the views of a recording drew, and what is in their pictures."""
 
 import io
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,8 +11,20 @@ from PIL import Image
 
 from fishrl.viewer import Picture, Scene
 
+#: Where the Vulkan loader looks for drivers, unless a variable names their files or folders.
+FOLDERS = [f"{root}/vulkan/icd.d" for root in ("/etc", "/usr/share", "/usr/local/share")]
+
+
+def list_drivers(folders: Sequence[str] = FOLDERS) -> list[Path]:
+    """Return the files that describe the Vulkan drivers of this machine."""
+    named = os.environ.get("VK_DRIVER_FILES") or os.environ.get("VK_ICD_FILENAMES")
+    paths = [Path(name) for name in (named.split(os.pathsep) if named else folders)]
+    files = [file for path in paths for file in (path.glob("*.json") if path.is_dir() else [path])]
+    return [file for file in files if file.is_file()]
+
+
 needs_vulkan = pytest.mark.skipif(
-    not list(Path("/usr/share/vulkan/icd.d").glob("*.json")),
+    not list_drivers(),
     reason="the viewer needs a Vulkan driver: apt install mesa-vulkan-drivers",
 )
 

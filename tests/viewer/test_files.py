@@ -3,6 +3,8 @@
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -16,6 +18,7 @@ from fishrl.viewer import (
     write_screenshot,
 )
 from fishrl.viewer import files as files_module
+from fishrl.viewer.process import Viewer
 from tests.viewer.pictures import check_views, needs_vulkan
 from tests.viewer.scenes import make_frame, make_scene
 
@@ -28,6 +31,16 @@ ENTITIES = {
     "/flow_0/plots/class_probabilities/1", "/flow_0/plots/angle/0",
     "/legend/vorticity/ramp", "/legend/neuromasts/ticks",
 }  # fmt: skip
+
+
+class Unstarted(Viewer):
+    """A viewer without its program."""
+
+    def __init__(self, *options: str, port: int) -> None:
+        self._options, self.port, self.url = options, port, "nowhere"
+
+    def close(self) -> None:
+        """Do nothing."""
 
 
 def write(path: Path, *, num_frames: int = 3, field_format: str = "jpeg") -> None:
@@ -86,6 +99,29 @@ def test_a_screenshot_into_no_folder_is_refused(tmp_path: Path) -> None:
     write(tmp_path / "flows.rrd", num_frames=1)
     with pytest.raises(FileNotFoundError, match=r"no folder .*nowhere: make it first"):
         write_screenshot(tmp_path / "flows.rrd", tmp_path / "nowhere" / "x.png")
+
+
+@pytest.mark.parametrize("call", ["connect", "open", "get_state", "set_time", "take_screenshot"])
+def test_a_viewer_that_ends_while_it_is_needed_says_what_it_needs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    def end(*_: Any, **__: Any) -> Any:
+        raise ConnectionError("transport error")
+
+    client = SimpleNamespace(
+        open=lambda url: None,
+        get_state=lambda: SimpleNamespace(loading=False),
+        set_time=lambda *_, **__: None,
+    )
+    client.connect = lambda url: client
+    setattr(client, call, end)
+    monkeypatch.setattr("rerun.experimental.ViewerClient", client)
+    monkeypatch.setattr(files_module, "Viewer", Unstarted)
+    monkeypatch.setattr(files_module, "_GREETING_S", 0.0)
+    write(tmp_path / "flows.rrd", num_frames=1)
+    with pytest.raises(ValueError, match=r"rerun does not run .* --headless.* a Vulkan driver"):
+        write_screenshot(tmp_path / "flows.rrd", tmp_path / "x.png", time_T=0.0)
+    assert not (tmp_path / "x.png").exists()
 
 
 def test_an_unknown_field_format_names_those_allowed(tmp_path: Path) -> None:

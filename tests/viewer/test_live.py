@@ -61,5 +61,5 @@ def test_no_port_at_all_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_program_that_ends_at_once_is_an_error() -> None:
-    with pytest.raises(ValueError, match=r"rerun does not start on port .* with --no-such"):
+    with pytest.raises(ValueError, match=r"rerun does not run on port .* with --no-such"):
         Viewer("--no-such-option", port=29500)
