@@ -26,6 +26,13 @@ from torchrl.envs import (
     TransformedEnv,
 )
 
+from fishrl.envs.checks import (
+    check_action,
+    check_answers,
+    check_command,
+    check_rows,
+    check_starts_of,
+)
 from fishrl.envs.draws import draw_uniform
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.task import AbstractTask
@@ -61,7 +68,8 @@ class FlowEnv(EnvBase):
             more; what they report means nothing. An evaluation sets it for rows that are through.
 
     Raises:
-        ValueError: if ``num_envs``, ``frames_per_action`` or ``starts`` cannot be.
+        ValueError: if ``num_envs``, ``frames_per_action``, ``starts`` or what the task answers
+            cannot be.
     """
 
     def __init__(
@@ -79,7 +87,9 @@ class FlowEnv(EnvBase):
         if num_envs < 1:
             raise ValueError(f"num_envs = {num_envs}: at least one flow is needed")
         super().__init__(device=device, batch_size=[num_envs])
-        if starts is not None:
+        if starts is None:
+            check_starts_of(task)
+        else:
             task.check_starts(starts)
             starts = starts.to(self.device)
         self.task, self.starts, self.on_frame = task, starts, on_frame
@@ -127,17 +137,8 @@ class FlowEnv(EnvBase):
 
     def _make_specs(self) -> None:
         """Derive the specs from what the task says about a first measurement."""
-        task, rows = self.task, tuple(self.batch_size)
-        observed, mask = task.observe(self.now), task.action_mask(self.now)
-        for name, got, size in (
-            ("observe", observed, task.n_obs),
-            ("action_mask", mask, task.num_actions),
-        ):
-            if tuple(got.shape) != (*rows, size):
-                raise ValueError(
-                    f"{type(task).__name__}.{name} gives shape {tuple(got.shape)}, expected "
-                    f"{(*rows, size)}: make it agree with n_obs and num_actions"
-                )
+        task = self.task
+        check_answers(task, self.now)
         reported = {
             name: Binary(shape[-1], shape=shape, dtype=torch.bool)
             if value.dtype == torch.bool
@@ -146,7 +147,7 @@ class FlowEnv(EnvBase):
             for shape in [tuple(value.shape[1:]) or (1,)]
         }
         self.observation_spec_unbatched = Composite(
-            observation=Unbounded((task.n_obs,), dtype=observed.dtype),
+            observation=Unbounded((task.n_obs,)),
             action_mask=Binary(task.num_actions, dtype=torch.bool),
             diverged=Binary(1, dtype=torch.bool),
             start_index=Unbounded((), dtype=torch.int64),
@@ -185,23 +186,25 @@ class FlowEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         action = tensordict["action"]
-        self._check_action(action, self.task.action_mask(self.now))
+        check_action(action, self.task.action_mask(self.now))
         before = self.now.copy().update(self._read_inputs(tensordict))
-        turn, frequency = self.task.command(action, before)
-        self.solver.command_(turn, self.task.n_substeps, frequency)
+        order, rows = self.task.command(action, before), tuple(self.batch_size)
+        check_command(self.task, order, rows)
+        self.solver.command_(order.turn, self.task.n_substeps, order.frequency)
         now, diverged = self._advance(before)
         now.update(self.task.remember(before, action, now))
         self.now = _merge(~diverged, now, self.now)
         self._count(diverged)
         terminated = self.task.is_terminated(self.now) & ~diverged
-        reward = self.task.reward(before, self.now).masked_fill(diverged, 0.0)
+        earned = check_rows(self.task, "reward", self.task.reward(before, self.now), rows, None)
+        reward = earned.float().masked_fill(diverged, 0.0)
         result = self._write(
             diverged=diverged,
             done=terminated | diverged,
             terminated=terminated,
             truncated=diverged,
         )
-        return result.set("reward", reward.float().unsqueeze(-1))
+        return result.set("reward", reward.unsqueeze(-1))
 
     def _advance(self, before: TensorDict) -> tuple[TensorDict, Tensor]:
         """Run the flows for one action.
@@ -242,19 +245,6 @@ class FlowEnv(EnvBase):
             self._num_diverged += diverged.sum()
             rows = diverged.nonzero().squeeze(-1).tolist()
             logger.warning("flows %s diverged and end here; %d so far", rows, self.num_diverged)
-
-    def _check_action(self, action: Tensor, mask: Tensor) -> None:
-        """Refuse illegal actions; they would be learned from as if they were others."""
-        most = self.task.num_actions - 1
-        is_legal = mask.gather(-1, action.clamp(0, most).unsqueeze(-1)).squeeze(-1)
-        is_legal = is_legal & (action >= 0) & (action <= most)
-        if not is_legal.all():
-            row = int(is_legal.int().argmin())
-            legal = mask[row].nonzero().squeeze(-1).tolist()
-            raise ValueError(
-                f"action = {int(action[row])} in row {row}: legal is {legal}; policies must "
-                "honour 'action_mask', and random actions are legal in environments of make_env"
-            )
 
     def _read_inputs(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
         """Return what the task wants of the brain's side beside the action."""

@@ -43,8 +43,8 @@ class AbstractTask(ABC):
 
     Class attributes of every task: ``n_obs``, numbers in one observation; ``num_actions``; and
     ``num_draws``, random numbers that one start takes. Of some: ``success``, name of the entry of
-    ``report`` that tells whether the task is accomplished (where there is no such entry, lasting
-    until the time limit is success, and the name is but the word for it); ``inputs``, names of
+    ``report`` that tells whether the task is accomplished (by default, "survived", there is none:
+    lasting until the time limit is success); ``inputs``, names of
     entries ``[B]`` that a transform writes and ``command`` finds in the measurement; and
     ``num_samples``, how often ``sense`` is called within an action.
 
@@ -79,6 +79,9 @@ class AbstractTask(ABC):
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run; turns sequences from files into tuples."""
+        for name in ("n_obs", "num_actions", "num_draws"):
+            if not hasattr(type(self), name):
+                raise ValueError(f"{type(self).__name__} has no {name}: give it as a ClassVar[int]")
         object.__setattr__(self, "domain_bl", as_pair("domain_bl", self.domain_bl))
         for name in ("num_stacked", "time_limit"):
             if getattr(self, name) < 1:

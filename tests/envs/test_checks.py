@@ -1,0 +1,87 @@
+"""A mistake in a task is named when its environment is made, or at its first step."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from fishrl.envs import AbstractTask, Command
+from fishrl.envs.flow_env import FlowEnv
+from tests.envs.conftest import SMALL
+from tests.envs.shy_task import Shy
+
+pytestmark = pytest.mark.usefixtures("gliding")
+BRIEF: dict[str, Any] = {**SMALL, "control_interval_T": 0.1, "checks_per_action": 2}
+
+
+def _make(**members: Any) -> AbstractTask:
+    """Return a task that differs from a good one in these members."""
+    return dataclass(frozen=True, kw_only=True)(type("Wrong", (Shy,), members))(**BRIEF)
+
+
+def _step(task: AbstractTask) -> None:
+    env = FlowEnv(task=task, num_envs=2, compile_flow=False)
+    env.step(env.reset().set("action", torch.tensor([0, 1])))
+
+
+def _starts(x_bl: float, *without: str) -> Callable[..., TensorDict]:
+    def starts_from(self: Shy, uniform: torch.Tensor) -> TensorDict:
+        starts = Shy.starts_from(self, uniform)
+        starts["head"][:, 0] += x_bl * self.body_length * (uniform[:, 0] > 0.5)
+        return starts.exclude(*without)
+
+    return starts_from
+
+
+def test_the_task_that_these_are_made_of_is_right() -> None:
+    _step(_make())
+
+
+@pytest.mark.parametrize(
+    ("member", "gives", "said"),
+    [
+        ("observe", lambda _, now: now["x"], r"observe gives shape \(2,\), expected \(2, 2\): "),
+        ("observe", lambda _, now: torch.ones(2, 2).double(), "observe gives torch.float64, exp"),
+        ("observe", lambda _, now: torch.full((2, 2), torch.nan), "observe gives .*nan.* finite"),
+        ("observe", lambda _, now: [1.0], r"observe gives list \[1.0\], expected a ten"),
+        ("action_mask", lambda _, now: torch.zeros(2, 2) > 1, "has a row without any legal action"),
+        ("action_mask", lambda _, now: torch.ones(2, 2), "action_mask gives torch.float32, exp"),
+        ("is_terminated", lambda _, now: now["x"], "is_terminated gives torch.float64, expect"),
+        ("is_terminated", lambda _, now: now["x"][:, None] < 0, r"is_terminated gives shape \(2"),
+        ("reward", lambda _, b, now: 1.0, "reward gives float 1.0, expected a tensor"),
+        ("reward", lambda _, b, now: now["x"][:, None], r"reward gives shape \(2, 1\), "),
+        ("report", lambda _, now: {"far": 1.0}, "report gives 'far' = float 1.0: expected"),
+        ("success", "reached", r"success = 'reached', but report gives \['beats'\]: let it give"),
+        ("success", "beats", r"report\(\)\['beats'\] gives torch.float64, expected torch.bool"),
+        ("starts_from", _starts(20.0), "head at .*: the fish, or a part of it, lies outside"),
+        ("starts_from", _starts(0.0, "heading"), r"starts_from gives \['head'\]: it must give"),
+        ("command", lambda _, a, b: 0.1 * a, "command gives a tensor .* expected"),
+        ("command", lambda _, a, b: Command(150.0 * a), "expected radians, at most 2"),
+        ("command", lambda _, a, b: Command(torch.zeros(1)), r"turn gives shape \(1,\), e"),
+        ("command", lambda _, a, b: Command(a * torch.nan), "expected radians, at mo"),
+        (
+            "command",
+            lambda _, a, b: Command(0.0 * a, 1.0 + a),
+            r"frequencies \[1.0, 2.0\]: expected tail beats per step, .* n / self.scales.period",
+        ),
+    ],
+)  # fmt: skip
+def test_a_wrong_answer_is_named(member: str, gives: Any, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        _step(_make(**{member: gives}))
+
+
+@pytest.mark.parametrize("name", ["n_obs", "num_actions", "num_draws"])
+def test_a_size_that_is_forgotten_is_named(name: str) -> None:
+    members = {key: value for key, value in vars(Shy).items() if key != name and callable(value)}
+    sizes = {key: 1 for key in ("n_obs", "num_actions", "num_draws") if key != name}
+    forgetful = type("Forgetful", (AbstractTask,), {**members, **sizes})
+    with pytest.raises(ValueError, match=rf"has no {name}: give it as a ClassVar\[int\]"):
+        forgetful(**BRIEF)
+
+
+def test_an_entry_of_success_may_be_a_column() -> None:
+    _step(_make(success="arrived", report=lambda _, now: {"arrived": now["x"][:, None] < 1.0}))
