@@ -72,7 +72,7 @@ class Search:
 
         from experiments.config import check_overrides
 
-        checked = check_overrides("train", list(self.overrides))
+        checked = check_overrides("train", list(self.overrides), is_search=True)
         return list(OverridesParser.create().parse_overrides(checked))
 
     def space(self) -> dict[str, Any]:
