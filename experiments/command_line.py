@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import logging
 import os
+import shlex
+import shutil
 import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from tqdm import tqdm
@@ -33,6 +36,44 @@ class _AboveBar(logging.Handler):
         tqdm.write(self.format(record), file=sys.stderr)
 
 
+def read_arguments(program: str, arguments: Sequence[str]) -> list[str]:
+    """Check a command line for hydra; print help where that is asked for, and end the program.
+
+    Args:
+        program: train, evaluate, view or train_lateral_line.
+        arguments: the command line.
+    """
+    from experiments.config import check_overrides
+
+    with plain_errors():
+        show_help(program, arguments)
+        return check_overrides(program, arguments)
+
+
+def show_help(program: str, arguments: Sequence[str]) -> None:
+    """Print help if a command line asks for it, and end the program."""
+    rest = [argument for argument in arguments if argument not in ("--help", "-h")]
+    if len(rest) < len(arguments):
+        from experiments.usage import describe_program
+
+        tqdm.write(describe_program(program, rest))
+        sys.exit(0)
+
+
+def show_command(module: str, *arguments: str) -> str:
+    """Write a command of this Python as it has to be typed here."""
+    here, on_path = Path(sys.executable), shutil.which("python")
+    found = Path(on_path or "").absolute()
+    # environments share one file by links, so their folders tell them apart
+    if found.parent.resolve() == here.parent.resolve() and found.samefile(here):
+        python = "python"
+    elif here.is_relative_to(Path.cwd()):
+        python = str(here.relative_to(Path.cwd()))
+    else:
+        python = str(here)
+    return shlex.join([python, "-m", module, *arguments])
+
+
 @contextmanager
 def plain_errors() -> Iterator[None]:
     """End the program with the message alone where something was set wrongly, or by Ctrl-C."""
@@ -51,7 +92,8 @@ def resumable(training: Training) -> Iterator[None]:
     """Save and say how to go on if the program is told to end, or cannot write any more."""
     from experiments.interruption import Interrupted
 
-    hint = f"go on with: python -m experiments.train resume={training.folder.path}"
+    command = show_command("experiments.train", f"resume={training.folder.path}")
+    hint = f"go on with: {command}"
     try:
         with training.interruption:
             yield

@@ -3,30 +3,44 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields
-from importlib import import_module
 from typing import Any, cast
 
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
-from hydra.errors import HydraException, OverrideParseException
+from hydra.errors import HydraException
 from hydra.utils import get_object
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError  # type: ignore[import-untyped]
 
+from experiments.overrides import (
+    check_key,
+    check_options,
+    check_single,
+    combine,
+    find_unfit,
+    list_keys,
+    parse_overrides,
+    read_choices,
+)
 from experiments.run_folder import RunFolder
-from experiments.search_path import CONF, list_groups, select_search_path, split_arguments
+from experiments.search_path import (
+    CONF,
+    list_groups,
+    list_program_groups,
+    select_search_path,
+    split_arguments,
+)
 from experiments.settings import (
     ConfigError,
     EvaluateConfig,
     LateralLineConfig,
     TrainConfig,
     ViewConfig,
-    nearest,
 )
 from experiments.sweeps.jobs import is_sweep
 
@@ -36,13 +50,6 @@ FIXED_BY_RUN = (
     *("algorithm", "ray_collectors", "learning_rate", "gamma", "tau", "batch_size"),
     *("warmup_frames", "updates_per_frame"),
 )
-#: Packages of the launchers beside hydra's own.
-LAUNCHERS = {
-    "joblib": "hydra_plugins.hydra_joblib_launcher",
-    "submitit_local": "hydra_plugins.hydra_submitit_launcher",
-    "submitit_slurm": "hydra_plugins.hydra_submitit_launcher",
-}
-
 SCHEMAS: dict[str, type] = {
     "train": TrainConfig,
     "evaluate": EvaluateConfig,
@@ -50,16 +57,17 @@ SCHEMAS: dict[str, type] = {
     "view": ViewConfig,
 }
 ConfigStore.instance().store(name="train_schema", node=TrainConfig)
-ConfigStore.instance().store(name="train_lateral_line_schema", node=LateralLineConfig)
 # Plain, so that a preset may also set what only training reads.
-for _program in ("evaluate", "view"):
-    ConfigStore.instance().store(
-        name=f"{_program}_schema",
-        node=OmegaConf.to_container(OmegaConf.structured(SCHEMAS[_program])),
-    )
+for _program in ("evaluate", "train_lateral_line", "view"):
+    _node: Any = OmegaConf.to_container(OmegaConf.structured(SCHEMAS[_program]))
+    if _program == "train_lateral_line":  # comes after the preset, of which it leaves these alone
+        _node = {name: value for name, value in _node.items() if name not in ("task", "preset")}
+    ConfigStore.instance().store(name=f"{_program}_schema", node=_node)
 
 
-def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
+def check_overrides(
+    program: str, arguments: Sequence[str], *, is_search: bool = False
+) -> list[str]:
     """Check a command line against everything that can be set, before hydra sees it.
 
     Every argument of a ``_target_``'s constructor can be set, whether the YAML names it or not.
@@ -70,6 +78,7 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
         program: train, evaluate, view or train_lateral_line.
         arguments: the command line; options of hydra (``--multirun``, ``hydra.x=y``) pass as is.
             ``--config-dir <folder>`` adds a folder with groups (``task/<name>.yaml``) of one's own.
+        is_search: whether settings may hold several values, although no sweep is asked for.
 
     Returns:
         The command line for hydra.
@@ -79,46 +88,53 @@ def check_overrides(program: str, arguments: Sequence[str]) -> list[str]:
         ValueError: if there is no such run.
     """
     options, settings = split_arguments(arguments)
-    _check_sweep(program, options)
-    _check_launcher(options)
-    try:
-        overrides = OverridesParser.create().parse_overrides(settings)
-    except OverrideParseException as error:
-        raise ConfigError(
-            f"{error.override!r}: settings are written key=value, such as seed=1"
-        ) from error
+    check_options(program, options)
+    overrides = parse_overrides(settings)
     _check_resume(program, overrides)
     groups = list_groups(options)
-    chosen = select_search_path(options)
-    for override in overrides:
-        if override.key_or_group in groups:
-            known = groups[override.key_or_group]
-            values = (
-                [str(value) for value in override.sweep_iterator()]
-                if override.is_sweep_override()
-                else [str(override.value())]
-            )
-            for value in values:
-                if value not in known:
-                    raise _unknown(f"{override.key_or_group}={value}", value, known)
-            chosen.append(f"{override.key_or_group}={values[0]}")
-    base = with_defaults(program, _compose(program, chosen))
+    choices = read_choices(program, overrides, groups=groups, options=options)
+    if not (is_search or is_sweep(options)):
+        check_single(program, overrides)
     own = _find_own_task(program, overrides)
-    if own is not None:
-        base.task = own
-        base = with_defaults(program, base)
-    known_keys = sorted(_keys(base))
-    result = list(options)
-    for override in overrides:
-        key, line = override.key_or_group, str(override.input_line)
-        if key not in groups:
-            if key not in known_keys:
-                raise _unknown_key(base, key, [*known_keys, *groups])
-            _check_type(base, key, override.value(), is_sweep=override.is_sweep_override())
-            if key.startswith(("task.", "logger.", "algorithm.")):
-                line = "++" + line.lstrip("+")  # an argument that the YAML leaves at its default
-        result.append(line)
-    return result
+    swept = {group for group, values in choices.items() if len(values) > 1}
+    for chosen in combine(choices):
+        base = _compose_base(program, chosen, places=select_search_path(options))
+        if own is not None:
+            base.task = own
+            base = with_defaults(program, base)
+        known = [*sorted(list_keys(base)), *list_program_groups(program)]
+        varied = {group: chosen[group] for group in swept}
+        for override in overrides:
+            if override.key_or_group not in groups:
+                check_key(base, override, known=known, swept=varied)
+    return [*options, *(_as_line(override, groups) for override in overrides)]
+
+
+def _as_line(override: Override, groups: Collection[str]) -> str:
+    """Write an override for hydra, which tells arguments that a YAML leaves at their default."""
+    line = str(override.input_line)
+    if override.key_or_group in groups:
+        return line.lstrip("+")
+    is_argument = override.key_or_group.startswith(("task.", "logger.", "algorithm."))
+    return "++" + line.lstrip("+") if is_argument else line
+
+
+def _compose_base(program: str, chosen: Mapping[str, str], *, places: Sequence[str]) -> DictConfig:
+    """Compose what is chosen of the groups, and refuse a preset that does not fit the task."""
+    lines = [*places, *(f"{group}={value}" for group, value in chosen.items())]
+    base = with_defaults(program, compose_config(program, lines))
+    unfit = find_unfit(base.task, "task")
+    if unfit is None or "task" not in chosen:
+        return base
+    others = [line for line in lines if not line.startswith("task=")]
+    alone = compose_config(program, others, with_hydra=True)
+    own = alone.hydra.runtime.choices
+    if OmegaConf.select(alone, unfit) is None or find_unfit(alone.task, "task") is not None:
+        return base
+    raise ConfigError(
+        f"preset={own.preset}: is for task={own.task}, and task={chosen['task']} takes no "
+        f"{unfit}; take another preset, or task={own.task}"
+    )
 
 
 def _find_own_task(program: str, overrides: Sequence[Override]) -> Any:
@@ -181,7 +197,7 @@ def load_config(program: str, arguments: Sequence[str] = ()) -> Any:
     Raises:
         ConfigError: for unknown keys and values, and for values out of range.
     """
-    return to_settings(program, _compose(program, check_overrides(program, arguments)))
+    return to_settings(program, compose_config(program, check_overrides(program, arguments)))
 
 
 def to_settings(program: str, config: DictConfig) -> Any:
@@ -289,84 +305,25 @@ def _plain_defaults(target: str) -> dict[str, Any]:
     }
 
 
-def _compose(program: str, overrides: Sequence[str]) -> DictConfig:
+def compose_config(
+    program: str, overrides: Sequence[str], *, with_hydra: bool = False
+) -> DictConfig:
+    """Let hydra compose a checked command line.
+
+    Args:
+        program: train, evaluate, view or train_lateral_line.
+        overrides: of the command line; options that begin with ``-`` are left out.
+        with_hydra: keep what hydra says of itself, such as what is chosen of each group.
+
+    Raises:
+        ConfigError: for what cannot be composed.
+    """
     overrides = [o for o in overrides if not o.startswith("-")]
     try:
         with initialize_config_dir(str(CONF), version_base="1.3"):
-            return compose(program, list(overrides))
+            return compose(program, list(overrides), return_hydra_config=with_hydra)
     except (HydraException, OmegaConfBaseException) as error:
         raise _plain(error) from error
-
-
-def _check_sweep(program: str, options: Sequence[str]) -> None:
-    for option in options:
-        if program != "train" and is_sweep([option]):
-            raise ConfigError(
-                f"{option}: experiments.{program} runs once; give one command for each value, or "
-                "sweep over trainings with experiments.train"
-            )
-
-
-def _check_launcher(options: Sequence[str]) -> None:
-    for option in options:
-        key, _, launcher = option.partition("=")
-        if key != "hydra/launcher" or launcher == "basic":
-            continue
-        if launcher not in LAUNCHERS:
-            raise _unknown(option, launcher, ["basic", *LAUNCHERS])
-        try:
-            import_module(LAUNCHERS[launcher])
-        except ImportError as error:
-            raise ConfigError(
-                f"{option}: needs a package that is not here; pip install -e '.[sweep]'"
-            ) from error
-
-
-def _keys(config: DictConfig, prefix: str = "") -> set[str]:
-    keys: set[str] = set()
-    for name in config:
-        key = prefix + str(name)
-        keys.add(key)
-        if not OmegaConf.is_missing(config, name) and OmegaConf.is_dict(config[name]):
-            keys |= _keys(config[name], f"{key}.")
-    return keys
-
-
-def _check_type(config: DictConfig, key: str, value: Any, *, is_sweep: bool) -> None:
-    """Compare a new value with the default it replaces, where that says what is meant."""
-    default = OmegaConf.select(config, key)
-    is_reference = isinstance(value, str) and "${" in value
-    if is_sweep or is_reference or default is None or value is None:
-        return
-    for kind, allowed, words in (
-        (bool, bool, "true or false"),
-        (int, int, "a whole number"),
-        (float, (int, float), "a number"),
-    ):
-        if isinstance(default, kind):
-            is_right = isinstance(value, allowed) and (kind is bool or not isinstance(value, bool))
-            if not is_right:
-                raise ConfigError(f"{key}={value}: must be {words}, such as {default}")
-            return
-
-
-def _unknown(what: str, word: str, known: Sequence[str]) -> ConfigError:
-    listed = f" There is: {', '.join(known)}." if len(known) < 12 else ""
-    return ConfigError(f"{what}: there is no {word!r}.{nearest(word, known)}{listed}")
-
-
-def _unknown_key(config: DictConfig, key: str, known: Sequence[str]) -> ConfigError:
-    """Name the object that has no such argument, and the nearest one or those that it has."""
-    names = key.split(".")
-    nodes = [OmegaConf.select(config, ".".join(names[:end])) for end in range(1, len(names))]
-    objects = [node for node in nodes if OmegaConf.is_dict(node) and "_target_" in node]
-    known = [name for name in known if not name.endswith("._target_")]
-    if not objects:
-        return _unknown(f"{key}=...", key, known)
-    kind = str(objects[-1]["_target_"]).rsplit(".", 1)[-1]
-    taken = ", ".join(str(name) for name in objects[-1] if name != "_target_") or "nothing"
-    advice = nearest(key, known) or f" It takes {taken}."
-    return ConfigError(f"{key}=...: there is no {key!r} in {kind}.{advice}")
 
 
 def _plain(error: Exception) -> ConfigError:

@@ -129,12 +129,16 @@ def main() -> None:
     with Progress() as progress:
         import hydra
 
-        from experiments.command_line import evaluation_settings, plain_errors, set_up_logging
-        from experiments.config import CONF, check_overrides, to_plain
+        from experiments.command_line import (
+            evaluation_settings,
+            plain_errors,
+            read_arguments,
+            set_up_logging,
+        )
+        from experiments.config import CONF, to_plain
 
         set_up_logging()
-        with plain_errors():
-            sys.argv[1:] = check_overrides("evaluate", sys.argv[1:])
+        sys.argv[1:] = read_arguments("evaluate", sys.argv[1:])
 
         @hydra.main(config_path=str(CONF), config_name="evaluate", version_base="1.3")
         def run(config: DictConfig) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from tensordict import TensorDictBase
 
+from experiments.command_line import show_command
 from experiments.scenes import TaskView
 from experiments.settings import ConfigError, ViewerSettings
 from experiments.watching import Watch
@@ -84,7 +85,7 @@ def choose_flows(flows: list[int] | None, num: int, *, default: list[int]) -> li
 def announce(server: Server) -> None:
     """Say how to look."""
     logger.info(
-        "live on this machine: a window by `python -m rerun --connect %s`, a browser by %s",
-        server.url,
+        "live on this machine: a window by `%s`, a browser by %s",
+        show_command("rerun", "--connect", server.url),
         server.page,
     )

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from experiments.command_line import plain_errors, set_up_logging
+from experiments.command_line import plain_errors, set_up_logging, show_command
 from experiments.run_folder import HeldError, RunFolder
 from experiments.search_path import FOLDER
 from experiments.settings import ConfigError
@@ -72,7 +72,7 @@ class Search:
 
         from experiments.config import check_overrides
 
-        checked = check_overrides("train", list(self.overrides))
+        checked = check_overrides("train", list(self.overrides), is_search=True)
         return list(OverridesParser.create().parse_overrides(checked))
 
     def space(self) -> dict[str, Any]:
@@ -248,7 +248,7 @@ def report(plan: Search, study: Any) -> None:
     for trial in sorted(done, key=lambda t: t.value, reverse=not plan.is_minimized)[:5]:
         chosen = " ".join(f"{key}={value}" for key, value in trial.params.items())
         print(f"  trial {trial.number:<4} {plan.metric} {trial.value:<12.6g} {chosen}")
-    print(f"table and curves: python -m experiments.summarize {plan.folder}")
+    print(f"table and curves: {show_command('experiments.summarize', str(plan.folder))}")
 
 
 def main() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import yaml  # type: ignore[import-untyped]
 from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.object_type import ObjectType
@@ -71,6 +72,17 @@ def list_groups(options: Sequence[str] = ()) -> dict[str, list[str]]:
 
         groups = [group for group in list_("", ObjectType.GROUP) if group != "hydra"]
         return {group: list_(group, ObjectType.CONFIG) for group in groups}
+
+
+def list_program_groups(program: str) -> list[str]:
+    """List the config groups that a program takes, in the order of its YAML.
+
+    Args:
+        program: train, evaluate, view or train_lateral_line.
+    """
+    defaults = yaml.safe_load((CONF / f"{program}.yaml").read_text(encoding="utf-8"))["defaults"]
+    names = [name for entry in defaults if isinstance(entry, dict) for name in entry]
+    return [name for name in names if not name.startswith("override ")]
 
 
 def select_search_path(options: Sequence[str]) -> list[str]:

@@ -270,6 +270,8 @@ class LateralLineConfig:
 
     Args:
         task: ``_target_`` and arguments of the task whose flows shall be told apart.
+        preset: name of the preset whose task it is, if one is given; of a preset nothing else is
+            taken. All flows of the stream are met, whatever ``task.start_flows`` says.
         seed: of data, splits and fits.
         device: cpu or cuda, of the flows.
         compile: compile the flow solver.
@@ -295,6 +297,7 @@ class LateralLineConfig:
     """
 
     task: Any = MISSING
+    preset: str | None = None
     seed: int = 0
     device: str = "cpu"
     compile: bool = True

@@ -204,7 +204,9 @@ def draw(training: Training, summary: dict[str, Any]) -> None:
 
 
 def report(summary: dict[str, Any], *, folder: Path) -> None:
-    """Print the table of all fish, and where the files lie."""
+    """Print the table of all fish, where the files lie, and how to look at it."""
+    from experiments.command_line import show_command
+
     word = summary["success"]
     print(f"\n{'fish':<12}{word:>14}{'mean return':>14}{'mean duration':>16}{f'until {word}':>18}")
     for name in ("learned", *summary["baselines"]):
@@ -220,7 +222,9 @@ def report(summary: dict[str, Any], *, folder: Path) -> None:
     for path in sorted(folder.iterdir()):
         if not path.name.startswith("."):
             print(f"  {path}")
-    print(f"\nlook again: python -m experiments.evaluate checkpoint={folder}")
+    shown = str(folder) if (folder / "capture.rrd").is_file() else f"run={folder}"
+    print(f"\nlook again: {show_command('experiments.evaluate', f'checkpoint={folder}')}")
+    print(f"see it swim: {show_command('experiments.view', shown)}")
 
 
 def main() -> None:
@@ -231,16 +235,16 @@ def main() -> None:
 
         from experiments.command_line import (
             plain_errors,
+            read_arguments,
             resumable,
             set_up_logging,
             training_settings,
         )
-        from experiments.config import CONF, check_overrides
+        from experiments.config import CONF
         from experiments.sweeps.jobs import is_sweep, run_job, sweep
 
         set_up_logging()
-        with plain_errors():
-            sys.argv[1:] = check_overrides("train", sys.argv[1:])
+        sys.argv[1:] = read_arguments("train", sys.argv[1:])
 
         def run(config: DictConfig) -> None:
             with plain_errors():

@@ -3,6 +3,7 @@
 Collects labelled signals of fish that hold stations and act at random, half of the decisions each,
 fits a machine, and writes what it can tell: ``lateral_line.md`` with figures,
 ``lateral_line.json``, and ``machine.pt``, which the task takes.
+``preset=gait_small`` makes it for the fish of that preset.
 Collected data are kept: the same command goes on after an interruption, and other fits use them.
 """
 
@@ -73,12 +74,11 @@ def main() -> None:
     with Progress() as progress:
         import hydra
 
-        from experiments.command_line import plain_errors, set_up_logging
-        from experiments.config import CONF, check_overrides, to_settings
+        from experiments.command_line import plain_errors, read_arguments, set_up_logging
+        from experiments.config import CONF, to_settings
 
         set_up_logging()
-        with plain_errors():
-            sys.argv[1:] = check_overrides("train_lateral_line", sys.argv[1:])
+        sys.argv[1:] = read_arguments("train_lateral_line", sys.argv[1:])
 
         @hydra.main(config_path=str(CONF), config_name="train_lateral_line", version_base="1.3")
         def run(config: DictConfig) -> None:

@@ -210,27 +210,20 @@ def _wait_for_interrupt() -> None:
         return
 
 
-def _show_help(arguments: Sequence[str]) -> None:
-    """Print hydra's help, as the other programs do."""
-    import hydra
-
-    from experiments.config import CONF, check_overrides
-
-    sys.argv[1:] = check_overrides("view", arguments)
-    hydra.main(config_path=str(CONF), config_name="view", version_base="1.3")(lambda _: None)()
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Read the command line; show the bar before the slow imports."""
     with Progress() as progress:
-        from experiments.command_line import plain_errors, set_up_logging, view_settings
+        from experiments.command_line import (
+            plain_errors,
+            set_up_logging,
+            show_help,
+            view_settings,
+        )
 
         set_up_logging()
         with plain_errors():
             given = sys.argv[1:] if arguments is None else arguments
-            if {"--help", "-h"} & set(given):
-                _show_help(given)
-                return
+            show_help("view", given)
             try:
                 view(view_settings(given), progress=progress)
             except KeyboardInterrupt:

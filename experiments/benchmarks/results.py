@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from experiments.command_line import show_command
+
 VERSION = 1
 
 
@@ -141,18 +143,16 @@ class Results:
         Raises:
             ValueError: if there is nothing, or something else.
         """
+        command = show_command("experiments.benchmark")
         if not path.is_file():
-            raise ValueError(f"{path}: no such file; run python -m experiments.benchmark first")
+            raise ValueError(f"{path}: no such file; run {command} first")
         try:
             plain = json.loads(path.read_text(encoding="utf-8"))
             version = plain["version"]
         except (json.JSONDecodeError, KeyError, TypeError):
             version = None
         if version != VERSION:
-            raise ValueError(
-                f"{path}: no results of version {VERSION}; run python -m experiments.benchmark "
-                "again"
-            )
+            raise ValueError(f"{path}: no results of version {VERSION}; run {command} again")
         derived = ("mlups", "milliseconds")
         rows = [{k: v for k, v in row.items() if k not in derived} for row in plain["rows"]]
         return cls(

@@ -237,7 +237,7 @@ def sweep(launch: Callable[[], Any]) -> None:
     Args:
         launch: hydra's program around ``run_job``, which reads the command line.
     """
-    from experiments.command_line import plain_errors
+    from experiments.command_line import plain_errors, show_command
 
     with plain_errors():
         sys.argv[1:], folder = sweep_arguments(sys.argv[1:])
@@ -254,7 +254,7 @@ def sweep(launch: Callable[[], Any]) -> None:
         runs = [read_run(path) for path in list_runs(folder)]
         if runs:
             print(f"\n{folder}: {advise(runs)}")
-            print(f"table and curves: python -m experiments.summarize {folder}")
+            print(f"table and curves: {show_command('experiments.summarize', str(folder))}")
     sys.exit(is_cut_off or any(run.status != "finished" for run in runs))
 
 

@@ -15,6 +15,7 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
+from experiments.command_line import show_command
 from experiments.run_folder import RunFolder
 from experiments.settings import ViewerSettings
 
@@ -54,7 +55,7 @@ class Run:
         """What goes on with it, alone."""
         if not self.config:
             return "mend the setting and give the command of the sweep again"
-        return f"python -m experiments.train resume={self.path}"
+        return show_command("experiments.train", f"resume={self.path}")
 
 
 def read_runs(folder: Path) -> list[Run]:

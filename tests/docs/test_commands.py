@@ -148,7 +148,7 @@ def test_a_program_understands_what_the_pages_show(
     options = vars(_parse(main, words, monkeypatch))
     chosen = [f"preset={options['preset']}"] if "preset" in options else []
     for name in ("set", "overrides", "settings"):
-        check_overrides("train", [*chosen, *(options.get(name) or [])])
+        check_overrides("train", [*chosen, *(options.get(name) or [])], is_search=True)
     if program == "compare":
         _load("train", [word for word in words if "=" in word])
 

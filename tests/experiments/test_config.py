@@ -75,6 +75,7 @@ def test_every_plain_argument_of_the_task_can_be_seen_and_set() -> None:
         ("task=predatoin", "predation"),
         ("logger=wandbb", "wandb"),
         ("preset=small,papper", "paper"),
+        ("preset=choice(small,papper)", "paper"),
         ("+gama=0.9", "gamma"),
     ],
 )

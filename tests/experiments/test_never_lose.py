@@ -19,6 +19,7 @@ import pytest
 import torch
 
 from experiments.checkpointing import CheckpointNotWritten, load_checkpoint, read_metadata
+from experiments.command_line import show_command
 from experiments.config import load_config
 from experiments.counters import measure_memory_mb
 from experiments.interruption import Interrupted, Interruption, spare_children
@@ -123,7 +124,8 @@ def test_a_signal_ends_the_program_with_one_line_and_everything_saved(
     number = signal.SIGTERM
     done = run_signalled(toy_config(name="run", **QUICK), number, 1)
     assert done.returncode == 128 + number, done.stderr
-    hint = f"go on with: python -m experiments.train resume={tmp_path / 'run'}"
+    command = show_command("experiments.train", f"resume={tmp_path / 'run'}")
+    hint = f"go on with: {command}"
     assert f"{number.name}: saved at frame 40; {hint}" in done.stderr
     assert "Traceback" not in done.stderr
     assert read_metadata(tmp_path / "run", which="last")[1]["frames"] == 40

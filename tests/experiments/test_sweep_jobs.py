@@ -15,6 +15,7 @@ from omegaconf import OmegaConf
 
 from experiments import train
 from experiments.checkpointing import read_metadata
+from experiments.command_line import show_command
 from experiments.config import check_overrides, load_config, resumed_settings
 from experiments.run_folder import RunFolder
 from experiments.settings import ConfigError, TrainConfig
@@ -226,7 +227,8 @@ def test_a_sweep_that_is_told_to_end_saves_what_runs(tmp_path: Path) -> None:
     assert (run.status, run.frames) == ("stopped", 8)
     assert read_metadata(run.path, which="last")[1]["frames"] == 8
     said = (run.path / "output.log").read_text(encoding="utf-8")
-    assert "SIGTERM: saved at frame 8; go on with: python -m experiments.train resume=" in said
+    command = show_command("experiments.train", "resume=")
+    assert f"SIGTERM: saved at frame 8; go on with: {command}" in said
     assert f"rerun: {run.command}" in done.stdout
 
 
