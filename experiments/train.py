@@ -68,10 +68,11 @@ def set_up(
     from experiments.algorithms import build_algorithm
     from experiments.config import build
     from experiments.live import choose_flows
+    from experiments.policies import make_baselines
     from experiments.recognition import Recognition, find_machine
     from experiments.run_folder import RunFolder
     from experiments.settings import check_cluster, check_device
-    from experiments.training import Training, make_flow_env
+    from experiments.training import FINAL_SEED, Training, make_flow_env
 
     with ExitStack() as stack:
         if config.resume:
@@ -84,8 +85,10 @@ def set_up(
         metrics_logger = build(config.logger)
         choice = find_machine(config.recognition, Path(config.resume or "."))
         recognition = Recognition(build(config.task), choice)
+        task = recognition.task
+        baselines = make_baselines(config.baselines, task=task, seed=FINAL_SEED)
         if not config.resume:
-            kind = type(recognition.task).__name__.lower()
+            kind = type(task).__name__.lower()
             label = build_algorithm({"algorithm": config.algorithm}).label
             words = [kind, config.preset, *filter(None, [label]), f"seed{config.seed}"]
             name = config.name or "-".join(words)
@@ -96,6 +99,7 @@ def set_up(
             config=config,
             recognition=recognition,
             make_env=make_env or make_flow_env(),
+            baselines=baselines,
             folder=folder,
             metrics_logger=metrics_logger,
             progress=progress or Progress(is_shown=False),

@@ -21,7 +21,7 @@ from experiments.counters import list_metrics
 from experiments.evaluation import Evaluation
 from experiments.progress import Progress
 from experiments.run_folder import RunFolder
-from experiments.settings import TrainConfig
+from experiments.settings import ConfigError, TrainConfig
 from experiments.train import begin_run, finish, note_settings, set_up, train
 from experiments.training import Training
 from tests.experiments.stops import run_and_stop
@@ -90,6 +90,15 @@ def test_the_same_seed_twice_gives_the_same_metrics_and_another_seed_others(
         finish(training_of(toy_config(name=name, seed=seed)))
     assert rows_of(tmp_path / "first") == rows_of(tmp_path / "second")
     assert rows_of(tmp_path / "first") != rows_of(tmp_path / "other")
+
+
+def test_hand_written_fish_that_cannot_be_are_refused_before_anything_is_trained(
+    toy_config: MakeConfig, tmp_path: Path
+) -> None:
+    for name, said in (("randm", "no 'randm'. Did you mean 'random'"), ("pid", "nothing to do in")):
+        with pytest.raises(ConfigError, match=f"baselines={name}: .*{said}"):
+            training_of(toy_config(baselines=["random", name]))
+    assert not list(tmp_path.iterdir())
 
 
 KILLED_RUN = """
