@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
+from importlib import import_module
 from pathlib import Path
+from textwrap import dedent
 
 import pytest
 
 from experiments import search
-from experiments.command_line import view_settings
+from experiments.command_line import plain_errors, view_settings
 from experiments.config import build, check_overrides, load_config
 from experiments.evaluate import main as evaluate_main
 from experiments.policies import make_policy
@@ -49,6 +51,34 @@ SETTINGS = [
     "batch_size=4",
     "hidden=[8]",
 ]
+
+
+def test_what_fails_in_a_file_of_ones_own_is_named_with_its_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = """
+    from pathlib import Path
+    from fishrl.envs import Predation
+    def observe():
+        one, two = 3 * [0.0]
+    def read():
+        return Path("x.json").read_text()
+    def make():
+        return Predation(body_length=3)
+    """
+    (tmp_path / "buggy.py").write_text(dedent(code))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    buggy = import_module("buggy")
+    place = f"({tmp_path / 'buggy.py'}"
+    for function, end in ((buggy.observe, ":5, in observe)"), (buggy.read, ":7, in read)")):
+        with pytest.raises(SystemExit) as stop, plain_errors():
+            function()
+        assert str(stop.value).startswith("error: ")
+        assert str(stop.value).endswith(place + end)
+    with pytest.raises(SystemExit) as stop, plain_errors():
+        buggy.make()
+    assert "a fish needs at least 16 nodes" in str(stop.value)
+    assert place not in str(stop.value)
 
 
 @pytest.mark.usefixtures("gliding")
