@@ -166,6 +166,31 @@ def list_keys(config: DictConfig, prefix: str = "") -> set[str]:
     return keys
 
 
+def check_object(config: DictConfig, group: str) -> None:
+    """Check that what YAML files say of a group names an object, and only arguments of it.
+
+    Args:
+        config: everything that can be set.
+        group: task, algorithm or logger.
+
+    Raises:
+        ConfigError: naming what is missing, or the nearest right argument.
+    """
+    node = None if OmegaConf.is_missing(config, group) else config[group]
+    if not OmegaConf.is_dict(node) or "_target_" not in node:
+        raise ConfigError(
+            f"{group}: no _target_ says what to make; begin its YAML with "
+            "_target_: <module>.<class>."
+        )
+    unfit = find_unfit(node, group)
+    if unfit is None:
+        return
+    without = OmegaConf.create(OmegaConf.to_container(config))
+    parent, _, name = unfit.rpartition(".")
+    del OmegaConf.select(without, parent)[name]
+    raise _unknown_key(without, unfit, sorted(list_keys(without)), where="")
+
+
 def find_unfit(node: Mapping[str, Any], path: str) -> str | None:
     """Return the first key below a ``_target_`` that is no argument of it, or None.
 
