@@ -99,6 +99,7 @@ def check_overrides(
     if not (is_search or is_sweep(options)):
         check_single(program, overrides)
     own = _find_own_task(program, overrides)
+    lists = {field.name for field in fields(SCHEMAS[program]) if str(field.type)[:5] == "list["}
     swept = {group for group, values in choices.items() if len(values) > 1}
     for chosen in combine(choices):
         base = _compose_base(program, chosen, places=select_search_path(options))
@@ -109,7 +110,7 @@ def check_overrides(
         varied = {group: chosen[group] for group in swept}
         for override in overrides:
             if override.key_or_group not in groups:
-                check_key(base, override, known=known, swept=varied)
+                check_key(base, override, known=known, lists=lists, swept=varied)
     return [*options, *(_as_line(override, groups) for override in overrides)]
 
 

@@ -134,6 +134,16 @@ def test_an_argument_that_is_no_setting_is_explained(argument: str) -> None:
         ("compile=3", "compile=3: must be true or false"),
         ("task.time_limit=long", "task.time_limit=long: must be a whole number"),
         ("hidden=[a]", "hidden"),
+        ("hidden=5", r"hidden=5: must be a list in brackets, such as \[256,256\]"),
+        ("hidden=abc", "hidden=abc: must be a list in brackets"),
+        ("baselines=random", "baselines=random: must be a list in brackets"),
+        ("flows=1", "flows=1: must be a list in brackets"),
+        (
+            "task.start_x_bl=3",
+            r"task.start_x_bl=3: must be a list in brackets, such as \[5.0,7.5\]",
+        ),
+        ("task.start_x_bl=[3]", r"task.start_x_bl=\[3\]: must be a list of 2 numbers, such as"),
+        ("task.start_x_bl=[a,b]", "must be a list of 2 numbers"),
         ("num_envs=0", "num_envs = 0: must be at least 1"),
         ("num_envs=-2", "num_envs = -2: must be at least 1"),
         ("total_frames=0", "total_frames = 0: must be at least 1"),
@@ -148,6 +158,12 @@ def test_an_argument_that_is_no_setting_is_explained(argument: str) -> None:
 def test_a_wrong_value_is_named_with_what_is_allowed(argument: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         load_config("train", [argument])
+
+
+def test_lists_of_whole_numbers_and_of_any_length_are_taken_where_they_fit() -> None:
+    check_overrides("train", ["task.start_x_bl=[2,3]", "hidden=[8,8,8]", "baselines=[]"])
+    gait = ["task=karman_gait", "preset=gait_small", "task.start_flows=[0,2]"]
+    check_overrides("train", [*gait, "task.stream.speeds_bl=[1]", "flows=null"])
 
 
 def test_options_and_sweeps_of_hydra_pass() -> None:
