@@ -1,6 +1,7 @@
 """Teach a fish: ``python -m experiments.train task=predation preset=small seed=0``.
 
-``resume=<run folder>`` goes on where a run was stopped or killed.
+``resume=<run folder>`` goes on where a run was stopped or killed; one that is finished stays as it
+is, unless ``total_frames`` makes it longer.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ logger = logging.getLogger(__name__)
 _MAX_FLOWS, _MAX_PERIODS = 3, 20.0
 #: Settings that a resume sets for itself alone: whether to look on, and where things lie.
 _OF_THE_MOMENT = ("live", "recognition", "resume")
+#: Settings with which a finished run is evaluated or drawn anew.
+_OF_THE_END = ("final_episodes", "baselines", "picture_episodes")
 
 
 def train(
@@ -141,18 +144,37 @@ def note_settings(config: TrainConfig, folder: RunFolder) -> None:
         write_yaml(folder.config, settings)
 
 
+def is_over(config: TrainConfig) -> bool:
+    """Tell whether a resumed run is finished, and nothing more is asked of it."""
+    from pathlib import Path
+
+    from experiments.config import to_plain
+    from experiments.sweeps.runs import read_run
+
+    run, asked = read_run(Path(str(config.resume)).expanduser()), to_plain(config)
+    if run.status != "finished" or config.total_frames > run.summary.get("frames", 0):
+        return False
+    return all(asked[name] == run.config.get(name, asked[name]) for name in _OF_THE_END)
+
+
 def finish(training: Training) -> dict[str, Any]:
     """Run what is set up to its end, write the summary and the pictures, and print the table."""
+    from experiments.interruption import Interrupted
     from experiments.run_folder import write_json
 
     config, folder = training.config, training.folder
     with folder.noting_failure(), closing(training):
         summary = training.run()
-        write_json(folder.summary, summary)
-        if config.picture_episodes > 0:
-            draw(training, summary)
-            summary["wall_seconds"] = training.wall_seconds()
+        try:
+            if config.picture_episodes > 0:
+                draw(training, summary)
+                summary["wall_seconds"] = training.wall_seconds()
+        except Interrupted:  # not finished, so that a resume draws them
+            raise
+        except Exception:
             write_json(folder.summary, summary)
+            raise
+        write_json(folder.summary, summary)
     training.progress.close()
     report(summary, folder=folder.path)
     return summary
@@ -252,7 +274,12 @@ def main() -> None:
 
         def run(config: DictConfig) -> None:
             with plain_errors():
-                training = set_up(training_settings(config), progress=progress, began=began)
+                settings = training_settings(config)
+                if settings.resume and is_over(settings):
+                    progress.close()
+                    print(f"{settings.resume}: already finished; total_frames=... makes it longer")
+                    return
+                training = set_up(settings, progress=progress, began=began)
                 with resumable(training):
                     finish(training)
 
