@@ -62,9 +62,13 @@ def read_runs(folder: Path) -> list[Run]:
     """Read every run that lies in a folder.
 
     Raises:
-        ValueError: if there is none.
+        ValueError: if there is none, or the folder is one itself.
     """
     runs = [read_run(path) for path in list_runs(folder)]
+    if not runs and RunFolder(folder).config.is_file():
+        raise ValueError(
+            f"{folder}: is a single run; give the folder that holds it, {folder.absolute().parent}"
+        )
     if not runs:
         raise ValueError(
             f"{folder}: holds no runs; give the folder of a sweep, such as runs/sweep-<time>"
