@@ -11,6 +11,8 @@ from typing import Any
 
 from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointAdapter
 
+from experiments.run_folder import refuse_many
+
 
 @dataclass(frozen=True, kw_only=True)
 class BrainOf:
@@ -205,6 +207,7 @@ def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[
         complete = [folder.with_name(f".{folder.name}.new")]
         complete += sorted(folder.parent.glob(f".{folder.name}.backup*")) + _list_older(folder)
         found = next((place for place in complete if place.exists()), folder)
+    refuse_many(found, setting="checkpoint")
     if not found.exists():
         raise ValueError(
             f"checkpoint {folder}: there is none; give the folder of a run, or one of its "

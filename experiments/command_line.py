@@ -8,7 +8,9 @@ import shlex
 import shutil
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+import sysconfig
+import traceback
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -76,15 +78,39 @@ def show_command(module: str, *arguments: str) -> str:
 
 @contextmanager
 def plain_errors() -> Iterator[None]:
-    """End the program with the message alone where something was set wrongly, or by Ctrl-C."""
+    """End the program with the message alone where something was set wrongly, or by Ctrl-C.
+
+    Errors that come from a user's own file name its line.
+    """
     try:
         yield
     except (ValueError, ImportError, FileNotFoundError) as error:
         logging.getLogger(__name__).debug("where it came from:", exc_info=True)
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {error}{_say_place(error)}")
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         sys.exit(128 + signal.SIGINT)
+
+
+def _say_place(error: Exception) -> str:
+    """Name the line of a user's own file that an error comes from; nothing if it is from ours.
+
+    What fishrl and the programs refuse is said in words that need no place.
+    """
+    here = Path(__file__).parent
+    ours = (here, here.parent / "fishrl")
+    libraries = tuple({path for name, path in sysconfig.get_paths().items() if "lib" in name})
+    frames = [
+        f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith("<")
+    ]
+
+    def lies_in(frame: traceback.FrameSummary, folders: Iterable[str | Path]) -> bool:
+        return any(Path(frame.filename).is_relative_to(folder) for folder in folders)
+
+    own = [frame for frame in frames if not lies_in(frame, (*ours, *libraries))]
+    if not own or lies_in(frames[-1], ours):
+        return ""
+    return f" ({own[-1].filename}:{own[-1].lineno}, in {own[-1].name})"
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import fields
 from typing import Any, cast
@@ -19,6 +20,7 @@ from yaml import YAMLError  # type: ignore[import-untyped]
 
 from experiments.overrides import (
     check_key,
+    check_object,
     check_options,
     check_single,
     combine,
@@ -41,6 +43,7 @@ from experiments.settings import (
     LateralLineConfig,
     TrainConfig,
     ViewConfig,
+    nearest,
 )
 from experiments.sweeps.jobs import is_sweep
 
@@ -96,6 +99,7 @@ def check_overrides(
     if not (is_search or is_sweep(options)):
         check_single(program, overrides)
     own = _find_own_task(program, overrides)
+    lists = {field.name for field in fields(SCHEMAS[program]) if str(field.type)[:5] == "list["}
     swept = {group for group, values in choices.items() if len(values) > 1}
     for chosen in combine(choices):
         base = _compose_base(program, chosen, places=select_search_path(options))
@@ -106,7 +110,7 @@ def check_overrides(
         varied = {group: chosen[group] for group in swept}
         for override in overrides:
             if override.key_or_group not in groups:
-                check_key(base, override, known=known, swept=varied)
+                check_key(base, override, known=known, lists=lists, swept=varied)
     return [*options, *(_as_line(override, groups) for override in overrides)]
 
 
@@ -120,17 +124,33 @@ def _as_line(override: Override, groups: Collection[str]) -> str:
 
 
 def _compose_base(program: str, chosen: Mapping[str, str], *, places: Sequence[str]) -> DictConfig:
-    """Compose what is chosen of the groups, and refuse a preset that does not fit the task."""
+    """Compose what is chosen of the groups, and refuse files that cannot be."""
     lines = [*places, *(f"{group}={value}" for group, value in chosen.items())]
     base = with_defaults(program, compose_config(program, lines))
+    for group in list_program_groups(program):
+        try:
+            if group != "preset":
+                check_object(base, group)
+        except ConfigError as error:
+            _check_preset(program, base, chosen, lines)
+            own = compose_config(program, lines, with_hydra=True).hydra.runtime.choices
+            files = [f"{one}/{own[one]}.yaml" for one in (group, "preset") if own.get(one)]
+            raise ConfigError(f"{error} It is set up by {' and '.join(files)}.") from error
+    return base
+
+
+def _check_preset(
+    program: str, base: DictConfig, chosen: Mapping[str, str], lines: Sequence[str]
+) -> None:
+    """Refuse a preset that sets what only the task has that it is made for."""
     unfit = find_unfit(base.task, "task")
     if unfit is None or "task" not in chosen:
-        return base
+        return
     others = [line for line in lines if not line.startswith("task=")]
     alone = compose_config(program, others, with_hydra=True)
     own = alone.hydra.runtime.choices
     if OmegaConf.select(alone, unfit) is None or find_unfit(alone.task, "task") is not None:
-        return base
+        return
     raise ConfigError(
         f"preset={own.preset}: is for task={own.task}, and task={chosen['task']} takes no "
         f"{unfit}; take another preset, or task={own.task}"
@@ -322,8 +342,12 @@ def compose_config(
     try:
         with initialize_config_dir(str(CONF), version_base="1.3"):
             return compose(program, list(overrides), return_hydra_config=with_hydra)
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, YAMLError) as error:
         raise _plain(error) from error
+
+
+#: How hydra names the file whose settings do not fit.
+_FILE = re.compile(r"In '(.+/.+)': \w+ raised while composing")
 
 
 def _plain(error: Exception) -> ConfigError:
@@ -331,4 +355,17 @@ def _plain(error: Exception) -> ConfigError:
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
     lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
     key = getattr(cause, "full_key", None)
-    return ConfigError(f"{key}: {lines[0]}" if key else " ".join(lines))
+    file = _FILE.match(lines[0])
+    if file is not None and len(lines) > 1:
+        key = next((line[10:] for line in lines if line.startswith("full_key: ")), None)
+        lines = lines[1:]
+    place = f"{file[1]}.yaml: " if file else ""
+    if key == "preset" and "DictConfig" in lines[0]:
+        return ConfigError(
+            f"{place}{key}: is a name; the file of a preset begins with the line "
+            "# @package _global_"
+        )
+    if key and lines[0].startswith("Key "):
+        known = [entry.name for entry in fields(TrainConfig)]
+        return ConfigError(f"{place}there is no {key!r}.{nearest(key, known)}")
+    return ConfigError(f"{place}{key}: {lines[0]}" if key else place + " ".join(lines))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from importlib import import_module
 from inspect import Parameter, signature
 from itertools import product
@@ -133,7 +134,12 @@ def combine(choices: Mapping[str, Sequence[str]]) -> Iterator[dict[str, str]]:
 
 
 def check_key(
-    base: DictConfig, override: Override, *, known: Sequence[str], swept: Mapping[str, str]
+    base: DictConfig,
+    override: Override,
+    *,
+    known: Sequence[str],
+    lists: Collection[str],
+    swept: Mapping[str, str],
 ) -> None:
     """Check that there is such a key, and that its value is of the right kind.
 
@@ -141,6 +147,7 @@ def check_key(
         base: everything that can be set.
         override: of a key, not of a group.
         known: keys and groups there are.
+        lists: those of them that take lists, whatever their default is.
         swept: of the groups that a sweep varies, the value that ``base`` is made with.
 
     Raises:
@@ -152,7 +159,11 @@ def check_key(
         where = f" ({group}={swept[group]})" if group in swept else ""
         raise _unknown_key(base, key, known, where=where)
     if not override.is_sweep_override():
-        _check_type(base, key, override.value())
+        value = override.value()
+        is_reference = isinstance(value, str) and "${" in value
+        if not is_reference and value is not None:
+            _check_list(base, key, value, is_listed=key in lists)
+            _check_type(base, key, value)
 
 
 def list_keys(config: DictConfig, prefix: str = "") -> set[str]:
@@ -164,6 +175,31 @@ def list_keys(config: DictConfig, prefix: str = "") -> set[str]:
         if not OmegaConf.is_missing(config, name) and OmegaConf.is_dict(config[name]):
             keys |= list_keys(config[name], f"{key}.")
     return keys
+
+
+def check_object(config: DictConfig, group: str) -> None:
+    """Check that what YAML files say of a group names an object, and only arguments of it.
+
+    Args:
+        config: everything that can be set.
+        group: task, algorithm or logger.
+
+    Raises:
+        ConfigError: naming what is missing, or the nearest right argument.
+    """
+    node: Any = None if OmegaConf.is_missing(config, group) else config[group]
+    if not OmegaConf.is_dict(node) or "_target_" not in node:
+        raise ConfigError(
+            f"{group}: no _target_ says what to make; begin its YAML with "
+            "_target_: <module>.<class>."
+        )
+    unfit = find_unfit(node, group)
+    if unfit is None:
+        return
+    without: Any = OmegaConf.create(OmegaConf.to_container(config))
+    parent, _, name = unfit.rpartition(".")
+    del OmegaConf.select(without, parent)[name]
+    raise _unknown_key(without, unfit, sorted(list_keys(without)), where="")
 
 
 def find_unfit(node: Mapping[str, Any], path: str) -> str | None:
@@ -188,12 +224,38 @@ def find_unfit(node: Mapping[str, Any], path: str) -> str | None:
     return None
 
 
+def _check_list(config: DictConfig, key: str, value: Any, *, is_listed: bool) -> None:
+    """Refuse what is no list where one is meant, or not as many numbers as there have to be."""
+    default = OmegaConf.select(config, key)
+    if not (is_listed or OmegaConf.is_list(default)):
+        return
+    shown = f", such as {str(list(default)).replace(' ', '')}" if default else ""
+    if not isinstance(value, list):
+        raise ConfigError(f"{key}={value}: must be a list in brackets{shown}")
+    num_numbers = _count_numbers(config, key)
+    are_numbers = all(isinstance(n, int | float) and not isinstance(n, bool) for n in value)
+    if num_numbers and not (are_numbers and len(value) == num_numbers):
+        raise ConfigError(f"{key}={value}: must be a list of {num_numbers} numbers{shown}")
+
+
+def _count_numbers(config: DictConfig, key: str) -> int:
+    """Return how many numbers an argument takes that is a tuple of fixed length; of others, 0."""
+    parent, _, name = key.rpartition(".")
+    node: Any = OmegaConf.select(config, parent) if parent else None
+    if not OmegaConf.is_dict(node) or "_target_" not in node:
+        return 0
+    parameters = signature(get_object(str(node["_target_"]))).parameters
+    kind = str(parameters[name].annotation) if name in parameters else ""
+    return kind.count("float") if _FIXED.fullmatch(kind) else 0
+
+
+#: How the type of a tuple is written that holds so many numbers and no others.
+_FIXED = re.compile(r"tuple\[float(, float)*\]")
+
+
 def _check_type(config: DictConfig, key: str, value: Any) -> None:
     """Compare a new value with the default it replaces, where that says what is meant."""
     default = OmegaConf.select(config, key)
-    is_reference = isinstance(value, str) and "${" in value
-    if is_reference or default is None or value is None:
-        return
     for kind, allowed, words in (
         (bool, bool, "true or false"),
         (int, int, "a whole number"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
@@ -42,7 +43,26 @@ def _decides_once_per_T(task: Any) -> bool:
     return math.isclose(task.interval_T, 1.0, rel_tol=0.01)
 
 
-def make_policy(name: str, *, task: Any, seed: int) -> TensorDictModuleBase:
+def make_baselines(
+    names: Sequence[str] | None, *, task: Any, seed: int
+) -> dict[str, TensorDictModuleBase]:
+    """Make the hand-written fish that a learned one is compared with.
+
+    Args:
+        names: of them; by default those of ``list_baselines``.
+        task: see ``make_policy``.
+        seed: see ``make_policy``.
+
+    Raises:
+        ConfigError: if there is none of a name, or it cannot do this task.
+    """
+    names = list_baselines(task) if names is None else names
+    return {name: make_policy(name, task=task, seed=seed, setting="baselines") for name in names}
+
+
+def make_policy(
+    name: str, *, task: Any, seed: int, setting: str = "policy"
+) -> TensorDictModuleBase:
     """Make a hand-written fish.
 
     Args:
@@ -50,32 +70,33 @@ def make_policy(name: str, *, task: Any, seed: int) -> TensorDictModuleBase:
         task: whose food it is after (the intercepting fish is told the food's route), or whose
             station it holds.
         seed: of the random one.
+        setting: that names it, for errors.
 
     Raises:
         ConfigError: if there is none of that name, or it cannot do this task.
     """
     if name not in NAMES:
         raise ConfigError(
-            f"policy={name}: there is no {name!r}.{nearest(name, NAMES)} "
+            f"{setting}={name}: there is no {name!r}.{nearest(name, NAMES)} "
             f"There is: {', '.join(NAMES)}."
         )
     if name == "random":
         return RandomPolicy(seed=seed)
     is_hunter = name in ("pursuit", "intercept")
     if not (_has_food(task) if is_hunter else isinstance(task, KarmanGait)):
-        raise ConfigError(f"policy={name}: that fish has nothing to do in {type(task).__name__}")
-    return _make_hunter(name, task) if is_hunter else _make_holder(name, task)
+        raise ConfigError(f"{setting}={name}: that fish has nothing to do in {type(task).__name__}")
+    return _make_hunter(name, task, setting) if is_hunter else _make_holder(name, task, setting)
 
 
 def _has_food(task: Any) -> bool:
     return hasattr(task, "food_speed_bl")
 
 
-def _make_hunter(name: str, task: Any) -> TensorDictModuleBase:
+def _make_hunter(name: str, task: Any, setting: str) -> TensorDictModuleBase:
     if not _decides_once_per_T(task):
         raise ConfigError(
-            f"policy={name}: that fish decides once per T, here a decision takes "
-            f"{task.interval_T:.3g} T; set control_interval_T=1, or take policy=random"
+            f"{setting}={name}: that fish decides once per T, here a decision takes "
+            f"{task.interval_T:.3g} T; set control_interval_T=1, or take {setting}=random"
         )
     turn = math.radians(task.turn_degrees)
     if name == "pursuit":
@@ -90,7 +111,7 @@ def _make_hunter(name: str, task: Any) -> TensorDictModuleBase:
     )
 
 
-def _make_holder(name: str, task: KarmanGait) -> GaitPolicy:
+def _make_holder(name: str, task: KarmanGait, setting: str) -> GaitPolicy:
     """Make a fish that holds its station; it is told which flow it is in."""
     if name == "pid":
         return make_pid(task)
@@ -99,7 +120,7 @@ def _make_holder(name: str, task: KarmanGait) -> GaitPolicy:
     if name == "passive":
         return make_gait_policy(FixedFrequency(0.0), task)
     if task.wakes is None:
-        raise ConfigError("policy=shedding: in a free stream no vortices are shed")
+        raise ConfigError(f"{setting}=shedding: in a free stream no vortices are shed")
     shed = task.wakes.shedding_frequencies * task.scales.period
     return make_gait_policy(FixedFrequency(shed.tolist()), task)
 

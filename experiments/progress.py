@@ -65,13 +65,16 @@ class Progress:
     def advance(self, amount: int, **shown: float) -> None:
         """Count ``amount`` more and show some numbers beside the bar."""
         if shown:
-            text = ", ".join(
-                f"{name.replace('_', ' ')} {value:.3g}" for name, value in shown.items()
-            )
-            self._bar.set_postfix_str(text, refresh=False)
+            words = [f"{name.replace('_', ' ')} {_show(value)}" for name, value in shown.items()]
+            self._bar.set_postfix_str(", ".join(words), refresh=False)
         self._bar.update(amount)
         if amount and self._bar.n == self._bar.total:
             self._bar.refresh()
+
+
+def _show(value: float) -> str:
+    """Write a number; a dash where there is none yet, as before the first episode ends."""
+    return "-" if value != value else f"{value:.3g}"
 
 
 def _label(phase: str) -> str:

@@ -104,6 +104,7 @@ class RunFolder:
         """
         folder = cls(Path(path).expanduser())
         if not folder.config.is_file():
+            refuse_many(folder.path, setting="resume")
             raise ValueError(
                 f"resume = {path}: no config.yaml there; give the folder of a run, such as "
                 "runs/predation-small-seed0"
@@ -163,6 +164,19 @@ class RunFolder:
         except Exception:
             self.failure.write_text(traceback.format_exc(), encoding="utf-8")
             raise
+
+
+def refuse_many(folder: Path, *, setting: str) -> None:
+    """Refuse a folder of runs where a single run is meant.
+
+    Raises:
+        ValueError: naming one of them.
+    """
+    held = sorted(folder.glob("*/config.yaml"))
+    if held and not RunFolder(folder).config.is_file():
+        raise ValueError(
+            f"{setting} = {folder}: holds runs; name one of them, such as {held[0].parent}"
+        )
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:

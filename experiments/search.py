@@ -272,6 +272,8 @@ def main() -> None:
             raise ImportError(
                 "the search needs the package optuna: pip install -e '.[sweep]'"
             ) from error
+        if arguments.trials < 1:
+            raise ConfigError(f"trials = {arguments.trials}: must be at least 1")
         folders = [f"--config-dir={folder}" for folder in arguments.config_dir]
         plan = Search(
             folder=arguments.folder,

@@ -141,6 +141,10 @@ class TrainConfig(ViewerSettings):
             _at_least(name, getattr(self, name), 1)
         for name in ("warmup_frames", "updates_per_frame", "seed", "picture_episodes"):
             _at_least(name, getattr(self, name), 0)
+        if self.batch_size > self.buffer_size:
+            raise ConfigError(
+                f"batch_size = {self.batch_size}: must be at most buffer_size = {self.buffer_size}"
+            )
         self._check_collectors()
         for name in ("gamma", "tau"):
             _at_least(name, getattr(self, name), 0)

@@ -1,6 +1,7 @@
 """Teach a fish: ``python -m experiments.train task=predation preset=small seed=0``.
 
-``resume=<run folder>`` goes on where a run was stopped or killed.
+``resume=<run folder>`` goes on where a run was stopped or killed; one that is finished stays as it
+is, unless ``total_frames`` makes it longer.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ logger = logging.getLogger(__name__)
 _MAX_FLOWS, _MAX_PERIODS = 3, 20.0
 #: Settings that a resume sets for itself alone: whether to look on, and where things lie.
 _OF_THE_MOMENT = ("live", "recognition", "resume")
+#: Settings with which a finished run is evaluated or drawn anew.
+_OF_THE_END = ("final_episodes", "baselines", "picture_episodes")
 
 
 def train(
@@ -68,10 +71,11 @@ def set_up(
     from experiments.algorithms import build_algorithm
     from experiments.config import build
     from experiments.live import choose_flows
+    from experiments.policies import make_baselines
     from experiments.recognition import Recognition, find_machine
     from experiments.run_folder import RunFolder
     from experiments.settings import check_cluster, check_device
-    from experiments.training import Training, make_flow_env
+    from experiments.training import FINAL_SEED, Training, make_flow_env
 
     with ExitStack() as stack:
         if config.resume:
@@ -84,8 +88,10 @@ def set_up(
         metrics_logger = build(config.logger)
         choice = find_machine(config.recognition, Path(config.resume or "."))
         recognition = Recognition(build(config.task), choice)
+        task = recognition.task
+        baselines = make_baselines(config.baselines, task=task, seed=FINAL_SEED)
         if not config.resume:
-            kind = type(recognition.task).__name__.lower()
+            kind = type(task).__name__.lower()
             label = build_algorithm({"algorithm": config.algorithm}).label
             words = [kind, config.preset, *filter(None, [label]), f"seed{config.seed}"]
             name = config.name or "-".join(words)
@@ -96,6 +102,7 @@ def set_up(
             config=config,
             recognition=recognition,
             make_env=make_env or make_flow_env(),
+            baselines=baselines,
             folder=folder,
             metrics_logger=metrics_logger,
             progress=progress or Progress(is_shown=False),
@@ -137,18 +144,37 @@ def note_settings(config: TrainConfig, folder: RunFolder) -> None:
         write_yaml(folder.config, settings)
 
 
+def is_over(config: TrainConfig) -> bool:
+    """Tell whether a resumed run is finished, and nothing more is asked of it."""
+    from pathlib import Path
+
+    from experiments.config import to_plain
+    from experiments.sweeps.runs import read_run
+
+    run, asked = read_run(Path(str(config.resume)).expanduser()), to_plain(config)
+    if run.status != "finished" or config.total_frames > run.summary.get("frames", 0):
+        return False
+    return all(asked[name] == run.config.get(name, asked[name]) for name in _OF_THE_END)
+
+
 def finish(training: Training) -> dict[str, Any]:
     """Run what is set up to its end, write the summary and the pictures, and print the table."""
+    from experiments.interruption import Interrupted
     from experiments.run_folder import write_json
 
     config, folder = training.config, training.folder
     with folder.noting_failure(), closing(training):
         summary = training.run()
-        write_json(folder.summary, summary)
-        if config.picture_episodes > 0:
-            draw(training, summary)
-            summary["wall_seconds"] = training.wall_seconds()
+        try:
+            if config.picture_episodes > 0:
+                draw(training, summary)
+                summary["wall_seconds"] = training.wall_seconds()
+        except Interrupted:  # not finished, so that a resume draws them
+            raise
+        except Exception:
             write_json(folder.summary, summary)
+            raise
+        write_json(folder.summary, summary)
     training.progress.close()
     report(summary, folder=folder.path)
     return summary
@@ -248,7 +274,12 @@ def main() -> None:
 
         def run(config: DictConfig) -> None:
             with plain_errors():
-                training = set_up(training_settings(config), progress=progress, began=began)
+                settings = training_settings(config)
+                if settings.resume and is_over(settings):
+                    progress.close()
+                    print(f"{settings.resume}: already finished; total_frames=... makes it longer")
+                    return
+                training = set_up(settings, progress=progress, began=began)
                 with resumable(training):
                     finish(training)
 

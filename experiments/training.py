@@ -6,7 +6,7 @@ import logging
 import math
 import random
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,6 @@ from experiments.evaluation import Evaluation, Evaluator, Policy, fixed_starts
 from experiments.interruption import Interrupted, Interruption, spare_children
 from experiments.learner import one_thread
 from experiments.live import LiveView
-from experiments.policies import list_baselines, make_policy
 from experiments.progress import Progress
 from experiments.recognition import Recognition
 from experiments.run_folder import RunFolder
@@ -48,6 +47,7 @@ class Training:
         config: its settings.
         recognition: the task, and who tells the fish its flow.
         make_env: makes the env of a task.
+        baselines: hand-written fish to compare with, see ``make_baselines``.
         folder: where everything is written.
         metrics_logger: where numbers go.
         progress: the bar.
@@ -60,13 +60,14 @@ class Training:
         config: TrainConfig,
         recognition: Recognition,
         make_env: MakeEnv,
+        baselines: Mapping[str, Policy],
         folder: RunFolder,
         metrics_logger: Any,
         progress: Progress,
         began: float,
     ) -> None:
         self._lock = folder.hold()
-        self.config, self.task = config, recognition.task
+        self.config, self.task, self.baselines = config, recognition.task, baselines
         task = self.task
         self.folder, self.metrics_logger, self.progress = folder, metrics_logger, progress
         self.brain = BrainOf.task_of(task, num_told=recognition.num_told)
@@ -308,10 +309,7 @@ class Training:
             device=config.device,
         )
         summary: dict[str, Any] = {}
-        fish: dict[str, Policy] = {"learned": self.learner.actor}
-        baselines = list_baselines(self.task) if config.baselines is None else config.baselines
-        for name in baselines:
-            fish[name] = make_policy(name, task=self.task, seed=FINAL_SEED)
+        fish: dict[str, Policy] = {"learned": self.learner.actor, **self.baselines}
         self.progress.start("evaluation", total=config.final_episodes * len(fish))
         for name, policy in fish.items():
             self.progress.rename(f"evaluation: {name}")
@@ -326,7 +324,7 @@ class Training:
         summary |= {
             "task": self.brain.task,
             "success": self.task.success,
-            "baselines": list(baselines),
+            "baselines": list(self.baselines),
             "preset": config.preset,
             "algorithm": config.algorithm,
             "seed": config.seed,

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -111,6 +112,26 @@ def name_job(overrides: Sequence[str], *, same: Sequence[str] = ()) -> str:
         rest = hashlib.sha256(name.encode()).hexdigest()[:8]
         name = f"{name[: LONGEST_NAME - 9]}-{rest}"
     return name
+
+
+def name_jobs(arguments: Sequence[str]) -> list[str]:
+    """Name the runs of a sweep in their order; none where hydra alone can list them (``glob(*)``).
+
+    Args:
+        arguments: as ``sweep_arguments`` completes them.
+    """
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.core.override_parser.types import Glob
+
+    from experiments.search_path import split_arguments
+
+    _, lines = split_arguments(arguments)
+    overrides = OverridesParser.create().parse_overrides(lines)
+    swept = [override for override in overrides if override.is_sweep_override()]
+    if any(isinstance(o.value(), Glob) or not o.is_discrete_sweep() for o in swept):
+        return []
+    values = [[f"{o.get_key_element()}={v}" for v in o.sweep_string_iterator()] for o in swept]
+    return [name_job(job) for job in product(*values)]
 
 
 def run_job(config: DictConfig) -> None:
@@ -241,7 +262,7 @@ def sweep(launch: Callable[[], Any]) -> None:
 
     with plain_errors():
         sys.argv[1:], folder = sweep_arguments(sys.argv[1:])
-    folder = folder.expanduser()
+    folder, planned = folder.expanduser(), name_jobs(sys.argv[1:])
     runs: list[Run] = []
     is_cut_off = False
     try:
@@ -253,7 +274,7 @@ def sweep(launch: Callable[[], Any]) -> None:
     finally:
         runs = [read_run(path) for path in list_runs(folder)]
         if runs:
-            print(f"\n{folder}: {advise(runs)}")
+            print(f"\n{folder}: {advise(runs, planned=planned)}")
             print(f"table and curves: {show_command('experiments.summarize', str(folder))}")
     sys.exit(is_cut_off or any(run.status != "finished" for run in runs))
 

@@ -62,9 +62,13 @@ def read_runs(folder: Path) -> list[Run]:
     """Read every run that lies in a folder.
 
     Raises:
-        ValueError: if there is none.
+        ValueError: if there is none, or the folder is one itself.
     """
     runs = [read_run(path) for path in list_runs(folder)]
+    if not runs and RunFolder(folder).config.is_file():
+        raise ValueError(
+            f"{folder}: is a single run; give the folder that holds it, {folder.absolute().parent}"
+        )
     if not runs:
         raise ValueError(
             f"{folder}: holds no runs; give the folder of a sweep, such as runs/sweep-<time>"
@@ -159,11 +163,18 @@ def _find_writer(path: Path) -> int | None:
     return int(process) if kind != fcntl.F_UNLCK and process > 0 else None
 
 
-def advise(runs: Iterable[Run]) -> str:
-    """Say how many runs are finished, and of each other one why not and how to go on."""
+def advise(runs: Iterable[Run], *, planned: Iterable[str] = ()) -> str:
+    """Say how many runs are finished, and of each other one why not and how to go on.
+
+    Args:
+        runs: that have a folder.
+        planned: names of all that there shall be.
+    """
     runs = list(runs)
+    names = {run.path.name for run in runs}
+    waiting = [name for name in planned if name not in names]
     finished = sum(run.status == "finished" for run in runs)
-    lines = [f"{finished} of {len(runs)} runs finished"]
+    lines = [f"{finished} of {len(runs) + len(waiting)} runs finished"]
     for run in runs:
         if run.status == "finished":
             continue
@@ -171,4 +182,6 @@ def advise(runs: Iterable[Run]) -> str:
         lines.append(f"- {run.path.name}: {run.status} at frame {run.frames}{because}")
         if run.status != "running":
             lines.append(f"  rerun: {run.command}")
+    if waiting:
+        lines.append(f"- not begun: {', '.join(waiting)}")
     return "\n".join(lines)

@@ -13,8 +13,10 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
+from experiments.checkpointing import read_metadata
 from experiments.config import CONF, build, check_overrides, load_config, resumed_settings, to_plain
 from experiments.settings import ConfigError, EvaluateConfig, TrainConfig, check_device
+from experiments.sweeps.runs import read_runs
 
 ROOT = Path(__file__).parents[2]
 PRESETS = sorted(path.stem for path in (CONF / "preset").glob("*.yaml"))
@@ -134,10 +136,21 @@ def test_an_argument_that_is_no_setting_is_explained(argument: str) -> None:
         ("compile=3", "compile=3: must be true or false"),
         ("task.time_limit=long", "task.time_limit=long: must be a whole number"),
         ("hidden=[a]", "hidden"),
+        ("hidden=5", r"hidden=5: must be a list in brackets, such as \[256,256\]"),
+        ("hidden=abc", "hidden=abc: must be a list in brackets"),
+        ("baselines=random", "baselines=random: must be a list in brackets"),
+        ("flows=1", "flows=1: must be a list in brackets"),
+        (
+            "task.start_x_bl=3",
+            r"task.start_x_bl=3: must be a list in brackets, such as \[5.0,7.5\]",
+        ),
+        ("task.start_x_bl=[3]", r"task.start_x_bl=\[3\]: must be a list of 2 numbers, such as"),
+        ("task.start_x_bl=[a,b]", "must be a list of 2 numbers"),
         ("num_envs=0", "num_envs = 0: must be at least 1"),
         ("num_envs=-2", "num_envs = -2: must be at least 1"),
         ("total_frames=0", "total_frames = 0: must be at least 1"),
         ("batch_size=0", "batch_size = 0: must be at least 1"),
+        ("buffer_size=32", "batch_size = 64: must be at most buffer_size = 32"),
         ("updates_per_frame=-1", "updates_per_frame = -1.*: must be at least 0"),
         ("warmup_frames=-1", "warmup_frames = -1: must be at least 0"),
         ("gamma=1.5", "gamma = 1.5: must be at most 1"),
@@ -148,6 +161,12 @@ def test_an_argument_that_is_no_setting_is_explained(argument: str) -> None:
 def test_a_wrong_value_is_named_with_what_is_allowed(argument: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         load_config("train", [argument])
+
+
+def test_lists_of_whole_numbers_and_of_any_length_are_taken_where_they_fit() -> None:
+    check_overrides("train", ["task.start_x_bl=[2,3]", "hidden=[8,8,8]", "baselines=[]"])
+    gait = ["task=karman_gait", "preset=gait_small", "task.start_flows=[0,2]"]
+    check_overrides("train", [*gait, "task.stream.speeds_bl=[1]", "flows=null"])
 
 
 def test_options_and_sweeps_of_hydra_pass() -> None:
@@ -262,6 +281,17 @@ def test_a_resume_of_nothing_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "config.yaml").write_text("colour: red")
     with pytest.raises(ConfigError, match="not the configuration of a run"):
         resumed_settings(str(tmp_path), [])
+
+
+def test_a_folder_of_runs_is_no_run(tmp_path: Path) -> None:
+    (tmp_path / "one").mkdir()
+    said = f"{tmp_path}: holds runs; name one of them, such as {stored_run(tmp_path / 'one')}"
+    with pytest.raises(ValueError, match=re.escape(f"resume = {said}")):
+        resumed_settings(str(tmp_path), [])
+    with pytest.raises(ValueError, match=re.escape(f"checkpoint = {said}")):
+        read_metadata(tmp_path)
+    with pytest.raises(ValueError, match="is a single run; give the folder that holds it, /"):
+        read_runs(tmp_path / "one")
 
 
 def run_program(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -23,6 +23,14 @@ from experiments.train import finish, set_up
 from tests.experiments.toy_fish import make_toy_env
 
 
+def test_the_bar_shows_a_dash_where_there_is_no_number_yet() -> None:
+    stream = io.StringIO()
+    with Progress(stream=stream) as progress:
+        progress.start("training", total=2)
+        progress.advance(2, **{"return": math.nan, "MLUPS": 3.14159})
+    assert "return -, MLUPS 3.14]" in stream.getvalue()
+
+
 def test_a_second_run_of_a_name_gets_a_number(tmp_path: Path) -> None:
     folders = [RunFolder.create(parent=str(tmp_path), name="run").path.name for _ in range(3)]
     assert folders == ["run", "run-2", "run-3"]

@@ -85,7 +85,9 @@ def test_the_program_trains_goes_on_and_leaves_summary_and_pictures(
     with caplog.at_level(logging.INFO, logger="experiments"):
         run_program(monkeypatch, f"resume={folder}", "total_frames=4", "picture_episodes=1")
     assert f"going on from frame 2 of {folder}" in caplog.text
-    assert capsys.readouterr().out.rstrip().endswith(f"experiments.evaluate checkpoint={folder}")
+    said = capsys.readouterr().out
+    assert f"experiments.evaluate checkpoint={folder}\n" in said
+    assert said.rstrip().endswith(f"experiments.view {folder}")
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["frames"] == 4
     assert summary["episodes"] == summary["intercept_episodes"] == 2

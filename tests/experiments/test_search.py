@@ -126,6 +126,14 @@ def test_a_run_that_outlived_its_search_is_waited_for(
         assert search._run_seed(plan, 0, ["gamma=0.95"], 0) == 2.5
 
 
+def test_a_search_has_at_least_one_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    line = ["search", str(tmp_path / "new"), "gamma=interval(0,1)", "--trials", "0"]
+    monkeypatch.setattr(sys, "argv", line)
+    with pytest.raises(SystemExit, match="error: trials = 0: must be at least 1"):
+        search.main()
+    assert not list(tmp_path.iterdir())
+
+
 def test_failed_trials_are_told_and_others_follow(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -230,6 +230,17 @@ def test_a_sweep_that_is_told_to_end_saves_what_runs(tmp_path: Path) -> None:
     command = show_command("experiments.train", "resume=")
     assert f"SIGTERM: saved at frame 8; go on with: {command}" in said
     assert f"rerun: {run.command}" in done.stdout
+    assert "0 of 2 runs finished" in done.stdout
+    assert "- not begun: seed_1\n" in done.stdout
+
+
+def test_the_jobs_of_a_sweep_are_named_before_they_run() -> None:
+    line, _ = jobs.sweep_arguments(["-m", "num_envs=2", "seed=0,1", "++task.time_limit=range(3,5)"])
+    assert jobs.name_jobs(line) == [
+        *("seed_0-time_limit_3", "seed_0-time_limit_4", "seed_1-time_limit_3"),
+        "seed_1-time_limit_4",
+    ]
+    assert jobs.name_jobs(jobs.sweep_arguments(["-m", "preset=glob(g*)"])[0]) == []
 
 
 @pytest.mark.parametrize("is_made", [False, True])

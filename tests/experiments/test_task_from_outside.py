@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
+from importlib import import_module
 from pathlib import Path
+from textwrap import dedent
 
 import pytest
 
 from experiments import search
-from experiments.command_line import view_settings
+from experiments.command_line import plain_errors, view_settings
 from experiments.config import build, check_overrides, load_config
 from experiments.evaluate import main as evaluate_main
 from experiments.policies import make_policy
@@ -49,6 +51,34 @@ SETTINGS = [
     "batch_size=4",
     "hidden=[8]",
 ]
+
+
+def test_what_fails_in_a_file_of_ones_own_is_named_with_its_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = """
+    from pathlib import Path
+    from fishrl.envs import Predation
+    def observe():
+        one, two = 3 * [0.0]
+    def read():
+        return Path("x.json").read_text()
+    def make():
+        return Predation(body_length=3)
+    """
+    (tmp_path / "buggy.py").write_text(dedent(code))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    buggy = import_module("buggy")
+    place = f"({tmp_path / 'buggy.py'}"
+    for function, end in ((buggy.observe, ":5, in observe)"), (buggy.read, ":7, in read)")):
+        with pytest.raises(SystemExit) as stop, plain_errors():
+            function()
+        assert str(stop.value).startswith("error: ")
+        assert str(stop.value).endswith(place + end)
+    with pytest.raises(SystemExit) as stop, plain_errors():
+        buggy.make()
+    assert "a fish needs at least 16 nodes" in str(stop.value)
+    assert place not in str(stop.value)
 
 
 @pytest.mark.usefixtures("gliding")
@@ -112,12 +142,47 @@ def test_viewer_and_search_take_a_folder_of_configuration_too(
 
 
 def test_a_preset_from_outside_is_found_too(outside: Path) -> None:
-    (outside / "conf" / "preset").mkdir()
-    preset = "# @package _global_\ndefaults:\n  - override /task: hold_station\npreset: mine\n"
-    (outside / "conf" / "preset" / "mine.yaml").write_text(preset + "num_envs: 3\n")
     config = load_config("train", [f"--config-dir={outside / 'conf'}", "preset=mine"])
-    assert (config.num_envs, config.preset) == (3, "mine")
-    assert config.task["leash_bl"] == 1.5
+    assert (config.num_envs, config.preset) == (8, "mine")
+    assert (config.task["leash_bl"], config.task["time_limit"]) == (1.5, 20)
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "said"),
+    [
+        ("preset", "num_env: 2", "preset/wrong.yaml: there is no 'num_env'. Did you mean 'num_en"),
+        ("preset", "num_envs: two", "preset/wrong.yaml: num_envs: Value 'two' of type 'str'"),
+        ("preset", "num_envs: [", "wrong.yaml"),
+        (
+            "preset",
+            "task: {bodylength: 20}",
+            "no 'task.bodylength' in Predation. Did you mean 'task.body_length'? It is set",
+        ),
+        ("task", "body_length: 20", "task: no _target_ says what to make; begin its YAML with"),
+        ("task", "", "task: no _target_ says what to make; begin its YAML with"),
+        (
+            "task",
+            "{_target_: fishrl.envs.Predation, reynold: 900}",
+            "no 'task.reynold' in Predation. Did you mean 'task.reynolds'? It is set up by "
+            "task/wrong.yaml and preset/small.yaml.",
+        ),
+    ],
+)
+def test_mistakes_in_files_of_ones_own_are_named(
+    outside: Path, file: str, text: str, said: str
+) -> None:
+    head = "# @package _global_\n" if file == "preset" else ""
+    (outside / "conf" / file / "wrong.yaml").write_text(head + text)
+    with pytest.raises(ConfigError) as error:
+        load_config("train", [f"--config-dir={outside / 'conf'}", f"{file}=wrong"])
+    assert said in str(error.value)
+
+
+def test_a_preset_without_its_first_line_is_told_so(outside: Path) -> None:
+    (outside / "conf" / "preset" / "wrong.yaml").write_text("num_envs: 2")
+    for program, others in (("train", []), ("evaluate", ["policy=random"])):
+        with pytest.raises(ConfigError, match="begins with the line # @package _global_"):
+            load_config(program, [f"--config-dir={outside / 'conf'}", "preset=wrong", *others])
 
 
 def test_typos_are_named_among_what_is_outside_too(outside: Path) -> None:

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -19,10 +20,12 @@ from omegaconf import OmegaConf
 from experiments.config import resumed_settings
 from experiments.counters import list_metrics
 from experiments.evaluation import Evaluation
+from experiments.interruption import Interrupted
 from experiments.progress import Progress
 from experiments.run_folder import RunFolder
-from experiments.settings import TrainConfig
-from experiments.train import begin_run, finish, note_settings, set_up, train
+from experiments.settings import ConfigError, TrainConfig
+from experiments.sweeps.runs import read_run
+from experiments.train import begin_run, finish, is_over, main, note_settings, set_up, train
 from experiments.training import Training
 from tests.experiments.stops import run_and_stop
 from tests.experiments.toy_fish import ToyFishEnv, make_toy_env
@@ -90,6 +93,50 @@ def test_the_same_seed_twice_gives_the_same_metrics_and_another_seed_others(
         finish(training_of(toy_config(name=name, seed=seed)))
     assert rows_of(tmp_path / "first") == rows_of(tmp_path / "second")
     assert rows_of(tmp_path / "first") != rows_of(tmp_path / "other")
+
+
+def test_hand_written_fish_that_cannot_be_are_refused_before_anything_is_trained(
+    toy_config: MakeConfig, tmp_path: Path
+) -> None:
+    for name, said in (("randm", "no 'randm'. Did you mean 'random'"), ("pid", "nothing to do in")):
+        with pytest.raises(ConfigError, match=f"baselines={name}: .*{said}"):
+            training_of(toy_config(baselines=["random", name]))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_finished_run_is_left_as_it_is_unless_more_is_asked_of_it(
+    toy_config: MakeConfig,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    finish(training_of(toy_config(name="run")))
+    run = tmp_path / "run"
+    summary, settings = (run / "summary.json").read_bytes(), (run / "config.yaml").read_bytes()
+    monkeypatch.setattr(sys, "argv", ["train", f"resume={run}", "log_frames=10"])
+    main()
+    said = f"{run}: already finished; total_frames=... makes it longer"
+    assert capsys.readouterr().out.rstrip().endswith(said)
+    assert (run / "summary.json").read_bytes() == summary
+    assert (run / "config.yaml").read_bytes() == settings
+    for more in ("total_frames=480", "final_episodes=4", "baselines=[]", "picture_episodes=2"):
+        again = resumed_settings(str(run), [more])
+        again.resume = str(run)
+        assert not is_over(again)
+
+
+def test_a_run_that_is_stopped_while_it_draws_is_not_finished(
+    toy_config: MakeConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, error, is_there in (
+        ("stopped", Interrupted(signal.SIGTERM), False),
+        ("failed", OSError("no place for pictures"), True),
+    ):
+        monkeypatch.setattr("experiments.train.draw", Mock(side_effect=error))
+        with pytest.raises(type(error)):
+            finish(training_of(toy_config(name=name, picture_episodes=2)))
+        assert (tmp_path / name / "summary.json").is_file() == is_there
+        assert read_run(tmp_path / name).status == name
 
 
 KILLED_RUN = """
