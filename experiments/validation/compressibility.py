@@ -178,9 +178,9 @@ def _compare_steps(values: dict[float, float]) -> str:
     """Say what the changes by the two halvings have to do with the Mach number."""
     first, second = values[2.0] - values[1.0], values[1.0] - values[0.5]
     return (
-        f"The first halving changes it {first / second:.2g} times as much as the second; an effect of "
-        "the Mach number, which goes with its square, makes that 4, an error of first order in the "
-        "time step 2."
+        f"The first halving changes it {first / second:.2g} times as much as the second; an effect "
+        "of the Mach number, which goes with its square, makes that 4, an error of first order in "
+        "the time step 2."
     )
 
 
