@@ -73,7 +73,7 @@ def read_documented_line() -> list[str]:
 
 def test_the_line_of_the_page_is_read() -> None:
     options = read_arguments(read_documented_line())
-    assert options.seeds == [0, 1, 2, 3]
+    assert options.seeds == [0, 1, 2, 3, 4]
     assert options.settings == ["preset=quick", "eval_frames=350"]
     assert options.docs is None
 
