@@ -32,7 +32,11 @@ def check_starts_of(task: "AbstractTask") -> None:
 
 
 def check_answers(task: "AbstractTask", now: TensorDictBase) -> None:
-    """Check what a task answers to a first measurement ``[B]``.
+    """Check what a task answers to a first measurement.
+
+    Args:
+        task: that is asked.
+        now: ``[B]``, the measurement when episodes begin.
 
     Raises:
         ValueError: naming the method, what it gives and what is expected.
@@ -54,6 +58,10 @@ def check_answers(task: "AbstractTask", now: TensorDictBase) -> None:
 
 
 def _check_report(task: "AbstractTask", report: Any, rows: tuple[int, ...]) -> None:
+    if not isinstance(report, dict | TensorDictBase):
+        raise ValueError(
+            f"{_name(task)}.report gives {_describe(report)}: expected a dict of tensors [B, ...]"
+        )
     for name, value in report.items():
         if not isinstance(value, Tensor) or tuple(value.shape[:1]) != rows:
             raise ValueError(
@@ -107,6 +115,12 @@ def check_rows(
 def check_command(task: "AbstractTask", order: Any, rows: tuple[int, ...]) -> None:
     """Check what a task orders, its units above all.
 
+    Args:
+        task: whose order it is.
+        order: what ``command`` gave: ``turn`` in radians within the interval, ``frequency`` in tail
+            beats per step or None.
+        rows: ``(B,)``.
+
     Raises:
         ValueError: if a fish could not do it.
     """
@@ -132,7 +146,11 @@ def check_command(task: "AbstractTask", order: Any, rows: tuple[int, ...]) -> No
 
 
 def check_action(action: Tensor, mask: Tensor) -> None:
-    """Refuse illegal actions ``[B]``; they would be learned from as if they were others.
+    """Refuse illegal actions; they would be learned from as if they were others.
+
+    Args:
+        action: ``[B]`` int64.
+        mask: ``[B, num_actions]`` bool, the legal ones.
 
     Raises:
         ValueError: naming the first row.

@@ -54,6 +54,7 @@ def test_the_task_that_these_are_made_of_is_right() -> None:
         ("reward", lambda _, b, now: 1.0, "reward gives float 1.0, expected a tensor"),
         ("reward", lambda _, b, now: now["x"][:, None], r"reward gives shape \(2, 1\), "),
         ("report", lambda _, now: {"far": 1.0}, "report gives 'far' = float 1.0: expected"),
+        ("report", lambda _, now: now["x"], "report gives a tensor .* expected a dict"),
         ("success", "reached", r"success = 'reached', but report gives \['beats'\]: let it give"),
         ("success", "beats", r"report\(\)\['beats'\] gives torch.float64, expected torch.bool"),
         ("starts_from", _starts(20.0), "head at .*: the fish, or a part of it, lies outside"),
