@@ -166,12 +166,13 @@ def join_cluster(num_collectors: int) -> bool:
 
     is_new = not ray.is_initialized()
     if is_new:
-        own = {"address": "local", "num_cpus": num_collectors, "include_dashboard": False}
-        ray.init(
-            log_to_driver=False,
-            logging_level="warning",
-            **({} if "RAY_ADDRESS" in os.environ else own),
-        )
+        own: dict[str, Any] = {
+            "address": "local",
+            "num_cpus": num_collectors,
+            "include_dashboard": False,
+        }
+        given = {} if "RAY_ADDRESS" in os.environ else own
+        ray.init(log_to_driver=False, logging_level=logging.WARNING, **given)
     num_cpus = int(ray.cluster_resources().get("CPU", 0))
     if num_cpus < num_collectors:
         raise ConfigError(
