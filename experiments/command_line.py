@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from experiments.settings import EvaluateConfig, TrainConfig, ViewConfig
-    from experiments.training import Training
+    from fishrl.training.loop import Training
 
 
 def set_up_logging() -> None:
@@ -116,7 +116,7 @@ def _say_place(error: Exception) -> str:
 @contextmanager
 def resumable(training: Training) -> Iterator[None]:
     """Save and say how to go on if the program is told to end, or cannot write any more."""
-    from experiments.interruption import Interrupted
+    from fishrl.training.interruption import Interrupted
 
     command = show_command("experiments.train", f"resume={training.folder.path}")
     hint = f"go on with: {command}"
@@ -204,9 +204,9 @@ def bring_task(
     Raises:
         ValueError: if there is no checkpoint.
     """
-    from experiments.checkpointing import read_metadata
     from experiments.config import change_task
-    from experiments.recognition import find_machine
+    from fishrl.training.checkpoint import read_metadata
+    from fishrl.training.recognition import find_machine
 
     given = [argument.lstrip("+") for argument in arguments]
     path, metadata = read_metadata(checkpoint)

@@ -28,13 +28,13 @@ from experiments.config import load_config, resumed_settings
 from experiments.figures import COLOURS, frame_curves, read_metrics
 from experiments.flow_pictures import STYLE
 from experiments.gait.diagnostics import half_width
-from experiments.interruption import Interrupted
 from experiments.pages import fill
-from experiments.progress import Progress
-from experiments.run_folder import RunFolder, write_json, write_whole
 from experiments.settings import ConfigError, TrainConfig
 from experiments.sweeps.jobs import find_difference
 from experiments.train import begin_run, finish, set_up
+from fishrl.training.interruption import Interrupted
+from fishrl.training.progress import Progress
+from fishrl.training.run_folder import RunFolder, write_json, write_whole
 
 logger = logging.getLogger(__name__)
 

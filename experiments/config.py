@@ -29,7 +29,6 @@ from experiments.overrides import (
     parse_overrides,
     read_choices,
 )
-from experiments.run_folder import RunFolder
 from experiments.search_path import (
     CONF,
     list_groups,
@@ -46,6 +45,7 @@ from experiments.settings import (
     nearest,
 )
 from experiments.sweeps.jobs import is_sweep
+from fishrl.training.run_folder import RunFolder
 
 #: Settings that the saved state of a run depends on, or that it brings with it.
 FIXED_BY_RUN = (
@@ -164,7 +164,7 @@ def _find_own_task(program: str, overrides: Sequence[Override]) -> Any:
     fish = [name for name in ("run", "checkpoint", "policy") if name in known & set(given)]
     if len(fish) != 1 or "policy" in fish or {"task", "preset"} & set(given):
         return None
-    from experiments.checkpointing import read_metadata  # slow, as it brings torchrl
+    from fishrl.training.checkpoint import read_metadata  # slow, as it brings torchrl
 
     return read_metadata(str(given[fish[0]].value()))[1]["config"]["task"]
 

@@ -26,12 +26,12 @@ from experiments.figures import COLOURS
 from experiments.flow_pictures import STYLE
 from experiments.gait.trials import STARTS
 from experiments.histories import Histories, record_histories
-from experiments.progress import Progress
 from experiments.transfer import load_task
 from experiments.validation.convergence import tidy
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.stations import SafeArea
+from fishrl.training.progress import Progress
 
 FREQUENCIES = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.2, 2.6)
 #: Distances behind the disc, body lengths, within which drift counts: near it a fish is sucked in

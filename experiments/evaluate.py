@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.progress import Progress
+from fishrl.training.progress import Progress
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -38,12 +38,12 @@ def evaluate(
         ValueError: for settings that cannot be, and checkpoints that do not fit.
     """
     from experiments.config import build
-    from experiments.evaluation import Evaluator, fixed_starts
     from experiments.live import LiveView
-    from experiments.policies import load_policy, make_policy
-    from experiments.recognition import Recognition
     from experiments.settings import check_device
-    from experiments.training import make_flow_env
+    from fishrl.training.baselines import load_policy, make_policy
+    from fishrl.training.evaluation import Evaluator, fixed_starts
+    from fishrl.training.loop import make_flow_env
+    from fishrl.training.recognition import Recognition
 
     progress = progress or Progress(is_shown=False)
     check_device(config.device)
@@ -110,7 +110,7 @@ def write_result(path: Path, values: Mapping[str, Any]) -> None:
     Raises:
         ValueError: if it cannot be written.
     """
-    from experiments.run_folder import write_json
+    from fishrl.training.run_folder import write_json
 
     try:
         write_json(path, values)

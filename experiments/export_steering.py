@@ -12,11 +12,11 @@ from pathlib import Path
 
 from torch import Tensor, nn
 
-from experiments.checkpointing import read_metadata
 from experiments.command_line import plain_errors
 from experiments.config import build
-from experiments.policies import load_policy
 from fishrl.envs.steering import PolicySteering, save_weights
+from fishrl.training.baselines import load_policy
+from fishrl.training.checkpoint import read_metadata
 
 
 def export_steering(run: Path, path: Path) -> PolicySteering:

@@ -24,12 +24,12 @@ from experiments.gait import tables
 from experiments.gait.diagnostics import half_width, measure_lean, pick, trace_work
 from experiments.gait.trials import Trial, run_trial
 from experiments.histories import Histories
-from experiments.policies import make_gait_policy
-from experiments.progress import Progress
-from experiments.recognition import Recognition
 from experiments.transfer import load_task, split_flows
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.modules import PID
+from fishrl.training.baselines import make_gait_policy
+from fishrl.training.progress import Progress
+from fishrl.training.recognition import Recognition
 
 
 def make_trial(

@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Any
 
 from experiments.command_line import plain_errors, set_up_logging, show_command
-from experiments.run_folder import HeldError, RunFolder
 from experiments.search_path import FOLDER
 from experiments.settings import ConfigError
 from experiments.sweeps.ending import ending_runs
 from experiments.sweeps.runs import Run, read_run
+from fishrl.training.run_folder import HeldError, RunFolder
 
 logger = logging.getLogger(__name__)
 

@@ -11,7 +11,7 @@ from typing import Any
 from omegaconf import MISSING
 
 #: How a run learns that does not say.
-DEFAULT_ALGORITHM = {"_target_": "experiments.algorithms.DiscreteSAC"}
+DEFAULT_ALGORITHM = {"_target_": "fishrl.training.algorithms.DiscreteSAC"}
 #: Values of ``fishrl.viewer.FieldFormat``, whose module is too slow to import for a setting.
 FIELD_FORMATS = ("jpeg", "u8")
 
@@ -66,7 +66,7 @@ class TrainConfig(ViewerSettings):
     Args:
         task: ``_target_`` and arguments of the task.
         logger: ``_target_`` and arguments of the logger.
-        algorithm: ``_target_`` and own arguments of the algorithm, see ``experiments.algorithms``.
+        algorithm: ``_target_`` and arguments of the algorithm (``fishrl.training.algorithms``).
         preset: name of the preset, kept in the checkpoints.
         seed: of networks, starts and actions; one seed gives one learning curve.
         device: cpu or cuda.

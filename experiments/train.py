@@ -12,16 +12,16 @@ import time
 from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING, Any
 
-from experiments.progress import Progress
+from fishrl.training.progress import Progress
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from omegaconf import DictConfig
 
-    from experiments.run_folder import RunFolder
     from experiments.settings import TrainConfig
-    from experiments.training import Training
+    from fishrl.training.loop import Training
+    from fishrl.training.run_folder import RunFolder
 
 logger = logging.getLogger(__name__)
 
@@ -68,14 +68,14 @@ def set_up(
     """Make everything a run needs; see ``train``. Wrong settings show here, not later."""
     from pathlib import Path
 
-    from experiments.algorithms import build_algorithm
     from experiments.config import build
     from experiments.live import choose_flows
-    from experiments.policies import make_baselines
-    from experiments.recognition import Recognition, find_machine
-    from experiments.run_folder import RunFolder
     from experiments.settings import check_cluster, check_device
-    from experiments.training import FINAL_SEED, Training, make_flow_env
+    from fishrl.training.algorithms import build_algorithm
+    from fishrl.training.baselines import make_baselines
+    from fishrl.training.loop import FINAL_SEED, Training, make_flow_env
+    from fishrl.training.recognition import Recognition, find_machine
+    from fishrl.training.run_folder import RunFolder
 
     with ExitStack() as stack:
         if config.resume:
@@ -119,8 +119,8 @@ def set_up(
 def begin_run(config: TrainConfig, folder: RunFolder) -> RunFolder:
     """Write into a new folder all that its run needs; ``resume=<folder>`` then starts it."""
     from experiments.config import to_plain
-    from experiments.recognition import keep_machine
-    from experiments.run_folder import write_yaml
+    from fishrl.training.recognition import keep_machine
+    from fishrl.training.run_folder import write_yaml
 
     config.recognition = keep_machine(config.recognition, folder.path)
     write_yaml(folder.config, to_plain(config))
@@ -135,7 +135,7 @@ def note_settings(config: TrainConfig, folder: RunFolder) -> None:
     from omegaconf import OmegaConf
 
     from experiments.config import to_plain
-    from experiments.run_folder import write_yaml
+    from fishrl.training.run_folder import write_yaml
 
     stored: Any = OmegaConf.to_container(OmegaConf.load(folder.config))
     begun_with = {name: stored[name] for name in _OF_THE_MOMENT if name in stored}
@@ -159,8 +159,8 @@ def is_over(config: TrainConfig) -> bool:
 
 def finish(training: Training) -> dict[str, Any]:
     """Run what is set up to its end, write the summary and the pictures, and print the table."""
-    from experiments.interruption import Interrupted
-    from experiments.run_folder import write_json
+    from fishrl.training.interruption import Interrupted
+    from fishrl.training.run_folder import write_json
 
     config, folder = training.config, training.folder
     with folder.noting_failure(), closing(training):
@@ -182,12 +182,12 @@ def finish(training: Training) -> dict[str, Any]:
 
 def draw(training: Training, summary: dict[str, Any]) -> None:
     """Record the learned fish from some of the fixed starts and draw the pictures of the run."""
-    from experiments.evaluation import fixed_starts
     from experiments.figures import write_learning_curve, write_run_pictures
     from experiments.recording import record_episodes
     from experiments.scenes import TaskView
-    from experiments.training import FINAL_SEED
     from experiments.watching import draw_episodes
+    from fishrl.training.evaluation import fixed_starts
+    from fishrl.training.loop import FINAL_SEED
     from fishrl.viewer import start_drawing
 
     config, progress, path = training.config, training.progress, training.folder.path

@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.progress import Progress
+from fishrl.training.progress import Progress
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -42,8 +42,8 @@ def train_lateral_line(
     from experiments.config import build, to_plain
     from experiments.lateral_line.collection import Collection, collect
     from experiments.lateral_line.examination import examine
-    from experiments.run_folder import RunFolder, write_yaml
     from experiments.settings import check_device
+    from fishrl.training.run_folder import RunFolder, write_yaml
 
     progress = progress or Progress(is_shown=False)
     check_device(config.device)

@@ -28,8 +28,8 @@ from experiments.gait.diagnostics import (
 )
 from experiments.gait.trials import PERIODS, Trial, hand_written, load_trial, run_trial
 from experiments.histories import Histories
-from experiments.progress import Progress
 from fishrl.envs import KarmanGait
+from fishrl.training.progress import Progress
 
 HAND_WRITTEN = ("pid", "pid+policy", "bang_bang", "shedding")
 

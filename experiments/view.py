@@ -14,7 +14,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.progress import Progress
+from fishrl.training.progress import Progress
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -50,14 +50,14 @@ def record(
         ValueError: for settings that cannot be, and checkpoints that do not fit.
     """
     from experiments.config import build
-    from experiments.evaluation import fixed_starts
     from experiments.live import choose_flows
-    from experiments.policies import load_policy, make_policy
-    from experiments.recognition import Recognition
     from experiments.scenes import TaskView
     from experiments.settings import check_device
-    from experiments.training import make_flow_env
     from experiments.watching import draw_episodes
+    from fishrl.training.baselines import load_policy, make_policy
+    from fishrl.training.evaluation import fixed_starts
+    from fishrl.training.loop import make_flow_env
+    from fishrl.training.recognition import Recognition
     from fishrl.viewer import start_drawing
 
     progress = progress or Progress(is_shown=False)

@@ -27,6 +27,10 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/envs/", TENSORS | TASK_SIDE),
     ("fishrl/modules/", TENSORS | {"torchrl", "fishrl.modules"}),
     ("fishrl/objectives/", TENSORS | {"torchrl", "fishrl.objectives"}),
+    (
+        "fishrl/training/",
+        TENSORS | {"torchrl", "tqdm", "wandb", "ray", "fishrl", "experiments", "omegaconf"},
+    ),
     ("fishrl/viewer/scene.py", {"torch"}),
     ("fishrl/viewer/", {"torch", "numpy", "rerun", "fishrl.viewer"}),
 )

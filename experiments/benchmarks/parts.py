@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from fishrl.physics import InPlaceSolver
-from fishrl.physics.stepper import Stepper
+from fishrl.physics.fast.step import Stepper
 
 Function = Callable[..., Any]
 

@@ -7,16 +7,16 @@ from typing import Any
 
 import torch
 
-from experiments.algorithms import build_algorithm
 from experiments.benchmarks.entry import FISH, OTHER, Entry, Settings, Team
 from experiments.benchmarks.environment import make_task
 from experiments.benchmarks.flows import CODE, describe_size
-from experiments.checkpointing import BrainOf
-from experiments.collector import ResumableCollector
 from experiments.config import load_config
-from experiments.learner import one_thread
 from experiments.settings import TrainConfig
 from fishrl.envs import make_env
+from fishrl.training.algorithms import build_algorithm
+from fishrl.training.checkpoint import BrainOf
+from fishrl.training.collector import ResumableCollector
+from fishrl.training.learner import one_thread
 
 
 class Loop:

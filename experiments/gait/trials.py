@@ -18,19 +18,19 @@ from tensordict import TensorDict
 import experiments.histories as histories_module
 import fishrl.envs
 import fishrl.modules
-from experiments import policies
-from experiments.checkpointing import read_metadata
 from experiments.config import build
 from experiments.histories import Histories, record_histories
-from experiments.policies import load_policy, make_gait_policy, make_policy
-from experiments.progress import Progress
-from experiments.recognition import ORACLE, Recognition, find_machine
 from experiments.settings import ConfigError
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.steering import PolicySteering
 from fishrl.modules import FixedFrequency
-from fishrl.physics.compiled import hash_sources
+from fishrl.physics.fast.compiled import hash_sources
+from fishrl.training import baselines
+from fishrl.training.baselines import load_policy, make_gait_policy, make_policy
+from fishrl.training.checkpoint import read_metadata
+from fishrl.training.progress import Progress
+from fishrl.training.recognition import ORACLE, Recognition, find_machine
 
 logger = logging.getLogger(__name__)
 
@@ -225,7 +225,7 @@ def hash_behaviour() -> str:
     """
     folders = [Path(str(package.__file__)).parent for package in (fishrl.envs, fishrl.modules)]
     files = [file for folder in folders for file in sorted(folder.rglob("*")) if file.is_file()]
-    files += [Path(str(policies.__file__)), Path(str(histories_module.__file__))]
+    files += [Path(str(baselines.__file__)), Path(str(histories_module.__file__))]
     digest = hashlib.sha256(hash_sources().encode())
     for file in files:
         if file.suffix in (".py", ".pt"):

@@ -21,12 +21,12 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 
 import fishrl.envs
-from experiments.evaluation import copy_state
-from experiments.policies import make_pid
-from experiments.progress import Progress
 from fishrl.envs import FlowEnv
 from fishrl.envs.lateral_line import KNOWN
-from fishrl.physics.compiled import hash_sources
+from fishrl.physics.fast.compiled import hash_sources
+from fishrl.training.baselines import make_pid
+from fishrl.training.evaluation import copy_state
+from fishrl.training.progress import Progress
 
 logger = logging.getLogger(__name__)
 

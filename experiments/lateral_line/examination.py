@@ -21,11 +21,11 @@ from experiments.lateral_line.findings import (
 from experiments.lateral_line.pictures import write_confusion, write_curves, write_limits
 from experiments.lateral_line.report import write_page
 from experiments.lateral_line.study import Diet, Fit, Study, diets
-from experiments.progress import Progress
 from experiments.settings import LateralLineConfig
 from fishrl.envs.lateral_line import LOCAL, LateralLine
 from fishrl.modules.lateral_line import BOOKKEEPING
 from fishrl.objectives import FitSettings
+from fishrl.training.progress import Progress
 
 #: Control intervals that a machine reads unless told otherwise.
 NUM_INTERVALS = 8

@@ -12,8 +12,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
-from experiments.interruption import SIGNALS
 from experiments.sweeps.runs import find_writers
+from fishrl.training.interruption import SIGNALS
 
 logger = logging.getLogger(__name__)
 

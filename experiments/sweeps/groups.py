@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from experiments.gait.diagnostics import half_width
-from experiments.run_folder import RunFolder
 from experiments.sweeps.runs import HARMLESS, Run
+from fishrl.training.run_folder import RunFolder
 
 #: Settings that make no other experiment.
 _APART = ("seed", *HARMLESS)

@@ -19,8 +19,6 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.progress import Progress
-from experiments.run_folder import RunFolder
 from experiments.settings import ConfigError
 from experiments.sweeps.ending import (
     TOLD_CODES,
@@ -29,6 +27,8 @@ from experiments.sweeps.ending import (
     leave_ending_to_sweep,
 )
 from experiments.sweeps.runs import HARMLESS, Run, advise, count_frames, list_runs, read_run
+from fishrl.training.progress import Progress
+from fishrl.training.run_folder import RunFolder
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig

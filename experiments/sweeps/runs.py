@@ -16,8 +16,8 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from experiments.command_line import show_command
-from experiments.run_folder import RunFolder
 from experiments.settings import ViewerSettings
+from fishrl.training.run_folder import RunFolder
 
 #: Settings that change neither what a run learns nor how that is judged: where it lies, and what is
 #: shown, logged, saved and compared with it.

@@ -9,7 +9,7 @@ from experiments.figures import COLOURS
 from experiments.validation.case import Case, Check, Job, Results
 from experiments.validation.convergence import fit_order, tidy
 from experiments.validation.swimming import estimate_cost, swim
-from fishrl.physics.kinematics import GAITS
+from fishrl.physics.bodies.gait import GAITS
 
 BODY_LENGTH = 100
 NUM_BEATS = 10

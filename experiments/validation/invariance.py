@@ -11,9 +11,9 @@ from experiments.figures import COLOURS
 from experiments.validation.case import Case, Check, Job, Result, Results
 from experiments.validation.convergence import tidy
 from fishrl.physics import Cylinder, DCylinder, Fish, FlowConfig, InPlaceSolver, Scales
-from fishrl.physics.bodies import Outline
+from fishrl.physics.bodies.motion import Driven, Free
+from fishrl.physics.bodies.outline import Outline
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium
-from fishrl.physics.motion import Driven, Free
 
 SHIFTS = {
     "¼ node along x": (0.25, 0.0),

@@ -12,8 +12,8 @@ from experiments.figures import COLOURS
 from experiments.validation.case import Case, Check, Job, Result, Results
 from experiments.validation.convergence import tidy
 from fishrl.physics import Cylinder, FlowConfig, InPlaceSolver
+from fishrl.physics.bodies.motion import Oscillating
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium
-from fishrl.physics.motion import Oscillating
 
 KC = 5.0  # U T / D
 REYNOLDS = 100.0  # U D / nu

@@ -12,7 +12,7 @@ from experiments.validation.convergence import tidy
 from fishrl.physics import FlowConfig, InPlaceSolver
 from fishrl.physics.boundaries import Boundaries, Boundary, NonEquilibrium, OpenEdge, Periodic
 from fishrl.physics.collision import compute_equilibrium
-from fishrl.physics.state import Sponge
+from fishrl.physics.flow import Sponge
 
 WIDTH, HEIGHT, AHEAD = 240, 320, 80  # nodes; the disturbance starts so far ahead of the outflow
 RADIUS, SPEED, TAU = 10.0, 0.1, 0.53

@@ -11,8 +11,8 @@ from experiments.figures import COLOURS
 from experiments.validation.case import Case, Check, Job, Result, Results, as_range
 from experiments.validation.convergence import tidy
 from fishrl.physics import Cylinder, FlowConfig, InPlaceSolver
+from fishrl.physics.bodies.motion import Free
 from fishrl.physics.boundaries import Boundaries, NoSlip
-from fishrl.physics.motion import Free
 
 NUM_SAMPLES = 300
 SPEED = 0.05

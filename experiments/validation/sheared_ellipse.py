@@ -11,9 +11,9 @@ from experiments.figures import COLOURS
 from experiments.validation.case import Case, Check, Job, Result, Results
 from experiments.validation.convergence import tidy
 from fishrl.physics import Ellipse, FlowConfig, InPlaceSolver
+from fishrl.physics.bodies.motion import Free
 from fishrl.physics.boundaries import Boundaries, NoSlip, Periodic
-from fishrl.physics.motion import Free
-from fishrl.physics.solver import make_uniform
+from fishrl.physics.step import make_uniform
 
 ASPECT_RATIO = 2.0
 NUM_SAMPLES = 400  # per 5 pi / G, Jeffery's period

@@ -11,12 +11,12 @@ from experiments.figures import COLOURS
 from experiments.validation.case import Case, Check, Job, Result, Results
 from experiments.validation.convergence import tidy
 from fishrl.physics import Cylinder, Fish, FlowConfig, FlowState, Free, Scales
+from fishrl.physics.bodies.motion import make_body
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium
 from fishrl.physics.collision import compute_macroscopic
+from fishrl.physics.flow import FlowParams, make_params
 from fishrl.physics.immersed_boundary import DirectSolve, ForceSolve, IterativeForcing, interpolate
-from fishrl.physics.motion import make_body
-from fishrl.physics.solver import exchange, gather, locate_bodies, make_rest, spread, step
-from fishrl.physics.state import FlowParams, make_params
+from fishrl.physics.step import exchange, gather, locate_bodies, make_rest, spread, step
 
 RELAXATIONS = (1.0, 1.7)
 COUNTS = (1, 2, 3, 4, 6, 10, 20)

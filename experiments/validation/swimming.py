@@ -6,9 +6,9 @@ import torch
 
 from experiments.validation.case import Result
 from fishrl.physics import Commanded, Fish, Free, InPlaceSolver, Scales
+from fishrl.physics.bodies.gait import GAITS
+from fishrl.physics.bodies.sections import Section
 from fishrl.physics.cases import make_swimmer_config
-from fishrl.physics.kinematics import GAITS
-from fishrl.physics.sections import Section
 
 TANK_LENGTH_BL = 10.0
 START_BL = 8.5

@@ -11,8 +11,8 @@ from experiments.validation.case import Case, Check, Job, Result, Results
 from experiments.validation.convergence import draw_convergence, fit_order
 from fishrl.physics.cases import PERIODIC, make_taylor_green
 from fishrl.physics.collision import compute_macroscopic
-from fishrl.physics.solver import make_uniform, step
-from fishrl.physics.state import FlowConfig, FlowState
+from fishrl.physics.flow import FlowConfig, FlowState
+from fishrl.physics.step import make_uniform, step
 
 REYNOLDS = 20.0
 SPEED = 0.64  # U N

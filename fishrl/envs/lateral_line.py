@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from fishrl.envs.draws import draw_uniform
-from fishrl.physics.in_place import InPlaceSolver
-from fishrl.physics.rigid_motion import deform_body, place_markers
+from fishrl.physics.bodies.coupling import deform_body, place_markers
+from fishrl.physics.fast.solver import InPlaceSolver
 
 #: The paper's: time since the start in T, place in body lengths, velocity, pressure and speed as
 #: an onlooker sees them. Time and place give a flow away by bookkeeping.

@@ -5,9 +5,9 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.sensors import compute_clearance
-from fishrl.physics.bodies import Fish
-from fishrl.physics.motion import make_body
-from fishrl.physics.rigid_motion import locate_markers
+from fishrl.physics.bodies.coupling import locate_markers
+from fishrl.physics.bodies.motion import make_body
+from fishrl.physics.bodies.outline import Fish
 
 
 def place_fish(starts: TensorDictBase, fish: Fish) -> tuple[Tensor, Tensor]:

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from fishrl.envs.wakes import WakeBank, WakeRecipe, load_wakes
-from fishrl.physics.bodies import DCylinder, Fish
+from fishrl.physics.bodies.outline import DCylinder, Fish
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
-from fishrl.physics.in_place import InPlaceSolver
-from fishrl.physics.state import FlowConfig
+from fishrl.physics.fast.solver import InPlaceSolver
+from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import Scales
 
 

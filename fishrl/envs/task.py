@@ -19,9 +19,9 @@ from torch import Tensor
 
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.starts import check_fit, check_pattern, place_fish
-from fishrl.physics.bodies import Fish
-from fishrl.physics.in_place import InPlaceSolver
-from fishrl.physics.state import FlowConfig
+from fishrl.physics.bodies.outline import Fish
+from fishrl.physics.fast.solver import InPlaceSolver
+from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import DEFAULT_WALL_SPEED, Scales
 
 

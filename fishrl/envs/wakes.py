@@ -19,11 +19,11 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from fishrl.physics.compiled import hash_sources
+from fishrl.physics.bodies.motion import Fixed
 from fishrl.physics.diagnostics import find_crossings, measure_cycles
-from fishrl.physics.in_place import InPlaceSolver
-from fishrl.physics.motion import Fixed
-from fishrl.physics.state import FlowConfig
+from fishrl.physics.fast.compiled import hash_sources
+from fishrl.physics.fast.solver import InPlaceSolver
+from fishrl.physics.flow import FlowConfig
 
 logger = logging.getLogger(__name__)
 

@@ -1,6 +1,8 @@
 """The flow and the bodies in it: batched immersed-boundary lattice Boltzmann in torch."""
 
-from fishrl.physics.bodies import Cylinder, DCylinder, Ellipse, Fish, Foil
+from fishrl.physics.bodies.coupling import Coupling
+from fishrl.physics.bodies.motion import Bending, Commanded, Driven, Fixed, Free, Oscillating
+from fishrl.physics.bodies.outline import Cylinder, DCylinder, Ellipse, Fish, Foil
 from fishrl.physics.diagnostics import (
     compute_area,
     compute_coefficient,
@@ -11,10 +13,8 @@ from fishrl.physics.diagnostics import (
     find_crossings,
     measure_cycles,
 )
-from fishrl.physics.in_place import InPlaceSolver
-from fishrl.physics.motion import Bending, Commanded, Driven, Fixed, Free, Oscillating
-from fishrl.physics.rigid_motion import Coupling
-from fishrl.physics.state import FlowConfig, FlowState
+from fishrl.physics.fast.solver import InPlaceSolver
+from fishrl.physics.flow import FlowConfig, FlowState
 from fishrl.physics.storage import Storage
 from fishrl.physics.units import Scales
 

@@ -5,12 +5,12 @@ from math import exp, pi
 import torch
 from torch import Tensor
 
-from fishrl.physics.bodies import Fish
+from fishrl.physics.bodies.motion import Commanded, Motion
+from fishrl.physics.bodies.outline import Fish
 from fishrl.physics.boundaries import Boundaries, NoSlip, Periodic
 from fishrl.physics.collision import compute_macroscopic
-from fishrl.physics.motion import Commanded, Motion
-from fishrl.physics.solver import make_uniform, step
-from fishrl.physics.state import FlowConfig, FlowState
+from fishrl.physics.flow import FlowConfig, FlowState
+from fishrl.physics.step import make_uniform, step
 from fishrl.physics.units import Scales
 
 PERIODIC = Boundaries(left=Periodic(), right=Periodic(), bottom=Periodic(), top=Periodic())

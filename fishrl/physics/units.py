@@ -7,7 +7,7 @@ is the tail, 2 pi a(1) f L, or the stream, so the budget is set on them. nu = L^
 
 from dataclasses import dataclass
 
-from fishrl.physics.kinematics import CARLING, Gait
+from fishrl.physics.bodies.gait import CARLING, Gait
 
 # Validated range. Below MIN_TAU the collision loses its margin against vortices shed in a turn;
 # above MAX_TAU the boundary's slip grows. The fastest wall is kept well under the speed of sound

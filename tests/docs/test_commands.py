@@ -19,12 +19,12 @@ import yaml
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from experiments.checkpointing import BrainOf, save_checkpoint
 from experiments.command_line import view_settings
 from experiments.config import SCHEMAS, build, check_overrides, load_config, to_plain
-from experiments.run_folder import RunFolder, write_whole
 from experiments.search_path import split_arguments
 from experiments.sweeps.jobs import is_sweep
+from fishrl.training.checkpoint import BrainOf, save_checkpoint
+from fishrl.training.run_folder import RunFolder, write_whole
 from tests.docs.pages import DOCS, read_blocks
 
 ROOT = DOCS.parent

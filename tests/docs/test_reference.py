@@ -10,9 +10,9 @@ import pytest
 from docs.reference import describe, make_reference
 from experiments.config import SCHEMAS
 from experiments.search_path import list_groups
-from experiments.training import FINAL_SEED, SELECTION_SEED
 from fishrl import physics
 from fishrl.envs import KarmanGait, Predation
+from fishrl.training.loop import FINAL_SEED, SELECTION_SEED
 from tests.docs.pages import DOCS
 
 

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import torch
 from torch import Tensor
 
-from fishrl.physics.motion import Body, make_body
-from fishrl.physics.rigid_motion import deform_body, place_markers
-from fishrl.physics.state import FlowConfig
+from fishrl.physics.bodies.coupling import deform_body, place_markers
+from fishrl.physics.bodies.motion import Body, make_body
+from fishrl.physics.flow import FlowConfig
 
 GLIDE_SPEED_BL = 0.4  # body lengths per tail beat
 

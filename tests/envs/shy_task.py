@@ -9,7 +9,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from fishrl.envs import AbstractTask, Command
-from fishrl.physics.in_place import InPlaceSolver
+from fishrl.physics.fast.solver import InPlaceSolver
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,11 +11,11 @@ import pytest
 import torch
 
 from experiments import evaluate
-from experiments.checkpointing import BrainOf, save_checkpoint
 from experiments.command_line import view_settings
 from experiments.config import build, check_overrides, load_config, to_plain
 from experiments.settings import ConfigError
 from experiments.train import train
+from fishrl.training.checkpoint import BrainOf, save_checkpoint
 from tests.envs.conftest import gliding  # noqa: F401 - a fixture
 from tests.experiments.test_gait import SETTINGS, make_machine, make_task
 

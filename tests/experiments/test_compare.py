@@ -15,11 +15,11 @@ from PIL import Image
 from experiments import compare as compare_module
 from experiments.compare import compare, judge, main, read_arguments, render, summarise
 from experiments.config import load_config
-from experiments.interruption import Interrupted
-from experiments.run_folder import RunFolder
 from experiments.settings import ConfigError, TrainConfig
 from experiments.train import begin_run
-from experiments.training import Training
+from fishrl.training.interruption import Interrupted
+from fishrl.training.loop import Training
+from fishrl.training.run_folder import RunFolder
 from tests.docs.pages import DOCS
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 

@@ -13,10 +13,10 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from experiments.checkpointing import read_metadata
 from experiments.config import CONF, build, check_overrides, load_config, resumed_settings, to_plain
 from experiments.settings import ConfigError, EvaluateConfig, TrainConfig, check_device
 from experiments.sweeps.runs import read_runs
+from fishrl.training.checkpoint import read_metadata
 
 ROOT = Path(__file__).parents[2]
 PRESETS = sorted(path.stem for path in (CONF / "preset").glob("*.yaml"))
@@ -221,9 +221,9 @@ def test_a_device_that_is_none_is_an_error(device: str) -> None:
 
 def test_a_target_that_cannot_be_made_says_why() -> None:
     with pytest.raises(ConfigError, match="nothing_there"):
-        build({"_target_": "experiments.logger.nothing_there"})
+        build({"_target_": "fishrl.training.logger.nothing_there"})
     with pytest.raises(ValueError, match="time_limit = 0: must be at least 1"):
-        build({"_target_": "tests.experiments.toy_fish.ToyPredation", "time_limit": 0})
+        build({"_target_": "tests.training.toy_fish.ToyPredation", "time_limit": 0})
 
 
 def stored_run(folder: Path) -> Path:

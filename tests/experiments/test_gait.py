@@ -20,7 +20,6 @@ from experiments.evaluate import main as evaluate_main
 from experiments.gait import trials
 from experiments.gait.trials import hand_written, load_trial, run_trial
 from experiments.histories import Histories
-from experiments.recognition import Recognition, keep_machine
 from experiments.settings import ConfigError, EvaluateConfig
 from experiments.train import train
 from fishrl.envs import KarmanGait, Predation
@@ -28,6 +27,7 @@ from fishrl.envs.steering import PolicySteering
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
 from fishrl.modules import LateralLineMachine
+from fishrl.training.recognition import Recognition, keep_machine
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 
 pytestmark = pytest.mark.usefixtures("gliding")

@@ -19,7 +19,6 @@ from experiments.lateral_line.examination import examine
 from experiments.lateral_line.findings import find_confirmation, find_leaks, name_flows
 from experiments.lateral_line.report import format_accuracies
 from experiments.lateral_line.study import Diet, Study, split_by_start, split_by_time
-from experiments.progress import Progress
 from experiments.settings import ConfigError, LateralLineConfig
 from fishrl.envs import Predation, make_env, make_recognition
 from fishrl.envs.lateral_line import KNOWN, LOCAL, LateralLine
@@ -29,6 +28,7 @@ from fishrl.envs.streams import Stream
 from fishrl.envs.tasks import KarmanGait
 from fishrl.modules import LateralLineMachine
 from fishrl.objectives import FitSettings
+from fishrl.training.progress import Progress
 
 INTERVAL = 4
 

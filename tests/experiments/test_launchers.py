@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments.checkpointing import read_metadata
 from experiments.sweeps.runs import read_run, read_runs
+from fishrl.training.checkpoint import read_metadata
 from tests.experiments.test_sweep_jobs import HERE, ROOT, SETTINGS, run_program
 
 pytestmark = pytest.mark.sweep

@@ -7,8 +7,8 @@ import torch
 from experiments.validation import sheared_ellipse, slip
 from experiments.validation.invariance import BASE, MIRRORED, _compare
 from experiments.validation.oscillating_cylinder import _fit
-from fishrl.physics.solver import step
-from fishrl.physics.state import make_params
+from fishrl.physics.flow import make_params
+from fishrl.physics.step import step
 
 
 def test_the_fit_of_an_oscillation_finds_drag_and_added_mass() -> None:

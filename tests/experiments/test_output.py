@@ -15,12 +15,12 @@ from types import SimpleNamespace
 import pytest
 
 from experiments.config import build
-from experiments.logger import CsvLogger, WandbLogger
-from experiments.progress import Progress
-from experiments.run_folder import RunFolder, write_json
 from experiments.settings import TrainConfig
 from experiments.train import finish, set_up
-from tests.experiments.toy_fish import make_toy_env
+from fishrl.training.logger import CsvLogger, WandbLogger
+from fishrl.training.progress import Progress
+from fishrl.training.run_folder import RunFolder, write_json
+from tests.training.toy_fish import make_toy_env
 
 
 def test_the_bar_shows_a_dash_where_there_is_no_number_yet() -> None:
@@ -114,7 +114,7 @@ def test_wandb_writes_offline_beside_the_csv(
 ) -> None:
     monkeypatch.setenv("WANDB_SILENT", "true")
     before = dict(os.environ)
-    target = {"_target_": "experiments.logger.WandbLogger", "is_offline": True}
+    target = {"_target_": "fishrl.training.logger.WandbLogger", "is_offline": True}
     config = toy_config(name="run", total_frames=80, logger=target)
     finish(set_up(config, make_env=make_toy_env))
     folder = tmp_path / "run"
@@ -149,8 +149,8 @@ def test_a_run_of_a_wandb_agent_goes_on_under_the_name_the_agent_gave_it(
 def test_without_wandb_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "wandb", None)
     with pytest.raises(ImportError, match=r"pip install 'wandb>=0.25', or take logger=csv"):
-        build({"_target_": "experiments.logger.WandbLogger"})
-    build({"_target_": "experiments.logger.CsvLogger"})
+        build({"_target_": "fishrl.training.logger.WandbLogger"})
+    build({"_target_": "fishrl.training.logger.CsvLogger"})
 
 
 def test_numbers_that_json_does_not_know_become_null(tmp_path: Path) -> None:

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from experiments.config import build
-from experiments.recognition import Recognition
 from experiments.scenes import TaskView
 from experiments.settings import ViewConfig
 from experiments.view import record
+from fishrl.training.recognition import Recognition
 from fishrl.viewer import photograph_views
 from tests.envs.test_real_flow import TINY
 from tests.experiments.real_wake import gait_settings

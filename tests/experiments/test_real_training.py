@@ -14,8 +14,8 @@ from PIL import Image
 
 from experiments.settings import TrainConfig
 from experiments.train import main, set_up
-from experiments.training import Training
 from fishrl.envs import make_env
+from fishrl.training.loop import Training
 from tests.envs.test_real_flow import TINY
 
 pytestmark = pytest.mark.learning
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.learning
 def config_of(folder: Path, **settings: object) -> TrainConfig:
     defaults: dict[str, object] = {
         "task": {"_target_": "fishrl.envs.Predation", **TINY, "time_limit": 2},
-        "logger": {"_target_": "experiments.logger.CsvLogger"},
+        "logger": {"_target_": "fishrl.training.logger.CsvLogger"},
         "preset": "tiny",
         "folder": str(folder),
         "compile": False,

@@ -8,14 +8,14 @@ from typing import Any
 import pytest
 import torch
 
-from experiments.checkpointing import read_metadata
 from experiments.settings import TrainConfig
 from experiments.train import set_up
-from experiments.training import Training
 from fishrl.envs import FlowEnv, make_env
+from fishrl.training.checkpoint import read_metadata
+from fishrl.training.loop import Training
 from tests.experiments.real_wake import gait_settings
-from tests.experiments.stops import run_and_stop
-from tests.experiments.test_training import rows_of
+from tests.training.stops import run_and_stop
+from tests.training.test_loop import rows_of
 
 pytestmark = pytest.mark.learning
 
@@ -25,7 +25,7 @@ FRAMES = 16
 def begin(folder: Path, wakes: Path, **settings: Any) -> Training:
     config = TrainConfig(
         task=gait_settings(wakes),
-        logger={"_target_": "experiments.logger.CsvLogger"},
+        logger={"_target_": "fishrl.training.logger.CsvLogger"},
         preset="tiny",
         folder=str(folder),
         compile=False,

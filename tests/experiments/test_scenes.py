@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 import torch
 
-from experiments.recognition import Recognition
 from experiments.scenes import TaskView, name_actions
 from fishrl.envs import KarmanGait, Predation, make_env
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.streams import Stream
+from fishrl.training.recognition import Recognition
 from fishrl.viewer import Choice
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 from tests.envs.shy_task import Shy

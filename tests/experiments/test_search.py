@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from experiments import search
-from experiments.checkpointing import read_metadata
 from experiments.config import load_config
 from experiments.search import Search
 from experiments.settings import ConfigError
 from experiments.sweeps import jobs
 from experiments.sweeps.runs import is_held, read_run, read_runs
+from fishrl.training.checkpoint import read_metadata
 from tests.experiments.test_sweep_jobs import HERE, ROOT, SETTINGS
 
 optuna = pytest.importorskip("optuna", reason="pip install -e '.[sweep]'")
@@ -116,7 +116,7 @@ def test_a_run_that_outlived_its_search_is_waited_for(
     settings = ["gamma=0.95", "seed=0", f"folder={tmp_path}"]
     place = jobs.find_or_begin(load_config("train", settings), name="trial_0000-seed_0")
     code = "import sys, time; from pathlib import Path; "
-    code += "from experiments.run_folder import RunFolder, write_json; "
+    code += "from fishrl.training.run_folder import RunFolder, write_json; "
     code += "place = RunFolder(Path(sys.argv[1])); held = place.hold(); print('held', flush=True); "
     code += "time.sleep(1.0); write_json(place.summary, {'mean_return': 2.5})"
     command = [sys.executable, "-c", code, str(place.path)]
@@ -152,7 +152,9 @@ def test_two_searches_share_a_study(tmp_path: Path) -> None:
     theirs = study.ask(plan.space())
     place = search.RunFolder(tmp_path / ".trials" / f"{theirs.number:04d}")
     place.path.mkdir(parents=True)
-    code = "import sys; from pathlib import Path; from experiments.run_folder import RunFolder; "
+    code = (
+        "import sys; from pathlib import Path; from fishrl.training.run_folder import RunFolder; "
+    )
     code += f"held = RunFolder(Path({str(place.path)!r})).hold(); print('held', flush=True); "
     code += "sys.stdin.read()"
     with subprocess.Popen(

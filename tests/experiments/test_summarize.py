@@ -15,10 +15,10 @@ import pytest
 from omegaconf import OmegaConf
 
 from experiments import summarize
-from experiments.run_folder import HeldError, RunFolder
 from experiments.sweeps.curves import average, write_curves
 from experiments.sweeps.groups import Statistic, group_runs, interquartile_mean
 from experiments.sweeps.runs import count_frames, read_run, read_runs
+from fishrl.training.run_folder import HeldError, RunFolder
 
 
 def write_run(
@@ -244,7 +244,7 @@ def test_frames_are_those_of_the_last_whole_row(tmp_path: Path) -> None:
 HOLDER = """
 import sys
 from pathlib import Path
-from experiments.run_folder import RunFolder
+from fishrl.training.run_folder import RunFolder
 file = RunFolder(Path(sys.argv[1])).hold()
 print("held", flush=True)
 sys.stdin.read()

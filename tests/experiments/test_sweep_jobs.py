@@ -14,19 +14,19 @@ import pytest
 from omegaconf import OmegaConf
 
 from experiments import train
-from experiments.checkpointing import read_metadata
 from experiments.command_line import show_command
 from experiments.config import check_overrides, load_config, resumed_settings
-from experiments.run_folder import RunFolder
 from experiments.settings import ConfigError, TrainConfig
 from experiments.sweeps import ending, jobs
 from experiments.sweeps.groups import group_runs
 from experiments.sweeps.runs import find_writers, read_run, read_runs
 from experiments.train import begin_run, finish, note_settings, set_up
-from tests.experiments.toy_fish import make_toy_env
+from fishrl.training.checkpoint import read_metadata
+from fishrl.training.run_folder import RunFolder
+from tests.training.toy_fish import make_toy_env
 
 ROOT = Path(__file__).parents[2]
-HERE = "tests.experiments.mishaps"  # makes fish glide in the runs' own processes
+HERE = "tests.training.faults"  # makes fish glide in the runs' own processes
 SETTINGS = [
     "task.body_length=20",
     "task.reynolds=500",
@@ -282,7 +282,9 @@ def test_a_run_that_was_told_to_end_has_not_failed(
 def test_runs_below_a_process_are_told_to_end_before_it(tmp_path: Path) -> None:
     folder = jobs.find_or_begin(settings_in(tmp_path), name="run")
     assert find_writers(tmp_path) == set()
-    code = "import sys; from pathlib import Path; from experiments.run_folder import RunFolder; "
+    code = (
+        "import sys; from pathlib import Path; from fishrl.training.run_folder import RunFolder; "
+    )
     code += "held = RunFolder(Path(sys.argv[1])).hold(); print('held', flush=True); "
     code += "sys.stdin.read()"
     with subprocess.Popen(
@@ -315,9 +317,9 @@ def test_jobs_that_cannot_be_set_up_are_all_named(
 
 AGENT = """
 import sys
-import tests.experiments.mishaps  # fish that glide
+import tests.training.faults  # fish that glide
 from experiments import train
-from experiments.checkpointing import read_metadata
+from fishrl.training.checkpoint import read_metadata
 sys.argv[0] = "train"
 train.main()
 """

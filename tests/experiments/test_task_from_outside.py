@@ -14,10 +14,10 @@ from experiments import search
 from experiments.command_line import plain_errors, view_settings
 from experiments.config import build, check_overrides, load_config
 from experiments.evaluate import main as evaluate_main
-from experiments.policies import make_policy
 from experiments.search_path import CONF, list_groups, split_arguments
 from experiments.settings import ConfigError
 from experiments.train import main as train_main
+from fishrl.training.baselines import make_policy
 from tests.docs.pages import read_blocks
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 

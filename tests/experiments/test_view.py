@@ -17,10 +17,10 @@ from experiments.command_line import view_settings
 from experiments.config import load_config, resumed_settings, to_plain
 from experiments.evaluate import evaluate
 from experiments.live import LiveView, choose_flows
-from experiments.run_folder import write_yaml
 from experiments.settings import ConfigError, EvaluateConfig
 from experiments.train import train
 from experiments.watching import Drawn
+from fishrl.training.run_folder import write_yaml
 from fishrl.viewer import Drawing, Frame
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 from tests.experiments.test_gait import SETTINGS

@@ -17,14 +17,14 @@ from fishrl.physics.boundaries import (
     Side,
 )
 from fishrl.physics.collision import compute_macroscopic
-from fishrl.physics.solver import make_rest, make_uniform, step
-from fishrl.physics.state import (
+from fishrl.physics.flow import (
     FlowConfig,
     FlowState,
     Sponge,
     compute_stream_speed,
     make_params,
 )
+from fishrl.physics.step import make_rest, make_uniform, step
 
 
 @pytest.mark.parametrize("top", [NoSlip(velocity=(1.0, 0.0)), NonEquilibrium(velocity=(1.0, 0.0))])

@@ -6,8 +6,11 @@ from itertools import pairwise
 import pytest
 import torch
 
-from fishrl.physics.bodies import Fish
+from fishrl.physics.bodies.coupling import deform_body, place_markers
+from fishrl.physics.bodies.motion import make_body
+from fishrl.physics.bodies.outline import Fish
 from fishrl.physics.delta import Hat, Kernel, Peskin4, Roma3
+from fishrl.physics.flow import FlowConfig
 from fishrl.physics.immersed_boundary import (
     DirectSolve,
     IterativeForcing,
@@ -15,10 +18,7 @@ from fishrl.physics.immersed_boundary import (
     make_stencil,
     overlap_markers,
 )
-from fishrl.physics.motion import make_body
-from fishrl.physics.rigid_motion import deform_body, place_markers
-from fishrl.physics.solver import gather, spread
-from fishrl.physics.state import FlowConfig
+from fishrl.physics.step import gather, spread
 
 KERNELS = [Hat(), Roma3(), Peskin4()]
 SIZE = 96

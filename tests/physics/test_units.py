@@ -2,8 +2,8 @@
 
 import pytest
 
-from fishrl.physics.bodies import Fish
-from fishrl.physics.state import FlowConfig
+from fishrl.physics.bodies.outline import Fish
+from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import Scales, compute_tau
 
 

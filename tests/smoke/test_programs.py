@@ -19,11 +19,11 @@ import torch
 
 import fishrl.envs.task
 import fishrl.viewer.files
-from experiments.policies import NAMES, list_baselines
 from experiments.search_path import list_groups
 from fishrl.envs import Predation
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
+from fishrl.training.baselines import NAMES, list_baselines
 from tests.docs.pages import DOCS, read_blocks
 from tests.envs.conftest import SMALL
 from tests.envs.gliding import GlidingSolver

@@ -19,8 +19,8 @@ from fishrl.envs.steering import PIDSteering, Steering
 from fishrl.envs.streams import Stream
 from fishrl.envs.task import AbstractTask, Command, as_pair
 from fishrl.envs.wakes import WakeBank
-from fishrl.physics.in_place import InPlaceSolver
-from fishrl.physics.state import FlowConfig
+from fishrl.physics.fast.solver import InPlaceSolver
+from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import Scales
 
 #: Tail beats per T for the paper's three flows, from a measured sweep (see

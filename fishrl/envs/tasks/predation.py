@@ -14,7 +14,7 @@ from torch import Tensor
 from fishrl.envs.rewards import reward_approach
 from fishrl.envs.sensors import compute_clearance, sense_target
 from fishrl.envs.task import AbstractTask, Command, as_pair
-from fishrl.physics.in_place import InPlaceSolver
+from fishrl.physics.fast.solver import InPlaceSolver
 
 
 class FoodDirection(Enum):

@@ -1,0 +1,1 @@
+"""Bodies: outlines, gaits, motion, and their coupling to the flow."""

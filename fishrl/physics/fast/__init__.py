@@ -1,0 +1,1 @@
+"""The fast solver: flows advanced in place by a compiled step."""

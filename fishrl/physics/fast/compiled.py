@@ -1,0 +1,167 @@
+"""Compile a function that mutates its tensors, without guards and without copies.
+
+``torch.compile`` checks guards on every call (about 100 us with many tensors) and functionalises
+views of one buffer into whole-buffer copies. Tracing the function once and handing the graph to
+Inductor with *the views themselves as inputs* avoids both. The price: the caller promises that
+shapes, strides and types never change and that mutated inputs do not overlap within one call.
+"""
+
+import hashlib
+import logging
+import os
+import shutil
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import fields, is_dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+logger = logging.getLogger(__name__)
+
+Step = Callable[..., Any]
+
+# Fused multiply-add, and no check of each argument's shape at each call: they never change.
+_SETTINGS: dict[str, object] = {
+    "cpp.enable_floating_point_contract_flag": "fast",
+    "size_asserts": False,
+    "alignment_asserts": False,
+}
+
+
+@cache
+def find_compiler_problem(device_type: str) -> str | None:
+    """Return why nothing can be compiled for ``device_type``, or None; logged once."""
+    problem = None
+    if device_type == "cpu" and not (shutil.which("g++") or shutil.which("clang++")):
+        problem = "no C++ compiler (g++ or clang++) on the path"
+    elif not hasattr(torch._inductor, "standalone_compile"):
+        problem = f"torch {torch.__version__} has no torch._inductor.standalone_compile"
+    if problem:
+        logger.warning("%s: the flow runs eagerly, about 10 times slower", problem)
+    return problem
+
+
+def _make_twin(t: Tensor) -> Tensor:
+    """Return a tensor of the same shape and strides with storage of its own.
+
+    It starts one element into its storage: on a GPU, Inductor would clone arguments that are less
+    aligned than the example, and the views of odd steps are.
+    """
+    size = 1 + sum((n - 1) * s for n, s in zip(t.shape, t.stride(), strict=True))
+    store = torch.zeros(size + 1, dtype=t.dtype, device=t.device)
+    return store.as_strided(t.shape, t.stride(), 1).copy_(t)
+
+
+_PHYSICS = Path(__file__).parents[1]
+
+
+@cache
+def hash_sources() -> str:
+    """Return a word that changes when any source file of ``fishrl.physics`` does."""
+    digest = hashlib.sha256()
+    for path in sorted(_PHYSICS.rglob("*.py")):
+        digest.update(str(path.relative_to(_PHYSICS)).encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
+
+
+def is_own(thing: object) -> bool:
+    """Return whether ``thing`` is made of plain values and of this package's dataclasses alone.
+
+    Then its ``repr`` and the package's sources say all there is to know about it.
+    """
+    if isinstance(thing, list | tuple):
+        return all(map(is_own, thing))
+    if thing is None or isinstance(thing, bool | int | float | str | torch.dtype):
+        return True
+    kind = thing if isinstance(thing, type) else type(thing)
+    if not kind.__module__.startswith("fishrl.physics."):
+        return False
+    if isinstance(thing, type) or not is_dataclass(thing):
+        return True
+    return all(is_own(getattr(thing, field.name)) for field in fields(thing))
+
+
+def compile_inplace(
+    function: Step, example: Sequence[Tensor], *, name: str | None = None, **patches: object
+) -> Step:
+    """Compile ``function(*tensors)``, which may mutate its arguments.
+
+    Args:
+        function: traceable, of tensors alone; a tuple of tensors or nothing is returned.
+        example: arguments of the shapes, strides and types that every call will have. They are not
+            touched.
+        name: everything that shaped the function beside this package's sources and ``example``.
+            With it the result is kept beside Inductor's cache, and the next process loads it
+            without tracing. None keeps nothing.
+        **patches: Inductor settings.
+
+    Returns:
+        The compiled function, or ``function`` itself where no compiler is present.
+    """
+    device = example[0].device
+    if find_compiler_problem(device.type):
+        return function
+    settings = {**_SETTINGS, **patches}
+    path = None if name is None else _locate_artefact(name, example, settings)
+    if path is not None and (kept := _load(path, settings)) is not None:
+        return kept
+    from torch._inductor import standalone_compile
+    from torch.fx.experimental.proxy_tensor import make_fx
+
+    twins = [_make_twin(t) for t in example]
+    compiled = standalone_compile(
+        make_fx(function)(*twins),
+        [*twins],
+        dynamic_shapes="from_example_inputs",
+        aot=True,
+        options={"config_patches": settings},
+    )
+    if path is not None:
+        _save(path, compiled.serialize())  # type: ignore[attr-defined]
+    return compiled
+
+
+def _locate_artefact(name: str, example: Sequence[Tensor], settings: dict[str, object]) -> Path:
+    from torch._inductor.runtime.cache_dir_utils import cache_dir
+
+    device = example[0].device
+    if device.type == "cuda":
+        machine = torch.cuda.get_device_name(device)
+    else:
+        machine = f"{torch.backends.cpu.get_cpu_capability()}, {torch.get_num_threads()} threads"
+    arguments = [(tuple(t.shape), t.stride(), t.dtype) for t in example]
+    parts = (name, hash_sources(), torch.__version__, sys.version, machine, arguments, settings)
+    word = hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
+    return Path(cache_dir()) / "fishrl" / f"{word}.bin"
+
+
+def _load(path: Path, settings: dict[str, object]) -> Step | None:
+    """Return what is kept at ``path``; None if there is nothing that can be used.
+
+    The settings count here too: they are part of how Inductor finds the machine code.
+    """
+    if not path.exists():
+        return None
+    from torch._inductor.standalone_compile import AOTCompiledArtifact
+
+    try:
+        with torch._inductor.config.patch(settings):
+            return AOTCompiledArtifact.deserialize(path.read_bytes())
+    except Exception as error:  # noqa: BLE001  # whatever is wrong with it: compile again
+        logger.warning("%s cannot be used (%s): compiling again", path, error)
+        return None
+
+
+def _save(path: Path, content: bytes) -> None:
+    """Keep ``content``; readers see all of it or nothing."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_suffix(f".{os.getpid()}")
+        part.write_bytes(content)
+        part.replace(path)
+    except OSError as error:
+        logger.warning("the compiled step cannot be kept (%s): it is compiled every time", error)

@@ -1,0 +1,245 @@
+"""What a flow is: its static configuration, its parameters and its state."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from math import inf, isfinite, pi
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from fishrl.physics.bodies.coupling import Coupling
+from fishrl.physics.bodies.motion import Body
+from fishrl.physics.bodies.outline import AnyShape, Fish, Outline
+from fishrl.physics.boundaries import Boundaries, Side
+from fishrl.physics.collision import Rates
+from fishrl.physics.delta import Kernel, Roma3
+from fishrl.physics.immersed_boundary import ForceSolve, IterativeForcing
+from fishrl.physics.storage import Storage
+from fishrl.physics.units import MAX_WALL_SPEED, check_tau
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sponge:
+    """A strip along an edge where the viscosity rises smoothly and swallows vortices and sound.
+
+    Args:
+        length: of the strip, nodes.
+        tau: relaxation time at the edge itself.
+        side: which edge.
+    """
+
+    length: int
+    tau: float = 1.0
+    side: Side = Side.RIGHT
+
+    def __post_init__(self) -> None:
+        """Refuse a strip without length."""
+        check_tau(self.tau)
+        if self.length < 1:
+            raise ValueError(f"sponge.length = {self.length}: give at least one node")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlowConfig:
+    """Everything about a flow that never changes while it runs.
+
+    Flows of one batch may differ in ``tau``, ``stream_speed``, ``ramp_steps`` and in the size, gait
+    and density of their bodies (with equal ``num_markers``); all else must be equal.
+
+    Args:
+        width: nodes along x.
+        height: nodes along y.
+        tau: relaxation time of the stresses; nu = (tau - 1/2) / 3.
+        stream_speed: unit of the velocities that the edges impose, nodes per step.
+        ramp_steps: steps over which the stream rises smoothly from rest; 0 starts at once.
+        bodies: in the flow; a fish, if there is one, comes first.
+        rates: relaxation rates of the other moments.
+        boundaries: the four edges.
+        sponges: strips of raised viscosity.
+        kernel: delta kernel of the immersed boundary.
+        force_solve: how no slip is enforced.
+        coupling: implicit, or the paper's explicit one.
+        storage: how the in-place step keeps the populations; half precision halves what a step
+            moves, for GPUs (a CPU gains nothing).
+    """
+
+    width: int
+    height: int
+    tau: float
+    stream_speed: float = 1.0
+    ramp_steps: int = 0
+    bodies: tuple[Outline, ...] = ()
+    rates: Rates = field(default_factory=Rates)
+    boundaries: Boundaries = field(default_factory=Boundaries)
+    sponges: tuple[Sponge, ...] = ()
+    kernel: Kernel = field(default_factory=Roma3)
+    force_solve: ForceSolve = field(default_factory=IterativeForcing)
+    coupling: Coupling = Coupling.IMPLICIT
+    storage: Storage = Storage.FLOAT32
+
+    def __post_init__(self) -> None:
+        """Refuse a grid too small for its edges or its bodies, and unstable parameters."""
+        check_tau(self.tau)
+        self.force_solve.check(self.kernel)
+        for name, size in (("width", self.width), ("height", self.height)):
+            if not 4 <= size < inf or size != int(size):
+                raise ValueError(
+                    f"{name} = {size}: a flow needs a whole number of nodes, at least 4, along "
+                    "each axis"
+                )
+        if not 0 <= self.ramp_steps < inf:
+            raise ValueError(f"ramp_steps = {self.ramp_steps}: give 0 or more")
+        if not isfinite(self.stream_speed):
+            raise ValueError(f"stream_speed = {self.stream_speed}: give a finite number")
+        if self.fish is None and any(isinstance(body, Fish) for body in self.bodies):
+            names = [type(body).__name__ for body in self.bodies]
+            raise ValueError(f"bodies = {names}: a fish comes first")
+        if self.fastest_edge > 2.0 * MAX_WALL_SPEED:
+            raise ValueError(
+                f"an edge imposes {self.fastest_edge:.3f} nodes per step, allowed is "
+                f"{2.0 * MAX_WALL_SPEED} (Mach 0.52): lower stream_speed"
+            )
+        for body in self.bodies:
+            if body.size > min(self.width, self.height) - 4:
+                raise ValueError(
+                    f"{type(body).__name__} of {body.size:g} nodes does not fit into {self.width} "
+                    f"x {self.height} nodes: enlarge the domain or make the body smaller"
+                )
+
+    @property
+    def nu(self) -> float:
+        """Kinematic viscosity in lattice units."""
+        return (self.tau - 0.5) / 3.0
+
+    @property
+    def fish(self) -> Fish | None:
+        """The first body, if it is a fish."""
+        first = self.bodies[0] if self.bodies else None
+        return first if isinstance(first, Fish) else None
+
+    @property
+    def num_markers(self) -> int:
+        """Markers of all bodies together."""
+        return sum(body.num_markers for body in self.bodies)
+
+    @property
+    def is_still(self) -> bool:
+        """Whether no body ever leaves its place."""
+        return all(body.motion.is_still for body in self.bodies)
+
+    @property
+    def fastest_edge(self) -> float:
+        """Largest speed that an edge imposes, nodes per step."""
+        edges = [boundary.velocity for group in self.boundaries.in_order() for _, boundary in group]
+        speeds = [(x * x + y * y) ** 0.5 for x, y in (v for v in edges if v is not None)]
+        return abs(self.stream_speed) * max(speeds, default=0.0)
+
+    def get_structure(self) -> object:
+        """Return what all flows of one batch must share."""
+        bodies = tuple(body.get_structure() for body in self.bodies)
+        alike = replace(self, tau=1.0, stream_speed=0.0, ramp_steps=0, bodies=())
+        return alike, bodies
+
+    def weigh_sponges(self) -> Tensor:
+        """Return for each sponge how much of it there is at each node, ``[S, Y, X]`` in [0, 1]."""
+        y, x = torch.meshgrid(
+            torch.arange(self.height).double(), torch.arange(self.width).double(), indexing="ij"
+        )
+        weights = []
+        for sponge in self.sponges:
+            nx, ny = sponge.side.value
+            depth = x * nx + y * ny + (nx < 0) * (self.width - 1) + (ny < 0) * (self.height - 1)
+            weights.append(torch.sin(0.5 * pi * (1.0 - depth / sponge.length).clamp(0.0)) ** 2)
+        return torch.stack(weights)
+
+    def compute_omega(self, tau: Tensor) -> Tensor:
+        """Return the relaxation rate 1 / tau, ``[B, 1, 1]``, or ``[B, Y, X]`` with sponges."""
+        field = tau.double()[:, None, None]
+        if self.sponges:
+            for sponge, weight in zip(self.sponges, self.weigh_sponges(), strict=True):
+                field = field + (sponge.tau - field) * weight.to(field)
+        return 1.0 / field
+
+
+class FlowParams(NamedTuple):
+    """What may differ between the flows of a batch, float64.
+
+    Attributes:
+        tau: ``[B]`` relaxation time.
+        stream_speed: ``[B]`` nodes per step.
+        ramp_steps: ``[B]`` steps of the stream's rise.
+        shapes: of each body.
+    """
+
+    tau: Tensor
+    stream_speed: Tensor
+    ramp_steps: Tensor
+    shapes: tuple[AnyShape, ...]
+
+
+class FlowState(NamedTuple):
+    """State of a batch of flows.
+
+    Attributes:
+        f: ``[B, Q, Y, X]`` incoming populations, shifted by the weights.
+        bodies: in each flow.
+        clock: ``[B]`` steps since the flow began; None is long ago.
+    """
+
+    f: Tensor
+    bodies: tuple[Body, ...] = ()
+    clock: Tensor | None = None
+
+
+def make_params(configs: Sequence[FlowConfig], device: torch.device | str = "cpu") -> FlowParams:
+    """Return the parameters of one flow per configuration.
+
+    Raises:
+        ValueError: if the flows differ in anything that a batch must share.
+    """
+    for i, config in enumerate(configs):
+        if config.get_structure() != configs[0].get_structure():
+            raise ValueError(
+                f"flow {i} differs from flow 0 in more than tau, stream_speed, ramp_steps and the "
+                "size, gait and density of bodies: flows of one batch share everything else, the "
+                "number of markers of each body included (set num_markers)"
+            )
+    numbers = [[c.tau, c.stream_speed, float(c.ramp_steps)] for c in configs]
+    tau, speed, ramp = torch.tensor(numbers, dtype=torch.float64, device=device).unbind(-1)
+    made: dict[Outline, AnyShape] = {}
+    for config in configs:
+        for outline in config.bodies:
+            if outline not in made:
+                made[outline] = outline.make_shape(device)
+    shapes = []
+    for m in range(len(configs[0].bodies)):
+        each = [made[c.bodies[m]] for c in configs]
+        shapes.append(type(each[0])(*(torch.cat(t) for t in zip(*each, strict=True))))
+    return FlowParams(tau, speed, ramp, tuple(shapes))
+
+
+def compute_stream_speed(params: FlowParams, clock: Tensor) -> Tensor:
+    """Return the stream speed ``[B]`` at ``clock``: U (1 - cos(pi t / t_ramp)) / 2, then U."""
+    rise = (clock / params.ramp_steps.clamp_min(1e-9)).clamp(max=1.0)
+    return params.stream_speed * 0.5 * (1.0 - torch.cos(pi * rise))
+
+
+def list_configs(
+    config: FlowConfig | Sequence[FlowConfig], num_envs: int | None
+) -> list[FlowConfig]:
+    """Return one configuration per flow.
+
+    Raises:
+        ValueError: if there is none, or their number is not ``num_envs``.
+    """
+    if isinstance(config, FlowConfig):
+        num_envs = 1 if num_envs is None else num_envs
+        if num_envs < 1:
+            raise ValueError(f"num_envs = {num_envs}: at least one flow is needed")
+        return [config] * num_envs
+    if not config or num_envs not in (None, len(config)):
+        raise ValueError(
+            f"num_envs = {num_envs} with {len(config)} configurations: give one per flow"
+        )
+    return list(config)

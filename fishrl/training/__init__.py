@@ -1,0 +1,1 @@
+"""Training: the loop, its algorithms, checkpoints and evaluation."""

@@ -1,0 +1,190 @@
+"""Flows on several machines: TorchRL's Ray collector, in the place of the ordinary one.
+
+All collectors take one decision in each of their flows with the newest weights, then the loop
+learns: the same order as in one process, only that the flows advance elsewhere. Evaluations and
+recordings run in flows of this process, so they leave those that train alone.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import warnings
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torchrl.collectors.distributed import RayCollector
+from torchrl.envs import EnvBase
+from torchrl.modules import EGreedyModule
+
+from experiments.settings import ConfigError
+from fishrl.training.collector import ResumableCollector
+
+logger = logging.getLogger(__name__)
+
+#: Between the seeds of two collectors, so that no other run's lie between them.
+SEED_STRIDE = 1_000_000
+
+
+class RemoteCollector(ResumableCollector):
+    """The collector of one process of the cluster, whose state holds its random numbers too."""
+
+    def state_dict(self) -> OrderedDict:
+        """Return everything its next batch depends on."""
+        return OrderedDict(super().state_dict(), rng=torch.get_rng_state())
+
+    def load_state_dict(self, state_dict: Any, **kwargs: Any) -> None:
+        """Restore what ``state_dict`` returned."""
+        state = dict(state_dict)
+        torch.set_rng_state(state.pop("rng"))
+        super().load_state_dict(state, **kwargs)
+
+
+class ClusterCollector:
+    """Collects in processes of a Ray cluster, and evaluates here.
+
+    It joins the cluster that ``RAY_ADDRESS`` names, or starts one on this machine.
+
+    Args:
+        env: of this process, for evaluations.
+        make_env: makes the env of a collector from ``num_envs`` and ``seed``; picklable.
+        explorer: the policy that collects.
+        num_collectors: how many processes.
+        num_envs: flows of all of them together.
+        warmup_frames: frames with random legal actions, of all of them together.
+        seed: of the first collector.
+
+    Raises:
+        ConfigError: if the cluster has fewer CPUs than there are collectors.
+    """
+
+    def __init__(
+        self,
+        *,
+        env: EnvBase,
+        make_env: Callable[..., EnvBase],
+        explorer: TensorDictModuleBase,
+        num_collectors: int,
+        num_envs: int,
+        warmup_frames: int,
+        seed: int,
+    ) -> None:
+        self.env, self._explorer, self._frames = env, explorer, 0
+        self._warmup_frames = -(-warmup_frames // num_envs) * num_envs  # whole batches
+        self._has_joined = join_cluster(num_collectors)
+        warnings.filterwarnings("ignore", "RayCollector iteration started before weight")
+        make = partial(_make_seeded, make_env, num_envs=num_envs // num_collectors)
+        self._flows = RayCollector(
+            [partial(make, seed=seed + SEED_STRIDE * i) for i in range(num_collectors)],
+            explorer,
+            collector_class=RemoteCollector,
+            frames_per_batch=num_envs,
+            total_frames=sys.maxsize,
+            init_random_frames=self._warmup_frames,
+            sync=True,
+            weight_sync_schemes={},  # _send_weights does it
+            remote_configs={"num_cpus": 1, "scheduling_strategy": "SPREAD"},
+        )
+
+    def __iter__(self) -> Iterator[TensorDictBase]:
+        """Collect batches ``[num_collectors, flows of each, 1]``, one decision of every flow."""
+        batches = iter(self._flows)
+        while True:
+            self._send_weights()
+            batch = next(batches)
+            if self._frames >= self._warmup_frames:
+                self._count_exploration(batch.numel())
+            self._frames += batch.numel()
+            ids, num = batch["collector", "traj_ids"], batch.shape[0]
+            owner = torch.arange(num).view(num, *[1] * (ids.ndim - 1))
+            batch["collector", "traj_ids"] = ids * num + owner  # no two episodes share one
+            yield batch
+
+    def _send_weights(self) -> None:
+        """Give all collectors the weights of now, through Ray.
+
+        TorchRL's own scheme opens connections beside Ray's, which hang when a machine is lost.
+        """
+        import ray
+
+        weights = ray.put(TensorDict.from_module(self._explorer).data)
+        remote = self._flows.remote_collectors
+        ray.get([collector.update_policy_weights_.remote(weights) for collector in remote])
+
+    def _count_exploration(self, num_frames: int) -> None:
+        """Let exploration fade here as it does there: what is here goes out with the weights."""
+        for module in self._explorer.modules():
+            if isinstance(module, EGreedyModule):
+                module.step(num_frames)
+
+    @contextmanager
+    def lend_env(self) -> Iterator[EnvBase]:
+        """Lend the env of this process."""
+        yield self.env
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return everything the next batch depends on, from all machines."""
+        return {
+            "frames": self._frames,
+            "explorer": self._explorer.state_dict(),
+            "collectors": self._flows.state_dict(),
+        }
+
+    def load_state_dict(self, state_dict: Any) -> None:
+        """Restore what ``state_dict`` returned into as many collectors."""
+        self._frames = state_dict["frames"]
+        self._explorer.load_state_dict(state_dict["explorer"])
+        self._flows.load_state_dict([OrderedDict(state) for state in state_dict["collectors"]])
+
+    def shutdown(self) -> None:
+        """End the flows here and there, and the cluster if it was started here."""
+        self.env.close()
+        self._flows.shutdown(shutdown_ray=self._has_joined)
+
+
+def join_cluster(num_collectors: int) -> bool:
+    """Connect to the cluster that ``RAY_ADDRESS`` names, or start one here with room for all.
+
+    Args:
+        num_collectors: that need room.
+
+    Returns:
+        Whether this process was not connected before.
+
+    Raises:
+        ConfigError: if the cluster has fewer CPUs.
+    """
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # report nothing to anybody
+    import ray
+
+    is_new = not ray.is_initialized()
+    if is_new:
+        own: dict[str, Any] = {
+            "address": "local",
+            "num_cpus": num_collectors,
+            "include_dashboard": False,
+        }
+        given = {} if "RAY_ADDRESS" in os.environ else own
+        ray.init(log_to_driver=False, logging_level=logging.WARNING, **given)
+    num_cpus = int(ray.cluster_resources().get("CPU", 0))
+    if num_cpus < num_collectors:
+        raise ConfigError(
+            f"ray_collectors={num_collectors}: the cluster has {num_cpus} CPUs, and each takes "
+            "one; take fewer, or add machines with `ray start --address=...`"
+        )
+    logger.info("%d collectors on a cluster of %d CPUs", num_collectors, num_cpus)
+    return is_new
+
+
+def _make_seeded(make_env: Callable[..., EnvBase], *, num_envs: int, seed: int) -> EnvBase:
+    """Make the env of a collector, in its process, and seed what acts there."""
+    torch.manual_seed(seed)
+    torch.set_num_threads(1)
+    return make_env(num_envs=num_envs, seed=seed)

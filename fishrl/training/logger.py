@@ -1,0 +1,159 @@
+"""Where the numbers of a run go: always a CSV file, and Weights & Biases if asked for."""
+
+from __future__ import annotations
+
+import csv
+import io
+import logging
+import math
+import os
+import uuid
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from fishrl.training.run_folder import write_whole
+
+logger = logging.getLogger(__name__)
+
+
+class CsvLogger:
+    """One row per log step, one column per metric; what a step did not measure is left empty.
+
+    Rows that cannot be written, as when the disk is full, are kept for the next time.
+    """
+
+    def __init__(self) -> None:
+        self._path: Path | None = None
+        self._columns: list[str] = []
+        self._unwritten: list[dict[str, Any]] = []
+
+    def open(
+        self, folder: Path, *, columns: Sequence[str], config: Mapping[str, Any], step: int = 0
+    ) -> None:
+        """Start ``metrics.csv``, or go on with it after ``step``, forgetting later rows.
+
+        Args:
+            folder: of the run.
+            columns: every metric there will be; the first is the step.
+            config: the whole configuration.
+            step: the last step that counts; 0 starts anew.
+        """
+        self._path = folder / "metrics.csv"
+        self._columns = list(columns)
+        kept: list[dict[str, str]] = []
+        if step > 0 and self._path.is_file():
+            with self._path.open(newline="", encoding="utf-8") as file:
+                kept = [row for row in csv.DictReader(file) if _is_upto(row, columns[0], step)]
+        header = {name: name for name in self._columns}
+        write_whole(self._path, self._render([header, *kept]))
+
+    def log(self, metrics: Mapping[str, float]) -> None:
+        """Add a row.
+
+        Raises:
+            ValueError: if a metric is not among the columns, or the logger is not open.
+        """
+        if self._path is None:
+            raise ValueError("the logger is not open: call open(folder, ...) first")
+        unknown = sorted(set(metrics) - set(self._columns))
+        if unknown:
+            raise ValueError(f"metrics {unknown}: not among the columns {self._columns}")
+        row = {name: "" if math.isnan(value) else value for name, value in metrics.items()}
+        self._unwritten.append(row)
+        self._write()
+
+    def close(self) -> None:
+        """End the log; rows are on disk already, but for those that could not be written."""
+        if self._unwritten:
+            self._write()
+
+    def _write(self) -> None:
+        """Append the rows that are not written yet, all of them or none."""
+        assert self._path is not None  # rows come after open
+        size = self._path.stat().st_size
+        try:
+            with self._path.open("ab", buffering=0) as file:
+                text = self._render(self._unwritten).encode()
+                if file.write(text) < len(text):
+                    raise OSError("the disk is full")
+        except OSError as error:
+            os.truncate(self._path, size)
+            reason = error.strerror or error
+            count = len(self._unwritten)
+            logger.error("%s: %d rows cannot be written (%s)", self._path, count, reason)
+        else:
+            self._unwritten = []
+
+    def _render(self, rows: Sequence[Mapping[str, Any]]) -> str:
+        text = io.StringIO(newline="")
+        csv.DictWriter(text, self._columns, restval="", extrasaction="ignore").writerows(rows)
+        return text.getvalue()
+
+
+class WandbLogger(CsvLogger):
+    """Weights & Biases beside the CSV file.
+
+    Args:
+        project: of Weights & Biases.
+        is_offline: write below the run folder and upload nothing; ``wandb sync`` does so later.
+
+    Raises:
+        ImportError: if wandb is not installed.
+    """
+
+    def __init__(self, *, project: str = "fishrl", is_offline: bool = False) -> None:
+        super().__init__()
+        try:
+            import wandb
+        except ImportError as error:
+            raise ImportError(
+                "logger=wandb needs the package wandb: pip install 'wandb>=0.25', "
+                "or take logger=csv"
+            ) from error
+        self._wandb = wandb
+        self.project, self.is_offline = project, is_offline
+        self._run: Any = None
+
+    def open(
+        self, folder: Path, *, columns: Sequence[str], config: Mapping[str, Any], step: int = 0
+    ) -> None:
+        """Start the run at Weights & Biases as well; a resumed run goes on under its name."""
+        super().open(folder, columns=columns, config=config, step=step)
+        self._step_key = columns[0]
+        self._run = self._wandb.init(
+            project=self.project,
+            name=folder.name,
+            id=_run_id(folder),
+            dir=str(folder),
+            config=dict(config),
+            mode="offline" if self.is_offline else "online",
+            resume="allow",
+            settings=self._wandb.Settings(console="off"),  # or it would log the bar's every move
+        )
+        write_whole(folder / "wandb_id", self._run.id)  # an agent has its own
+
+    def log(self, metrics: Mapping[str, float]) -> None:
+        """Add a row here and there."""
+        super().log(metrics)
+        measured = {name: value for name, value in metrics.items() if not math.isnan(value)}
+        self._run.log(measured, step=int(metrics[self._step_key]))
+
+    def close(self) -> None:
+        """End the run at Weights & Biases, so that the next one in this process is another."""
+        super().close()
+        if self._run is not None:
+            self._run.finish()
+
+
+def _run_id(folder: Path) -> str:
+    """Give the run's identity at Weights & Biases, the same one after a resume."""
+    path = folder / "wandb_id"
+    if not path.is_file():
+        path.write_text(uuid.uuid4().hex[:12], encoding="utf-8")
+    return path.read_text(encoding="utf-8")
+
+
+def _is_upto(row: Mapping[str, str], key: str, step: int) -> bool:
+    """Tell whether a row is whole and not later than ``step``; a kill may cut the last one."""
+    return None not in row.values() and row[key].isdigit() and int(row[key]) <= step

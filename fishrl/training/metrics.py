@@ -1,0 +1,128 @@
+"""What a run has done so far, and what it measured on the way."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tensordict import TensorDictBase
+
+from fishrl.training.evaluation import has_succeeded
+
+#: Episodes that the training return and rate of success are averaged over.
+WINDOW = 32
+
+
+def list_metrics(losses: tuple[str, ...]) -> tuple[str, ...]:
+    """List the columns of metrics.csv.
+
+    ``train/`` is over the last episodes or of the last gradient step, ``eval/`` of the greedy
+    policy from fixed starts, ``time/`` of this machine. The seed fixes all but the last kind.
+
+    Args:
+        losses: what a gradient step of the algorithm reports.
+    """
+    return (
+        "frames",
+        "train/episodes",
+        "train/return",
+        "train/success_rate",
+        "train/episode_length",
+        "train/diverged",
+        "train/updates",
+        *(f"train/{name}" for name in losses),
+        "eval/success_rate",
+        "eval/mean_return",
+        "eval/mean_length_T",
+        "eval/mean_time_to_success_T",
+        "eval/episodes",
+        "eval/diverged",
+        "time/wall_seconds",
+        "time/frames_per_second",
+        "time/mlups",
+        "time/memory_mb",
+    )
+
+
+@dataclass
+class Counters:
+    """What a run has done so far.
+
+    Args:
+        pending: the row of metrics of the newest frames, while it is not complete: a run that goes
+            on completes it first.
+    """
+
+    frames: int = 0
+    updates: int = 0
+    episodes: int = 0
+    diverged: int = 0
+    wall_seconds: float = 0.0
+    collect_seconds: float = 0.0
+    best: list[float] = field(default_factory=list)
+    recent: deque[list[float]] = field(default_factory=lambda: deque(maxlen=WINDOW))
+    pending: dict[str, float] = field(default_factory=dict)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return plain numbers and lists."""
+        return {**vars(self), "recent": list(self.recent), "pending": dict(self.pending)}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        for name, value in state.items():
+            setattr(self, name, value)
+        self.recent = deque(state["recent"], maxlen=WINDOW)
+
+    def count(self, transitions: TensorDictBase, *, success: str) -> None:
+        """Count the episodes that end in transitions ``[N]``; diverged ones are no episodes.
+
+        Args:
+            transitions: ``[N]``.
+            success: see ``has_succeeded``.
+        """
+        after = transitions["next"]
+        has_ended = (after["done"] & ~after["diverged"]).reshape(-1)
+        ended = after[has_ended]
+        columns = (ended["episode_reward"], has_succeeded(ended, success), ended["step_count"])
+        for numbers in zip(*(column.reshape(-1).tolist() for column in columns), strict=True):
+            self.episodes += 1
+            self.recent.append([float(number) for number in numbers])
+
+    def metrics(self) -> dict[str, float]:
+        """Return what is known without a gradient step."""
+        recent = np.array(self.recent) if self.recent else np.full((1, 3), np.nan)
+        return {
+            "frames": self.frames,
+            "train/episodes": self.episodes,
+            "train/return": float(recent[:, 0].mean()),
+            "train/success_rate": float(recent[:, 1].mean()),
+            "train/episode_length": float(recent[:, 2].mean()),
+            "train/diverged": self.diverged,
+            "train/updates": self.updates,
+        }
+
+
+def measure_memory_mb() -> float:
+    """Return the memory of this process and its children in MB; NaN where the system hides it.
+
+    What several of them share counts once (proportional set size).
+    """
+    try:
+        tasks = Path("/proc/self/task").iterdir()
+        children = [pid for task in tasks for pid in (task / "children").read_text().split()]
+        return sum(_read_share(pid) for pid in ("self", *children)) / 1e3
+    except OSError:
+        return float("nan")
+
+
+def _read_share(pid: str) -> float:
+    """Return a process's share of memory, kB; 0 if it has just ended."""
+    try:
+        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    except (FileNotFoundError, ProcessLookupError):
+        return 0.0
+    return next((float(line.split()[1]) for line in lines if line.startswith("Pss:")), 0.0)

@@ -1,0 +1,212 @@
+"""The folder a run writes: where everything lies, and whether it can be written at all."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import logging
+import os
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TextIO
+
+from omegaconf import OmegaConf
+
+from fishrl.training.interruption import Interrupted
+
+logger = logging.getLogger(__name__)
+
+
+class HeldError(ValueError):
+    """A run that another process writes."""
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Paths of one run below ``path``."""
+
+    path: Path
+
+    @property
+    def config(self) -> Path:
+        """The whole configuration, resolved."""
+        return self.path / "config.yaml"
+
+    @property
+    def metrics(self) -> Path:
+        """One row per log step."""
+        return self.path / "metrics.csv"
+
+    @property
+    def summary(self) -> Path:
+        """The result of the run."""
+        return self.path / "summary.json"
+
+    @property
+    def last(self) -> Path:
+        """The newest checkpoint, for going on."""
+        return self.path / "checkpoints" / "last"
+
+    @property
+    def best(self) -> Path:
+        """The checkpoint with the best evaluation."""
+        return self.path / "checkpoints" / "best"
+
+    @property
+    def machine(self) -> Path:
+        """The lateral-line machine that tells its fish the flow, if one does."""
+        return self.path / "machine.pt"
+
+    @property
+    def failure(self) -> Path:
+        """Why the run failed; its last line says it in short."""
+        return self.path / "failure.txt"
+
+    @property
+    def lock(self) -> Path:
+        """What the process that writes the run holds; see ``hold``."""
+        return self.path / ".lock"
+
+    @classmethod
+    def create(cls, *, parent: str, name: str) -> RunFolder:
+        """Make a new folder; one that exists is left alone and a number is put behind the name.
+
+        Raises:
+            ValueError: if it cannot be made or written.
+        """
+        base = Path(parent).expanduser()
+        number = 1
+        while True:
+            path = base / (name if number == 1 else f"{name}-{number}")
+            try:
+                path.mkdir(parents=True)
+            except FileExistsError:
+                if not path.is_dir():
+                    raise _unwritable(path, "a file is in the way") from None
+                number += 1
+                continue
+            except OSError as error:
+                raise _unwritable(path, error.strerror or str(error)) from error
+            break
+        if number > 1:
+            logger.info("%s exists and is left as it is: this run writes %s", base / name, path)
+        return cls(path).checked()
+
+    @classmethod
+    def of_existing(cls, path: str) -> RunFolder:
+        """Take a folder that a run has written.
+
+        Raises:
+            ValueError: if there is no such folder, it holds no run, or cannot be written.
+        """
+        folder = cls(Path(path).expanduser())
+        if not folder.config.is_file():
+            refuse_many(folder.path, setting="resume")
+            raise ValueError(
+                f"resume = {path}: no config.yaml there; give the folder of a run, such as "
+                "runs/predation-small-seed0"
+            )
+        return folder.checked()
+
+    def checked(self) -> RunFolder:
+        """Give the folder back if files can be written into it.
+
+        Raises:
+            ValueError: if not.
+        """
+        if not os.access(self.path, os.W_OK | os.X_OK):
+            raise _unwritable(self.path, "no write permission")
+        return self
+
+    def has_begun(self) -> bool:
+        """Tell whether there is anything to go on with: a checkpoint, or frames without one.
+
+        ``..<name>`` is what a process left that was killed while writing a checkpoint.
+        """
+        checkpoints = self.last.parent
+        if checkpoints.is_dir() and any(
+            not path.name.startswith("..") for path in checkpoints.iterdir()
+        ):
+            return True
+        if not self.metrics.is_file():
+            return False
+        return len(self.metrics.read_text(encoding="utf-8").splitlines()) > 1
+
+    def hold(self) -> TextIO:
+        """Take the run for this process, until the file is closed or the process ends, however.
+
+        Raises:
+            HeldError: if another process has it.
+        """
+        file = self.lock.open("a")
+        try:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except (BlockingIOError, PermissionError) as error:
+            file.close()
+            raise HeldError(
+                f"run folder {self.path}: another process writes it; wait for it or end it"
+            ) from error
+        except OSError as error:  # a file system without locks
+            logger.info("%s cannot be locked (%s): start nothing twice", self.path, error)
+        return file
+
+    @contextmanager
+    def noting_failure(self) -> Iterator[None]:
+        """Write down why it failed, if it does; an interruption is no failure."""
+        self.failure.unlink(missing_ok=True)
+        try:
+            yield
+        except (HeldError, Interrupted):
+            raise
+        except Exception:
+            self.failure.write_text(traceback.format_exc(), encoding="utf-8")
+            raise
+
+
+def refuse_many(folder: Path, *, setting: str) -> None:
+    """Refuse a folder of runs where a single run is meant.
+
+    Raises:
+        ValueError: naming one of them.
+    """
+    held = sorted(folder.glob("*/config.yaml"))
+    if held and not RunFolder(folder).config.is_file():
+        raise ValueError(
+            f"{setting} = {folder}: holds runs; name one of them, such as {held[0].parent}"
+        )
+
+
+def write_json(path: Path, values: Mapping[str, Any]) -> None:
+    """Write numbers and words; NaN, which JSON does not know, becomes null."""
+    plain = {name: None if value != value else value for name, value in values.items()}
+    write_whole(path, json.dumps(plain, indent=2) + "\n")
+
+
+def write_yaml(path: Path, values: Mapping[str, Any]) -> None:
+    """Write nested settings."""
+    write_whole(path, OmegaConf.to_yaml(OmegaConf.create(dict(values))))
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file, or leave it as it was.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    stage = path.with_name(f".{path.name}.stage")
+    try:
+        stage.write_text(text, encoding="utf-8")
+        stage.replace(path)
+    except OSError:
+        stage.unlink(missing_ok=True)
+        raise
+
+
+def _unwritable(path: Path, reason: str) -> ValueError:
+    return ValueError(
+        f"run folder {path}: cannot be written ({reason}); choose another with folder=... or "
+        "change its permissions"
+    )

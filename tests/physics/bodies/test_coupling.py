@@ -1,0 +1,77 @@
+"""Torque, and derivatives of what a body does, through the readable step in float64."""
+
+import math
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor
+
+from fishrl.physics import Cylinder, FlowConfig, FlowState, Scales
+from fishrl.physics.bodies.motion import Driven, Free, make_body
+from fishrl.physics.cases import PERIODIC, make_swimmer_config
+from fishrl.physics.collision import compute_macroscopic
+from fishrl.physics.flow import make_params
+from fishrl.physics.step import make_rest, make_uniform, step
+
+CENTRE = torch.tensor([[30.3, 29.6]], dtype=torch.float64)
+ONE = torch.ones(1, dtype=torch.float64)
+
+
+@pytest.mark.parametrize("rate", [0.004, -0.004])
+def test_what_a_turning_cylinder_gives_the_fluid_is_the_fluids_angular_momentum(
+    rate: float,
+) -> None:
+    """Streaming and collision keep angular momentum, until 15 steps bring it to the edges."""
+    cylinder = Cylinder(diameter=20, motion=Driven())
+    config = FlowConfig(width=60, height=60, tau=0.6, bodies=(cylinder,), boundaries=PERIODIC)
+    params = make_params([config])
+    body = make_body(CENTRE, 0 * ONE, 0 * ONE)._replace(angular_velocity=rate * ONE)
+    state, felt = FlowState(make_rest(config, 1), (body,)), 0.0
+    for _ in range(15):
+        state = step(state, config, params)
+        felt += float(state.bodies[0].hydro_torque)
+    _, jx, jy = compute_macroscopic(state.f.unbind(1))
+    x, y = (torch.arange(60.0) - c for c in CENTRE[0])
+    given = float(state.bodies[0].torque_impulse)
+    assert given * rate > 0  # the cylinder takes the fluid along
+    assert given == pytest.approx(float((x * jy - y[:, None] * jx).sum()), rel=1e-3)
+    assert felt == pytest.approx(-given, rel=1e-12)  # at a constant rate there is no inertia
+
+
+SCALES = Scales.from_budget(body_length=20, reynolds=500.0, max_wall_speed=0.1)
+
+
+def swim(phase: Tensor, speed: Tensor, measure: Callable[[FlowState], Tensor]) -> Tensor:
+    """Return what a fish did in three steps, begun at a phase, in a stream of a speed."""
+    config = make_swimmer_config(SCALES, length_bl=3, height_bl=3, motion=Free())
+    body = make_body(CENTRE, math.pi * ONE, ONE / SCALES.period)
+    body = body._replace(phase=phase[None], beats=2 * ONE)
+    none = torch.zeros(1, config.height, config.width, dtype=torch.float64)
+    state, params = (
+        FlowState(make_uniform(none, none + speed, none), (body,)),
+        make_params([config]),
+    )
+    for _ in range(3):
+        state = step(state, config, params)
+    return measure(state)
+
+
+@pytest.mark.parametrize(
+    "measure",
+    [
+        lambda s: s.bodies[0].position[0, 1],
+        lambda s: s.bodies[0].work[0],
+        lambda s: s.f[0, 1, 30, 20],
+    ],
+    ids=["place", "work", "population"],
+)
+def test_steps_can_be_differentiated(measure: Callable[[FlowState], Tensor]) -> None:
+    """By the phase of the beat and the stream's speed, against central differences."""
+    at = torch.tensor([0.7, 0.02], dtype=torch.float64)
+    got = torch.autograd.functional.jacobian(lambda p: swim(*p, measure), at)
+    for i in range(2):
+        shift = 1e-5 * torch.eye(2, dtype=torch.float64)[i]
+        rise = (swim(*(at + shift), measure) - swim(*(at - shift), measure)) / 2e-5
+        assert abs(float(rise)) > 1e-6
+        assert float(got[i]) == pytest.approx(float(rise), rel=1e-5)

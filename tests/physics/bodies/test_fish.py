@@ -1,0 +1,345 @@
+"""The fish: outline, kinematics and its coupling to the flow, in float64."""
+
+import math
+
+import pytest
+import torch
+
+from fishrl.physics.bodies.coupling import Coupling, deform_body, locate_markers, place_markers
+from fishrl.physics.bodies.gait import (
+    CARANGIFORM,
+    CARLING,
+    LONG_WAVE,
+    Beat,
+    Deformation,
+    Gait,
+    deform,
+)
+from fishrl.physics.bodies.midline import MidlineShape
+from fishrl.physics.bodies.motion import (
+    Bending,
+    Body,
+    Commanded,
+    Free,
+    Motion,
+    compute_turn_rate,
+    make_body,
+)
+from fishrl.physics.bodies.outline import Fish
+from fishrl.physics.cases import PERIODIC, make_swimmer_config
+from fishrl.physics.collision import compute_macroscopic
+from fishrl.physics.diagnostics import compute_area
+from fishrl.physics.flow import FlowConfig, FlowState, make_params
+from fishrl.physics.step import locate_bodies, make_rest, make_uniform, step
+from fishrl.physics.units import Scales
+
+GAITS = {"carling": CARLING, "carangiform": CARANGIFORM, "long wave": LONG_WAVE}
+SCALES = Scales.from_budget(body_length=24, reynolds=800.0, max_wall_speed=0.1)
+STILL = Gait(amplitude=0.0, envelope=(0.0, 1.0, 0.0), wavenumber=1.0)
+
+
+MOTIONS = [Free(), Commanded(), Bending()]
+
+
+def outline(fish: Fish, body: Body) -> torch.Tensor:
+    return place_markers(body, deform_body(fish, fish.make_shape(), body)).position
+
+
+def make_fish_body(
+    position: tuple[float, float] = (40.3, 30.6),
+    heading: float = math.pi,
+    frequency: float = 1.0 / SCALES.period,
+) -> Body:
+    one = torch.ones(1, dtype=torch.float64)
+    return make_body(torch.tensor([position], dtype=torch.float64), heading * one, frequency * one)
+
+
+def run(config: FlowConfig, body: Body, num_steps: int) -> FlowState:
+    params = make_params([config])
+    state = FlowState(make_rest(config, 1), (body,))
+    for _ in range(num_steps):
+        state = step(state, config, params)
+    return state
+
+
+def test_a_state_with_other_bodies_than_the_config_is_refused() -> None:
+    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
+    with pytest.raises(ValueError, match="the state has 0 bodies, the config 1"):
+        step(FlowState(make_rest(config, 1)), config)
+
+
+def measure_momentum(f: torch.Tensor) -> torch.Tensor:
+    _, jx, jy = compute_macroscopic(f.unbind(1))
+    return torch.stack((jx.sum((-1, -2)), jy.sum((-1, -2))), -1)
+
+
+def test_naca0012_has_the_area_inertia_and_perimeter_of_the_closed_form() -> None:
+    """Area 0.08171 L^2, I_0 = 0.0045097 L^4, perimeter 2.0395 L (integrals of the section)."""
+    fish = Fish(body_length=100)
+    assert fish.area / 100**2 == pytest.approx(0.08171, rel=1e-3)
+    assert float(fish.make_shape().inertia) / 100**4 == pytest.approx(0.0045097, rel=1e-3)
+    assert fish.num_markers * fish.spacing / 100 == pytest.approx(2.0395, rel=1e-3)
+
+
+@pytest.mark.parametrize("gait", GAITS.values(), ids=GAITS.keys())
+def test_area_stays_within_half_a_percent_over_a_beat(gait: Gait) -> None:
+    fish = Fish(body_length=50, gait=gait)
+    phase = torch.linspace(0.0, 2.0 * math.pi, 41, dtype=torch.float64)
+    one = torch.ones_like(phase)
+    body = make_body(torch.stack((50 * one, 50 * one), -1), 0.3 * one, one / 500)
+    body = body._replace(phase=phase, beats=2 * one)
+    area = compute_area(outline(fish, body))
+    assert (area / area.mean() - 1.0).abs().max() < 0.005
+    assert area.mean() == pytest.approx(0.08171 * 50**2, rel=0.01)
+
+
+def test_the_wave_runs_from_head_to_tail() -> None:
+    """The crest of the lateral displacement moves towards the tail as the phase advances."""
+    shape = Fish(body_length=50).make_shape()
+    half = shape.axial.numel() // 2
+    phase = torch.tensor([0.3, 0.4], dtype=torch.float64)
+    one = torch.ones_like(phase)
+    bent = deform(shape, Beat(phase, one / 500, 2 * one, 0 * one, 0 * one))
+    spine = (bent.lateral - shape.lateral)[:, half // 2 : half]
+    crest = spine.abs().argmax(-1)
+    assert crest[1] >= crest[0]
+    lag = (spine[1, 1:] - spine[1, :-1] - (spine[0, 1:] - spine[0, :-1])).abs().sum()
+    shifted = spine[1, 1:] - spine[0, :-1]
+    assert lag > 0 and shifted.abs().mean() < (spine[1] - spine[0]).abs().mean()
+
+
+@pytest.mark.parametrize("motion", MOTIONS, ids=lambda m: type(m).__name__)
+def test_markers_move_by_the_velocity_that_the_flow_is_given(motion: Motion) -> None:
+    """Displacement over one step = imposed velocity, to second order in the step."""
+    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, motion=motion)
+    params = make_params([config])
+    one = torch.ones(1, dtype=torch.float64)
+    body = make_fish_body()._replace(turn=0.3 * one, turn_steps=200 * one, turn_clock=0 * one)
+    state = FlowState(make_rest(config, 1), (body,))
+    worst = 0.0
+    for _ in range(SCALES.period + 40):
+        place = locate_bodies(state.bodies, config, params.shapes, torch.float64).markers[0]
+        state = step(state, config, params)
+        after = locate_bodies(state.bodies, config, params.shapes, torch.float64).markers[0]
+        rx, ry = place.arm.unbind(-1)
+        omega = state.bodies[0].angular_velocity[:, None]
+        imposed = (
+            state.bodies[0].velocity[:, None]
+            + torch.stack((-omega * ry, omega * rx), -1)
+            + place.deformation_velocity
+        )
+        worst = max(worst, float((after.position - place.position - imposed).abs().max()))
+    # the acceleration of the tail is (2 pi / T) times its speed; half of it is the error of a step
+    assert worst < 1.5 * math.pi / SCALES.period * SCALES.tail_speed
+
+
+@pytest.mark.parametrize("beats", [0.3, 4.0])
+def test_changing_the_frequency_does_not_move_the_body(beats: float) -> None:
+    """During the first beat neither, while the amplitude still rises."""
+    fish = Fish(body_length=50)
+    body = make_fish_body()
+    body = body._replace(beats=beats + body.beats, phase=body.phase + 1.3)
+    places = [outline(fish, body._replace(frequency=f * body.frequency)) for f in (0.0, 1.0, 2.0)]
+    for place in places[1:]:
+        torch.testing.assert_close(places[0], place, rtol=0, atol=1e-12)
+
+
+def test_deformation_never_moves_the_centre_of_area() -> None:
+    body = make_fish_body()
+    body = body._replace(beats=body.beats + 2)
+    centres = []
+    for phase in torch.linspace(0, 2 * math.pi, 9, dtype=torch.float64):
+        moved = body._replace(phase=phase[None])
+        centres.append(compute_centre(outline(Fish(body_length=50), moved)[0]))
+    spread = torch.stack(centres)
+    assert (spread - spread.mean(0)).abs().max() < 0.05  # polygon against exact outline, nodes
+
+
+def compute_centre(polygon: torch.Tensor) -> torch.Tensor:
+    x, y = polygon.unbind(-1)
+    cross = x * y.roll(-1) - y * x.roll(-1)
+    sums = torch.stack((((x + x.roll(-1)) * cross).sum(), ((y + y.roll(-1)) * cross).sum()))
+    return sums / (3.0 * cross.sum())
+
+
+def sum_over_body(bent: Deformation) -> tuple[float, float, float]:
+    """Return angular momentum, its sum without signs, and the polar moment of area.
+
+    From the outline alone, over cells between 41 points on each line that joins facing markers.
+    """
+    upper = torch.arange(bent.axial.shape[1] // 2 + 1)
+    across = torch.linspace(0.0, 1.0, 41, dtype=torch.float64)
+    x, y, u, v = (
+        torch.lerp(q[0, upper, None], q[0, -upper, None], across)
+        for q in (bent.axial, bent.lateral, bent.axial_velocity, bent.lateral_velocity)
+    )
+    (x1, x2), (y1, y2) = ((q[1:, 1:] - q[:-1, :-1], q[1:, :-1] - q[:-1, 1:]) for q in (x, y))
+    area = 0.5 * (x1 * y2 - x2 * y1).abs()
+    x, y, u, v = (0.25 * (q[1:, 1:] + q[1:, :-1] + q[:-1, 1:] + q[:-1, :-1]) for q in (x, y, u, v))
+    momentum = area * (x * v - y * u)
+    inertia = area * (x * x + y * y)
+    return float(momentum.sum()), float(momentum.abs().sum()), float(inertia.sum())
+
+
+@pytest.mark.parametrize("is_midline", [False, True])
+@pytest.mark.parametrize("gait", GAITS.values(), ids=GAITS.keys())
+def test_deformation_has_no_angular_momentum(gait: Gait, is_midline: bool) -> None:
+    """Against sums over the body: H + spin I is 0.14 % of the sum of |dH| at most, as measured."""
+    fish = Fish(body_length=100, gait=gait, keeps_length=is_midline)
+    body = make_fish_body()
+    for phase in (0.2, 1.7, 4.0):
+        body = body._replace(beats=0 * body.beats + 1e3, phase=0 * body.phase + phase)
+        bent = deform_body(fish, fish.make_shape(), body)
+        momentum, size, inertia = sum_over_body(bent)
+        assert abs(momentum + float(bent.spin) * inertia) < 5e-3 * size
+        assert inertia == pytest.approx(float(bent.inertia), rel=5e-3)
+
+
+def test_a_commanded_turn_ends_at_the_commanded_heading() -> None:
+    one = torch.ones(1, dtype=torch.float64)
+    body = make_fish_body()._replace(turn=0.26 * one, turn_steps=300 * one, turn_clock=0 * one)
+    total, largest = 0.0, 0.0
+    for clock in range(400):
+        rate = float(compute_turn_rate(body._replace(turn_clock=clock * one)))
+        total, largest = total + rate, max(largest, rate)
+    assert total == pytest.approx(0.26, rel=1e-12)
+    assert largest < 2.01 * 0.26 / 300
+
+
+@pytest.mark.parametrize("motion", MOTIONS, ids=lambda m: type(m).__name__)
+@pytest.mark.parametrize("density_ratio", [1.0, 2.0])
+def test_fluid_and_body_conserve_momentum_to_round_off(
+    motion: Motion, density_ratio: float
+) -> None:
+    fish = Fish(body_length=24, density_ratio=density_ratio, motion=motion)
+    config = make_swimmer_config(
+        SCALES, length_bl=4, height_bl=3, boundaries=PERIODIC, bodies=(fish,)
+    )
+    state = run(config, make_fish_body(), 150)
+    excess = (density_ratio - 1.0) * fish.area
+    total = measure_momentum(state.f) + excess * state.bodies[0].velocity
+    assert state.bodies[0].velocity.abs().max() > 1e-3
+    assert total.abs().max() < 1e-11
+
+
+def test_muscle_power_equals_total_power_on_the_fluid_when_the_fish_is_free() -> None:
+    """With no net force and torque the rigid motion does no work: F . u_def = F . V."""
+    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, motion=Free())
+    body = run(config, make_fish_body(), 200).bodies[0]
+    assert float(body.force.abs().max()) < 1e-12
+    # the lateral part misses only the work of -H/I against a torque that is zero
+    assert float(body.lateral_work) == pytest.approx(float(body.work), rel=1e-6)
+    assert float(body.work) > 0
+
+
+@pytest.mark.parametrize("motion", MOTIONS, ids=lambda m: type(m).__name__)
+def test_a_body_carried_by_a_uniform_stream_leaves_the_flow_untouched(motion: Motion) -> None:
+    fish = Fish(body_length=24, gait=STILL, motion=motion)
+    config = make_swimmer_config(
+        SCALES, length_bl=4, height_bl=3, boundaries=PERIODIC, bodies=(fish,)
+    )
+    zero = torch.zeros(1, config.height, config.width, dtype=torch.float64)
+    stream = (0.05, -0.02)
+    f = make_uniform(zero, zero + stream[0], zero + stream[1])
+    body = make_fish_body(heading=0.4)
+    body = body._replace(velocity=torch.tensor([stream], dtype=torch.float64))
+    state = FlowState(f, (body,))
+    for _ in range(200):
+        state = step(state, config, make_params([config]))
+    torch.testing.assert_close(state.f, f, rtol=0, atol=1e-14)
+    expected = body.position + 200 * body.velocity
+    torch.testing.assert_close(state.bodies[0].position, expected, rtol=0, atol=1e-10)
+
+
+def test_the_papers_explicit_coupling_runs_where_the_body_is_heavy() -> None:
+    fish = Fish(body_length=24, density_ratio=16.0)
+    config = make_swimmer_config(
+        SCALES, length_bl=4, height_bl=3, bodies=(fish,), coupling=Coupling.EXPLICIT
+    )
+    params = make_params([config])
+    state = run(config, make_fish_body(), 60)
+    before, state = state.bodies[0], step(state, config, params)
+    after = state.bodies[0]
+    # m_s dU = -F with the whole mass; less the displaced one it would be the implicit coupling
+    gain = fish.density_ratio * fish.area * (after.velocity - before.velocity)
+    torch.testing.assert_close(gain, -after.force, rtol=1e-9, atol=0)
+    for _ in range(239):
+        state = step(state, config, params)
+    body = state.bodies[0]
+    assert float(body.velocity.norm()) < 0.05
+    assert float(body.position[0, 0]) < 40.3  # it swims forward, facing -x
+
+
+def test_a_mirrored_start_swims_the_mirrored_way() -> None:
+    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
+    height = config.height - 1.0
+    up, down = make_fish_body((60.0, 30.0)), make_fish_body((60.0, height - 30.0))
+    down = down._replace(phase=down.phase + math.pi)  # the mirrored wave
+    a, b = (run(config, body, 250).bodies[0] for body in (up, down))
+    assert float(a.position[0, 0]) == pytest.approx(float(b.position[0, 0]), abs=1e-9)
+    assert float(a.position[0, 1]) == pytest.approx(height - float(b.position[0, 1]), abs=1e-9)
+
+
+@pytest.mark.parametrize("gait", GAITS.values(), ids=GAITS.keys())
+def test_a_midline_that_keeps_its_length_keeps_length_area_and_centre(gait: Gait) -> None:
+    """Velocities to half a percent of the largest, lengths and areas to a fifth of a percent."""
+    fish = Fish(body_length=100, gait=gait, keeps_length=True)
+    one = torch.ones(1, dtype=torch.float64)
+    for phase in (0.2, 1.7, 4.0):
+        body = make_fish_body()._replace(beats=1e3 * one, phase=phase * one)
+        before, after = (
+            outline(fish, body._replace(phase=body.phase + d * 2 * math.pi * body.frequency))
+            for d in (-0.5, 0.5)
+        )
+        shape = deform_body(fish, fish.make_shape(), body)
+        middle = outline(fish, body)[0]
+        half = len(middle) // 2
+        spine = 0.5 * (middle[1:half] + middle[half + 1 :].flip(0))
+        length = float((spine[1:] - spine[:-1]).norm(dim=-1).sum())
+        straight = fish.make_shape()
+        assert isinstance(straight, MidlineShape)
+        ends = straight.step.cumsum(1)[0, straight.station[0, [1, half - 1]].long()]
+        assert length == pytest.approx(float(ends[1] - ends[0]), rel=2e-3)
+        assert float(compute_area(middle[None])) == pytest.approx(fish.area, rel=2e-3)
+        # the markers' displacement over a step is their velocity (the frame turns by its own rate)
+        imposed = place_markers(body, shape).deformation_velocity
+        turn = torch.stack((-(middle[:, 1] - 30.6), middle[:, 0] - 40.3), -1) * shape.spin
+        moved = after - before + turn
+        assert float((moved - imposed).abs().max()) < 5e-3 * float(imposed.abs().max())
+        # the centre of area stays where it is
+        assert float((compute_centre(middle) - body.position[0]).abs().max()) < 0.05
+
+
+def test_a_gait_too_steep_for_a_midline_of_constant_length_is_refused() -> None:
+    steep = Gait(amplitude=0.2, envelope=(0.0, 1.0, 0.0), wavenumber=2 * math.pi)
+    with pytest.raises(ValueError, match=r"rises by 1.2. per unit of arc, allowed is 0.95"):
+        Fish(body_length=50, gait=steep, keeps_length=True)
+
+
+def test_a_bent_fish_turns_without_a_torque_from_outside() -> None:
+    """Bending one way and beating turns a free fish that way; angular momentum is the flow's."""
+    turned = []
+    for turn in (0.5, -0.5):
+        config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, motion=Bending())
+        one = torch.ones(1, dtype=torch.float64)
+        steps = SCALES.period * one
+        body = make_fish_body()._replace(turn=turn * one, turn_steps=steps, turn_clock=0 * one)
+        after = run(config, body, SCALES.period + 100).bodies[0]
+        assert float(after.force.abs().max()) < 1e-12
+        turned.append(float(after.heading + after.internal_angle) - math.pi)
+        assert abs(float(after.bend)) > 0.01
+    assert turned[0] - turned[1] > 0.1
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("is_midline", [False, True])
+def test_markers_located_without_their_motion_are_the_same(
+    motion: Motion, is_midline: bool
+) -> None:
+    fish = Fish(body_length=24, motion=motion, keeps_length=is_midline)
+    shape, body = fish.make_shape(), make_fish_body(heading=2.5)
+    assert isinstance(shape, MidlineShape) == is_midline
+    one = torch.ones_like(body.phase)
+    body = body._replace(phase=0.7 * one, beats=0.6 * one, bend=0.02 * one)
+    expected = place_markers(body, deform_body(fish, shape, body)).position
+    assert torch.equal(locate_markers(fish, shape, body), expected)

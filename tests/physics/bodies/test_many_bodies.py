@@ -1,0 +1,123 @@
+"""Several bodies in one flow, and flows that differ within one batch."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from fishrl.physics import (
+    Cylinder,
+    DCylinder,
+    Ellipse,
+    Fish,
+    FlowConfig,
+    FlowState,
+    InPlaceSolver,
+)
+from fishrl.physics.bodies.gait import Gait
+from fishrl.physics.bodies.motion import Body, Fixed, Free, Oscillating
+from fishrl.physics.boundaries import Boundaries, NonEquilibrium, NoSlip, Profile
+from fishrl.physics.collision import Rates
+from fishrl.physics.flow import make_params
+from fishrl.physics.step import step
+
+CHANNEL = Boundaries(
+    left=NonEquilibrium(velocity=(1.0, 0.0), profile=Profile.PARABOLA),
+    right=NonEquilibrium(density=1.0),
+    bottom=NoSlip(),
+    top=NoSlip(),
+)
+
+
+def make_crowd(tau: float = 0.56, diameter: float = 12.0, amplitude: float = 0.1) -> FlowConfig:
+    """A fish, an oscillating ellipse, a kicked half disc and a heavy free disc in a channel."""
+    gait = Gait(amplitude=amplitude, envelope=(0.03, 1.0, 0.0), wavenumber=6.0)
+    return FlowConfig(
+        width=120,
+        height=72,
+        tau=tau,
+        stream_speed=0.1 * tau,
+        ramp_steps=100,
+        bodies=(
+            Fish(body_length=24, gait=gait),
+            Ellipse(length=10, width=8, motion=Oscillating(sway=(0.5, 2.0), pitch=0.2)),
+            DCylinder(
+                diameter=diameter,
+                num_markers=36,
+                motion=Fixed(kick_speed=0.01, kick_steps=30),
+            ),
+            Cylinder(diameter=9, density_ratio=1.5, motion=Free()),
+        ),
+        boundaries=CHANNEL,
+    )
+
+
+def start_crowd(configs: list[FlowConfig], **settings: object) -> InPlaceSolver:
+    solver = InPlaceSolver(
+        config=configs,
+        frequency=torch.tensor([1 / 200, 1 / 260])[: len(configs)],
+        **{"compile": False, "num_workers": 0} | settings,  # type: ignore[arg-type]
+    )
+    places = torch.tensor([[70.0, 36.4], [95.3, 20.1], [24.4, 34.2], [95.0, 50.3]])
+    headings = torch.tensor([math.pi, 0.3, math.pi, 0.0])
+    num = len(configs)
+    solver.reset_(
+        torch.ones(num, dtype=torch.bool), places.expand(num, 4, 2), headings.expand(num, 4)
+    )
+    solver.bodies[3].load[:, 1] = -0.002
+    return solver
+
+
+CROWD = [make_crowd(), make_crowd(tau=0.6, diameter=15.0, amplitude=0.07)]
+
+
+def test_many_bodies_in_flows_that_differ_equal_the_readable_step() -> None:
+    solver = start_crowd(CROWD)
+    before = tuple(Body(*(t.clone() for t in body)) for body in solver.bodies)
+    state = FlowState(solver.populations().double(), before, torch.zeros(2, dtype=torch.float64))
+    params = make_params(CROWD)
+    solver.advance_(120)
+    for _ in range(120):
+        state = step(state, CROWD[0], params)
+    scale = float(state.f.abs().max())
+    assert float((solver.populations() - state.f).abs().max()) < 1e-5 * scale
+    for got, expected in zip(solver.bodies, state.bodies, strict=True):
+        torch.testing.assert_close(got.position, expected.position, rtol=0, atol=1e-5)
+        torch.testing.assert_close(got.impulse, expected.impulse, rtol=1e-3, atol=1e-5)
+    still = solver.bodies[2]
+    assert torch.equal(still.position, before[2].position)
+    assert (solver.bodies[3].position[:, 1] < before[3].position[:, 1] - 0.05).all()  # it sinks
+    assert (still.impulse[:, 0] > 0.1).all()  # drag
+
+
+def test_a_batch_of_mixed_flows_equals_each_flow_alone() -> None:
+    both = start_crowd(CROWD)
+    both.advance_(40)
+    for i, config in enumerate(CROWD):
+        alone = start_crowd([config])
+        alone.flow.bodies[0].frequency.fill_(float(both.body.frequency[i]))
+        alone.flow.bodies[1].frequency.fill_(float(both.body.frequency[i]))
+        alone.advance_(40)
+        assert torch.equal(alone.populations()[0], both.populations()[i])
+        for mine, batch in zip(alone.bodies, both.bodies, strict=True):
+            assert torch.equal(mine.position[0], batch.position[i])
+
+
+@pytest.mark.compile
+def test_many_bodies_compile() -> None:
+    solver, eager = start_crowd(CROWD, compile=True), start_crowd(CROWD)
+    for each in (solver, eager):
+        each.advance_(60)
+    scale = float(eager.populations().abs().max())
+    assert float((solver.populations() - eager.populations()).abs().max()) < 1e-5 * scale
+    for mine, batch in zip(solver.bodies, eager.bodies, strict=True):
+        torch.testing.assert_close(mine.position, batch.position, rtol=0, atol=1e-5)
+
+
+def test_flows_that_differ_too_much_for_one_batch_are_refused() -> None:
+    other = replace(CROWD[0], rates=Rates(energy=1.0))
+    with pytest.raises(ValueError, match="flow 1 differs from flow 0 in more than tau"):
+        InPlaceSolver(config=[CROWD[0], other])
+    with pytest.raises(ValueError, match="num_envs = 3 with 2 configurations"):
+        InPlaceSolver(config=CROWD, num_envs=3)

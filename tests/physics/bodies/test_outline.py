@@ -1,0 +1,150 @@
+"""Outlines: areas, moments, markers; and what moves bodies."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from fishrl.physics.bodies.coupling import deform_body, place_markers
+from fishrl.physics.bodies.gait import Shape
+from fishrl.physics.bodies.motion import Driven, Fixed, Free, Oscillating, make_body
+from fishrl.physics.bodies.outline import Cylinder, DCylinder, Ellipse, Fish, Foil, Outline
+from fishrl.physics.bodies.sections import Section, compute_eel_half_thickness
+from fishrl.physics.diagnostics import compute_area
+
+ONE = torch.ones(1, dtype=torch.float64)
+
+
+def get_shape(outline: Outline) -> Shape:
+    shape = outline.make_shape()
+    assert isinstance(shape, Shape)
+    return shape
+
+
+@pytest.mark.parametrize(
+    ("outline", "area", "inertia"),
+    [
+        (Cylinder(diameter=40, inset=0.0), math.pi * 20**2, math.pi / 2 * 20**4),
+        (
+            Ellipse(length=40, width=20, inset=0.0),
+            math.pi * 200,
+            math.pi * 200 * (20**2 + 10**2) / 4,
+        ),
+        # polar moment about the centre of area: pi r^4 / 4 less A (4 r / 3 pi)^2
+        (
+            DCylinder(diameter=40, inset=0.0),
+            math.pi * 200,
+            math.pi * 20**4 / 4 - math.pi * 200 * (80 / (3 * math.pi)) ** 2,
+        ),
+        (Foil(chord=100, inset=0.0), 0.08171 * 100**2, 0.0045097 * 100**4),
+    ],
+    ids=["cylinder", "ellipse", "half disc", "foil"],
+)
+def test_outlines_have_the_area_and_inertia_of_their_formulas(
+    outline: Outline, area: float, inertia: float
+) -> None:
+    shape = get_shape(outline)
+    assert outline.area == pytest.approx(area, rel=1e-3)
+    assert float(shape.area) == pytest.approx(area, rel=1e-3)
+    assert float(shape.inertia) == pytest.approx(inertia, rel=1e-3)
+    markers = torch.stack((shape.axial, shape.lateral), -1)
+    assert float(compute_area(markers)) == pytest.approx(area, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    "outline",
+    [
+        Cylinder(diameter=30, inset=0.0),
+        Ellipse(length=40, width=20, inset=0.0),
+        DCylinder(diameter=40, inset=0.0),
+        Foil(chord=60, inset=0.0),
+    ],
+    ids=lambda o: type(o).__name__,
+)
+def test_markers_stand_for_the_whole_outline_at_about_one_node_each(outline: Outline) -> None:
+    shape = get_shape(outline)
+    assert shape.axial.shape == (1, outline.num_markers)
+    ends = torch.stack((shape.axial, shape.lateral), -1)[0]
+    gaps = (ends.roll(-1, 0) - ends).norm(dim=-1)
+    assert float(shape.spacing.sum()) == pytest.approx(float(gaps.sum()))
+    assert float(gaps.min()) > 0.7 and float(gaps.max()) < 1.3
+
+
+def test_half_disc_has_markers_on_its_corners_and_faces_with_its_round_side() -> None:
+    outline = DCylinder(diameter=40, inset=0.0)
+    shape = get_shape(outline)
+    centroid = 20 - 80 / (3 * math.pi)  # from the nose
+    assert float(shape.axial[0, 0]) == pytest.approx(-centroid, abs=1e-3)
+    assert float(shape.lateral.abs().max()) == pytest.approx(20.0, abs=1e-6)
+    flat = (shape.axial - shape.axial.max()).abs() < 1e-6
+    assert int(flat.sum()) > 35
+    body = make_body(torch.tensor([[100.0, 50.0]]).double(), math.pi * ONE, 0 * ONE)
+    markers = place_markers(body, deform_body(outline, shape, body)).position[0]
+    assert float(markers[0, 0]) == pytest.approx(100 - centroid, abs=1e-3)  # nose upstream
+
+
+def test_an_inset_moves_every_marker_inwards_and_keeps_the_mass() -> None:
+    plain, inset = Cylinder(diameter=40, inset=0.0), Cylinder(diameter=40, inset=0.3)
+    radius = torch.hypot(get_shape(inset).axial, get_shape(inset).lateral)
+    torch.testing.assert_close(radius, torch.full_like(radius, 19.7), rtol=0, atol=1e-3)
+    assert inset.area == plain.area
+    assert float(get_shape(inset).inertia) == float(get_shape(plain).inertia)
+    tail = Fish(body_length=50, inset=0.5).make_shape()
+    straight = Fish(body_length=50).make_shape()
+    assert (tail.lateral.abs() <= straight.lateral.abs() + 1e-9).all()
+    assert (tail.lateral * straight.lateral > -1e-9).all()  # the two sides never cross
+
+
+def test_the_eel_has_the_thickness_of_its_source() -> None:
+    at = compute_eel_half_thickness(np.array([0.0, 0.04, 0.95, 1.0]), 0.08)
+    assert at.tolist() == pytest.approx([0.0, 0.04, 0.01, 0.0])
+    fish = Fish(body_length=100, section=Section.EEL, thickness=0.08)
+    assert float(fish.draw()[0][:, 1].max()) == pytest.approx(4.0, abs=1e-3)
+
+
+def test_an_oscillating_body_follows_its_sine_exactly() -> None:
+    motion = Oscillating(sway=(3.0, -2.0), pitch=0.4, pitch_lag=0.5 * math.pi)
+    body = make_body(torch.zeros(1, 2, dtype=torch.float64), 0 * ONE, ONE / 50)
+    for _ in range(17):
+        velocity, turn = motion.prescribe(body)
+        body = body._replace(
+            position=body.position + velocity,
+            heading=body.heading + turn,
+            phase=body.phase + 2 * math.pi * body.frequency,
+        )
+    angle = 2 * math.pi * 17 / 50
+    assert body.position[0].tolist() == pytest.approx([3 * math.sin(angle), -2 * math.sin(angle)])
+    assert float(body.heading) == pytest.approx(0.4 * (math.cos(angle) - 1.0))
+
+
+def test_a_kick_ends_and_pushes_both_ways_alike() -> None:
+    motion = Fixed(kick_speed=0.02, kick_steps=30)
+    body = make_body(torch.zeros(1, 2, dtype=torch.float64), 0 * ONE, 0 * ONE)
+    speeds = [float(motion.prescribe(body._replace(age=t * ONE))[0][0, 1]) for t in range(40)]
+    assert max(speeds) == pytest.approx(0.02, rel=0.01)
+    assert sum(speeds) == pytest.approx(0.0, abs=1e-12)
+    assert speeds[30:] == [0.0] * 10
+
+
+def test_a_driven_body_keeps_its_velocity_and_a_free_one_has_no_prescription() -> None:
+    body = make_body(torch.zeros(1, 2, dtype=torch.float64), 0 * ONE, 0 * ONE)
+    body = body._replace(velocity=torch.tensor([[0.03, 0.01]]).double(), angular_velocity=0.2 * ONE)
+    assert torch.equal(Driven().prescribe(body)[0], body.velocity)
+    assert Free().moves_freely and Free().turns_freely and not Driven().moves_freely
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Cylinder(diameter=4), "length = 4 nodes"),
+        (lambda: DCylinder(diameter=4), "diameter = 4 nodes"),
+        (lambda: Ellipse(length=20, width=3), "width = 3 nodes"),
+        (lambda: Foil(chord=50, thickness=0.6), "thickness = 0.6"),
+        (lambda: Fixed(kick_steps=0), "kick_steps = 0"),
+        (lambda: Cylinder(diameter=40, num_markers=500), "0.25 nodes apart"),
+    ],
+)
+def test_bodies_that_cannot_be_are_refused(make: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()  # type: ignore[operator]

@@ -1,0 +1,64 @@
+"""Loggers for runs in other processes, where no fixture reaches. Tests only name them.
+
+Importing this file replaces the flow by fish that glide, but not where the tests run: there,
+whatever reads a run's settings imports it too.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import fishrl.envs.task
+from fishrl.training.logger import CsvLogger
+from tests.envs.gliding import GlidingSolver
+
+if "pytest" not in sys.modules:
+    fishrl.envs.task.InPlaceSolver = GlidingSolver  # type: ignore[misc, assignment]
+
+
+class Gliding(CsvLogger):
+    """Nothing happens."""
+
+
+class Ending(CsvLogger):
+    """At frame 8 the sweep is told to end, and this run hears of it."""
+
+    def log(self, metrics: Mapping[str, float]) -> None:
+        super().log(metrics)
+        if metrics["frames"] == 8:
+            os.kill(os.getppid(), signal.SIGTERM)
+            time.sleep(3.0)
+
+
+class Marking(CsvLogger):
+    """Can leave a mark in the run's folder."""
+
+    def open(self, folder: Path, **arguments: Any) -> None:
+        super().open(folder, **arguments)
+        self.mark = folder / "mark"
+
+
+class Lingering(Marking):
+    """At frame 8 there is time to end the sweep, and little of it is over at once."""
+
+    def log(self, metrics: Mapping[str, float]) -> None:
+        super().log(metrics)
+        if metrics["frames"] == 8:
+            self.mark.touch()
+            time.sleep(4.0)
+
+
+class Killed(Marking):
+    """The end that no program can see coming, at frame 8; but not when the run goes on."""
+
+    def log(self, metrics: Mapping[str, float]) -> None:
+        super().log(metrics)
+        if metrics["frames"] == 8 and not self.mark.exists():
+            self.mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)

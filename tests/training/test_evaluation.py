@@ -1,0 +1,201 @@
+"""The evaluation counts the first episode of every start, once, whatever the batch."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from experiments.evaluate import check_result, evaluate, main, write_result
+from experiments.settings import ConfigError, EvaluateConfig
+from fishrl.envs import Predation
+from fishrl.modules import PursuitPolicy, RandomPolicy
+from fishrl.training.baselines import list_baselines, make_policy
+from fishrl.training.evaluation import Evaluation, Evaluator, Policy, fixed_starts
+from tests.training.toy_fish import ToyPredation, make_toy_env
+
+TOY = {"_target_": "tests.training.toy_fish.ToyPredation"}
+
+
+class Fixed:
+    """An evaluator with its starts."""
+
+    def __init__(self, num_envs: int, num_starts: int, **task_arguments: float) -> None:
+        task = ToyPredation(**task_arguments)  # type: ignore[arg-type]
+        self.starts = fixed_starts(task, num_starts, seed=0)
+        self.evaluator = Evaluator(make_toy_env(task=task, num_envs=num_envs, seed=5))
+
+    def run(self, policy: Policy, **kwargs: Any) -> Evaluation:
+        return self.evaluator.run(policy, starts=self.starts, **kwargs)
+
+
+@pytest.mark.parametrize("num_envs", [1, 4, 12, 20])
+def test_the_result_of_each_start_does_not_depend_on_the_batch(num_envs: int) -> None:
+    alone = Fixed(1, 12).run(PursuitPolicy())
+    result = Fixed(num_envs, 12).run(PursuitPolicy())
+    assert torch.equal(result.succeeded, alone.succeeded)
+    assert torch.equal(result.returns, alone.returns)
+    assert torch.equal(result.lengths_T, alone.lengths_T)
+    assert 0 < int(result.succeeded.sum()) < 12
+
+
+def test_an_evaluation_repeats_even_on_an_env_that_was_used() -> None:
+    evaluator = Fixed(5, 12)
+    first = evaluator.run(RandomPolicy(seed=1))
+    again = evaluator.run(RandomPolicy(seed=1))
+    other = evaluator.run(RandomPolicy(seed=2))
+    assert torch.equal(first.returns, again.returns)
+    assert not torch.equal(first.returns, other.returns)
+
+
+def test_only_the_first_episode_of_a_start_counts() -> None:
+    """Ends of later rounds come earlier here: a policy that fails at once after its first go."""
+
+    class FirstGoodThenBad:
+        def __init__(self) -> None:
+            self.num_steps = 0
+
+        def __call__(self, td: TensorDict) -> TensorDict:
+            self.num_steps += 1
+            td = PursuitPolicy()(td)
+            # Row 0 ends early by turning in place; its next rounds must not overwrite row 1's.
+            td["action"][0] = 0
+            return td
+
+    evaluator = Fixed(2, 2, time_limit=30)
+    result = evaluator.run(FirstGoodThenBad())
+    second_alone = Fixed(2, 2).run(PursuitPolicy())
+    assert result.returns[1] == second_alone.returns[1]
+    assert result.lengths_T[1] == second_alone.lengths_T[1]
+
+
+def test_counts_episodes_as_they_end() -> None:
+    ended: list[int] = []
+    Fixed(4, 10).run(PursuitPolicy(), on_episodes=ended.append)
+    assert sum(ended) == 10
+
+
+def test_diverged_episodes_are_counted_as_no_success() -> None:
+    result = Fixed(4, 40, divergence_rate=0.2).run(PursuitPolicy())
+    metrics = result.metrics()
+    assert metrics["diverged"] == int(result.diverged.sum()) > 0
+    assert not (result.diverged & result.succeeded).any()
+
+
+def test_metrics_are_means_over_all_starts_but_the_time_over_successes() -> None:
+    result = Evaluation(
+        succeeded=torch.tensor([True, False, True, False]),
+        returns=torch.tensor([10.0, 0.0, 20.0, -2.0]),
+        lengths_T=torch.tensor([8.0, 30.0, 12.0, 3.0]),
+        diverged=torch.tensor([False, False, False, True]),
+    )
+    assert result.metrics() == {
+        "success_rate": 0.5,
+        "mean_return": 7.0,
+        "mean_length_T": 13.25,
+        "mean_time_to_success_T": 10.0,
+        "episodes": 4,
+        "diverged": 1,
+    }
+    none = Evaluation(
+        succeeded=torch.zeros(2, dtype=torch.bool),
+        returns=torch.zeros(2),
+        lengths_T=torch.zeros(2),
+        diverged=torch.zeros(2, dtype=torch.bool),
+    )
+    assert math.isnan(none.metrics()["mean_time_to_success_T"])
+
+
+def test_decisions_are_turned_into_tail_beats() -> None:
+    task = ToyPredation()
+    starts = fixed_starts(task, 3, seed=0)
+    env = make_toy_env(task=task, num_envs=3, seed=0)
+    whole = Fixed(3, 3).run(PursuitPolicy()).lengths_T
+    half = Evaluator(env, decision_T=0.5).run(PursuitPolicy(), starts=starts).lengths_T
+    assert torch.equal(half, 0.5 * whole)
+
+
+def test_an_env_draws_its_own_starts_again_after_an_evaluation() -> None:
+    fixed = Fixed(4, 6)
+    fixed.run(PursuitPolicy())
+    assert fixed.evaluator.env.base_env.starts is None
+    assert (fixed.evaluator.env.reset()["start_index"] == -1).all()
+
+
+def test_fixed_starts_repeat_for_their_seed() -> None:
+    task = ToyPredation()
+    first, second, other = (fixed_starts(task, 6, seed=s)["position"] for s in (0, 0, 1))
+    assert torch.equal(first, second)
+    assert not torch.equal(first, other)
+
+
+def test_hand_written_fish_are_evaluated_by_name() -> None:
+    rates = {}
+    for name in ("random", "pursuit", "intercept"):
+        config = EvaluateConfig(task=TOY, preset="toy", policy=name, episodes=16, compile=False)
+        result = evaluate(config, make_env=make_toy_env)
+        assert (result["fish"], result["task"], result["episodes"]) == (name, "ToyPredation", 16)
+        rates[name] = result["success_rate"]
+    assert rates["pursuit"] > rates["random"]
+
+
+def test_an_unknown_fish_is_refused_with_the_nearest_one() -> None:
+    config = EvaluateConfig(task=TOY, preset="toy", policy="pursiut", compile=False)
+    with pytest.raises(ConfigError, match="Did you mean 'pursuit'"):
+        evaluate(config, make_env=make_toy_env)
+
+
+def test_fish_that_decide_once_per_T_are_not_asked_more_often() -> None:
+    often = Predation(control_interval_T=0.5)
+    assert list_baselines(Predation()) == ["intercept", "pursuit", "random"]
+    assert list_baselines(often) == ["random"]
+    with pytest.raises(
+        ConfigError, match=r"decides once per T, here a decision takes 0\.\d+ T; set"
+    ):
+        make_policy("intercept", task=often, seed=0)
+
+
+def test_where_a_result_cannot_be_written_is_found_before_anything_swims(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        pytest.fail("swam first")
+
+    monkeypatch.setattr("experiments.evaluate.evaluate", fail)
+    for place, said in (
+        (tmp_path / "nowhere" / "x.json", "error: no folder .*nowhere: make it first"),
+        (tmp_path, "error: save=.*: cannot be written .it is a folder.; choose another file"),
+    ):
+        monkeypatch.setattr(sys, "argv", ["evaluate", "policy=random", f"save={place}"])
+        with pytest.raises(SystemExit, match=said):
+            main()
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    with pytest.raises(ValueError, match=r"cannot be written \(no write permission\)"):
+        check_result(str(tmp_path / "x.json"))
+
+
+def test_a_result_that_cannot_be_written_is_printed_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def swim_while_the_folder_goes(*_: Any, **__: Any) -> dict[str, Any]:
+        (tmp_path / "gone").rmdir()
+        return {"mean_return": 1.5}
+
+    (tmp_path / "gone").mkdir()
+    monkeypatch.setattr("experiments.evaluate.evaluate", swim_while_the_folder_goes)
+    place = tmp_path / "gone" / "x.json"
+    monkeypatch.setattr(sys, "argv", ["evaluate", "policy=random", f"save={place}"])
+    with pytest.raises(SystemExit, match=r"error: save=.*: cannot be written \(No such file"):
+        main()
+    assert "mean_return             1.500" in capsys.readouterr().out
+
+
+def test_a_result_in_a_folder_without_permission_is_an_error(read_only_folder: Path) -> None:
+    with pytest.raises(ValueError, match=r"cannot be written \(Permission denied\); choose"):
+        write_result(read_only_folder / "x.json", {})
