@@ -1,0 +1,52 @@
+"""The same seed gives the same learning curve as the version that wrote ``tests/goldens``."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from experiments.settings import TrainConfig
+from experiments.train import train
+from tests.training.toy_fish import make_toy_env
+
+GOLDENS = Path(__file__).parents[1] / "goldens"
+ALGORITHMS: dict[str, dict[str, Any]] = {
+    "discrete_sac": {"_target_": "fishrl.training.algorithms.DiscreteSAC"},
+    "dqn": {"_target_": "fishrl.training.algorithms.DQN", "epsilon_frames": 60},
+    "double_dqn": {
+        "_target_": "fishrl.training.algorithms.DQN",
+        "is_double": True,
+        "epsilon_frames": 60,
+    },
+    "drqn": {
+        "_target_": "fishrl.training.algorithms.DRQN",
+        "sequence_length": 4,
+        "epsilon_frames": 60,
+    },
+}
+
+
+def read(path: Path) -> list[dict[str, float]]:
+    """Return the rows of a metrics file without what depends on the machine; NaN where empty."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return [
+            {k: float(v) if v else math.nan for k, v in row.items() if not k.startswith("time/")}
+            for row in csv.DictReader(file)
+        ]
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_a_seed_gives_the_learning_curve_it_always_gave(
+    name: str, toy_config: Callable[..., TrainConfig], tmp_path: Path
+) -> None:
+    train(toy_config(algorithm=ALGORITHMS[name], name=name), make_env=make_toy_env)
+    rows, expected = read(tmp_path / name / "metrics.csv"), read(GOLDENS / f"toy_{name}.csv")
+    assert len(rows) == len(expected)
+    for row, golden in zip(rows, expected, strict=True):
+        # 1e-5: float32 sums may be ordered differently on another processor
+        assert row == pytest.approx(golden, rel=1e-5, abs=1e-7, nan_ok=True)
