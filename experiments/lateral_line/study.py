@@ -12,7 +12,7 @@ from torch import Tensor
 
 from experiments.lateral_line.samples import cut_windows, feel, mirror
 from fishrl.envs.lateral_line import LOCAL, PAPER
-from fishrl.modules import LateralLineMachine
+from fishrl.modules import LateralLineClassifier
 from fishrl.modules.lateral_line import BOOKKEEPING
 from fishrl.objectives import (
     Curves,
@@ -54,7 +54,7 @@ class Fit:
         test: the samples of those.
     """
 
-    machine: LateralLineMachine
+    machine: LateralLineClassifier
     curves: Curves
     fitted: Score
     held_out: Score
@@ -133,7 +133,7 @@ class Study:
             training = training[kept]
         if is_mirrored:
             training = torch.cat((training, self._mirror(training, diet)))
-        machine = LateralLineMachine(
+        machine = LateralLineClassifier(
             flows=self.flows,
             sensors=self.describe(diet),
             features=diet.features,

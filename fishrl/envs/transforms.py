@@ -119,7 +119,7 @@ class RecogniseFlow(NameFlow):
     ``memory`` to the power of k.
 
     Args:
-        machine: a ``fishrl.modules.LateralLineMachine``, which is frozen by this; or a network
+        machine: a ``fishrl.modules.LateralLineClassifier``, which is frozen by this; or a network
             like it, with ``num_flows`` and ``check``.
         memory: in [0, 1]; 0 believes the present signal alone, as the paper's machine does.
         in_key: its signal ``[B, W, P, F]``.

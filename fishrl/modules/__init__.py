@@ -4,7 +4,7 @@ from fishrl.modules.actors import make_actor, make_mlp
 from fishrl.modules.controllers import InterceptPolicy, PursuitPolicy, RandomPolicy
 from fishrl.modules.critics import make_twin_critics
 from fishrl.modules.gait_controllers import PID, BangBang, FixedFrequency, GaitPolicy
-from fishrl.modules.lateral_line import LateralLineMachine
+from fishrl.modules.lateral_line import LateralLineClassifier
 from fishrl.modules.value_actors import (
     EpsilonGreedy,
     RememberingPolicy,
@@ -19,7 +19,7 @@ __all__ = [
     "FixedFrequency",
     "GaitPolicy",
     "InterceptPolicy",
-    "LateralLineMachine",
+    "LateralLineClassifier",
     "PursuitPolicy",
     "RandomPolicy",
     "RememberingPolicy",

@@ -25,7 +25,7 @@ _FORMAT = "fishrl lateral-line machine, 1"
 _SENSOR_KEYS = ("num_neuromasts", "features", "num_samples")
 
 
-class LateralLineMachine(nn.Module):
+class LateralLineClassifier(nn.Module):
     """Classifier of flows; maps ``lateral_line`` ``[..., W, P, F]`` to logits ``[..., n]``.
 
     W samples (oldest first, equally spaced in time), P neuromasts, F features, n flows.
@@ -172,7 +172,7 @@ class LateralLineMachine(nn.Module):
         torch.save({"format": _FORMAT, "settings": settings, "state": state}, path)
 
     @classmethod
-    def load(cls, path: str | Path) -> LateralLineMachine:
+    def load(cls, path: str | Path) -> LateralLineClassifier:
         """Read a machine back; it is ready to use (``eval``), on the CPU.
 
         The file cannot run code (``weights_only=True``).

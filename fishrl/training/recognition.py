@@ -13,7 +13,7 @@ from torchrl.envs import EnvBase, Transform
 
 from experiments.settings import ConfigError
 from fishrl.envs import KarmanGait, KnowFlow, make_recognition
-from fishrl.modules import LateralLineMachine
+from fishrl.modules import LateralLineClassifier
 
 ORACLE = "oracle"
 #: The machine that a run has copied into its folder.
@@ -41,7 +41,7 @@ class Recognition:
     def __init__(self, task: Any, choice: str | None, *, memory: float = 0.7) -> None:
         self.task, self.num_told, self.is_told = task, 0, choice is not None
         self._memory = memory
-        self._machine: LateralLineMachine | None = None
+        self._machine: LateralLineClassifier | None = None
         if choice is None:
             return
         if not isinstance(task, KarmanGait):
@@ -54,7 +54,7 @@ class Recognition:
         if task.control.num_flows is not None:
             self.task = replace(task, reads_flow_class=True)
         if choice != ORACLE:
-            self._machine = LateralLineMachine.load(choice)
+            self._machine = LateralLineClassifier.load(choice)
             self._machine.check(flows=task.flow_labels, sensors=task.lateral_line_layout)
 
     def make_transforms(self) -> list[Transform]:

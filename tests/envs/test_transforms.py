@@ -11,7 +11,7 @@ from torchrl.data import Categorical, Composite, Unbounded
 from torchrl.envs import CatFrames, EnvBase, StepCounter, TransformedEnv, check_env_specs
 
 from fishrl.envs import FlowEnv, KnowFlow, Predation, RecogniseFlow, make_recognition
-from fishrl.modules import LateralLineMachine
+from fishrl.modules import LateralLineClassifier
 from fishrl.objectives import FitSettings, fit_classifier
 from tests.envs.conftest import SMALL
 from tests.sines import FLOWS, NUM_FEATURES, SENSORS, make_samples, make_signal
@@ -67,10 +67,10 @@ class SineEnv(EnvBase):
 
 
 @pytest.fixture(scope="module")
-def machine() -> LateralLineMachine:
+def machine() -> LateralLineClassifier:
     """Return a machine that knows the sines."""
     generator = torch.Generator().manual_seed(0)
-    made = LateralLineMachine(flows=FLOWS, sensors=SENSORS, hidden=(32,), generator=generator)
+    made = LateralLineClassifier(flows=FLOWS, sensors=SENSORS, hidden=(32,), generator=generator)
     data = make_samples(60)
     made.set_normalisation(data["lateral_line"])
     settings = FitSettings(learning_rate=0.003, num_epochs=30)
@@ -85,9 +85,9 @@ def make(*transforms: Any, num_envs: int = 3) -> TransformedEnv:
     return env
 
 
-def untrained(**changes: Any) -> LateralLineMachine:
+def untrained(**changes: Any) -> LateralLineClassifier:
     arguments = {"flows": FLOWS, "sensors": SENSORS, "hidden": (8,)} | changes
-    return LateralLineMachine(**arguments, generator=torch.Generator().manual_seed(0))
+    return LateralLineClassifier(**arguments, generator=torch.Generator().manual_seed(0))
 
 
 @pytest.mark.parametrize("num_samples", [16, 40])
@@ -124,7 +124,7 @@ def test_named_but_not_observed_the_observation_stays_as_it_is(oracle: bool) -> 
 
 
 def test_a_trained_machine_names_the_flow_of_every_row_after_resets_of_single_rows(
-    machine: LateralLineMachine,
+    machine: LateralLineClassifier,
 ) -> None:
     rollout = make(*make_recognition(machine)).rollout(30, break_when_any_done=False)
     assert rollout["next", "done"].sum(1).flatten().tolist() == [15, 10, 7]

@@ -26,7 +26,7 @@ from fishrl.envs import KarmanGait, Predation
 from fishrl.envs.steering import PolicySteering
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
-from fishrl.modules import LateralLineMachine
+from fishrl.modules import LateralLineClassifier
 from fishrl.training.recognition import Recognition, keep_machine
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 
@@ -60,7 +60,7 @@ def make_task(**arguments: Any) -> KarmanGait:
 
 def make_machine(path: Path, task: KarmanGait | None = None) -> str:
     task = task or make_task()
-    machine = LateralLineMachine(
+    machine = LateralLineClassifier(
         flows=task.flow_labels,
         sensors=task.lateral_line_layout,
         generator=torch.Generator().manual_seed(0),

@@ -26,7 +26,7 @@ from fishrl.envs.macro_actions import FrequencyBank, MacroActions
 from fishrl.envs.stations import SafeArea
 from fishrl.envs.streams import Stream
 from fishrl.envs.tasks import KarmanGait
-from fishrl.modules import LateralLineMachine
+from fishrl.modules import LateralLineClassifier
 from fishrl.objectives import FitSettings
 from fishrl.training.progress import Progress
 
@@ -250,14 +250,14 @@ def test_a_study_writes_page_numbers_figures_and_a_machine_that_the_task_takes(
     assert f"{findings['machine']['held_out_accuracy']:.1%}" in (
         tmp_path / "lateral_line.md"
     ).read_text(encoding="utf-8")
-    machine = LateralLineMachine.load(tmp_path / "machine.pt")
+    machine = LateralLineClassifier.load(tmp_path / "machine.pt")
     machine.check(flows=task.flow_labels, sensors=task.lateral_line_layout)
     assert machine.features == list(LOCAL)
 
 
 def test_a_fish_in_a_real_flow_is_told_by_its_machine_which_one_it_is() -> None:
     task = make_task(reads_flow_class=True)
-    machine = LateralLineMachine(flows=task.flow_labels, sensors=task.lateral_line_layout)
+    machine = LateralLineClassifier(flows=task.flow_labels, sensors=task.lateral_line_layout)
     transforms = make_recognition(machine, memory=0.0)
     env = make_env(task=task, num_envs=2, compile=False, transforms=transforms)
     rollout = env.rollout(1, break_when_any_done=False)

@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.modules import LateralLineMachine
+from fishrl.modules import LateralLineClassifier
 from tests.sines import FLOWS, SENSORS, make_samples
 
 
-def make(**changes: Any) -> LateralLineMachine:
+def make(**changes: Any) -> LateralLineClassifier:
     arguments = {"flows": FLOWS, "sensors": SENSORS, "hidden": (8,)} | changes
-    return LateralLineMachine(**arguments, generator=torch.Generator().manual_seed(0))
+    return LateralLineClassifier(**arguments, generator=torch.Generator().manual_seed(0))
 
 
 def noise(*shape: int) -> torch.Tensor:
@@ -77,7 +77,7 @@ def test_a_saved_machine_says_the_same_and_knows_what_it_was_made_for(tmp_path: 
     machine = make(num_samples=20, features=["p", "u"])
     machine.set_normalisation(noise(8, 20))
     machine.save(tmp_path / "machine.pt")
-    other = LateralLineMachine.load(tmp_path / "machine.pt")
+    other = LateralLineClassifier.load(tmp_path / "machine.pt")
     assert torch.equal(machine(noise(3, 20)), other(noise(3, 20)))
     assert not other.training
     assert (other.flows, other.sensors) == (machine.flows, machine.sensors)
@@ -136,10 +136,10 @@ def test_other_flows_and_sensors_are_refused(
 
 def test_a_file_that_is_not_there_or_no_machine_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="there is no such file; train one"):
-        LateralLineMachine.load(tmp_path / "none.pt")
+        LateralLineClassifier.load(tmp_path / "none.pt")
     (tmp_path / "words.pt").write_text("not a file of torch")
     with pytest.raises(ValueError, match="cannot be read"):
-        LateralLineMachine.load(tmp_path / "words.pt")
+        LateralLineClassifier.load(tmp_path / "words.pt")
     torch.save({"weights": torch.zeros(3)}, tmp_path / "other.pt")
     with pytest.raises(ValueError, match="not one"):
-        LateralLineMachine.load(tmp_path / "other.pt")
+        LateralLineClassifier.load(tmp_path / "other.pt")

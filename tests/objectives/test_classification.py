@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDict
 from torch import nn
 
-from fishrl.modules import LateralLineMachine
+from fishrl.modules import LateralLineClassifier
 from fishrl.objectives import (
     Curves,
     FitSettings,
@@ -34,8 +34,8 @@ def make_parts(num_episodes: int = 60) -> list[TensorDict]:
     return [data[mask] for mask in masks]
 
 
-def make_network(seed: int = 0) -> LateralLineMachine:
-    machine = LateralLineMachine(
+def make_network(seed: int = 0) -> LateralLineClassifier:
+    machine = LateralLineClassifier(
         flows=FLOWS, sensors=SENSORS, hidden=(32,), generator=generator(seed)
     )
     machine.set_normalisation(make_samples(9)["lateral_line"])
