@@ -10,6 +10,8 @@ PYTHON ?= $(shell for p in python3 python3.11; do \
 	&& { echo $$p; break; }; done)
 # Tests that need CUDA skip themselves where there is none; `make smoke` runs those of its marker.
 MARKERS ?= not slow and not smoke
+# One process per core; files keep their order, so that physics and environments come first.
+PARALLEL ?= -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 .PHONY: help setup train test test-all smoke docs check bench bench-peers validate validate-quick format clean
 
@@ -33,7 +35,7 @@ train: $(STAMP) ## teach a fish to catch its food; ARGS="seed=1 ..." overrides t
 	$(BIN)/python -m experiments.train $(ARGS)
 
 test: $(STAMP) ## run the tests, a short training among them; ARGS="tests/physics" narrows
-	$(BIN)/python -m pytest -m "$(MARKERS)" $(ARGS)
+	$(BIN)/python -m pytest $(PARALLEL) -m "$(MARKERS)" $(ARGS)
 
 test-all: $(STAMP) ## run every test, the slow ones and those of make smoke among them
 	$(BIN)/python -m pytest $(ARGS)

@@ -127,3 +127,8 @@ def read_only_folder() -> Iterator[Path]:
     if is_root:
         os.seteuid(0)
     folder.rmdir()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Run physics and environments first: what fails there fails everywhere."""
+    items.sort(key=lambda item: not item.nodeid.startswith(("tests/physics", "tests/envs")))
