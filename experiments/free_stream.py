@@ -55,15 +55,15 @@ def make_trial(
         safe_area=replace(task.safe_area, far_bl=6.0),
     )
     dt = task.interval_T  # sum and change are per decision
-    wish = PID(
+    controller = PID(
         frequency=frequency, gain=3.0, integral_gain=0.15 * dt, damping=4.0 / dt, max_sum=20.0 / dt
     )
     return Trial(
         name="free-stream",
         arm="free stream",
         recognition=Recognition(task, None),
-        make_policy=lambda: make_gait_policy(wish, task),
-        identity=f"PID {vars(wish)}",
+        make_policy=lambda: make_gait_policy(controller, task),
+        identity=f"PID {vars(controller)}",
         periods=periods,
     )
 

@@ -297,7 +297,7 @@ class LateralLineConfig:
         num_splits: divisions of the episodes over which accuracies are averaged.
         windows: lengths of window to compare, in samples.
         noises: levels of noise to compare, as shares of each feature's deviation.
-        memories: to compare, of what the machine said before; see ``RecogniseFlow``.
+        memories: to compare, of what the machine said before; see ``PredictedFlowLabel``.
     """
 
     task: Any = MISSING

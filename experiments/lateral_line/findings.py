@@ -117,7 +117,7 @@ def _split_by_row(study: Study, data: TensorDict, *, number: int, is_strict: boo
 def find_memory(
     study: Study, diet: Diet, *, memories: Sequence[float], num_splits: int, on_fit: Report
 ) -> dict[str, Any]:
-    """Return accuracies of naming the flow by all that was felt so far; see ``RecogniseFlow``.
+    """Return accuracies of naming the flow by all that was felt so far; see ``PredictedFlowLabel``.
 
     ``overall`` by memory, and ``by_decision`` for each memory the mean by the number of decisions
     since the start.

@@ -3,16 +3,16 @@
 from fishrl.envs.flow_env import FlowEnv, make_env
 from fishrl.envs.task import AbstractTask, Command
 from fishrl.envs.tasks import KarmanGait, Predation
-from fishrl.envs.transforms import KnowFlow, RecogniseFlow, make_recognition
+from fishrl.envs.transforms import PredictedFlowLabel, TrueFlowLabel, make_recognition
 
 __all__ = [
     "AbstractTask",
     "Command",
     "FlowEnv",
     "KarmanGait",
-    "KnowFlow",
     "Predation",
-    "RecogniseFlow",
+    "PredictedFlowLabel",
+    "TrueFlowLabel",
     "make_env",
     "make_recognition",
 ]

@@ -1,4 +1,4 @@
-"""Transforms that TorchRL lacks: the flow that the fish is in, named from its lateral line."""
+"""Transforms that label the flow a fish is in: by the true label or by a classifier."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ LATERAL_LINE = "lateral_line"
 HISTORY = "lateral_line_history"
 
 
-class NameFlow(Transform):
-    """Say which flow each fish is in; what the two ways of knowing it have in common.
+class FlowLabelTransform(Transform):
+    """Write the label of each row's flow; base of the two sources of labels below.
 
-    Writes ``flow_probabilities`` ``[B, n]`` and ``flow_class`` ``[B]`` (int64, the likeliest), by
-    which the environment picks the row of frequencies at the next step, and appends the
-    probabilities to ``observation``. It belongs before the frames are stacked.
+    Writes ``flow_probabilities`` ``[B, n]`` and ``flow_class`` ``[B]`` (int64, the most probable),
+    which selects the row of frequencies at the next step, and appends the probabilities to
+    ``observation``. Append it before the frame stack.
 
-    A brain that learns in one flow alone should not observe them: numbers that never change while
-    it learns have weights that nobody has trained, which another flow then brings into play.
+    A policy trained in a single flow should not observe the probabilities: inputs that are constant
+    during training leave their weights untrained, and another flow would activate them.
 
     Args:
-        num_flows: n.
-        in_key: what the probabilities are made of.
-        is_observed: append them to the observation.
+        num_flows: number of flows n.
+        in_key: entry that the probabilities are computed from.
+        is_observed: append the probabilities to the observation.
     """
 
     def __init__(self, *, num_flows: int, in_key: str, is_observed: bool = True) -> None:
@@ -45,16 +45,15 @@ class NameFlow(Transform):
         """Return the probability of each flow ``[B, n]``, float32.
 
         Args:
-            now: what the environment shows.
-            begins: ``[B]`` bool, the rows whose episode begins, at a reset, which leaves the others
-                as they are; None after a step of all rows.
+            now: output of the environment.
+            begins: ``[B]`` bool, rows that a reset affects; None after a step of all rows.
         """
 
     def set_container(self, container: Transform | EnvBase) -> None:
-        """Attach to an environment, if its flows and sensors are the right ones.
+        """Attach to an environment and check its task.
 
         Raises:
-            ValueError: if they are not.
+            ValueError: see ``check_task``.
         """
         super().set_container(container)
         env = self.container
@@ -62,16 +61,16 @@ class NameFlow(Transform):
             self.check_task(getattr(env.base_env, "task", None))
 
     def check_task(self, task: Any) -> None:
-        """Refuse a task that has other flows.
+        """Check that the task has ``num_flows`` labelled flows.
 
         Raises:
-            ValueError: if so, or if it has none to tell apart.
+            ValueError: if it has not.
         """
         flows = getattr(task, "flow_labels", ())
         if len(flows) != self.num_flows:
             raise ValueError(
-                f"{type(task).__name__} has {len(flows)} flows to tell apart, here "
-                f"{self.num_flows} are expected: take a task with `flow_labels`, as many as that"
+                f"{type(task).__name__} has {len(flows)} labelled flows, expected "
+                f"{self.num_flows}: use a task with that many `flow_labels`"
             )
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -97,7 +96,7 @@ class NameFlow(Transform):
         return now
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
-        """Add the new entries, and lengthen the observation if it has them too."""
+        """Add the new entries and lengthen the observation if it includes the probabilities."""
         assert isinstance(observation_spec, Composite)  # what an environment has
         spec = observation_spec.clone()
         old, batch = spec["observation"], spec.shape
@@ -111,22 +110,22 @@ class NameFlow(Transform):
         return spec
 
 
-class RecogniseFlow(NameFlow):
-    """Let a lateral-line machine say which flow it is; see ``NameFlow`` for what is written.
+class PredictedFlowLabel(FlowLabelTransform):
+    """Write the flow label predicted by a lateral-line classifier.
 
-    A flow does not change from one decision to the next, so what the machine said before counts
-    too: log-probabilities add up over the episode, those of k decisions ago times
-    ``memory`` to the power of k.
+    The flow does not change between decisions, so evidence accumulates over the episode: the
+    log-probabilities of k decisions ago are weighted by ``memory`` to the power of k. See
+    ``FlowLabelTransform`` for the entries.
 
     Args:
-        machine: a ``fishrl.modules.LateralLineClassifier``, which is frozen by this; or a network
-            like it, with ``num_flows`` and ``check``.
-        memory: in [0, 1]; 0 believes the present signal alone, as the paper's machine does.
-        in_key: its signal ``[B, W, P, F]``.
-        is_observed: see ``NameFlow``.
+        machine: a ``fishrl.modules.LateralLineClassifier``, or a network with its ``num_flows`` and
+            ``check``. Its weights are frozen.
+        memory: in [0, 1]; 0 uses the current signal only, as the paper does.
+        in_key: key of the signal ``[B, W, P, F]``.
+        is_observed: see ``FlowLabelTransform``.
 
     Raises:
-        ValueError: if the memory is none.
+        ValueError: if ``memory`` is outside [0, 1].
     """
 
     evidence: Tensor
@@ -148,10 +147,10 @@ class RecogniseFlow(NameFlow):
         self.register_buffer("evidence", torch.zeros(0, self.num_flows))
 
     def set_container(self, container: Transform | EnvBase) -> None:
-        """Attach to an environment, if its flows and sensors are the right ones.
+        """Attach to an environment and check its task.
 
         Raises:
-            ValueError: if they are not.
+            ValueError: see ``check_task``.
         """
         super().set_container(container)
         env = self.container
@@ -159,46 +158,46 @@ class RecogniseFlow(NameFlow):
             self.evidence = torch.zeros(*env.batch_size, self.num_flows, device=env.device)
 
     def check_task(self, task: Any) -> None:
-        """Refuse a task whose flows or sensors the machine was not trained for.
+        """Check that the classifier was trained for the flows and sensors of the task.
 
         Raises:
-            ValueError: naming what differs.
+            ValueError: naming the difference.
         """
         if not hasattr(task, "flow_labels") or not hasattr(task, "lateral_line_layout"):
             raise ValueError(
-                f"{type(task).__name__} has no lateral line to recognise flows by: take a task "
-                "with `flow_labels` and `lateral_line_layout`, such as KarmanGait"
+                f"{type(task).__name__} has no lateral line: use a task with `flow_labels` and "
+                "`lateral_line_layout`, such as KarmanGait"
             )
         self.machine.check(  # type: ignore[operator]
             flows=task.flow_labels, sensors=task.lateral_line_layout
         )
 
     def compute_probabilities(self, now: TensorDictBase, *, begins: Tensor | None) -> Tensor:
-        """Return what the machine says, after what it said before ``[B, n]``."""
-        said = self.machine(now[self.in_keys[0]]).float().log_softmax(-1)
+        """Return the probabilities ``[B, n]`` given all signals of the episode so far."""
+        log_prob = self.machine(now[self.in_keys[0]]).float().log_softmax(-1)
         if begins is None:
-            evidence = self.memory * self.evidence + said
+            evidence = self.memory * self.evidence + log_prob
         else:
-            evidence = torch.where(begins.unsqueeze(-1), said, self.evidence)
+            evidence = torch.where(begins.unsqueeze(-1), log_prob, self.evidence)
         self.evidence = evidence
         return evidence.softmax(-1)
 
 
-class KnowFlow(NameFlow):
-    """Tell the fish which flow it really is in; see ``NameFlow`` for what is written.
+class TrueFlowLabel(FlowLabelTransform):
+    """Write the true flow label (the oracle); see ``FlowLabelTransform`` for the entries.
 
-    The oracle to measure a lateral-line machine by, and the way to collect data for one.
+    It is the upper bound for a classifier, and serves to collect its training data.
 
     Args:
-        num_flows: n.
-        is_observed: see ``NameFlow``.
+        num_flows: number of flows n.
+        is_observed: see ``FlowLabelTransform``.
     """
 
     def __init__(self, *, num_flows: int, is_observed: bool = True) -> None:
         super().__init__(num_flows=num_flows, in_key="flow_index", is_observed=is_observed)
 
     def compute_probabilities(self, now: TensorDictBase, *, begins: Tensor | None) -> Tensor:
-        """Return 1 for the true flow ``[B, n]``."""
+        """Return the one-hot true flow ``[B, n]``."""
         index = now["flow_index"].reshape(now.batch_size)
         return one_hot(index, self.num_flows).float()
 
@@ -206,24 +205,21 @@ class KnowFlow(NameFlow):
 def make_recognition(
     machine: nn.Module, *, memory: float = 0.7, is_observed: bool = True
 ) -> list[Transform]:
-    """Return the transforms by which a machine recognises flows, in order.
+    """Return the transforms that label flows by a classifier, in order.
 
-    A machine that reads more than one control interval gets the signals of several, one after the
-    other, as ``lateral_line_history``; at the start of an episode its first signal is repeated.
+    A classifier that reads more than one control interval gets their stacked signals,
+    ``lateral_line_history``; at reset the first signal fills the stack.
 
     Args:
-        machine: see ``RecogniseFlow``.
-        memory: see ``RecogniseFlow``.
-        is_observed: see ``NameFlow``.
-
-    Raises:
-        ValueError: if the memory is none.
+        machine: see ``PredictedFlowLabel``.
+        memory: see ``PredictedFlowLabel``.
+        is_observed: see ``FlowLabelTransform``.
     """
     settings: dict[str, Any] = {"machine": machine, "memory": memory, "is_observed": is_observed}
     num_intervals = int(machine.num_intervals)  # type: ignore[arg-type]
     if num_intervals == 1:
-        return [RecogniseFlow(**settings)]
+        return [PredictedFlowLabel(**settings)]
     return [
         CatFrames(N=num_intervals, dim=-3, in_keys=[LATERAL_LINE], out_keys=[HISTORY]),
-        RecogniseFlow(**settings, in_key=HISTORY),
+        PredictedFlowLabel(**settings, in_key=HISTORY),
     ]

@@ -1,4 +1,4 @@
-"""Brains of the fish: actors, critics and hand-written swimmers."""
+"""Policies, critics, hand-crafted controllers and the lateral-line classifier."""
 
 from fishrl.modules.actors import make_actor, make_mlp
 from fishrl.modules.controllers import InterceptPolicy, PursuitPolicy, RandomPolicy
@@ -7,7 +7,7 @@ from fishrl.modules.gait_controllers import PID, BangBang, FixedFrequency, GaitP
 from fishrl.modules.lateral_line import LateralLineClassifier
 from fishrl.modules.value_actors import (
     EpsilonGreedy,
-    RememberingPolicy,
+    RecurrentPolicy,
     make_recurrent_value_actor,
     make_value_actor,
 )
@@ -22,7 +22,7 @@ __all__ = [
     "LateralLineClassifier",
     "PursuitPolicy",
     "RandomPolicy",
-    "RememberingPolicy",
+    "RecurrentPolicy",
     "make_actor",
     "make_mlp",
     "make_recurrent_value_actor",

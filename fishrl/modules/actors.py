@@ -1,4 +1,4 @@
-"""The softmax actor: which actions it thinks good, among those that are legal."""
+"""The softmax actor, and the fully connected networks that all policies and critics use."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from torch import nn
 from torchrl.data import Categorical
 from torchrl.modules import MaskedCategorical, ProbabilisticActor
 
-#: Logit given to illegal actions: exp(-1e9) is exactly 0 in float32 and bfloat16, and stays finite
-#: in the loss, where an infinite one would give 0 * inf.
+#: Logit of illegal actions. exp(-1e9) is exactly 0 in float32 and bfloat16, and the logit stays
+#: finite in the loss, where an infinite one would give 0 * inf.
 ILLEGAL_LOGIT = -1e9
 
 
@@ -26,14 +26,14 @@ def make_mlp(
 ) -> nn.Sequential:
     """Build a fully connected network with ReLU between its layers.
 
-    Weights and biases are drawn as ``nn.Linear`` draws them, but from ``generator``, so that one
-    seed gives one network whatever else has used the global generator.
+    Weights and biases have the distribution of ``nn.Linear`` but come from ``generator``, so that
+    the same seed gives the same network however the global generator was used.
 
     Args:
         num_inputs: length of the input vector.
         num_outputs: length of the output vector.
         hidden: widths of the hidden layers.
-        generator: source of the initial weights; ``None`` uses the global one.
+        generator: source of the initial weights; by default the global one.
 
     Raises:
         ValueError: if a width is smaller than 1.
@@ -51,6 +51,22 @@ def make_mlp(
     return nn.Sequential(*layers[:-1])
 
 
+def make_mlp_module(
+    *,
+    num_inputs: int,
+    num_outputs: int,
+    hidden: Sequence[int],
+    in_key: str,
+    out_key: str,
+    generator: torch.Generator | None = None,
+) -> TensorDictModule:
+    """Build the network of ``make_mlp`` as a module from ``in_key`` to ``out_key``."""
+    network = make_mlp(
+        num_inputs=num_inputs, num_outputs=num_outputs, hidden=hidden, generator=generator
+    )
+    return TensorDictModule(network, in_keys=[in_key], out_keys=[out_key])
+
+
 def make_actor(
     *,
     num_inputs: int,
@@ -60,11 +76,11 @@ def make_actor(
     mask_key: str = "action_mask",
     generator: torch.Generator | None = None,
 ) -> ProbabilisticActor:
-    """Build the softmax policy over the legal actions.
+    """Build a softmax policy over the legal actions.
 
     Reads ``in_key`` ``[..., num_inputs]`` and ``mask_key`` ``[..., num_actions]`` (bool), writes
     ``logits`` ``[..., num_actions]`` and the integer ``action`` ``[...]``. Under
-    ``ExplorationType.DETERMINISTIC`` the action is the likeliest legal one, otherwise a sample.
+    ``ExplorationType.DETERMINISTIC`` the action is the most probable legal one, otherwise a sample.
 
     Args:
         num_inputs: length of the stacked observation.
@@ -77,11 +93,15 @@ def make_actor(
     Raises:
         ValueError: if a width is smaller than 1.
     """
-    network = make_mlp(
-        num_inputs=num_inputs, num_outputs=num_actions, hidden=hidden, generator=generator
-    )
     return ProbabilisticActor(
-        module=TensorDictModule(network, in_keys=[in_key], out_keys=["logits"]),
+        module=make_mlp_module(
+            num_inputs=num_inputs,
+            num_outputs=num_actions,
+            hidden=hidden,
+            in_key=in_key,
+            out_key="logits",
+            generator=generator,
+        ),
         in_keys={"logits": "logits", "mask": mask_key},
         out_keys=["action"],
         spec=Categorical(num_actions),

@@ -1,9 +1,10 @@
-"""Hand-written fish to beat: one that flounders, one that chases, one that intercepts.
+"""Hand-crafted controllers for predation: random actions, pursuit, interception.
 
-All read TensorDicts as the learned fish does: a stack of observations
+They are baselines and read the same TensorDict as a learned policy: a stack of observations
 ``[x and y of the food from the head, distance, bearing error]``, oldest first, lengths in body
 lengths (``_bl``), angles in radians, positive counter-clockwise; and write one of three actions:
-0 turn clockwise, 1 keep, 2 turn counter-clockwise. One decision takes one tail beat (``_T``).
+0 turn clockwise, 1 keep the heading, 2 turn counter-clockwise. The control interval is one tail
+beat (``_T``).
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ def _legal(action: Tensor, mask: Tensor) -> Tensor:
 
 
 def _turn_towards(angle: Tensor, half_turn: float) -> Tensor:
-    """Choose the action that brings an ``angle`` ``[B]`` to the left of the nose nearer to zero."""
+    """Choose the action that reduces the bearing error ``angle`` ``[B]``, positive to the left."""
     action = torch.full_like(angle, KEEP, dtype=torch.int64)
     action[angle > half_turn] = COUNTER_CLOCKWISE
     action[angle < -half_turn] = CLOCKWISE
@@ -38,7 +39,7 @@ class RandomPolicy(TensorDictModuleBase):
     """Draw uniformly among the legal actions.
 
     Args:
-        seed: of the policy's own generator; one seed gives one sequence of actions.
+        seed: of the policy's own generator.
         mask_key: key of the mask ``[B, A]``, true where an action is legal.
     """
 
@@ -59,7 +60,7 @@ class RandomPolicy(TensorDictModuleBase):
 
 
 class PursuitPolicy(TensorDictModuleBase):
-    """Turn towards where the food is now, whenever it lies more than half a turn off the nose.
+    """Turn towards the food whenever the bearing error exceeds half the turn of one action.
 
     Args:
         turn: heading change of one action in radians.
@@ -86,18 +87,18 @@ class PursuitPolicy(TensorDictModuleBase):
 
 
 class InterceptPolicy(TensorDictModuleBase):
-    """Aim where the food will be when the fish can be there.
+    """Steer to the earliest point at which the fish can meet the food.
 
-    The fish reads its own heading off each observation (direction of the food minus bearing error),
-    its own velocity off the shrinking x distance (the food moves along y alone), and the food's
-    velocity off the change of the y distance plus its own. It then looks ahead in small steps of
-    time and takes the earliest meeting point that it can reach in time by a turn of its own radius
-    followed by a straight line (Dubins 1957, paths of least length and bounded curvature, with a
-    free final heading). A point inside its turning circle is not reachable by turning towards it,
-    so it waits for a later one instead of overshooting.
+    Heading follows from each observation (direction of the food minus bearing error), the fish's
+    velocity from the change of the x distance (the food moves along y only), and the food's
+    velocity from the change of the y distance plus that of the fish. The controller steps through
+    the coming ``horizon_T`` and picks the earliest meeting point that a turn of radius
+    ``turn_radius_bl`` followed by a straight line reaches in time (Dubins 1957: shortest paths of
+    bounded curvature, free final heading). Points inside the turning circle are out of reach, so a
+    later one is chosen.
 
-    Told the food's route, it foresees when the food sets off and turns back; without, it takes
-    the food's present velocity for lasting.
+    With a known route, the controller predicts when the food starts and reverses. Otherwise it
+    extrapolates the food's current velocity.
 
     Args:
         turn: heading change of one action in radians.
@@ -106,17 +107,17 @@ class InterceptPolicy(TensorDictModuleBase):
         food_speed_bl: speed of the moving food in body lengths per tail beat.
         food_limits_bl: lowest and highest y of the food, or ``None`` for an unknown route.
         food_start_bl: y of the food at rest; needed with ``food_limits_bl``.
-        food_still_T: tail beats that the food stays at rest after the start.
-        food_direction: +1 if the food sets off upwards, -1 downwards, 0 for the fish to see.
+        food_still_T: tail beats for which the food stays at rest after the start.
+        food_direction: +1 if the food first moves up, -1 down, 0 to estimate it.
         horizon_T: how far to look ahead, in tail beats.
         in_key: key of the stacked observation ``[B, frames * 4]``.
         mask_key: key of the mask ``[B, 3]``.
-        time_key: key of the number of decisions since the start ``[B, 1]``; read only when the
-            route is known.
+        time_key: key of the number of decisions since the start ``[B, 1]``; read only with a known
+            route.
 
     Raises:
-        ValueError: if the own speed or the radius is not positive, the food's speed is negative, or
-            the route is incomplete.
+        ValueError: if ``swim_speed_bl`` or ``turn_radius_bl`` is not positive, ``food_speed_bl`` is
+            negative, or the route is incomplete.
     """
 
     def __init__(
@@ -174,7 +175,7 @@ class InterceptPolicy(TensorDictModuleBase):
         ahead_of, left_of = _body_frame(food.unsqueeze(-2), rise, heading.unsqueeze(-1))
         length, angle = _shortest_path(ahead_of, left_of, self.turn_radius_bl)
         is_in_time = length <= self.swim_speed_bl * lead
-        # Earliest meeting point; where there is none, the one that is missed by least.
+        # Earliest meeting point; where there is none, the one missed by the least time.
         delay = torch.where(is_in_time, lead - self.horizon_T, length / self.swim_speed_bl - lead)
         angle = angle.gather(-1, delay.argmin(-1, keepdim=True)).squeeze(-1)
         action = _turn_towards(angle, 0.5 * self.turn)
@@ -187,19 +188,19 @@ class InterceptPolicy(TensorDictModuleBase):
         heading = _heading(stack)
         course = 0.5 * (heading[..., 1:] + heading[..., :-1])
         along = course.cos()
-        # The food keeps its x: the own velocity in x is seen, the one in y follows from the course.
+        # The food moves along y only: the change of x gives the fish's speed along its course.
         own = torch.where(
             along.abs() > 0.3, -change[..., 0] / along, torch.full_like(along, self.swim_speed_bl)
         )
         own = own.clamp(0.0, 2.0 * self.swim_speed_bl) * course.sin()
         velocity = change[..., 1] + own
-        last = velocity[..., -1]  # the present one, even if the food has just turned
+        last = velocity[..., -1]  # the current one, even if the food has just reversed
         moving = last.sign() * self.food_speed_bl
         is_moving = (last.abs() > 0.5 * self.food_speed_bl) & is_new[..., -1]
         return torch.where(is_moving, moving, torch.zeros_like(moving))
 
     def _food_direction_of(self, velocity: Tensor, now: Tensor) -> Tensor:
-        """Give where the food set off to, ``[B, 1]``: as told, else what fits its ``velocity``."""
+        """Return the food's first direction ``[B, 1]``, known or estimated from ``velocity``."""
         up = torch.ones_like(velocity)
         if self.food_direction != 0:
             return up * self.food_direction
@@ -211,7 +212,7 @@ class InterceptPolicy(TensorDictModuleBase):
         return torch.where(misfit[0] <= misfit[1], up, -up)
 
     def _food_height(self, time: Tensor, direction: Tensor) -> Tensor:
-        """Give y of the food at ``time`` (in T): at rest, then to and fro between its limits."""
+        """Return y of the food at ``time`` (in T): at rest, then oscillating between its limits."""
         low, high = self.food_limits_bl or (0.0, 0.0)
         travelled = self.food_speed_bl * (time - self.food_still_T).clamp_min(0.0)
         span = max(high - low, 1e-9)
@@ -222,15 +223,15 @@ class InterceptPolicy(TensorDictModuleBase):
 
 
 def _heading(observation: Tensor) -> Tensor:
-    """Give the direction the fish faces, ``[..., 4]`` to ``[...]`` in radians."""
+    """Return the heading of the fish ``[...]`` in radians from observations ``[..., 4]``."""
     return torch.atan2(observation[..., 1], observation[..., 0]) - observation[..., 3]
 
 
 def _body_frame(food: Tensor, rise: Tensor, heading: Tensor) -> tuple[Tensor, Tensor]:
-    """Give how far ahead and how far to the left of the nose the food will lie, both ``[B, K]``.
+    """Return future positions of the food in the frame of the nose: ahead and left, ``[B, K]``.
 
-    ``food`` ``[B, 1, 2]`` is its place now, ``rise`` ``[B, K]`` its way in y until then, and
-    ``heading`` ``[B, 1]`` that of the fish now.
+    ``food`` ``[B, 1, 2]`` is its current position, ``rise`` ``[B, K]`` its displacement in y by
+    then, and ``heading`` ``[B, 1]`` the current heading of the fish.
     """
     x, y = food[..., 0], food[..., 1] + rise
     cos, sin = heading.cos(), heading.sin()
@@ -238,10 +239,10 @@ def _body_frame(food: Tensor, rise: Tensor, heading: Tensor) -> tuple[Tensor, Te
 
 
 def _shortest_path(ahead: Tensor, left: Tensor, radius: float) -> tuple[Tensor, Tensor]:
-    """Give the length of the shortest path and the angle it starts by turning (positive: left).
+    """Return length and initial turning angle (positive: left) of the shortest path to a point.
 
-    A path is a turn of ``radius`` to either side and a straight line; its length is infinite for a
-    point inside both turning circles, which cannot be.
+    A path is a turn of ``radius`` to either side followed by a straight line. Points inside the
+    turning circle of a side have infinite length on that side.
     """
     lengths, angles = [], []
     for side in (1.0, -1.0):

@@ -1,4 +1,4 @@
-"""The twin critics: the value of every action in a state."""
+"""The twin critics: values of all actions in a state."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from tensordict.nn import TensorDictModule
 
-from fishrl.modules.actors import make_mlp
+from fishrl.modules.actors import make_mlp_module
 
 
 def make_twin_critics(
@@ -21,26 +21,19 @@ def make_twin_critics(
     """Build two independent critics.
 
     Each reads ``in_key`` ``[..., num_inputs]`` and writes ``action_value`` ``[..., num_actions]``.
-    A list, because the loss resamples the weights of a single critic that it is asked to double.
-    Values of illegal actions are left as they are: the policy gives them no weight.
+    They come as a list because TorchRL's loss resamples the weights of a single critic that it
+    duplicates. Values of illegal actions are not masked: the policy gives them probability 0.
 
-    Args:
-        num_inputs: length of the stacked observation.
-        num_actions: number of actions, legal or not.
-        hidden: widths of the hidden layers.
-        in_key: key of the stacked observation.
-        generator: source of the initial weights.
-
-    Raises:
-        ValueError: if a width is smaller than 1.
+    Args and errors are those of ``fishrl.modules.make_actor``.
     """
     return [
-        TensorDictModule(
-            make_mlp(
-                num_inputs=num_inputs, num_outputs=num_actions, hidden=hidden, generator=generator
-            ),
-            in_keys=[in_key],
-            out_keys=["action_value"],
+        make_mlp_module(
+            num_inputs=num_inputs,
+            num_outputs=num_actions,
+            hidden=hidden,
+            in_key=in_key,
+            out_key="action_value",
+            generator=generator,
         )
         for _ in range(2)
     ]

@@ -1,9 +1,9 @@
-"""Hand-written fish that hold a station by their tail beat alone.
+"""Hand-crafted controllers that hold station by the tail-beat frequency alone.
 
-They read what the learned fish reads: ``observation`` ``[B, n]``, of which the first four numbers
-are x and y of the nose behind the obstacle and their change since the last decision, in body
-lengths; ``action_mask``; and what the environment reports. A wish says which frequency (beats per
-T) a fish would like; ``GaitPolicy`` takes the action that brings it nearest to that.
+They read the same TensorDict as a learned policy: ``observation`` ``[B, n]``, whose first four
+numbers are x and y of the nose behind the obstacle and their change since the last decision, in
+body lengths. A ``FrequencyController`` commands a frequency (beats per T); ``GaitPolicy`` takes the
+action that comes nearest to it.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 
-class Wish(ABC):
-    """Which frequency a fish would like."""
+class FrequencyController(ABC):
+    """Map an observation to a commanded tail-beat frequency."""
 
     @abstractmethod
     def __call__(self, tensordict: TensorDictBase, flow: Tensor) -> Tensor:
-        """Return beats per T ``[B]``, float64; may be infinite.
+        """Return the commanded frequency ``[B]`` in beats per T, float64; may be infinite.
 
         Args:
-            tensordict: ``[B]`` what the fish sees.
-            flow: ``[B]`` which flow it believes to be in.
+            tensordict: ``[B]``, what a policy reads.
+            flow: ``[B]`` flow label, an index.
         """
 
 
-class FixedFrequency(Wish):
-    """Always the same: 0 is a passive fish, a flow's shedding frequency one in step with it.
+class FixedFrequency(FrequencyController):
+    """Command a constant frequency; 0 is a passive fish.
 
     Args:
         frequency: beats per T, one number or one per flow.
@@ -46,11 +46,11 @@ class FixedFrequency(Wish):
         return frequency[flow] if frequency.dim() else frequency.expand(flow.shape)
 
 
-class BangBang(Wish):
-    """As fast as can be behind the station, as slowly as can be before it.
+class BangBang(FrequencyController):
+    """Command the highest frequency downstream of the station and the lowest upstream of it.
 
     Args:
-        station_bl: x to hold, body lengths.
+        station_bl: setpoint of x, body lengths.
     """
 
     def __init__(self, *, station_bl: float = 2.1) -> None:
@@ -62,16 +62,16 @@ class BangBang(Wish):
         return torch.where(is_behind, torch.inf, 0.0).double()
 
 
-class PID(Wish):
-    """Faster the farther behind the station, the faster it falls back, and the longer it was so.
+class PID(FrequencyController):
+    """PID control of the streamwise position.
 
     Args:
-        station_bl: x to hold, body lengths, one number or ``[B]``.
-        frequency: beats per T at the station at rest, one number or one per flow.
+        station_bl: setpoint of x, body lengths, one number or ``[B]``.
+        frequency: beats per T at zero error, one number or one per flow.
         gain: beats per T and body length.
-        integral_gain: beats per T and body length and decision.
-        damping: beats per T and body length per decision.
-        max_sum: bound of the summed offset, body lengths.
+        integral_gain: beats per T, body length and decision.
+        damping: derivative gain, beats per T for one body length per decision.
+        max_sum: bound of the summed error, body lengths (anti-windup).
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class PID(Wish):
         self._sum = torch.zeros(())
 
     def __call__(self, tensordict: TensorDictBase, flow: Tensor) -> Tensor:
-        """Return the frequency; the sum begins anew with each episode (``is_init``)."""
+        """Return the frequency; ``is_init`` resets the sum."""
         observation = tensordict["observation"]
         offset, change = observation[..., 0] - self.station_bl, observation[..., 2]
         is_new = tensordict["is_init"].reshape(offset.shape)
@@ -100,19 +100,20 @@ class PID(Wish):
         self._sum = total.clamp(-self.max_sum, self.max_sum)
         frequency = self.frequency.to(flow.device)
         frequency = frequency[flow] if frequency.dim() else frequency
-        wish = frequency + self.gain * offset + self.damping * change
-        return (wish + self.integral_gain * self._sum).double()
+        proportional = frequency + self.gain * offset + self.damping * change
+        return (proportional + self.integral_gain * self._sum).double()
 
 
 class GaitPolicy(TensorDictModuleBase):
-    """A fish that acts towards the frequency it wishes for.
+    """Take the legal action that comes nearest to the commanded frequency.
 
     Args:
-        wish: which frequency.
-        rows: frequencies that each flow offers, rising, one row per flow; with direct choice one.
-        is_direct: an action is an index into the one row; else it is decelerate (0), cruise (1) or
-            accelerate (2) from the present ``gear``.
-        flow_key: which row applies, ``[B]`` or ``[B, 1]``; ``flow_class`` is what a machine says.
+        controller: commands the frequency.
+        rows: available frequencies, rising, one row per flow; one row with ``is_direct``.
+        is_direct: actions are indices into the only row; otherwise decelerate (0), cruise (1) or
+            accelerate (2) from the current ``gear``.
+        flow_key: key of the row to use, ``[B]`` or ``[B, 1]``: the true ``flow_index``, or the
+            ``flow_class`` predicted by a classifier.
 
     Raises:
         ValueError: if there is no row, or more than one for a direct choice.
@@ -121,7 +122,7 @@ class GaitPolicy(TensorDictModuleBase):
     def __init__(
         self,
         *,
-        wish: Wish,
+        controller: FrequencyController,
         rows: Sequence[Sequence[float]],
         is_direct: bool = False,
         flow_key: str = "flow_index",
@@ -131,7 +132,7 @@ class GaitPolicy(TensorDictModuleBase):
             raise ValueError(
                 f"rows = {rows}: give one row per flow, and with is_direct exactly one row"
             )
-        self.wish, self.is_direct, self.flow_key = wish, is_direct, flow_key
+        self.controller, self.is_direct, self.flow_key = controller, is_direct, flow_key
         self.in_keys = ["observation", "is_init", "gear", flow_key]
         self.out_keys = ["action"]
         self.rows = torch.tensor(rows, dtype=torch.float64)
@@ -142,8 +143,8 @@ class GaitPolicy(TensorDictModuleBase):
         flow = tensordict[self.flow_key].reshape(batch)
         rows = self.rows.to(flow.device)
         row = rows[0].expand(*batch, -1) if self.is_direct else rows[flow]
-        wish = self.wish(tensordict, flow).clamp(rows.min(), rows.max())
-        action = (row - wish[..., None]).abs().argmin(-1)
+        wanted = self.controller(tensordict, flow).clamp(rows.min(), rows.max())
+        action = (row - wanted[..., None]).abs().argmin(-1)
         if not self.is_direct:
             action = 1 + (action - tensordict["gear"].reshape(batch)).sign()
         return tensordict.set("action", action)

@@ -1,4 +1,4 @@
-"""Policies of value-based algorithms: the greatest value among the legal actions, or a chance."""
+"""Policies of value-based algorithms: action values, an optional LSTM, epsilon-greedy."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from torchrl.envs import TensorDictPrimer
 from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import EGreedyModule, LSTMModule, QValueModule
 
-from fishrl.modules.actors import make_mlp
+from fishrl.modules.actors import make_mlp, make_mlp_module
 
-#: What the LSTM remembers, before a decision; after it, the same below ``next``.
+#: Keys of the LSTM state. The network writes the new state under ``("next", key)``.
 MEMORY = ("recurrent_state_h", "recurrent_state_c")
 
 
@@ -29,28 +29,23 @@ def make_value_actor(
     mask_key: str = "action_mask",
     generator: torch.Generator | None = None,
 ) -> TensorDictSequential:
-    """Build a network of action values and the greedy policy over the legal actions.
+    """Build a network of action values with a greedy policy over the legal actions.
 
     Reads ``in_key`` ``[..., num_inputs]`` and ``mask_key`` ``[..., num_actions]`` (bool), writes
-    ``action_value`` ``[..., num_actions]`` (of illegal actions the least number there is), the
+    ``action_value`` ``[..., num_actions]`` (the most negative float for illegal actions), the
     integer ``action`` ``[...]`` and its ``chosen_action_value`` ``[..., 1]``.
 
-    Args:
-        num_inputs: length of the stacked observation.
-        num_actions: number of actions, legal or not.
-        hidden: widths of the hidden layers.
-        in_key: key of the stacked observation.
-        mask_key: key of the mask, true where an action is legal.
-        generator: source of the initial weights.
-
-    Raises:
-        ValueError: if a width is smaller than 1.
+    Args and errors are those of ``fishrl.modules.make_actor``.
     """
-    network = make_mlp(
-        num_inputs=num_inputs, num_outputs=num_actions, hidden=hidden, generator=generator
-    )
     return TensorDictSequential(
-        TensorDictModule(network, in_keys=[in_key], out_keys=["action_value"]),
+        make_mlp_module(
+            num_inputs=num_inputs,
+            num_outputs=num_actions,
+            hidden=hidden,
+            in_key=in_key,
+            out_key="action_value",
+            generator=generator,
+        ),
         QValueModule("categorical", action_mask_key=mask_key),
     )
 
@@ -64,15 +59,16 @@ def make_recurrent_value_actor(
     mask_key: str = "action_mask",
     generator: torch.Generator | None = None,
 ) -> TensorDictSequential:
-    """Build action values of what was seen so far: layers, an LSTM as the last of them, the rest.
+    """Build a network of action values whose last hidden layer is an LSTM.
 
-    Reads and writes as ``make_value_actor`` does, and also ``is_init`` ``[..., 1]``, at which it
-    forgets, and what it remembers: ``MEMORY`` ``[..., 1, hidden[-1]]``, written below ``next``.
+    Reads and writes the keys of ``make_value_actor``. It also reads ``is_init`` ``[..., 1]``, which
+    resets the LSTM state, and that state, ``MEMORY`` ``[..., 1, hidden[-1]]``; the new state is
+    written under ``next``.
 
     Args:
         num_inputs: length of one observation.
         num_actions: number of actions, legal or not.
-        hidden: widths of the hidden layers; the last one is the LSTM's.
+        hidden: widths of the hidden layers; the last is the size of the LSTM.
         in_key: key of the observation.
         mask_key: key of the mask, true where an action is legal.
         generator: source of the initial weights.
@@ -81,7 +77,7 @@ def make_recurrent_value_actor(
         ValueError: if there is no hidden layer, or a width is smaller than 1.
     """
     if not hidden:
-        raise ValueError(f"hidden = {list(hidden)}: give one width or more, the last is the LSTM's")
+        raise ValueError(f"hidden = {list(hidden)}: give at least one width, the size of the LSTM")
     *before, size = hidden
     layers: list[TensorDictModuleBase] = []
     if before:
@@ -98,7 +94,7 @@ def make_recurrent_value_actor(
         out_keys=["remembered", *(("next", key) for key in MEMORY)],
     )
     with torch.no_grad():
-        for weight in memory.parameters():  # as nn.LSTM draws them, but from the generator
+        for weight in memory.parameters():  # the distribution of nn.LSTM
             weight.uniform_(-1.0 / math.sqrt(size), 1.0 / math.sqrt(size), generator=generator)
     head = make_mlp(num_inputs=size, num_outputs=num_actions, hidden=(), generator=generator)
     return TensorDictSequential(
@@ -109,12 +105,12 @@ def make_recurrent_value_actor(
     )
 
 
-class RememberingPolicy(TensorDictModuleBase):
-    """A recurrent policy that remembers by itself, in whatever environment it acts.
+class RecurrentPolicy(TensorDictModuleBase):
+    """Recurrent policy that keeps its LSTM state between calls, for evaluation in any environment.
 
-    It forgets the rows that ``is_init`` marks, and everything when the number of rows changes. One
-    that collects for a replay buffer is its ``network`` alone, in an environment with
-    ``make_primer``: there the memory lies beside the observation.
+    ``is_init`` resets the state of its rows; a new number of rows resets all of it. To collect
+    transitions for a replay buffer, use ``network`` in an environment with the transform of
+    ``make_primer``, which stores the state beside the observation.
 
     Args:
         network: see ``make_recurrent_value_actor``.
@@ -139,22 +135,22 @@ class RememberingPolicy(TensorDictModuleBase):
         return tensordict.set("action", after["action"])
 
     def make_primer(self) -> TensorDictPrimer:
-        """Return the transform that lets an environment carry the memory of ``network``."""
+        """Return the transform that adds the LSTM state of ``network`` to an environment."""
         lstm = next(part for part in self.network.modules() if isinstance(part, LSTMModule))
         return lstm.make_tensordict_primer()
 
 
 class EpsilonGreedy(EGreedyModule):
-    """Random legal actions now and then, ever less often with every decision it is asked for.
+    """Epsilon-greedy exploration: replace a decaying share of actions by random legal ones.
 
-    Behind a greedy policy; under ``ExplorationType.DETERMINISTIC`` it does nothing. The present
-    share is the buffer ``eps``, which a ``state_dict`` keeps.
+    Append it to a greedy policy. Under ``ExplorationType.DETERMINISTIC`` it does nothing. The
+    current epsilon is the buffer ``eps`` and part of the ``state_dict``.
 
     Args:
         num_actions: number of actions, legal or not.
-        start: share of random actions in the beginning.
-        end: share that remains.
-        num_frames: decisions from the one to the other.
+        start: initial epsilon.
+        end: final epsilon.
+        num_frames: decisions over which epsilon decays linearly.
         mask_key: key of the mask, true where an action is legal.
         device: of the actions.
     """
@@ -179,7 +175,7 @@ class EpsilonGreedy(EGreedyModule):
         )
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Replace some of the actions ``[B]``."""
+        """Replace a share ``eps`` of the actions ``[B]`` and advance the decay."""
         tensordict = super().forward(tensordict)
         if exploration_type() in (ExplorationType.RANDOM, None):
             self.step(tensordict.numel())

@@ -21,7 +21,7 @@ from fishrl.modules import (
     PursuitPolicy,
     RandomPolicy,
 )
-from fishrl.modules.gait_controllers import Wish
+from fishrl.modules.gait_controllers import FrequencyController
 from fishrl.training.algorithms import build_algorithm
 from fishrl.training.checkpoint import BrainOf, load_checkpoint, read_metadata
 
@@ -134,15 +134,15 @@ def make_pid(task: KarmanGait, *, station_bl: float | Tensor = 2.1) -> GaitPolic
     return make_gait_policy(PID(station_bl=station_bl, frequency=frequency, damping=damping), task)
 
 
-def make_gait_policy(wish: Wish, task: KarmanGait) -> GaitPolicy:
-    """Make a fish that acts towards the frequency it wishes for, with the task's control."""
+def make_gait_policy(controller: FrequencyController, task: KarmanGait) -> GaitPolicy:
+    """Make the policy that follows a frequency controller with the task's control."""
     control = task.control
     if isinstance(control, DirectFrequencies):
-        return GaitPolicy(wish=wish, rows=[control.frequencies], is_direct=True)
+        return GaitPolicy(controller=controller, rows=[control.frequencies], is_direct=True)
     if not isinstance(control, MacroActions):
         raise ConfigError(f"hand-written fish cannot handle {type(control).__name__}")
     flow = "flow_class" if task.reads_flow_class else "flow_index"
-    return GaitPolicy(wish=wish, rows=control.bank.rows, flow_key=flow)
+    return GaitPolicy(controller=controller, rows=control.bank.rows, flow_key=flow)
 
 
 def load_policy(

@@ -12,7 +12,7 @@ from typing import Any
 from torchrl.envs import EnvBase, Transform
 
 from experiments.settings import ConfigError
-from fishrl.envs import KarmanGait, KnowFlow, make_recognition
+from fishrl.envs import KarmanGait, TrueFlowLabel, make_recognition
 from fishrl.modules import LateralLineClassifier
 
 ORACLE = "oracle"
@@ -26,7 +26,7 @@ class Recognition:
     Args:
         task: as its settings make it.
         choice: None, nobody tells; ``oracle``, the truth; else the file of a lateral-line machine.
-        memory: of what the machine said before; see ``fishrl.envs.RecogniseFlow``.
+        memory: of what the machine said before; see ``fishrl.envs.PredictedFlowLabel``.
 
     Attributes:
         task: which takes the row of frequencies that it is told, if it is.
@@ -63,7 +63,7 @@ class Recognition:
             return []
         is_observed = self.num_told > 0
         if self._machine is None:
-            return [KnowFlow(num_flows=self._num_flows, is_observed=is_observed)]
+            return [TrueFlowLabel(num_flows=self._num_flows, is_observed=is_observed)]
         return make_recognition(self._machine, memory=self._memory, is_observed=is_observed)
 
     def equip(self, make_env: Callable[..., EnvBase]) -> Callable[..., EnvBase]:

@@ -13,7 +13,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
-from fishrl.envs import AbstractTask, KarmanGait, KnowFlow, Predation, make_env
+from fishrl.envs import AbstractTask, KarmanGait, Predation, TrueFlowLabel, make_env
 from fishrl.envs.gymnasium import FlowVectorEnv
 from tests.envs.conftest import SMALL
 from tests.envs.shy_task import Shy
@@ -197,7 +197,7 @@ def test_wrappers_of_gymnasium_fit() -> None:
 
 def test_a_task_that_is_told_its_flow_is_told_by_a_transform() -> None:
     task = KarmanGait(**SMALL, checks_per_action=30)
-    envs = make(task=task, transforms=[KnowFlow(num_flows=3)])
+    envs = make(task=task, transforms=[TrueFlowLabel(num_flows=3)])
     observations, infos = envs.reset(seed=0)
     for _ in range(4):
         observations, *_, infos = envs.step(infos["action_mask"].argmax(-1))

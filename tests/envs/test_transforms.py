@@ -10,7 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Categorical, Composite, Unbounded
 from torchrl.envs import CatFrames, EnvBase, StepCounter, TransformedEnv, check_env_specs
 
-from fishrl.envs import FlowEnv, KnowFlow, Predation, RecogniseFlow, make_recognition
+from fishrl.envs import FlowEnv, Predation, PredictedFlowLabel, TrueFlowLabel, make_recognition
 from fishrl.modules import LateralLineClassifier
 from fishrl.objectives import FitSettings, fit_classifier
 from tests.envs.conftest import SMALL
@@ -113,7 +113,7 @@ def test_without_memory_probabilities_class_and_observation_say_what_the_machine
 @pytest.mark.parametrize("oracle", [True, False])
 def test_named_but_not_observed_the_observation_stays_as_it_is(oracle: bool) -> None:
     if oracle:
-        env = make(KnowFlow(num_flows=3, is_observed=False))
+        env = make(TrueFlowLabel(num_flows=3, is_observed=False))
     else:
         env = make(*make_recognition(untrained(), is_observed=False))
     check_env_specs(env, seed=0)
@@ -149,7 +149,7 @@ def test_a_row_reset_alone_starts_its_history_anew_and_leaves_the_others() -> No
 
 def test_what_the_machine_said_before_counts_less_and_less_and_not_beyond_the_episode() -> None:
     machine = untrained()
-    env = make(RecogniseFlow(machine=machine, memory=0.5))
+    env = make(PredictedFlowLabel(machine=machine, memory=0.5))
     rollout = env.rollout(6, break_when_any_done=False)
     said = machine(rollout["lateral_line"]).log_softmax(-1)
     age, total = rollout["observation"][..., 0], torch.zeros(3, 3)
@@ -162,7 +162,7 @@ def test_what_the_machine_said_before_counts_less_and_less_and_not_beyond_the_ep
 @pytest.mark.parametrize("memory", [-0.1, 1.1])
 def test_a_memory_that_is_none_is_refused(memory: float) -> None:
     with pytest.raises(ValueError, match=r"memory = .*: must lie in \[0, 1\]"):
-        RecogniseFlow(machine=untrained(), memory=memory)
+        PredictedFlowLabel(machine=untrained(), memory=memory)
 
 
 def test_a_saved_environment_names_flows_as_before() -> None:
@@ -183,13 +183,13 @@ def test_a_saved_environment_names_flows_as_before() -> None:
 
 def test_the_machine_is_frozen() -> None:
     machine = untrained().train()
-    RecogniseFlow(machine=machine)
+    PredictedFlowLabel(machine=machine)
     assert not machine.training
     assert not any(parameter.requires_grad for parameter in machine.parameters())
 
 
 def test_the_oracle_names_the_true_flow() -> None:
-    env = make(KnowFlow(num_flows=3))
+    env = make(TrueFlowLabel(num_flows=3))
     check_env_specs(env, seed=0)
     rollout = env.rollout(10, break_when_any_done=False)
     assert torch.equal(rollout["flow_class"], rollout["flow_index"].squeeze(-1))
@@ -199,22 +199,22 @@ def test_the_oracle_names_the_true_flow() -> None:
 def test_a_machine_for_other_flows_or_sensors_is_refused_when_it_is_attached() -> None:
     other = untrained(flows=[*FLOWS[:2], {**FLOWS[2], "stream_speed_bl": 2.0}])
     with pytest.raises(ValueError, match=r"stream_speed_bl = 2\.0, here it is 1\.5"):
-        make(RecogniseFlow(machine=other))
+        make(PredictedFlowLabel(machine=other))
     with pytest.raises(ValueError, match="trained for num_neuromasts = 3, here it is 5"):
         make(*make_recognition(untrained(sensors={**SENSORS, "num_neuromasts": 3})))
     with pytest.raises(ValueError, match="knows 2 flows"):
-        TransformedEnv(SineEnv(), RecogniseFlow(machine=untrained(flows=FLOWS[:2])))
+        TransformedEnv(SineEnv(), PredictedFlowLabel(machine=untrained(flows=FLOWS[:2])))
 
 
 def test_an_oracle_of_another_number_of_flows_is_refused() -> None:
-    with pytest.raises(ValueError, match="SineTask has 3 flows to tell apart, here 2"):
-        make(KnowFlow(num_flows=2))
+    with pytest.raises(ValueError, match="3 labelled flows, expected 2"):
+        make(TrueFlowLabel(num_flows=2))
 
 
 @pytest.mark.usefixtures("gliding")
 def test_a_task_without_a_lateral_line_is_refused() -> None:
     env = TransformedEnv(FlowEnv(task=Predation(**SMALL), num_envs=1, compile_flow=False))
-    with pytest.raises(ValueError, match="Predation has no lateral line to recognise flows by"):
-        env.append_transform(RecogniseFlow(machine=untrained()))
-    with pytest.raises(ValueError, match="Predation has 0 flows to tell apart"):
-        env.append_transform(KnowFlow(num_flows=3))
+    with pytest.raises(ValueError, match="Predation has no lateral line"):
+        env.append_transform(PredictedFlowLabel(machine=untrained()))
+    with pytest.raises(ValueError, match="0 labelled flows"):
+        env.append_transform(TrueFlowLabel(num_flows=3))

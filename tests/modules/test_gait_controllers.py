@@ -41,48 +41,48 @@ def act(policy: GaitPolicy, seen: TensorDict) -> list[int]:
 
 
 def test_a_fixed_frequency_is_reached_gear_by_gear_and_then_kept() -> None:
-    policy = GaitPolicy(wish=FixedFrequency(1.4), rows=ROWS)
+    policy = GaitPolicy(controller=FixedFrequency(1.4), rows=ROWS)
     assert [act(policy, see([1.5], gear=gear))[0] for gear in range(3)] == [2, 2, 1]
-    passive = GaitPolicy(wish=FixedFrequency(0.0), rows=ROWS)
+    passive = GaitPolicy(controller=FixedFrequency(0.0), rows=ROWS)
     assert [act(passive, see([1.5], gear=gear))[0] for gear in range(3)] == [1, 0, 0]
 
 
 def test_chosen_directly_the_nearest_frequency_is_taken_at_once() -> None:
-    policy = GaitPolicy(wish=FixedFrequency(1.2), rows=ROWS[:1], is_direct=True)
+    policy = GaitPolicy(controller=FixedFrequency(1.2), rows=ROWS[:1], is_direct=True)
     assert act(policy, see([1.5, 3.0], gear=0, flow=1)) == [1, 1]
 
 
 def test_each_flow_may_have_a_frequency_of_its_own() -> None:
-    policy = GaitPolicy(wish=FixedFrequency((0.5, 1.8)), rows=ROWS)
+    policy = GaitPolicy(controller=FixedFrequency((0.5, 1.8)), rows=ROWS)
     assert act(policy, see([1.5], flow=0)) == [0]
     assert act(policy, see([1.5], flow=1)) == [2]
 
 
 def test_a_bang_bang_fish_speeds_up_behind_its_station_and_slows_down_before() -> None:
-    policy = GaitPolicy(wish=BangBang(station_bl=2.0), rows=ROWS)
+    policy = GaitPolicy(controller=BangBang(station_bl=2.0), rows=ROWS)
     assert act(policy, see([1.9, 2.1])) == [0, 2]
     assert act(policy, see([1.9], gear=0)) == [1]
 
 
 def test_a_pid_fish_beats_faster_behind_its_station_and_when_it_falls_back() -> None:
-    wish = PID(station_bl=2.0, frequency=1.0, gain=1.0, damping=2.0)
-    policy = GaitPolicy(wish=wish, rows=ROWS)
+    controller = PID(station_bl=2.0, frequency=1.0, gain=1.0, damping=2.0)
+    policy = GaitPolicy(controller=controller, rows=ROWS)
     assert act(policy, see([1.4, 2.0, 2.6])) == [0, 1, 2]
     assert act(policy, see([2.0], change=0.3)) == [2]
     assert act(policy, see([2.0], change=-0.3)) == [0]
 
 
 def test_each_fish_may_hold_a_station_of_its_own() -> None:
-    wish = PID(station_bl=torch.tensor([1.4, 2.0, 2.6]), frequency=1.0, gain=1.0)
-    assert act(GaitPolicy(wish=wish, rows=ROWS), see([2.0, 2.0, 2.0])) == [2, 1, 0]
+    controller = PID(station_bl=torch.tensor([1.4, 2.0, 2.6]), frequency=1.0, gain=1.0)
+    assert act(GaitPolicy(controller=controller, rows=ROWS), see([2.0, 2.0, 2.0])) == [2, 1, 0]
 
 
 def test_the_integral_grows_is_bounded_and_begins_anew_with_an_episode() -> None:
-    wish = PID(station_bl=2.0, gain=0.0, damping=0.0, integral_gain=1.0, max_sum=0.6)
+    controller = PID(station_bl=2.0, gain=0.0, damping=0.0, integral_gain=1.0, max_sum=0.6)
     flow = torch.zeros(1, dtype=torch.int64)
 
     def want(is_init: bool = False) -> float:
-        return wish(see([2.25], is_init=is_init), flow).item()
+        return controller(see([2.25], is_init=is_init), flow).item()
 
     assert [want(True), want(), want(), want()] == pytest.approx([1.25, 1.5, 1.6, 1.6])
     assert want(True) == pytest.approx(1.25)
@@ -91,4 +91,4 @@ def test_the_integral_grows_is_bounded_and_begins_anew_with_an_episode() -> None
 @pytest.mark.parametrize("bad", [{"rows": ()}, {"rows": ROWS, "is_direct": True}])
 def test_rows_that_do_not_fit_the_actions_are_refused(bad: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="give one row per flow, and with is_direct exactly one"):
-        GaitPolicy(wish=BangBang(), **bad)
+        GaitPolicy(controller=BangBang(), **bad)

@@ -10,7 +10,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from fishrl.modules import (
     EpsilonGreedy,
-    RememberingPolicy,
+    RecurrentPolicy,
     make_recurrent_value_actor,
     make_value_actor,
 )
@@ -74,14 +74,14 @@ def test_one_seed_gives_one_network() -> None:
     assert not torch.equal(made[0], made[2])
 
 
-def test_a_memory_needs_a_layer() -> None:
-    with pytest.raises(ValueError, match=r"hidden = \[\]: give one width or more"):
+def test_a_recurrent_network_without_hidden_layers_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"hidden = \[\]: give at least one width"):
         make_recurrent_value_actor(num_inputs=4, num_actions=3, hidden=())
 
 
 def test_a_policy_remembers_each_rows_own_episode() -> None:
     network = make_recurrent_value_actor(num_inputs=4, num_actions=3, hidden=(8, 16))
-    policy, alone = RememberingPolicy(network), RememberingPolicy(network)
+    policy, alone = RecurrentPolicy(network), RecurrentPolicy(network)
     torch.manual_seed(0)
     steps = [states(2, key="observation") for _ in range(6)]
     for i, step in enumerate(steps):
@@ -95,6 +95,6 @@ def test_a_policy_remembers_each_rows_own_episode() -> None:
         torch.testing.assert_close(value[1:], alone._memory[key])
         assert not torch.allclose(value[:1], alone._memory[key])
     alone(steps[0].clone())  # two rows again: nothing is remembered
-    fresh = RememberingPolicy(network)
+    fresh = RecurrentPolicy(network)
     fresh(steps[0].clone())
     assert all(torch.equal(alone._memory[key], fresh._memory[key]) for key in fresh._memory)

@@ -57,7 +57,7 @@ class KarmanGait(AbstractTask):
         reads_flow_class: take the row of the flow that ``flow_class`` names, which a transform
             writes, instead of that of the flow it is.
         observes_flow: whether that transform shall append the flows' probabilities to the
-            observation, see ``transforms.NameFlow``.
+            observation, see ``transforms.FlowLabelTransform``.
         steering: who turns the fish.
         lateral_line: its neuromasts.
         start_x_bl: range of the nose at start.

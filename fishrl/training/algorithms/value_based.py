@@ -11,7 +11,7 @@ from torchrl.data import SliceSampler
 from experiments.settings import ConfigError, TrainConfig
 from fishrl.modules import (
     EpsilonGreedy,
-    RememberingPolicy,
+    RecurrentPolicy,
     make_recurrent_value_actor,
     make_value_actor,
 )
@@ -153,9 +153,9 @@ class DRQN(DQN):
         *,
         hidden: Sequence[int],
         generator: torch.Generator | None = None,
-    ) -> RememberingPolicy:
+    ) -> RecurrentPolicy:
         """Make the greedy policy, which remembers by itself."""
-        return RememberingPolicy(
+        return RecurrentPolicy(
             make_recurrent_value_actor(
                 num_inputs=brain.num_observed,
                 num_actions=brain.num_actions,
