@@ -12,11 +12,12 @@ ROOT = Path(__file__).parents[1]
 FORBIDDEN_NAMES = {"utils", "util", "common", "core", "helpers", "helper", "misc"}
 MAX_LINES = 400
 
-TENSORS = {"torch", "tensordict", "numpy"}
+TENSORS = {"torch", "tensordict", "numpy", "fishrl.bounds"}
 TASK_SIDE = {"fishrl.physics", "fishrl.envs"}
 # The first pattern that matches a file rules it; "a.b" allows "a.b" and "a.b.c".
 LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/__init__.py", set()),
+    ("fishrl/bounds.py", set()),
     ("fishrl/physics/", TENSORS | {"fishrl.physics"}),
     ("fishrl/envs/__init__.py", TASK_SIDE),
     ("fishrl/envs/flow_env.py", TENSORS | {"torchrl"} | TASK_SIDE),
@@ -29,7 +30,7 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/objectives/", TENSORS | {"torchrl", "fishrl.objectives"}),
     (
         "fishrl/training/",
-        TENSORS | {"torchrl", "tqdm", "wandb", "ray", "fishrl", "experiments", "omegaconf"},
+        TENSORS | {"torchrl", "tqdm", "yaml", "wandb", "ray", "fishrl", "experiments", "omegaconf"},
     ),
     ("fishrl/viewer/scene.py", {"torch"}),
     ("fishrl/viewer/", {"torch", "numpy", "rerun", "fishrl.viewer"}),

@@ -1,0 +1,76 @@
+"""Bounds of settings, declared with the field they belong to and checked by one function."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable
+from dataclasses import MISSING, field, fields
+from typing import Any
+
+
+def bounded(
+    default: Any = MISSING,
+    *,
+    least: float | None = None,
+    greater: float | None = None,
+    largest: float | None = None,
+) -> Any:
+    """Return a dataclass field whose numbers ``check_bounds`` keeps within bounds.
+
+    Args:
+        default: of the field; without one it has to be given.
+        least: smallest allowed value.
+        greater: the value must be greater than this.
+        largest: largest allowed value.
+    """
+    bounds = {"least": least, "greater": greater, "largest": largest}
+    return field(default=default, metadata={k: v for k, v in bounds.items() if v is not None})
+
+
+def check_bounds(settings: Any) -> None:
+    """Check every number in a dataclass, those in sequences too: finite, whole, within bounds.
+
+    Call it in ``__post_init__``. A field without bounds may hold anything but NaN and infinity; an
+    optional one may be None.
+
+    Raises:
+        ValueError: naming the field, its value and what is allowed.
+    """
+    for entry in fields(settings):
+        value = getattr(settings, entry.name)
+        for number in value if isinstance(value, list | tuple) else (value,):
+            allowed = _find_violation(number, kind=str(entry.type), bounds=entry.metadata)
+            if allowed:
+                raise ValueError(f"{entry.name} = {value}: must be {allowed}")
+
+
+def _find_violation(number: Any, *, kind: str, bounds: Any) -> str:
+    """Return what the number should be and is not; nothing if all is well."""
+    is_number = isinstance(number, int | float) and not isinstance(number, bool)
+    if number is None or not (is_number or bounds):
+        return ""
+    if not is_number:
+        return "a number"
+    if not math.isfinite(number):
+        return ", ".join(("finite", *_describe(bounds)))
+    is_whole = "int" in kind and "float" not in kind
+    if is_whole and not isinstance(number, int):
+        return "a whole number"
+    is_allowed = (
+        number >= bounds.get("least", -math.inf)
+        and number > bounds.get("greater", -math.inf)
+        and number <= bounds.get("largest", math.inf)
+    )
+    return "" if is_allowed else ", ".join(_describe(bounds))
+
+
+def _describe(bounds: Any) -> list[str]:
+    words = {"least": "at least", "greater": "greater than", "largest": "at most"}
+    return [f"{word} {bounds[name]}" for name, word in words.items() if name in bounds]
+
+
+def suggest(word: str, known: Iterable[str]) -> str:
+    """Return ``; did you mean 'x'?`` for the most similar known word, or nothing."""
+    match = difflib.get_close_matches(str(word), list(known), n=1, cutoff=0.5)
+    return f"; did you mean {match[0]!r}?" if match else ""

@@ -1,0 +1,141 @@
+"""Tasks, algorithms and loggers as plain nested dicts, and back: what run files contain.
+
+A description is ``{"_target_": "module.Class", argument: value, ...}``; values are numbers, words,
+lists, dicts or descriptions. Reading one makes only classes of the kind that is expected, from
+fishrl or from modules that the user has imported or named: a file cannot choose other code.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import sys
+import typing
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from fishrl.bounds import suggest
+from fishrl.training.aliases import ALIASES
+
+T = TypeVar("T")
+TARGET = "_target_"
+
+
+def describe(made: Any) -> dict[str, Any]:
+    """Return class and constructor arguments of an object; the inverse of ``make``.
+
+    Args:
+        made: a dataclass, or an object that keeps each constructor argument as an attribute of the
+            same name.
+
+    Raises:
+        ValueError: if it does not, or an argument cannot be written into a file.
+    """
+    kind = type(made)
+    target = f"{kind.__module__}.{kind.__qualname__}"
+    described: dict[str, Any] = {TARGET: target}
+    for name in inspect.signature(kind).parameters:
+        if not hasattr(made, name):
+            raise ValueError(f"{target}: keep the argument {name!r} as an attribute of that name")
+        described[name] = to_plain(getattr(made, name))
+    return described
+
+
+def to_plain(value: Any) -> Any:
+    """Turn a value into what JSON and YAML hold: tuples into lists, objects into descriptions.
+
+    Raises:
+        ValueError: for what cannot be written into a file.
+    """
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, list | tuple):
+        return [to_plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {str(name): to_plain(item) for name, item in value.items()}
+    if callable(value):
+        raise ValueError(f"{value!r}: cannot be written into a file")
+    return describe(value)
+
+
+def make(node: Any, *, kind: type[T] | tuple[type[T], ...], modules: Collection[str] = ()) -> T:
+    """Make the object that a description stands for.
+
+    Args:
+        node: the description.
+        kind: class that the object must be an instance of. Objects among its arguments must be of
+            the kind that the annotation of the argument names.
+        modules: modules outside fishrl that may be imported for it, as the user has named them;
+            modules that are imported already need no naming.
+
+    Raises:
+        ValueError: if there is no such class, it is of another kind or from a module that nobody
+            named, or it does not take the arguments.
+    """
+    if not isinstance(node, Mapping) or not isinstance(node.get(TARGET), str):
+        raise ValueError(f"{node!r}: give a {TARGET} and its arguments")
+    made = find_class(node[TARGET], kind=kind, modules=modules)
+    known = inspect.signature(made).parameters
+    arguments = {}
+    for name, value in node.items():
+        if name == TARGET:
+            continue
+        if name not in known:
+            raise ValueError(f"{node[TARGET]}: there is no {name!r}{suggest(name, known)}")
+        arguments[name] = _make_parts(value, made, name, modules=modules)
+    try:
+        return made(**arguments)
+    except TypeError as error:
+        raise ValueError(f"{node[TARGET]}: {error}") from error
+
+
+def _make_parts(value: Any, owner: type, name: str, *, modules: Collection[str]) -> Any:
+    """Make the descriptions in an argument, of the kinds that its annotation allows."""
+    if isinstance(value, list):
+        return [_make_parts(item, owner, name, modules=modules) for item in value]
+    if not isinstance(value, Mapping) or TARGET not in value:
+        return value
+    hints = typing.get_type_hints(owner if is_dataclass(owner) else owner.__init__)  # type: ignore[misc]
+    kinds = tuple(_list_classes(hints.get(name)))
+    return make(value, kind=kinds, modules=modules)
+
+
+def _list_classes(hint: Any) -> Iterator[type]:
+    """List the classes in an annotation such as ``Steering | None`` that an object may be of."""
+    plain = (object, str, int, float, bool, bytes, type(None))
+    if isinstance(hint, type) and typing.get_origin(hint) is None and hint not in plain:
+        yield hint
+    for part in typing.get_args(hint):
+        yield from _list_classes(part)
+
+
+def find_class(
+    name: str, *, kind: type[T] | tuple[type[T], ...], modules: Collection[str] = ()
+) -> type[T]:
+    """Return the class of a dotted name, which may be a former one; see ``make``.
+
+    Raises:
+        ValueError: if there is none, or it is not allowed.
+    """
+    module, _, last = ALIASES.get(name, name).rpartition(".")
+    loaded = sys.modules.get(module)
+    if loaded is None and (module.split(".")[0] == "fishrl" or module in modules):
+        try:
+            loaded = importlib.import_module(module)
+        except ImportError as error:
+            raise ValueError(f"{TARGET}: {name}: {error}") from error
+    if loaded is None:
+        raise ValueError(
+            f"{TARGET}: {name}: module {module!r} is not imported; import it, or name it on the "
+            "command line"
+        )
+    found = getattr(loaded, last, None)
+    if not isinstance(found, type) or not issubclass(found, kind):
+        kinds = kind if isinstance(kind, tuple) else (kind,)
+        wanted = " or ".join(one.__name__ for one in kinds) or "plain value"
+        raise ValueError(f"{TARGET}: {name}: is no {wanted}")
+    return found

@@ -1,0 +1,123 @@
+"""Settings that every training has: what makes its result, and where and how often it reports."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from fishrl.bounds import bounded, check_bounds
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearningSettings:
+    """What makes the result of a training; fixed once a run has begun.
+
+    Args:
+        seed: of networks, starts and actions; one seed gives one learning curve.
+        num_envs: flows that advance together.
+        ray_collectors: processes of a Ray cluster that share the flows; with 0 all advance in this
+            process.
+        warmup_frames: frames with random legal actions before learning starts.
+        updates_per_frame: gradient steps per env frame.
+        batch_size: transitions per gradient step.
+        buffer_size: transitions kept.
+        gamma: discount per decision.
+        learning_rate: Adam learning rate of all networks.
+        tau: share by which the target networks follow at each gradient step.
+        hidden: widths of the hidden layers of every network.
+
+    Raises:
+        ValueError: for a value outside its bounds.
+    """
+
+    seed: int = bounded(0, least=0, largest=2**32 - 1)
+    num_envs: int = bounded(16, least=1)
+    ray_collectors: int = bounded(0, least=0)
+    warmup_frames: int = bounded(320, least=0)
+    updates_per_frame: float = bounded(4.0, least=0)
+    batch_size: int = bounded(64, least=1)
+    buffer_size: int = bounded(20_000, least=1)
+    gamma: float = bounded(0.99, least=0, largest=1)
+    learning_rate: float = bounded(5e-4, greater=0)
+    tau: float = bounded(0.01, least=0, largest=1)
+    hidden: tuple[int, ...] = bounded((256, 256), least=1)
+
+    def __post_init__(self) -> None:
+        """Check the bounds; turn a list from a file into a tuple."""
+        object.__setattr__(self, "hidden", tuple(self.hidden))
+        check_bounds(self)
+        if self.batch_size > self.buffer_size:
+            raise ValueError(
+                f"batch_size = {self.batch_size}: must be at most buffer_size = {self.buffer_size}"
+            )
+        if self.ray_collectors and self.num_envs % self.ray_collectors:
+            raise ValueError(
+                f"num_envs = {self.num_envs}: must be a multiple of ray_collectors = "
+                f"{self.ray_collectors}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings:
+    """Where a training runs and how often it reports; may change when a run is resumed.
+
+    Args:
+        total_frames: env frames (decisions of one fish) to train for.
+        device: cpu or cuda.
+        compile: compile the flow solver.
+        folder: where run folders lie.
+        name: of the run folder; by default made from task, preset, algorithm and seed.
+        log_frames: frames between rows of the metrics.
+        checkpoint_frames: frames between checkpoints.
+        keep_checkpoints: how many of the newest checkpoints are kept.
+        eval_frames: frames between evaluations of the greedy policy.
+        eval_episodes: fixed starts of these evaluations, which choose the best checkpoint.
+        final_episodes: fixed starts of the evaluation at the end, other ones than those.
+        baselines: policies that go through the same evaluation at the end; by default those that
+            the task brings, see ``fishrl.training.baselines``.
+
+    Raises:
+        ValueError: for a value outside its bounds.
+    """
+
+    total_frames: int = bounded(2800, least=1)
+    device: str = "cpu"
+    compile: bool = True
+    folder: str = "runs"
+    name: str | None = None
+    log_frames: int = bounded(64, least=1)
+    checkpoint_frames: int = bounded(350, least=1)
+    keep_checkpoints: int = bounded(2, least=1)
+    eval_frames: int = bounded(700, least=1)
+    eval_episodes: int = bounded(16, least=1)
+    final_episodes: int = bounded(32, least=1)
+    baselines: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the bounds; turn a list from a file into a tuple."""
+        if self.baselines is not None:
+            object.__setattr__(self, "baselines", tuple(self.baselines))
+        check_bounds(self)
+
+
+def check_device(device: str) -> None:
+    """Check that a device exists on this machine.
+
+    Raises:
+        ValueError: if it is neither cpu nor cuda, or torch sees no such CUDA device.
+    """
+    try:
+        kind, index = torch.device(device).type, torch.device(device).index
+    except RuntimeError as error:
+        raise ValueError(f"device = {device!r}: must be cpu, cuda or cuda:<number>") from error
+    if (kind, index or 0) == ("cpu", 0):
+        return
+    if kind != "cuda":
+        raise ValueError(f"device = {device!r}: must be cpu, cuda or cuda:<number>")
+    num_devices = torch.cuda.device_count()
+    if (index or 0) >= num_devices:
+        raise ValueError(
+            f"device = {device!r}: torch sees {num_devices} CUDA devices here; take device=cpu, or "
+            "install a CUDA build of torch and its driver"
+        )

@@ -1,0 +1,55 @@
+"""Every number of a settings dataclass is finite, of its kind and within its bounds."""
+
+from dataclasses import dataclass
+from math import inf, nan
+from typing import Any
+
+import pytest
+
+from fishrl.bounds import bounded, check_bounds, suggest
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    count: int = bounded(1, least=1)
+    share: float = bounded(0.5, least=0, largest=1)
+    rate: float = bounded(1.0, greater=0)
+    free: float = 0.0
+    limit: float | None = bounded(None, greater=0)
+    sizes: tuple[int, ...] = bounded((1, 2), least=1)
+    is_on: bool = True
+    name: str = "nan"
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        *({name: value} for name in ("share", "rate", "free", "limit") for value in (nan, inf)),
+        *({"count": value} for value in (0, 1.5, "1", None, True) if value is not None),
+        {"share": -0.1},
+        {"share": 1.1},
+        {"rate": 0.0},
+        {"limit": 0},
+        {"sizes": (3, 0)},
+        {"sizes": [3, nan]},
+    ],
+    ids=str,
+)
+def test_a_number_out_of_bounds_is_refused_by_name_and_value(wrong: dict[str, Any]) -> None:
+    ((name, value),) = wrong.items()
+    with pytest.raises(ValueError, match=rf"^{name} = .*: must be ") as caught:
+        Settings(**wrong)
+    assert str(value) in str(caught.value)
+
+
+def test_numbers_at_their_bounds_and_things_that_are_no_numbers_pass() -> None:
+    Settings(count=1, share=0, rate=1e-300, free=-5, limit=None, sizes=[1], is_on=False)
+    Settings(share=1, limit=3)
+
+
+def test_the_most_similar_word_is_suggested() -> None:
+    assert suggest("learning_rat", ["gamma", "learning_rate"]) == "; did you mean 'learning_rate'?"
+    assert suggest("xyz", ["gamma", "learning_rate"]) == ""

@@ -1,0 +1,55 @@
+"""Settings of a training: what fixes its result, and what may change when it goes on."""
+
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError, fields
+from math import inf, nan
+from typing import Any
+
+import pytest
+import torch
+
+from fishrl.training.settings import LearningSettings, RunSettings, check_device
+
+
+def test_every_number_of_both_has_bounds_and_none_is_in_both() -> None:
+    learning, run = fields(LearningSettings), fields(RunSettings)
+    assert not {entry.name for entry in learning} & {entry.name for entry in run}
+    for entry in (*learning, *run):
+        assert entry.metadata or not isinstance(entry.default, int | float) or entry.type == "bool"
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"gamma": nan},
+        {"learning_rate": inf},
+        {"learning_rate": 0.0},
+        {"tau": 1.5},
+        {"seed": -1},
+        {"hidden": [16, 0]},
+        {"batch_size": 65, "buffer_size": 64},
+        {"num_envs": 8, "ray_collectors": 3},
+    ],
+    ids=str,
+)
+def test_what_cannot_be_learned_with_is_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        LearningSettings(**wrong)
+
+
+def test_lists_from_a_file_become_tuples_and_nothing_changes_afterwards() -> None:
+    learning = LearningSettings(hidden=[16, 8])  # type: ignore[arg-type]
+    assert learning == LearningSettings(hidden=(16, 8))
+    assert RunSettings(baselines=["random"]).baselines == ("random",)  # type: ignore[arg-type]
+    with pytest.raises(FrozenInstanceError):
+        learning.seed = 3  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("device", ["gpu", "cpu:7", "meta", "cuda:99"])
+def test_a_device_that_is_not_here_is_refused(device: str) -> None:
+    with pytest.raises(ValueError, match=f"device = '{device}'"):
+        check_device(device)
+    check_device("cpu")
+    if torch.cuda.is_available():
+        check_device("cuda")
