@@ -12,7 +12,7 @@ from experiments.validation.case import Case, Check, Job, Result, Results
 from experiments.validation.convergence import tidy
 from fishrl.physics import Cylinder, DCylinder, Fish, FlowConfig, InPlaceSolver, Scales
 from fishrl.physics.bodies.motion import Driven, Free
-from fishrl.physics.bodies.outline import Outline
+from fishrl.physics.bodies.outline import BodyConfig
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium
 
 SHIFTS = {
@@ -40,7 +40,7 @@ def _surround(direction: tuple[float, float]) -> Boundaries:
 
 
 def _start(
-    bodies: Outline,
+    bodies: BodyConfig,
     places: Sequence[tuple[float, float]],
     headings: Sequence[float],
     streams: Sequence[float],
@@ -98,7 +98,7 @@ def push_cylinders(*, is_half: bool, is_turned: bool) -> Result:
         y += 7.3
         runs = {BASE: ((x, y), pi - TILT, SPEED)}
         runs[MIRRORED] = ((x, size[1] - 1.0 - y), pi + TILT, SPEED)
-        body: Outline = DCylinder(diameter=DIAMETER, motion=Driven())
+        body: BodyConfig = DCylinder(diameter=DIAMETER, motion=Driven())
     else:
         runs = {BASE: ((x, y), pi, SPEED)}
         runs |= {name: ((x + dx, y + dy), pi, SPEED) for name, (dx, dy) in SHIFTS.items()}

@@ -11,7 +11,7 @@ from experiments.figures import COLOURS
 from experiments.validation.case import Case, Check, Job, Result, Results
 from experiments.validation.convergence import tidy
 from fishrl.physics import Cylinder, Fish, FlowConfig, FlowState, Free, Scales
-from fishrl.physics.bodies.motion import make_body
+from fishrl.physics.bodies.state import make_body
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium
 from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.flow import FlowParams, make_params
@@ -64,10 +64,10 @@ def measure_slip(state: FlowState, config: FlowConfig, params: FlowParams) -> fl
     """
     rho, jx, jy = compute_macroscopic(state.f.unbind(1))
     ux, uy = jx / (rho + 1.0), jy / (rho + 1.0)
-    place = locate_bodies(state.bodies, config, params.shapes, rho.dtype)
+    place = locate_bodies(state.bodies, config, params.bodies, rho.dtype)
     nodes = place.stencil.index_nodes(config.width)
     fluid = (gather(v, nodes) for v in (rho, ux, uy))
-    moved, *shares = exchange(state.bodies, config, params.shapes, place, *fluid)
+    moved, *shares = exchange(state.bodies, config, params.bodies, place, *fluid)
     body, markers = moved[0], place.markers[0]
     spin = torch.stack((-markers.arm[..., 1], markers.arm[..., 0]), -1)
     wall = body.velocity[:, None] + body.angular_velocity[:, None, None] * spin

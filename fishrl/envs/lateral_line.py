@@ -107,7 +107,7 @@ class LateralLine:
             Points ``[B, P, 2]`` in nodes; the skin's velocity there ``[B, P, 2]``, nodes per step;
             unit normals ``[B, P, 2]`` out of the body.
         """
-        body, shape = solver.body, solver.flow.params.shapes[0]
+        body, shape = solver.body, solver.flow.params.bodies[0]
         markers = place_markers(body, deform_body(solver.config.bodies[0], shape, body))
         num = markers.position.shape[1]
         own = self._choose_markers(num)

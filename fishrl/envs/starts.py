@@ -6,8 +6,8 @@ from torch import Tensor
 
 from fishrl.envs.sensors import compute_clearance
 from fishrl.physics.bodies.coupling import locate_markers
-from fishrl.physics.bodies.motion import make_body
-from fishrl.physics.bodies.outline import Fish
+from fishrl.physics.bodies.fish import Fish
+from fishrl.physics.bodies.state import make_body
 
 
 def place_fish(starts: TensorDictBase, fish: Fish) -> tuple[Tensor, Tensor]:
@@ -27,7 +27,7 @@ def place_outline(starts: TensorDictBase, fish: Fish) -> Tensor:
     """Return the outline ``[B, N, 2]`` of straight fish at their starts; see ``place_fish``."""
     position, heading = place_fish(starts, fish)
     body = make_body(position, heading, torch.zeros_like(heading))
-    shape = fish.make_shape(heading.device)
+    shape = fish.make_params(heading.device)
     return locate_markers(fish, shape, body)
 
 

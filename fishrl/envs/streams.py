@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from fishrl.envs.wakes import WakeBank, WakeRecipe, load_wakes
-from fishrl.physics.bodies.outline import DCylinder, Fish
+from fishrl.physics.bodies.fish import Fish
+from fishrl.physics.bodies.outline import DCylinder
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.starts import check_fit, check_pattern, place_fish
-from fishrl.physics.bodies.outline import Fish
+from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import DEFAULT_WALL_SPEED, Scales

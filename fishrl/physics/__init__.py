@@ -1,8 +1,9 @@
 """The flow and the bodies in it: batched immersed-boundary lattice Boltzmann in torch."""
 
 from fishrl.physics.bodies.coupling import Coupling
+from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.motion import Bending, Commanded, Driven, Fixed, Free, Oscillating
-from fishrl.physics.bodies.outline import Cylinder, DCylinder, Ellipse, Fish, Foil
+from fishrl.physics.bodies.outline import Cylinder, DCylinder, Ellipse, Foil
 from fishrl.physics.diagnostics import (
     compute_area,
     compute_coefficient,

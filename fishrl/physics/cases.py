@@ -5,8 +5,8 @@ from math import exp, pi
 import torch
 from torch import Tensor
 
+from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.motion import Commanded, Motion
-from fishrl.physics.bodies.outline import Fish
 from fishrl.physics.boundaries import Boundaries, NoSlip, Periodic
 from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.flow import FlowConfig, FlowState

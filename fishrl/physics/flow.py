@@ -7,10 +7,12 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.coupling import Coupling
-from fishrl.physics.bodies.motion import Body
-from fishrl.physics.bodies.outline import AnyShape, Fish, Outline
+from fishrl.physics.bodies.fish import Fish
+from fishrl.physics.bodies.outline import BodyConfig, BodyParams
+from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.boundaries import Boundaries, Side
 from fishrl.physics.collision import Rates
 from fishrl.physics.delta import Kernel, Roma3
@@ -69,7 +71,7 @@ class FlowConfig:
     tau: float
     stream_speed: float = 1.0
     ramp_steps: int = 0
-    bodies: tuple[Outline, ...] = ()
+    bodies: tuple[BodyConfig, ...] = ()
     rates: Rates = field(default_factory=Rates)
     boundaries: Boundaries = field(default_factory=Boundaries)
     sponges: tuple[Sponge, ...] = ()
@@ -169,13 +171,13 @@ class FlowParams(NamedTuple):
         tau: ``[B]`` relaxation time.
         stream_speed: ``[B]`` nodes per step.
         ramp_steps: ``[B]`` steps of the stream's rise.
-        shapes: of each body.
+        bodies: of each body.
     """
 
     tau: Tensor
     stream_speed: Tensor
     ramp_steps: Tensor
-    shapes: tuple[AnyShape, ...]
+    bodies: tuple[BodyParams, ...]
 
 
 class FlowState(NamedTuple):
@@ -188,7 +190,7 @@ class FlowState(NamedTuple):
     """
 
     f: Tensor
-    bodies: tuple[Body, ...] = ()
+    bodies: tuple[BodyState, ...] = ()
     clock: Tensor | None = None
 
 
@@ -207,16 +209,16 @@ def make_params(configs: Sequence[FlowConfig], device: torch.device | str = "cpu
             )
     numbers = [[c.tau, c.stream_speed, float(c.ramp_steps)] for c in configs]
     tau, speed, ramp = torch.tensor(numbers, dtype=torch.float64, device=device).unbind(-1)
-    made: dict[Outline, AnyShape] = {}
+    made: dict[BodyConfig, BodyParams] = {}
     for config in configs:
-        for outline in config.bodies:
-            if outline not in made:
-                made[outline] = outline.make_shape(device)
-    shapes = []
-    for m in range(len(configs[0].bodies)):
-        each = [made[c.bodies[m]] for c in configs]
-        shapes.append(type(each[0])(*(torch.cat(t) for t in zip(*each, strict=True))))
-    return FlowParams(tau, speed, ramp, tuple(shapes))
+        for body in config.bodies:
+            if body not in made:
+                made[body] = body.make_params(device)
+    bodies = tuple(
+        pytree.tree_map(lambda *each: torch.cat(each), *(made[body] for body in counterparts))
+        for counterparts in zip(*(config.bodies for config in configs), strict=True)
+    )
+    return FlowParams(tau, speed, ramp, bodies)
 
 
 def compute_stream_speed(params: FlowParams, clock: Tensor) -> Tensor:

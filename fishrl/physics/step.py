@@ -19,8 +19,8 @@ from fishrl.physics.bodies.coupling import (
     solve_body_force,
 )
 from fishrl.physics.bodies.gait import Deformation
-from fishrl.physics.bodies.motion import Body
-from fishrl.physics.bodies.outline import AnyShape
+from fishrl.physics.bodies.outline import BodyParams
+from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.boundaries import apply_boundaries_
 from fishrl.physics.collision import (
     collide_mrt,
@@ -74,10 +74,10 @@ def step(
     force = torch.zeros_like(state.f[:, :2]) if external_force is None else external_force
     bodies = state.bodies
     if bodies:
-        place = locate_bodies(bodies, config, params.shapes, f[0].dtype)
+        place = locate_bodies(bodies, config, params.bodies, f[0].dtype)
         nodes = place.stencil.index_nodes(config.width)
         fluid = (gather(v, nodes) for v in (rho, ux, uy))
-        bodies, share_x, share_y = exchange(bodies, config, params.shapes, place, *fluid)
+        bodies, share_x, share_y = exchange(bodies, config, params.bodies, place, *fluid)
         force = force + torch.stack((spread(share_x, nodes, rho), spread(share_y, nodes, rho)), 1)
     fx, fy = force.unbind(1)
     omega = config.compute_omega(params.tau).to(rho)
@@ -99,7 +99,7 @@ def make_uniform(rho: Tensor, ux: Tensor, uy: Tensor) -> Tensor:
     return torch.stack(compute_equilibrium(rho, ux, uy), 1)
 
 
-class Place(NamedTuple):
+class BodyGeometry(NamedTuple):
     """Where the bodies are in this step.
 
     Attributes:
@@ -116,8 +116,11 @@ class Place(NamedTuple):
 
 
 def locate_bodies(
-    bodies: Sequence[Body], config: FlowConfig, shapes: Sequence[AnyShape], dtype: torch.dtype
-) -> Place:
+    bodies: Sequence[BodyState],
+    config: FlowConfig,
+    shapes: Sequence[BodyParams],
+    dtype: torch.dtype,
+) -> BodyGeometry:
     """Deform the bodies, place their markers and find the nodes they see."""
     triples = zip(config.bodies, shapes, bodies, strict=True)
     deformations = tuple(deform_body(outline, shape, body) for outline, shape, body in triples)
@@ -126,18 +129,18 @@ def locate_bodies(
     stencil = make_stencil(positions, config.kernel, config.width, config.height, dtype)
     spacing = torch.cat([s.spacing.to(dtype).expand(len(positions), -1) for s in shapes], -1)
     operator = config.force_solve.prepare(overlap_markers(stencil), spacing)
-    return Place(deformations, markers, stencil, operator)
+    return BodyGeometry(deformations, markers, stencil, operator)
 
 
 def exchange(
-    bodies: Sequence[Body],
+    bodies: Sequence[BodyState],
     config: FlowConfig,
-    shapes: Sequence[AnyShape],
-    place: Place,
+    shapes: Sequence[BodyParams],
+    place: BodyGeometry,
     rho: Tensor,
     ux: Tensor,
     uy: Tensor,
-) -> tuple[tuple[Body, ...], Tensor, Tensor]:
+) -> tuple[tuple[BodyState, ...], Tensor, Tensor]:
     """Solve force and rigid motion together from the fluid at the markers' nodes.
 
     Args:

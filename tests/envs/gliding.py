@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from fishrl.physics.bodies.coupling import deform_body, place_markers
-from fishrl.physics.bodies.motion import Body, make_body
+from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.flow import FlowConfig
 
 GLIDE_SPEED_BL = 0.4  # body lengths per tail beat
@@ -27,14 +27,14 @@ class GlidingSolver:
     ) -> None:
         assert config.fish is not None
         self.config, self.num_envs, self.frequency = config, num_envs, frequency
-        self.shape = config.fish.make_shape(device)
+        self.shape = config.fish.make_params(device)
         speed = torch.full((num_envs,), config.stream_speed, dtype=torch.float64, device=device)
         self.flow = SimpleNamespace(
-            params=SimpleNamespace(stream_speed=speed, shapes=(self.shape,))
+            params=SimpleNamespace(stream_speed=speed, bodies=(self.shape,))
         )
         rest = torch.zeros(num_envs, dtype=torch.float64, device=device)
         fresh = make_body(rest[:, None].expand(-1, 2), rest, rest + frequency)
-        self.body = Body(*(t.clone() for t in fresh))
+        self.body = BodyState(*(t.clone() for t in fresh))
         self.is_closed = False
 
     def compile(self) -> None:
@@ -94,7 +94,7 @@ class GlidingSolver:
         return torch.ones(self.num_envs, *y.shape), swirl.expand(self.num_envs, 2, -1, -1)
 
     @property
-    def bodies(self) -> list[Body]:
+    def bodies(self) -> list[BodyState]:
         return [self.body]
 
     def head(self) -> Tensor:
@@ -115,8 +115,8 @@ class GlidingSolver:
         return ~is_inside.all(-1)
 
     def state_dict(self) -> dict[str, Tensor]:
-        return {name: t.clone() for name, t in zip(Body._fields, self.body, strict=True)}
+        return {name: t.clone() for name, t in zip(BodyState._fields, self.body, strict=True)}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        for name, own in zip(Body._fields, self.body, strict=True):
+        for name, own in zip(BodyState._fields, self.body, strict=True):
             own.copy_(state[name])

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from fishrl.physics.bodies.coupling import deform_body, place_markers
-from fishrl.physics.bodies.motion import make_body
-from fishrl.physics.bodies.outline import Fish
+from fishrl.physics.bodies.fish import Fish
+from fishrl.physics.bodies.state import make_body
 from fishrl.physics.delta import Hat, Kernel, Peskin4, Roma3
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.immersed_boundary import (
@@ -30,7 +30,7 @@ def make_markers(heading: float = 0.7) -> torch.Tensor:
     centre = torch.tensor([[48.3, 47.6]], dtype=torch.float64)
     one = torch.ones(1, dtype=torch.float64)
     body = make_body(centre, heading * one, one / 500)._replace(beats=1.8 * one, phase=1.1 * one)
-    return place_markers(body, deform_body(fish, fish.make_shape(), body)).position
+    return place_markers(body, deform_body(fish, fish.make_params(), body)).position
 
 
 @pytest.mark.parametrize("kernel", KERNELS, ids=lambda k: type(k).__name__)
@@ -78,7 +78,7 @@ def measure_slip(solve: IterativeForcing | DirectSolve) -> float:
     markers = make_markers()
     overlap = overlap_markers(make_stencil(markers, Roma3(), SIZE, SIZE, torch.float64))
     target = torch.cos(0.1 * markers[..., :1]).mT
-    _, rest = solve(solve.prepare(overlap, Fish(body_length=50).make_shape().spacing), target)
+    _, rest = solve(solve.prepare(overlap, Fish(body_length=50).make_params().spacing), target)
     return float(rest.norm() / target.norm())
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fishrl.physics.bodies.outline import Fish
+from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import Scales, compute_tau
 

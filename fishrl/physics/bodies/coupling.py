@@ -19,8 +19,8 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from fishrl.physics.bodies.gait import Beat, Deformation, advance_phase
-from fishrl.physics.bodies.motion import Body
-from fishrl.physics.bodies.outline import AnyShape, Outline
+from fishrl.physics.bodies.outline import BodyConfig, BodyParams
+from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.immersed_boundary import ForceSolve
 
 
@@ -45,30 +45,30 @@ class Markers(NamedTuple):
     deformation_velocity: Tensor
 
 
-def deform_body(outline: Outline, shape: AnyShape, body: Body) -> Deformation:
+def deform_body(outline: BodyConfig, shape: BodyParams, body: BodyState) -> Deformation:
     """Return the outline of a body in its own frame."""
-    return outline.deform(shape, _read_beat(outline, body))
+    return shape.deform(_read_beat(outline, body))
 
 
-def locate_markers(outline: Outline, shape: AnyShape, body: Body) -> Tensor:
+def locate_markers(outline: BodyConfig, shape: BodyParams, body: BodyState) -> Tensor:
     """Return the positions of ``place_markers`` alone, ``[B, N, 2]`` in nodes."""
-    axial, lateral = outline.draw_at(shape, _read_beat(outline, body))
+    axial, lateral = shape.draw(_read_beat(outline, body))
     return body.position[:, None] + _turn(body, axial, lateral)
 
 
-def _read_beat(outline: Outline, body: Body) -> Beat:
+def _read_beat(outline: BodyConfig, body: BodyState) -> Beat:
     rate = outline.motion.compute_bend_rate(body)
     return Beat(body.phase, body.frequency, body.beats, body.bend, rate)
 
 
-def _turn(body: Body, axial: Tensor, lateral: Tensor) -> Tensor:
+def _turn(body: BodyState, axial: Tensor, lateral: Tensor) -> Tensor:
     """Turn vectors along and across the body's axis into the flow's frame, ``[B, N, 2]``."""
     angle = body.heading + pi + body.internal_angle
     cos, sin = torch.cos(angle)[:, None], torch.sin(angle)[:, None]
     return torch.stack((cos * axial - sin * lateral, sin * axial + cos * lateral), -1)
 
 
-def place_markers(body: Body, deformation: Deformation) -> Markers:
+def place_markers(body: BodyState, deformation: Deformation) -> Markers:
     """Carry the deformed outline into the flow; the body axis runs from head to tail."""
     arm = _turn(body, deformation.axial, deformation.lateral)
     rx, ry = arm.unbind(-1)
@@ -119,9 +119,9 @@ class _Freedom(NamedTuple):
 
 
 def solve_body_force(
-    outlines: Sequence[Outline],
-    shapes: Sequence[AnyShape],
-    bodies: Sequence[Body],
+    outlines: Sequence[BodyConfig],
+    shapes: Sequence[BodyParams],
+    bodies: Sequence[BodyState],
     deformations: Sequence[Deformation],
     markers: Sequence[Markers],
     operator: Sequence[Tensor],
@@ -281,8 +281,12 @@ def _is_zero(entry: Tensor | float) -> bool:
 
 
 def move_body(
-    outline: Outline, shape: AnyShape, body: Body, deformation: Deformation, update: RigidUpdate
-) -> Body:
+    outline: BodyConfig,
+    shape: BodyParams,
+    body: BodyState,
+    deformation: Deformation,
+    update: RigidUpdate,
+) -> BodyState:
     """Advance rigid motion, phase and ledgers of one body by one step.
 
     The markers' force also drives the fluid inside the body, whose momentum is exactly the

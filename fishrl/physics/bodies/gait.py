@@ -1,17 +1,14 @@
-"""How the midline beats: gaits, phase and the momentum-free frame.
+"""Gaits: how a fish's midline beats, and the instant that sets its shape.
 
-The deformation is a vertical shear y -> y + Z(X, t), X measured from the head: area is conserved
-exactly and the deformation velocity (0, Z_t) has no divergence. The travelling wave
+The travelling wave
 
     Z = L a(X/L) sin(k X/L - phase),  a(x) = A (c0 + c1 x + c2 x^2)
 
 is the paper's eq. 11 with a minus sign: as printed, + w t, the wave would run from tail to head and
-the fish would not swim forward. As Z = e1 S(X) + e2 C(X), every integral over the body that the
-momentum-free frame needs is a constant times e1, e2 or their products. A bend of the midline is a
-third such mode. ``midline.py`` has the other deformation, which keeps the midline's length.
+the fish would not swim forward. Z = e1 S(X) + e2 C(X) has two modes; a bend of the midline is a
+third. ``shear.py`` and ``midline.py`` turn them into an outline.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import comb, pi
 from typing import NamedTuple
@@ -66,40 +63,9 @@ class Gait:
 CARLING = Gait(amplitude=0.125 / 1.03125, envelope=(0.03125, 1.0, 0.0), wavenumber=2 * pi)
 # Carangiform envelope of Videler & Hess 1984 (saithe), tail amplitude 0.1.
 CARANGIFORM = Gait(amplitude=0.1, envelope=(0.2, -0.8, 1.6), wavenumber=2 * pi)
-# The paper's k = 3 read as radians per body length, with Carling's envelope (the paper's is
-# unsaid).
+# The paper's k = 3 read as radians per body length, with Carling's envelope (the paper gives none).
 LONG_WAVE = Gait(amplitude=0.125 / 1.03125, envelope=(0.03125, 1.0, 0.0), wavenumber=3.0)
 GAITS = {"carling": CARLING, "carangiform": CARANGIFORM, "long wave": LONG_WAVE}
-
-
-class Shape(NamedTuple):
-    """A body in its own frame, in lattice units; ``[B, ...]`` or ``[1, ...]``, float64.
-
-    The frame's origin is the centre of area, its axis runs from nose to tail. A fish deforms by K
-    modes Z = sum_k e_k Z_k(X): the gait's sine and cosine and the bend. Each mode is centred: its
-    mean over the body's area is removed, so that deforming never moves the centre of mass.
-
-    Attributes:
-        axial: ``[B, N]`` place of each marker along the axis (constant).
-        lateral: ``[B, N]`` place across it when the body is straight (constant).
-        spacing: ``[B, N]`` length of outline that each marker stands for.
-        modes: ``[B, K, N]`` Z_k at the markers.
-        moments: ``[B, K]`` integral of m X Z_k, with m the thickness.
-        gram: ``[B, K, K]`` integral of m Z_j Z_k.
-        area: ``[B]`` of the body.
-        inertia: ``[B]`` polar moment of area of the straight body about its centre.
-        density_ratio: ``[B]`` body density over fluid density.
-    """
-
-    axial: Tensor
-    lateral: Tensor
-    spacing: Tensor
-    modes: Tensor
-    moments: Tensor
-    gram: Tensor
-    area: Tensor
-    inertia: Tensor
-    density_ratio: Tensor
 
 
 def advance_phase(phase: Tensor, frequency: Tensor) -> Tensor:
@@ -119,11 +85,11 @@ def compute_ramp(beats: Tensor, frequency: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class Deformation(NamedTuple):
-    """Outline and its velocity in the momentum-free frame, lattice units.
+    """An outline and its velocity in the momentum-free frame, lattice units.
 
     Attributes:
-        axial: ``[B, N]`` place of the markers along the body axis.
-        lateral: ``[B, N]`` place across it.
+        axial: ``[B, N]`` coordinate of the markers along the body axis.
+        lateral: ``[B, N]`` coordinate across it.
         axial_velocity: ``[B, N]`` deformation velocity along the axis.
         lateral_velocity: ``[B, N]`` deformation velocity across it, Z_t - y_c,t.
         spin: ``[B]`` angular velocity -H / I of the body frame that makes the deformation free of
@@ -165,34 +131,3 @@ def compute_amplitudes(beat: Beat) -> tuple[list[Tensor], list[Tensor]]:
     cos, sin, rate = torch.cos(beat.phase), torch.sin(beat.phase), 2.0 * pi * beat.frequency
     swing_rates = [ramp_rate * cos - ramp * rate * sin, -ramp_rate * sin - ramp * rate * cos]
     return [ramp * cos, -ramp * sin, beat.bend], [*swing_rates, beat.bend_rate]
-
-
-def shear(shape: Shape, amplitudes: Sequence[Tensor]) -> Tensor:
-    """Return the markers' place across the axis ``[B, N]`` at amplitudes ``[B]`` of the modes."""
-    lateral = shape.lateral
-    for j in range(shape.modes.shape[1]):
-        lateral = lateral + shape.modes[:, j] * amplitudes[j][:, None]
-    return lateral
-
-
-def deform(shape: Shape, beat: Beat) -> Deformation:
-    """Shear a body vertically by its modes, y -> y + Z(X, t).
-
-    Args:
-        shape: of the body; one mode (all zero) for a rigid one, three for a fish.
-        beat: the instant.
-    """
-    e, e_t = compute_amplitudes(beat)
-    lateral, velocity = shear(shape, e), torch.zeros_like(shape.lateral)
-    inertia, inertia_rate = shape.inertia, torch.zeros_like(beat.phase)
-    momentum = torch.zeros_like(beat.phase)
-    for j in range(shape.modes.shape[1]):
-        velocity = velocity + shape.modes[:, j] * e_t[j][:, None]
-        momentum = momentum + shape.moments[:, j] * e_t[j]
-        for k in range(shape.modes.shape[1]):
-            inertia = inertia + shape.gram[:, j, k] * e[j] * e[k]
-            inertia_rate = inertia_rate + 2.0 * shape.gram[:, j, k] * e[j] * e_t[k]
-    still = torch.zeros_like(lateral)
-    return Deformation(
-        still + shape.axial, lateral, still, velocity, -momentum / inertia, inertia, inertia_rate
-    )

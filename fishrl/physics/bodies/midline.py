@@ -1,9 +1,9 @@
-"""A fish whose midline keeps its length: the other deformation, after Gazzola et al. and CubismUP.
+"""Deformation of an inextensible midline, after Gazzola et al. and CubismUP.
 
 The midline has slope y_s = Z'(s) at arc length s, so x_s = sqrt(1 - y_s^2), and the sections of the
-body stay normal to it: r = (x, y) + eta n with n = (-y_s, x_s). In vertical shear
-(``kinematics.deform``) a beating body's midline grows longer; here its length and the area are
-kept. The price is an integral along the body in every step.
+body stay normal to it: r = (x, y) + eta n with n = (-y_s, x_s). In vertical shear (``shear.py``) a
+beating body's midline grows longer; here its length and the area are conserved, at the price of an
+integral along the body in every step.
 
 With kappa = y_ss / x_s a section of half-thickness h holds 2 h ds of mass and, about its midline
 point, -(2 h^3 / 3) kappa ds of first and 2 h^3 / 3 ds of second moment.
@@ -16,16 +16,18 @@ from torch import Tensor
 
 from fishrl.physics.bodies.gait import Beat, Deformation, compute_amplitudes
 
+_Pair = tuple[Tensor, Tensor]
 
-class MidlineShape(NamedTuple):
+
+class MidlineParams(NamedTuple):
     """A fish along its midline, lattice units; ``[B, ...]`` or ``[1, ...]``, float64.
 
     Attributes:
-        spacing: ``[B, N]`` length of outline that each marker stands for.
+        spacing: ``[B, N]`` length of outline that each marker represents.
         lateral: ``[B, N]`` signed distance of each marker from the midline.
-        station: ``[B, N]`` number of the midline point that each marker belongs to.
+        station: ``[B, N]`` index of the midline point that each marker belongs to.
         step: ``[B, S]`` arc length from each midline point to the one before (first: 0).
-        weight: ``[B, S]`` arc length that each midline point stands for.
+        weight: ``[B, S]`` arc length that each midline point represents.
         half: ``[B, S]`` half-thickness.
         modes: ``[B, 3, 3, S]`` the three modes (sine, cosine, bend) and their first and second
             derivatives along the midline: Z, Z', Z''.
@@ -43,77 +45,73 @@ class MidlineShape(NamedTuple):
     area: Tensor
     density_ratio: Tensor
 
+    def draw(self, beat: Beat) -> tuple[Tensor, Tensor]:
+        """Return the markers along and across the axis ``[B, N]``, without their velocity."""
+        deformation = self.deform(beat)
+        return deformation.axial, deformation.lateral
 
-_Pair = tuple[Tensor, Tensor]
+    def deform(self, beat: Beat) -> Deformation:
+        """Return the outline and its velocity in the momentum-free frame.
 
+        The frame keeps the centre of area in place and has no angular momentum. The linear momentum
+        (the integral of the deformation velocity over the area) vanishes in vertical shear but not
+        here, as the sections rotate: it is 1 to 2 % of the integral of that velocity's magnitude.
+        """
+        e, e_t = compute_amplitudes(beat)
 
-def bend_midline(shape: MidlineShape, beat: Beat) -> Deformation:
-    """Evaluate the outline and its velocity in the momentum-free frame.
+        def combine(order: int, amplitudes: list[Tensor]) -> Tensor:
+            parts = [self.modes[:, k, order] * a[:, None] for k, a in enumerate(amplitudes)]
+            return parts[0] + parts[1] + parts[2]
 
-    The frame keeps the centre of area where it is and has no angular momentum. As sections that
-    turn make room on one side and take it on the other, the linear momentum, the integral of the
-    deformation velocity over the area, is not zero at each instant, as it is in vertical shear: it
-    is 1 to 2 % of the integral of that velocity's magnitude.
+        def accumulate(slope: Tensor) -> Tensor:
+            """Integrate along the midline from the nose, by trapezes."""
+            before = torch.cat((slope[:, :1], slope[:, :-1]), 1)
+            return torch.cumsum(0.5 * (slope + before) * self.step, 1)
 
-    Args:
-        shape: of the fish.
-        beat: the instant.
-    """
-    e, e_t = compute_amplitudes(beat)
+        mass, second = 2.0 * self.half * self.weight, 2.0 / 3.0 * self.half**3 * self.weight
+        y_s, y_st = combine(1, e), combine(1, e_t)
+        x_s = torch.sqrt(1.0 - y_s * y_s)
+        x_st = -y_s * y_st / x_s
+        first = combine(2, e) / x_s * second
+        first_t = (combine(2, e_t) - combine(2, e) * x_st / x_s) / x_s * second
+        normal, normal_t = (-y_s, x_s), (-y_st, x_st)
+        whole = mass.sum(-1, keepdim=True)
 
-    def combine(order: int, amplitudes: list[Tensor]) -> Tensor:
-        parts = [shape.modes[:, k, order] * a[:, None] for k, a in enumerate(amplitudes)]
-        return parts[0] + parts[1] + parts[2]
+        def total(values: Tensor) -> Tensor:
+            return values.sum(-1)
 
-    def accumulate(slope: Tensor) -> Tensor:
-        """Integrate along the midline from the nose, by trapezes."""
-        before = torch.cat((slope[:, :1], slope[:, :-1]), 1)
-        return torch.cumsum(0.5 * (slope + before) * shape.step, 1)
+        def centre(points: Tensor, moment: Tensor) -> Tensor:
+            """Return midline points, or velocities, relative to those of the centre of area."""
+            return points - (total(mass * points) - total(moment))[:, None] / whole
 
-    mass, second = 2.0 * shape.half * shape.weight, 2.0 / 3.0 * shape.half**3 * shape.weight
-    y_s, y_st = combine(1, e), combine(1, e_t)
-    x_s = torch.sqrt(1.0 - y_s * y_s)
-    x_st = -y_s * y_st / x_s
-    first = combine(2, e) / x_s * second
-    first_t = (combine(2, e_t) - combine(2, e) * x_st / x_s) / x_s * second
-    normal, normal_t = (-y_s, x_s), (-y_st, x_st)
-    whole = mass.sum(-1, keepdim=True)
+        x, y = accumulate(x_s), combine(0, e)
+        x_t, y_t = accumulate(x_st), combine(0, e_t)
+        middle = centre(x, first * normal[0]), centre(y, first * normal[1])
+        middle_t = (
+            centre(x_t, first * normal_t[0] + first_t * normal[0]),
+            centre(y_t, first * normal_t[1] + first_t * normal[1]),
+        )
+        inertia = total(mass * _dot(middle, middle) + second - 2.0 * first * _dot(middle, normal))
+        mixed = _cross(middle, normal_t) + _cross(normal, middle_t)
+        momentum = total(
+            mass * _cross(middle, middle_t) + second * _cross(normal, normal_t) - first * mixed
+        )
+        stretch = _dot(middle, normal_t) + _dot(normal, middle_t)
+        rate = total(2.0 * mass * _dot(middle, middle_t) - 2.0 * first * stretch)
+        station = self.station.long().expand(len(momentum), -1)
 
-    def total(values: Tensor) -> Tensor:
-        return values.sum(-1)
+        def at_markers(centre: Tensor, across: Tensor) -> Tensor:
+            return centre.gather(1, station) + self.lateral * across.gather(1, station)
 
-    def centre(points: Tensor, moment: Tensor) -> Tensor:
-        """Return midline points, or velocities, relative to those of the centre of area."""
-        return points - (total(mass * points) - total(moment))[:, None] / whole
-
-    x, y = accumulate(x_s), combine(0, e)
-    x_t, y_t = accumulate(x_st), combine(0, e_t)
-    middle = centre(x, first * normal[0]), centre(y, first * normal[1])
-    middle_t = (
-        centre(x_t, first * normal_t[0] + first_t * normal[0]),
-        centre(y_t, first * normal_t[1] + first_t * normal[1]),
-    )
-    inertia = total(mass * _dot(middle, middle) + second - 2.0 * first * _dot(middle, normal))
-    mixed = _cross(middle, normal_t) + _cross(normal, middle_t)
-    momentum = total(
-        mass * _cross(middle, middle_t) + second * _cross(normal, normal_t) - first * mixed
-    )
-    stretch = _dot(middle, normal_t) + _dot(normal, middle_t)
-    rate = total(2.0 * mass * _dot(middle, middle_t) - 2.0 * first * stretch)
-    station = shape.station.long().expand(len(momentum), -1)
-
-    def at_markers(centre: Tensor, across: Tensor) -> Tensor:
-        return centre.gather(1, station) + shape.lateral * across.gather(1, station)
-
-    return Deformation(
-        axial=at_markers(middle[0], normal[0]),
-        lateral=at_markers(middle[1], normal[1]),
-        axial_velocity=at_markers(middle_t[0], normal_t[0]),
-        lateral_velocity=at_markers(middle_t[1], normal_t[1]),
-        spin=-momentum / inertia,
-        inertia=inertia,
-        inertia_rate=rate,
-    )
+        return Deformation(
+            axial=at_markers(middle[0], normal[0]),
+            lateral=at_markers(middle[1], normal[1]),
+            axial_velocity=at_markers(middle_t[0], normal_t[0]),
+            lateral_velocity=at_markers(middle_t[1], normal_t[1]),
+            spin=-momentum / inertia,
+            inertia=inertia,
+            inertia_rate=rate,
+        )
 
 
 def _dot(a: _Pair, b: _Pair) -> Tensor:

@@ -1,84 +1,16 @@
-"""State of a body and what moves it: fixed, driven, oscillating, swimming or free."""
+"""What moves a body: nothing, a prescribed motion, a command or the flow."""
 
 from dataclasses import dataclass
 from math import pi
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
-
-class Body(NamedTuple):
-    """State of one body in each flow, float64, lattice units; every field starts with ``[B]``.
-
-    Attributes:
-        position: ``[B, 2]`` centre of mass (x, y).
-        heading: direction that the nose faces, radians from +x, counter-clockwise.
-        internal_angle: rotation of the momentum-free frame that the beating itself causes.
-        velocity: ``[B, 2]`` of the centre of mass.
-        angular_velocity: Omega, without the beating's own rotation.
-        phase: of the body wave or oscillation, radians.
-        frequency: tail beats or oscillations per step.
-        beats: tail beats or oscillations since reset.
-        age: steps since the body began to move.
-        bend: kappa of the midline's bend kappa L x^2; see ``Bending``.
-        turn: commanded change of heading, radians.
-        turn_steps: steps over which the turn is spread.
-        turn_clock: steps since the command.
-        load: ``[B, 2]`` force on the body beside the fluid's: weight less buoyancy, a tether.
-        work: done by the muscles since reset, rho (nodes / step)^2 nodes^2: sum of F . u_def.
-        positive_work: the same where no marker gives back what the flow does on it.
-        lateral_work: its lateral part, the paper's eqs. 12 and 13 with the sign of work done.
-        torque_impulse: sum of the torque on the fluid over all steps.
-        slip_error: largest velocity error at a marker in the last step.
-        force: ``[B, 2]`` force on the fluid in the last step, the fluid inside the body included.
-        hydro_force: ``[B, 2]`` force of the fluid outside on the body in the last step.
-        hydro_torque: torque of the fluid outside on the body in the last step.
-        impulse: ``[B, 2]`` sum of ``hydro_force`` over all steps.
-    """
-
-    position: Tensor
-    heading: Tensor
-    internal_angle: Tensor
-    velocity: Tensor
-    angular_velocity: Tensor
-    phase: Tensor
-    frequency: Tensor
-    beats: Tensor
-    age: Tensor
-    bend: Tensor
-    turn: Tensor
-    turn_steps: Tensor
-    turn_clock: Tensor
-    load: Tensor
-    work: Tensor
-    positive_work: Tensor
-    lateral_work: Tensor
-    torque_impulse: Tensor
-    slip_error: Tensor
-    force: Tensor
-    hydro_force: Tensor
-    hydro_torque: Tensor
-    impulse: Tensor
+from fishrl.physics.bodies.state import BodyState
 
 
-def make_body(position: Tensor, heading: Tensor, frequency: Tensor) -> Body:
-    """Return a body at rest, about to move.
-
-    Args:
-        position: ``[B, 2]`` centre of mass in nodes.
-        heading: ``[B]`` radians.
-        frequency: ``[B]`` tail beats or oscillations per step.
-    """
-    zero, pair = torch.zeros_like(heading), torch.zeros_like(position)
-    pairs = {"velocity", "load", "force", "hydro_force", "impulse"}
-    rest = {name: pair if name in pairs else zero for name in Body._fields}
-    one = torch.ones_like(zero)
-    given = {"position": position, "heading": heading, "frequency": frequency}
-    return Body(**rest | given | {"turn_steps": one, "turn_clock": one})
-
-
-def compute_turn_rate(body: Body) -> Tensor:
+def compute_turn_rate(body: BodyState) -> Tensor:
     """Return the commanded Omega ``[B]``: (turn / n) (1 - cos 2 pi t / n); its sum is ``turn``."""
     swing = 1.0 - torch.cos(2.0 * pi * (body.turn_clock + 0.5) / body.turn_steps)
     rate = body.turn / body.turn_steps * swing
@@ -98,11 +30,11 @@ class Motion:
     turns_freely: ClassVar[bool] = False
     is_still: ClassVar[bool] = False
 
-    def prescribe(self, body: Body) -> tuple[Tensor, Tensor]:
+    def prescribe(self, body: BodyState) -> tuple[Tensor, Tensor]:
         """Return velocity ``[B, 2]`` and Omega ``[B]``; read where the flow does not decide."""
         return body.velocity, body.angular_velocity
 
-    def compute_bend_rate(self, body: Body) -> Tensor:
+    def compute_bend_rate(self, body: BodyState) -> Tensor:
         """Return the change per step of a fish's bend, ``[B]``; see ``Bending``."""
         return torch.zeros_like(body.bend)
 
@@ -127,7 +59,7 @@ class Fixed(Motion):
         if self.kick_steps < 1:
             raise ValueError(f"kick_steps = {self.kick_steps}: a kick takes at least one step")
 
-    def prescribe(self, body: Body) -> tuple[Tensor, Tensor]:
+    def prescribe(self, body: BodyState) -> tuple[Tensor, Tensor]:
         """Return zero, and the kick at first."""
         swing = self.kick_speed * torch.sin(2.0 * pi * body.age / self.kick_steps)
         kick = torch.where(body.age < self.kick_steps, swing, torch.zeros_like(swing))
@@ -154,7 +86,7 @@ class Oscillating(Motion):
     pitch: float = 0.0
     pitch_lag: float = 0.0
 
-    def prescribe(self, body: Body) -> tuple[Tensor, Tensor]:
+    def prescribe(self, body: BodyState) -> tuple[Tensor, Tensor]:
         """Return what carries the body exactly along its path in one step."""
         after = body.phase + 2.0 * pi * body.frequency
         swing = torch.sin(after) - torch.sin(body.phase)
@@ -176,7 +108,7 @@ class Commanded(Motion):
 
     moves_freely: ClassVar[bool] = True
 
-    def prescribe(self, body: Body) -> tuple[Tensor, Tensor]:
+    def prescribe(self, body: BodyState) -> tuple[Tensor, Tensor]:
         """Return the commanded turn rate."""
         return body.velocity, compute_turn_rate(body)
 
@@ -201,7 +133,7 @@ class Bending(Motion):
 
     gain: float = 1.0
 
-    def compute_bend_rate(self, body: Body) -> Tensor:
+    def compute_bend_rate(self, body: BodyState) -> Tensor:
         """Return the relaxation towards the command."""
         is_asked = body.turn_clock < body.turn_steps
         goal = torch.where(is_asked, -self.gain * body.turn, torch.zeros_like(body.turn))

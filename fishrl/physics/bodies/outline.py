@@ -14,29 +14,19 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fishrl.physics.bodies.gait import (
-    CARLING,
-    Beat,
-    Deformation,
-    Gait,
-    Shape,
-    compute_amplitudes,
-    deform,
-    shear,
-)
-from fishrl.physics.bodies.midline import MidlineShape, bend_midline
-from fishrl.physics.bodies.motion import Commanded, Fixed, Motion
+from fishrl.physics.bodies.midline import MidlineParams
+from fishrl.physics.bodies.motion import Fixed, Motion
 from fishrl.physics.bodies.sections import Section
+from fishrl.physics.bodies.shear import ShearParams
 
 _STATIONS = 20001  # quadrature and arc-length stations along the body; set-up cost only
 
-_Points = NDArray[np.float64]
-AnyShape = Shape | MidlineShape
-_COARSE = np.linspace(0.0, 1.0, 201)
+Points = NDArray[np.float64]
+BodyParams = ShearParams | MidlineParams
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outline(ABC):
+class BodyConfig(ABC):
     """A body in the flow.
 
     Args:
@@ -77,20 +67,20 @@ class Outline(ABC):
         if not 0.4 <= spacing <= 2.1:
             raise ValueError(
                 f"{type(self).__name__} with num_markers = {self.num_markers}: they would lie "
-                f"{spacing:.2f} nodes apart, allowed is 0.5 to 2; a larger or smaller number of "
-                "markers, or another size"
+                f"{spacing:.2f} nodes apart, allowed is 0.5 to 2; change the number of markers or "
+                "the size"
             )
 
     def get_structure(self) -> tuple[object, ...]:
-        """Return what this body has in common with its like in other flows of a batch."""
+        """Return what this body must share with its counterparts in other flows of a batch."""
         return type(self), self.num_markers, self.motion
 
     @abstractmethod
-    def draw(self) -> list[_Points]:
+    def draw(self) -> list[Points]:
         """Return the closed outline as smooth pieces ``[n, 2]`` from corner to corner, in nodes."""
 
     @cached_property
-    def _pieces(self) -> list[_Points]:
+    def _pieces(self) -> list[Points]:
         return self.draw()
 
     @cached_property
@@ -98,7 +88,7 @@ class Outline(ABC):
         return [float(_measure_arc(piece)[-1]) for piece in self._pieces]
 
     @cached_property
-    def _moments(self) -> tuple[float, _Points, float]:
+    def _moments(self) -> tuple[float, Points, float]:
         """Area, centre of area and polar moment of area about it."""
         points = np.concatenate([piece[:-1] for piece in self._pieces])
         x, y = points.T
@@ -125,8 +115,8 @@ class Outline(ABC):
         points = np.concatenate(self._pieces)
         return float(np.ptp(points, axis=0).max())
 
-    def _place_markers(self) -> tuple[_Points, _Points]:
-        """Return markers ``[N, 2]`` and the length of outline that each stands for, ``[N]``.
+    def _place_markers(self) -> tuple[Points, Points]:
+        """Return markers ``[N, 2]`` and the length of outline that each represents, ``[N]``.
 
         Every corner of the outline has a marker; all are then moved inwards by ``inset``.
         """
@@ -151,30 +141,29 @@ class Outline(ABC):
         step = np.hypot(*(np.roll(places, -1, 0) - places).T)
         return places, 0.5 * (step + np.roll(step, 1))
 
-    def make_shape(self, device: torch.device | str = "cpu") -> AnyShape:
-        """Place the markers, in float64; marker 0 is the nose. See ``Shape``."""
+    def make_params(self, device: torch.device | str = "cpu") -> BodyParams:
+        """Place the markers, in float64; marker 0 is the nose. See ``ShearParams``."""
         places, spacing = self._place_markers()
         area, centre, inertia = self._moments
         axial, lateral = (places - centre).T
-        none = np.zeros((1, len(axial)))
-        values = axial, lateral, spacing, none, none[:, 0], none[:, :1], area, inertia
-        return Shape(*_to_tensors(device, *values, self.density_ratio))
-
-    def deform(self, shape: AnyShape, beat: Beat) -> Deformation:
-        """Return the outline at one instant."""
-        assert isinstance(shape, Shape)
-        return deform(shape, beat)
-
-    def draw_at(self, shape: AnyShape, beat: Beat) -> tuple[Tensor, Tensor]:
-        """Return the same outline, along and across the axis ``[B, N]``, without its motion."""
-        if isinstance(shape, Shape):
-            return shape.axial, shear(shape, compute_amplitudes(beat)[0])
-        deformation = self.deform(shape, beat)
-        return deformation.axial, deformation.lateral
+        zeros = np.zeros((1, len(axial)))
+        values = to_tensors(
+            device,
+            axial=axial,
+            lateral=lateral,
+            spacing=spacing,
+            modes=zeros,
+            moments=zeros[:, 0],
+            gram=zeros[:, :1],
+            area=area,
+            inertia=inertia,
+            density_ratio=self.density_ratio,
+        )
+        return ShearParams(**values)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ellipse(Outline):
+class Ellipse(BodyConfig):
     """An ellipse.
 
     Args:
@@ -185,7 +174,7 @@ class Ellipse(Outline):
     length: float
     width: float
 
-    def draw(self) -> list[_Points]:
+    def draw(self) -> list[Points]:
         """Return one piece, from the nose round."""
         _check_size("length", self.length)
         _check_size("width", self.width)
@@ -195,7 +184,7 @@ class Ellipse(Outline):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cylinder(Outline):
+class Cylinder(BodyConfig):
     """A circular cylinder.
 
     Args:
@@ -204,13 +193,13 @@ class Cylinder(Outline):
 
     diameter: float
 
-    def draw(self) -> list[_Points]:
+    def draw(self) -> list[Points]:
         """Return one piece, from the nose round."""
         return Ellipse(length=self.diameter, width=self.diameter).draw()
 
 
 @dataclass(frozen=True, kw_only=True)
-class DCylinder(Outline):
+class DCylinder(BodyConfig):
     """Half a disc; its nose is the middle of the round side.
 
     With heading pi the round side faces -x and the flat side +x, downstream of a flow along +x
@@ -222,7 +211,7 @@ class DCylinder(Outline):
 
     diameter: float
 
-    def draw(self) -> list[_Points]:
+    def draw(self) -> list[Points]:
         """Return the two quarters of the round side and the flat side between them."""
         _check_size("diameter", self.diameter)
         angle = np.pi - np.linspace(0.0, 0.5 * np.pi, _STATIONS)
@@ -233,7 +222,7 @@ class DCylinder(Outline):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Foil(Outline):
+class Foil(BodyConfig):
     """A rigid NACA 4-digit foil without camber.
 
     Args:
@@ -244,136 +233,28 @@ class Foil(Outline):
     chord: float
     thickness: float = 0.12
 
-    def draw(self) -> list[_Points]:
+    def draw(self) -> list[Points]:
         """Return the upper side to the trailing edge and the lower side back."""
         _check_size("chord", self.chord)
-        return _draw_section(Section.NACA, self.chord, self.thickness)
+        return draw_section(Section.NACA, self.chord, self.thickness)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Fish(Outline):
-    """A fish: outline, gait and what moves it.
-
-    Args:
-        body_length: L in nodes.
-        section: family of its half-thickness.
-        thickness: largest thickness in body lengths.
-        gait: amplitude envelope and wavenumber.
-        keeps_length: whether the midline keeps its length (``midline.bend_midline``) instead of the
-            paper's vertical shear (``kinematics.deform``).
-        inset: see ``Outline``; 0 unless said otherwise, since a fish's tail is thinner than the
-            kernel is wide. 0.45 makes a coarse fish faster, nearer to what a fine one swims (the
-            swimmer in the validation page).
-        motion: commanded heading unless said otherwise.
-    """
-
-    body_length: float
-    section: Section = Section.NACA
-    thickness: float = 0.12
-    gait: Gait = CARLING
-    keeps_length: bool = False
-    inset: float = 0.0
-    motion: Motion = field(default_factory=Commanded)
-
-    def __post_init__(self) -> None:
-        """Refuse a fish that the nodes cannot resolve."""
-        if self.body_length < 16:
-            raise ValueError(
-                f"body_length = {self.body_length} nodes: a fish needs at least 16 nodes"
-            )
-        slope = float(np.hypot(*self.gait.evaluate_modes(_COARSE, 1)[:2]).max())
-        if self.keeps_length and slope > 0.95:
-            raise ValueError(
-                f"keeps_length: the gait's midline rises by {slope:.2f} per unit of arc, allowed "
-                "is 0.95: lower the amplitude or the wavenumber"
-            )
-        super().__post_init__()
-
-    def draw(self) -> list[_Points]:
-        """Return the straight outline: the upper side to the tail and the lower side back."""
-        return _draw_section(self.section, self.body_length, self.thickness)
-
-    def get_structure(self) -> tuple[object, ...]:
-        """Return what this fish has in common with its like in other flows of a batch."""
-        return *super().get_structure(), self.keeps_length
-
-    @property
-    def spacing(self) -> float:
-        """Distance of the markers along the outline, nodes."""
-        return float(sum(self._lengths)) / self.num_markers
-
-    def make_shape(self, device: torch.device | str = "cpu") -> AnyShape:
-        """Place the markers and integrate the gait's modes over the body, in float64.
-
-        Marker 0 is the nose, marker N / 2 the tail.
-        """
-        if self.keeps_length:
-            return self._make_midline(device)
-        places, spacing = self._place_markers()
-        axial, h = self._pieces[0].T
-
-        def integrate(values: _Points) -> float:
-            return float(np.trapezoid(values, axial))
-
-        area, centre = self.area, self.centre
-        x = axial / self.body_length
-        modes = self.body_length * self.gait.evaluate_modes(x)
-        waves = [wave - integrate(2.0 * h * wave) / area for wave in modes]
-        values = (
-            places[:, 0] - centre,
-            places[:, 1],
-            spacing,
-            np.stack([np.interp(places[:, 0], axial, wave) for wave in waves]),
-            np.array([integrate(2.0 * h * (axial - centre) * wave) for wave in waves]),
-            np.array([[integrate(2.0 * h * a * b) for b in waves] for a in waves]),
-            area,
-            integrate(2.0 * h * (axial - centre) ** 2 + 2.0 / 3.0 * h**3),
-            self.density_ratio,
-        )
-        return Shape(*_to_tensors(device, *values))
-
-    def _make_midline(self, device: torch.device | str) -> MidlineShape:
-        """Put points on the midline, four between neighbouring markers of one side."""
-        places, spacing = self._place_markers()
-        half = self.num_markers // 2
-        upper = np.clip(places[: half + 1, 0], 0.0, self.body_length)
-        knots = np.concatenate(([0.0], upper, [self.body_length]))
-        fine = np.interp(np.arange(4 * (half + 2) + 1) / 4.0, np.arange(half + 3), knots)
-        own = 4 * (1 + np.arange(half + 1))
-        step = np.diff(fine, prepend=0.0)
-        half_thickness = self.section.compute_half_thickness(
-            np.minimum(fine / self.body_length, 1.0), self.thickness
-        )
-        scales = self.body_length ** (1.0 - np.arange(3.0))
-        modes = [
-            s * self.gait.evaluate_modes(fine / self.body_length, k) for k, s in enumerate(scales)
-        ]
-        values = (
-            spacing,
-            places[:, 1],
-            np.concatenate((own, own[-2:0:-1])),
-            step,
-            0.5 * (step + np.append(step[1:], 0.0)),
-            self.body_length * half_thickness,
-            np.stack(modes, 1),
-            self.area,
-            self.density_ratio,
-        )
-        return MidlineShape(*_to_tensors(device, *values))
-
-    def deform(self, shape: AnyShape, beat: Beat) -> Deformation:
-        """Return the outline at one instant."""
-        return bend_midline(shape, beat) if isinstance(shape, MidlineShape) else deform(shape, beat)
-
-
-def _draw_section(section: Section, length: float, thickness: float) -> list[_Points]:
-    """Return the upper side to the tail and the lower side back."""
+def draw_section(section: Section, length: float, thickness: float) -> list[Points]:
+    """Return the upper side from nose to tail and the lower side back."""
     x = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, _STATIONS)))
     upper = length * np.stack([x, section.compute_half_thickness(x, thickness)], -1)
     return [upper, upper[::-1] * np.array([1.0, -1.0])]
 
 
-def _measure_arc(piece: _Points) -> _Points:
+def to_tensors(device: torch.device | str, **values: NDArray[Any] | float) -> dict[str, Tensor]:
+    """Return values as float64 tensors ``[1, ...]``, by name."""
+    return {
+        name: torch.as_tensor(np.asarray(value), dtype=torch.float64, device=device)[None]
+        for name, value in values.items()
+    }
+
+
+def _measure_arc(piece: Points) -> Points:
     """Return the arc length from the first point to each, ``[n]``."""
     return np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(piece, axis=0).T))))
 
@@ -381,9 +262,3 @@ def _measure_arc(piece: _Points) -> _Points:
 def _check_size(name: str, value: float) -> None:
     if value < 8.0:
         raise ValueError(f"{name} = {value} nodes: a body needs at least 8 nodes along each axis")
-
-
-def _to_tensors(device: torch.device | str, *values: NDArray[Any] | float) -> list[Tensor]:
-    return [
-        torch.as_tensor(np.asarray(v), dtype=torch.float64, device=device)[None] for v in values
-    ]

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.coupling import locate_markers
-from fishrl.physics.bodies.motion import Body, make_body
+from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
 from fishrl.physics.fast.compiled import find_compiler_problem
 from fishrl.physics.fast.memory import FlowMemory
@@ -146,12 +146,12 @@ class InPlaceSolver:
             layout.strip_rings(self._omega).copy_(omega)
 
     @property
-    def bodies(self) -> tuple[Body, ...]:
+    def bodies(self) -> tuple[BodyState, ...]:
         """The bodies' states, in the order of the configuration; tensors change in place."""
         return self.flow.bodies
 
     @property
-    def body(self) -> Body:
+    def body(self) -> BodyState:
         """The first body's state, the fish where there is one."""
         if not self.flow.bodies:
             raise ValueError("this flow has no body: give FlowConfig(bodies=...)")
@@ -354,7 +354,7 @@ class InPlaceSolver:
                 f"body {index} of a flow with {len(self.bodies)}: give FlowConfig bodies, and an "
                 "index below their number"
             )
-        body, shape = self.bodies[index], self.flow.params.shapes[index]
+        body, shape = self.bodies[index], self.flow.params.bodies[index]
         return locate_markers(self.config.bodies[index], shape, body)
 
     def head(self) -> Tensor:
@@ -390,8 +390,7 @@ class InPlaceSolver:
 
     def _named_state(self) -> list[tuple[str, Tensor]]:
         pairs, _ = pytree.tree_flatten_with_path(self.flow)
-        return [
-            ("data", self._data),
-            ("omega", self._omega),
-            *((pytree.keystr(path).lstrip("."), leaf) for path, leaf in pairs),
-        ]
+        named = [(pytree.keystr(path).lstrip("."), leaf) for path, leaf in pairs]
+        # states saved so far call the bodies' parameters "shapes"
+        named = [(n.replace("params.bodies", "params.shapes"), leaf) for n, leaf in named]
+        return [("data", self._data), ("omega", self._omega), *named]

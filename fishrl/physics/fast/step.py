@@ -15,13 +15,13 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from fishrl.physics.bodies.motion import Body
+from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.boundaries import Boundary, Side
 from fishrl.physics.collision import collide_mrt, compute_force_increment, compute_macroscopic
 from fishrl.physics.fast.compiled import compile_inplace, is_own
 from fishrl.physics.flow import FlowConfig, FlowParams, compute_stream_speed
 from fishrl.physics.lattice import OPPOSITE, Q
-from fishrl.physics.step import Place, exchange, locate_bodies
+from fishrl.physics.step import BodyGeometry, exchange, locate_bodies
 from fishrl.physics.storage import Storage
 from fishrl.physics.streaming import InPlaceLayout
 
@@ -46,7 +46,7 @@ class FlowData(NamedTuple):
 
     clock: Tensor
     params: FlowParams
-    bodies: tuple[Body, ...]
+    bodies: tuple[BodyState, ...]
 
 
 class FlowGroup:
@@ -106,8 +106,8 @@ class Stepper:
 
     def _prepare_bodies(self, sample: FlowData, group_size: int) -> None:
         layout, device = self.layout, self.device
-        self._place: Place = locate_bodies(
-            sample.bodies, self.config, sample.params.shapes, torch.float32
+        self._place: BodyGeometry = locate_bodies(
+            sample.bodies, self.config, sample.params.bodies, torch.float32
         )
         self._first_cell = (
             torch.arange(group_size, device=device) * layout.flow_length + layout.first_cell
@@ -120,7 +120,7 @@ class Stepper:
 
     def _gather_trees(self, flow: FlowData) -> "_Trees":
         """Return bodies, shapes and, where it is kept, their place."""
-        return flow.bodies, flow.params.shapes, self._place if self.config.is_still else ()
+        return flow.bodies, flow.params.bodies, self._place if self.config.is_still else ()
 
     def gather_body_arguments(
         self, populations: Tensor, omega: Tensor, flow: FlowData, parity: int
@@ -239,7 +239,7 @@ def _make_collide(config: FlowConfig) -> _Function:
     return collide
 
 
-_Trees = tuple[Any, Any, Place | tuple[()]]
+_Trees = tuple[Any, Any, BodyGeometry | tuple[()]]
 
 
 def _copy_tree(old: object, new: object) -> None:

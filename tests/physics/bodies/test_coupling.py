@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from fishrl.physics import Cylinder, FlowConfig, FlowState, Scales
-from fishrl.physics.bodies.motion import Driven, Free, make_body
+from fishrl.physics.bodies.motion import Driven, Free
+from fishrl.physics.bodies.state import make_body
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.flow import make_params

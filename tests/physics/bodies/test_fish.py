@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from fishrl.physics.bodies.coupling import Coupling, deform_body, locate_markers, place_markers
+from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.gait import (
     CARANGIFORM,
     CARLING,
@@ -13,19 +14,10 @@ from fishrl.physics.bodies.gait import (
     Beat,
     Deformation,
     Gait,
-    deform,
 )
-from fishrl.physics.bodies.midline import MidlineShape
-from fishrl.physics.bodies.motion import (
-    Bending,
-    Body,
-    Commanded,
-    Free,
-    Motion,
-    compute_turn_rate,
-    make_body,
-)
-from fishrl.physics.bodies.outline import Fish
+from fishrl.physics.bodies.midline import MidlineParams
+from fishrl.physics.bodies.motion import Bending, Commanded, Free, Motion, compute_turn_rate
+from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.diagnostics import compute_area
@@ -41,20 +33,20 @@ STILL = Gait(amplitude=0.0, envelope=(0.0, 1.0, 0.0), wavenumber=1.0)
 MOTIONS = [Free(), Commanded(), Bending()]
 
 
-def outline(fish: Fish, body: Body) -> torch.Tensor:
-    return place_markers(body, deform_body(fish, fish.make_shape(), body)).position
+def outline(fish: Fish, body: BodyState) -> torch.Tensor:
+    return place_markers(body, deform_body(fish, fish.make_params(), body)).position
 
 
 def make_fish_body(
     position: tuple[float, float] = (40.3, 30.6),
     heading: float = math.pi,
     frequency: float = 1.0 / SCALES.period,
-) -> Body:
+) -> BodyState:
     one = torch.ones(1, dtype=torch.float64)
     return make_body(torch.tensor([position], dtype=torch.float64), heading * one, frequency * one)
 
 
-def run(config: FlowConfig, body: Body, num_steps: int) -> FlowState:
+def run(config: FlowConfig, body: BodyState, num_steps: int) -> FlowState:
     params = make_params([config])
     state = FlowState(make_rest(config, 1), (body,))
     for _ in range(num_steps):
@@ -77,7 +69,7 @@ def test_naca0012_has_the_area_inertia_and_perimeter_of_the_closed_form() -> Non
     """Area 0.08171 L^2, I_0 = 0.0045097 L^4, perimeter 2.0395 L (integrals of the section)."""
     fish = Fish(body_length=100)
     assert fish.area / 100**2 == pytest.approx(0.08171, rel=1e-3)
-    assert float(fish.make_shape().inertia) / 100**4 == pytest.approx(0.0045097, rel=1e-3)
+    assert float(fish.make_params().inertia) / 100**4 == pytest.approx(0.0045097, rel=1e-3)
     assert fish.num_markers * fish.spacing / 100 == pytest.approx(2.0395, rel=1e-3)
 
 
@@ -95,11 +87,11 @@ def test_area_stays_within_half_a_percent_over_a_beat(gait: Gait) -> None:
 
 def test_the_wave_runs_from_head_to_tail() -> None:
     """The crest of the lateral displacement moves towards the tail as the phase advances."""
-    shape = Fish(body_length=50).make_shape()
+    shape = Fish(body_length=50).make_params()
     half = shape.axial.numel() // 2
     phase = torch.tensor([0.3, 0.4], dtype=torch.float64)
     one = torch.ones_like(phase)
-    bent = deform(shape, Beat(phase, one / 500, 2 * one, 0 * one, 0 * one))
+    bent = shape.deform(Beat(phase, one / 500, 2 * one, 0 * one, 0 * one))
     spine = (bent.lateral - shape.lateral)[:, half // 2 : half]
     crest = spine.abs().argmax(-1)
     assert crest[1] >= crest[0]
@@ -118,9 +110,9 @@ def test_markers_move_by_the_velocity_that_the_flow_is_given(motion: Motion) -> 
     state = FlowState(make_rest(config, 1), (body,))
     worst = 0.0
     for _ in range(SCALES.period + 40):
-        place = locate_bodies(state.bodies, config, params.shapes, torch.float64).markers[0]
+        place = locate_bodies(state.bodies, config, params.bodies, torch.float64).markers[0]
         state = step(state, config, params)
-        after = locate_bodies(state.bodies, config, params.shapes, torch.float64).markers[0]
+        after = locate_bodies(state.bodies, config, params.bodies, torch.float64).markers[0]
         rx, ry = place.arm.unbind(-1)
         omega = state.bodies[0].angular_velocity[:, None]
         imposed = (
@@ -189,7 +181,7 @@ def test_deformation_has_no_angular_momentum(gait: Gait, is_midline: bool) -> No
     body = make_fish_body()
     for phase in (0.2, 1.7, 4.0):
         body = body._replace(beats=0 * body.beats + 1e3, phase=0 * body.phase + phase)
-        bent = deform_body(fish, fish.make_shape(), body)
+        bent = deform_body(fish, fish.make_params(), body)
         momentum, size, inertia = sum_over_body(bent)
         assert abs(momentum + float(bent.spin) * inertia) < 5e-3 * size
         assert inertia == pytest.approx(float(bent.inertia), rel=5e-3)
@@ -291,13 +283,13 @@ def test_a_midline_that_keeps_its_length_keeps_length_area_and_centre(gait: Gait
             outline(fish, body._replace(phase=body.phase + d * 2 * math.pi * body.frequency))
             for d in (-0.5, 0.5)
         )
-        shape = deform_body(fish, fish.make_shape(), body)
+        shape = deform_body(fish, fish.make_params(), body)
         middle = outline(fish, body)[0]
         half = len(middle) // 2
         spine = 0.5 * (middle[1:half] + middle[half + 1 :].flip(0))
         length = float((spine[1:] - spine[:-1]).norm(dim=-1).sum())
-        straight = fish.make_shape()
-        assert isinstance(straight, MidlineShape)
+        straight = fish.make_params()
+        assert isinstance(straight, MidlineParams)
         ends = straight.step.cumsum(1)[0, straight.station[0, [1, half - 1]].long()]
         assert length == pytest.approx(float(ends[1] - ends[0]), rel=2e-3)
         assert float(compute_area(middle[None])) == pytest.approx(fish.area, rel=2e-3)
@@ -337,8 +329,8 @@ def test_markers_located_without_their_motion_are_the_same(
     motion: Motion, is_midline: bool
 ) -> None:
     fish = Fish(body_length=24, motion=motion, keeps_length=is_midline)
-    shape, body = fish.make_shape(), make_fish_body(heading=2.5)
-    assert isinstance(shape, MidlineShape) == is_midline
+    shape, body = fish.make_params(), make_fish_body(heading=2.5)
+    assert isinstance(shape, MidlineParams) == is_midline
     one = torch.ones_like(body.phase)
     body = body._replace(phase=0.7 * one, beats=0.6 * one, bend=0.02 * one)
     expected = place_markers(body, deform_body(fish, shape, body)).position

@@ -16,7 +16,8 @@ from fishrl.physics import (
     InPlaceSolver,
 )
 from fishrl.physics.bodies.gait import Gait
-from fishrl.physics.bodies.motion import Body, Fixed, Free, Oscillating
+from fishrl.physics.bodies.motion import Fixed, Free, Oscillating
+from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, NoSlip, Profile
 from fishrl.physics.collision import Rates
 from fishrl.physics.flow import make_params
@@ -74,7 +75,7 @@ CROWD = [make_crowd(), make_crowd(tau=0.6, diameter=15.0, amplitude=0.07)]
 
 def test_many_bodies_in_flows_that_differ_equal_the_readable_step() -> None:
     solver = start_crowd(CROWD)
-    before = tuple(Body(*(t.clone() for t in body)) for body in solver.bodies)
+    before = tuple(BodyState(*(t.clone() for t in body)) for body in solver.bodies)
     state = FlowState(solver.populations().double(), before, torch.zeros(2, dtype=torch.float64))
     params = make_params(CROWD)
     solver.advance_(120)

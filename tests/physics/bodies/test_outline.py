@@ -7,18 +7,20 @@ import pytest
 import torch
 
 from fishrl.physics.bodies.coupling import deform_body, place_markers
-from fishrl.physics.bodies.gait import Shape
-from fishrl.physics.bodies.motion import Driven, Fixed, Free, Oscillating, make_body
-from fishrl.physics.bodies.outline import Cylinder, DCylinder, Ellipse, Fish, Foil, Outline
+from fishrl.physics.bodies.fish import Fish
+from fishrl.physics.bodies.motion import Driven, Fixed, Free, Oscillating
+from fishrl.physics.bodies.outline import BodyConfig, Cylinder, DCylinder, Ellipse, Foil
 from fishrl.physics.bodies.sections import Section, compute_eel_half_thickness
+from fishrl.physics.bodies.shear import ShearParams
+from fishrl.physics.bodies.state import make_body
 from fishrl.physics.diagnostics import compute_area
 
 ONE = torch.ones(1, dtype=torch.float64)
 
 
-def get_shape(outline: Outline) -> Shape:
-    shape = outline.make_shape()
-    assert isinstance(shape, Shape)
+def get_shape(outline: BodyConfig) -> ShearParams:
+    shape = outline.make_params()
+    assert isinstance(shape, ShearParams)
     return shape
 
 
@@ -42,7 +44,7 @@ def get_shape(outline: Outline) -> Shape:
     ids=["cylinder", "ellipse", "half disc", "foil"],
 )
 def test_outlines_have_the_area_and_inertia_of_their_formulas(
-    outline: Outline, area: float, inertia: float
+    outline: BodyConfig, area: float, inertia: float
 ) -> None:
     shape = get_shape(outline)
     assert outline.area == pytest.approx(area, rel=1e-3)
@@ -62,7 +64,7 @@ def test_outlines_have_the_area_and_inertia_of_their_formulas(
     ],
     ids=lambda o: type(o).__name__,
 )
-def test_markers_stand_for_the_whole_outline_at_about_one_node_each(outline: Outline) -> None:
+def test_markers_stand_for_the_whole_outline_at_about_one_node_each(outline: BodyConfig) -> None:
     shape = get_shape(outline)
     assert shape.axial.shape == (1, outline.num_markers)
     ends = torch.stack((shape.axial, shape.lateral), -1)[0]
@@ -90,8 +92,8 @@ def test_an_inset_moves_every_marker_inwards_and_keeps_the_mass() -> None:
     torch.testing.assert_close(radius, torch.full_like(radius, 19.7), rtol=0, atol=1e-3)
     assert inset.area == plain.area
     assert float(get_shape(inset).inertia) == float(get_shape(plain).inertia)
-    tail = Fish(body_length=50, inset=0.5).make_shape()
-    straight = Fish(body_length=50).make_shape()
+    tail = Fish(body_length=50, inset=0.5).make_params()
+    straight = Fish(body_length=50).make_params()
     assert (tail.lateral.abs() <= straight.lateral.abs() + 1e-9).all()
     assert (tail.lateral * straight.lateral > -1e-9).all()  # the two sides never cross
 

@@ -15,7 +15,8 @@ from fishrl.physics import (
     InPlaceSolver,
     Scales,
 )
-from fishrl.physics.bodies.motion import Bending, Body, Commanded, Free, make_body
+from fishrl.physics.bodies.motion import Bending, Commanded, Free
+from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.boundaries import (
     Boundaries,
     NonEquilibrium,
@@ -203,7 +204,7 @@ def test_state_dict_resumes_bit_for_bit() -> None:
     other.load_state_dict(state)
     other.advance_(20)
     assert torch.equal(other.populations(), solver.populations())
-    for name, a, b in zip(Body._fields, other.body, solver.body, strict=True):
+    for name, a, b in zip(BodyState._fields, other.body, solver.body, strict=True):
         assert torch.equal(a, b), name
 
 

@@ -10,7 +10,8 @@ from torch._inductor.graph import GraphLowering
 from torch.profiler import ProfilerActivity, profile
 
 from fishrl.physics import DCylinder, Fish, FlowConfig, FlowState, InPlaceSolver, Storage
-from fishrl.physics.bodies.motion import Commanded, Fixed, make_body
+from fishrl.physics.bodies.motion import Commanded, Fixed
+from fishrl.physics.bodies.state import make_body
 from fishrl.physics.boundaries import (
     Boundaries,
     NonEquilibrium,

@@ -1,0 +1,129 @@
+"""A fish: outline, gait and what moves it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+
+from fishrl.physics.bodies.gait import CARLING, Gait
+from fishrl.physics.bodies.midline import MidlineParams
+from fishrl.physics.bodies.motion import Commanded, Motion
+from fishrl.physics.bodies.outline import BodyConfig, BodyParams, Points, draw_section, to_tensors
+from fishrl.physics.bodies.sections import Section
+from fishrl.physics.bodies.shear import ShearParams
+
+_COARSE = np.linspace(0.0, 1.0, 201)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fish(BodyConfig):
+    """A fish: outline, gait and what moves it.
+
+    Args:
+        body_length: L in nodes.
+        section: family of half-thickness profiles.
+        thickness: largest thickness in body lengths.
+        gait: amplitude envelope and wavenumber.
+        keeps_length: whether the midline keeps its length (``midline.py``) instead of the paper's
+            vertical shear (``shear.py``).
+        inset: see ``BodyConfig``; 0 by default, since a fish's tail is thinner than the kernel is
+            wide. 0.45 makes a coarse fish faster, closer to the speed on a fine grid (the swimmer
+            on the validation page).
+        motion: commanded heading by default.
+    """
+
+    body_length: float
+    section: Section = Section.NACA
+    thickness: float = 0.12
+    gait: Gait = CARLING
+    keeps_length: bool = False
+    inset: float = 0.0
+    motion: Motion = field(default_factory=Commanded)
+
+    def __post_init__(self) -> None:
+        """Refuse a fish that the nodes cannot resolve."""
+        if self.body_length < 16:
+            raise ValueError(
+                f"body_length = {self.body_length} nodes: a fish needs at least 16 nodes"
+            )
+        slope = float(np.hypot(*self.gait.evaluate_modes(_COARSE, 1)[:2]).max())
+        if self.keeps_length and slope > 0.95:
+            raise ValueError(
+                f"keeps_length: the gait's midline rises by {slope:.2f} per unit of arc, allowed "
+                "is 0.95: lower the amplitude or the wavenumber"
+            )
+        super().__post_init__()
+
+    def draw(self) -> list[Points]:
+        """Return the straight outline: the upper side to the tail and the lower side back."""
+        return draw_section(self.section, self.body_length, self.thickness)
+
+    def get_structure(self) -> tuple[object, ...]:
+        """Return what this fish must share with its counterparts in other flows of a batch."""
+        return *super().get_structure(), self.keeps_length
+
+    @property
+    def spacing(self) -> float:
+        """Distance of the markers along the outline, nodes."""
+        return float(sum(self._lengths)) / self.num_markers
+
+    def make_params(self, device: torch.device | str = "cpu") -> BodyParams:
+        """BodyGeometry the markers and integrate the gait's modes over the body, in float64.
+
+        Marker 0 is the nose, marker N / 2 the tail.
+        """
+        if self.keeps_length:
+            return self._make_midline(device)
+        places, spacing = self._place_markers()
+        axial, h = self._pieces[0].T
+
+        def integrate(values: Points) -> float:
+            return float(np.trapezoid(values, axial))
+
+        area, centre = self.area, self.centre
+        x = axial / self.body_length
+        modes = self.body_length * self.gait.evaluate_modes(x)
+        waves = [wave - integrate(2.0 * h * wave) / area for wave in modes]
+        values = to_tensors(
+            device,
+            axial=places[:, 0] - centre,
+            lateral=places[:, 1],
+            spacing=spacing,
+            modes=np.stack([np.interp(places[:, 0], axial, wave) for wave in waves]),
+            moments=np.array([integrate(2.0 * h * (axial - centre) * wave) for wave in waves]),
+            gram=np.array([[integrate(2.0 * h * a * b) for b in waves] for a in waves]),
+            area=area,
+            inertia=integrate(2.0 * h * (axial - centre) ** 2 + 2.0 / 3.0 * h**3),
+            density_ratio=self.density_ratio,
+        )
+        return ShearParams(**values)
+
+    def _make_midline(self, device: torch.device | str) -> MidlineParams:
+        """Put points on the midline, four between neighbouring markers of one side."""
+        places, spacing = self._place_markers()
+        half = self.num_markers // 2
+        upper = np.clip(places[: half + 1, 0], 0.0, self.body_length)
+        knots = np.concatenate(([0.0], upper, [self.body_length]))
+        fine = np.interp(np.arange(4 * (half + 2) + 1) / 4.0, np.arange(half + 3), knots)
+        own = 4 * (1 + np.arange(half + 1))
+        step = np.diff(fine, prepend=0.0)
+        half_thickness = self.section.compute_half_thickness(
+            np.minimum(fine / self.body_length, 1.0), self.thickness
+        )
+        scales = self.body_length ** (1.0 - np.arange(3.0))
+        modes = [
+            s * self.gait.evaluate_modes(fine / self.body_length, k) for k, s in enumerate(scales)
+        ]
+        values = to_tensors(
+            device,
+            spacing=spacing,
+            lateral=places[:, 1],
+            station=np.concatenate((own, own[-2:0:-1])),
+            step=step,
+            weight=0.5 * (step + np.append(step[1:], 0.0)),
+            half=self.body_length * half_thickness,
+            modes=np.stack(modes, 1),
+            area=self.area,
+            density_ratio=self.density_ratio,
+        )
+        return MidlineParams(**values)

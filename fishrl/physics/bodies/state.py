@@ -1,0 +1,76 @@
+"""State of a body: place, velocity, phase, the command it follows and what it has done so far."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class BodyState(NamedTuple):
+    """State of one body in each flow, float64, lattice units; every field starts with ``[B]``.
+
+    Attributes:
+        position: ``[B, 2]`` centre of mass (x, y).
+        heading: direction that the nose faces, radians from +x, counter-clockwise.
+        internal_angle: rotation of the momentum-free frame that the beating itself causes.
+        velocity: ``[B, 2]`` of the centre of mass.
+        angular_velocity: Omega, without the beating's own rotation.
+        phase: of the body wave or oscillation, radians.
+        frequency: tail beats or oscillations per step.
+        beats: tail beats or oscillations since reset.
+        age: steps since the body began to move.
+        bend: kappa of the midline's bend kappa L x^2; see ``Bending``.
+        turn: commanded change of heading, radians.
+        turn_steps: steps over which the turn is spread.
+        turn_clock: steps since the command.
+        load: ``[B, 2]`` force on the body beside the fluid's: weight less buoyancy, a tether.
+        work: done by the muscles since reset, rho (nodes / step)^2 nodes^2: sum of F . u_def.
+        positive_work: the same where no marker gives back what the flow does on it.
+        lateral_work: its lateral part, the paper's eqs. 12 and 13 with the sign of work done.
+        torque_impulse: sum of the torque on the fluid over all steps.
+        slip_error: largest velocity error at a marker in the last step.
+        force: ``[B, 2]`` force on the fluid in the last step, the fluid inside the body included.
+        hydro_force: ``[B, 2]`` force of the fluid outside on the body in the last step.
+        hydro_torque: torque of the fluid outside on the body in the last step.
+        impulse: ``[B, 2]`` sum of ``hydro_force`` over all steps.
+    """
+
+    position: Tensor
+    heading: Tensor
+    internal_angle: Tensor
+    velocity: Tensor
+    angular_velocity: Tensor
+    phase: Tensor
+    frequency: Tensor
+    beats: Tensor
+    age: Tensor
+    bend: Tensor
+    turn: Tensor
+    turn_steps: Tensor
+    turn_clock: Tensor
+    load: Tensor
+    work: Tensor
+    positive_work: Tensor
+    lateral_work: Tensor
+    torque_impulse: Tensor
+    slip_error: Tensor
+    force: Tensor
+    hydro_force: Tensor
+    hydro_torque: Tensor
+    impulse: Tensor
+
+
+def make_body(position: Tensor, heading: Tensor, frequency: Tensor) -> BodyState:
+    """Return a body at rest, about to move.
+
+    Args:
+        position: ``[B, 2]`` centre of mass in nodes.
+        heading: ``[B]`` radians.
+        frequency: ``[B]`` tail beats or oscillations per step.
+    """
+    zero, pair = torch.zeros_like(heading), torch.zeros_like(position)
+    pairs = {"velocity", "load", "force", "hydro_force", "impulse"}
+    rest = {name: pair if name in pairs else zero for name in BodyState._fields}
+    one = torch.ones_like(zero)
+    given = {"position": position, "heading": heading, "frequency": frequency}
+    return BodyState(**rest | given | {"turn_steps": one, "turn_clock": one})
