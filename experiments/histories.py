@@ -8,8 +8,10 @@ from typing import Any, NamedTuple
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.envs import EnvBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.envs import TransformedEnv
+from torchrl.envs.utils import ExplorationType
+
+from fishrl.envs.episodes import run_episodes
 
 
 class Histories(NamedTuple):
@@ -55,7 +57,7 @@ _FRAMES = ("beat", "aside", "lift")
 
 
 def record_histories(
-    env: EnvBase,
+    env: TransformedEnv,
     policy: Callable[[TensorDictBase], TensorDictBase],
     starts: TensorDictBase,
     *,
@@ -82,37 +84,34 @@ def record_histories(
     if base.batch_size[0] != num:
         raise ValueError(f"{num} starts in {base.batch_size[0]} flows: give one flow per start")
     kept: dict[str, list[Tensor]] = {}
-    frames = _FrameRecorder(base, kept)
-    before = base.starts, base.on_frame
-    base.starts, base._next_start, base.on_frame = starts.to(base.device), 0, frames
-    ages, terminated, diverged = (torch.zeros(num, device=base.device) for _ in range(3))
-    try:
-        kind = ExplorationType.RANDOM if samples_actions else ExplorationType.DETERMINISTIC
-        with torch.no_grad(), set_exploration_type(kind):
-            state = env.reset()
-            is_open = frames.begin()
-            _keep(kept, is_open, {name: base.now[name] for name in _PLACES})
-            for _ in range(num_decisions):
-                base.is_resting = ~is_open
-                frames.is_open = is_open
-                named = state.get("flow_class", torch.full_like(ages, torch.nan))
-                after = env.step(policy(state))["next"]
-                ages = torch.where(is_open, base.now["age"].to(ages), ages)
-                now = {name: base.now[name] for name in (*_PLACES, "frequency")}
-                now["angle_of_attack"] = base.now["heading"] - torch.pi
-                now["named"] = named.reshape(num).double()
-                _keep(kept, is_open, now)
-                for total, flag in ((terminated, "terminated"), (diverged, "diverged")):
-                    total += is_open & after[flag].squeeze(-1)
-                is_open = is_open & ~after["done"].squeeze(-1)
-                if on_decision is not None:
-                    on_decision()
-                if not is_open.any():
-                    break
-                state = after.exclude("reward", "done", "terminated", "truncated")
-    finally:
-        base.starts, base.on_frame = before
-        base.is_resting = torch.zeros_like(base.is_resting)
+    frames = _FrameRecorder(kept)
+    ages = torch.zeros(num, device=base.device)
+
+    def begin(start_of: Tensor, state: TensorDictBase) -> None:
+        frames.begin(base.solver)
+        _keep(kept, start_of >= 0, {name: base.now[name] for name in _PLACES})
+
+    def note(start_of: Tensor, step: TensorDictBase) -> None:
+        is_open = start_of >= 0
+        named = step.get("flow_class", torch.full_like(ages, torch.nan))
+        ages.copy_(torch.where(is_open, base.now["age"].to(ages), ages))
+        now = {name: base.now[name] for name in (*_PLACES, "frequency")}
+        now["angle_of_attack"] = base.now["heading"] - torch.pi
+        now["named"] = named.reshape(num).double()
+        _keep(kept, is_open, now)
+        if on_decision is not None:
+            on_decision()
+
+    episodes = run_episodes(
+        env,
+        policy,
+        starts,
+        max_decisions=num_decisions,
+        exploration=ExplorationType.RANDOM if samples_actions else ExplorationType.DETERMINISTIC,
+        on_begin=begin,
+        on_step=note,
+        on_frame=frames.keep,
+    )
     task = base.task
     lengths_T = ages.cpu() / task.scales.period
     series = {name: torch.stack(values, 1).cpu() for name, values in kept.items()}
@@ -124,46 +123,43 @@ def record_histories(
     return Histories(
         flow=starts["flow_index"].cpu(),
         lengths_T=lengths_T,
-        terminated=terminated.bool().cpu(),
-        diverged=diverged.bool().cpu(),
+        terminated=episodes.terminated,
+        diverged=episodes.diverged,
         **series,
     )
 
 
 class _FrameRecorder:
-    """Looks at body and obstacle several times within an action."""
+    """Keeps beat, place and lift several times within an action."""
 
-    def __init__(self, base: Any, kept: dict[str, list[Tensor]]) -> None:
-        self._kept, self._solver, self._task = kept, base.solver, base.task
-        self.is_open = torch.ones(base.batch_size, dtype=torch.bool, device=base.device)
+    def __init__(self, kept: dict[str, list[Tensor]]) -> None:
+        self._kept = kept
 
-    def begin(self) -> Tensor:
-        """Begin new episodes in all rows, and return them ``[B]``."""
-        self.is_open = torch.ones_like(self.is_open)
-        self._before = self._read()
-        return self.is_open
+    def begin(self, solver: Any) -> None:
+        """Begin new episodes in all rows."""
+        self._before = _read_impulse(solver)
 
-    def __call__(self, base: Any) -> None:
-        """Keep what there is to see; the env calls this."""
-        solver, task = self._solver, self._task
-        impulse, age = self._read()
+    def keep(self, start_of: Tensor, base: Any) -> None:
+        """Keep a frame of the rows that run; the env calls this."""
+        solver, task = base.solver, base.task
+        impulse, age = _read_impulse(solver)
         unit = task.body_length * (task.body_length / task.scales.period) ** 2
         steps = (age - self._before[1]).clamp_min(1.0)
-        aside = (solver.head()[:, 1] - task.origin[1].to(age)) / task.body_length
         values = {
             "beat": solver.body.phase,
-            "aside": aside,
+            "aside": (solver.head()[:, 1] - task.origin[1].to(age)) / task.body_length,
             "lift": (impulse - self._before[0]) / steps / unit,
         }
         self._before = impulse, age
-        _keep(self._kept, self.is_open, values)
+        _keep(self._kept, start_of >= 0, values)
 
-    def _read(self) -> tuple[Tensor, Tensor]:
-        """Return the lateral impulse on the obstacle ``[B]`` and the age ``[B]`` of the flows."""
-        bodies = self._solver.bodies
-        age = bodies[0].age.clone()
-        lift = bodies[1].impulse[:, 1].clone() if len(bodies) > 1 else torch.zeros_like(age)
-        return lift, age
+
+def _read_impulse(solver: Any) -> tuple[Tensor, Tensor]:
+    """Return the lateral impulse on the obstacle ``[B]`` and the age ``[B]`` of the flows."""
+    bodies = solver.bodies
+    age = bodies[0].age.clone()
+    lift = bodies[1].impulse[:, 1].clone() if len(bodies) > 1 else torch.zeros_like(age)
+    return lift, age
 
 
 def _keep(kept: dict[str, list[Tensor]], is_open: Tensor, values: dict[str, Tensor]) -> None:

@@ -7,12 +7,12 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
-import torch
 from tensordict import TensorDictBase
-from torchrl.envs import EnvBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torch import Tensor
+from torchrl.envs import TransformedEnv
 
 from experiments.scenes import DECIDED, TaskView, Values
+from fishrl.envs import episodes
 from fishrl.viewer import Drawing, Frame
 
 
@@ -146,7 +146,7 @@ class Watch:
 
 
 def run_episodes(
-    env: EnvBase,
+    env: TransformedEnv,
     policy: Callable[[TensorDictBase], TensorDictBase],
     starts: TensorDictBase,
     *,
@@ -173,27 +173,27 @@ def run_episodes(
         raise ValueError(
             f"{num_starts} starts, but the env has {base.batch_size[0]} flows: give no more starts"
         )
-    base.task.check_starts(starts)
-    before = base.starts, base.on_frame
-    base.starts, age_T = starts.to(base.device), 0.0
-    try:
-        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            state = env.reset()
-            row_of = {start: row for row, start in enumerate(state["start_index"].tolist())}
-            watch = make_watch({row: start for start, row in row_of.items()})
-            watch.keep(base)
-            base.on_frame = watch.look
-            while watch.running and age_T < max_T - 1e-9:
-                resting = [row not in watch.running for row in range(base.batch_size[0])]
-                base.is_resting = torch.tensor(resting, device=base.device)
-                step, state = env.step_and_maybe_reset(policy(state))
-                ended = watch.settle(step)
-                age_T += base.task.interval_T
-                if on_step is not None:
-                    on_step(step, ended)
-    finally:
-        base.starts, base.on_frame = before
-        base.is_resting = torch.zeros_like(base.is_resting)
+    watches: list[Watch] = []
+
+    def begin(start_of: Tensor, state: TensorDictBase) -> None:
+        rows = enumerate(start_of.tolist())
+        watches.append(make_watch({row: start for row, start in rows if start >= 0}))
+        watches[0].keep(base)
+
+    def settle(start_of: Tensor, step: TensorDictBase) -> None:
+        ended = watches[0].settle(step)
+        if on_step is not None:
+            on_step(step, ended)
+
+    episodes.run_episodes(
+        env,
+        policy,
+        starts,
+        max_decisions=None if math.isinf(max_T) else math.ceil(max_T / base.task.interval_T - 1e-9),
+        on_begin=begin,
+        on_step=settle,
+        on_frame=lambda start_of, flows: watches[0].look(flows),
+    )
 
 
 class Drawn(NamedTuple):
@@ -211,7 +211,7 @@ class Drawn(NamedTuple):
 
 
 def draw_episodes(
-    env: EnvBase,
+    env: TransformedEnv,
     policy: Callable[[TensorDictBase], TensorDictBase],
     starts: TensorDictBase,
     *,

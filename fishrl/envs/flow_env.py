@@ -8,7 +8,8 @@ transforms: frame stacking, time limit, action mask.
 """
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -64,8 +65,8 @@ class FlowEnv(EnvBase):
         solver: the flows.
         start: ``[B]`` TensorDict, where each row's episode began.
         now: ``[B]`` TensorDict, the measurement that the last observation was made of.
-        is_resting: ``[B]`` bool, rows whose flow stands still because nobody looks at them any
-            more; what they report means nothing. An evaluation sets it for rows that are through.
+        is_resting: ``[B]`` bool, rows whose flow stands still, as nobody needs them any more; what
+            they report is undefined. ``run_episodes`` sets it for rows without a start.
 
     Raises:
         ValueError: if ``num_envs``, ``frames_per_action``, ``starts`` or what the task answers
@@ -122,6 +123,24 @@ class FlowEnv(EnvBase):
     def measure(self) -> TensorDict:
         """Measure the flows as they are, within an action too."""
         return self.task.measure(self.solver, self.start)
+
+    @contextmanager
+    def set_starts(
+        self, starts: TensorDictBase, *, on_frame: Callable[["FlowEnv"], None] | None = None
+    ) -> Iterator[None]:
+        """Take other starts within a ``with``, from the first on; for the arguments see the class.
+
+        Afterwards starts and ``on_frame`` are the former ones and no row rests; the flows are not
+        restored.
+        """
+        self.task.check_starts(starts)
+        before = self.starts, self._next_start, self.on_frame
+        self.starts, self._next_start, self.on_frame = starts.to(self.device), 0, on_frame
+        try:
+            yield
+        finally:
+            self.starts, self._next_start, self.on_frame = before
+            self.is_resting = torch.zeros_like(self.is_resting)
 
     def _begin(self) -> TensorDict:
         """Measure as at the beginning of an episode: with one sample, and nothing remembered."""

@@ -10,10 +10,9 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.envs import EnvBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.envs import TransformedEnv
 
-Policy = Callable[[TensorDictBase], TensorDictBase]
+from fishrl.envs.episodes import Policy, run_episodes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +53,7 @@ class Evaluator:
         decision_T: duration of one decision in tail beats.
     """
 
-    def __init__(self, env: EnvBase, *, decision_T: float = 1.0) -> None:
+    def __init__(self, env: TransformedEnv, *, decision_T: float = 1.0) -> None:
         self.env, self.decision_T = env, decision_T
         # Every evaluation begins with the same start in the same row.
         self._initial = copy_state(env.base_env.state_dict())
@@ -78,90 +77,22 @@ class Evaluator:
         Returns:
             The outcome of each start.
         """
-        base = self.env.base_env
-        base.load_state_dict(copy_state(self._initial))
-        before, base.starts = base.starts, starts.to(self.env.device)
-        try:
-            return self._run(
-                policy, num_starts=starts.shape[0], on_episodes=on_episodes, on_step=on_step
-            )
-        finally:
-            base.starts = before
-            base.is_resting = torch.zeros_like(base.is_resting)
 
-    def _run(
-        self,
-        policy: Policy,
-        *,
-        num_starts: int,
-        on_episodes: Callable[[int], None] | None,
-        on_step: Callable[[TensorDictBase], None] | None,
-    ) -> Evaluation:
-        num_rows, name = self.env.batch_size[0], self.env.base_env.task.success
-        results = TensorDict(
-            {
-                "succeeded": torch.zeros(num_starts, dtype=torch.bool),
-                "returns": torch.zeros(num_starts),
-                "lengths_T": torch.zeros(num_starts),
-                "diverged": torch.zeros(num_starts, dtype=torch.bool),
-            },
-            [num_starts],
-        )
-        is_handed_out = [False] * num_starts
-        # The start whose first episode runs in a row, or -1: a repetition, that does not count.
-        running = [-1] * num_rows
-        num_open = num_starts
-        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            state = self.env.reset()
-            is_new = [True] * num_rows
-            while num_open > 0:
-                index = state["start_index"].reshape(-1).tolist()
-                for row in range(num_rows):
-                    if is_new[row]:
-                        start = index[row]
-                        running[row] = -1 if is_handed_out[start] else start
-                        is_handed_out[start] = True
-                self.env.base_env.is_resting = torch.tensor(
-                    [start < 0 for start in running], device=self.env.device
-                )
-                step, state = self.env.step_and_maybe_reset(policy(state))
-                if on_step is not None:
-                    on_step(step)
-                after = step["next"].to("cpu")
-                is_new = after["done"].reshape(-1).tolist()
-                ended = [row for row in range(num_rows) if is_new[row] and running[row] >= 0]
-                for row in ended:
-                    results[running[row]] = TensorDict(
-                        {
-                            "succeeded": has_succeeded(after, name)[row].any(),
-                            "returns": after["episode_reward"][row].sum(),
-                            "lengths_T": after["step_count"][row].sum() * self.decision_T,
-                            "diverged": after["diverged"][row].any(),
-                        }
-                    )
-                num_open -= len(ended)
-                if on_episodes is not None and ended:
-                    on_episodes(len(ended))
+        def follow(start_of: Tensor, step: TensorDictBase) -> None:
+            if on_step is not None:
+                on_step(step)
+            num_ended = int(((start_of >= 0) & step["next", "done"].squeeze(-1)).sum())
+            if on_episodes is not None and num_ended:
+                on_episodes(num_ended)
+
+        self.env.base_env.load_state_dict(copy_state(self._initial))
+        episodes = run_episodes(self.env, policy, starts, on_step=follow)
         return Evaluation(
-            succeeded=results["succeeded"],
-            returns=results["returns"],
-            lengths_T=results["lengths_T"],
-            diverged=results["diverged"],
+            succeeded=episodes.succeeded,
+            returns=episodes.returns,
+            lengths_T=episodes.lengths * self.decision_T,
+            diverged=episodes.diverged,
         )
-
-
-def has_succeeded(after: TensorDictBase, name: str) -> Tensor:
-    """Return whether episodes that are done accomplished their task.
-
-    Args:
-        after: where they ended.
-        name: of the entry that says so, ``success`` of the task; without it, those that lasted
-            until the time limit did.
-    """
-    flag: Tensor | None = after.get(name)
-    if flag is not None:
-        return flag
-    return after["truncated"] & ~after["terminated"] & ~after["diverged"]
 
 
 def fixed_starts(task: Any, num: int, *, seed: int) -> TensorDict:

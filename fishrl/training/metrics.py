@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from tensordict import TensorDictBase
 
-from fishrl.training.evaluation import has_succeeded
+from fishrl.envs.episodes import has_succeeded
 
 #: Episodes that the training return and rate of success are averaged over.
 WINDOW = 32

@@ -7,6 +7,8 @@ hunts food that moves up and down. Walls at the sides of a 10 x 5 body-length ba
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
 
@@ -73,6 +75,7 @@ class ToyFishEnv(EnvBase):
         self.task, self.starts = task, starts
         self.rng = torch.Generator().manual_seed(seed)
         self.next_start = 0
+        self.on_frame = None
         flag = Binary(1, dtype=torch.bool)
         self.observation_spec_unbatched = Composite(
             observation=Unbounded((4,)),
@@ -88,6 +91,12 @@ class ToyFishEnv(EnvBase):
         self.position, self.food = torch.zeros(num_envs, 2), torch.zeros(num_envs, 2)
         self.start_index = torch.full((num_envs,), -1)
         self.is_resting = torch.zeros(num_envs, dtype=torch.bool)
+
+    @contextmanager
+    def set_starts(self, starts: TensorDict, *, on_frame: Any = None) -> Iterator[None]:
+        before, self.starts, self.next_start = self.starts, starts, 0
+        yield
+        self.starts, self.is_resting = before, torch.zeros_like(self.is_resting)
 
     def get_extra_state(self) -> dict[str, Any]:
         return {"rng": self.rng.get_state(), "next_start": torch.tensor(self.next_start)}

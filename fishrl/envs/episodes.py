@@ -1,0 +1,133 @@
+"""The episode runner: one episode from each of a set of starts, in all flows of an env at once."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.envs import TransformedEnv
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from fishrl.envs.flow_env import FlowEnv
+
+Policy = Callable[[TensorDictBase], TensorDictBase]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Episodes:
+    """Outcome of E episodes, in the order of their starts; on the CPU.
+
+    Args:
+        returns: ``[E]`` sum of rewards.
+        lengths: ``[E]`` number of decisions, int64.
+        succeeded: ``[E]`` bool, whether the task was accomplished, see ``has_succeeded``.
+        terminated: ``[E]`` bool, whether the task itself ended the episode.
+        diverged: ``[E]`` bool, whether the flow diverged.
+    """
+
+    returns: Tensor
+    lengths: Tensor
+    succeeded: Tensor
+    terminated: Tensor
+    diverged: Tensor
+
+
+def run_episodes(
+    env: TransformedEnv,
+    policy: Policy,
+    starts: TensorDictBase,
+    *,
+    max_decisions: int | None = None,
+    exploration: ExplorationType = ExplorationType.DETERMINISTIC,
+    on_begin: Callable[[Tensor, TensorDictBase], None] | None = None,
+    on_step: Callable[[Tensor, TensorDictBase], None] | None = None,
+    on_frame: Callable[[Tensor, FlowEnv], None] | None = None,
+) -> Episodes:
+    """Run one episode from each of E starts.
+
+    Starts go to the B rows in order, each to the first row that is free. A row without a start
+    rests: its flow stands still, and what it reports is undefined.
+
+    Callbacks get ``start_of`` ``[B]`` int64 first: index of the start that each row runs, -1 in
+    rows that do not concern the call.
+
+    Args:
+        env: of a ``FlowEnv``; episodes under way in it are given up.
+        policy: writes ``action`` ``[B]``.
+        starts: ``[E]``, as ``task.sample_starts`` returns.
+        max_decisions: after which all episodes are left; those still open then count as neither
+            succeeded nor terminated. By default the time limit of the env ends them.
+        exploration: how a learned policy chooses: greedily by default, or drawn at random.
+        on_begin: called with the rows that have just begun an episode, and the state ``[B]`` after
+            their reset.
+        on_step: called after each decision with the rows that were running in it, and the step
+            ``[B]`` as the env returns it; flows and ``FlowEnv.now`` are still those of its end.
+        on_frame: called ``frames_per_action`` times within a decision, at equal distances, with the
+            rows that are running and the ``FlowEnv``; without it, ``FlowEnv.on_frame`` stays.
+
+    Returns:
+        The outcome of each start.
+    """
+    base, num_starts = env.base_env, starts.shape[0]
+    device, num_rows = base.device, env.batch_size[0]
+    returns = torch.zeros(num_starts, device=device)
+    lengths = torch.zeros(num_starts, dtype=torch.int64, device=device)
+    succeeded, terminated, diverged = (
+        torch.zeros(num_starts, dtype=torch.bool, device=device) for _ in range(3)
+    )
+    start_of = torch.arange(num_rows, device=device)
+    start_of = start_of.masked_fill(start_of >= num_starts, -1)
+    num_begun, num_decisions = num_rows, 0
+
+    def show_frame(flows: FlowEnv) -> None:
+        if on_frame is not None:
+            on_frame(start_of, flows)
+
+    with (
+        base.set_starts(starts, on_frame=show_frame if on_frame else base.on_frame),
+        torch.no_grad(),
+        set_exploration_type(exploration),
+    ):
+        state, has_begun = env.reset(), start_of >= 0
+        while (is_open := start_of >= 0).any() and num_decisions != max_decisions:
+            if on_begin is not None and has_begun.any():
+                on_begin(start_of.masked_fill(~has_begun, -1), state)
+            num_decisions += 1
+            base.is_resting = ~is_open
+            step = env.step(policy(state))
+            if on_step is not None:
+                on_step(start_of, step)
+            after, index = step["next"], start_of[is_open]
+            returns[index] += after["reward"][is_open, 0]
+            lengths[index] += 1
+            succeeded[index] = has_succeeded(after, base.task.success)[is_open, 0]
+            terminated[index] = after["terminated"][is_open, 0]
+            diverged[index] = after["diverged"][is_open, 0]
+            # A reset hands the next starts to the rows that are done, in order of rows.
+            is_done = after["done"].squeeze(-1)
+            start_of = torch.where(is_done, num_begun + is_done.cumsum(0) - 1, start_of)
+            start_of = start_of.masked_fill(start_of >= num_starts, -1)
+            num_begun += int(is_done.sum())
+            state, has_begun = env.maybe_reset(env.step_mdp(step)), is_done & (start_of >= 0)
+    return Episodes(
+        returns=returns.cpu(),
+        lengths=lengths.cpu(),
+        succeeded=succeeded.cpu(),
+        terminated=terminated.cpu(),
+        diverged=diverged.cpu(),
+    )
+
+
+def has_succeeded(after: TensorDictBase, name: str) -> Tensor:
+    """Return whether episodes that are done accomplished their task.
+
+    Args:
+        after: where they ended.
+        name: of the entry that says so, ``success`` of the task; without it, those that lasted
+            until the time limit did.
+    """
+    flag: Tensor | None = after.get(name)
+    if flag is not None:
+        return flag
+    return after["truncated"] & ~after["terminated"] & ~after["diverged"]
