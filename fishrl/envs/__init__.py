@@ -1,4 +1,4 @@
-"""Environments: one habitat for all tasks, and the tasks."""
+"""The environment and its tasks."""
 
 from fishrl.envs.flow_env import FlowEnv, make_env
 from fishrl.envs.task import AbstractTask, Command

@@ -1,9 +1,9 @@
-"""The environment: B flows, each with a fish, and a task, as one TorchRL ``EnvBase``.
+"""The environment: B flows with a fish in each, and a task, as one TorchRL ``EnvBase``.
 
     action --task--> turn, frequency --solver--> n_substeps steps --task--> measurement
-           --> observation, reward, ends, mask
+           --> observation, reward, terminated, action mask
 
-It is the only ``EnvBase`` here; tasks differ, the habitat does not. ``make_env`` adds TorchRL's
+This is the only ``EnvBase``; a task supplies everything specific. ``make_env`` adds TorchRL's
 transforms: frame stacking, time limit, action mask.
 """
 
@@ -42,35 +42,34 @@ logger = logging.getLogger(__name__)
 
 
 class FlowEnv(EnvBase):
-    """Flows side by side, one fish each, all advancing together.
+    """A batch of B flows with one fish each.
 
-    A row that ends within an action keeps the measurement of that moment and need not run on to the
-    end of the action. A row that diverges (not finite, too fast for the method, the fish out of
-    the grid) is truncated with reward 0, ``diverged`` set and the last decision's observation; it
-    is counted, reset like any other, and never touches its neighbours.
+    A row that terminates within an action keeps the measurement of that moment and does not advance
+    to the end of the action. A row diverges if it is no longer finite, too fast for the method, or
+    if the fish leaves the grid. It is then truncated with reward 0, ``diverged`` set and the
+    observation of the last decision; it is counted and reset without affecting other rows.
 
     Args:
-        task: what the fish has to do.
+        task: the task.
         num_envs: number of flows B.
-        seed: of the starts; what a row draws depends on seed, row and episode alone.
-        device: where everything lives.
+        seed: of the starts; each start depends on seed, row and episode only.
+        device: of all tensors.
         compile_flow: compile the flow step; otherwise it runs eagerly, about 10 times slower.
-            (TorchRL takes the keyword ``compile`` of every environment class for itself.)
-        starts: TensorDict ``[E]`` as ``task.sample_starts`` returns; resets take them in order, in
-            order of rows within one reset, over and over. By default each start is drawn.
-        frames_per_action: how often ``on_frame`` is called within an action, at equal distances.
-        on_frame: called with this environment, to look at ``solver`` and ``measure()``.
+            (TorchRL reserves the keyword ``compile`` of environment classes.)
+        starts: TensorDict ``[E]`` as ``task.sample_starts`` returns. Resets cycle through them, in
+            order of rows within one reset. By default each start is drawn at random.
+        frames_per_action: calls of ``on_frame`` within an action, at equal intervals.
+        on_frame: called with this environment, to read ``solver`` and ``measure()``.
 
     Attributes:
         solver: the flows.
-        start: ``[B]`` TensorDict, where each row's episode began.
-        now: ``[B]`` TensorDict, the measurement that the last observation was made of.
-        is_resting: ``[B]`` bool, rows whose flow stands still, as nobody needs them any more; what
-            they report is undefined. ``run_episodes`` sets it for rows without a start.
+        start: ``[B]`` TensorDict, the start of each row's episode.
+        now: ``[B]`` TensorDict, the measurement behind the last observation.
+        is_resting: ``[B]`` bool, rows that are not advanced and whose output is undefined;
+            ``run_episodes`` sets it for rows without a start.
 
     Raises:
-        ValueError: if ``num_envs``, ``frames_per_action``, ``starts`` or what the task answers
-            cannot be.
+        ValueError: for invalid arguments, or if a method of the task returns a wrong shape or type.
     """
 
     def __init__(
@@ -121,17 +120,17 @@ class FlowEnv(EnvBase):
         return int(self._num_diverged)
 
     def measure(self) -> TensorDict:
-        """Measure the flows as they are, within an action too."""
+        """Measure the current flows; also valid within an action."""
         return self.task.measure(self.solver, self.start)
 
     @contextmanager
     def set_starts(
         self, starts: TensorDictBase, *, on_frame: Callable[["FlowEnv"], None] | None = None
     ) -> Iterator[None]:
-        """Take other starts within a ``with``, from the first on; for the arguments see the class.
+        """Use other starts, from the first one, in a ``with`` block; arguments as for the class.
 
-        Afterwards starts and ``on_frame`` are the former ones and no row rests; the flows are not
-        restored.
+        On exit the previous starts and ``on_frame`` are restored and no row rests. The flows are
+        not restored.
         """
         self.task.check_starts(starts)
         before = self.starts, self._next_start, self.on_frame
@@ -143,7 +142,7 @@ class FlowEnv(EnvBase):
             self.is_resting = torch.zeros_like(self.is_resting)
 
     def _begin(self) -> TensorDict:
-        """Measure as at the beginning of an episode: with one sample, and nothing remembered."""
+        """Measure at the beginning of an episode, with the first sample repeated."""
         now = self.measure()
         if self.task.num_samples:
             now.update(_repeat(self._sense(), self.task.num_samples))
@@ -155,7 +154,7 @@ class FlowEnv(EnvBase):
         )
 
     def _make_specs(self) -> None:
-        """Derive the specs from what the task says about a first measurement."""
+        """Derive the specs from the task and a first measurement."""
         task = self.task
         check_answers(task, self.now)
         reported = {
@@ -182,7 +181,7 @@ class FlowEnv(EnvBase):
         )
 
     def _draw_starts(self, rows: Tensor) -> tuple[TensorDict, Tensor]:
-        """Return starts ``[B]``, of which those of ``rows`` will be used, and their indices."""
+        """Return starts ``[B]``, valid in ``rows``, and their indices."""
         if self.starts is None:
             uniform = draw_uniform(self._seed, self._rows, self._episode, self.task.num_draws)
             return self.task.starts_from(uniform), torch.full_like(self._rows, -1)
@@ -229,8 +228,8 @@ class FlowEnv(EnvBase):
         """Run the flows for one action.
 
         Returns:
-            Each row's measurement at its end, or at the end of the action, with what was sensed on
-            the way; nothing to rely on in diverged rows. And ``[B]``, which rows diverged.
+            Each row's measurement at its termination or at the end of the action, with its sensor
+            series (undefined in diverged rows); and ``[B]`` bool, the diverged rows.
         """
         now, diverged = before, torch.zeros_like(self._rows, dtype=torch.bool)
         is_decided = self.is_resting
@@ -247,7 +246,7 @@ class FlowEnv(EnvBase):
                 is_ending = self.task.is_terminated(seen) | stretch.is_last
                 is_new = is_ending & ~is_decided
                 if is_new.any():
-                    # Reading whole flows is dear: do it when a row's outcome hangs on it.
+                    # Checking whole fields is expensive: only for rows that have just ended.
                     diverged = diverged | is_new & self.solver.is_diverged()
                     now = _merge(is_new, seen, now.select(*seen.keys()))
                     is_decided = is_decided | is_new
@@ -263,21 +262,23 @@ class FlowEnv(EnvBase):
         if diverged.any():
             self._num_diverged += diverged.sum()
             rows = diverged.nonzero().squeeze(-1).tolist()
-            logger.warning("flows %s diverged and end here; %d so far", rows, self.num_diverged)
+            logger.warning(
+                "flows %s diverged and were truncated; %d so far", rows, self.num_diverged
+            )
 
     def _read_inputs(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
-        """Return what the task wants of the brain's side beside the action."""
+        """Return the entries that the task reads beside the action."""
         missing = [name for name in self.task.inputs if name not in tensordict]
         if missing:
             raise ValueError(
-                f"{type(self.task).__name__} reads {missing}, and the tensordict of this step has "
-                "no such entry: append the transform that writes it (make_env(transforms=[...])), "
-                "or set the task up to do without"
+                f"{type(self.task).__name__} reads {missing}, which this step's tensordict lacks: "
+                "append the transform that writes it (make_env(transforms=[...])), or configure "
+                "the task not to read it"
             )
         return {name: tensordict[name].reshape(self.batch_size) for name in self.task.inputs}
 
     def _write(self, **flags: Tensor) -> TensorDict:
-        """Return everything there is to see, with flags ``[B]`` as columns."""
+        """Return observation, mask, reported entries and flags; ``[B]`` become columns."""
         columns = {**self.task.report(self.now), **flags}
         return TensorDict(
             {
@@ -294,12 +295,12 @@ class FlowEnv(EnvBase):
         )
 
     def _set_seed(self, seed: int | None) -> None:
-        """Begin anew with the starts of ``seed`` (0 if None) or the given ones, at later resets."""
+        """Restart the sequence of starts from ``seed`` (0 if None) at the next reset."""
         self._seed = 0 if seed is None else seed
         self._episode, self._next_start = torch.zeros_like(self._episode), 0
 
     def get_extra_state(self) -> dict[str, Any]:
-        """Return everything that the future depends on, for ``state_dict``."""
+        """Return the complete state of flows and episodes, for ``state_dict``."""
         return {
             "solver": self.solver.state_dict(),
             "start": self.start.clone().to_dict(),
@@ -312,7 +313,7 @@ class FlowEnv(EnvBase):
         }
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restore what ``state_dict`` returned, exactly."""
+        """Restore a state, bit for bit."""
         self.solver.load_state_dict(state["solver"])
         for name in ("start", "now"):
             restored = TensorDict(state[name], self.batch_size, device=self.device)
@@ -322,15 +323,15 @@ class FlowEnv(EnvBase):
         self._seed, self._next_start = int(state["seed"]), int(state["next_start"])
 
     def to(self, device: torch.device | str) -> "FlowEnv":
-        """Return itself: flows do not move to another device.
+        """Return itself if ``device`` is of the same kind; flows cannot move.
 
         Raises:
             ValueError: if ``device`` is of another kind.
         """
         if torch.device(device).type != self.device.type:
             raise ValueError(
-                f"the flows live on {self.device} and cannot move to {device}: make the "
-                f"environment with device={str(device)!r}"
+                f"flows on {self.device} cannot move to {device}: create the environment with "
+                f"device={str(device)!r}"
             )
         return self
 
@@ -352,13 +353,12 @@ def make_env(
     on_frame: Callable[[FlowEnv], None] | None = None,
     transforms: Sequence[Transform] = (),
 ) -> TransformedEnv:
-    """Return the environment as a brain sees it; for the arguments see ``FlowEnv``.
+    """Return a ``FlowEnv`` with the transforms that policies need; see ``FlowEnv`` for arguments.
 
-    Beside the keys of ``FlowEnv`` there are ``observation_stack`` ``[B, num_stacked * n_obs]``,
-    oldest first (the first observation fills it at reset), ``is_init``, ``step_count`` and
-    ``episode_reward``; an episode is truncated after ``task.time_limit`` decisions, and random
-    actions are legal ones. ``transforms`` of one's own come before the frames are stacked and may
-    lengthen ``observation``.
+    Adds ``observation_stack`` ``[B, num_stacked * n_obs]`` (oldest first, filled with the first
+    observation at reset), ``is_init``, ``step_count`` and ``episode_reward``. Episodes are
+    truncated after ``task.time_limit`` decisions, and random actions respect the action mask.
+    ``transforms`` are appended before the frame stack and may lengthen ``observation``.
     """
     env = TransformedEnv(
         FlowEnv(

@@ -1,11 +1,11 @@
-"""What a task is: the page to read before writing one.
+"""The interface of a task; read this before writing one.
 
-A task says where fish start, what an action orders, what is measured, and what observation, reward
-and end follow from the measurement. It never loops over the batch: everything is a tensor or a
-TensorDict with a leading batch axis B, and rows differ by masks (``torch.where``). It keeps no
-state: what lasts from one decision to the next is in the flow, in the starts or in the last
-measurement, to which ``sense``, ``begin`` and ``remember`` add what a task needs beyond the moment.
-The environment does the rest: specs, resets, sub-steps, divergence, saving.
+A task defines where fish start, what an action commands, what is measured, and how observation,
+reward and termination follow from the measurement. Everything is a tensor or TensorDict with a
+leading batch axis B: no loops over the batch, rows differ by masks (``torch.where``). A task keeps
+no state. What lasts from one decision to the next lies in the flow, in the starts or in the last
+measurement, to which ``sense``, ``begin`` and ``remember`` can add entries. The environment handles
+specs, resets, sub-steps, divergence and checkpoints.
 """
 
 from abc import ABC, abstractmethod
@@ -26,7 +26,7 @@ from fishrl.physics.units import DEFAULT_WALL_SPEED, Scales
 
 
 class Command(NamedTuple):
-    """What an action orders for one control interval.
+    """Command to the body for one control interval.
 
     Attributes:
         turn: ``[B]`` change of heading in radians, spread smoothly over the interval.
@@ -39,25 +39,24 @@ class Command(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class AbstractTask(ABC):
-    """A fish in still water between walls, deciding once per interval; subclasses say what for.
+    """Base of all tasks: a fish in a tank of still water with one decision per control interval.
 
-    Class attributes of every task: ``n_obs``, numbers in one observation; ``num_actions``; and
-    ``num_draws``, random numbers that one start takes. Of some: ``success``, name of the entry of
-    ``report`` that tells whether the task is accomplished (by default, "survived", there is none:
-    lasting until the time limit is success); ``inputs``, names of
-    entries ``[B]`` that a transform writes and ``command`` finds in the measurement; and
-    ``num_samples``, how often ``sense`` is called within an action.
+    Class attributes of every task: ``n_obs``, length of one observation; ``num_actions``; and
+    ``num_draws``, random numbers per start. Optional ones: ``success``, the boolean entry of
+    ``report`` that marks success (default "survived": reaching the time limit is success);
+    ``inputs``, names of entries ``[B]`` that a transform writes and ``command`` reads; and
+    ``num_samples``, calls of ``sense`` per action.
 
     Args:
-        body_length: L in nodes; at Reynolds number 7000 at least 50 for an honest swimming speed.
+        body_length: L in nodes; at Reynolds number 7000 at least 50 for a useful swimming speed.
         reynolds: Re_f = L^2 / (T nu).
-        max_wall_speed: budget for the tail's speed, nodes per step; sets the period T.
+        max_wall_speed: largest speed of the tail, nodes per step; sets the period T.
         domain_bl: width and height of the domain in body lengths.
-        wall_margin_bl: how near a marker may come to the edge, in body lengths.
-        num_stacked: observations that the fish remembers, the present one included.
+        wall_margin_bl: smallest distance of a marker from the edge, in body lengths.
+        num_stacked: stacked observations, the current one included.
         time_limit: decisions after which an episode is truncated.
-        control_interval_T: time from one decision to the next, in periods T.
-        checks_per_action: how often within an action the ends of the episode are looked for.
+        control_interval_T: time between decisions, in periods T.
+        checks_per_action: checks for termination within one action.
     """
 
     n_obs: ClassVar[int]
@@ -78,7 +77,7 @@ class AbstractTask(ABC):
     checks_per_action: int = 25
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be run; turns sequences from files into tuples."""
+        """Validate, and turn sequences from files into tuples."""
         for name in ("n_obs", "num_actions", "num_draws"):
             if not hasattr(type(self), name):
                 raise ValueError(f"{type(self).__name__} has no {name}: give it as a ClassVar[int]")
@@ -93,15 +92,15 @@ class AbstractTask(ABC):
         stretches = make_schedule(
             self.n_substeps, checks=self.checks_per_action, samples=self.num_samples
         )
-        self.flow_config()  # refuses a domain too small for the fish
-        # A marker must not pass from the margin out of the grid between two checks; swimming and
-        # turning add at most as much again to the tail's speed.
+        self.flow_config()  # raises if the domain is too small for the fish
+        # A marker must not leave the grid from the margin between two checks. Swimming and turning
+        # at most double the tail's speed.
         travel = 2.0 * self.scales.tail_speed * max(s.num_steps for s in stretches)
         least = 1.0 + travel
         if self.wall_margin < least:
             raise ValueError(
-                f"wall_margin_bl = {self.wall_margin_bl} is {self.wall_margin:.1f} nodes, too few: "
-                f"markers may move {travel:.1f} between two checks; raise it to at least "
+                f"wall_margin_bl = {self.wall_margin_bl} is {self.wall_margin:.1f} nodes, but "
+                f"markers may move {travel:.1f} between two checks: raise it to at least "
                 f"{least / self.body_length:.3f}, or raise checks_per_action"
             )
 
@@ -126,16 +125,16 @@ class AbstractTask(ABC):
 
     @property
     def interval_T(self) -> float:
-        """Duration of an action in periods T: ``control_interval_T`` in whole steps."""
+        """Duration of an action in periods T, rounded to whole steps."""
         return self.n_substeps / self.scales.period
 
     @property
     def wall_margin(self) -> float:
-        """How near a marker may come to the edge, in nodes."""
+        """Smallest distance of a marker from the edge, in nodes."""
         return self.wall_margin_bl * self.body_length
 
     def flow_config(self) -> FlowConfig:
-        """Return the flow: a closed tank of still water unless a task overrides this."""
+        """Return the flow; the default is a closed tank of still water."""
         width, height = (round(size * self.body_length) for size in self.domain_bl)
         return FlowConfig(width=width, height=height, tau=self.scales.tau, bodies=(self.fish,))
 
@@ -154,14 +153,14 @@ class AbstractTask(ABC):
 
     @abstractmethod
     def starts_from(self, uniform: Tensor) -> TensorDict:
-        """Turn random numbers into starts.
+        """Map random numbers to starts.
 
         Args:
             uniform: ``[E, num_draws]`` in [0, 1), float64.
 
         Returns:
             TensorDict ``[E]`` with ``head`` ``[E, 2]`` (x, y) in nodes and ``heading`` ``[E]`` in
-            radians, both float64, and whatever else tells one episode from another.
+            radians, both float64, and any other parameters of an episode.
         """
 
     @final
@@ -172,10 +171,10 @@ class AbstractTask(ABC):
         )
 
     def check_starts(self, starts: TensorDictBase) -> None:
-        """Refuse starts ``[E]`` of wrong shape, outside the domain, or where the fish does not fit.
+        """Check that starts ``[E]`` have the right shapes and that the fish fits into the domain.
 
         Raises:
-            ValueError: naming the first of them.
+            ValueError: naming the first invalid start.
         """
         check_pattern(starts, self.starts_from(torch.zeros(1, self.num_draws, dtype=torch.float64)))
         config = self.flow_config()
@@ -184,60 +183,60 @@ class AbstractTask(ABC):
         )
 
     def place_(self, solver: InPlaceSolver, rows: Tensor, starts: TensorDictBase) -> None:
-        """Let episodes begin: put fish into their flows; still water unless a task overrides this.
+        """Reset the flows of ``rows`` and place their fish; the default is still water.
 
         Args:
             solver: the flows.
-            rows: ``[B]`` bool, which of them; others must not be touched.
-            starts: ``[B]``, read where ``rows`` is true.
+            rows: ``[B]`` bool, rows to reset; the others must not change.
+            starts: ``[B]``, valid where ``rows`` is true.
         """
         position, heading = place_fish(starts, self.fish)
         solver.reset_(rows, position, heading)
 
     @abstractmethod
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
-        """Turn actions ``[B]`` (int64, in [0, num_actions)) into orders to the body.
+        """Map actions ``[B]`` (int64, in [0, num_actions)) to commands to the body.
 
         Args:
-            action: legal ones only.
-            before: the measurement ``[B]`` at the decision, with what was sensed and remembered,
-                and ``inputs``.
+            action: legal actions.
+            before: measurement ``[B]`` at the decision, with the entries of ``sense``,
+                ``remember`` and ``inputs``.
         """
 
     @abstractmethod
     def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
-        """Return everything that observation, reward and ends are made of, as TensorDict ``[B]``.
+        """Return a TensorDict ``[B]`` from which observation, reward and termination follow.
 
-        It is called several times within an action; a row keeps the first measurement that ends its
-        episode, or else the last one. Copies only: the solver's own tensors change in place.
+        Called several times within an action; a row keeps the first measurement that terminates its
+        episode, or the last one. Return copies: the solver's tensors change in place.
 
         Args:
             solver: the flows; ``solver.body.age`` counts the steps since reset.
-            starts: the start of each row, ``[B]``.
+            starts: start of each row, ``[B]``.
         """
 
     def sense(self, solver: InPlaceSolver, starts: TensorDictBase) -> dict[str, Tensor]:
-        """Return ``[B, ...]`` tensors of which a series is kept within each action.
+        """Return ``[B, ...]`` sensor readings to be recorded as a series within each action.
 
-        It is called ``num_samples`` = W times within an action, at equal distances, the last time
-        at its end. The measurement at the next decision holds them as ``[B, W, ...]``, oldest
-        first; at reset all W are the first. After a row's end its last sample is repeated.
+        Called ``num_samples`` = W times within an action, at equal intervals, the last time at its
+        end. The measurement at the next decision holds ``[B, W, ...]``, oldest first. The first
+        sample fills the series at reset; the last one is repeated after a row terminates.
         """
         return {}
 
     def begin(self, now: TensorDictBase) -> dict[str, Tensor]:
-        """Return ``[B, ...]`` what the measurement shall hold beside it when an episode begins."""
+        """Return ``[B, ...]`` entries to add to the measurement at the start of an episode."""
         return {}
 
     def remember(
         self, before: TensorDictBase, action: Tensor, now: TensorDictBase
     ) -> dict[str, Tensor]:
-        """Return the same entries after an action; reward and observation see them in ``now``.
+        """Return the entries of ``begin`` after an action; ``reward`` and ``observe`` read them.
 
         Args:
-            before: the measurement at the decision, as ``command`` saw it.
-            action: ``[B]``, legal ones only.
-            now: the new measurement, with what was sensed.
+            before: measurement at the decision, as passed to ``command``.
+            action: ``[B]``, legal actions.
+            now: new measurement, with the series of ``sense``.
         """
         return {}
 
@@ -247,29 +246,29 @@ class AbstractTask(ABC):
 
     @abstractmethod
     def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
-        """Return the reward ``[B]`` for what happened between two measurements."""
+        """Return the reward ``[B]`` of the interval between two measurements."""
 
     @abstractmethod
     def is_terminated(self, now: TensorDictBase) -> Tensor:
-        """Return ``[B]`` bool: whether the task is over, by success or failure (not by time).
+        """Return ``[B]`` bool: whether the episode ends in success or failure (not by time).
 
-        It is asked within actions too, of what ``measure`` alone returns.
+        Also called within actions, with the entries of ``measure`` only.
         """
 
     def action_mask(self, now: TensorDictBase) -> Tensor:
-        """Return ``[B, num_actions]`` bool: the legal actions, at least one, at the end too."""
+        """Return ``[B, num_actions]`` bool: legal actions, at least one per row."""
         return torch.ones(*now.shape, self.num_actions, dtype=torch.bool, device=now.device)
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
-        """Return ``[B, ...]`` tensors that the environment shall write beside the observation."""
+        """Return ``[B, ...]`` entries for the environment to write beside the observation."""
         return {}
 
 
 def as_pair(name: str, value: object) -> tuple[float, float]:
-    """Return two numbers as a tuple; a list from a file will do.
+    """Return a list or tuple of two numbers as a tuple.
 
     Raises:
-        ValueError: if it is anything else.
+        ValueError: for anything else.
     """
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise ValueError(f"{name} = {value}: give two numbers")

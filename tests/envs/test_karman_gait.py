@@ -260,7 +260,10 @@ def test_the_fastest_beat_and_the_fastest_stream_keep_the_speed_budget() -> None
             "face_bl = 0.1, .*the half disc reaches out of the domain",
         ),
         ({"stream": Stream(face_bl=9.9)}, "face_bl = 9.9, .*the half disc reaches out of"),
-        ({"steering": PolicySteering()}, "decisions_per_T = 4, but it is asked every 1 T: give 1"),
+        (
+            {"steering": PolicySteering()},
+            "decisions_per_T = 4, but the control interval is 1 T: give 1",
+        ),
     ],
 )
 def test_tasks_that_cannot_be_are_refused(bad: dict[str, Any], message: str) -> None:

@@ -208,7 +208,7 @@ BAD_ARGUMENTS: dict[str, tuple[dict[str, Any], str]] = {
     "domain": ({"domain_bl": (10.0, 1.0)}, r"Fish of 20 nodes does not fit into 200 x 20"),
     "domain of one": ({"domain_bl": 10.0}, r"domain_bl = 10.0: give two numbers"),
     "checks": ({"checks_per_action": 54}, r"checks_per_action = 54: must lie in \[1, 53\]"),
-    "margin": ({"wall_margin_bl": 0.05}, r"wall_margin_bl = 0.05 is 1.0 nodes, too few"),
+    "margin": ({"wall_margin_bl": 0.05}, r"wall_margin_bl = 0.05 is 1.0 nodes"),
     "stack": ({"num_stacked": 0}, r"num_stacked = 0: must be at least 1"),
     "time": ({"time_limit": 0}, r"time_limit = 0: must be at least 1"),
     "mach": ({"max_wall_speed": 0.3}, r"max_wall_speed = 0.3 \(Mach 0.52\)"),

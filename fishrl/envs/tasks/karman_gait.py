@@ -23,9 +23,9 @@ from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import Scales
 
-#: Tail beats per T for the paper's three flows, from a measured sweep (see
-#: ``experiments.drift_sweep``): in each flow the second is the shedding frequency, at which a fish
-#: about holds its station, and the last swims up.
+#: Tail beats per T for the paper's three flows, from the sweep of ``experiments.drift_sweep``. In
+#: each row the second frequency is the shedding frequency, which roughly holds station, and the
+#: last one swims upstream.
 DEFAULT_BANK = FrequencyBank(
     rows=(
         (0.25, 0.53, 1.0, 1.5, 2.1),
@@ -38,32 +38,33 @@ DEFAULT_BANK = FrequencyBank(
 @final
 @dataclass(frozen=True, kw_only=True)
 class KarmanGait(AbstractTask):
-    """Choose the tail beat so as to stay behind a half disc in a stream, or in a free stream.
+    """Hold station behind a half disc, or in a free stream, by choosing the tail-beat frequency.
 
-    Places are those of the nose from the middle of the disc's flat side, x downstream, in body
-    lengths. Observation: x, y, their change since the last decision, the water's velocity (x, y) at
-    the lateral line, mean over neuromasts and interval, in L / T, and the frequency in beats per T
-    (0 before the first beat). Actions: those of ``control``; ``steering`` turns the fish. An
-    episode starts at some phase of a developed wake and ends in the danger area or at an edge.
+    Positions are those of the nose relative to the middle of the disc's flat side, x downstream, in
+    body lengths. Observation: x, y, their change since the last decision, the velocity (x, y) of
+    the water at the lateral line (mean over neuromasts and interval, L / T) and the frequency in
+    beats per T (0 before the first beat). Actions are those of ``control``; ``steering`` turns the
+    fish. An episode starts at a random phase of a developed wake and terminates in the danger area
+    or at an edge.
 
-    Beside the observation stand, per row: ``lateral_line``, ``flow_index`` (which flow it is),
-    gear, frequency, heading, angle of attack (from upstream, radians) and the work done so far by
-    all, pushing, or lateral forces, in rho L^2 (L / T)^2.
+    Reported beside the observation: ``lateral_line``, the true ``flow_index``, gear, frequency,
+    heading, angle of attack (from upstream, radians), and the work done so far by all, pushing and
+    lateral forces, in rho L^2 (L / T)^2.
 
     Args:
         stream: the flows.
-        start_flows: indices of those flows that episodes take place in, drawn evenly.
-        control: what actions mean for the tail beat; rows in the order of the flows.
-        reads_flow_class: take the row of the flow that ``flow_class`` names, which a transform
-            writes, instead of that of the flow it is.
-        observes_flow: whether that transform shall append the flows' probabilities to the
-            observation, see ``transforms.FlowLabelTransform``.
-        steering: who turns the fish.
-        lateral_line: its neuromasts.
-        start_x_bl: range of the nose at start.
+        start_flows: indices of the flows in which episodes take place, drawn uniformly.
+        control: maps actions to tail-beat frequencies; rows in the order of the flows.
+        reads_flow_class: select the row by ``flow_class``, which a transform writes, instead of by
+            the true flow.
+        observes_flow: append the flow probabilities to the observation, see
+            ``transforms.FlowLabelTransform``.
+        steering: heading controller.
+        lateral_line: the neuromasts.
+        start_x_bl: range of the initial nose position.
         start_y_bl: the same along y.
-        safe_area: where it must stay.
-        reward_terms: what it earns there.
+        safe_area: area outside which episodes terminate.
+        reward_terms: weights of the reward.
         repeats_frequency: observe the frequency three times, as the paper does.
     """
 
@@ -91,7 +92,7 @@ class KarmanGait(AbstractTask):
     repeats_frequency: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse flows, rows and starts that do not go together."""
+        """Check that flows, rows and starts are consistent."""
         for name in ("start_x_bl", "start_y_bl"):
             object.__setattr__(self, name, as_pair(name, getattr(self, name)))
         object.__setattr__(self, "start_flows", tuple(self.start_flows))
@@ -109,8 +110,8 @@ class KarmanGait(AbstractTask):
         per_T, wanted = max(1, round(1.0 / self.interval_T)), self.steering.decisions_per_T
         if wanted not in (None, per_T):
             raise ValueError(
-                f"steering.decisions_per_T = {wanted}, but it is asked every {self.interval_T:g} "
-                f"T: give {per_T}"
+                f"steering.decisions_per_T = {wanted}, but the control interval is "
+                f"{self.interval_T:g} T: give {per_T}"
             )
         corners = torch.cartesian_prod(torch.tensor([0.0, 1.0]), torch.tensor([0.0, 1.0])).double()
         others = torch.zeros(4, self.num_draws - 2, dtype=torch.float64)
@@ -118,7 +119,7 @@ class KarmanGait(AbstractTask):
 
     @property
     def n_obs(self) -> int:  # type: ignore[override]
-        """Numbers in one observation."""
+        """Length of one observation."""
         return 9 if self.repeats_frequency else 7
 
     @property
@@ -133,12 +134,12 @@ class KarmanGait(AbstractTask):
 
     @property
     def inputs(self) -> tuple[str, ...]:  # type: ignore[override]
-        """What the tensordict must say beside the action."""
+        """Entries that ``command`` reads beside the action."""
         return ("flow_class",) if self.reads_flow_class else ()
 
     @cached_property
     def scales(self) -> Scales:
-        """Lattice units of the task: the fastest beat and the fastest stream set T."""
+        """Lattice units of the task; the fastest beat and stream set T."""
         return Scales.from_budget(
             body_length=self.body_length,
             reynolds=self.reynolds,
@@ -149,7 +150,7 @@ class KarmanGait(AbstractTask):
 
     @property
     def flow_labels(self) -> list[dict[str, Any]]:
-        """What tells the flows apart, in the order of ``flow_index``."""
+        """Parameters of each flow, in the order of ``flow_index``."""
         common = {
             "reynolds": self.reynolds,
             "body_length": self.body_length,
@@ -159,12 +160,12 @@ class KarmanGait(AbstractTask):
 
     @property
     def lateral_line_layout(self) -> Mapping[str, Any]:
-        """What a classifier must know of the entry ``lateral_line``."""
+        """Description of the entry ``lateral_line`` for a classifier."""
         interval = self.interval_T / self.num_samples
         return self.lateral_line.layout | {"interval_T": interval}
 
     def flow_config(self) -> FlowConfig:
-        """Return the fastest of the flows."""
+        """Return the flow with the fastest stream."""
         return self.stream.make_config(self.fish, self.scales, self.domain_bl)
 
     @cached_property
@@ -175,13 +176,13 @@ class KarmanGait(AbstractTask):
 
     @cached_property
     def wakes(self) -> WakeBank | None:
-        """The developed wakes that episodes begin in; None in free streams."""
+        """Developed wakes in which episodes begin; None in free streams."""
         if not self.stream.has_disc:
             return None
         return self.stream.load_wakes(self.flow_config(), self.scales)
 
     def starts_from(self, uniform: Tensor) -> TensorDict:
-        """Draw nose, flow, phase of the wake, and a key for whatever else is drawn."""
+        """Draw nose position, flow, wake phase, and a key for sensor noise."""
         ranges = torch.tensor((self.start_x_bl, self.start_y_bl)).to(uniform)
         low, high = ranges.T
         place = low + uniform[:, :2] * (high - low)
@@ -199,7 +200,7 @@ class KarmanGait(AbstractTask):
         )
 
     def check_starts(self, starts: TensorDictBase) -> None:
-        """Refuse also flows and phases that there are not, and noses in the danger area."""
+        """Also check flow indices, wake phases, and that no nose is in the danger area."""
         super().check_starts(starts)
         flow, phase = starts["flow_index"], starts["wake_phase"]
         num = len(self.stream.speeds_bl)
@@ -219,12 +220,12 @@ class KarmanGait(AbstractTask):
             )
 
     def place_(self, solver: InPlaceSolver, rows: Tensor, starts: TensorDictBase) -> None:
-        """Set the stream of each row, its wake, and the fish in it."""
+        """Set the stream, wake and fish of each row."""
         place = place_fish(starts, self.fish)
         self.stream.begin_(solver, rows, starts, place, scales=self.scales, wakes=self.wakes)
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
-        """Shift gear; the steering turns."""
+        """Shift gear and turn as ``steering`` commands."""
         flow, num = self._name_flow(before), len(self.stream.speeds_bl)
         if not ((flow >= 0) & (flow < num)).all():
             raise ValueError(f"flow_class = {flow.tolist()}: allowed is 0 to {num - 1}")
@@ -232,7 +233,7 @@ class KarmanGait(AbstractTask):
         return Command(self.steering.turn(before["sights"]), frequency / self.scales.period)
 
     def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
-        """Measure place, heading, the walls' distance and the work done so far."""
+        """Measure position, heading, distance from the edges and the work done so far."""
         markers, body = solver.markers(), solver.body
         unit = (self.scales.reference_speed * self.body_length) ** 2
         return TensorDict(
@@ -254,7 +255,7 @@ class KarmanGait(AbstractTask):
         )
 
     def sense(self, solver: InPlaceSolver, starts: TensorDictBase) -> dict[str, Tensor]:
-        """Return what the lateral line feels, before any delay."""
+        """Return the signals of the lateral line, before any delay."""
         felt, velocity = self.lateral_line.feel(
             solver,
             starts["episode_key"],
@@ -264,7 +265,7 @@ class KarmanGait(AbstractTask):
         return {"felt": felt, "felt_velocity": velocity}
 
     def begin(self, now: TensorDictBase) -> dict[str, Tensor]:
-        """Begin in the first gear of ``control``, at rest, with nothing seen before."""
+        """Start in the first gear of ``control``, at rest."""
         sight = self._look(now)
         return {
             "gear": torch.full_like(now["flow_index"], self.control.start_gear),
@@ -278,7 +279,7 @@ class KarmanGait(AbstractTask):
     def remember(
         self, before: TensorDictBase, action: Tensor, now: TensorDictBase
     ) -> dict[str, Tensor]:
-        """Remember gear and frequency, the way since the last decision, and what was seen."""
+        """Update gear, frequency, displacement, steering inputs and delayed signals."""
         gear, line = self.control.shift(before["gear"], action), self.lateral_line
         return {
             "gear": gear,
@@ -290,13 +291,13 @@ class KarmanGait(AbstractTask):
         }
 
     def observe(self, now: TensorDictBase) -> Tensor:
-        """Return place, way, mean velocity at the lateral line and frequency."""
+        """Return position, displacement, mean velocity at the lateral line and frequency."""
         frequency = now["frequency"][:, None].expand(-1, self.n_obs - 6)
         velocity = now["velocity"].mean(1).double()
         return torch.cat((now["place"], now["moved"], velocity, frequency), -1).float()
 
     def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
-        """Return what the interval earned, see ``stations.StationReward``."""
+        """Return the reward of the interval, see ``stations.StationReward``."""
         margin = self.safe_area.measure_margin(now["place"])
         return self.reward_terms.compute(
             drift=now["moved"][:, 0],
@@ -311,12 +312,12 @@ class KarmanGait(AbstractTask):
         return hits_edge | (self.safe_area.measure_margin(now["place"]) <= 0.0)
 
     def action_mask(self, now: TensorDictBase) -> Tensor:
-        """Return which actions ``control`` allows."""
+        """Return the actions that ``control`` allows."""
         gear: Tensor = now["gear"]
         return self.control.mask(gear)
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
-        """Return the lateral line, the true flow, and what diagnostics need."""
+        """Return lateral line, true flow and diagnostics."""
         names = ("flow_index", "gear", "frequency", "heading", "work", "positive_work")
         return {
             **{name: now[name] for name in (*names, "lateral_work", "lateral_line")},

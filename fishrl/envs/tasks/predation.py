@@ -1,4 +1,4 @@
-"""Predation, the paper's first task: catch food that moves, without touching a wall."""
+"""Predation, the paper's first task: catch moving food without touching a wall."""
 
 import difflib
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from fishrl.physics.fast.solver import InPlaceSolver
 
 
 class FoodDirection(Enum):
-    """Where the food sets off to; the value is the chance of up."""
+    """First direction of the food; the value is the probability of up."""
 
     UP = 1.0
     DOWN = 0.0
@@ -38,28 +38,28 @@ class FoodDirection(Enum):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Predation(AbstractTask):
-    """Catch food that stays still for a while and then swims up and down between two limits.
+    """Catch food that rests at first and then moves up and down between two limits.
 
-    Actions: 0 turn clockwise, 1 keep, 2 turn counter-clockwise. Observation, of the head: x and y
-    of the food from it and their distance in body lengths, bearing error in (-pi, pi] radians,
-    positive if the food lies to the left. Reward: +1 if distance or bearing error shrank since the
-    last decision, else -1; +20 on capture. Ends: capture, or a marker within ``wall_margin_bl`` of
-    the edge.
+    Actions: 0 turn clockwise, 1 keep the heading, 2 turn counter-clockwise. Observation: x and y of
+    the food relative to the nose and its distance, in body lengths, and the bearing error in
+    (-pi, pi] radians, positive to the left. Reward: +1 if distance or bearing error decreased since
+    the last decision, otherwise -1; +20 on capture. An episode terminates on capture or when a
+    marker comes within ``wall_margin_bl`` of the edge.
 
-    The paper (Task 1) names neither the food's column and limits nor the capture radius.
+    The paper (Task 1) gives neither the food's x and limits nor the capture radius.
 
     Args:
         turn_degrees: heading change of one action, spread smoothly over the interval.
-        start_x_bl: range of the nose at start, in body lengths; it starts on whole nodes, the fish
-            facing -x, and the range shrinks where the fish would not be clear of the walls.
+        start_x_bl: range of the initial nose position, in body lengths. Fish start on whole nodes
+            and face -x; the range is clipped to keep them clear of the walls.
         start_y_bl: the same along y.
-        food_x_bl: the food's column, in body lengths from the left edge.
-        food_y_bl: the food's height at start.
-        food_limits_bl: heights between which the food swims.
-        food_still_T: periods that the food stays where it is.
-        food_speed_bl: its speed afterwards, body lengths per period.
-        food_direction: where it sets off to: up, down or random.
-        capture_radius_bl: distance from nose to food that is a capture.
+        food_x_bl: x of the food, in body lengths from the left edge.
+        food_y_bl: initial y of the food.
+        food_limits_bl: lowest and highest y of the food.
+        food_still_T: periods for which the food rests.
+        food_speed_bl: speed of the food afterwards, body lengths per period.
+        food_direction: first direction of the food: up, down or random.
+        capture_radius_bl: distance from nose to food that counts as capture.
     """
 
     n_obs: ClassVar[int] = 4
@@ -79,7 +79,7 @@ class Predation(AbstractTask):
     capture_radius_bl: float = 0.25
 
     def __post_init__(self) -> None:
-        """Refuse food, starts and radii that cannot be."""
+        """Validate food, starts and capture radius."""
         for name in ("start_x_bl", "start_y_bl", "food_limits_bl"):
             object.__setattr__(self, name, as_pair(name, getattr(self, name)))
         super().__post_init__()
@@ -116,11 +116,10 @@ class Predation(AbstractTask):
 
     @cached_property
     def start_range(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """First and last node of the nose at start, along x and along y.
+        """First and last node of the initial nose position, along x and along y.
 
-        The asked ranges, clipped so that the straight fish keeps ``wall_margin_bl`` from the edges
-        at nose and tail, and the beating one from those beside it: half-thickness plus amplitude,
-        where their sum is largest.
+        The requested ranges are clipped so that the fish keeps ``wall_margin_bl`` from the edges:
+        along x by its length, along y by the largest sum of half-thickness and amplitude.
         """
         length, config = self.body_length, self.flow_config()
         x, h = self.fish.draw()[0].T
@@ -137,7 +136,7 @@ class Predation(AbstractTask):
         return x, y
 
     def starts_from(self, uniform: Tensor) -> TensorDict:
-        """Put noses on nodes, fish facing -x, and let the food set off; see ``AbstractTask``."""
+        """Draw nose positions (on nodes, facing -x) and the food's first direction."""
         low, high = torch.tensor(self.start_range, dtype=torch.float64, device=uniform.device).T
         head = low + torch.floor(uniform[:, :2] * (high - low + 1.0))
         chance_up = FoodDirection.parse(self.food_direction).value
@@ -153,7 +152,7 @@ class Predation(AbstractTask):
         )
 
     def check_starts(self, starts: TensorDictBase) -> None:
-        """Refuse also food in reach, and food that sets off neither up nor down."""
+        """Also check that no food is in reach and that its direction is 1 or -1."""
         super().check_starts(starts)
         away = starts["head"] - self.locate_food(starts, torch.zeros_like(starts["heading"]))
         if ((away * away).sum(-1).sqrt() <= self.capture_radius).any():
@@ -166,20 +165,20 @@ class Predation(AbstractTask):
 
     @property
     def capture_radius(self) -> float:
-        """Distance from nose to food that is a capture, in nodes."""
+        """Distance from nose to food that counts as capture, in nodes."""
         return self.capture_radius_bl * self.body_length
 
     def locate_food(self, starts: TensorDictBase, age: Tensor) -> Tensor:
-        """Return where the food is ``[B, 2]`` (x, y), in nodes.
+        """Return the position of the food ``[B, 2]`` (x, y), in nodes.
 
         Args:
-            starts: ``[B]``, of which ``food_direction`` counts.
+            starts: ``[B]`` with ``food_direction``.
             age: ``[B]`` steps since reset.
         """
         low, high = self.food_limits_bl
         span, offset = high - low, self.food_y_bl - low
         swum = self.food_speed_bl * (age / self.scales.period - self.food_still_T).clamp(min=0.0)
-        # Up and down is a circle of length 2 span, folded at its middle.
+        # A periodic path of length 2 span, folded at its middle.
         is_up = starts["food_direction"] > 0.0
         along = torch.where(is_up, offset + swum, 2.0 * span - offset + swum)
         along = torch.remainder(along, 2.0 * span)
@@ -191,7 +190,7 @@ class Predation(AbstractTask):
         return Command(turn=radians(self.turn_degrees) * (action.double() - 1.0))
 
     def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
-        """Measure head, heading, food, the food as the head sees it, and the walls' distance."""
+        """Measure nose, heading, food, its relative position and the distance from the walls."""
         markers, heading = solver.markers(), solver.body.heading.clone()
         head, food = markers[:, 0].clone(), self.locate_food(starts, solver.body.age)
         return TensorDict(
@@ -209,12 +208,12 @@ class Predation(AbstractTask):
         )
 
     def observe(self, now: TensorDictBase) -> Tensor:
-        """Return the food as the head sees it, see ``sensors.sense_target``."""
+        """Return the food relative to the nose, see ``sensors.sense_target``."""
         target: Tensor = now["target"]
         return target.float()
 
     def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
-        """Return +1 or -1 for approach, and 20 more for a capture."""
+        """Return +1 or -1 for approach, plus 20 for a capture."""
         (old_distance, old_error), (distance, error) = (
             td["target"][:, 2:].unbind(-1) for td in (before, now)
         )
@@ -222,7 +221,7 @@ class Predation(AbstractTask):
         return approach + 20.0 * self._is_captured(now)
 
     def is_terminated(self, now: TensorDictBase) -> Tensor:
-        """Return whether the food is caught or a wall is hit."""
+        """Return whether the food is captured or a wall is hit."""
         hits_wall: Tensor = now["clearance"] < self.wall_margin
         return hits_wall | self._is_captured(now)
 
