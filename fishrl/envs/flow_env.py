@@ -14,7 +14,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.data import Binary, Categorical, Composite, Unbounded
 from torchrl.envs import (
     ActionMask,
@@ -37,6 +37,7 @@ from fishrl.envs.checks import (
 from fishrl.envs.draws import draw_uniform
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.task import AbstractTask
+from fishrl.envs.transforms import equip
 
 logger = logging.getLogger(__name__)
 
@@ -329,10 +330,7 @@ class FlowEnv(EnvBase):
             ValueError: if ``device`` is of another kind.
         """
         if torch.device(device).type != self.device.type:
-            raise ValueError(
-                f"flows on {self.device} cannot move to {device}: create the environment with "
-                f"device={str(device)!r}"
-            )
+            raise ValueError(f"flows on {self.device} cannot move: make_env(device='{device}')")
         return self
 
     def close(self, *, raise_if_closed: bool = True) -> None:
@@ -351,6 +349,7 @@ def make_env(
     starts: TensorDictBase | None = None,
     frames_per_action: int = 1,
     on_frame: Callable[[FlowEnv], None] | None = None,
+    recognition: nn.Module | str | None = None,
     transforms: Sequence[Transform] = (),
 ) -> TransformedEnv:
     """Return a ``FlowEnv`` with the transforms that policies need; see ``FlowEnv`` for arguments.
@@ -358,8 +357,11 @@ def make_env(
     Adds ``observation_stack`` ``[B, num_stacked * n_obs]`` (oldest first, filled with the first
     observation at reset), ``is_init``, ``step_count`` and ``episode_reward``. Episodes are
     truncated after ``task.time_limit`` decisions, and random actions respect the action mask.
-    ``transforms`` are appended before the frame stack and may lengthen ``observation``.
+    ``recognition`` labels each flow, see ``transforms.equip``; ``transforms`` of one's own are
+    appended before the frame stack and may lengthen ``observation``.
     """
+    task, labelling = equip(task, recognition)
+    observed = "observation"
     env = TransformedEnv(
         FlowEnv(
             task=task,
@@ -376,10 +378,9 @@ def make_env(
         InitTracker(),
         StepCounter(max_steps=task.time_limit),
         RewardSum(),
+        *labelling,
         *transforms,
-        CatFrames(
-            N=task.num_stacked, dim=-1, in_keys=["observation"], out_keys=["observation_stack"]
-        ),
+        CatFrames(N=task.num_stacked, dim=-1, in_keys=[observed], out_keys=[f"{observed}_stack"]),
         ActionMask(),
     ):
         env.append_transform(transform)

@@ -9,9 +9,10 @@ specs, resets, sub-steps, divergence and checkpoints.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -150,6 +151,25 @@ class AbstractTask(ABC):
             device=device,
             compile=compile,
         )
+
+    @property
+    def flow_labels(self) -> list[dict[str, Any]]:
+        """What tells the flows of this task apart, in the order of ``flow_index``."""
+        return []
+
+    @property
+    def lateral_line_layout(self) -> Mapping[str, Any]:
+        """What a classifier must know of the entry ``lateral_line``, if there is one."""
+        return {}
+
+    @property
+    def num_label_inputs(self) -> int:
+        """Numbers that a transform which labels flows appends to the observation."""
+        return 0
+
+    def read_flow_labels(self) -> "AbstractTask":
+        """Return the task with ``command`` reading the ``flow_class`` that a transform writes."""
+        return self
 
     @abstractmethod
     def starts_from(self, uniform: Tensor) -> TensorDict:

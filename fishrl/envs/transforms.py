@@ -12,6 +12,10 @@ from torch.nn.functional import one_hot
 from torchrl.data import Bounded, Categorical, Composite, TensorSpec, Unbounded
 from torchrl.envs import CatFrames, EnvBase, Transform
 
+from fishrl.envs.task import AbstractTask
+
+#: Gives the policy the true label of its flow; see ``equip``.
+ORACLE = "oracle"
 LATERAL_LINE = "lateral_line"
 HISTORY = "lateral_line_history"
 
@@ -163,7 +167,7 @@ class PredictedFlowLabel(FlowLabelTransform):
         Raises:
             ValueError: naming the difference.
         """
-        if not hasattr(task, "flow_labels") or not hasattr(task, "lateral_line_layout"):
+        if not task.lateral_line_layout:
             raise ValueError(
                 f"{type(task).__name__} has no lateral line: use a task with `flow_labels` and "
                 "`lateral_line_layout`, such as KarmanGait"
@@ -200,6 +204,43 @@ class TrueFlowLabel(FlowLabelTransform):
         """Return the one-hot true flow ``[B, n]``."""
         index = now["flow_index"].reshape(now.batch_size)
         return one_hot(index, self.num_flows).float()
+
+
+def equip(
+    task: AbstractTask, recognition: nn.Module | str | None, *, memory: float = 0.7
+) -> tuple[AbstractTask, list[Transform]]:
+    """Return a task and the transforms that label its flows.
+
+    Args:
+        task: the task.
+        recognition: None for no labels, ``oracle`` for the true ones, or a
+            ``fishrl.modules.LateralLineClassifier`` for those that it predicts.
+        memory: see ``PredictedFlowLabel``.
+
+    Returns:
+        The task that reads the labels, and the transforms, to stand before the frames are stacked.
+
+    Raises:
+        ValueError: if the task has no flows to tell apart, or the classifier was trained for other
+            flows or sensors.
+    """
+    if recognition is None:
+        return task, []
+    if not task.flow_labels:
+        raise ValueError(
+            f"recognition: {type(task).__name__} has no flows to tell apart; use recognition=None, "
+            "or a task with `flow_labels`"
+        )
+    is_observed = task.num_label_inputs > 0
+    if isinstance(recognition, nn.Module):
+        check: Any = recognition.check
+        check(flows=task.flow_labels, sensors=task.lateral_line_layout)
+        transforms = make_recognition(recognition, memory=memory, is_observed=is_observed)
+    elif recognition == ORACLE:
+        transforms = [TrueFlowLabel(num_flows=len(task.flow_labels), is_observed=is_observed)]
+    else:
+        raise ValueError(f"recognition = {recognition!r}: give {ORACLE!r} or a classifier")
+    return task.read_flow_labels(), transforms
 
 
 def make_recognition(

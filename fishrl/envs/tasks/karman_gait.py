@@ -1,7 +1,7 @@
 """Kármán gait, the paper's second task: hold station in the wake of a half disc."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import pi
 from typing import Any, final
@@ -157,6 +157,15 @@ class KarmanGait(AbstractTask):
             "domain_bl": list(self.domain_bl),
         }
         return [{**label, **common} for label in self.stream.labels]
+
+    @property
+    def num_label_inputs(self) -> int:
+        """One per flow, or none."""
+        return len(self.flow_labels) if self.observes_flow else 0
+
+    def read_flow_labels(self) -> "KarmanGait":
+        """Return the task whose macro actions use the row of the labelled flow."""
+        return self if self.control.num_flows is None else replace(self, reads_flow_class=True)
 
     @property
     def lateral_line_layout(self) -> Mapping[str, Any]:
