@@ -25,8 +25,7 @@ from matplotlib.figure import Figure
 
 from experiments.command_line import plain_errors, set_up_logging
 from experiments.config import load_config, resumed_settings
-from experiments.figures import COLOURS, frame_curves, read_metrics
-from experiments.flow_pictures import STYLE
+from experiments.figures import COLOURS, STYLE, frame_curves, read_metrics
 from experiments.gait.diagnostics import half_width
 from experiments.pages import fill
 from experiments.settings import ConfigError, TrainConfig

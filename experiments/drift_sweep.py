@@ -22,10 +22,9 @@ import torch
 from matplotlib.figure import Figure
 
 from experiments.command_line import plain_errors, set_up_logging
-from experiments.figures import COLOURS
-from experiments.flow_pictures import STYLE
+from experiments.figures import COLOURS, STYLE
+from experiments.gait.histories import Histories, record_histories
 from experiments.gait.trials import STARTS
-from experiments.histories import Histories, record_histories
 from experiments.transfer import load_task
 from experiments.validation.convergence import tidy
 from fishrl.envs import KarmanGait, make_env

@@ -182,7 +182,8 @@ def finish(training: Training) -> dict[str, Any]:
 
 def draw(training: Training, summary: dict[str, Any]) -> None:
     """Record the learned fish from some of the fixed starts and draw the pictures of the run."""
-    from experiments.figures import write_learning_curve, write_run_pictures
+    from experiments.figures import write_learning_curve
+    from experiments.figures.run_pictures import write_run_pictures
     from experiments.recording import record_episodes
     from experiments.scenes import TaskView
     from experiments.watching import draw_episodes

@@ -26,8 +26,8 @@ from experiments.gait.diagnostics import (
     stack,
     trace_work,
 )
+from experiments.gait.histories import Histories
 from experiments.gait.trials import PERIODS, Trial, hand_written, load_trial, run_trial
-from experiments.histories import Histories
 from fishrl.envs import KarmanGait
 from fishrl.training.progress import Progress
 

@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 
 from experiments.benchmarks.entry import FISH, KERNEL, PERIODIC, WALLS
 from experiments.benchmarks.results import Results, Row
-from experiments.figures import COLOURS
-from experiments.flow_pictures import STYLE
+from experiments.figures import COLOURS, STYLE
 from experiments.validation.convergence import tidy
 
 SCOPES = {KERNEL: COLOURS[4], PERIODIC: COLOURS[0], WALLS: COLOURS[2], FISH: COLOURS[1]}

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from experiments.histories import Histories
+from experiments.gait.histories import Histories
 
 #: Nose places (x behind the flat side, |y|), body lengths, that count as inside the vortex street.
 STREET = ((0.8, 3.0), 0.5)

@@ -14,9 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle, Wedge
 from torch import Tensor
 
-from experiments.figures import COLOURS, read_metrics
-from experiments.flow_pictures import STYLE
-from experiments.histories import Histories
+from experiments.figures import COLOURS, STYLE, read_metrics
+from experiments.gait.histories import Histories
 from experiments.validation.convergence import tidy
 
 _MOST_PATHS = 40

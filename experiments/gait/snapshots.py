@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from experiments.flow_pictures import FISH, STYLE, VORTICITY_LABEL
+from experiments.figures import FISH, STYLE, VORTICITY_LABEL
 from experiments.gait.trials import FRAMES, Trial
 from fishrl.envs import make_env
 from fishrl.physics.diagnostics import compute_vorticity

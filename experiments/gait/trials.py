@@ -15,11 +15,11 @@ from typing import Any
 import torch
 from tensordict import TensorDict
 
-import experiments.histories as histories_module
+import experiments.gait.histories as histories_module
 import fishrl.envs
 import fishrl.modules
 from experiments.config import build
-from experiments.histories import Histories, record_histories
+from experiments.gait.histories import Histories, record_histories
 from experiments.settings import ConfigError
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.macro_actions import DirectFrequencies

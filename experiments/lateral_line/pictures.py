@@ -12,8 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from experiments.figures import COLOURS
-from experiments.flow_pictures import STYLE
+from experiments.figures import COLOURS, STYLE
 from experiments.lateral_line.findings import Answers
 from fishrl.objectives import Curves
 

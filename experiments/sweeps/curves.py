@@ -11,8 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from experiments.figures import COLOURS, frame_curves, read_metrics
-from experiments.flow_pictures import STYLE
+from experiments.figures import COLOURS, STYLE, frame_curves, read_metrics
 from experiments.gait.diagnostics import half_width
 from experiments.sweeps.groups import Group
 

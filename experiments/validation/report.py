@@ -10,7 +10,7 @@ from typing import Any
 
 import matplotlib as mpl
 
-from experiments.flow_pictures import STYLE
+from experiments.figures import STYLE
 from experiments.validation.case import MISSED, Check, as_range
 from experiments.validation.runner import Outcome, write_whole
 

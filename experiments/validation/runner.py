@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from experiments.benchmarks.machine import describe_machine
-from experiments.flow_pictures import STYLE
+from experiments.figures import STYLE
 from experiments.validation.case import Case, Check, Job, Result
 from experiments.validation.fingerprint import fingerprint
 from experiments.validation.pool import Start, run_jobs

@@ -10,7 +10,7 @@ import pytest
 import torch
 from PIL import Image
 
-from experiments import figures, flow_pictures
+from experiments.figures import learning_curve, run_pictures, trajectories, vorticity
 from experiments.recording import Recording
 
 Maker = Callable[..., Recording]
@@ -29,7 +29,7 @@ def run_dir(tmp_path: Path) -> Path:
 
 def test_a_run_folder_gets_every_picture(make_recording: Maker, run_dir: Path) -> None:
     recordings = [make_recording(captured=False), make_recording(num_frames=9, lane=3.0)]
-    written = figures.write_run_pictures(run_dir, recordings, baselines={"random": 0.1})
+    written = run_pictures.write_run_pictures(run_dir, recordings, baselines={"random": 0.1})
     assert [path.name for path in written] == [
         "learning_curve.png", "trajectories.png", "vorticity_sequence.png", "vorticity_last.png",
         "capture.gif",
@@ -39,7 +39,7 @@ def test_a_run_folder_gets_every_picture(make_recording: Maker, run_dir: Path) -
 
 def test_the_first_capture_is_animated_frame_by_frame(make_recording: Maker, run_dir: Path) -> None:
     recordings = [make_recording(captured=False), make_recording(num_frames=9)]
-    figures.write_run_pictures(run_dir, recordings)
+    run_pictures.write_run_pictures(run_dir, recordings)
     with Image.open(run_dir / "capture.gif") as picture:
         assert picture.n_frames == 9
 
@@ -47,12 +47,12 @@ def test_the_first_capture_is_animated_frame_by_frame(make_recording: Maker, run
 def test_a_run_without_metrics_gets_all_but_the_learning_curve(
     make_recording: Maker, tmp_path: Path
 ) -> None:
-    written = figures.write_run_pictures(tmp_path, [make_recording(num_frames=5)])
+    written = run_pictures.write_run_pictures(tmp_path, [make_recording(num_frames=5)])
     assert "learning_curve.png" not in {path.name for path in written}
 
 
 def test_blank_cells_words_and_nan_are_left_out_of_the_curves(run_dir: Path) -> None:
-    series = figures.read_metrics(run_dir / "metrics.csv")
+    series = learning_curve.read_metrics(run_dir / "metrics.csv")
     assert series["eval/mean_return"][0].tolist() == [128.0]
     assert series["train/loss_qvalue"][1].tolist() == [2.0, 1.0]
     assert "note" not in series
@@ -60,9 +60,9 @@ def test_blank_cells_words_and_nan_are_left_out_of_the_curves(run_dir: Path) -> 
 
 def test_the_animation_shrinks_until_it_fits(make_recording: Maker, tmp_path: Path) -> None:
     recording = make_recording(num_frames=5)
-    flow_pictures.write_animation(recording, tmp_path / "large.gif")
+    vorticity.write_animation(recording, tmp_path / "large.gif")
     limit = (tmp_path / "large.gif").stat().st_size // 2
-    flow_pictures.write_animation(recording, tmp_path / "small.gif", max_bytes=limit)
+    vorticity.write_animation(recording, tmp_path / "small.gif", max_bytes=limit)
     assert (tmp_path / "small.gif").stat().st_size <= limit
 
 
@@ -70,21 +70,21 @@ def test_colours_are_symmetric_about_zero_and_saturate_at_a_round_number(
     make_recording: Maker,
 ) -> None:
     recording = make_recording()
-    limit = flow_pictures.choose_vorticity_limit(recording)
+    limit = vorticity.choose_vorticity_limit(recording)
     mirrored = dataclasses.replace(recording, vorticity=-recording.vorticity)
-    assert limit == flow_pictures.choose_vorticity_limit(mirrored)
+    assert limit == vorticity.choose_vorticity_limit(mirrored)
     assert limit in (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
 
 
 def test_still_water_has_a_colour_limit_too(make_recording: Maker) -> None:
     recording = make_recording(num_frames=3)
     still = dataclasses.replace(recording, vorticity=torch.zeros_like(recording.vorticity))
-    assert flow_pictures.choose_vorticity_limit(still) == 1.0
+    assert vorticity.choose_vorticity_limit(still) == 1.0
 
 
 def test_the_scene_draws_in_body_lengths(make_recording: Maker) -> None:
     recording = make_recording(num_frames=5)
-    figure, scene = flow_pictures._make_single(recording)
+    figure, scene = vorticity._make_single(recording)
     scene.show(4)
     x, y = scene.path.get_data()
     last = recording.head[-1] / recording.body_length
@@ -94,7 +94,7 @@ def test_the_scene_draws_in_body_lengths(make_recording: Maker) -> None:
 
 
 def test_snapshots_are_taken_at_the_nearest_frames(make_recording: Maker) -> None:
-    assert flow_pictures.find_frames(make_recording(), [0.0, 1.1, 4.0]) == [0, 4, 16]
+    assert vorticity.find_frames(make_recording(), [0.0, 1.1, 4.0]) == [0, 4, 16]
 
 
 @pytest.mark.parametrize("times", [[], [-1.0], [99.0]])
@@ -102,12 +102,12 @@ def test_snapshot_times_outside_the_episode_are_refused(
     make_recording: Maker, tmp_path: Path, times: list[float]
 ) -> None:
     with pytest.raises(ValueError, match=r"times = .*give at least one, each within 0 and 4.0 T"):
-        flow_pictures.write_snapshots(make_recording(), tmp_path / "x.png", times=times)
+        vorticity.write_snapshots(make_recording(), tmp_path / "x.png", times=times)
 
 
 def test_a_frame_that_is_not_there_is_refused(make_recording: Maker, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="frame = 17: the recording has 17 frames"):
-        flow_pictures.write_flow(make_recording(), tmp_path / "x.png", frame=17)
+        vorticity.write_flow(make_recording(), tmp_path / "x.png", frame=17)
 
 
 @pytest.mark.parametrize(
@@ -121,19 +121,19 @@ def test_an_animation_that_cannot_be_is_refused(
     make_recording: Maker, tmp_path: Path, arguments: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):
-        flow_pictures.write_animation(make_recording(num_frames=2), tmp_path / "x.gif", **arguments)
+        vorticity.write_animation(make_recording(num_frames=2), tmp_path / "x.gif", **arguments)
 
 
 def test_pictures_of_no_recording_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="record at least one episode"):
-        figures.write_run_pictures(tmp_path, [])
+        run_pictures.write_run_pictures(tmp_path, [])
     with pytest.raises(ValueError, match="record at least one episode"):
-        figures.write_trajectories([], tmp_path / "x.png")
+        trajectories.write_trajectories([], tmp_path / "x.png")
 
 
 def test_pictures_into_no_folder_are_refused(make_recording: Maker, tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no run folder"):
-        figures.write_run_pictures(tmp_path / "nothing", [make_recording()])
+        run_pictures.write_run_pictures(tmp_path / "nothing", [make_recording()])
 
 
 def test_trajectories_of_different_domains_are_refused(
@@ -142,7 +142,7 @@ def test_trajectories_of_different_domains_are_refused(
     one = make_recording(num_frames=1)
     other = dataclasses.replace(one, body_length=10.0)
     with pytest.raises(ValueError, match="differ in domain or body length"):
-        figures.write_trajectories([one, other], tmp_path / "x.png")
+        trajectories.write_trajectories([one, other], tmp_path / "x.png")
 
 
 @pytest.mark.parametrize(
@@ -154,9 +154,9 @@ def test_metrics_without_a_known_column_are_refused(
 ) -> None:
     (tmp_path / "metrics.csv").write_text(text)
     with pytest.raises(ValueError, match=message):
-        figures.write_learning_curve(tmp_path / "metrics.csv", tmp_path / "x.png")
+        learning_curve.write_learning_curve(tmp_path / "metrics.csv", tmp_path / "x.png")
 
 
 def test_metrics_that_are_missing_are_named(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"no metrics at .*metrics.csv"):
-        figures.write_learning_curve(tmp_path / "metrics.csv", tmp_path / "x.png")
+        learning_curve.write_learning_curve(tmp_path / "metrics.csv", tmp_path / "x.png")

@@ -18,8 +18,8 @@ from experiments.config import load_config
 from experiments.evaluate import evaluate
 from experiments.evaluate import main as evaluate_main
 from experiments.gait import trials
+from experiments.gait.histories import Histories
 from experiments.gait.trials import hand_written, load_trial, run_trial
-from experiments.histories import Histories
 from experiments.settings import ConfigError, EvaluateConfig
 from experiments.train import train
 from fishrl.envs import KarmanGait, Predation

@@ -18,8 +18,8 @@ from experiments.gait.diagnostics import (
     stack,
     trace_work,
 )
+from experiments.gait.histories import Histories
 from experiments.gait.tables import write_ends, write_table, write_work_table
-from experiments.histories import Histories
 from fishrl.envs.stations import SafeArea
 
 NUM, FRAMES, SHED = 40, 16, 0.625

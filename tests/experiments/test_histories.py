@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict
 
 import fishrl.envs.task
-from experiments.histories import record_histories
+from experiments.gait.histories import record_histories
 from fishrl.envs import KarmanGait, make_env
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 from tests.envs.gliding import GlidingSolver

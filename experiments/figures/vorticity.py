@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from math import floor, log10
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -17,21 +16,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from PIL import Image
 
+from experiments.figures.style import FISH, FOOD, STYLE, VORTICITY_LABEL, label_axes
 from experiments.recording import Recording
 
-STYLE: Any = {
-    "font.size": 10,
-    "axes.titlesize": 10,
-    "axes.labelsize": 10,
-    "axes.linewidth": 0.8,
-    "axes.edgecolor": "#444444",
-    "legend.frameon": False,
-    "figure.facecolor": "white",
-    "savefig.dpi": 150,
-}
-FISH = "#20252b"
-FOOD = "#f2b134"
-VORTICITY_LABEL = "vorticity  [1/T]   (red: counter-clockwise)"
 _NICE_STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0)
 _NUM_SNAPSHOTS = 6
 _GIF_LEVELS = 49
@@ -105,12 +92,6 @@ class FlowScene:
         food_x, food_y = (recording.food[frame] / length).tolist()
         self.food.center = self.reach.center = (food_x, food_y)
         self.clock.set_text(f"t = {recording.time[frame]:.1f} T")
-
-
-def label_axes(axes: Axes, *, x: bool = True, y: bool = True) -> None:
-    """Name the axes in body lengths, or hide the tick labels of one that a neighbour names."""
-    axes.set(xlabel="x / L" if x else "", ylabel="y / L" if y else "")
-    axes.tick_params(labelbottom=x, labelleft=y)
 
 
 def find_frames(recording: Recording, times: Sequence[float] | None = None) -> list[int]:

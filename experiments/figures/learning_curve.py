@@ -1,8 +1,7 @@
-"""What a run looks like: learning curve, trajectories, flow, animation."""
+"""The learning curve of a run, from its metrics.csv."""
 
 import csv
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 
@@ -10,21 +9,10 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Polygon
 from numpy.typing import NDArray
 
-from experiments.flow_pictures import (
-    FOOD,
-    STYLE,
-    label_axes,
-    write_animation,
-    write_flow,
-    write_snapshots,
-)
-from experiments.recording import Recording
+from experiments.figures.style import COLOURS, STYLE
 
-# Okabe and Ito: told apart by the colour-blind too.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#7f3fbf", "#555555")
 FRAMES = "frames"
 # Panels of the learning curve: title, and the columns of metrics.csv that it shows.
 PANELS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
@@ -38,44 +26,6 @@ PANELS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
 _SMOOTH_ABOVE = 40
 
 Series = tuple[NDArray[np.float64], NDArray[np.float64]]
-
-
-def write_run_pictures(
-    run_dir: str | PathLike[str],
-    recordings: Sequence[Recording],
-    *,
-    baselines: Mapping[str, float] | None = None,
-) -> list[Path]:
-    """Write every picture of a run.
-
-    Args:
-        run_dir: run folder; ``metrics.csv`` in it becomes the learning curve, if it is there.
-        recordings: episodes; all go into ``trajectories.png``, and the first one that ended with a
-            capture (else the first one) into the flow pictures and the animation.
-        baselines: rates of success of swimmers that do not learn, by name, drawn as lines.
-
-    Returns:
-        The files, in the order written.
-    """
-    if not recordings:
-        raise ValueError("recordings is empty: record at least one episode")
-    folder = Path(run_dir)
-    if not folder.is_dir():
-        raise FileNotFoundError(f"no run folder {folder}: give one that exists")
-    shown = next((r for r in recordings if r.captured), recordings[0])
-    written = []
-    if (folder / "metrics.csv").is_file():
-        written.append(folder / "learning_curve.png")
-        write_learning_curve(folder / "metrics.csv", written[-1], baselines=baselines)
-    written.append(folder / "trajectories.png")
-    write_trajectories(recordings, written[-1])
-    written.append(folder / "vorticity_sequence.png")
-    write_snapshots(shown, written[-1])
-    written.append(folder / "vorticity_last.png")
-    write_flow(shown, written[-1])
-    written.append(folder / "capture.gif")
-    write_animation(shown, written[-1])
-    return written
 
 
 def read_metrics(path: str | PathLike[str]) -> dict[str, Series]:
@@ -182,53 +132,3 @@ def _draw_baselines(axes: Axes, baselines: Mapping[str, float]) -> None:
             f"{name} {rate:.0%}", (1.0, height), xycoords=("axes fraction", "data"), xytext=(3, 0),
             textcoords="offset points", va="center", fontsize=8, color="#555555",
         )  # fmt: skip
-
-
-def write_trajectories(recordings: Sequence[Recording], path: str | PathLike[str]) -> None:
-    """Draw head paths from several starts, the food's travel and where it was caught.
-
-    Args:
-        recordings: one or more episodes of one task.
-        path: of the PNG.
-    """
-    if not recordings:
-        raise ValueError("recordings is empty: record at least one episode")
-    if len({(r.domain, r.body_length) for r in recordings}) > 1:
-        raise ValueError("recordings differ in domain or body length: draw them apart")
-    first = recordings[0]
-    length = first.body_length
-    x, y = (n / length for n in first.domain)
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(9, 0.5 + 6.6 * y / x), layout="constrained")
-        axes = figure.subplots()
-        for i, recording in enumerate(recordings):
-            _draw_trajectory(axes, recording, COLOURS[i % len(COLOURS)])
-        axes.set(xlim=(0, x), ylim=(0, y), aspect="equal")
-        label_axes(axes)
-        axes.legend(
-            loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, fontsize=9,
-            title="filled: at the start\nline: head · dots: food\ncircle: capture radius",
-            title_fontsize=8.5, alignment="left", labelspacing=0.55,
-        )  # fmt: skip
-        figure.savefig(path)
-
-
-def _draw_trajectory(axes: Axes, recording: Recording, colour: str) -> None:
-    length = recording.body_length
-    head, food = (recording.head / length).numpy(), (recording.food / length).numpy()
-    end = f"{float(recording.time[-1]):.1f} T"
-    label = f"caught after {end}" if recording.captured else f"not caught, {end}"
-    first, last = ((recording.outline[i] / length).numpy() for i in (0, -1))
-    axes.add_patch(Polygon(first, closed=True, facecolor=colour, alpha=0.9, lw=0))
-    axes.add_patch(Polygon(last, closed=True, facecolor="none", edgecolor=colour, lw=0.8))
-    axes.plot(head[:, 0], head[:, 1], color=colour, linewidth=1.5, label=label)
-    axes.plot(food[:, 0], food[:, 1], color=colour, linestyle=":", linewidth=1.1)
-    marker = "*" if recording.captured else "X"
-    size = 13 if recording.captured else 8
-    axes.plot(
-        *food[-1], marker=marker, markersize=size, markerfacecolor=FOOD if recording.captured
-        else "white", markeredgecolor=colour, markeredgewidth=1.2, zorder=4,
-    )  # fmt: skip
-    reach = recording.capture_radius / length
-    if math.isfinite(reach):
-        axes.add_patch(Circle(tuple(food[-1]), reach, fill=False, edgecolor=colour, lw=0.8))
