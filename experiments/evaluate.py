@@ -6,18 +6,16 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from experiments.configuration import build, to_plain
+from experiments.program import program
+from experiments.settings import EvaluateConfig
+from experiments.stored_runs import read_task
 from fishrl.training.progress import Progress
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
-    from experiments.settings import EvaluateConfig
 
 
 def evaluate(
@@ -37,7 +35,6 @@ def evaluate(
     Raises:
         ValueError: for settings that cannot be, and checkpoints that do not fit.
     """
-    from experiments.config import build
     from experiments.live import LiveView
     from experiments.settings import check_device
     from fishrl.training.baselines import load_policy, make_policy
@@ -124,37 +121,17 @@ def _unwritable(path: Path, reason: str) -> ValueError:
     )
 
 
-def main() -> None:
-    """Read the command line; show the bar before the slow imports."""
+@program(EvaluateConfig, groups={"task": "predation", "preset": None}, stored=read_task)
+def main(settings: EvaluateConfig) -> None:
+    """Evaluate, print the result, and store it where ``save`` says."""
+    path = None if settings.save is None else check_result(settings.save)
     with Progress() as progress:
-        import hydra
-
-        from experiments.command_line import (
-            evaluation_settings,
-            plain_errors,
-            read_arguments,
-            set_up_logging,
-        )
-        from experiments.config import CONF, to_plain
-
-        set_up_logging()
-        sys.argv[1:] = read_arguments("evaluate", sys.argv[1:])
-
-        @hydra.main(config_path=str(CONF), config_name="evaluate", version_base="1.3")
-        def run(config: DictConfig) -> None:
-            with plain_errors():
-                settings = evaluation_settings(config)
-                path = None if settings.save is None else check_result(settings.save)
-                result = evaluate(settings, progress=progress)
-            progress.close()
-            for name, value in result.items():
-                shown = f"{value:.3f}" if isinstance(value, float) else value
-                print(f"{name:<24}{shown}")
-            if path is not None:
-                with plain_errors():
-                    write_result(path, result | {"settings": to_plain(settings)})
-
-        run()
+        result = evaluate(settings, progress=progress)
+    for name, value in result.items():
+        shown = f"{value:.3f}" if isinstance(value, float) else value
+        print(f"{name:<24}{shown}")
+    if path is not None:
+        write_result(path, result | {"settings": to_plain(settings)})
 
 
 if __name__ == "__main__":

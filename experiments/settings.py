@@ -102,7 +102,7 @@ class TrainConfig(ViewerSettings):
     task: Any = MISSING
     logger: Any = MISSING
     algorithm: Any = field(default_factory=DEFAULT_ALGORITHM.copy)
-    preset: str = MISSING
+    preset: str | None = None
     seed: int = 0
     device: str = "cpu"
     compile: bool = True
@@ -190,7 +190,7 @@ class EvaluateConfig(ViewerSettings):
     """
 
     task: Any = MISSING
-    preset: str = MISSING
+    preset: str | None = None
     checkpoint: str | None = None
     policy: str | None = None
     recognition: str | None = None
@@ -237,7 +237,7 @@ class ViewConfig(ViewerSettings):
     """
 
     task: Any = MISSING
-    preset: str = MISSING
+    preset: str | None = None
     recording: str | None = None
     run: str | None = None
     checkpoint: str | None = None

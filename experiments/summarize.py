@@ -7,10 +7,10 @@ for every number of the summaries), ``runs.csv`` (each run) and ``curves.png``.
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.command_line import plain_errors
+from experiments.program import program
 from experiments.sweeps.runs import advise, read_runs
 
 
@@ -43,13 +43,21 @@ def summarize(folder: Path) -> str:
     return text
 
 
-def main() -> None:
-    """Read the command line and print the table."""
-    parser = argparse.ArgumentParser(description="Turn a sweep folder into tables and curves.")
-    parser.add_argument("folder", type=Path, help="that holds the run folders")
-    arguments = parser.parse_args()
-    with plain_errors():
-        print(summarize(arguments.folder))
+@dataclass(kw_only=True)
+class SummarizeSettings:
+    """Settings of a summary.
+
+    Args:
+        folder: of a sweep, which holds the run folders.
+    """
+
+    folder: str
+
+
+@program(SummarizeSettings, positional="folder")
+def main(settings: SummarizeSettings) -> None:
+    """Print the table."""
+    print(summarize(Path(settings.folder)))
 
 
 if __name__ == "__main__":

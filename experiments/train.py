@@ -93,8 +93,8 @@ def set_up(
         if not config.resume:
             kind = type(task).__name__.lower()
             label = build_algorithm({"algorithm": config.algorithm}).label
-            words = [kind, config.preset, *filter(None, [label]), f"seed{config.seed}"]
-            name = config.name or "-".join(words)
+            words = [kind, config.preset, label, f"seed{config.seed}"]
+            name = config.name or "-".join(filter(None, words))
             folder = begin_run(config, RunFolder.create(parent=config.folder, name=name))
             stack.enter_context(folder.noting_failure())
         logger.info("run folder: %s", folder.path)

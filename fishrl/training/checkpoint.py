@@ -78,7 +78,7 @@ def save_checkpoint(
     components: Mapping[str, Any],
     *,
     brain: BrainOf,
-    preset: str,
+    preset: str | None,
     frames: int,
     config: Mapping[str, Any],
     keep: int = 1,

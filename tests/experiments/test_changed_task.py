@@ -114,8 +114,11 @@ def test_in_a_task_that_is_chosen_by_name_a_fish_is_told_its_flow_as_before(
     [
         ("task.stream.has_disk=false", "Did you mean 'task.stream.has_disc'?"),
         ("task.capture_radius_bl=1", "there is no 'task.capture_radius_bl'"),
-        ("task.stream.has_disc=3", "task.stream.has_disc=3: must be true or false"),
-        ("task.stream={speed:3}", "fishrl.envs.streams.Stream: got an unexpected keyword"),
+        ("task.stream.has_disc=far", "task.stream.has_disc=far: Value 'far' is not a valid bool"),
+        (
+            "task.stream={speed:3}",
+            "there is no 'task.stream.speed'. Did you mean 'task.stream.speeds_bl'",
+        ),
     ],
 )
 def test_a_setting_that_the_task_of_the_run_does_not_have_is_named(
@@ -129,11 +132,11 @@ def test_a_setting_that_the_task_of_the_run_does_not_have_is_named(
     [
         ("task.num_stacked=3", "it is of num_inputs = 28, here it is 21; a setting of the task"),
         ("task.repeats_frequency=true", "it is of num_inputs = 28, here it is 36"),
-        ("task._target_=fishrl.envs.Predation", "got an unexpected keyword argument"),
+        ("task._target_=fishrl.envs.Predation", "there is no 'task."),
         (
             "task.control={_target_:fishrl.envs.macro_actions.DirectFrequencies,"
             "frequencies:[1,1.5,2,2.5]}",
-            "got an unexpected keyword argument 'bank'",
+            "there is no 'task.control.bank'",
         ),
     ],
 )

@@ -1,0 +1,173 @@
+"""A program: settings as ``key=value`` in, errors in one line out.
+
+``@program`` makes a program of a function and of a dataclass with its settings::
+
+    @program(TransferSettings, groups={"task": "karman_gait", "preset": None})
+    def main(settings: TransferSettings) -> None: ...
+
+    if __name__ == "__main__":
+        main()
+
+``python -m experiments.transfer runs=[a,b] episodes=34 task.reynolds=400`` then checks the settings
+and calls the function. ``groups`` are for programs that make a task, algorithm or logger, with
+``build(settings.task)``; fields without a default have to be given. ``--help`` prints the
+module's docstring and the settings with what the ``Args:`` of the dataclass say. ``ValueError``,
+``ImportError`` and ``FileNotFoundError`` end the program with one line. In Python,
+``main.read([...])`` returns the settings of a command line and ``main.run(settings)`` runs them.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import shlex
+import shutil
+import signal
+import sys
+import sysconfig
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra import initialize_config_dir
+from hydra._internal.utils import get_args_parser
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.object_type import ObjectType
+from omegaconf import OmegaConf
+from tqdm import tqdm
+
+from experiments.configuration import CONF, CommandLine
+from experiments.docstrings import read_arguments
+
+
+@dataclass(frozen=True)
+class Program:
+    """A function of settings, run from the command line.
+
+    Args:
+        run: the function.
+        command_line: what it takes.
+        sweep: runs ``--multirun``, given the command line; without it the program runs once.
+    """
+
+    run: Callable[[Any], None]
+    command_line: CommandLine
+    sweep: Callable[[Sequence[str]], None] | None = None
+
+    def read(self, arguments: Sequence[str] = ()) -> Any:
+        """Return the settings of a command line; see ``CommandLine.read``."""
+        return self.command_line.read(arguments)
+
+    def __call__(self, arguments: Sequence[str] | None = None) -> None:
+        """Run a command line, by default that of the process."""
+        set_up_logging()
+        words = list(sys.argv[1:] if arguments is None else arguments)
+        options = get_args_parser().parse_intermixed_args(words)
+        with plain_errors():
+            if options.help:
+                print(self.describe([word for word in words if word not in ("--help", "-h")]))
+            elif not options.multirun:
+                self.run(self.read(words))
+            elif self.sweep is not None:
+                self.sweep(words)
+            else:
+                raise ValueError("--multirun: only experiments.train runs sweeps")
+
+    def describe(self, arguments: Sequence[str] = ()) -> str:
+        """Return the help: the module's docstring, choices and settings with their defaults."""
+        line = self.command_line
+        lines = [(sys.modules[self.run.__module__].__doc__ or "").strip().replace("``", "`"), ""]
+        config = line.compose(arguments)
+        choices = list_choices()
+        lines += [f"{name}: one of {', '.join(choices[name])}" for name in line.groups]
+        lines += ["" if line.groups else "settings, as key=value:"]
+        texts = read_arguments(line.schema)
+        for name in map(str, config):
+            value = "???" if OmegaConf.is_missing(config, name) else config[name]
+            if OmegaConf.is_dict(value):
+                lines += [f"  {name}:  ({name}.<key>=<value>)"]
+                lines += [f"    {entry}" for entry in OmegaConf.to_yaml(value).splitlines()]
+            else:
+                lines.append(f"  {name}={value}  {texts.get(name, '')}")
+        return "\n".join(lines)
+
+
+def program(
+    schema: type | CommandLine, *, sweep: Callable[[Sequence[str]], None] | None = None, **line: Any
+) -> Callable[[Callable[[Any], None]], Program]:
+    """Make a program of a function of its settings.
+
+    Args:
+        schema: dataclass of the settings, or a whole command line.
+        sweep: see ``Program``.
+        **line: other arguments of ``CommandLine``, such as ``groups``.
+    """
+    taken = schema if isinstance(schema, CommandLine) else CommandLine(schema=schema, **line)
+    return lambda run: Program(run, taken, sweep)
+
+
+def list_choices() -> dict[str, list[str]]:
+    """List the config groups and the choices in each."""
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        loader = GlobalHydra.instance().config_loader()
+        groups = sorted(path.name for path in CONF.iterdir() if path.is_dir())
+        return {
+            group: sorted(loader.get_group_options(group, ObjectType.CONFIG)) for group in groups
+        }
+
+
+def set_up_logging() -> None:
+    """Print log lines above the progress bar, of TorchRL only warnings."""
+    os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # read when torchrl is imported
+    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[_AboveBar()])
+    logging.getLogger("hydra").setLevel(logging.CRITICAL)  # its errors are raised too
+
+
+class _AboveBar(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        tqdm.write(self.format(record), file=sys.stderr)
+
+
+def show_command(module: str, *arguments: str) -> str:
+    """Return the command that runs a module with this Python, as typed here."""
+    here, on_path = Path(sys.executable), Path(shutil.which("python") or "")
+    python = "python"
+    if on_path.parent != here.parent:
+        python = str(here.relative_to(Path.cwd()) if here.is_relative_to(Path.cwd()) else here)
+    return shlex.join([python, "-m", module, *arguments])
+
+
+@contextmanager
+def plain_errors() -> Iterator[None]:
+    """End the program with one line for an error of the user's, and with 130 for Ctrl-C.
+
+    An error raised in a user's own file names its line. Other errors keep their traceback.
+    """
+    try:
+        yield
+    except (ValueError, ImportError, FileNotFoundError) as error:
+        logging.getLogger(__name__).debug("raised here:", exc_info=True)
+        sys.exit(f"error: {error}{_find_line(error)}")
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        sys.exit(128 + signal.SIGINT)
+
+
+def _find_line(error: Exception) -> str:
+    """Return the line of a user's own file that an error comes from; nothing if it is ours."""
+    root = Path(__file__).parents[1]
+    ours = (root / "experiments", root / "fishrl")
+    libraries = [path for name, path in sysconfig.get_paths().items() if "lib" in name]
+    frames = traceback.extract_tb(error.__traceback__)
+    files = [frame for frame in frames if not frame.filename.startswith("<")]
+
+    def lies_in(frame: traceback.FrameSummary, folders: Sequence[str | Path]) -> bool:
+        return any(Path(frame.filename).is_relative_to(folder) for folder in folders)
+
+    own = [frame for frame in files if not lies_in(frame, (*ours, *libraries))]
+    if not own or lies_in(files[-1], ours):
+        return ""
+    return f" ({own[-1].filename}:{own[-1].lineno}, in {own[-1].name})"
