@@ -1,4 +1,4 @@
-"""From episodes to samples: windows of any length, as the machine would feel them."""
+"""From episodes to samples: windows of any length of what a lateral line sensed."""
 
 from __future__ import annotations
 
@@ -10,14 +10,19 @@ from torch import Tensor
 
 from fishrl.envs.lateral_line import KNOWN
 
+#: Features that change their sign in a mirror along the stream.
+_ODD = ("u_y", "left", "shear")
 
-def feel(episodes: TensorDict, *, features: Sequence[str], is_averaged: bool) -> TensorDict:
-    """Return episodes with the signal of a lateral line that tells less than everything.
+
+def select_features(
+    episodes: TensorDict, *, features: Sequence[str], is_averaged: bool
+) -> TensorDict:
+    """Return episodes with some features of the signal only.
 
     Args:
         episodes: ``[E, D]`` as ``collect`` returns.
-        features: names of those it tells.
-        is_averaged: whether it tells only the mean over the neuromasts.
+        features: names from ``KNOWN``.
+        is_averaged: keep only the mean over the neuromasts.
     """
     signal = episodes["lateral_line"][..., [KNOWN.index(name) for name in features]]
     if is_averaged:
@@ -25,15 +30,11 @@ def feel(episodes: TensorDict, *, features: Sequence[str], is_averaged: bool) ->
     return episodes.copy().set("lateral_line", signal)
 
 
-#: Features that change their sign in a mirror along the stream.
-_ODD = ("u_y", "left", "shear")
-
-
 def mirror(signal: Tensor, *, features: Sequence[str], middle_bl: float) -> Tensor:
-    """Return what the mirror image of a fish would have felt in the mirror image of its flow.
+    """Return the signal of the mirror image of a fish in the mirror image of its flow.
 
-    Flow, disc and fish know no left and right, so this is as true as the original; a learned
-    helmsman, who may, is mirrored with them.
+    Flow, disc and fish are symmetric, so the image is as valid a sample as the original; a learned
+    heading controller, which need not be symmetric, is mirrored with them.
 
     Args:
         signal: ``[N, W, P, F]``: neuromasts as ``LateralLine`` orders them, or their mean.
@@ -64,11 +65,11 @@ def cut_windows(episodes: TensorDictBase, *, num_samples: int) -> TensorDict:
 
     Returns:
         TensorDict ``[N]`` with ``lateral_line`` ``[N, num_samples, P, F]``; ``decision``, the
-        number (from 0) of that before which it was felt; ``is_whole``, whether it ends right at the
-        decision; and the other entries of ``episodes``.
+        number (from 0) of the decision that the last sample precedes; ``is_whole``, whether the
+        window ends right at the decision; and the other entries of ``episodes``.
 
     Raises:
-        ValueError: if a window would hold nothing.
+        ValueError: for windows without samples.
     """
     if num_samples < 1:
         raise ValueError(f"num_samples = {num_samples}: a window has at least 1")

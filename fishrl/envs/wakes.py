@@ -8,8 +8,6 @@ upwards.
 
 import hashlib
 import logging
-import os
-import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +17,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from fishrl.files import load_tensors, staged
 from fishrl.physics.bodies.motion import Fixed
 from fishrl.physics.diagnostics import find_crossings, measure_cycles
 from fishrl.physics.fast.compiled import hash_sources
@@ -106,17 +105,13 @@ def load_wakes(recipe: WakeRecipe, folder: str | Path, *, compile: bool = True) 
     logger.info("developing %d wakes, once for all: they will be in %s", len(recipe.speeds), path)
     bank = develop_wakes(recipe, compile=compile)
     path.parent.mkdir(parents=True, exist_ok=True)
-    stage = path.with_suffix(f".{os.getpid()}.stage")
-    torch.save({"format": _FORMAT, "key": recipe.key, **vars(bank)}, stage)
-    stage.replace(path)  # whoever looks meanwhile sees no file or a whole one
+    with staged(path) as stage:
+        torch.save({"format": _FORMAT, "key": recipe.key, **vars(bank)}, stage)
     return bank
 
 
 def _read(path: Path, recipe: WakeRecipe) -> WakeBank:
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
-        raise ValueError(f"wakes {path}: cannot be read; delete the file") from error
+    content = load_tensors(path, what="wakes", remedy="delete the file")
     if not isinstance(content, dict) or content.pop("format", None) != _FORMAT:
         raise ValueError(f"wakes {path}: there are no wakes in it; delete the file")
     config, key = recipe.config, content.pop("key")

@@ -1,14 +1,13 @@
-"""The lateral-line machine: which flow is the fish in, from what its lateral line felt.
+"""The lateral-line classifier: predicts the flow label from the lateral-line signal.
 
-The paper's machine is a fully connected network on one instant of ``[t, x, y, u_x, u_y, p, |u|]``,
-averaged over five points. Here the network is the same, and what it reads is a choice: which
-features, and how many of the newest samples. Time and place give a flow away by bookkeeping, so
-they are left out unless asked for.
+The paper's classifier is a fully connected network on one instant of
+``[t, x, y, u_x, u_y, p, |u|]``, averaged over five points. The network here is the same; its input
+is configurable: which features, and how many of the newest samples. Time and position reveal the
+flow without any sensing, so they are excluded by default.
 """
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Mapping, Sequence
 from math import isclose
 from pathlib import Path
@@ -17,11 +16,12 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from fishrl.files import load_tensors, staged
 from fishrl.modules.actors import make_mlp
 
-#: Features of the paper that name the place and the clock instead of the flow.
+#: Features of the paper that give time and position instead of the flow.
 BOOKKEEPING = ("t", "x", "y")
-_FORMAT = "fishrl lateral-line machine, 1"
+_FORMAT = "fishrl lateral-line machine, 1"  # the files' name for the classifier
 _SENSOR_KEYS = ("num_neuromasts", "features", "num_samples")
 
 
@@ -35,9 +35,9 @@ class LateralLineClassifier(nn.Module):
             each with a ``name`` and numbers such as ``stream_speed_bl``.
         sensors: description of the lateral line: ``num_neuromasts``, the names of its
             ``features``, ``num_samples`` per control interval, and whatever else it depends on.
-        features: names of those that are read; by default all but time and place.
-        num_samples: how many of the newest samples are read; by default one control interval of
-            them. More than that need the signals of several intervals, one after the other.
+        features: names of those that are read; by default all but time and position.
+        num_samples: how many of the newest samples are read; by default those of one control
+            interval. More need the concatenated signals of several intervals.
         hidden: widths of the hidden layers.
         generator: source of the initial weights.
 
@@ -104,7 +104,7 @@ class LateralLineClassifier(nn.Module):
         return -(-self.num_samples // int(self.sensors["num_samples"]))
 
     def read(self, lateral_line: Tensor) -> Tensor:
-        """Pick what the machine reads: ``[..., W, P, F]`` to ``[..., num_samples, P, F']``.
+        """Select the input of the network: ``[..., W, P, F]`` to ``[..., num_samples, P, F']``.
 
         Raises:
             ValueError: if there are too few samples, or other neuromasts or features.
@@ -113,21 +113,18 @@ class LateralLineClassifier(nn.Module):
         got = tuple(lateral_line.shape[-3:])
         if len(got) < 3 or got[0] < self.num_samples or got[1:] != expected:
             raise ValueError(
-                f"lateral_line has shape {tuple(lateral_line.shape)}; this machine reads [..., at "
-                f"least {self.num_samples} samples, {expected[0]} neuromasts, {expected[1]} "
-                "features]: stack more control intervals, or train a machine for these sensors"
+                f"lateral_line has shape {tuple(lateral_line.shape)}; expected [..., at least "
+                f"{self.num_samples} samples, {expected[0]} neuromasts, {expected[1]} features]: "
+                "stack more control intervals, or train a classifier for these sensors"
             )
         return lateral_line[..., -self.num_samples :, :, :][..., self._columns]
 
     @torch.no_grad()
     def set_normalisation(self, lateral_line: Tensor) -> None:
-        """Take mean and standard deviation of each neuromast's features from signals ``[N, ...]``.
-
-        A feature that never changes is left with scale 1.
-        """
+        """Set mean and scale to those of signals ``[N, ...]``; a constant feature gets scale 1."""
         signal = self.read(lateral_line).flatten(0, -3).double()
         mean, scale = signal.mean(0), signal.std(0, unbiased=False)
-        is_constant = scale <= 1e-6 * (1.0 + mean.abs())  # what is felt is of order one
+        is_constant = scale <= 1e-6 * (1.0 + mean.abs())  # signals are of order one
         self.mean.copy_(mean)
         self.scale.copy_(torch.where(is_constant, 1.0, scale))
 
@@ -138,25 +135,26 @@ class LateralLineClassifier(nn.Module):
         return logits
 
     def check(self, *, flows: Sequence[Mapping[str, Any]], sensors: Mapping[str, Any]) -> None:
-        """Refuse flows and sensors other than those the machine was trained for.
+        """Check that flows and sensors are those the classifier was trained for.
 
         Raises:
             ValueError: naming what differs.
         """
-        remedy = "train one for them with experiments.train_lateral_line, or change the task back"
-        if len(flows) != self.num_flows:
-            raise ValueError(
-                f"the lateral-line machine knows {self.num_flows} flows "
-                f"({_list_names(self.flows)}), here are {len(flows)} ({_list_names(flows)}): "
-                + remedy
-            )
-        pairs = [(f"flow {i}", *pair) for i, pair in enumerate(zip(self.flows, flows, strict=True))]
-        for what, known, given in [*pairs, ("lateral line", self.sensors, sensors)]:
+        names = [{"names": [flow.get("name") for flow in each]} for each in (self.flows, flows)]
+        pairs = [
+            (f"flow {i}", *pair) for i, pair in enumerate(zip(self.flows, flows, strict=False))
+        ]
+        for what, known, given in [
+            ("flows", *names),
+            *pairs,
+            ("lateral line", self.sensors, sensors),
+        ]:
             for key in sorted({*known, *given}):
                 if not _is_same(known.get(key), given.get(key)):
                     raise ValueError(
-                        f"{what}: the lateral-line machine was trained for {key} = "
-                        f"{known.get(key)!r}, here it is {given.get(key)!r}: {remedy}"
+                        f"{what}: the lateral-line classifier was trained for {key} = "
+                        f"{known.get(key)!r}, here it is {given.get(key)!r}: train one for this "
+                        "task with experiments.train_lateral_line, or change the task back"
                     )
 
     def save(self, path: str | Path) -> None:
@@ -169,42 +167,23 @@ class LateralLineClassifier(nn.Module):
             "hidden": self.hidden,
         }
         state = {name: value.cpu() for name, value in self.state_dict().items()}
-        torch.save({"format": _FORMAT, "settings": settings, "state": state}, path)
+        with staged(Path(path)) as stage:
+            torch.save({"format": _FORMAT, "settings": settings, "state": state}, stage)
 
     @classmethod
     def load(cls, path: str | Path) -> LateralLineClassifier:
-        """Read a machine back; it is ready to use (``eval``), on the CPU.
-
-        The file cannot run code (``weights_only=True``).
+        """Read a classifier from a file, on the CPU and in ``eval`` mode.
 
         Raises:
-            ValueError: if there is no such file, or no machine in it.
+            ValueError: if there is none in it.
         """
-        file = Path(path).expanduser()
-        if not file.is_file():
-            raise ValueError(
-                f"lateral-line machine {file}: there is no such file; train one with "
-                "python -m experiments.train_lateral_line"
-            )
-        try:
-            content = torch.load(file, map_location="cpu", weights_only=True)
-        except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
-            raise ValueError(
-                f"lateral-line machine {file}: cannot be read ({type(error).__name__}); train it "
-                "again, or give another file"
-            ) from error
+        what, remedy = "lateral-line classifier", "write one with experiments.train_lateral_line"
+        content = load_tensors(path, what=what, remedy=remedy)
         if not isinstance(content, dict) or content.get("format") != _FORMAT:
-            raise ValueError(
-                f"lateral-line machine {file}: not one; give the file that "
-                "experiments.train_lateral_line wrote"
-            )
-        machine = cls(**content["settings"])
-        machine.load_state_dict(content["state"])
-        return machine.eval()
-
-
-def _list_names(flows: Sequence[Mapping[str, Any]]) -> str:
-    return ", ".join(str(flow.get("name")) for flow in flows)
+            raise ValueError(f"{what} {path}: the file holds something else; {remedy}")
+        classifier = cls(**content["settings"])
+        classifier.load_state_dict(content["state"])
+        return classifier.eval()
 
 
 def _is_same(known: Any, given: Any) -> bool:

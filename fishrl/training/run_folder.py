@@ -15,6 +15,7 @@ from typing import Any, TextIO
 
 from omegaconf import OmegaConf
 
+from fishrl.files import staged
 from fishrl.training.interruption import Interrupted
 
 logger = logging.getLogger(__name__)
@@ -196,13 +197,8 @@ def write_whole(path: Path, text: str) -> None:
     Raises:
         OSError: if it cannot be written.
     """
-    stage = path.with_name(f".{path.name}.stage")
-    try:
+    with staged(path) as stage:
         stage.write_text(text, encoding="utf-8")
-        stage.replace(path)
-    except OSError:
-        stage.unlink(missing_ok=True)
-        raise
 
 
 def _unwritable(path: Path, reason: str) -> ValueError:

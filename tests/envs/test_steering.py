@@ -11,72 +11,64 @@ from fishrl.envs.steering import PIDSteering, PolicySteering, Steering, load_wei
 from fishrl.modules import make_mlp
 
 
-def sights(steering: Steering, y: list[float], heading: float = pi) -> Tensor:
+def observe_series(steering: Steering, y: list[float], heading: float = pi) -> Tensor:
     """Return what is remembered of a fish at some distances from the line, one after another."""
     place = [torch.tensor([[1.5, each]]).double() for each in y]
     heads = torch.tensor([heading], dtype=torch.float64)
-    seen = [steering.look(each, each, heads) for each in place]
+    seen = [steering.observe(each, each, heads) for each in place]
     return torch.stack(seen[-steering.num_stacked :], 1)
 
 
 def test_a_fish_above_the_line_turns_downwards_and_one_below_upwards() -> None:
     steering = PIDSteering(num_stacked=2, gain=0.5, integral_gain=0.0)
-    turn = steering.turn(torch.cat([sights(steering, [y, y]) for y in (0.2, -0.2, 0.0)]))
+    turn = steering.turn(torch.cat([observe_series(steering, [y, y]) for y in (0.2, -0.2, 0.0)]))
     torch.testing.assert_close(turn, torch.tensor([0.1, -0.1, 0.0]).double())
     # heading pi + 0.1 points to (-cos 0.1, -sin 0.1): down
 
 
 def test_the_sway_of_the_nose_is_not_steered_against() -> None:
     nose, middle = torch.tensor([[1.5, 0.1]]).double(), torch.tensor([[2.0, 0.0]]).double()
-    seen = PIDSteering().look(nose, middle, torch.tensor([pi], dtype=torch.float64))
+    seen = PIDSteering().observe(nose, middle, torch.tensor([pi], dtype=torch.float64))
     assert PIDSteering().turn(seen[:, None].expand(-1, 32, -1)).item() == pytest.approx(0.0)
 
 
 def test_a_fish_that_heads_elsewhere_is_turned_back_upstream() -> None:
     steering = PIDSteering()
-    turn = steering.turn(sights(steering, [0.0, 0.0], heading=pi - 0.15))
+    turn = steering.turn(observe_series(steering, [0.0, 0.0], heading=pi - 0.15))
     assert turn.item() == pytest.approx(0.15)
 
 
 def test_damping_turns_against_a_growing_offset() -> None:
     steering = PIDSteering(gain=0.0, integral_gain=0.0, damping=1.0)
-    assert steering.turn(sights(steering, [0.0, 0.1])).item() == pytest.approx(0.1)
+    assert steering.turn(observe_series(steering, [0.0, 0.1])).item() == pytest.approx(0.1)
 
 
 def test_a_fish_that_long_was_beside_the_line_aims_across_it() -> None:
     steering = PIDSteering(num_stacked=4, gain=0.0, integral_gain=0.5)
-    turn = steering.turn(sights(steering, [0.9, 0.3, 0.2, 0.1, 0.0]))  # of which four are kept
+    turn = steering.turn(
+        observe_series(steering, [0.9, 0.3, 0.2, 0.1, 0.0])
+    )  # of which four are kept
     assert turn.item() == pytest.approx(0.5 * 0.15)
 
 
 def test_the_turn_of_an_interval_and_the_angle_off_upstream_are_bounded() -> None:
     steering = PIDSteering(gain=5.0, max_angle_degrees=20.0, max_turn_degrees=8.0)
-    assert steering.turn(sights(steering, [1.0, 1.0])).item() == pytest.approx(radians(8.0))
-    there = sights(steering, [1.0, 1.0], heading=pi + radians(19.0))
+    assert steering.turn(observe_series(steering, [1.0, 1.0])).item() == pytest.approx(radians(8.0))
+    there = observe_series(steering, [1.0, 1.0], heading=pi + radians(19.0))
     assert steering.turn(there).item() == pytest.approx(radians(1.0))
 
 
 def test_a_heading_and_the_same_a_turn_further_are_steered_alike() -> None:
     steering = PIDSteering()
-    sights = torch.tensor([[0.0, heading] for heading in (pi, -pi, 3.0 * pi, pi - 0.1)]).double()
-    turns = steering.turn(sights[:, None].expand(-1, steering.num_stacked, -1))
+    seen = torch.tensor([[0.0, heading] for heading in (pi, -pi, 3.0 * pi, pi - 0.1)]).double()
+    turns = steering.turn(seen[:, None].expand(-1, steering.num_stacked, -1))
     expected = torch.tensor([0.0, 0.0, 0.0, 0.1]).double()
     torch.testing.assert_close(turns, expected, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("bad", "message"),
-    [
-        ({"gain": -1.0}, "gain = -1.0: must not be negative"),
-        ({"integral_gain": -1.0}, "integral_gain = -1.0: must not be negative"),
-        ({"damping": -0.1}, "damping = -0.1: must not be negative"),
-        ({"num_stacked": 1}, "num_stacked = 1: must be at least 2"),
-        ({"max_angle_degrees": 0.0}, "max_angle_degrees = 0.0: allowed is"),
-        ({"max_turn_degrees": 91.0}, "max_turn_degrees = 91.0: allowed is"),
-    ],
-)
-def test_steering_that_cannot_be_is_refused(bad: dict[str, float], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
+@pytest.mark.parametrize("bad", [{"gain": -1.0}, {"num_stacked": 1}, {"max_turn_degrees": 91.0}])
+def test_settings_out_of_bounds_are_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=f"{next(iter(bad))} = .*must be"):
         PIDSteering(**bad)
 
 
@@ -102,7 +94,7 @@ def test_the_network_sees_a_point_upstream_as_it_saw_food(tmp_path: Path) -> Non
     save_weights(linear_layers(make_mlp(num_inputs=16, num_outputs=3, hidden=(8,))), tmp_path / "w")
     steering = PolicySteering(path=str(tmp_path / "w"), ahead_bl=2.0)
     nose, middle = torch.tensor([[1.5, 0.5]]).double(), torch.tensor([[2.0, 0.0]]).double()
-    (seen,) = steering.look(nose, middle, torch.tensor([pi]).double())
+    (seen,) = steering.observe(nose, middle, torch.tensor([pi]).double())
     expected = torch.tensor([-2.0, -0.5, 4.25**0.5, torch.atan(torch.tensor(0.25))]).double()
     torch.testing.assert_close(seen, expected, rtol=0, atol=1e-6)
 
@@ -110,21 +102,14 @@ def test_the_network_sees_a_point_upstream_as_it_saw_food(tmp_path: Path) -> Non
 def test_weights_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "weights.pt"
     save_weights(linear_layers(make_mlp(num_inputs=8, num_outputs=3, hidden=(4,))), path)
-    with pytest.raises(ValueError, match=r"layers of widths \[8, 4, 3\], expected 16 numbers in"):
+    with pytest.raises(ValueError, match=r"layers of widths \[8, 4, 3\], expected 16"):
         PolicySteering(path=str(path))
-    save_weights(linear_layers(make_mlp(num_inputs=16, num_outputs=3, hidden=(4,))), path)
-    with pytest.raises(ValueError, match=r"ahead_bl = 0.0: must be positive"):
-        PolicySteering(path=str(path), ahead_bl=0.0)
-    with pytest.raises(ValueError, match=r"decisions_per_T = 0: must be at least 1"):
-        PolicySteering(path=str(path), decisions_per_T=0)
     save_weights([(torch.zeros(4, 16), torch.zeros(4)), (torch.zeros(3, 5), torch.zeros(3))], path)
-    with pytest.raises(ValueError, match="do not fit together"):
+    with pytest.raises(ValueError, match="no consecutive layers"):
         load_weights(path)
     torch.save({"a": 1}, path)
-    with pytest.raises(ValueError, match="no list of layers in it"):
+    with pytest.raises(ValueError, match="no consecutive layers"):
         load_weights(path)
     path.write_bytes(b"no weights")
     with pytest.raises(ValueError, match="cannot be read"):
         load_weights(path)
-    with pytest.raises(ValueError, match="there is no such file"):
-        load_weights(tmp_path / "nothing")

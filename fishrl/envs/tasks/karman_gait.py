@@ -275,12 +275,12 @@ class KarmanGait(AbstractTask):
 
     def begin(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Start in the first gear of ``control``, at rest."""
-        sight = self._look(now)
+        course = self._observe_course(now)
         return {
             "gear": torch.full_like(now["flow_index"], self.control.start_gear),
             "frequency": torch.zeros_like(now["heading"]),
             "moved": torch.zeros_like(now["place"]),
-            "sights": sight[:, None].expand(-1, self.steering.num_stacked, -1),
+            "sights": course[:, None].expand(-1, self.steering.num_stacked, -1),
             "lateral_line": now["felt"],
             "velocity": now["felt_velocity"],
         }
@@ -294,7 +294,7 @@ class KarmanGait(AbstractTask):
             "gear": gear,
             "frequency": self.control.select(gear, self._name_flow(before)),
             "moved": now["place"] - before["place"],
-            "sights": torch.cat((before["sights"][:, 1:], self._look(now)[:, None]), 1),
+            "sights": torch.cat((before["sights"][:, 1:], self._observe_course(now)[:, None]), 1),
             "lateral_line": line.delay_series(before["felt"], now["felt"]),
             "velocity": line.delay_series(before["felt_velocity"], now["felt_velocity"]),
         }
@@ -336,8 +336,8 @@ class KarmanGait(AbstractTask):
     def _locate(self, head: Tensor) -> Tensor:
         return (head - self.origin.to(head.device)) / self.body_length
 
-    def _look(self, now: TensorDictBase) -> Tensor:
-        return self.steering.look(now["place"], now["middle"], now["heading"])
+    def _observe_course(self, now: TensorDictBase) -> Tensor:
+        return self.steering.observe(now["place"], now["middle"], now["heading"])
 
     def _name_flow(self, before: TensorDictBase) -> Tensor:
         flow: Tensor = before["flow_class" if self.reads_flow_class else "flow_index"]

@@ -1,0 +1,19 @@
+"""Files of tensors are read safely."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from fishrl.files import load_tensors
+
+
+def test_files_that_cannot_be_read_are_refused_with_the_remedy(tmp_path: Path) -> None:
+    path = tmp_path / "tensors.pt"
+    torch.save({"a": torch.ones(2)}, path)
+    assert load_tensors(path, what="wakes", remedy="delete it")["a"].sum() == 2.0
+    path.write_text("not a file of torch")
+    with pytest.raises(ValueError, match=r"wakes .*: cannot be read; delete it"):
+        load_tensors(path, what="wakes", remedy="delete it")
+    with pytest.raises(ValueError, match="no such file; delete it"):
+        load_tensors(tmp_path / "none", what="wakes", remedy="delete it")
