@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from experiments.lateral_line.samples import cut_windows, feel, mirror
+from experiments.lateral_line.samples import cut_windows, mirror, select_features
 from fishrl.envs.lateral_line import LOCAL, PAPER
 from fishrl.modules import LateralLineClassifier
 from fishrl.modules.lateral_line import BOOKKEEPING
@@ -84,7 +84,7 @@ class Study:
     def cut(self, diet: Diet) -> TensorDict:
         """Return the samples ``[N]`` that a diet is made of."""
         told = diet.told or diet.features
-        felt = feel(self.episodes, features=told, is_averaged=diet.is_averaged)
+        felt = select_features(self.episodes, features=told, is_averaged=diet.is_averaged)
         return cut_windows(felt, num_samples=diet.num_samples)
 
     def describe(self, diet: Diet) -> dict[str, Any]:

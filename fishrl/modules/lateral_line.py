@@ -141,14 +141,12 @@ class LateralLineClassifier(nn.Module):
             ValueError: naming what differs.
         """
         names = [{"names": [flow.get("name") for flow in each]} for each in (self.flows, flows)]
-        pairs = [
-            (f"flow {i}", *pair) for i, pair in enumerate(zip(self.flows, flows, strict=False))
-        ]
-        for what, known, given in [
-            ("flows", *names),
-            *pairs,
+        described: list[tuple[str, Mapping[str, Any], Mapping[str, Any]]] = [
+            ("flows", names[0], names[1]),
+            *((f"flow {i}", *both) for i, both in enumerate(zip(self.flows, flows, strict=False))),
             ("lateral line", self.sensors, sensors),
-        ]:
+        ]
+        for what, known, given in described:
             for key in sorted({*known, *given}):
                 if not _is_same(known.get(key), given.get(key)):
                     raise ValueError(
