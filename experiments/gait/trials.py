@@ -25,7 +25,7 @@ from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.steering import PolicySteering
 from fishrl.modules import FixedFrequency
-from fishrl.physics.fast.compiled import hash_sources
+from fishrl.physics.cache_key import hash_sources
 from fishrl.training import baselines
 from fishrl.training.baselines import load_policy, make_gait_policy, make_policy
 from fishrl.training.checkpoint import read_metadata

@@ -23,7 +23,7 @@ from tensordict import TensorDict, TensorDictBase
 import fishrl.envs
 from fishrl.envs import FlowEnv
 from fishrl.envs.lateral_line import KNOWN
-from fishrl.physics.fast.compiled import hash_sources
+from fishrl.physics.cache_key import hash_sources
 from fishrl.training.baselines import make_pid
 from fishrl.training.evaluation import copy_state
 from fishrl.training.progress import Progress

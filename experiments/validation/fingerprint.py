@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from experiments.validation.case import Job
-from fishrl.physics.fast.compiled import hash_sources
+from fishrl.physics.cache_key import hash_sources
 
 
 def fingerprint(job: Job) -> str:

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from fishrl.envs.draws import draw_uniform
-from fishrl.physics.bodies.coupling import deform_body, place_markers
 from fishrl.physics.fast.solver import InPlaceSolver
 
 #: The paper's: time since the start in T, place in body lengths, velocity, pressure and speed as
@@ -107,8 +106,7 @@ class LateralLine:
             Points ``[B, P, 2]`` in nodes; the skin's velocity there ``[B, P, 2]``, nodes per step;
             unit normals ``[B, P, 2]`` out of the body.
         """
-        body, shape = solver.body, solver.flow.params.bodies[0]
-        markers = place_markers(body, deform_body(solver.config.bodies[0], shape, body))
+        body, markers = solver.body, solver.surface()
         num = markers.position.shape[1]
         own = self._choose_markers(num)
         after, before = ([(i + step) % num for i in own] for step in (1, -1))

@@ -130,8 +130,7 @@ class Stream:
         """
         flow, (position, heading) = starts["flow_index"], place
         speeds = torch.tensor(self.speeds_bl, dtype=torch.float64, device=rows.device)
-        speed = solver.flow.params.stream_speed
-        speed.copy_(torch.where(rows, scales.reference_speed * speeds[flow], speed))
+        solver.set_stream_speed_(scales.reference_speed * speeds[flow], rows)
         if self.has_disc:
             disc = torch.tensor(self.find_disc(solver.config, scales)).to(position)
             position = torch.stack((position, disc.expand_as(position)), 1)

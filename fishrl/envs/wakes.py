@@ -6,7 +6,6 @@ is cut into snapshots of equal distance. Phase 0 is where the lift on the obstac
 upwards.
 """
 
-import hashlib
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -19,8 +18,8 @@ from tqdm import tqdm
 
 from fishrl.files import load_tensors, staged
 from fishrl.physics.bodies.motion import Fixed
+from fishrl.physics.cache_key import hash_sources, make_key
 from fishrl.physics.diagnostics import find_crossings, measure_cycles
-from fishrl.physics.fast.compiled import hash_sources
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
 
@@ -70,9 +69,7 @@ class WakeRecipe:
     @property
     def key(self) -> str:
         """A word that changes when the wakes may: this recipe, the physics, or this file."""
-        own = Path(__file__).read_text(encoding="utf-8")
-        text = "\0".join((repr(self), hash_sources(), own, torch.__version__))
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
+        return make_key(self, hash_sources(__name__), torch.__version__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,7 +154,7 @@ def _develop(
 ) -> tuple[Tensor, float]:
     """Return the snapshots ``[K, Q, Y, X]`` of one flow and its frequency per step."""
     travel = solver.config.bodies[0].size / speed
-    solver.flow.params.stream_speed.fill_(speed)
+    solver.set_stream_speed_(torch.tensor([speed], dtype=torch.float64))
     solver.reset_(
         torch.ones(1, dtype=torch.bool),
         torch.tensor([recipe.position], dtype=torch.float64),

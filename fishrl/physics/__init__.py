@@ -1,9 +1,20 @@
 """The flow and the bodies in it: batched immersed-boundary lattice Boltzmann in torch."""
 
-from fishrl.physics.bodies.coupling import Coupling
+from fishrl.physics.bodies.coupling import Coupling, Markers
 from fishrl.physics.bodies.fish import Fish
+from fishrl.physics.bodies.gait import CARANGIFORM, CARLING, LONG_WAVE, Gait
 from fishrl.physics.bodies.motion import Bending, Commanded, Driven, Fixed, Free, Oscillating
-from fishrl.physics.bodies.outline import Cylinder, DCylinder, Ellipse, Foil
+from fishrl.physics.bodies.outline import BodyConfig, Cylinder, DCylinder, Ellipse, Foil
+from fishrl.physics.bodies.sections import Section
+from fishrl.physics.bodies.state import BodyState
+from fishrl.physics.boundaries import (
+    Boundaries,
+    NonEquilibrium,
+    NoSlip,
+    OpenEdge,
+    Periodic,
+    Profile,
+)
 from fishrl.physics.diagnostics import (
     compute_area,
     compute_coefficient,
@@ -15,12 +26,18 @@ from fishrl.physics.diagnostics import (
     measure_cycles,
 )
 from fishrl.physics.fast.solver import InPlaceSolver
-from fishrl.physics.flow import FlowConfig, FlowState
+from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, Sponge
 from fishrl.physics.storage import Storage
-from fishrl.physics.units import Scales
+from fishrl.physics.units import Scales, compute_tau
 
 __all__ = [
+    "CARANGIFORM",
+    "CARLING",
+    "LONG_WAVE",
     "Bending",
+    "BodyConfig",
+    "BodyState",
+    "Boundaries",
     "Commanded",
     "Coupling",
     "Cylinder",
@@ -30,18 +47,29 @@ __all__ = [
     "Fish",
     "Fixed",
     "FlowConfig",
+    "FlowParams",
     "FlowState",
     "Foil",
     "Free",
+    "Gait",
     "InPlaceSolver",
+    "Markers",
+    "NoSlip",
+    "NonEquilibrium",
+    "OpenEdge",
     "Oscillating",
+    "Periodic",
+    "Profile",
     "Scales",
+    "Section",
+    "Sponge",
     "Storage",
     "compute_area",
     "compute_coefficient",
     "compute_pressure",
     "compute_spectral_frequency",
     "compute_strouhal",
+    "compute_tau",
     "compute_vorticity",
     "find_crossings",
     "measure_cycles",

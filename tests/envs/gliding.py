@@ -1,11 +1,9 @@
 """A fish without a flow: it glides along its heading, and tests of the env take milliseconds."""
 
-from types import SimpleNamespace
-
 import torch
 from torch import Tensor
 
-from fishrl.physics.bodies.coupling import deform_body, place_markers
+from fishrl.physics.bodies.coupling import Markers, deform_body, place_markers
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.flow import FlowConfig
 
@@ -28,9 +26,8 @@ class GlidingSolver:
         assert config.fish is not None
         self.config, self.num_envs, self.frequency = config, num_envs, frequency
         self.shape = config.fish.make_params(device)
-        speed = torch.full((num_envs,), config.stream_speed, dtype=torch.float64, device=device)
-        self.flow = SimpleNamespace(
-            params=SimpleNamespace(stream_speed=speed, bodies=(self.shape,))
+        self.stream_speed = torch.full(
+            (num_envs,), config.stream_speed, dtype=torch.float64, device=device
         )
         rest = torch.zeros(num_envs, dtype=torch.float64, device=device)
         fresh = make_body(rest[:, None].expand(-1, 2), rest, rest + frequency)
@@ -79,10 +76,13 @@ class GlidingSolver:
         """There is no flow to set."""
         assert f.shape[0] == rows.shape[0] == self.num_envs
 
+    def set_stream_speed_(self, speed: Tensor, rows: Tensor) -> None:
+        self.stream_speed.copy_(torch.where(rows, speed, self.stream_speed))
+
     def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Return the undisturbed stream."""
         still = torch.zeros(points.shape[:2], device=points.device)
-        stream = still + self.flow.params.stream_speed.float()[:, None]
+        stream = still + self.stream_speed.float()[:, None]
         return still + 1.0, torch.stack((stream, still), -1)
 
     def macroscopic(self) -> tuple[Tensor, Tensor]:
@@ -107,6 +107,10 @@ class GlidingSolver:
         return place_markers(
             self.body, deform_body(self.config.fish, self.shape, straight)
         ).position
+
+    def surface(self) -> Markers:
+        assert self.config.fish is not None
+        return place_markers(self.body, deform_body(self.config.fish, self.shape, self.body))
 
     def is_diverged(self) -> Tensor:
         x, y = self.markers().unbind(-1)

@@ -44,7 +44,7 @@ def test_each_row_has_the_stream_of_its_start_and_a_reset_changes_it() -> None:
     env = make(3)
     env.reset()
     unit = env.task.scales.reference_speed
-    speed = env.solver.flow.params.stream_speed
+    speed = env.solver.stream_speed
     torch.testing.assert_close(speed / unit, torch.tensor([1.0, 1.25, 1.5]).double())
     env.starts = env.starts[[1]]
     env.reset(TensorDict({"_reset": torch.tensor([[True], [False], [False]])}, [3]))

@@ -53,7 +53,7 @@ def memory_of(env: FlowEnv) -> dict[str, torch.Tensor]:
         for i, body in enumerate(env.solver.bodies)
         for name, t in body._asdict().items()
     }
-    speed = env.solver.flow.params.stream_speed.clone()
+    speed = env.solver.stream_speed.clone()
     populations = env.solver.populations()
     return {"f": populations, "speed": speed, **bodies, **env.now.clone().to_dict()}
 

@@ -6,7 +6,6 @@ Inductor with *the views themselves as inputs* avoids both. The price: the calle
 shapes, strides and types never change and that mutated inputs do not overlap within one call.
 """
 
-import hashlib
 import logging
 import os
 import shutil
@@ -19,6 +18,8 @@ from typing import Any
 
 import torch
 from torch import Tensor
+
+from fishrl.physics.cache_key import hash_sources, make_key
 
 logger = logging.getLogger(__name__)
 
@@ -54,18 +55,6 @@ def _make_twin(t: Tensor) -> Tensor:
     size = 1 + sum((n - 1) * s for n, s in zip(t.shape, t.stride(), strict=True))
     store = torch.zeros(size + 1, dtype=t.dtype, device=t.device)
     return store.as_strided(t.shape, t.stride(), 1).copy_(t)
-
-
-_PHYSICS = Path(__file__).parents[1]
-
-
-@cache
-def hash_sources() -> str:
-    """Return a word that changes when any source file of ``fishrl.physics`` does."""
-    digest = hashlib.sha256()
-    for path in sorted(_PHYSICS.rglob("*.py")):
-        digest.update(str(path.relative_to(_PHYSICS)).encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()
 
 
 def is_own(thing: object) -> bool:
@@ -134,9 +123,10 @@ def _locate_artefact(name: str, example: Sequence[Tensor], settings: dict[str, o
     else:
         machine = f"{torch.backends.cpu.get_cpu_capability()}, {torch.get_num_threads()} threads"
     arguments = [(tuple(t.shape), t.stride(), t.dtype) for t in example]
-    parts = (name, hash_sources(), torch.__version__, sys.version, machine, arguments, settings)
-    word = hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
-    return Path(cache_dir()) / "fishrl" / f"{word}.bin"
+    key = make_key(
+        name, hash_sources(), torch.__version__, sys.version, machine, arguments, settings
+    )
+    return Path(cache_dir()) / "fishrl" / f"{key}.bin"
 
 
 def _load(path: Path, settings: dict[str, object]) -> Step | None:

@@ -9,12 +9,13 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from fishrl.physics.bodies.coupling import locate_markers
+from fishrl.physics.bodies.coupling import Markers, deform_body, locate_markers, place_markers
+from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
 from fishrl.physics.fast.compiled import find_compiler_problem
 from fishrl.physics.fast.memory import FlowMemory
-from fishrl.physics.fast.probes import sample_flow
+from fishrl.physics.fast.probes import sample_flow, spread_starts
 from fishrl.physics.fast.step import FlowData, FlowGroup, Stepper
 from fishrl.physics.fast.workers import SharedMemory, Workers, count_cores, map_shared
 from fishrl.physics.flow import FlowConfig, list_configs, make_params
@@ -243,7 +244,9 @@ class InPlaceSolver:
                 f"shape ({self.num_envs},)"
             )
         num_bodies = len(self.bodies)
-        position, heading = self._spread_places(position, heading)
+        position, heading = spread_starts(
+            position, heading, self.config, self.num_envs, self.device
+        )
         fresh = []
         for m in range(num_bodies):
             frequency = torch.zeros_like(heading[:, m]) + self._frequency
@@ -265,27 +268,15 @@ class InPlaceSolver:
                     stored = self.config.storage.encode(value[mine, None])
                     f.copy_(torch.where(mask[:, None], stored, f))
 
-    def _spread_places(
-        self, position: Tensor | None, heading: Tensor | None
-    ) -> tuple[Tensor, Tensor]:
-        """Return places ``[B, M, 2]`` and headings ``[B, M]``, float64."""
-        num_bodies = max(1, len(self.bodies))
-        if position is None:
-            position = torch.tensor([0.5 * self.config.width, 0.5 * self.config.height])
-            position = position.expand(self.num_envs, num_bodies, 2)
-        if heading is None:
-            heading = torch.zeros(self.num_envs, num_bodies)
-        given = position.to(self.device, torch.float64), heading.to(self.device, torch.float64)
-        shape = self.num_envs, num_bodies
-        got = tuple(given[0].shape), tuple(given[1].shape)
-        if num_bodies == 1:
-            given = given[0].reshape(-1, 1, 2), given[1].reshape(-1, 1)
-        if given[0].shape != (*shape, 2) or given[1].shape != shape:
-            raise ValueError(
-                f"position and heading have shapes {got[0]} and {got[1]}: give {(*shape, 2)} and "
-                f"{shape}, one place for each of the {num_bodies} bodies in {self.num_envs} flows"
-            )
-        return given
+    @property
+    def stream_speed(self) -> Tensor:
+        """Stream speed of each flow ``[B]``, nodes per step; change it by ``set_stream_speed_``."""
+        return self.flow.params.stream_speed
+
+    def set_stream_speed_(self, speed: Tensor, rows: Tensor | None = None) -> None:
+        """Set the stream speed of all flows, or of those in ``rows`` ``[B]``, nodes per step."""
+        own = self.flow.params.stream_speed
+        own.copy_(speed if rows is None else torch.where(rows, speed, own))
 
     def set_populations_(self, f: Tensor, rows: Tensor | None = None) -> None:
         """Set all flows, or those of ``rows`` ``[B]``, to shifted populations ``[B, Q, Y, X]``."""
@@ -349,13 +340,24 @@ class InPlaceSolver:
         Args:
             index: of the body.
         """
+        return locate_markers(*self._get_body(index))
+
+    def surface(self, index: int = 0) -> Markers:
+        """Return the markers of a body with their arms and deformation velocities.
+
+        Args:
+            index: of the body.
+        """
+        config, params, state = self._get_body(index)
+        return place_markers(state, deform_body(config, params, state))
+
+    def _get_body(self, index: int) -> tuple[BodyConfig, BodyParams, BodyState]:
         if not 0 <= index < len(self.bodies):
             raise ValueError(
                 f"body {index} of a flow with {len(self.bodies)}: give FlowConfig bodies, and an "
                 "index below their number"
             )
-        body, shape = self.bodies[index], self.flow.params.bodies[index]
-        return locate_markers(self.config.bodies[index], shape, body)
+        return self.config.bodies[index], self.flow.params.bodies[index], self.bodies[index]
 
     def head(self) -> Tensor:
         """Return the nose of the first body ``[B, 2]`` in nodes."""
