@@ -26,9 +26,9 @@ from matplotlib.figure import Figure
 from experiments.command_line import plain_errors, set_up_logging
 from experiments.config import load_config, resumed_settings
 from experiments.figures import COLOURS, STYLE, frame_curves, read_metrics
-from experiments.gait.diagnostics import half_width
 from experiments.pages import fill
 from experiments.settings import ConfigError, TrainConfig
+from experiments.statistics import half_width
 from experiments.sweeps.jobs import find_difference
 from experiments.train import begin_run, finish, set_up
 from fishrl.training.interruption import Interrupted

@@ -21,9 +21,10 @@ from torch import Tensor
 
 from experiments.command_line import plain_errors, set_up_logging
 from experiments.gait import tables
-from experiments.gait.diagnostics import half_width, measure_lean, pick, trace_work
+from experiments.gait.diagnostics import measure_lean, pick, trace_work
 from experiments.gait.histories import Histories
 from experiments.gait.trials import Trial, run_trial
+from experiments.statistics import half_width
 from experiments.transfer import load_task, split_flows
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.modules import PID

@@ -1,8 +1,17 @@
-"""Pages of the documentation whose numbers a command writes: marked places, filled anew."""
+"""Markdown that commands write: tables, and marked places in the pages of the documentation."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+
+
+def write_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Return a Markdown table, which ends with a newline; ``None`` is an empty cell."""
+    cells = [["" if cell is None else str(cell) for cell in row] for row in (heads, *rows)]
+    lines = [f"| {' | '.join(row)} |" for row in cells]
+    lines.insert(1, "|---" * len(heads) + "|")
+    return "\n".join(lines) + "\n"
 
 
 def fill(page: Path, name: str, text: str) -> None:

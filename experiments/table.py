@@ -11,8 +11,8 @@ from pathlib import Path
 from shutil import copyfile
 from typing import Any
 
-from experiments.gait.diagnostics import half_width
 from experiments.pages import fill
+from experiments.statistics import half_width
 
 FISH = ("", "intercept_", "pursuit_", "random_")
 HEADER = (

@@ -12,19 +12,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from experiments.gait.histories import Histories
+from experiments.statistics import half_width
 
 #: Nose places (x behind the flat side, |y|), body lengths, that count as inside the vortex street.
 STREET = ((0.8, 3.0), 0.5)
 #: How far the tail beat may be off the shedding frequency, as a share of that, in Kármán gait.
 GAIT_BAND = 0.25
-#: Student's t at 97.5 % for some degrees of freedom; between them it is smooth in their inverse.
-_FREEDOM = np.array([1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 15, 20, 30, 60, 120, np.inf])
-_STUDENT_95 = np.array(
-    [
-        *(12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228),
-        *(2.131, 2.086, 2.042, 2.000, 1.980, 1.960),
-    ]
-)
 
 
 def diagnose(
@@ -190,15 +183,6 @@ def find_phase(signal: NDArray[np.float64], frequency: float, rate: float) -> ND
 def pick(histories: Histories, rows: Tensor) -> Histories:
     """Return some of the episodes; ``rows`` is a mask ``[E]``."""
     return Histories(*(value[rows] for value in histories))
-
-
-def half_width(values: Sequence[float]) -> float:
-    """Return half the width of the 95 % confidence interval of a mean (Student's t)."""
-    count = len(values)
-    if count < 2:
-        return math.nan
-    factor = float(np.interp(1.0 / (count - 1), 1.0 / _FREEDOM[::-1], _STUDENT_95[::-1]))
-    return factor * float(np.std(values, ddof=1)) / math.sqrt(count)
 
 
 def combine_seeds(results: Sequence[Mapping[str, float]]) -> dict[str, float]:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from experiments.figures import COLOURS, STYLE, frame_curves, read_metrics
-from experiments.gait.diagnostics import half_width
+from experiments.statistics import half_width
 from experiments.sweeps.groups import Group
 
 #: Panels: title and column of metrics.csv.

@@ -8,9 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from experiments.gait.diagnostics import half_width
 from experiments.sweeps.runs import HARMLESS, Run
 from fishrl.training.run_folder import RunFolder
 
@@ -56,45 +53,6 @@ class Group:
         """Return an entry of the summaries of the finished runs, where it is a number."""
         values: list[Any] = [run.summary.get(name) for run in self.finished]
         return [float(value) for value in values if _is_number(value)]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Statistic:
-    """One number over several seeds.
-
-    Attributes:
-        count: of the seeds.
-        mean: over them.
-        half_width: of the mean's 95 % confidence interval (Student's t); NaN for a single seed.
-        iqm: see ``interquartile_mean``.
-    """
-
-    count: int
-    mean: float
-    half_width: float
-    iqm: float
-
-    @classmethod
-    def of(cls, values: Sequence[float]) -> Statistic:
-        """Reduce some values; without any, everything is NaN."""
-        return cls(
-            count=len(values),
-            mean=float(np.mean(values)) if values else math.nan,
-            half_width=half_width(values),
-            iqm=interquartile_mean(values),
-        )
-
-
-def interquartile_mean(values: Sequence[float]) -> float:
-    """Return the mean of the middle half, Agarwal et al. 2021 (arXiv 2108.13264, section 4.3).
-
-    A quarter of the values, rounded down, is left out at either end, as there; below four values
-    it is the plain mean. NaN without values.
-    """
-    if not values:
-        return math.nan
-    cut = len(values) // 4
-    return float(np.mean(sorted(values)[cut : len(values) - cut]))
 
 
 def group_runs(runs: Sequence[Run]) -> list[Group]:

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.sweeps.groups import Group, Statistic, number_names
+from experiments.statistics import Statistic
+from experiments.sweeps.groups import Group, number_names
 from experiments.sweeps.runs import Run
 
 #: Of every group: heading, entry of summary.json, format.

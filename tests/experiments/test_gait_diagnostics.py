@@ -10,7 +10,6 @@ from experiments.gait.diagnostics import (
     combine_seeds,
     diagnose,
     find_phase,
-    half_width,
     lock_phases,
     measure_lean,
     measure_sway,
@@ -20,6 +19,7 @@ from experiments.gait.diagnostics import (
 )
 from experiments.gait.histories import Histories
 from experiments.gait.tables import write_ends, write_table, write_work_table
+from experiments.statistics import half_width
 from fishrl.envs.stations import SafeArea
 
 NUM, FRAMES, SHED = 40, 16, 0.625

@@ -15,8 +15,9 @@ import pytest
 from omegaconf import OmegaConf
 
 from experiments import summarize
+from experiments.statistics import Statistic, interquartile_mean
 from experiments.sweeps.curves import average, write_curves
-from experiments.sweeps.groups import Statistic, group_runs, interquartile_mean
+from experiments.sweeps.groups import group_runs
 from experiments.sweeps.runs import count_frames, read_run, read_runs
 from fishrl.training.run_folder import HeldError, RunFolder
 

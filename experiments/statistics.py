@@ -1,0 +1,85 @@
+"""Means over seeds: 95 % confidence intervals (Student's t) and interquartile means."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+#: Student's t at 97.5 % by degrees of freedom; in between it is smooth in their inverse.
+_STUDENT_95 = {
+    1: 12.706,
+    2: 4.303,
+    3: 3.182,
+    4: 2.776,
+    5: 2.571,
+    6: 2.447,
+    7: 2.365,
+    8: 2.306,
+    9: 2.262,
+    10: 2.228,
+    15: 2.131,
+    20: 2.086,
+    30: 2.042,
+    60: 2.000,
+    120: 1.980,
+    math.inf: 1.960,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Statistic:
+    """One number over several seeds.
+
+    Attributes:
+        count: of the seeds.
+        mean: over them.
+        half_width: of the mean's 95 % confidence interval; NaN for a single seed.
+        iqm: see ``interquartile_mean``.
+    """
+
+    count: int
+    mean: float
+    half_width: float
+    iqm: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Statistic:
+        """Reduce some values; without any, everything is NaN."""
+        return cls(
+            count=len(values),
+            mean=float(np.mean(values)) if values else math.nan,
+            half_width=half_width(values),
+            iqm=interquartile_mean(values),
+        )
+
+    def show(self, form: str) -> str:
+        """Write mean ± half width, each in a format such as ``.1%``; a dash without values."""
+        if math.isnan(self.mean):
+            return "–"
+        mean = format(self.mean, form)
+        return mean if math.isnan(self.half_width) else f"{mean} ± {self.half_width:{form}}"
+
+
+def half_width(values: Sequence[float]) -> float:
+    """Return half the width of the 95 % confidence interval of a mean; NaN below two values."""
+    count = len(values)
+    if count < 2:
+        return math.nan
+    inverse = [1.0 / freedom for freedom in reversed(_STUDENT_95)]
+    factor = float(np.interp(1.0 / (count - 1), inverse, list(reversed(_STUDENT_95.values()))))
+    return factor * float(np.std(values, ddof=1)) / math.sqrt(count)
+
+
+def interquartile_mean(values: Sequence[float]) -> float:
+    """Return the mean of the middle half, Agarwal et al. 2021 (arXiv 2108.13264, section 4.3).
+
+    A quarter of the values, rounded down, is left out at either end, as there; below four values
+    it is the plain mean. NaN without values.
+    """
+    if not values:
+        return math.nan
+    cut = len(values) // 4
+    return float(np.mean(sorted(values)[cut : len(values) - cut]))
