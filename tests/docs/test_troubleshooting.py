@@ -25,7 +25,7 @@ def _read_literals(path: Path) -> str:
 
 
 SOURCES = [_read_literals(p) for f in ("fishrl", "experiments") for p in (ROOT / f).rglob("*.py")]
-QUOTES = QUOTE.findall((DOCS / "faq.md").read_text(encoding="utf-8"))
+QUOTES = QUOTE.findall((DOCS / "troubleshooting.md").read_text(encoding="utf-8"))
 
 
 def _list_fragments(quote: str) -> list[str]:
