@@ -122,7 +122,7 @@ class FlowEnv(EnvBase):
 
     def measure(self) -> TensorDict:
         """Measure the current flows; also valid within an action."""
-        return self.task.measure(self.solver, self.start)
+        return self.task.measure(self.solver, self.start).to(self.device)
 
     @contextmanager
     def set_starts(
@@ -171,15 +171,13 @@ class FlowEnv(EnvBase):
             diverged=Binary(1, dtype=torch.bool),
             start_index=Unbounded((), dtype=torch.int64),
             **reported,
-            device=self.device,
-        )
+        ).to(self.device)
         self.action_spec_unbatched = Categorical(task.num_actions, device=self.device)
         self.reward_spec_unbatched = Unbounded((1,), device=self.device)
         flags = ("done", "terminated", "truncated")
         self.done_spec_unbatched = Composite(
-            {name: Categorical(2, shape=(1,), dtype=torch.bool) for name in flags},
-            device=self.device,
-        )
+            {name: Categorical(2, shape=(1,), dtype=torch.bool) for name in flags}
+        ).to(self.device)
 
     def _draw_starts(self, rows: Tensor) -> tuple[TensorDict, Tensor]:
         """Return starts ``[B]``, valid in ``rows``, and their indices."""
