@@ -1,53 +1,37 @@
-"""What a validation case is: jobs to run, checks to judge them by, a figure."""
+"""What a validation case is: runs, checks that judge their results, and a figure."""
 
 from __future__ import annotations
 
-import json
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf, isfinite
-from typing import Any, ClassVar
+from typing import Any, TypeVar
 
 from matplotlib.figure import Figure
 
 Result = dict[str, Any]
 Results = Mapping[str, Result]  # by the label of the job
+Reference = float | tuple[float, float] | None
+Key = TypeVar("Key", bound=Hashable)
 
 PASS, MISSED, RECORDED = "pass", "MISSED", "recorded"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Job:
-    """One run of a case. It runs in a process of its own, on one thread.
+    """One run of a case, in a process of its own, on one thread.
 
     Args:
-        label: what sets it apart within its case, such as "D = 40".
-        function: at the top of a module, so that another process finds it; returns a dict of
-            numbers, words and lists of them.
-        arguments: keywords of ``function``, numbers and words likewise.
-        cost: node-steps, roughly; the dearest jobs start first.
+        label: unique within the case, such as "D = 40".
+        function: at the top of a module, so that another process finds it; returns JSON types.
+        arguments: keywords of ``function``, JSON types likewise.
+        cost: node-steps, roughly; the most expensive jobs start first.
     """
 
     label: str
     function: Callable[..., Result]
-    arguments: dict[str, Any] = field(default_factory=dict)
+    arguments: Mapping[str, Any] = field(default_factory=dict)
     cost: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be sent to another process or written down."""
-        name = getattr(self.function, "__qualname__", "")
-        if "<" in name or not name:
-            raise ValueError(
-                f"job '{self.label}': {name or self.function} is no function at the top of a "
-                "module, and another process could not find it: move it there"
-            )
-        try:
-            json.dumps(self.arguments)
-        except TypeError as error:
-            raise ValueError(
-                f"job '{self.label}': arguments must be numbers, words and lists of them ({error})"
-            ) from None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +44,7 @@ class Check:
         reference: a number, or a range (low, high) with ``inf`` where it is open; None for what
             is measured for the record.
         source: where the reference comes from.
-        tolerance: how far ``ours`` may be from the reference. None with a number: the two stand
+        tolerance: largest accepted distance from the reference. None with a number: the two stand
             beside each other and nothing is judged. A range needs none: inside is right.
         is_absolute: whether error and tolerance are differences, not shares of the reference.
         resolution: of the run that ``ours`` comes from.
@@ -70,24 +54,13 @@ class Check:
 
     quantity: str
     ours: float
-    reference: float | tuple[float, float] | None = None
+    reference: Reference = None
     source: str = ""
     tolerance: float | None = None
     is_absolute: bool = False
     resolution: str = ""
     refinement: Mapping[str, float] = field(default_factory=dict)
     note: str = ""
-
-    def __post_init__(self) -> None:
-        """Refuse a range upside down and a share of nothing."""
-        if isinstance(self.reference, tuple) and not self.reference[0] <= self.reference[1]:
-            raise ValueError(
-                f"{self.quantity}: the range {self.reference} is upside down: give (low, high)"
-            )
-        if self.reference == 0.0 and self.tolerance is not None and not self.is_absolute:
-            raise ValueError(
-                f"{self.quantity}: no share of a reference of 0 can be taken: set is_absolute=True"
-            )
 
     @property
     def error(self) -> float | None:
@@ -105,10 +78,9 @@ class Check:
 
     @property
     def verdict(self) -> str:
-        """Pass, missed, or recorded where there is nothing to judge by."""
-        if self.error is None:
-            return RECORDED if isfinite(self.ours) else MISSED
-        if self.tolerance is None and not isinstance(self.reference, tuple):
+        """Pass, missed, or recorded where there is no acceptance criterion."""
+        is_range = isinstance(self.reference, tuple)
+        if self.error is None or (self.tolerance is None and not is_range):
             return RECORDED if isfinite(self.ours) else MISSED
         return PASS if self.error <= (self.tolerance or 0.0) else MISSED
 
@@ -118,29 +90,69 @@ def as_range(reference: float | tuple[float, float]) -> tuple[float, float]:
     return reference if isinstance(reference, tuple) else (reference, reference)
 
 
-class Case(ABC):
-    """A flow that somebody else has solved.
+def check_finest(
+    quantity: str,
+    values: Mapping[int, float],
+    reference: Reference = None,
+    source: str = "",
+    tolerance: float | None = None,
+    *,
+    symbol: str,
+    is_absolute: bool = False,
+    note: str = "",
+) -> Check:
+    """Return the check of a quantity at its finest resolution, with the others beside it.
 
-    Attributes:
-        name: of its files and of ``--cases``; words joined by hyphens.
-        title: heading in the report.
-        source: whose numbers it is judged by.
-        setup: one paragraph: domain, boundaries, scales, how long it runs, what is measured.
+    Args:
+        quantity: see ``Check``, as for the arguments not listed here.
+        values: by number of nodes.
+        symbol: of the number of nodes, such as D.
+    """
+    return Check(
+        quantity=quantity,
+        ours=values[max(values)],
+        reference=reference,
+        source=source,
+        tolerance=tolerance,
+        is_absolute=is_absolute,
+        resolution=f"{symbol} = {max(values)}",
+        refinement={f"{symbol} = {n}": value for n, value in values.items()},
+        note=note,
+    )
+
+
+@dataclass(frozen=True)
+class Case:
+    """A flow with a known solution or published results; a module of this package defines it.
+
+    Args:
+        name: of its files, and on the command line; words joined by hyphens.
+        text: docstring of the module: the title, then in one paragraph the set-up (domain,
+            boundaries, scales, duration, what is measured); both go into the report.
+        source: of the reference values.
+        make_jobs: returns the runs; if its argument is true, the quick ones among them, or none.
+        judge: returns the checks of the results by label; quick runs give fewer results.
+        draw: draws the results beside the reference.
     """
 
-    name: ClassVar[str]
-    title: ClassVar[str]
-    source: ClassVar[str]
-    setup: ClassVar[str]
+    name: str
+    text: str | None
+    source: str
+    make_jobs: Callable[[bool], Sequence[Job]]
+    judge: Callable[[Results], Sequence[Check]]
+    draw: Callable[[Results], Figure]
 
-    @abstractmethod
-    def jobs(self, *, quick: bool) -> Sequence[Job]:
-        """Return the runs; the quick ones among them, or none, if ``quick``."""
+    @property
+    def title(self) -> str:
+        """Heading in the report."""
+        return (self.text or "").split("\n")[0].removesuffix(".")
 
-    @abstractmethod
-    def judge(self, results: Results) -> Sequence[Check]:
-        """Return the checks of the jobs' results, by label; quick runs give fewer results."""
+    @property
+    def setup(self) -> str:
+        """Set-up, as one line."""
+        return " ".join((self.text or "").partition("\n")[2].split())
 
-    @abstractmethod
-    def draw(self, results: Results) -> Figure:
-        """Draw the results beside the reference."""
+
+def select(results: Results, labels: Mapping[Key, str]) -> dict[Key, Result]:
+    """Return the results that are known among ``labels``, by its keys."""
+    return {key: results[label] for key, label in labels.items() if label in results}

@@ -1,4 +1,13 @@
-"""Lid-driven cavity: vortex in a closed box, driven by one wall."""
+"""Lid-driven cavity.
+
+Square box of N × N node distances whose top slides at U = 0.1, Re = U N / ν. Judged with half-way
+bounce-back walls; beside it, for the record, the same cavity with non-equilibrium extrapolation on
+all four edges, lid at full speed up to its corners. The fast step in single precision runs until no
+velocity changes by more than 10⁻⁵ U while the lid travels the width. Extremes along the centre
+lines are those of parabolas through three nodes; flow is the sum of u over the vertical centre
+line, which should be nothing. The references are Chebyshev solutions of incompressible flow; what
+is left of the error at Re = 100 is compressibility, and falls as U².
+"""
 
 from collections.abc import Sequence
 
@@ -6,8 +15,8 @@ from matplotlib.figure import Figure
 
 from experiments.figures import COLOURS
 from experiments.validation import ghia
-from experiments.validation.case import Case, Check, Job, Result, Results
-from experiments.validation.convergence import find_extreme, tidy
+from experiments.validation.case import Case, Check, Job, Result, Results, check_finest, select
+from experiments.validation.convergence import GREY, find_extreme
 from fishrl.physics import FlowConfig, InPlaceSolver
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, NoSlip
 
@@ -24,12 +33,9 @@ SPECTRAL = {
     1000: {"u_min": -0.3885698, "v_max": 0.3769447, "v_min": -0.5270771},
 }
 SOURCE = "Botella & Peyret 1998, spectral"
-# what the figure shows: size, whether bounce-back, line, name
-LINES = (
-    (256, True, "-", "bounce-back, N = 256"),
-    (256, False, "--", "extrapolation, N = 256"),
-    (64, True, ":", "bounce-back, N = 64"),
-)
+WALLS = {True: "bounce-back", False: "extrapolation"}  # by whether they are half-way
+# what the figure shows: size, whether bounce-back, line
+LINES = ((256, True, "-"), (256, False, "--"), (64, True, ":"))
 LEAK = (
     "with edges by extrapolation the error of the extremes falls no faster than 1 / N and grows "
     "with the lid speed: they conserve no mass, and beside a sliding wall that flow is lost."
@@ -74,14 +80,13 @@ def drive_cavity(*, size: int, reynolds: float, is_half_way: bool) -> Result:
     u_line = (u[0, 0, :, middle].double().mean(-1) / LID_SPEED).tolist()
     v_line = (u[0, 1, middle, :].double().mean(0) / LID_SPEED).tolist()
     offset = 0.5 if is_half_way else 0.0
-    place = [(i + offset) / size for i in range(num_nodes)]
     return {
-        "position": place,
+        "position": [(i + offset) / size for i in range(num_nodes)],
         "u": u_line,
         "v": v_line,
-        "u_min": find_extreme(place, u_line, sign=-1),
-        "v_max": find_extreme(place, v_line, sign=1),
-        "v_min": find_extreme(place, v_line, sign=-1),
+        "u_min": find_extreme(u_line, sign=-1),
+        "v_max": find_extreme(v_line, sign=1),
+        "v_min": find_extreme(v_line, sign=-1),
         "travels": travels,
         "mean_density": float(rho.double().mean()),
         "flow": sum(u_line) - (0.0 if is_half_way else 0.5 * u_line[-1]),
@@ -89,102 +94,83 @@ def drive_cavity(*, size: int, reynolds: float, is_half_way: bool) -> Result:
 
 
 def _label(size: int, reynolds: int, is_half_way: bool) -> str:
-    walls = "bounce-back" if is_half_way else "extrapolation"
-    return f"Re = {reynolds}, {walls}, N = {size}"
+    return f"Re = {reynolds}, {WALLS[is_half_way]}, N = {size}"
 
 
-class Cavity(Case):
-    """Square cavity under a sliding lid at Re 100 and 1000."""
+def make_jobs(quick: bool) -> list[Job]:
+    """Return a run for each Reynolds number, kind of wall and size."""
+    return [
+        Job(
+            _label(size, reynolds, is_half_way),
+            drive_cavity,
+            {"size": size, "reynolds": reynolds, "is_half_way": is_half_way},
+            cost=(20 if reynolds == 100 else 80) * size**3 / LID_SPEED,
+        )
+        for reynolds in SPECTRAL
+        for is_half_way in ((True,) if quick else WALLS)
+        for size in (QUICK_SIZES if quick else SIZES)
+    ]
 
-    name = "cavity"
-    title = "Lid-driven cavity"
-    source = (
-        "Botella & Peyret 1998 (Marchi, Suero & Araki 2009 agree to four digits); circles in the "
-        "figure: Ghia, Ghia & Shin 1982, on 129 × 129 points"
-    )
-    setup = (
-        "Square box of N × N node distances whose top slides at U = 0.1, Re = U N / ν. Judged with "
-        "half-way bounce-back walls; beside it, for the record, the same cavity with "
-        "non-equilibrium extrapolation on all four edges, lid at full speed up to its corners. The "
-        "fast step in single precision runs until no velocity changes by more than 10⁻⁵ U while "
-        "the lid travels the width. Extremes along the centre lines are those of parabolas through "
-        "three nodes; flow is the sum of u over the vertical centre line, which should be "
-        "nothing. The references are Chebyshev solutions of incompressible flow; what is left of "
-        "the error at Re = 100 is compressibility, and falls as U²."
-    )
 
-    def jobs(self, *, quick: bool) -> Sequence[Job]:
-        """Return a run for each Reynolds number, kind of wall and size."""
-        return [
-            Job(
-                label=_label(size, reynolds, is_half_way),
-                function=drive_cavity,
-                arguments={"size": size, "reynolds": reynolds, "is_half_way": is_half_way},
-                cost=(20 if reynolds == 100 else 80) * size**3 / LID_SPEED,
-            )
-            for reynolds in SPECTRAL
-            for is_half_way in ((True,) if quick else (True, False))
-            for size in (QUICK_SIZES if quick else SIZES)
-        ]
-
-    def judge(self, results: Results) -> Sequence[Check]:
-        """Judge the extremes along the centre lines."""
-        checks = []
-        for is_half_way in (True, False):
-            for reynolds, references in SPECTRAL.items():
-                labels = {n: _label(n, reynolds, is_half_way) for n in SIZES}
-                known = {n: results[name] for n, name in labels.items() if name in results}
-                if not known:
-                    continue
-                walls = "bounce-back" if is_half_way else "extrapolation"
-                checks += [
-                    Check(
-                        quantity=f"{key} / U, Re = {reynolds}, {walls}",
-                        ours=known[max(known)][key],
-                        reference=reference,
-                        source=SOURCE,
-                        tolerance=TOLERANCE if is_half_way else None,
-                        resolution=f"N = {max(known)}",
-                        refinement={f"N = {n}": result[key] for n, result in known.items()},
-                    )
-                    for key, reference in references.items()
-                ]
+def judge(results: Results) -> Sequence[Check]:
+    """Judge the extremes along the centre lines."""
+    checks = []
+    for is_half_way, walls in WALLS.items():
+        for reynolds, references in SPECTRAL.items():
+            runs = select(results, {n: _label(n, reynolds, is_half_way) for n in SIZES})
+            if not runs:
+                continue
+            where = f"Re = {reynolds}, {walls}"
+            tolerance, note = (TOLERANCE, "") if is_half_way else (None, LEAK)
+            for key, reference in references.items():
+                values = {n: run[key] for n, run in runs.items()}
                 checks.append(
-                    Check(
-                        quantity=f"flow / (U × node distance), Re = {reynolds}, {walls}",
-                        ours=known[max(known)]["flow"],
-                        reference=0.0,
-                        source="mass",
-                        is_absolute=True,
-                        resolution=f"N = {max(known)}",
-                        refinement={f"N = {n}": result["flow"] for n, result in known.items()},
-                        note="" if is_half_way else LEAK,
+                    check_finest(
+                        f"{key} / U, {where}", values, reference, SOURCE, tolerance, symbol="N"
                     )
                 )
-        return checks
-
-    def draw(self, results: Results) -> Figure:
-        """Draw both centre lines at each Reynolds number."""
-        figure = Figure(figsize=(9.0, 7.0), layout="constrained")
-        panels = figure.subplots(2, 2)
-        for row, reynolds in zip(panels, SPECTRAL, strict=True):
-            tables = (
-                ("u", ghia.Y, ghia.U[reynolds], "y / L", "u / U on the vertical centre line"),
-                ("v", ghia.X, ghia.V[reynolds], "x / L", "v / U on the horizontal centre line"),
+            checks.append(
+                check_finest(
+                    f"flow / (U × node distance), {where}",
+                    {n: run["flow"] for n, run in runs.items()},
+                    reference=0.0,
+                    source="mass",
+                    is_absolute=True,
+                    symbol="N",
+                    note=note,
+                )
             )
-            for axes, (key, places, values, along, title) in zip(row, tables, strict=True):
-                for (size, is_half_way, style, name), colour in zip(LINES, COLOURS, strict=False):
-                    line = results.get(_label(size, reynolds, is_half_way))
-                    if line is not None:
-                        axes.plot(line["position"], line[key], style, color=colour, label=name)
-                axes.plot(
-                    places, values, "o", color="black", markerfacecolor="none", markersize=5,
-                    label="Ghia et al. 1982",
-                )  # fmt: skip
-                for name, value in SPECTRAL[reynolds].items():
-                    if name.startswith(key):
-                        axes.axhline(value, color="#777777", linewidth=0.8, zorder=0)
-                axes.set(xlabel=along, ylabel=f"{key} / U", title=f"{title}, Re = {reynolds}")
-                tidy(axes)
-        panels[0, 0].legend(title="grey: spectral extremes", fontsize=9, title_fontsize=9)
-        return figure
+    return checks
+
+
+def draw(results: Results) -> Figure:
+    """Draw both centre lines at each Reynolds number."""
+    figure = Figure(figsize=(9.0, 7.0), layout="constrained")
+    panels = figure.subplots(2, 2)
+    for row, reynolds in zip(panels, SPECTRAL, strict=True):
+        tables = (
+            ("u", ghia.Y, ghia.U[reynolds], "y / L", "u / U on the vertical centre line"),
+            ("v", ghia.X, ghia.V[reynolds], "x / L", "v / U on the horizontal centre line"),
+        )
+        for axes, (key, places, values, along, title) in zip(row, tables, strict=True):
+            for (size, is_half_way, style), colour in zip(LINES, COLOURS, strict=False):
+                if line := results.get(_label(size, reynolds, is_half_way)):
+                    name = f"{WALLS[is_half_way]}, N = {size}"
+                    axes.plot(line["position"], line[key], style, color=colour, label=name)
+            axes.plot(
+                places, values, "o", color="black", markerfacecolor="none", markersize=5,
+                label="Ghia et al. 1982",
+            )  # fmt: skip
+            for name, value in SPECTRAL[reynolds].items():
+                if name.startswith(key):
+                    axes.axhline(value, color=GREY, linewidth=0.8, zorder=0)
+            axes.set(xlabel=along, ylabel=f"{key} / U", title=f"{title}, Re = {reynolds}")
+    panels[0, 0].legend(title="grey: spectral extremes", fontsize=9, title_fontsize=9)
+    return figure
+
+
+SOURCES = (
+    "Botella & Peyret 1998 (Marchi, Suero & Araki 2009 agree to four digits); circles in the "
+    "figure: Ghia, Ghia & Shin 1982, on 129 × 129 points"
+)
+CASE = Case("cavity", __doc__, SOURCES, make_jobs, judge, draw)

@@ -1,4 +1,11 @@
-"""What the Mach number does: the same flows at the default speed, at half of it and at double."""
+"""Compressibility.
+
+The swimmer (L = 70 to 140, Re = 7142, free) with its tail, and a cylinder (D = 20, Re = 100, domain
+20 D × 10 D, open to sound on all sides but the inflow) with its stream, at 0.14, 0.07 (the default
+budget, Mach 0.12) and 0.035 nodes per step. Reynolds number and grid are fixed, so viscosity and
+the length of a step follow. Swimming speed over beat 8; drag over 40 D of travel, lift as root mean
+square.
+"""
 
 from collections.abc import Sequence
 
@@ -7,9 +14,9 @@ from matplotlib.figure import Figure
 
 from experiments.figures import COLOURS
 from experiments.validation.case import Case, Check, Job, Result, Results
-from experiments.validation.convergence import tidy
-from experiments.validation.swimming import estimate_cost, swim
-from fishrl.physics import Cylinder, Fixed, FlowConfig, InPlaceSolver
+from experiments.validation.swimming import make_swim
+from experiments.validation.wake import start_flow
+from fishrl.physics import Cylinder, Fixed, FlowConfig
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
 from fishrl.physics.immersed_boundary import DirectSolve
 from fishrl.physics.units import DEFAULT_WALL_SPEED
@@ -21,7 +28,7 @@ FACTORS = (2.0, 1.0, 0.5)  # of the default wall speed
 DIAMETER = 20
 REYNOLDS = 100.0
 TRAVELS = 120  # diameters that the stream travels; the last third is measured
-BAR = 0.02
+TOLERANCE = 0.02
 # Name, flow, and what is read of it.
 SERIES = (
     *((f"swimming speed, L = {n}", f"swimmer, L = {n}", "speed") for n in BODY_LENGTHS),
@@ -34,11 +41,7 @@ SWIMMER_NOTE = (
 )
 
 
-def _name_swimmer(length: int) -> str:
-    return f"swimmer, L = {length}"
-
-
-def tow_cylinder(*, speed: float) -> Result:
+def hold_cylinder(*, speed: float) -> Result:
     """Hold a cylinder in a stream until its wake is periodic.
 
     Args:
@@ -49,24 +52,18 @@ def tow_cylinder(*, speed: float) -> Result:
     """
     stream, side = NonEquilibrium(velocity=(1.0, 0.0)), OpenEdge(is_plane=False)
     travel = round(DIAMETER / speed)
+    kick = Fixed(kick_speed=0.2 * speed, kick_steps=4 * travel)
     config = FlowConfig(
         width=20 * DIAMETER,
         height=10 * DIAMETER,
         tau=3.0 * speed * DIAMETER / REYNOLDS + 0.5,
         stream_speed=speed,
-        bodies=(
-            Cylinder(
-                diameter=DIAMETER,
-                motion=Fixed(kick_speed=0.2 * speed, kick_steps=4 * travel),
-            ),
-        ),
+        bodies=(Cylinder(diameter=DIAMETER, motion=kick),),
         # let sound out: between pinned edges it rings, and more so the faster the stream
         boundaries=Boundaries(left=stream, right=OpenEdge(), bottom=side, top=side),
         force_solve=DirectSolve(regularisation=0.0),
     )
-    solver = InPlaceSolver(config=config, num_workers=0)
-    place = torch.tensor([[6.0 * DIAMETER, 5.0 * DIAMETER]])
-    solver.reset_(torch.ones(1, dtype=torch.bool), place, velocity=(1.0, 0.0))
+    solver = start_flow(config, (6.0 * DIAMETER, 5.0 * DIAMETER), stream=(1.0, 0.0))
     samples_per_travel = 20
     gap = max(2, 2 * (travel // (2 * samples_per_travel)))
     solver.advance_(2 * (TRAVELS * travel // 3))
@@ -85,105 +82,73 @@ def _label(flow: str, factor: float) -> str:
     return f"{flow}, {factor * DEFAULT_WALL_SPEED:g} nodes per step"
 
 
-class Compressibility(Case):
-    """The default Mach budget, halved and doubled."""
-
-    name = "compressibility"
-    title = "Compressibility"
-    source = "own bar: halving the speed changes forces and swimming speed by less than 2 %"
-    setup = (
-        "The swimmer (L = 70 to 140, Re = 7142, free) with its tail, and a cylinder "
-        f"(D = {DIAMETER}, Re = 100, domain 20 D × 10 D, open to sound on "
-        "all sides but the inflow) with its stream, at 0.14, 0.07 (the "
-        "default budget, Mach 0.12) and 0.035 nodes per step. Reynolds number and grid are fixed, "
-        "so viscosity and the length of a step follow. Swimming speed over beat 8; drag over 40 D "
-        "of travel, lift as root mean square."
-    )
-
-    def jobs(self, *, quick: bool) -> Sequence[Job]:
-        """Return both flows at three speeds; quick ones only the swimmer's two."""
-        if quick:
-            return []
-        jobs = []
-        for factor in FACTORS:
-            speed = factor * DEFAULT_WALL_SPEED
-            jobs += [
-                Job(
-                    label=_label(_name_swimmer(length), factor),
-                    function=swim,
-                    arguments={
-                        "body_length": length,
-                        "num_beats": NUM_BEATS,
-                        "max_wall_speed": speed,
-                    },
-                    cost=estimate_cost(length, NUM_BEATS, speed),
-                )
-                for length in BODY_LENGTHS
-            ]
-            jobs.append(
-                Job(
-                    label=_label("cylinder", factor),
-                    function=tow_cylinder,
-                    arguments={"speed": speed},
-                    cost=200.0 * DIAMETER**3 * TRAVELS / speed,
-                )
+def make_jobs(quick: bool) -> list[Job]:
+    """Return both flows at three speeds; none is quick."""
+    jobs = []
+    for factor in () if quick else FACTORS:
+        speed = factor * DEFAULT_WALL_SPEED
+        jobs += [
+            make_swim(
+                _label(f"swimmer, L = {n}", factor), n, NUM_BEATS, max_wall_speed=speed
             )
-        return jobs
-
-    def judge(self, results: Results) -> Sequence[Check]:
-        """Judge what halving the default speed changes."""
-        checks = []
-        for name, flow, key in SERIES:
-            values = _read(results, flow, key)
-            is_judged = flow in ("cylinder", _name_swimmer(JUDGED_LENGTH))
-            checks.append(
-                Check(
-                    quantity=f"{name}: default speed / half of it",
-                    ours=values[1.0] / values[0.5],
-                    reference=1.0,
-                    source="incompressible flow",
-                    tolerance=BAR if is_judged else None,
-                    resolution=f"D = {DIAMETER}"
-                    if flow == "cylinder"
-                    else flow.removeprefix("swimmer, "),
-                    refinement={
-                        f"{f * DEFAULT_WALL_SPEED:g} nodes per step": v for f, v in values.items()
-                    },
-                    note=_compare_steps(values) + ("" if flow == "cylinder" else SWIMMER_NOTE),
-                )
-            )
-        return checks
-
-    def draw(self, results: Results) -> Figure:
-        """Draw everything against the speed, relative to its value at the lowest."""
-        figure = Figure(figsize=(5.5, 3.8), layout="constrained")
-        axes = figure.subplots()
-        for (name, flow, key), colour in zip(SERIES, COLOURS, strict=False):
-            values = _read(results, flow, key)
-            speeds = [f * DEFAULT_WALL_SPEED for f in values]
-            change = [100.0 * (v / values[min(values)] - 1.0) for v in values.values()]
-            axes.plot(speeds, change, "o-", color=colour, label=name)
-        axes.axhspan(-100.0 * BAR, 100.0 * BAR, color="#eeeeee", zorder=0)
-        axes.set(
-            xlabel="fastest wall or stream, nodes per step",
-            ylabel="change from the lowest speed, %",
-            xlim=(0.0, None),
-        )
-        axes.legend(fontsize=9)
-        tidy(axes)
-        return figure
-
-
-def _compare_steps(values: dict[float, float]) -> str:
-    """Say what the changes by the two halvings have to do with the Mach number."""
-    first, second = values[2.0] - values[1.0], values[1.0] - values[0.5]
-    return (
-        f"The first halving changes it {first / second:.2g} times as much as the second; an effect "
-        "of the Mach number, which goes with its square, makes that 4, an error of first order in "
-        "the time step 2."
-    )
+            for n in BODY_LENGTHS
+        ]
+        cost = 200.0 * DIAMETER**3 * TRAVELS / speed
+        jobs.append(Job(_label("cylinder", factor), hold_cylinder, {"speed": speed}, cost))
+    return jobs
 
 
 def _read(results: Results, flow: str, key: str) -> dict[float, float]:
-    values = {f: results[_label(flow, f)][key] for f in FACTORS if _label(flow, f) in results}
+    values = {f: results[_label(flow, f)][key] for f in FACTORS}
     return {f: v[-1] if isinstance(v, list) else v for f, v in values.items()}
+
+
+def judge(results: Results) -> Sequence[Check]:
+    """Judge what halving the default speed changes."""
+    checks = []
+    for name, flow, key in SERIES:
+        values = _read(results, flow, key)
+        length = flow.removeprefix("swimmer, ")
+        is_judged = flow in ("cylinder", f"swimmer, L = {JUDGED_LENGTH}")
+        first, second = values[2.0] - values[1.0], values[1.0] - values[0.5]
+        note = (
+            f"The first halving changes it {first / second:.2g} times as much as the second; an "
+            "effect of the Mach number, which goes with its square, makes that 4, an error of "
+            "first order in the time step 2."
+        )
+        checks.append(
+            Check(
+                quantity=f"{name}: default speed / half of it",
+                ours=values[1.0] / values[0.5],
+                reference=1.0,
+                source="incompressible flow",
+                tolerance=TOLERANCE if is_judged else None,
+                resolution=f"D = {DIAMETER}" if flow == "cylinder" else length,
+                refinement={_label("", f).removeprefix(", "): v for f, v in values.items()},
+                note=note + ("" if flow == "cylinder" else SWIMMER_NOTE),
+            )
+        )
+    return checks
+
+
+def draw(results: Results) -> Figure:
+    """Draw everything against the speed, relative to its value at the lowest."""
+    figure = Figure(figsize=(5.5, 3.8), layout="constrained")
+    axes = figure.subplots()
+    for (name, flow, key), colour in zip(SERIES, COLOURS, strict=False):
+        values = _read(results, flow, key)
+        speeds = [f * DEFAULT_WALL_SPEED for f in values]
+        change = [100.0 * (v / values[min(values)] - 1.0) for v in values.values()]
+        axes.plot(speeds, change, "o-", color=colour, label=name)
+    axes.axhspan(-100.0 * TOLERANCE, 100.0 * TOLERANCE, color="#eeeeee", zorder=0)
+    axes.set(
+        xlabel="fastest wall or stream, nodes per step",
+        ylabel="change from the lowest speed, %",
+        xlim=(0.0, None),
+    )
+    axes.legend(fontsize=9)
+    return figure
+
+
+SOURCE = "own criterion: halving the speed changes forces and swimming speed by less than 2 %"
+CASE = Case("compressibility", __doc__, SOURCE, make_jobs, judge, draw)

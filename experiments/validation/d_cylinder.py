@@ -1,39 +1,50 @@
-"""Half disc in a stream: the flows in which the paper's fish holds its station."""
+"""Half disc: the three flows of the Kármán gait.
+
+The paper's domain, 25 D × 12.5 D (1000 × 500 nodes with D = 40; blockage 8 %), the flat side of the
+half disc 6.25 D behind the inflow; streams of 0.1, 0.125 and 0.15 nodes per step make Re = 200, 250
+and 300 (conditions I, II, III). Flat side downstream, inflow and sides move with the stream, the
+outflow lets plane sound waves out; markers 0.45 nodes inside the outline, no slip solved directly.
+A kick, then 120 D / U, of which the second half is measured over whole periods. St = f D / U of the
+lift, by its zero crossings and by its spectrum. At D = 20 beside it: sides that let sound out as
+well, no-slip walls, half the speed at the same Re, the flat side upstream, and a pinned density at
+the outflow.
+"""
 
 from collections.abc import Mapping, Sequence
 from math import pi
 
-import torch
 from matplotlib.figure import Figure
 
 from experiments.figures import COLOURS
-from experiments.validation.case import Case, Check, Job, Result, Results
-from experiments.validation.convergence import tidy
-from experiments.validation.wake import (
-    draw_vorticity,
-    make_even,
-    record_force,
-    take_vorticity,
-)
-from fishrl.physics import (
-    DCylinder,
-    Fixed,
-    FlowConfig,
-    InPlaceSolver,
-    compute_coefficient,
-    compute_spectral_frequency,
-    measure_cycles,
-)
+from experiments.validation.case import Case, Check, Job, Result, Results, select
+from experiments.validation.wake import draw_vorticity, make_even, measure_wake, start_flow
+from fishrl.physics import DCylinder, Fixed, FlowConfig
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, NoSlip, OpenEdge
 from fishrl.physics.immersed_boundary import DirectSolve
 
 WIDTH_D, HEIGHT_D, FACE_D = 25.0, 12.5, 6.25  # 1000 x 500 nodes, face at x = 250, with D = 40
+WINDOW_D = (4.0, 22.0, 2.0, 10.5)  # of the picture: left, right, low, high
 SPEEDS = {200: 0.1, 250: 0.125, 300: 0.15}  # conditions I, II, III
 PAPER = {200: 0.267, 250: 0.256, 300: 0.267}
 SIZES = (20, 40)
 TRAVELS = 120.0
 STREAM = NonEquilibrium(velocity=(1.0, 0.0))
 SIDES = {"moving sides": STREAM, "open sides": OpenEdge(is_plane=False), "walls": NoSlip()}
+# beside the plain run of every condition and size
+VARIANTS: Mapping[str, dict[str, str | bool | float]] = {
+    "open sides": {"sides": "open sides"},
+    "walls": {"sides": "walls"},
+    "half the speed": {"slowing": 2.0},
+    "half the speed, open sides": {"slowing": 2.0, "sides": "open sides"},
+    "flat side upstream": {"is_flat_downstream": False},
+    "pinned outlet": {"is_pinned": True},
+}
+QUANTITIES = {
+    "strouhal": "St by zero crossings",
+    "spectral": "St by spectrum",
+    "drag": "C_d",
+    "lift_amplitude": "C_l amplitude",
+}
 NOTE = (
     "The paper's shedding frequencies are exactly 1/1500, 1/1250 and 1/1000 per step: bins 10, 12 "
     "and 15 of a spectrum of 15000 steps would give them, 7 to 10 % apart, and they are not "
@@ -62,7 +73,7 @@ def run_half_disc(
         is_pinned: an outlet with pinned density instead of one that lets sound out.
 
     Returns:
-        Strouhal number by zero crossings and by spectrum, force coefficients, the last series.
+        Those of ``measure_wake``.
     """
     speed = SPEEDS[reynolds] / slowing
     nu = speed * diameter / reynolds
@@ -81,145 +92,83 @@ def run_half_disc(
         ),
         force_solve=DirectSolve(),
     )
-    solver = InPlaceSolver(config=config, num_envs=1, num_workers=0)
     centre = -1.0 if is_flat_downstream else 1.0  # 2 D / (3 pi) from the flat side
     x = FACE_D * diameter + centre * 2.0 * diameter / (3.0 * pi)
-    y = 0.5 * (config.height - 1)
-    heading = torch.tensor([pi if is_flat_downstream else 0.0])
-    place = torch.tensor([[x, y]]).double()
-    solver.reset_(torch.ones(1, dtype=torch.bool), place, heading, velocity=(1.0, 0.0))
-    interval = make_even(diameter / speed / 30.0)
-    num_steps = round(0.5 * TRAVELS * diameter / speed)
-    record_force(solver, num_steps, interval)
-    force = record_force(solver, num_steps, interval)
-    rho, _ = solver.macroscopic()
-    density = float(rho[0, :, 1].double().mean())
-    drag, lift = compute_coefficient(
-        force, length=float(diameter), speed=speed, rho=density
-    ).unbind(-1)
-    unit = interval * speed / diameter
-    beat, swing = measure_cycles(lift, unit), measure_cycles(drag, unit, clock=lift)
-    window = (
-        round(4 * diameter),
-        round(22 * diameter),
-        round(2 * diameter),
-        round(10.5 * diameter),
+    place = (x, 0.5 * (config.height - 1))
+    solver = start_flow(config, place, pi if is_flat_downstream else 0.0, stream=(1.0, 0.0))
+    num_steps = 0.5 * TRAVELS * diameter / speed
+    return measure_wake(
+        solver,
+        diameter=diameter,
+        speed=speed,
+        num_steps=(num_steps, num_steps),
+        interval=make_even(diameter / speed / 30.0),
+        window=[side * diameter for side in WINDOW_D],
+        is_shedding=True,
     )
-    return {
-        "strouhal": beat.frequency,
-        "spectral": compute_spectral_frequency(lift, unit),
-        "num_cycles": beat.num_cycles,
-        "drag": swing.mean,
-        "drag_amplitude": swing.amplitude,
-        "lift_amplitude": beat.amplitude,
-        "lift_mean": beat.mean,
-        "inflow_density": density,
-        "interval": unit,
-        "lift_series": [round(v, 4) for v in lift[-300:].tolist()],
-        "vorticity": take_vorticity(solver, window, scale=diameter / speed),
-    }
 
 
-# beside the plain run of every condition and size
-VARIANTS: Mapping[str, dict[str, str | bool | float]] = {
-    "open sides": {"sides": "open sides"},
-    "walls": {"sides": "walls"},
-    "half the speed": {"slowing": 2.0},
-    "half the speed, open sides": {"slowing": 2.0, "sides": "open sides"},
-    "flat side upstream": {"is_flat_downstream": False},
-    "pinned outlet": {"is_pinned": True},
-}
-QUANTITIES = {
-    "strouhal": "St by zero crossings",
-    "spectral": "St by spectrum",
-    "drag": "C_d",
-    "lift_amplitude": "C_l amplitude",
-}
-VIEW_D = (4 - FACE_D, 22 - FACE_D, 2 - 0.5 * HEIGHT_D, 10.5 - 0.5 * HEIGHT_D)
-
-
-def _label(reynolds: int, size: int, variant: str) -> str:
+def _label(reynolds: int, size: int, variant: str = "") -> str:
     return f"Re = {reynolds}, D = {size}" + (f", {variant}" if variant else "")
 
 
-class HalfDisc(Case):
-    """Half disc at Re 200, 250 and 300 in the paper's domain."""
+def make_jobs(quick: bool) -> list[Job]:
+    """Return a run per condition, size and variant."""
+    runs = [(re, 20, variant) for re in SPEEDS for variant in ("", *VARIANTS)]
+    runs += [(re, 40, "") for re in SPEEDS]
+    return [
+        Job(
+            _label(re, size, variant),
+            run_half_disc,
+            {"diameter": size, "reynolds": re} | VARIANTS.get(variant, {}),
+            cost=WIDTH_D * HEIGHT_D * TRAVELS * size**3 / SPEEDS[re],
+        )
+        for re, size, variant in ([(200, 20, "")] if quick else runs)
+    ]
 
-    name = "d-cylinder"
-    title = "Half disc: the three flows of the Kármán gait"
-    source = "recorded; beside it the shedding frequencies in the paper's table"
-    setup = (
-        "The paper's domain, 25 D × 12.5 D (1000 × 500 nodes with D = 40; blockage 8 %), the flat "
-        "side of the half disc 6.25 D behind the inflow; streams of 0.1, 0.125 and 0.15 nodes per "
-        "step make Re = 200, 250 and 300 (conditions I, II, III). Flat side downstream, inflow and "
-        "sides move with the stream, the outflow lets plane sound waves out; markers 0.45 "
-        "nodes inside the outline, no slip solved directly. A kick, then 120 D / U, of which the "
-        "second half is measured over whole periods. St = f D / U of the lift, by its zero "
-        "crossings and by its spectrum. At D = 20 beside it: sides that let sound out as well, "
-        "no-slip walls, half the speed at the same Re, the flat side upstream, and a pinned "
-        "density at the outflow."
-    )
 
-    def jobs(self, *, quick: bool) -> Sequence[Job]:
-        """Return a run per condition, size and variant."""
-        runs = [(re, 20, variant) for re in SPEEDS for variant in ("", *VARIANTS)]
-        runs += [(re, 40, "") for re in SPEEDS]
-        if quick:
-            runs = [(200, 20, "")]
-        return [
-            Job(
-                label=_label(re, size, variant),
-                function=run_half_disc,
-                arguments={"diameter": size, "reynolds": re} | VARIANTS.get(variant, {}),
-                cost=WIDTH_D * HEIGHT_D * TRAVELS * size**3 / SPEEDS[re],
-            )
-            for re, size, variant in runs
-        ]
-
-    def judge(self, results: Results) -> Sequence[Check]:
-        """Show what was measured beside the paper; nothing is judged."""
-        checks = []
-        for reynolds in SPEEDS:
-            known = {n: r for n in SIZES if (r := results.get(_label(reynolds, n, "")))}
-            if not known:
-                continue
-            named = {
-                "D = 20": (20, ""),
-                "D = 40": (40, ""),
-            } | {f"D = 20, {variant}": (20, variant) for variant in VARIANTS}
-            for key, name in QUANTITIES.items():
-                finest = max(known)
-                checks.append(
-                    Check(
-                        quantity=f"{name}, Re = {reynolds}",
-                        ours=known[finest][key],
-                        reference=PAPER[reynolds] if key == "strouhal" else None,
-                        source="the paper's table" if key == "strouhal" else "",
-                        resolution=f"D = {finest}",
-                        refinement={
-                            label: r[key]
-                            for label, run in named.items()
-                            if (r := results.get(_label(reynolds, *run)))
-                        },
-                        note=NOTE if key == "strouhal" else "",
-                    )
+def judge(results: Results) -> Sequence[Check]:
+    """Show what was measured beside the paper; nothing is judged."""
+    checks = []
+    for reynolds in SPEEDS:
+        labels = {f"D = {size}": _label(reynolds, size) for size in SIZES}
+        known = select(results, labels)
+        labels |= {f"D = 20, {v}": _label(reynolds, 20, v) for v in VARIANTS}
+        for key, name in QUANTITIES.items() if known else ():
+            finest, is_beside_paper = list(known)[-1], key == "strouhal"
+            checks.append(
+                Check(
+                    quantity=f"{name}, Re = {reynolds}",
+                    ours=known[finest][key],
+                    reference=PAPER[reynolds] if is_beside_paper else None,
+                    source="the paper's table" if is_beside_paper else "",
+                    resolution=finest,
+                    refinement={n: run[key] for n, run in select(results, labels).items()},
+                    note=NOTE if is_beside_paper else "",
                 )
-        return checks
+            )
+    return checks
 
-    def draw(self, results: Results) -> Figure:
-        """Draw the wakes and the lift."""
-        figure = Figure(figsize=(7.6, 8.2), layout="constrained")
-        known = {
-            re: (n, r) for re in SPEEDS for n in SIZES if (r := results.get(_label(re, n, "")))
-        }
-        grid = figure.subplots(len(known) + 1, 1)
-        for axes, (reynolds, (size, run)) in zip(grid, known.items(), strict=False):
-            draw_vorticity(axes, run["vorticity"], VIEW_D, limit=5.0)
-            axes.set_title(f"Re = {reynolds}, D = {size} nodes", loc="left")
-        for colour, (reynolds, (_, run)) in zip(COLOURS, known.items(), strict=False):
-            time = [i * run["interval"] for i in range(len(run["lift_series"]))]
-            grid[-1].plot(time, run["lift_series"], color=colour, label=f"Re = {reynolds}")
-        grid[-1].set(xlabel="time  [D / U]", ylabel="lift coefficient")
-        grid[-1].legend(fontsize=9, ncols=3, loc="upper right")
-        tidy(grid[-1])
-        return figure
+
+def draw(results: Results) -> Figure:
+    """Draw the wakes and the lift."""
+    figure = Figure(figsize=(7.6, 8.2), layout="constrained")
+    finest: dict[int, tuple[int, Result]] = {}
+    for reynolds in SPEEDS:
+        if runs := select(results, {n: _label(reynolds, n) for n in SIZES}):
+            finest[reynolds] = max(runs), runs[max(runs)]
+    *wakes, lift = figure.subplots(len(finest) + 1, 1)
+    left, right, low, high = WINDOW_D
+    reach = (left - FACE_D, right - FACE_D, low - 0.5 * HEIGHT_D, high - 0.5 * HEIGHT_D)
+    for axes, colour, (reynolds, (size, run)) in zip(wakes, COLOURS, finest.items(), strict=False):
+        draw_vorticity(axes, run["vorticity"], reach, limit=5.0)
+        axes.set_title(f"Re = {reynolds}, D = {size} nodes", loc="left")
+        time = [i * run["interval"] for i in range(len(run["lift_series"]))]
+        lift.plot(time, run["lift_series"], color=colour, label=f"Re = {reynolds}")
+    lift.set(xlabel="time  [D / U]", ylabel="lift coefficient")
+    lift.legend(fontsize=9, ncols=3, loc="upper right")
+    return figure
+
+
+SOURCE = "recorded; beside it the shedding frequencies in the paper's table"
+CASE = Case("d-cylinder", __doc__, SOURCE, make_jobs, judge, draw)

@@ -1,31 +1,38 @@
-"""Cylinder oscillating in fluid at rest: force of an accelerating body."""
+"""Oscillating cylinder.
+
+A cylinder sways as x = −A sin 2πt/T in fluid at rest, U T / D = 5, U D / ν = 100, U = 0.05. Domain
+20 D × 15 D, whose edges hold the pressure; the length is 30 D × 22 D in one run, which shows what
+the domain does. It starts at rest at its turning point and is measured over the last of 5 periods;
+force is that of the outer fluid alone. Coefficients of F = −½ρD c_d |v|v − ¼πρD² c_i dv/dt are
+fitted by least squares over the period (a fit of the first harmonic gives a c_d that is 3 % larger,
+with the same c_i). Two series: markers on the surface, and 0.45 nodes inside it.
+"""
 
 from collections.abc import Sequence
 from math import pi
 
 import numpy as np
-import torch
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from experiments.figures import COLOURS
-from experiments.validation.case import Case, Check, Job, Result, Results
-from experiments.validation.convergence import tidy
-from fishrl.physics import Cylinder, FlowConfig, InPlaceSolver
+from experiments.validation.case import Case, Check, Job, Result, Results, check_finest, select
+from experiments.validation.wake import start_flow
+from fishrl.physics import Cylinder, FlowConfig
 from fishrl.physics.bodies.motion import Oscillating
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium
 
 KC = 5.0  # U T / D
 REYNOLDS = 100.0  # U D / nu
 C_D, C_I = 2.10, 1.45
+TOLERANCE = 0.04
 SPEED = 0.05
 NUM_PERIODS = 5
 NUM_SAMPLES = 100  # per period
-LENGTH, HEIGHT = 20, 15  # of the domain, D
-LARGE_DOMAIN = 30, 22
+USUAL, LARGE = (20, 15), (30, 22)  # length and height of the domain, D
 LARGE_DOMAIN_DIAMETER = 20
 DIAMETERS = (20, 30, 40)
-INSET = 0.45  # nodes, as bodies have unless told otherwise
+INSET = 0.45  # nodes, the bodies' default
 OPEN = NonEquilibrium(density=1.0)
 # Force on the cylinder / (rho U^2 D) at t / T, fig. 10 of Duetsch et al. 1998: every other point of
 # PacIFiC's src/Octree/MovingCutCell/test-navier-stokes/data/Dutsch1998/Dutsch1998-fig10.csv.
@@ -49,8 +56,8 @@ INERTIA_NOTE = (
 def oscillate(
     *,
     diameter: int,
-    length: int = LENGTH,
-    height: int = HEIGHT,
+    length: int = USUAL[0],
+    height: int = USUAL[1],
     speed: float = SPEED,
     inset: float = 0.0,
     num_periods: int = NUM_PERIODS,
@@ -74,56 +81,50 @@ def oscillate(
     period = samples * NUM_SAMPLES
     speed = KC * diameter / period
     amplitude = speed * period / (2.0 * pi)
+    motion = Oscillating(sway=(amplitude, 0.0))
     config = FlowConfig(
         width=length * diameter,
         height=height * diameter,
         tau=3.0 * speed * diameter / REYNOLDS + 0.5,
-        bodies=(
-            Cylinder(diameter=diameter, inset=inset, motion=Oscillating(sway=(amplitude, 0.0))),
-        ),
+        bodies=(Cylinder(diameter=diameter, inset=inset, motion=motion),),
         boundaries=Boundaries(left=OPEN, right=OPEN, bottom=OPEN, top=OPEN),
     )
-    solver = InPlaceSolver(config=config, frequency=1.0 / period, num_workers=0)
-    centre = torch.tensor([[0.5 * config.width + amplitude + 0.3, 0.5 * config.height + 0.2]])
-    solver.reset_(torch.ones(1, dtype=torch.bool), centre)
+    centre = (0.5 * config.width + amplitude + 0.3, 0.5 * config.height + 0.2)
+    solver = start_flow(config, centre, frequency=1.0 / period)
     solver.body.phase.fill_(0.5 * pi)
-    impulses = []
-    slip = 0.0
+    impulses, slip = [float(solver.body.impulse[0, 0])], 0.0
     for _ in range(num_periods * NUM_SAMPLES):
-        impulses.append(float(solver.body.impulse[0, 0]))
         solver.advance_(samples)
+        impulses.append(float(solver.body.impulse[0, 0]))
         slip = max(slip, float(solver.body.slip_error))
-    impulses.append(float(solver.body.impulse[0, 0]))
     if bool(solver.is_diverged().any()):
         raise RuntimeError("the flow diverged: lower the speed")
     phase = 0.5 * pi + 2.0 * pi * np.arange(num_periods * NUM_SAMPLES + 1) / NUM_SAMPLES
-    velocity = np.cos(phase)
     force = np.diff(impulses) / samples / (speed**2 * diameter)
     # mean velocity over a sample, and acceleration, in U and U^2 / D
     v = np.diff(np.sin(phase)) / np.diff(phase)
-    a = np.diff(velocity) * NUM_SAMPLES / KC
+    a = np.diff(np.cos(phase)) * NUM_SAMPLES / KC
     last, before = slice(-NUM_SAMPLES, None), slice(-2 * NUM_SAMPLES, -NUM_SAMPLES)
-    fits = [_fit(force[part], v[part], a[part]) for part in (last, before)]
-    harmonic = (
-        -float((force[last] * v[last]).sum() / (v[last] ** 2).sum()) * 2.0 * 3.0 * pi / 8.0,
-        -float((force[last] * a[last]).sum() / (a[last] ** 2).sum()) * 4.0 / pi,
+    (c_d, c_i), (c_d_before, c_i_before) = (
+        fit_force(force[part], v[part], a[part]) for part in (last, before)
     )
-    # a quarter period after the start it passes the middle, going to -x
-    shifted = np.roll(force[last], -NUM_SAMPLES // 4)
+    in_phase = -float((force[last] * v[last]).sum() / (v[last] ** 2).sum())
+    out_of_phase = -float((force[last] * a[last]).sum() / (a[last] ** 2).sum())
     return {
         "time": ((np.arange(NUM_SAMPLES) + 0.5) / NUM_SAMPLES).tolist(),
-        "force": shifted.tolist(),
-        "c_d": fits[0][0],
-        "c_i": fits[0][1],
-        "c_d_before": fits[1][0],
-        "c_i_before": fits[1][1],
-        "c_d_harmonic": harmonic[0],
-        "c_i_harmonic": harmonic[1],
+        # a quarter period after the start it passes the middle, going to -x
+        "force": np.roll(force[last], -NUM_SAMPLES // 4).tolist(),
+        "c_d": c_d,
+        "c_i": c_i,
+        "c_d_before": c_d_before,
+        "c_i_before": c_i_before,
+        "c_d_harmonic": in_phase * 2.0 * 3.0 * pi / 8.0,
+        "c_i_harmonic": out_of_phase * 4.0 / pi,
         "slip": slip / speed,
     }
 
 
-def _fit(
+def fit_force(
     force: NDArray[np.float64], v: NDArray[np.float64], a: NDArray[np.float64]
 ) -> tuple[float, float]:
     """Return c_d and c_i of F = -rho D c_d |v| v / 2 - (pi / 4) rho D^2 c_i dv/dt."""
@@ -132,119 +133,91 @@ def _fit(
     return float(drag), float(inertia)
 
 
-def _label(diameter: int, inset: float, length: int = LENGTH) -> str:
+def _label(diameter: int, inset: float, size: tuple[int, int] = USUAL) -> str:
     name = f"D = {diameter}" + (f", inset {inset}" if inset else "")
-    return name if length == LENGTH else f"{name}, {length} D long"
+    return name if size == USUAL else f"{name}, {size[0]} D long"
 
 
-def _select(results: Results, inset: float) -> dict[int, Result]:
-    labels = {d: _label(d, inset) for d in DIAMETERS}
-    return {d: results[name] for d, name in labels.items() if name in results}
+def make_jobs(quick: bool) -> list[Job]:
+    """Return a run for each diameter and inset, and one in a larger domain; none is quick."""
+    runs = [(d, inset, USUAL) for inset in (0.0, INSET) for d in DIAMETERS]
+    runs.append((LARGE_DOMAIN_DIAMETER, INSET, LARGE))
+    return [
+        Job(
+            _label(diameter, inset, (length, height)),
+            oscillate,
+            {"diameter": diameter, "inset": inset, "length": length, "height": height},
+            cost=length**2 * 0.75 * diameter**3 * KC * NUM_PERIODS / SPEED,
+        )
+        for diameter, inset, (length, height) in ([] if quick else runs)
+    ]
 
 
-class OscillatingCylinder(Case):
-    """Cylinder oscillating along a line in fluid at rest."""
-
-    name = "oscillating-cylinder"
-    title = "Oscillating cylinder"
-    source = (
-        "Dütsch, Durst, Becker & Lienhart 1998, J. Fluid Mech. 360, 249; their coefficients as "
-        "quoted by OpenAccel's validation page (c_d 2.10, c_i 1.45), the force curve of their "
-        "fig. 10 as digitised in PacIFiC, whose least-squares fit gives 2.114 and 1.452"
-    )
-    setup = (
-        "A cylinder sways as x = −A sin 2πt/T in fluid at rest, U T / D = 5, U D / ν = 100, "
-        f"U = {SPEED}. Domain {LENGTH} D × {HEIGHT} D, whose edges hold the pressure; the length "
-        "is 30 D × 22 D in one run, which shows what the domain does. It starts at rest at its "
-        f"turning point and is measured over the last of {NUM_PERIODS} periods; force is that of "
-        "the outer fluid alone. Coefficients of F = −½ρD c_d |v|v − ¼πρD² c_i dv/dt are fitted by "
-        "least squares over the period (a fit of the first harmonic gives a c_d that is 3 % "
-        "larger, with the same c_i). Two series: markers on the surface, and "
-        f"{INSET} nodes inside it."
-    )
-
-    def jobs(self, *, quick: bool) -> Sequence[Job]:
-        """Return a run for each diameter and inset, and one in a larger domain; none is quick."""
-        runs = [(d, inset, LENGTH) for inset in (0.0, INSET) for d in DIAMETERS]
-        runs.append((LARGE_DOMAIN_DIAMETER, INSET, LARGE_DOMAIN[0]))
-        return [
-            Job(
-                label=_label(diameter, inset, length),
-                function=oscillate,
-                arguments={
-                    "diameter": diameter,
-                    "inset": inset,
-                    "length": length,
-                    "height": HEIGHT if length == LENGTH else LARGE_DOMAIN[1],
-                },
-                cost=length**2 * 0.75 * diameter**3 * KC * NUM_PERIODS / SPEED,
+def judge(results: Results) -> Sequence[Check]:
+    """Judge both coefficients with markers inside, as bodies have them; else record them."""
+    checks = []
+    for inset in (0.0, INSET):
+        runs = select(results, {d: _label(d, inset) for d in DIAMETERS})
+        finest = runs[max(runs)]
+        where = f"markers {inset} nodes inside" if inset else "markers on the surface"
+        checks += [
+            check_finest(
+                f"{name}, {where}",
+                {d: run[key] for d, run in runs.items()},
+                reference,
+                "Dütsch et al. 1998",
+                TOLERANCE if inset else None,
+                symbol="D",
+                note=INERTIA_NOTE if key == "c_i" and not inset else "",
             )
-            for diameter, inset, length in ([] if quick else runs)
+            for name, key, reference in (
+                ("drag coefficient c_d", "c_d", C_D),
+                ("added-mass coefficient c_i", "c_i", C_I),
+            )
         ]
+        time, theirs = np.array(CURVE).T
+        ours = np.interp(time, finest["time"], finest["force"], period=1.0)
+        rms = float(np.sqrt(np.mean((ours - theirs) ** 2)) / np.abs(theirs).max())
+        checks += [
+            Check(quantity=f"{quantity}, {where}", ours=value, resolution=f"D = {max(runs)}")
+            for quantity, value in (
+                ("rms difference from the reference curve / its peak", rms),
+                ("change of c_i from the period before", finest["c_i"] / finest["c_i_before"] - 1),
+            )
+        ]
+    small, large = (
+        results[_label(LARGE_DOMAIN_DIAMETER, INSET, size)] for size in (USUAL, LARGE)
+    )
+    return checks + [
+        Check(
+            quantity=f"{key} in the larger domain / in the usual one",
+            ours=large[key] / small[key],
+            resolution=f"D = {LARGE_DOMAIN_DIAMETER}",
+        )
+        for key in ("c_d", "c_i")
+    ]
 
-    def judge(self, results: Results) -> Sequence[Check]:
-        """Judge both coefficients with markers inside, as bodies have them; else record them."""
-        checks = []
-        for inset in (0.0, INSET):
-            known = _select(results, inset)
-            if not known:
-                continue
-            size, finest = max(known), known[max(known)]
-            where = f"markers {inset} nodes inside" if inset else "markers on the surface"
-            checks += [
-                Check(
-                    quantity=f"{name}, {where}",
-                    ours=finest[key],
-                    reference=reference,
-                    source="Dütsch et al. 1998",
-                    tolerance=0.04 if inset else None,
-                    resolution=f"D = {size}",
-                    refinement={f"D = {d}": result[key] for d, result in known.items()},
-                    note=INERTIA_NOTE if key == "c_i" and not inset else "",
-                )
-                for name, key, reference in (
-                    ("drag coefficient c_d", "c_d", C_D),
-                    ("added-mass coefficient c_i", "c_i", C_I),
-                )
-            ]
-            time, theirs = np.array(CURVE).T
-            ours = np.interp(time, finest["time"], finest["force"], period=1.0)
-            records = {
-                "rms difference from the reference curve / its peak": float(
-                    np.sqrt(np.mean((ours - theirs) ** 2)) / np.abs(theirs).max()
-                ),
-                "change of c_i from the period before": finest["c_i"] / finest["c_i_before"] - 1.0,
-            }
-            checks += [
-                Check(quantity=f"{quantity}, {where}", ours=value, resolution=f"D = {size}")
-                for quantity, value in records.items()
-            ]
-        large = _label(LARGE_DOMAIN_DIAMETER, INSET, LARGE_DOMAIN[0])
-        if large in results:
-            small = results[_label(LARGE_DOMAIN_DIAMETER, INSET)]
-            checks += [
-                Check(
-                    quantity=f"{key} in the larger domain / in the usual one",
-                    ours=results[large][key] / small[key],
-                    resolution=f"D = {LARGE_DOMAIN_DIAMETER}",
-                )
-                for key in ("c_d", "c_i")
-            ]
-        return checks
 
-    def draw(self, results: Results) -> Figure:
-        """Draw the force over a period."""
-        figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-        axes = figure.subplots()
-        shown = [_label(d, inset) for inset in (0.0, INSET) for d in DIAMETERS[::2]]
-        for name, colour in zip([s for s in shown if s in results], COLOURS, strict=False):
-            axes.plot(results[name]["time"], results[name]["force"], color=colour, label=name)
-        axes.plot(
-            *zip(*CURVE, strict=True), "o", color="black", markerfacecolor="none", markersize=5,
-            label="Dütsch et al. 1998",
-        )  # fmt: skip
-        axes.set(xlabel="time t / T", ylabel="force on the cylinder / ρU²D", xlim=(0.0, 1.0))
-        axes.set_title("Oscillating cylinder, KC = 5, Re = 100", loc="left")
-        axes.legend(fontsize=9)
-        tidy(axes)
-        return figure
+def draw(results: Results) -> Figure:
+    """Draw the force over a period."""
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    axes = figure.subplots()
+    shown = [_label(d, inset) for inset in (0.0, INSET) for d in DIAMETERS[::2]]
+    for name, colour in zip(shown, COLOURS, strict=False):
+        axes.plot(results[name]["time"], results[name]["force"], color=colour, label=name)
+    axes.plot(
+        *zip(*CURVE, strict=True), "o", color="black", markerfacecolor="none", markersize=5,
+        label="Dütsch et al. 1998",
+    )  # fmt: skip
+    axes.set(xlabel="time t / T", ylabel="force on the cylinder / ρU²D", xlim=(0.0, 1.0))
+    axes.set_title("Oscillating cylinder, KC = 5, Re = 100", loc="left")
+    axes.legend(fontsize=9)
+    return figure
+
+
+SOURCE = (
+    "Dütsch, Durst, Becker & Lienhart 1998, J. Fluid Mech. 360, 249; their coefficients as "
+    "quoted by OpenAccel's validation page (c_d 2.10, c_i 1.45), the force curve of their "
+    "fig. 10 as digitised in PacIFiC, whose least-squares fit gives 2.114 and 1.452"
+)
+CASE = Case("oscillating-cylinder", __doc__, SOURCE, make_jobs, judge, draw)

@@ -1,4 +1,15 @@
-"""What an outflow throws back: of a vortex that leaves, and of sound."""
+"""Outflow reflection.
+
+Uniform stream U = 0.1, τ = 0.53, 240 × 320 nodes, periodic across. A Taylor vortex of radius 10
+nodes and speed 0.3 U (no circulation, pressure in balance), a plane pulse of sound and a round
+pulse of density (1 %, standard deviation 10 nodes) start 80 nodes ahead of the outflow. The error
+is the largest difference from a domain twice as long, ahead of the sponge where there is one, in
+the middle 100 rows, from when the disturbance has gone through until a vortex would be 80 nodes
+behind and reflected sound 128 nodes ahead: of the velocity relative to the vortex's, of the density
+relative to the pulse's height at the outflow. Outflows: density pinned by non-equilibrium
+extrapolation, also behind sponges in which τ rises to 1; open to plane waves, a density that lets
+waves out by the means along the edge; and the same at each node by itself.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -7,8 +18,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from experiments.figures import COLOURS
-from experiments.validation.case import Case, Check, Job, Result, Results
-from experiments.validation.convergence import tidy
+from experiments.validation.case import Case, Check, Job, Result, Results, select
 from fishrl.physics import FlowConfig, InPlaceSolver
 from fishrl.physics.boundaries import Boundaries, Boundary, NonEquilibrium, OpenEdge, Periodic
 from fishrl.physics.collision import compute_equilibrium
@@ -19,7 +29,7 @@ RADIUS, SPEED, TAU = 10.0, 0.1, 0.53
 VORTEX_SPEED, PULSE = 0.03, 0.01
 SOUND = 3.0**-0.5
 STREAM, PINNED = NonEquilibrium(velocity=(1.0, 0.0)), NonEquilibrium(density=1.0)
-OUTFLOWS: Mapping[str, tuple[Boundary, int]] = {
+OUTFLOWS: Mapping[str, tuple[Boundary, int]] = {  # with the length of the sponge
     "pinned density": (PINNED, 0),
     "pinned, sponge 20": (PINNED, 20),
     "pinned, sponge 40": (PINNED, 40),
@@ -27,6 +37,32 @@ OUTFLOWS: Mapping[str, tuple[Boundary, int]] = {
     "open to plane waves": (OpenEdge(), 0),
     "open to plane waves, sponge 40": (OpenEdge(), 40),
     "open at each node": (OpenEdge(is_plane=False), 0),
+}
+QUICK_OUTFLOWS = ("pinned density", "pinned, sponge 40")
+
+
+def _make_vortex(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return density - 1 and velocity of a Taylor vortex: no circulation, pressure in balance."""
+    decay = VORTEX_SPEED * torch.exp(0.5 * (1.0 - x * x - y * y))
+    return -1.5 * decay * decay, -y * decay, x * decay
+
+
+def _make_plane_pulse(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return a pulse of sound that runs along x."""
+    rho = PULSE * torch.exp(-0.5 * x * x) + 0.0 * y
+    return rho, SOUND * rho, 0.0 * rho
+
+
+def _make_round_pulse(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return a pulse of density at rest, which spreads in circles."""
+    rho = PULSE * torch.exp(-0.5 * (x * x + y * y))
+    return rho, 0.0 * rho, 0.0 * rho
+
+
+KINDS = {
+    "vortex": _make_vortex,
+    "plane pulse": _make_plane_pulse,
+    "round pulse": _make_round_pulse,
 }
 
 
@@ -44,13 +80,11 @@ def disturb_outflow(*, outflow: str, kind: str) -> Result:
     """
     boundary, sponge = OUTFLOWS[outflow]
     is_vortex = kind == "vortex"
-    short, long = (
-        _start(boundary, sponge if width == WIDTH else 0, kind, width)
-        for width in (WIDTH, 2 * WIDTH)
-    )
+    short = _start(boundary, sponge, kind, WIDTH)
+    long = _start(boundary, 0, kind, 2 * WIDTH)
     speed = SPEED if is_vortex else SPEED + SOUND
     begin = round((AHEAD + 4.0 * RADIUS) / speed)  # the disturbance is out
-    # a vortex: as far behind the outflow; sound: what is thrown back has left the longest sponge
+    # a vortex: as far behind the outflow; sound: the reflection has left the longest sponge
     end = round(2.0 * AHEAD / speed if is_vortex else AHEAD / speed + 1.6 * AHEAD / (SOUND - SPEED))
     gap = 2 * max(1, (end - begin) // 60)
     arrival = 2 * round(AHEAD / speed / 2.0)
@@ -95,104 +129,57 @@ def _start(boundary: Boundary, sponge: int, kind: str, width: int) -> InPlaceSol
     return solver
 
 
-def _make_vortex(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return density - 1 and velocity of a Taylor vortex: no circulation, pressure in balance."""
-    decay = VORTEX_SPEED * torch.exp(0.5 * (1.0 - x * x - y * y))
-    return -1.5 * decay * decay, -y * decay, x * decay
-
-
-def _make_plane_pulse(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return a pulse of sound that runs along x."""
-    rho = PULSE * torch.exp(-0.5 * x * x) + 0.0 * y
-    return rho, SOUND * rho, 0.0 * rho
-
-
-def _make_round_pulse(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return a pulse of density at rest, which spreads in circles."""
-    rho = PULSE * torch.exp(-0.5 * (x * x + y * y))
-    return rho, 0.0 * rho, 0.0 * rho
-
-
-KINDS = {
-    "vortex": _make_vortex,
-    "plane pulse": _make_plane_pulse,
-    "round pulse": _make_round_pulse,
-}
-
-
 def _label(outflow: str, kind: str) -> str:
     return f"{kind}, {outflow}"
 
 
-class Outflow(Case):
-    """Vortices and sound that leave."""
-
-    name = "outflow"
-    title = "What an outflow throws back"
-    source = "the same flow in a domain twice as long"
-    setup = (
-        "Uniform stream U = 0.1, τ = 0.53, 240 × 320 nodes, periodic across. A Taylor vortex of "
-        "radius 10 nodes and speed 0.3 U (no circulation, pressure in balance), a plane pulse of "
-        "sound and a round pulse of density (1 %, standard deviation 10 nodes) start 80 nodes "
-        "ahead of the outflow. The error is the largest difference from a domain twice as long, "
-        "ahead of the sponge where there is one, in the middle 100 rows, from when the "
-        "disturbance has gone through until a vortex would be 80 nodes behind and sound thrown "
-        "back 128 nodes ahead: of the velocity relative to the vortex's, of the density relative "
-        "to the pulse's height at the outflow. Outflows: "
-        "density pinned by non-equilibrium extrapolation, also behind sponges in which τ rises to "
-        "1; open to plane waves, a density that lets waves out by the means along the edge; and "
-        "the same at each node by itself."
-    )
-
-    def jobs(self, *, quick: bool) -> Sequence[Job]:
-        """Return a run per outflow and disturbance."""
-        return [
-            Job(
-                label=_label(outflow, kind),
-                function=disturb_outflow,
-                arguments={"outflow": outflow, "kind": kind},
-                cost=1e8 if kind == "vortex" else 3e7,
-            )
-            for kind in KINDS
-            for outflow in OUTFLOWS
-            if not quick or (outflow in ("pinned density", "pinned, sponge 40"))
-        ]
-
-    def judge(self, results: Results) -> Sequence[Check]:
-        """Show what each outflow throws back; nothing is judged."""
-        checks = []
-        for kind in KINDS:
-            row = {o: r["worst"] for o in OUTFLOWS if (r := results.get(_label(o, kind)))}
-            checks.append(
-                Check(
-                    quantity=f"{kind} thrown back, share",
-                    ours=row["pinned density"],
-                    resolution="pinned density",
-                    refinement=row,
-                )
-            )
-        return checks
-
-    def draw(self, results: Results) -> Figure:
-        """Draw the error over time behind each outflow."""
-        figure = Figure(figsize=(10.0, 3.9), layout="constrained")
-        grid = figure.subplots(1, len(KINDS), sharey=True)
-        for axes, kind in zip(grid, KINDS, strict=True):
-            for i, outflow in enumerate(OUTFLOWS):
-                run = results.get(_label(outflow, kind))
-                if run:
-                    axes.semilogy(
-                        run["time"],
-                        run["error"],
-                        color=COLOURS[i % len(COLOURS)],
-                        linestyle="-" if i < len(COLOURS) else "--",
-                        label=outflow,
-                    )
-            axes.set_title(kind, loc="left")
-            axes.set(xlabel="time  [steps]")
-            tidy(axes)
-        grid[0].set(ylabel="error / height of the disturbance")
-        figure.legend(
-            *grid[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=9
+def make_jobs(quick: bool) -> list[Job]:
+    """Return a run per outflow and disturbance."""
+    return [
+        Job(
+            _label(outflow, kind),
+            disturb_outflow,
+            {"outflow": outflow, "kind": kind},
+            cost=1e8 if kind == "vortex" else 3e7,
         )
-        return figure
+        for kind in KINDS
+        for outflow in (QUICK_OUTFLOWS if quick else OUTFLOWS)
+    ]
+
+
+def _select(results: Results, kind: str) -> dict[str, Result]:
+    return select(results, {outflow: _label(outflow, kind) for outflow in OUTFLOWS})
+
+
+def judge(results: Results) -> Sequence[Check]:
+    """Show what each outflow reflects; nothing is judged."""
+    rows = {kind: {o: r["worst"] for o, r in _select(results, kind).items()} for kind in KINDS}
+    return [
+        Check(
+            quantity=f"reflected share of a {kind}",
+            ours=row["pinned density"],
+            resolution="pinned density",
+            refinement=row,
+        )
+        for kind, row in rows.items()
+    ]
+
+
+def draw(results: Results) -> Figure:
+    """Draw the error over time behind each outflow."""
+    figure = Figure(figsize=(10.0, 3.9), layout="constrained")
+    grid = figure.subplots(1, len(KINDS), sharey=True)
+    for axes, kind in zip(grid, KINDS, strict=True):
+        for (outflow, run), colour in zip(_select(results, kind).items(), COLOURS, strict=False):
+            axes.semilogy(run["time"], run["error"], color=colour, label=outflow)
+        axes.set_title(kind, loc="left")
+        axes.set(xlabel="time  [steps]")
+    grid[0].set(ylabel="error / height of the disturbance")
+    figure.legend(
+        *grid[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=9
+    )
+    return figure
+
+
+SOURCE = "the same flow in a domain twice as long"
+CASE = Case("outflow", __doc__, SOURCE, make_jobs, judge, draw)

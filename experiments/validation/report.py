@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from math import inf, isfinite
 from pathlib import Path
 from typing import Any
@@ -11,75 +12,47 @@ from typing import Any
 import matplotlib as mpl
 
 from experiments.figures import STYLE
-from experiments.validation.case import MISSED, Check, as_range
+from experiments.pages import write_table
+from experiments.validation.case import MISSED, PASS, RECORDED, Check, as_range
 from experiments.validation.runner import Outcome, write_whole
 
-HEADER = "| case | quantity | ours | reference | error | tolerance | verdict | resolution |"
+HEADS = ("case", "quantity", "ours", "reference", "error", "tolerance", "verdict", "resolution")
 
 
-def write_report(
-    outcomes: Sequence[Outcome], *, page: Path, figures: Path, json_path: Path, command: str
-) -> None:
-    """Write the page, a figure per case and all checks as JSON.
+def write_report(outcomes: Sequence[Outcome], *, page: Path, json_path: Path, command: str) -> None:
+    """Write the page, a figure per case beside it and all checks as JSON.
 
     Args:
         outcomes: judged cases.
-        page: Markdown file.
-        figures: folder of the PNGs, below the page's own.
+        page: Markdown file; the figures go into ``figures/validation`` beside it.
         json_path: the checks in a form that programs read.
         command: that the page was made by.
     """
+    figures = page.parent / "figures" / "validation"
     figures.mkdir(parents=True, exist_ok=True)
     for outcome in outcomes:
         if outcome.figure is not None:
             with mpl.rc_context(STYLE):
                 outcome.figure.savefig(figures / f"{outcome.case.name}.png")
-    folder = figures.relative_to(page.parent).as_posix()
-    write_whole(page, render(outcomes, figures=folder, command=command))
-    rows = [_plain(outcome, check) for outcome in outcomes for check in outcome.checks]
+    write_whole(page, render(outcomes, command))
+    rows = [_to_row(outcome, check) for outcome in outcomes for check in outcome.checks]
     write_whole(json_path, json.dumps(rows, indent=1) + "\n")
 
 
-def render(outcomes: Sequence[Outcome], *, figures: str, command: str) -> str:
+def _to_row(outcome: Outcome, check: Check) -> dict[str, Any]:
+    row = {"case": outcome.case.name, **asdict(check)}
+    row |= {"error": check.error, "verdict": check.verdict}
+    plain: dict[str, Any] = json.loads(json.dumps(row), parse_constant=lambda _: None)
+    return plain
+
+
+def render(outcomes: Sequence[Outcome], command: str) -> str:
     """Return the page.
 
     Args:
         outcomes: judged cases.
-        figures: folder of the PNGs as seen from the page.
         command: that the page was made by.
     """
-    lines = [
-        "# Validation",
-        "",
-        f"Made by `{command}`; every case beside its reference, missed bars included.",
-        "",
-        *describe_run(outcomes),
-        "",
-        summarise(outcomes),
-        "",
-        *render_table(outcomes),
-        "",
-        "Errors and tolerances are shares of the reference unless marked ±; of a range, the "
-        "distance from its near end. *Recorded*: measured beside no bar.",
-    ]
-    for outcome in outcomes:
-        lines += ["", *_render_case(outcome, figures)]
-    return "\n".join(lines) + "\n"
-
-
-def summarise(outcomes: Sequence[Outcome]) -> str:
-    """Return one sentence with the number of checks passed, missed and recorded."""
-    verdicts = [check.verdict for outcome in outcomes for check in outcome.checks]
-    missed = verdicts.count(MISSED)
-    return (
-        f"{verdicts.count('pass')} checks pass, "
-        f"{f'**{missed} MISSED**' if missed else '0 missed'}, "
-        f"{verdicts.count('recorded')} recorded without a bar."
-    )
-
-
-def describe_run(outcomes: Sequence[Outcome]) -> list[str]:
-    """Return what the results were computed on and how long each case took."""
     machines = {
         f"{m['cpu']}, {m['cores']} cores (each run on one), torch {m['torch']}, "
         f"Python {m['python']}"
@@ -88,31 +61,71 @@ def describe_run(outcomes: Sequence[Outcome]) -> list[str]:
     }
     minutes = ", ".join(f"{o.case.name} {o.seconds / 60:.1f}" for o in outcomes)
     total = sum(outcome.seconds for outcome in outcomes) / 60
-    return [
+    parts = [
+        "# Validation",
+        f"Made by `{command}`; every case beside its reference, missed criteria included.",
         f"Run on: {'; '.join(sorted(machines)) or 'nothing'}.",
-        "",
         f"Minutes of one core: {minutes}; together {total:.1f}.",
+        summarise(outcomes),
+        render_table(outcomes),
+        "Errors and tolerances are shares of the reference unless marked ±; of a range, the "
+        "distance from its near end. *Recorded*: measured without an acceptance criterion.",
+        *(part for outcome in outcomes for part in _render_case(outcome)),
     ]
+    return "\n\n".join(part.strip() for part in parts) + "\n"
 
 
-def render_table(outcomes: Sequence[Outcome]) -> list[str]:
+def summarise(outcomes: Sequence[Outcome]) -> str:
+    """Return one sentence with the number of checks passed, missed and recorded."""
+    verdicts = [check.verdict for outcome in outcomes for check in outcome.checks]
+    missed = verdicts.count(MISSED)
+    return (
+        f"{verdicts.count(PASS)} checks pass, {f'**{missed} MISSED**' if missed else '0 missed'}, "
+        f"{verdicts.count(RECORDED)} recorded without an acceptance criterion."
+    )
+
+
+def render_table(outcomes: Sequence[Outcome]) -> str:
     """Return the summary table, a row per check."""
-    rows = [HEADER, "|---" * (HEADER.count("|") - 1) + "|"]
-    for outcome in outcomes:
-        for check in outcome.checks:
-            verdict = f"**{MISSED}**" if check.verdict == MISSED else check.verdict
-            cells = [
-                outcome.case.name,
-                check.quantity,
-                format_number(check.ours),
-                _format_reference(check),
-                _format_error(check),
-                _format_tolerance(check),
-                verdict,
-                check.resolution or "–",
-            ]
-            rows.append("| " + " | ".join(_escape(cell) for cell in cells) + " |")
-    return rows
+    rows = [
+        (
+            outcome.case.name,
+            check.quantity,
+            format_number(check.ours),
+            _format_reference(check),
+            _format_error(check),
+            _format_tolerance(check),
+            f"**{MISSED}**" if check.verdict == MISSED else check.verdict,
+            check.resolution or "–",
+        )
+        for outcome in outcomes
+        for check in outcome.checks
+    ]
+    return write_table(HEADS, rows)
+
+
+def _render_case(outcome: Outcome) -> list[str]:
+    case = outcome.case
+    parts = [f"## {case.title}", case.setup, f"Reference: {case.source}."]
+    refined = [check for check in outcome.checks if check.refinement]
+    for columns in dict.fromkeys(tuple(check.refinement) for check in refined):
+        rows = [
+            (check.quantity, *map(format_number, check.refinement.values()), reference)
+            for check in refined
+            if tuple(check.refinement) == columns and (reference := _format_reference(check))
+        ]
+        parts.append(write_table(("quantity", *columns, "reference"), rows))
+    if outcome.figure is not None:
+        parts.append(f"![{case.title}](figures/validation/{case.name}.png)")
+    notes: dict[tuple[str, str], list[str]] = {}
+    for check in outcome.checks:
+        if check.note or check.verdict == MISSED:
+            key = check.verdict, check.note or "reason not known."
+            notes.setdefault(key, []).append(check.quantity)
+    for (verdict, note), quantities in notes.items():
+        mark = f"**{MISSED}**: " if verdict == MISSED else ""
+        parts.append(f"{mark}{'; '.join(quantities)}: {note}")
+    return parts
 
 
 def format_number(value: float) -> str:
@@ -120,10 +133,6 @@ def format_number(value: float) -> str:
     if not isfinite(value):
         return "–"
     return f"{value:.5g}" if value == 0 or 1e-3 <= abs(value) < 1e5 else f"{value:.2e}"
-
-
-def _escape(cell: str) -> str:
-    return cell.replace("|", "\\|").replace("\n", " ")
 
 
 def _format_reference(check: Check) -> str:
@@ -148,8 +157,10 @@ def _format_share(value: float, is_absolute: bool) -> str:
 
 
 def _format_error(check: Check) -> str:
-    if check.error is None or (check.error == 0.0 and isinstance(check.reference, tuple)):
-        return "–" if check.error is None else "inside"
+    if check.error is None:
+        return "–"
+    if check.error == 0.0 and isinstance(check.reference, tuple):
+        return "inside"
     return _format_share(check.error, check.is_absolute)
 
 
@@ -157,60 +168,3 @@ def _format_tolerance(check: Check) -> str:
     if check.tolerance is not None:
         return _format_share(check.tolerance, check.is_absolute)
     return "inside" if isinstance(check.reference, tuple) else "–"
-
-
-def _render_case(outcome: Outcome, figures: str) -> list[str]:
-    case = outcome.case
-    lines = [f"## {case.title}", "", case.setup, "", f"Reference: {case.source}."]
-    if refined := [check for check in outcome.checks if check.refinement]:
-        lines += ["", *_render_refinement(refined)]
-    if outcome.figure is not None:
-        lines += ["", f"![{case.title}]({figures}/{case.name}.png)"]
-    notes: dict[tuple[str, str], list[str]] = {}
-    for check in outcome.checks:
-        if check.note or check.verdict == MISSED:
-            note = check.note or "reason not known."
-            notes.setdefault((check.verdict, note), []).append(check.quantity)
-    for (verdict, note), quantities in notes.items():
-        mark = f"**{MISSED}**: " if verdict == MISSED else ""
-        lines += ["", f"{mark}{'; '.join(quantities)}: {note}"]
-    return lines
-
-
-def _render_refinement(checks: Sequence[Check]) -> list[str]:
-    """Return a table per set of resolutions, a row per quantity."""
-    lines: list[str] = []
-    for columns in dict.fromkeys(tuple(check.refinement) for check in checks):
-        lines += ["", f"| quantity | {' | '.join(columns)} | reference |"]
-        lines += ["|---" * (len(columns) + 2) + "|"]
-        for check in checks:
-            if tuple(check.refinement) == columns:
-                cells = [
-                    check.quantity,
-                    *(format_number(value) for value in check.refinement.values()),
-                    _format_reference(check),
-                ]
-                lines.append("| " + " | ".join(_escape(cell) for cell in cells) + " |")
-    return lines[1:]
-
-
-def _plain(outcome: Outcome, check: Check) -> dict[str, Any]:
-    ends = None if check.reference is None else [_number(x) for x in as_range(check.reference)]
-    return {
-        "case": outcome.case.name,
-        "quantity": check.quantity,
-        "ours": _number(check.ours),
-        "reference": ends,
-        "source": check.source,
-        "error": None if check.error is None else _number(check.error),
-        "tolerance": check.tolerance,
-        "is_absolute": check.is_absolute,
-        "verdict": check.verdict,
-        "resolution": check.resolution,
-        "refinement": {name: _number(value) for name, value in check.refinement.items()},
-        "note": check.note,
-    }
-
-
-def _number(value: float) -> float | None:
-    return value if isfinite(value) else None

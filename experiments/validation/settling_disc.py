@@ -1,22 +1,37 @@
-"""A heavy disc sinks: free motion, coupled to the flow."""
+"""Settling disc.
+
+A disc of d = 0.25 cm is let go at (1, 4) cm in a closed box of 2 × 6 cm, g = 980 cm/s², fluid
+density 1 g/cm³: *slow*: density ratio 1.25, μ = 0.1 g/(cm s); *fast*: 1.5, 0.01. *Channel*: W = 4
+d, 80 d high, ratio 1.5, ν = 0.008088, g = 10 (d = 1), let go a quarter of the width from the wall;
+mean over the last third of the time. Half-way bounce-back walls, free body, implicit coupling, top
+speed about 0.05 nodes per step. The load is weight less buoyancy of the true disc. Peak Reynolds
+numbers of the box are formed with the disc's density, ρ_s v d / μ: with the fluid's, the published
+17.2 would mean a drag coefficient of 2.0 between walls 8 d apart, less than that of an unbounded
+cylinder (2.00–2.09 at Re = 20). No source that we could see says which is meant. The channel's is v
+d / ν, and its drag coefficient agrees with it.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import pi, sqrt
 
-import torch
 from matplotlib.figure import Figure
 
 from experiments.figures import COLOURS
-from experiments.validation.case import Case, Check, Job, Result, Results, as_range
-from experiments.validation.convergence import tidy
-from fishrl.physics import Cylinder, FlowConfig, InPlaceSolver
+from experiments.validation.case import (
+    Case, Check, Job, Result, Results, as_range, check_finest, select,
+)  # fmt: skip
+from experiments.validation.convergence import GREY
+from experiments.validation.wake import start_flow
+from fishrl.physics import Cylinder, FlowConfig
 from fishrl.physics.bodies.motion import Free
 from fishrl.physics.boundaries import Boundaries, NoSlip
 
 NUM_SAMPLES = 300
 SPEED = 0.05
-INSET = 0.45  # nodes, as bodies have unless told otherwise
+INSET = 0.45  # nodes, the bodies' default
+SIZES = (16, 24, 32)
+TOLERANCE = 0.04
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,13 +74,12 @@ EXPERIMENTS = {
     "fast": replace(SLOW, density_ratio=1.5, viscosity=0.01, top_speed=14.0, duration=0.5),
     "channel": CHANNEL,
 }
-SIZES = {"slow": (16, 24, 32), "fast": (16, 24, 32), "channel": (16, 24, 32)}
-QUICK_SIZES = {"slow": (16,), "fast": (16,)}
-# quantity, what it is called in the results, reference, source
-TARGETS: dict[str, tuple[str, str, float | tuple[float, float], str]] = {
-    "slow": ("peak ρ_s v d / μ", "reynolds", (17.15, 17.45), "Wan & Turek 2006"),
-    "fast": ("peak ρ_s v d / μ", "reynolds", (438.6, 503.4), "Glowinski 2001 – Wang 2008"),
-    "channel": ("mean v d / ν", "mean_reynolds", 259.5, "Wachs 2009"),
+PEAK, MEAN = "peak ρ_s v d / μ", "mean v d / ν"
+# quantity, what it is called in the results, density in it, reference, source
+TARGETS: dict[str, tuple[str, str, float, float | tuple[float, float], str]] = {
+    "slow": (PEAK, "reynolds", 1.25, (17.15, 17.45), "Wan & Turek 2006"),
+    "fast": (PEAK, "reynolds", 1.5, (438.6, 503.4), "Glowinski 2001 – Wang 2008"),
+    "channel": (MEAN, "mean_reynolds", 1.0, 259.5, "Wachs 2009"),
 }
 
 
@@ -95,9 +109,8 @@ def settle(*, experiment: str, nodes: int, speed: float = SPEED, inset: float = 
         ),
         boundaries=Boundaries(left=NoSlip(), right=NoSlip(), bottom=NoSlip(), top=NoSlip()),
     )
-    solver = InPlaceSolver(config=config, num_workers=0)
-    start = torch.tensor([case.start], dtype=torch.float64) / space - 0.5
-    solver.reset_(torch.ones(1, dtype=torch.bool), start)
+    start = [c / space - 0.5 for c in case.start]
+    solver = start_flow(config, start)
     body = solver.body
     excess = (case.density_ratio - 1.0) * 0.25 * pi * nodes**2
     body.load[:, 1] = -excess * case.gravity * time**2 / space
@@ -109,7 +122,7 @@ def settle(*, experiment: str, nodes: int, speed: float = SPEED, inset: float = 
         times.append(times[-1] + stride * time)
         heights.append((float(body.position[0, 1]) + 0.5) * space)
         velocities.append(float(body.velocity[0, 1]) * space / time)
-        sideways = max(sideways, abs(float(body.position[0, 0] - start[0, 0])) / nodes)
+        sideways = max(sideways, abs(float(body.position[0, 0]) - start[0]) / nodes)
         slip = max(slip, float(body.slip_error) / speed)
     if bool(solver.is_diverged().any()):
         raise RuntimeError("the flow diverged: lower the speed or give the disc more nodes")
@@ -130,97 +143,65 @@ def _label(experiment: str, nodes: int, inset: float) -> str:
     return f"{experiment}, d = {nodes}" + (f", inset {inset}" if inset else "")
 
 
-class SettlingDisc(Case):
-    """Heavy disc sinking in a box and in a channel."""
+def make_jobs(quick: bool) -> list[Job]:
+    """Return a run for each experiment, resolution and inset."""
+    return [
+        Job(
+            _label(experiment, nodes, inset),
+            settle,
+            {"experiment": experiment, "nodes": nodes, "inset": inset},
+            cost=nodes**3 * (10.0 * 4 * 80 * 80 if experiment == "channel" else 8 * 24 * 400),
+        )
+        for experiment in (("slow", "fast") if quick else EXPERIMENTS)
+        for nodes in (SIZES[:1] if quick else SIZES)
+        for inset in ((0.0,) if quick else (0.0, INSET))
+    ]
 
-    name = "settling-disc"
-    title = "Settling disc"
-    source = (
-        "box: Glowinski et al. 2001, J. Comput. Phys. 169; Wan & Turek 2006, Int. J. Numer. Meth. "
-        "Fluids 51, 531; Uhlmann 2005; Wang, Fan & Luo 2008, as quoted in open-source codes; "
-        "channel: Wachs 2009 and Yu et al. 2002, as quoted in PacIFiC"
-    )
-    setup = (
-        "A disc of d = 0.25 cm is let go at (1, 4) cm in a closed box of 2 × 6 cm, g = 980 cm/s², "
-        "fluid density 1 g/cm³: *slow*: density ratio 1.25, μ = 0.1 g/(cm s); *fast*: 1.5, 0.01. "
-        "*Channel*: W = 4 d, 80 d high, ratio 1.5, ν = 0.008088, g = 10 (d = 1), let go a quarter "
-        "of the width from the wall; mean over the last third of the time. Half-way bounce-back "
-        f"walls, free body, implicit coupling, top speed about {SPEED} nodes per step. The load is "
-        "weight less buoyancy of the true disc. Peak Reynolds numbers of the box are formed with "
-        "the disc's density, ρ_s v d / μ: with the fluid's, the published 17.2 would mean a drag "
-        "coefficient of 2.0 between walls 8 d apart, less than that of an unbounded cylinder "
-        "(2.00–2.09 at Re = 20). No source that we could see says which is meant. The channel's is "
-        "v d / ν, and its drag coefficient agrees with it."
-    )
 
-    def jobs(self, *, quick: bool) -> Sequence[Job]:
-        """Return a run for each experiment, resolution and inset."""
-        sizes = QUICK_SIZES if quick else SIZES
-        return [
-            Job(
-                label=_label(experiment, nodes, inset),
-                function=settle,
-                arguments={"experiment": experiment, "nodes": nodes, "inset": inset},
-                cost=nodes**3 * (10.0 * 4 * 80 * 80 if experiment == "channel" else 8 * 24 * 400),
-            )
-            for experiment, known in sizes.items()
-            for nodes in known
-            for inset in ((0.0,) if quick else (0.0, INSET))
-        ]
-
-    def judge(self, results: Results) -> Sequence[Check]:
-        """Judge peak and mean Reynolds numbers, with markers on the surface and inside."""
-        checks = []
-        for experiment, (quantity, key, reference, source) in TARGETS.items():
-            ratio = EXPERIMENTS[experiment].density_ratio if key == "reynolds" else 1.0
-            for inset in (0.0, INSET):
-                labels = {n: _label(experiment, n, inset) for n in SIZES[experiment]}
-                known = {n: ratio * results[s][key] for n, s in labels.items() if s in results}
-                if not known:
-                    continue
-                where = f", markers {inset} nodes inside" if inset else ""
+def judge(results: Results) -> Sequence[Check]:
+    """Judge peak and mean Reynolds numbers, with markers on the surface and inside."""
+    checks = []
+    for experiment, (quantity, key, density, reference, source) in TARGETS.items():
+        for inset in (0.0, INSET):
+            runs = select(results, {n: _label(experiment, n, inset) for n in SIZES})
+            values = {n: density * run[key] for n, run in runs.items()}
+            where = f", markers {inset} nodes inside" if inset else ""
+            name = f"{experiment}: {quantity}{where}"
+            if values:
                 checks.append(
-                    Check(
-                        quantity=f"{experiment}: {quantity}{where}",
-                        ours=known[max(known)],
-                        reference=reference,
-                        source=source,
-                        tolerance=0.04,
-                        resolution=f"d = {max(known)}",
-                        refinement={f"d = {n}": value for n, value in known.items()},
-                    )
+                    check_finest(name, values, reference, source, TOLERANCE, symbol="d")
                 )
-        return checks
+    return checks
 
-    def draw(self, results: Results) -> Figure:
-        """Draw velocity against time at each resolution."""
-        figure = Figure(figsize=(11.0, 3.6), layout="constrained")
-        for axes, (experiment, case) in zip(
-            figure.subplots(1, 3), EXPERIMENTS.items(), strict=True
-        ):
-            _, key, reference, _ = TARGETS[experiment]
-            ratio = case.density_ratio if key == "reynolds" else 1.0
-            scale, clock = (
-                -ratio * case.diameter / case.viscosity,
-                sqrt(case.gravity / case.diameter),
-            )
-            for inset, line in ((0.0, "-"), (INSET, "--")):
-                for nodes, colour in zip(SIZES[experiment], COLOURS, strict=False):
-                    result = results.get(_label(experiment, nodes, inset))
-                    if result is not None:
-                        axes.plot(
-                            [clock * t for t in result["time"]],
-                            [scale * v for v in result["velocity"]],
-                            line,
-                            color=colour,
-                            label=f"d = {nodes}" + (f", inset {inset}" if inset else ""),
-                        )
-            low, high = as_range(reference)
-            axes.axhspan(low, high, color="#777777", alpha=0.3)
-            axes.axhline(high, color="#777777", linewidth=0.8, label="reference")
-            name = "ρ_s v d / μ" if key == "reynolds" else "v d / ν"
-            axes.set(xlabel="time t √(g / d)", ylabel=f"Reynolds number {name}")
-            axes.set_title(f"{experiment}: ρ_s / ρ = {case.density_ratio}", loc="left")
-            tidy(axes)
-            axes.legend(fontsize=8, loc="lower center")
-        return figure
+
+def draw(results: Results) -> Figure:
+    """Draw velocity against time at each resolution."""
+    figure = Figure(figsize=(11.0, 3.6), layout="constrained")
+    for axes, (experiment, case) in zip(figure.subplots(1, 3), EXPERIMENTS.items(), strict=True):
+        quantity, _, density, reference, _ = TARGETS[experiment]
+        scale = -density * case.diameter / case.viscosity
+        clock = sqrt(case.gravity / case.diameter)
+        for inset, line in ((0.0, "-"), (INSET, "--")):
+            for nodes, colour in zip(SIZES, COLOURS, strict=False):
+                label = _label(experiment, nodes, inset)
+                if result := results.get(label):
+                    time = [clock * t for t in result["time"]]
+                    reynolds = [scale * v for v in result["velocity"]]
+                    name = label.removeprefix(f"{experiment}, ")
+                    axes.plot(time, reynolds, line, color=colour, label=name)
+        low, high = as_range(reference)
+        axes.axhspan(low, high, color=GREY, alpha=0.3)
+        axes.axhline(high, color=GREY, linewidth=0.8, label="reference")
+        name = quantity.partition(" ")[2]
+        axes.set(xlabel="time t √(g / d)", ylabel=f"Reynolds number {name}")
+        axes.set_title(f"{experiment}: ρ_s / ρ = {case.density_ratio}", loc="left")
+        axes.legend(fontsize=8, loc="lower center")
+    return figure
+
+
+SOURCE = (
+    "box: Glowinski et al. 2001, J. Comput. Phys. 169; Wan & Turek 2006, Int. J. Numer. Meth. "
+    "Fluids 51, 531; Uhlmann 2005; Wang, Fan & Luo 2008, as quoted in open-source codes; "
+    "channel: Wachs 2009 and Yu et al. 2002, as quoted in PacIFiC"
+)
+CASE = Case("settling-disc", __doc__, SOURCE, make_jobs, judge, draw)

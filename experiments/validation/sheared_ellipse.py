@@ -1,4 +1,14 @@
-"""A neutrally buoyant ellipse tumbles in Couette flow: free rotation and what inertia does."""
+"""Ellipse in Couette flow.
+
+A neutrally buoyant ellipse, b = 2c, turns freely in the middle between walls H apart that slide in
+opposite directions (half-way bounce-back, periodic along the flow over 2 H), Re = G (2b)² / ν. The
+flow begins as the undisturbed shear; half a turn is measured, from the long axis across the flow
+on, after a start of 0.5 rad before it. Judged is Re = 0.1, τ = 1.4, H = 5 and 10 (2b), extrapolated
+to no walls (quadratic in 2b / H). Re must be this low: the flow needs a time of Re (H / 2b)² / G to
+reach the walls, and a period extrapolated linearly from Re = 0.5 and 1 came out 1.4 % shorter. For
+the record: refinement and τ at Re = 0.5, τ = 1.1 unless said, and the slowest rate at Re = 15–24 in
+Ding & Aidun's channel (H = 10 b, length 50 b, τ = 0.6); they find that rotation ends at Re ≈ 29.
+"""
 
 from collections.abc import Sequence
 from math import pi
@@ -8,9 +18,9 @@ import torch
 from matplotlib.figure import Figure
 
 from experiments.figures import COLOURS
-from experiments.validation.case import Case, Check, Job, Result, Results
-from experiments.validation.convergence import tidy
-from fishrl.physics import Ellipse, FlowConfig, InPlaceSolver
+from experiments.validation.case import Case, Check, Job, Result, Results, check_finest, select
+from experiments.validation.wake import start_flow
+from fishrl.physics import Ellipse, FlowConfig
 from fishrl.physics.bodies.motion import Free
 from fishrl.physics.boundaries import Boundaries, NoSlip, Periodic
 from fishrl.physics.step import make_uniform
@@ -18,6 +28,7 @@ from fishrl.physics.step import make_uniform
 ASPECT_RATIO = 2.0
 NUM_SAMPLES = 400  # per 5 pi / G, Jeffery's period
 JEFFERY = 2.0 * pi * (ASPECT_RATIO + 1.0 / ASPECT_RATIO)  # period times shear rate
+START = 0.5  # angle before the first passage of the gradient's direction, rad; not measured
 GAPS = (5.0, 10.0)
 LENGTHS = (16, 24)
 SLOW = {"length": 16, "reynolds": 0.1, "tau": 1.4}  # at Re = 0.05 the period is 0.01 % shorter
@@ -26,7 +37,7 @@ USUAL = {"length": 24, "reynolds": 0.5, "gap": 5.0}
 SLOWEST = {15.0: 0.055, 20.0: 0.032, 24.0: 0.017}
 INERTIAL = {"length": 32, "gap": 5.0, "period_length": 25.0, "tau": 0.6}
 TAUS = (0.8, 1.4)
-INSET = 0.45  # nodes, as bodies have unless told otherwise
+INSET = 0.45  # nodes, the bodies' default
 WITH_INSET = f"inset {INSET}"
 SLOW_RUN = f"τ = {SLOW['tau']}, {WITH_INSET}"
 SLOW_NOTE = (
@@ -35,7 +46,6 @@ SLOW_NOTE = (
     "with markers on the surface."
 )
 INERTIA_NOTE = "ours is of the first half turn after the start, theirs of a periodic rotation."
-START = 0.5  # angle before the first passage of the gradient's direction, rad; not measured
 
 
 def tumble(
@@ -66,12 +76,11 @@ def tumble(
     nu = (tau - 0.5) / 3.0
     shear = reynolds * nu / length**2
     height = round(gap * length)
-    wall = 0.5 * shear * height
     config = FlowConfig(
         width=round((period_length or 2.0 * gap) * length),
         height=height,
         tau=tau,
-        stream_speed=wall,
+        stream_speed=0.5 * shear * height,
         bodies=(Ellipse(length=length, width=length / ASPECT_RATIO, inset=inset, motion=Free()),),
         boundaries=Boundaries(
             left=Periodic(),
@@ -80,10 +89,9 @@ def tumble(
             top=NoSlip(velocity=(1.0, 0.0)),
         ),
     )
-    solver = InPlaceSolver(config=config, num_workers=0)
-    centre = torch.tensor([[0.5 * config.width, 0.5 * (height - 1.0)]], dtype=torch.float64)
-    first = 0.5 * pi + START
-    solver.reset_(torch.ones(1, dtype=torch.bool), centre, torch.tensor([first]).double())
+    centre = (0.5 * config.width, 0.5 * (height - 1.0))
+    heading = torch.tensor(0.5 * pi + START, dtype=torch.float64)
+    solver = start_flow(config, centre, heading)
     y = torch.arange(height, dtype=torch.float64) - 0.5 * (height - 1.0)
     rest = torch.zeros(1, height, config.width, dtype=torch.float64)
     solver.set_populations_(make_uniform(rest, rest + shear * y[:, None], rest))
@@ -94,7 +102,8 @@ def tumble(
     while angles[-1] < pi + 0.1 and len(angles) < 12 * NUM_SAMPLES:
         solver.advance_(stride)
         angles.append(0.5 * pi - float(body.heading))
-        drift = max(drift, float((body.position - centre).abs().max()) / length)
+        moved = body.position[0] - torch.tensor(centre, dtype=torch.float64)
+        drift = max(drift, float(moved.abs().max()) / length)
         slip = max(slip, float(body.slip_error) / (shear * length))
     if bool(solver.is_diverged().any()):
         raise RuntimeError("the flow diverged: lower the Reynolds number or raise length")
@@ -112,135 +121,107 @@ def tumble(
     }
 
 
-def _label(length: int, reynolds: float, gap: float, extra: str = "") -> str:
+def label(length: float, reynolds: float, gap: float, extra: str = "") -> str:
+    """Return the label of a run."""
     return f"2b = {length}, Re = {reynolds:g}, H = {gap:g} (2b)" + (f", {extra}" if extra else "")
 
 
-def _extrapolate(results: Results) -> float | None:
-    """Return the slow period without walls: their effect is quadratic in 2b / H."""
-    labels = [_label(16, 0.1, gap, SLOW_RUN) for gap in GAPS]
-    if any(name not in results for name in labels):
-        return None
-    near, far = (results[name]["period"] for name in labels)
-    return float(far + (far - near) / ((GAPS[1] / GAPS[0]) ** 2 - 1.0))
+def make_jobs(quick: bool) -> list[Job]:
+    """Return runs for each resolution, Reynolds number and gap; none is quick."""
+    runs: list[tuple[str, dict[str, float]]] = [
+        (extra, {"length": length, "reynolds": 0.5, "gap": 5.0} | more)
+        for extra, more in (("", {}), (WITH_INSET, {"inset": INSET}))
+        for length in LENGTHS
+    ]
+    runs += [(SLOW_RUN, SLOW | {"gap": gap, "inset": INSET}) for gap in GAPS]
+    runs += [(f"τ = {tau}", USUAL | {"tau": tau}) for tau in TAUS]
+    runs += [("", INERTIAL | {"reynolds": reynolds}) for reynolds in SLOWEST]
+    return [
+        Job(
+            label(run["length"], run["reynolds"], run["gap"], extra),
+            tumble,
+            run,
+            cost=1e3 * run["length"] ** 4 * run["gap"] / run["reynolds"],
+        )
+        for extra, run in ([] if quick else runs)
+    ]
 
 
-class ShearedEllipse(Case):
-    """Ellipse that rotates freely between sliding walls."""
-
-    name = "sheared-ellipse"
-    title = "Ellipse in Couette flow"
-    source = (
-        "Jeffery 1922: period 2π (b / c + c / b) / G and rate (b² cos² χ + c² sin² χ) / (b² + c²) "
-        "G at Re = 0 without walls; Ding & Aidun 2000, J. Fluid Mech. 423, 317, for what inertia "
-        "does, as a digest of the paper quotes them"
-    )
-    setup = (
-        "A neutrally buoyant ellipse, b = 2c, turns freely in the middle between walls H apart "
-        "that slide in opposite directions (half-way bounce-back, periodic along the flow over 2 "
-        "H), Re = G (2b)² / ν. The flow begins as the undisturbed shear; half a turn is measured, "
-        "from the long axis across the flow on, after a start of 0.5 rad before it. Judged is Re = "
-        "0.1, τ = 1.4, H = 5 and 10 (2b), extrapolated to no walls (quadratic in 2b / H). Re must "
-        "be this low: the flow needs a time of Re (H / 2b)² / G to reach the walls, and a period "
-        "extrapolated linearly from Re = 0.5 and 1 came out 1.4 % shorter. For the record: "
-        "refinement and τ at Re = 0.5, τ = 1.1 unless said, and the slowest rate at Re = 15–24 in "
-        "Ding & Aidun's channel (H = 10 b, length 50 b, τ = 0.6); they find that rotation ends at "
-        "Re ≈ 29."
-    )
-
-    def jobs(self, *, quick: bool) -> Sequence[Job]:
-        """Return runs for each resolution, Reynolds number and gap; none is quick."""
-        runs: list[tuple[str, dict[str, float]]] = [
-            (extra, {"length": length, "reynolds": 0.5, "gap": 5.0} | more)
-            for extra, more in (("", {}), (WITH_INSET, {"inset": INSET}))
-            for length in LENGTHS
-        ]
-        runs += [(SLOW_RUN, SLOW | {"gap": gap, "inset": INSET}) for gap in GAPS]
-        runs += [(f"τ = {tau}", USUAL | {"tau": tau}) for tau in TAUS]
-        runs += [("", INERTIAL | {"reynolds": reynolds}) for reynolds in SLOWEST]
-        return [
-            Job(
-                label=_label(int(run["length"]), run["reynolds"], run["gap"], extra),
-                function=tumble,
-                arguments=run,
-                cost=1e3 * run["length"] ** 4 * run["gap"] / run["reynolds"],
-            )
-            for extra, run in ([] if quick else runs)
-        ]
-
-    def judge(self, results: Results) -> Sequence[Check]:
-        """Judge the period; record what inertia, tau and the markers' place do."""
-        checks = []
-        if (period := _extrapolate(results)) is not None:
-            checks.append(
-                Check(
-                    quantity=f"period × G at Re = 0.1 without walls, {WITH_INSET}",
-                    ours=period,
-                    reference=JEFFERY,
-                    source="Jeffery 1922",
-                    tolerance=0.04,
-                    resolution="2b = 16",
-                    note=SLOW_NOTE,
-                )
-            )
-        for extra in ("", WITH_INSET):
-            labels = {n: _label(n, 0.5, 5.0, extra) for n in LENGTHS}
-            known = {n: results[name]["period"] for n, name in labels.items() if name in results}
-            if known:
-                checks.append(
-                    Check(
-                        quantity=f"period × G, Re = 0.5, H = 5 (2b), {extra or 'no inset'}",
-                        ours=known[max(known)],
-                        resolution=f"2b = {max(known)}",
-                        refinement={f"2b = {n}": value for n, value in known.items()},
-                    )
-                )
-        usual = _label(**USUAL)  # type: ignore[arg-type]
-        checks += [
+def judge(results: Results) -> Sequence[Check]:
+    """Judge the period; record what inertia, tau and the markers' place do."""
+    checks = [
+        Check(
+            quantity=f"period × G at Re = 0.1 without walls, {WITH_INSET}",
+            ours=extrapolate(results),
+            reference=JEFFERY,
+            source="Jeffery 1922",
+            tolerance=0.04,
+            resolution="2b = 16",
+            note=SLOW_NOTE,
+        )
+    ]
+    for extra in ("", WITH_INSET):
+        runs = select(results, {n: label(n, 0.5, 5.0, extra) for n in LENGTHS})
+        name = f"period × G, Re = 0.5, H = 5 (2b), {extra or 'no inset'}"
+        checks.append(
+            check_finest(name, {n: run["period"] for n, run in runs.items()}, symbol="2b")
+        )
+    for tau in TAUS:
+        name = label(**USUAL, extra=f"τ = {tau}")
+        checks.append(
             Check(
-                quantity=f"period × G, {usual}" + (f", {extra}" if extra else ""),
+                quantity=f"period × G, {name}",
                 ours=results[name]["period"],
                 resolution=f"2b = {USUAL['length']}",
             )
-            for extra in (f"τ = {tau}" for tau in TAUS)
-            if (name := usual + (f", {extra}" if extra else "")) in results
-        ]
-        checks += [
-            Check(
-                quantity=f"slowest rate / G at Re = {reynolds:g}",
-                ours=results[name]["slowest"],
-                reference=reference,
-                source="Ding & Aidun 2000, read off fig. 9",
-                resolution="2b = 32",
-                is_absolute=True,
-                note=INERTIA_NOTE,
-            )
-            for reynolds, reference in SLOWEST.items()
-            if (name := _label(32, reynolds, 5.0)) in results
-        ]
-        return checks
-
-    def draw(self, results: Results) -> Figure:
-        """Draw the angular velocity against the angle."""
-        figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-        axes = figure.subplots()
-        angle = np.linspace(0.0, pi, 200)
-        square = ASPECT_RATIO**2
-        jeffery = (square * np.cos(angle) ** 2 + np.sin(angle) ** 2) / (square + 1.0)
-        axes.plot(angle / pi, jeffery, color="black", linewidth=2.5, alpha=0.35, label="Jeffery")
-        shown = [_label(16, 0.1, gap, SLOW_RUN) for gap in reversed(GAPS)]
-        shown += [_label(32, reynolds, 5.0) for reynolds in (0.5, *SLOWEST)]
-        known = [name for name in shown if name in results]
-        for name, colour in zip(known, COLOURS, strict=False):
-            result = results[name]
-            axes.plot(np.array(result["angle"]) / pi, result["rate"], color=colour, label=name)
-        axes.set(
-            xlabel="angle χ of the long axis from the gradient's direction / π",
-            ylabel="angular velocity / shear rate G",
-            xlim=(0.0, 1.0),
-            ylim=(0.0, None),
         )
-        axes.set_title("Ellipse, b = 2c, in Couette flow", loc="left")
-        axes.legend(fontsize=8)
-        tidy(axes)
-        return figure
+    return checks + [
+        Check(
+            quantity=f"slowest rate / G at Re = {reynolds:g}",
+            ours=results[label(32, reynolds, 5.0)]["slowest"],
+            reference=reference,
+            source="Ding & Aidun 2000, read off fig. 9",
+            resolution="2b = 32",
+            is_absolute=True,
+            note=INERTIA_NOTE,
+        )
+        for reynolds, reference in SLOWEST.items()
+    ]
+
+
+def extrapolate(results: Results) -> float:
+    """Return the slow period without walls: their effect is quadratic in 2b / H."""
+    near, far = (results[label(16, 0.1, gap, SLOW_RUN)]["period"] for gap in GAPS)
+    return float(far + (far - near) / ((GAPS[1] / GAPS[0]) ** 2 - 1.0))
+
+
+def draw(results: Results) -> Figure:
+    """Draw the angular velocity against the angle."""
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    axes = figure.subplots()
+    angle = np.linspace(0.0, pi, 200)
+    square = ASPECT_RATIO**2
+    jeffery = (square * np.cos(angle) ** 2 + np.sin(angle) ** 2) / (square + 1.0)
+    axes.plot(angle / pi, jeffery, color="black", linewidth=2.5, alpha=0.35, label="Jeffery")
+    shown = [label(16, 0.1, gap, SLOW_RUN) for gap in reversed(GAPS)]
+    shown += [label(32, reynolds, 5.0) for reynolds in SLOWEST]
+    for name, colour in zip(shown, COLOURS, strict=False):
+        result = results[name]
+        axes.plot(np.array(result["angle"]) / pi, result["rate"], color=colour, label=name)
+    axes.set(
+        xlabel="angle χ of the long axis from the gradient's direction / π",
+        ylabel="angular velocity / shear rate G",
+        xlim=(0.0, 1.0),
+        ylim=(0.0, None),
+    )
+    axes.set_title("Ellipse, b = 2c, in Couette flow", loc="left")
+    axes.legend(fontsize=8)
+    return figure
+
+
+SOURCE = (
+    "Jeffery 1922: period 2π (b / c + c / b) / G and rate (b² cos² χ + c² sin² χ) / (b² + c²) "
+    "G at Re = 0 without walls; Ding & Aidun 2000, J. Fluid Mech. 423, 317, for what inertia "
+    "does, as a digest of the paper quotes them"
+)
+CASE = Case("sheared-ellipse", __doc__, SOURCE, make_jobs, judge, draw)

@@ -1,4 +1,11 @@
-"""How well the boundary's velocity is met: slip against iterations, and of the direct solve."""
+"""Slip at the boundary.
+
+A free fish (L = 50, Re_f = 7000) beats for 0.7 T from rest, a cylinder (D = 20) stands in a stream
+for 1.5 D / U after a smooth start, Re = 100. From there each way to solve for the force goes on for
+40 readable steps; slip is the largest difference at a marker between the velocity interpolated from
+the nodes, force included, and the body's, averaged over the second half, as a share of the tail's
+or the stream's speed.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,7 +16,6 @@ from matplotlib.figure import Figure
 
 from experiments.figures import COLOURS
 from experiments.validation.case import Case, Check, Job, Result, Results
-from experiments.validation.convergence import tidy
 from fishrl.physics import Cylinder, Fish, FlowConfig, FlowState, Free, Scales
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium
@@ -18,43 +24,45 @@ from fishrl.physics.flow import FlowParams, make_params
 from fishrl.physics.immersed_boundary import DirectSolve, ForceSolve, IterativeForcing, interpolate
 from fishrl.physics.step import exchange, gather, locate_bodies, make_rest, spread, step
 
-RELAXATIONS = (1.0, 1.7)
+RELAXATIONS = {1.0: "--", 1.7: "-"}  # with the lines of the figure
 COUNTS = (1, 2, 3, 4, 6, 10, 20)
 DEFAULT = IterativeForcing()
 EXACT = DirectSolve(regularisation=1e-13)
 DIRECT = {"direct": EXACT, "direct, regularised by 1e-4": DirectSolve()}
 NUM_STEPS = 40  # with each solve; the second half is averaged
-BODIES = ("fish", "cylinder")
+BODIES = {"fish": "o", "cylinder": "s"}  # with the marks of the figure
 
 
-def _make_flow(body: str) -> tuple[FlowConfig, FlowState, float, int]:
+def make_fish_flow() -> tuple[FlowConfig, FlowState, float, int]:
     """Return a flow at rest, the speed to compare with and the steps until it is measured."""
-    if body == "fish":
-        scales = Scales.from_budget(body_length=50, reynolds=7000.0)
-        config = FlowConfig(
-            width=240, height=120, tau=scales.tau, bodies=(Fish(body_length=50, motion=Free()),)
-        )
-        place, frequency, speed = (140.3, 60.2), 1.0 / scales.period, scales.tail_speed
-        num_steps = round(0.7 * scales.period)
-    else:
-        speed, diameter = 0.05, 20
-        edge = NonEquilibrium(velocity=(1.0, 0.0))
-        config = FlowConfig(
-            width=200,
-            height=120,
-            tau=0.53,
-            stream_speed=speed,
-            ramp_steps=200,
-            bodies=(Cylinder(diameter=diameter),),
-            boundaries=Boundaries(
-                left=edge, right=NonEquilibrium(density=1.0), bottom=edge, top=edge
-            ),
-        )
-        place, frequency, num_steps = (60.3, 60.2), 0.0, 600
+    scales = Scales.from_budget(body_length=50, reynolds=7000.0)
+    config = FlowConfig(
+        width=240, height=120, tau=scales.tau, bodies=(Fish(body_length=50, motion=Free()),)
+    )
+    state = _make_state(config, (140.3, 60.2), 1.0 / scales.period)
+    return config, state, scales.tail_speed, round(0.7 * scales.period)
+
+
+def _make_cylinder_flow() -> tuple[FlowConfig, FlowState, float, int]:
+    edge, speed = NonEquilibrium(velocity=(1.0, 0.0)), 0.05
+    config = FlowConfig(
+        width=200,
+        height=120,
+        tau=0.53,
+        stream_speed=speed,
+        ramp_steps=200,
+        bodies=(Cylinder(diameter=20),),
+        boundaries=Boundaries(left=edge, right=NonEquilibrium(density=1.0), bottom=edge, top=edge),
+    )
+    return config, _make_state(config, (60.3, 60.2), 0.0), speed, 600
+
+
+def _make_state(config: FlowConfig, place: tuple[float, float], frequency: float) -> FlowState:
     zero = torch.zeros(1, dtype=torch.float64)
     position = torch.tensor([place], dtype=torch.float64)
-    state = make_body(position, zero + pi, zero + frequency)
-    return config, FlowState(make_rest(config, 1), (state,), zero), speed, num_steps
+    return FlowState(
+        make_rest(config, 1), (make_body(position, zero + pi, zero + frequency),), zero
+    )
 
 
 def measure_slip(state: FlowState, config: FlowConfig, params: FlowParams) -> float:
@@ -89,7 +97,8 @@ def compare_solves(*, body: str) -> Result:
         Slip / fastest wall or stream: by relaxation, one per number of iterations; of the direct
         solves; of the exact one in single precision.
     """
-    config, start, speed, num_steps = _make_flow(body)
+    flow = make_fish_flow() if body == "fish" else _make_cylinder_flow()
+    config, start, speed, num_steps = flow
     params = make_params([config])
     for _ in range(num_steps):
         start = step(start, config, params)
@@ -112,71 +121,58 @@ def compare_solves(*, body: str) -> Result:
     return result
 
 
-class Slip(Case):
-    """Slip at the markers of a fish and of a cylinder."""
+def make_jobs(quick: bool) -> list[Job]:
+    """Return a run for each body."""
+    bodies = ["cylinder"] if quick else list(BODIES)
+    return [Job(body, compare_solves, {"body": body}, cost=1e9) for body in bodies]
 
-    name = "slip"
-    title = "Slip at the boundary"
-    source = "no slip; relaxation 1 is the paper's iteration (Zhang et al. 2016)"
-    setup = (
-        "A free fish (L = 50, Re_f = 7000) beats for 0.7 T from rest, a cylinder (D = 20) stands "
-        "in a stream for 1.5 D / U after a smooth start, Re = 100. From there each way to solve "
-        f"for the force goes on for {NUM_STEPS} readable steps; slip is the largest difference at "
-        "a marker between the velocity interpolated from the nodes, force included, and the "
-        "body's, averaged over the second half, as a share of the tail's or the stream's speed."
-    )
 
-    def jobs(self, *, quick: bool) -> Sequence[Job]:
-        """Return a run for each body."""
-        return [
-            Job(label=body, function=compare_solves, arguments={"body": body}, cost=1e9)
-            for body in (BODIES[1:] if quick else BODIES)
+def judge(results: Results) -> Sequence[Check]:
+    """Judge the direct solve; record the iterations."""
+    checks = []
+    for body, result in results.items():
+        checks += [
+            Check(
+                quantity=f"slip / speed of the direct solve, {body}, {precision}",
+                ours=result[key],
+                reference=(0.0, limit),
+                source="round-off",
+            )
+            for key, precision, limit in (
+                ("direct", "float64", 1e-12),
+                ("direct, float32", "float32", 1e-6),
+            )
         ]
-
-    def judge(self, results: Results) -> Sequence[Check]:
-        """Judge the direct solve; record the iterations."""
-        checks = []
-        for body, result in results.items():
-            bars = (("direct", "float64", 1e-12), ("direct, float32", "float32", 1e-6))
-            checks += [
-                Check(
-                    quantity=f"slip / speed of the direct solve, {body}, {precision}",
-                    ours=result[key],
-                    reference=(0.0, bar),
-                    source="round-off",
-                )
-                for key, precision, bar in bars
-            ]
-            checks += [
+        for w in RELAXATIONS:
+            slips = dict(zip(COUNTS, result[f"relaxation {w}"], strict=True))
+            checks.append(
                 Check(
                     quantity=f"slip / speed, {body}, relaxation {w}",
-                    ours=result[f"relaxation {w}"][COUNTS.index(DEFAULT.num_iterations)],
+                    ours=slips[DEFAULT.num_iterations],
                     resolution=f"{DEFAULT.num_iterations} iterations",
-                    refinement=dict(
-                        zip((f"K = {k}" for k in COUNTS), result[f"relaxation {w}"], strict=True)
-                    ),
+                    refinement={f"K = {k}": slip for k, slip in slips.items()},
                 )
-                for w in RELAXATIONS
-            ]
-        return checks
+            )
+    return checks
 
-    def draw(self, results: Results) -> Figure:
-        """Draw the slip against the number of iterations."""
-        figure = Figure(figsize=(6.0, 4.0), layout="constrained")
-        axes = figure.subplots()
-        marks = {"fish": "o", "cylinder": "s"}
-        for body, result in results.items():
-            for (w, line), colour in zip(
-                zip(RELAXATIONS, ("--", "-"), strict=True), COLOURS, strict=False
-            ):
-                axes.loglog(
-                    COUNTS, result[f"relaxation {w}"], marks[body] + line, color=colour,
-                    markerfacecolor="none", label=f"{body}, relaxation {w}",
-                )  # fmt: skip
-        axes.set_xticks(COUNTS, [str(k) for k in COUNTS])
-        axes.minorticks_off()
-        axes.set(xlabel="iterations per step", ylabel="largest slip / speed of tail or stream")
-        axes.set_title("Slip against the number of force iterations", loc="left")
-        axes.legend(fontsize=9)
-        tidy(axes)
-        return figure
+
+def draw(results: Results) -> Figure:
+    """Draw the slip against the number of iterations."""
+    figure = Figure(figsize=(6.0, 4.0), layout="constrained")
+    axes = figure.subplots()
+    for body, result in results.items():
+        for (w, line), colour in zip(RELAXATIONS.items(), COLOURS, strict=False):
+            axes.loglog(
+                COUNTS, result[f"relaxation {w}"], BODIES[body] + line, color=colour,
+                markerfacecolor="none", label=f"{body}, relaxation {w}",
+            )  # fmt: skip
+    axes.set_xticks(COUNTS, [str(k) for k in COUNTS])
+    axes.minorticks_off()
+    axes.set(xlabel="iterations per step", ylabel="largest slip / speed of tail or stream")
+    axes.set_title("Slip against the number of force iterations", loc="left")
+    axes.legend(fontsize=9)
+    return figure
+
+
+SOURCE = "no slip; relaxation 1 is the paper's iteration (Zhang et al. 2016)"
+CASE = Case("slip", __doc__, SOURCE, make_jobs, judge, draw)

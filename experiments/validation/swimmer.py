@@ -1,14 +1,20 @@
-"""Anguilliform swimmer: the paper's Task 0, speed against time, with grid refinement."""
+"""Self-propelled anguilliform swimmer.
+
+A NACA0012 fish with Carling's gait (a(x) = 0.125 (x + 0.03125) / 1.03125, wavelength L) starts from
+rest, amplitude rising over the first beat, in a closed tank of 10 L × 5 L at L² / (T ν) = 7142, the
+tail's speed at 0.07 nodes per step (Mach 0.12). The flow moves and turns it; body and water have
+equal density, so the skin is free of net force and torque in every step. Speed is the displacement
+of the centre of mass along the tank over each beat, power what the muscles give, Σ F · u_def, mean
+over the beat.
+"""
 
 from collections.abc import Sequence
 
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.figures import COLOURS
-from experiments.validation.case import Case, Check, Job, Result, Results
-from experiments.validation.convergence import tidy
-from experiments.validation.swimming import estimate_cost, swim
+from experiments.validation.case import Case, Check, Job, Results, check_finest, select
+from experiments.validation.swimming import make_swim
 
 LENGTHS = (50, 70, 100, 140, 200)
 QUICK_LENGTHS = (50,)
@@ -39,127 +45,86 @@ def _label(body_length: int, variant: str = "") -> str:
     return f"L = {body_length}" + (f", {variant}" if variant else "")
 
 
-class Swimmer(Case):
-    """Free swimmer in still water at Re = 7142."""
+def make_jobs(quick: bool) -> list[Job]:
+    """Return a swim at each resolution, and the variants at one."""
+    if quick:
+        return [make_swim(_label(length), length, NUM_BEATS) for length in QUICK_LENGTHS]
+    jobs = [make_swim(_label(length), length, NUM_BEATS) for length in LENGTHS]
+    return jobs + [
+        make_swim(_label(VARIANT_LENGTH, name), VARIANT_LENGTH, NUM_BEATS, **changes)
+        for name, changes in VARIANTS.items()
+    ]
 
-    name = "swimmer"
-    title = "Self-propelled anguilliform swimmer"
-    source = CARLING
-    setup = (
-        "A NACA0012 fish with Carling's gait (a(x) = 0.125 (x + 0.03125) / 1.03125, wavelength L) "
-        "starts from rest, amplitude rising over the first beat, in a closed tank of 10 L × 5 L at "
-        "L² / (T ν) = 7142, the tail's speed at 0.07 nodes per step (Mach 0.12). The flow moves "
-        "and turns it; body and water have equal density, so the skin is free of net force and "
-        "torque in every step. Speed is the displacement of the centre of mass along the tank over "
-        "each beat, power what the muscles give, Σ F · u_def, mean over the beat."
-    )
 
-    def jobs(self, *, quick: bool) -> Sequence[Job]:
-        """Return a swim at each resolution, and the variants at one."""
-        jobs = [
-            Job(
-                label=_label(length),
-                function=swim,
-                arguments={"body_length": length, "num_beats": NUM_BEATS},
-                cost=estimate_cost(length, NUM_BEATS),
-            )
-            for length in (QUICK_LENGTHS if quick else LENGTHS)
-        ]
-        if not quick:
-            fixed = {"body_length": VARIANT_LENGTH, "num_beats": NUM_BEATS}
-            jobs += [
-                Job(
-                    label=_label(VARIANT_LENGTH, name),
-                    function=swim,
-                    arguments={**fixed, **changes},
-                    cost=estimate_cost(VARIANT_LENGTH, NUM_BEATS),
-                )
-                for name, changes in VARIANTS.items()
-            ]
-        return jobs
-
-    def judge(self, results: Results) -> Sequence[Check]:
-        """Judge the convergence of the speed and set the rest beside what there is."""
-        runs = {n: results[_label(n)] for n in LENGTHS if _label(n) in results}
-        finest = max(runs)
-        final = {f"L = {n}": r["speed"][-1] for n, r in runs.items()}
-        checks = [
-            Check(
-                quantity=f"speed in beat {NUM_BEATS}, L / T",
-                ours=final[_label(finest)],
-                reference=0.77 * WAVE_SPEED,
-                source=CARLING,
-                resolution=_label(finest),
-                refinement=final,
-                note=NO_SOURCE,
-            ),
-            Check(
-                quantity="power of the muscles, ρ L⁴ / T³",
-                ours=runs[finest]["power"][-1],
-                resolution=_label(finest),
-                refinement={f"L = {n}": r["power"][-1] for n, r in runs.items()},
-            ),
-            Check(
-                quantity="slip at the skin / tail speed",
-                ours=runs[finest]["slip"] / runs[finest]["tail_speed"],
-                resolution=_label(finest),
-                refinement={f"L = {n}": r["slip"] / r["tail_speed"] for n, r in runs.items()},
-            ),
-        ]
-        if len(runs) < len(LENGTHS):
-            return checks
-        coarse, middle, fine = (final[_label(n)] for n in LENGTHS[::2])
-        ratio = (middle - coarse) / (fine - middle)
-        checks.append(
-            Check(
-                quantity="change of the speed from L = 140 to 200",
-                ours=abs(final["L = 200"] / final["L = 140"] - 1.0),
-                reference=(0.0, GRID_CHANGE),
-                source="own bar",
-                resolution="L = 140–200",
-                note=(
-                    f"Doubling L from 50 and from 100 changes the speed by {middle - coarse:.3f} "
-                    f"and {fine - middle:.3f} L / T, a ratio of {ratio:.2f}; carried on, it would "
-                    f"end at {fine + (fine - middle) / (ratio - 1.0):.3f} L / T. A coarse fish "
-                    "swims more slowly: its boundary layer is a few nodes thick."
-                ),
-            )
-        )
-        checks += [
-            Check(
-                quantity=f"speed in beat {NUM_BEATS}, {name}",
-                ours=results[_label(VARIANT_LENGTH, name)]["speed"][-1],
-                resolution=_label(VARIANT_LENGTH),
-                note=f"{final[_label(VARIANT_LENGTH)]:.3f} L / T without this change.",
-            )
-            for name in VARIANTS
-        ]
+def judge(results: Results) -> Sequence[Check]:
+    """Judge the convergence of the speed and set the rest beside what there is."""
+    runs = select(results, {n: _label(n) for n in LENGTHS})
+    final = {n: run["speed"][-1] for n, run in runs.items()}
+    checks = [
+        check_finest(
+            f"speed in beat {NUM_BEATS}, L / T", final, 0.77 * WAVE_SPEED, CARLING,
+            symbol="L", note=NO_SOURCE,
+        ),
+        check_finest(
+            "power of the muscles, ρ L⁴ / T³",
+            {n: run["power"][-1] for n, run in runs.items()},
+            symbol="L",
+        ),
+        check_finest(
+            "slip at the skin / tail speed",
+            {n: run["slip"] / run["tail_speed"] for n, run in runs.items()},
+            symbol="L",
+        ),
+    ]  # fmt: skip
+    if len(runs) < len(LENGTHS):
         return checks
-
-    def draw(self, results: Results) -> Figure:
-        """Draw speed against time."""
-        figure = Figure(figsize=(9.0, 4.0), layout="constrained")
-        left, right = figure.subplots(1, 2, sharey=True)
-        for axes, wanted, title in (
-            (left, [_label(n) for n in LENGTHS], "resolution"),
-            (
-                right,
-                [_label(VARIANT_LENGTH), *(_label(VARIANT_LENGTH, v) for v in VARIANTS)],
-                f"variants, L = {VARIANT_LENGTH}",
+    coarse, middle, fine = (final[n] for n in LENGTHS[::2])
+    ratio = (middle - coarse) / (fine - middle)
+    checks.append(
+        Check(
+            quantity="change of the speed from L = 140 to 200",
+            ours=abs(final[200] / final[140] - 1.0),
+            reference=(0.0, GRID_CHANGE),
+            source="own criterion",
+            resolution="L = 140–200",
+            note=(
+                f"Doubling L from 50 and from 100 changes the speed by {middle - coarse:.3f} "
+                f"and {fine - middle:.3f} L / T, a ratio of {ratio:.2f}; carried on, it would "
+                f"end at {fine + (fine - middle) / (ratio - 1.0):.3f} L / T. A coarse fish "
+                "swims more slowly: its boundary layer is a few nodes thick."
             ),
-        ):
-            shown = [name for name in wanted if name in results]
-            for name, colour in zip(shown, COLOURS, strict=False):
-                _draw_speed(axes, results[name], colour, name)
-            axes.set(xlabel="time  t / T", title=title, ylim=(0.0, None))
-            tidy(axes)
-            if shown:
-                axes.legend(fontsize=8)
-        left.set_ylabel("speed over each beat  U T / L")
-        return figure
+        )
+    )
+    return checks + [
+        Check(
+            quantity=f"speed in beat {NUM_BEATS}, {name}",
+            ours=results[_label(VARIANT_LENGTH, name)]["speed"][-1],
+            resolution=_label(VARIANT_LENGTH),
+            note=f"{final[VARIANT_LENGTH]:.3f} L / T without this change.",
+        )
+        for name in VARIANTS
+    ]
 
 
-def _draw_speed(axes: Axes, result: Result, colour: str, name: str) -> None:
-    speeds = result["speed"]
-    middles = [beat + 0.5 for beat in range(len(speeds))]
-    axes.plot(middles, speeds, color=colour, marker="o", ms=3, label=name)
+def draw(results: Results) -> Figure:
+    """Draw speed against time."""
+    figure = Figure(figsize=(9.0, 4.0), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    variants = [_label(VARIANT_LENGTH, variant) for variant in ("", *VARIANTS)]
+    for axes, wanted, title in (
+        (left, [_label(n) for n in LENGTHS], "resolution"),
+        (right, variants, f"variants, L = {VARIANT_LENGTH}"),
+    ):
+        shown = [name for name in wanted if name in results]
+        for name, colour in zip(shown, COLOURS, strict=False):
+            speeds = results[name]["speed"]
+            middles = [beat + 0.5 for beat in range(len(speeds))]
+            axes.plot(middles, speeds, color=colour, marker="o", ms=3, label=name)
+        axes.set(xlabel="time  t / T", title=title, ylim=(0.0, None))
+        if shown:
+            axes.legend(fontsize=8)
+    left.set_ylabel("speed over each beat  U T / L")
+    return figure
+
+
+CASE = Case("swimmer", __doc__, CARLING, make_jobs, judge, draw)

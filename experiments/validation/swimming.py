@@ -2,16 +2,17 @@
 
 from math import pi
 
-import torch
+from torch import Tensor
 
-from experiments.validation.case import Result
-from fishrl.physics import Commanded, Fish, Free, InPlaceSolver, Scales
+from experiments.validation.case import Job, Result
+from experiments.validation.wake import start_flow
+from fishrl.physics import Commanded, Fish, Free, Scales
 from fishrl.physics.bodies.gait import GAITS
 from fishrl.physics.bodies.sections import Section
 from fishrl.physics.cases import make_swimmer_config
+from fishrl.physics.units import DEFAULT_WALL_SPEED
 
-TANK_LENGTH_BL = 10.0
-START_BL = 8.5
+START_BL = 8.5  # of a tank of 10 L
 
 
 def swim(
@@ -64,31 +65,27 @@ def swim(
         inset=inset,
     )
     config = make_swimmer_config(scales, height_bl=height_bl, bodies=(fish,))
-    solver = InPlaceSolver(config=config, frequency=1.0 / scales.period, num_workers=0)
-    start = torch.tensor([[START_BL, 0.5 * height_bl]], dtype=torch.float64) * body_length
-    solver.reset_(torch.ones(1, dtype=torch.bool), start, torch.tensor([pi]))
+    place = (START_BL * body_length, 0.5 * height_bl * body_length)
+    solver = start_flow(config, place, pi, frequency=1.0 / scales.period)
+    body = solver.body
     unit = body_length**4 * scales.reference_speed**2 / body_length**2
-    result: dict[str, list[float]] = {"speed": [], "drift": [], "power": [], "positive_power": []}
-    slips, before = [], solver.state_dict()
+    result: Result = {"speed": [], "drift": [], "power": [], "positive_power": []}
+    slips = []
     for _ in range(num_beats):
+        before: list[Tensor] = [
+            t[0].clone() for t in (body.position, body.work, body.positive_work)
+        ]
         solver.advance_(scales.period)
-        after = solver.state_dict()
-
-        def change(name: str) -> torch.Tensor:
-            return after[f"bodies[0].{name}"][0] - before[f"bodies[0].{name}"][0]  # noqa: B023
-
-        moved = change("position") / body_length
+        moved = (body.position[0] - before[0]) / body_length
         result["speed"].append(-float(moved[0]))
         result["drift"].append(float(moved[1]))
-        result["power"].append(float(change("work")) / unit)
-        result["positive_power"].append(float(change("positive_work")) / unit)
-        slips.append(float(solver.body.slip_error[0]) / scales.reference_speed)
-        before = after
+        result["power"].append(float(body.work[0] - before[1]) / unit)
+        result["positive_power"].append(float(body.positive_work[0] - before[2]) / unit)
+        slips.append(float(body.slip_error[0]) / scales.reference_speed)
     if solver.is_diverged().any():
         raise RuntimeError(f"the flow diverged at L = {body_length}: lower max_wall_speed")
-    heading = float((solver.body.heading + solver.body.internal_angle)[0]) - pi
-    return {
-        **result,
+    heading = float((body.heading + body.internal_angle)[0]) - pi
+    return result | {
         "heading": heading * 180.0 / pi,
         "slip": max(slips),
         "tau": scales.tau,
@@ -97,6 +94,10 @@ def swim(
     }
 
 
-def estimate_cost(body_length: int, num_beats: int, max_wall_speed: float = 0.07) -> float:
-    """Return the node-steps of ``swim``."""
-    return 50.0 * body_length**2 * num_beats * 0.785 * body_length / max_wall_speed
+def make_swim(label: str, body_length: int, num_beats: int, **changes: float | str | bool) -> Job:
+    """Return a job of ``swim``; ``changes`` are its other arguments."""
+    speed = float(changes.get("max_wall_speed", DEFAULT_WALL_SPEED))
+    tail_speed = GAITS[str(changes.get("gait", "carling"))].tail_speed
+    num_steps = num_beats * tail_speed * body_length / speed
+    arguments = {"body_length": body_length, "num_beats": num_beats, **changes}
+    return Job(label, swim, arguments, cost=50.0 * body_length**2 * num_steps)

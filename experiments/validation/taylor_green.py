@@ -1,13 +1,20 @@
-"""Taylor's decaying vortices: order of the method, viscosity, single precision."""
+"""Taylor–Green vortices.
+
+One pair of vortices each way in a periodic box of N × N nodes, u = −U cos kx sin ky, v = U sin kx
+cos ky, k = 2π/N, at U N / ν = 20. The exact solution decays as exp(−2νk²t). Diffusive scaling: U =
+0.64 / N at the same τ = 0.596 on all grids, so that compressibility errors fall as the grid's do.
+Run for one decay time 1 / (2νk²) with the readable step in double and in single precision (shifted
+populations). Viscosity is read from what the amplitude loses over the second half.
+"""
 
 from collections.abc import Sequence
-from math import log, pi
+from math import inf, log, pi
 
 import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from experiments.validation.case import Case, Check, Job, Result, Results
+from experiments.validation.case import Case, Check, Job, Result, Results, check_finest, select
 from experiments.validation.convergence import draw_convergence, fit_order
 from fishrl.physics.cases import PERIODIC, make_taylor_green
 from fishrl.physics.collision import compute_macroscopic
@@ -62,87 +69,63 @@ def _label(size: int, is_single: bool) -> str:
     return f"N = {size}, {'float32' if is_single else 'float64'}"
 
 
-class TaylorGreen(Case):
-    """Taylor's vortices in a periodic box."""
-
-    name = "taylor-green"
-    title = "Taylor–Green vortices"
-    source = SOURCE
-    setup = (
-        "One pair of vortices each way in a periodic box of N × N nodes, u = −U cos kx sin ky, "
-        "v = U sin kx cos ky, k = 2π/N, at U N / ν = 20. The exact solution decays as "
-        "exp(−2νk²t). Diffusive scaling: U = 0.64 / N at the same τ = 0.596 on all grids, so that "
-        "compressibility errors fall as the grid's do. Run for one decay time 1 / (2νk²) with the "
-        "readable step in double and in single precision (shifted populations). Viscosity is read "
-        "from what the amplitude loses over the second half."
-    )
-
-    def jobs(self, *, quick: bool) -> Sequence[Job]:
-        """Return a run for each size and precision."""
-        return [
-            Job(
-                label=_label(size, is_single),
-                function=decay_vortices,
-                arguments={"size": size, "is_single": is_single},
-                cost=4.0 * size**4,  # steps grow as N²; eager, so each costs much
-            )
-            for is_single in (False, True)
-            for size in (QUICK_SIZES if quick else SIZES)
-        ]
-
-    def judge(self, results: Results) -> Sequence[Check]:
-        """Judge order, viscosity and what single precision costs."""
-        double, single = _errors(results, is_single=False), _errors(results, is_single=True)
-        finest = max(double)
-        ratios = {n: single[n] / double[n] for n in double}
-        viscosity = {n: results[_label(n, False)]["viscosity"] for n in double}
-        return [
-            Check(
-                quantity="order of the L2 velocity error",
-                ours=fit_order(double),
-                reference=(1.95, float("inf")),
-                source="second-order method",
-                resolution=f"N = {min(double)}–{finest}",
-            ),
-            Check(
-                quantity="L2 velocity error",
-                ours=double[finest],
-                resolution=f"N = {finest}",
-                refinement={f"N = {n}": e for n, e in double.items()},
-            ),
-            Check(
-                quantity="viscosity ν / ((τ − ½) / 3)",
-                ours=viscosity[finest],
-                reference=1.0,
-                source=SOURCE,
-                tolerance=0.005,
-                resolution=f"N = {finest}",
-                refinement={f"N = {n}": v for n, v in viscosity.items()},
-            ),
-            Check(
-                quantity="error in float32 / in float64, worst grid",
-                ours=max(ratios.values()),
-                reference=(0.0, 2.0),
-                source="own bar",
-                resolution=f"N = {max(ratios, key=lambda n: ratios[n])}",
-                refinement={f"N = {n}": r for n, r in ratios.items()},
-            ),
-        ]
-
-    def draw(self, results: Results) -> Figure:
-        """Draw the error against resolution."""
-        figure = Figure(figsize=(5.6, 3.8), layout="constrained")
-        axes = figure.subplots()
-        series = {
-            "double precision": _errors(results, is_single=False),
-            "single precision": _errors(results, is_single=True),
-        }
-        draw_convergence(axes, series)
-        axes.set(xlabel="nodes N along the box", ylabel="relative L2 error of velocity")
-        axes.set_title("Taylor–Green vortices after one decay time, Re = 20", loc="left")
-        return figure
+def make_jobs(quick: bool) -> list[Job]:
+    """Return a run for each size and precision."""
+    return [
+        Job(
+            _label(size, is_single),
+            decay_vortices,
+            {"size": size, "is_single": is_single},
+            cost=4.0 * size**4,  # steps grow as N²; eager, so each costs much
+        )
+        for is_single in (False, True)
+        for size in (QUICK_SIZES if quick else SIZES)
+    ]
 
 
-def _errors(results: Results, *, is_single: bool) -> dict[int, float]:
-    labels = {n: _label(n, is_single) for n in SIZES}
-    return {n: results[name]["error"] for n, name in labels.items() if name in results}
+def _read(results: Results, key: str, *, is_single: bool = False) -> dict[int, float]:
+    runs = select(results, {n: _label(n, is_single) for n in SIZES})
+    return {n: run[key] for n, run in runs.items()}
+
+
+def judge(results: Results) -> Sequence[Check]:
+    """Judge order, viscosity and what single precision costs."""
+    double, single = _read(results, "error"), _read(results, "error", is_single=True)
+    viscosity = _read(results, "viscosity")
+    ratios = {n: single[n] / double[n] for n in double}
+    return [
+        Check(
+            quantity="order of the L2 velocity error",
+            ours=fit_order(double),
+            reference=(1.95, inf),
+            source="second-order method",
+            resolution=f"N = {min(double)}–{max(double)}",
+        ),
+        check_finest("L2 velocity error", double, symbol="N"),
+        check_finest("viscosity ν / ((τ − ½) / 3)", viscosity, 1.0, SOURCE, 0.005, symbol="N"),
+        Check(
+            quantity="error in float32 / in float64, worst grid",
+            ours=max(ratios.values()),
+            reference=(0.0, 2.0),
+            source="own criterion",
+            resolution=f"N = {max(ratios, key=lambda n: ratios[n])}",
+            refinement={f"N = {n}": r for n, r in ratios.items()},
+        ),
+    ]
+
+
+def draw(results: Results) -> Figure:
+    """Draw the error against resolution."""
+    figure = Figure(figsize=(5.6, 3.8), layout="constrained")
+    axes = figure.subplots()
+    series = {
+        "double precision": _read(results, "error"),
+        "single precision": _read(results, "error", is_single=True),
+    }
+    draw_convergence(axes, series)
+    axes.set(xlabel="nodes N along the box", ylabel="relative L2 error of velocity")
+    axes.set_title("Taylor–Green vortices after one decay time, Re = 20", loc="left")
+    return figure
+
+
+CASE = Case("taylor-green", __doc__, SOURCE, make_jobs, judge, draw)

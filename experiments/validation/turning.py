@@ -1,4 +1,10 @@
-"""Heading modes: how far a fish turns when it is commanded, and when it bends."""
+"""Heading modes.
+
+The swimmer at L = 50, Re = 7000 swims straight for 4 beats, is commanded to turn left by 15° in
+each of the next 4, and swims on. Commanded, its heading follows and the torque comes from outside;
+bending, its midline bends and the flow turns it. The rate is the mean turn of the body axis over
+the last two of the commanded beats.
+"""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -9,14 +15,15 @@ from matplotlib.figure import Figure
 
 from experiments.figures import COLOURS
 from experiments.validation.case import Case, Check, Job, Result, Results
-from experiments.validation.convergence import tidy
-from fishrl.physics import Bending, Commanded, InPlaceSolver, Scales
+from experiments.validation.wake import start_flow
+from fishrl.physics import Bending, Commanded, Scales
 from fishrl.physics.cases import make_swimmer_config
 
 BODY_LENGTH = 50
 REYNOLDS = 7000.0
 TURN = 15.0  # degrees per beat
 NUM_BEFORE, NUM_TURNS, NUM_AFTER = 4, 4, 2
+START_BL = (8.0, 3.5)
 MODES: dict[str, float | None] = {
     "heading commanded": None,
     "bending, gain 0.5": 0.5,
@@ -37,10 +44,9 @@ def turn(*, gain: float | None) -> Result:
     scales = Scales.from_budget(body_length=BODY_LENGTH, reynolds=REYNOLDS)
     motion = Commanded() if gain is None else Bending(gain=gain)
     config = make_swimmer_config(scales, motion=motion)
-    solver = InPlaceSolver(config=config, frequency=1.0 / scales.period, num_workers=0)
-    start = torch.tensor([[8.0 * BODY_LENGTH, 3.5 * BODY_LENGTH]])
-    solver.reset_(torch.ones(1, dtype=torch.bool), start, torch.tensor([pi]))
-    path, axes = [(8.0, 3.5)], [pi]
+    start = [c * BODY_LENGTH for c in START_BL]
+    solver = start_flow(config, start, pi, frequency=1.0 / scales.period)
+    path, axes = [START_BL], [pi]
     for beat in range(NUM_BEFORE + NUM_TURNS + NUM_AFTER):
         is_turning = NUM_BEFORE <= beat < NUM_BEFORE + NUM_TURNS
         solver.command_(torch.tensor([radians(TURN) if is_turning else 0.0]), scales.period)
@@ -58,50 +64,39 @@ def turn(*, gain: float | None) -> Result:
     }
 
 
-class Turning(Case):
-    """A fish that is told to turn."""
+def make_jobs(quick: bool) -> list[Job]:
+    """Return a swim for each mode; none is quick."""
+    modes = {} if quick else MODES
+    return [Job(name, turn, {"gain": gain}, cost=7e8) for name, gain in modes.items()]
 
-    name = "turning"
-    title = "Heading modes"
-    source = "none: measured for the record"
-    setup = (
-        f"The swimmer at L = {BODY_LENGTH}, Re = 7000 swims straight for {NUM_BEFORE} beats, is "
-        f"told to turn left by {TURN:g}° in each of the next {NUM_TURNS}, and swims on. "
-        "Commanded, its heading follows and the torque comes from outside; bending, its midline "
-        "bends and the flow turns it. The rate is the mean turn of the body axis over the last "
-        "two of the commanded beats."
-    )
 
-    def jobs(self, *, quick: bool) -> Sequence[Job]:
-        """Return a swim for each mode; none is quick."""
-        return [
-            Job(label=name, function=turn, arguments={"gain": gain}, cost=7e8)
-            for name, gain in ([] if quick else MODES.items())
-        ]
-
-    def judge(self, results: Results) -> Sequence[Check]:
-        """Record turn rate and radius."""
-        checks = []
-        last = slice(NUM_BEFORE + NUM_TURNS - 2, NUM_BEFORE + NUM_TURNS)
-        for name, result in results.items():
-            rate, speed = (sum(result[key][last]) / 2.0 for key in ("turned", "speed"))
-            checks.append(
-                Check(
-                    quantity=f"turn of the body axis, degrees per beat, {name}",
-                    ours=rate,
-                    resolution=f"L = {BODY_LENGTH}",
-                    note=f"Speed {speed:.2f} L / T, turning radius {speed / radians(rate):.1f} L.",
-                )
+def judge(results: Results) -> Sequence[Check]:
+    """Record turn rate and radius."""
+    checks = []
+    last = slice(NUM_BEFORE + NUM_TURNS - 2, NUM_BEFORE + NUM_TURNS)
+    for name, result in results.items():
+        rate, speed = (sum(result[key][last]) / 2.0 for key in ("turned", "speed"))
+        checks.append(
+            Check(
+                quantity=f"turn of the body axis, degrees per beat, {name}",
+                ours=rate,
+                resolution=f"L = {BODY_LENGTH}",
+                note=f"Speed {speed:.2f} L / T, turning radius {speed / radians(rate):.1f} L.",
             )
-        return checks
+        )
+    return checks
 
-    def draw(self, results: Results) -> Figure:
-        """Draw the paths."""
-        figure = Figure(figsize=(6.5, 3.8), layout="constrained")
-        axes = figure.subplots()
-        for (name, result), colour in zip(results.items(), COLOURS, strict=False):
-            axes.plot(result["x"], result["y"], "o-", ms=3, color=colour, label=name)
-        axes.set(xlabel="x / L", ylabel="y / L", aspect="equal", title="centre of mass, every beat")
-        axes.legend(fontsize=8)
-        tidy(axes)
-        return figure
+
+def draw(results: Results) -> Figure:
+    """Draw the paths."""
+    figure = Figure(figsize=(6.5, 3.8), layout="constrained")
+    axes = figure.subplots()
+    for (name, result), colour in zip(results.items(), COLOURS, strict=False):
+        axes.plot(result["x"], result["y"], "o-", ms=3, color=colour, label=name)
+    axes.set(xlabel="x / L", ylabel="y / L", aspect="equal", title="centre of mass, every beat")
+    axes.legend(fontsize=8)
+    return figure
+
+
+SOURCE = "none: measured for the record"
+CASE = Case("turning", __doc__, SOURCE, make_jobs, judge, draw)
