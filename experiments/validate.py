@@ -22,7 +22,7 @@ from experiments.command_line import plain_errors, set_up_logging
 from experiments.validation.case import MISSED, Case
 from experiments.validation.catalogue import CASES
 from experiments.validation.report import render_table, summarise, write_report
-from experiments.validation.runner import make_folder, run_cases
+from experiments.validation.runner import run_cases
 
 
 def choose_cases(names: Sequence[str], cases: Sequence[Case]) -> list[Case]:
@@ -59,22 +59,13 @@ def validate(
         num_workers: jobs at a time.
         is_fresh: run again what is known.
     """
-    make_folder(folder)
-    place = make_folder(docs) if docs else folder
-    figures = make_folder(place / "figures" / "validation")
     outcomes = run_cases(
         cases, folder=folder, quick=quick, num_workers=num_workers, is_fresh=is_fresh
     )
-    page = place / "validation.md"
+    page = (docs or folder) / "validation.md"
     command = "make validate" if docs else "python -m experiments.validate"
-    write_report(
-        outcomes,
-        page=page,
-        figures=figures,
-        json_path=folder / "validation.json",
-        command=command,
-    )
-    print("\n".join(render_table(outcomes)))
+    write_report(outcomes, page=page, json_path=folder / "validation.json", command=command)
+    print(render_table(outcomes))
     print(f"\n{summarise(outcomes)} Written to {page}")
     return all(check.verdict != MISSED for outcome in outcomes for check in outcome.checks)
 
