@@ -103,10 +103,7 @@ def check_finest(
 ) -> Check:
     """Return the check of a quantity at its finest resolution, with the others beside it.
 
-    Args:
-        quantity: see ``Check``, as for the arguments not listed here.
-        values: by number of nodes.
-        symbol: of the number of nodes, such as D.
+    ``values`` are by number of nodes, which ``symbol`` stands for; the rest is that of ``Check``.
     """
     return Check(
         quantity=quantity,

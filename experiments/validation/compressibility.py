@@ -88,9 +88,7 @@ def make_jobs(quick: bool) -> list[Job]:
     for factor in () if quick else FACTORS:
         speed = factor * DEFAULT_WALL_SPEED
         jobs += [
-            make_swim(
-                _label(f"swimmer, L = {n}", factor), n, NUM_BEATS, max_wall_speed=speed
-            )
+            make_swim(_label(f"swimmer, L = {n}", factor), n, NUM_BEATS, max_wall_speed=speed)
             for n in BODY_LENGTHS
         ]
         cost = 200.0 * DIAMETER**3 * TRAVELS / speed

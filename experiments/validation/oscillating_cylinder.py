@@ -185,9 +185,7 @@ def judge(results: Results) -> Sequence[Check]:
                 ("change of c_i from the period before", finest["c_i"] / finest["c_i_before"] - 1),
             )
         ]
-    small, large = (
-        results[_label(LARGE_DOMAIN_DIAMETER, INSET, size)] for size in (USUAL, LARGE)
-    )
+    small, large = (results[_label(LARGE_DOMAIN_DIAMETER, INSET, size)] for size in (USUAL, LARGE))
     return checks + [
         Check(
             quantity=f"{key} in the larger domain / in the usual one",

@@ -18,9 +18,7 @@ from math import pi, sqrt
 from matplotlib.figure import Figure
 
 from experiments.figures import COLOURS
-from experiments.validation.case import (
-    Case, Check, Job, Result, Results, as_range, check_finest, select,
-)  # fmt: skip
+from experiments.validation.case import Case, Check, Job, Result, Results, check_finest, select
 from experiments.validation.convergence import GREY
 from experiments.validation.wake import start_flow
 from fishrl.physics import Cylinder, FlowConfig
@@ -168,9 +166,7 @@ def judge(results: Results) -> Sequence[Check]:
             where = f", markers {inset} nodes inside" if inset else ""
             name = f"{experiment}: {quantity}{where}"
             if values:
-                checks.append(
-                    check_finest(name, values, reference, source, TOLERANCE, symbol="d")
-                )
+                checks.append(check_finest(name, values, reference, source, TOLERANCE, symbol="d"))
     return checks
 
 
@@ -189,9 +185,9 @@ def draw(results: Results) -> Figure:
                     reynolds = [scale * v for v in result["velocity"]]
                     name = label.removeprefix(f"{experiment}, ")
                     axes.plot(time, reynolds, line, color=colour, label=name)
-        low, high = as_range(reference)
-        axes.axhspan(low, high, color=GREY, alpha=0.3)
-        axes.axhline(high, color=GREY, linewidth=0.8, label="reference")
+        ends = reference if isinstance(reference, tuple) else (reference,)
+        axes.axhspan(min(ends), max(ends), color=GREY, alpha=0.3)
+        axes.axhline(max(ends), color=GREY, linewidth=0.8, label="reference")
         name = quantity.partition(" ")[2]
         axes.set(xlabel="time t √(g / d)", ylabel=f"Reynolds number {name}")
         axes.set_title(f"{experiment}: ρ_s / ρ = {case.density_ratio}", loc="left")

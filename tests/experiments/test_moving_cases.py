@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from experiments.validation import sheared_ellipse, slip
-from experiments.validation.invariance import BASE, MIRRORED, _compare
-from experiments.validation.oscillating_cylinder import _fit
+from experiments.validation.invariance import BASE, MIRRORED, compare
+from experiments.validation.oscillating_cylinder import fit_force
 from fishrl.physics.flow import make_params
 from fishrl.physics.step import step
 
@@ -15,27 +15,26 @@ def test_the_fit_of_an_oscillation_finds_drag_and_added_mass() -> None:
     phase = np.linspace(0.0, 2.0 * np.pi, 50, endpoint=False)
     v, a = np.cos(phase), -1.7 * np.sin(phase)
     force = -0.5 * 2.1 * np.abs(v) * v - 0.25 * np.pi * 1.45 * a
-    assert _fit(force, v, a) == pytest.approx((2.1, 1.45))
+    assert fit_force(force, v, a) == pytest.approx((2.1, 1.45))
 
 
 def test_the_period_is_extrapolated_to_no_walls() -> None:
     results = {
-        sheared_ellipse._label(16, 0.1, gap, sheared_ellipse.SLOW_RUN): {
+        sheared_ellipse.label(16, 0.1, gap, sheared_ellipse.SLOW_RUN): {
             "period": 15.0 + 9.0 / gap**2
         }
         for gap in sheared_ellipse.GAPS
     }
-    assert sheared_ellipse._extrapolate(results) == pytest.approx(15.0)
-    assert sheared_ellipse._extrapolate({}) is None
+    assert sheared_ellipse.extrapolate(results) == pytest.approx(15.0)
 
 
 def test_a_mirrored_vector_is_compared_with_its_own_image() -> None:
     results = {"disc: force": {BASE: [3.0, 4.0], MIRRORED: [3.0, -4.0], "shifted": [3.0, 4.5]}}
-    assert _compare(results) == {"disc: force": {MIRRORED: 0.0, "shifted": 0.1}}
+    assert compare(results) == {"disc: force": {MIRRORED: 0.0, "shifted": 0.1}}
 
 
 def test_slip_interpolated_from_the_nodes_is_the_slip_that_the_solve_reports() -> None:
-    config, state, _, _ = slip._make_flow("fish")
+    config, state, _, _ = slip.make_fish_flow()
     params = make_params([config])
     for _ in range(20):
         state = step(state, config, params)

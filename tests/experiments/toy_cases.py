@@ -35,7 +35,7 @@ def square_nothing() -> Result:
 
 
 def stop_parent(*, number: int, diary: str) -> Result:
-    """Signal the process that runs the cases once the run before is written down."""
+    """Signal the process that runs the cases once the runs before are written down."""
     done = Path(diary).parent / "results"
     while len(list(done.rglob("*.json"))) < 2:
         time.sleep(0.02)
@@ -44,60 +44,44 @@ def stop_parent(*, number: int, diary: str) -> Result:
     return {}
 
 
-class Squares(Case):
-    """Judges the square of each value by ``reference``."""
+def make_squares(
+    *,
+    diary: Path,
+    values: Sequence[float] = (2.0, 3.0),
+    reference: float = 9.0,
+    note: str = "",
+    others: Sequence[tuple[Callable[..., Result], dict[str, Any]]] = (),
+) -> Case:
+    """Return a case that judges the square of the last value; quick is the first value alone."""
 
-    name = "squares"
-    title = "Squares"
-    source = "arithmetic"
-    setup = "Numbers are multiplied by themselves."
-
-    def __init__(
-        self,
-        *,
-        diary: Path,
-        values: Sequence[float] = (2.0, 3.0),
-        reference: float = 9.0,
-        note: str = "",
-        others: Sequence[tuple[Callable[..., Result], dict[str, Any]]] = (),
-    ) -> None:
-        self._diary, self._values, self._others = str(diary), values, others
-        self._reference, self._note = reference, note
-
-    def jobs(self, *, quick: bool) -> list[Job]:
-        """Return a run for each value, then the others; the first value only if quick."""
-        values = self._values[:1] if quick else self._values
-        return [
-            *(
-                Job(
-                    label=f"x = {v:g}",
-                    function=square,
-                    arguments={"value": v, "diary": self._diary},
-                    cost=10.0 * v,
-                )
-                for v in values
-            ),
-            *(Job(label=f.__name__, function=f, arguments=a) for f, a in self._others),
+    def make_jobs(quick: bool) -> list[Job]:
+        squares = [
+            Job(f"x = {v:g}", square, {"value": v, "diary": str(diary)}, cost=10.0 * v)
+            for v in (values[:1] if quick else values)
         ]
+        return squares + [Job(f.__name__, f, arguments) for f, arguments in others]
 
-    def judge(self, results: Results) -> list[Check]:
+    def judge(results: Results) -> list[Check]:
         squares = {name: r["square"] for name, r in results.items() if "square" in r}
         last = list(squares)[-1]
         return [
             Check(
                 quantity="square of the last",
                 ours=squares[last],
-                reference=self._reference,
+                reference=reference,
                 source="arithmetic",
                 tolerance=0.01,
                 resolution=last,
                 refinement=squares,
-                note=self._note,
+                note=note,
             ),
             Check(quantity="square of the first", ours=next(iter(squares.values()))),
         ]
 
-    def draw(self, results: Results) -> Figure:
+    def draw(results: Results) -> Figure:
         figure = Figure(figsize=(2.0, 2.0))
         figure.subplots().plot([r.get("square", 0.0) for r in results.values()])
         return figure
+
+    text = "Squares.\n\nNumbers are multiplied\nby themselves.\n"
+    return Case("squares", text, "arithmetic", make_jobs, judge, draw)
