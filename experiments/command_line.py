@@ -159,36 +159,6 @@ def evaluation_settings(config: DictConfig) -> EvaluateConfig:
     return settings
 
 
-def view_settings(arguments: Sequence[str]) -> ViewConfig:
-    """Turn a command line into settings; a path among it is a recording to open.
-
-    Raises:
-        ValueError: for settings that cannot be.
-    """
-    from experiments.config import load_config
-    from experiments.search_path import split_arguments
-    from experiments.settings import ConfigError
-
-    options, rest = split_arguments(arguments)
-    for option in options:
-        if option.startswith("-"):
-            raise ConfigError(
-                f"{option}: settings are written key=value, such as screenshot=picture.png time=2"
-            )
-    given = [argument if "=" in argument else f"recording={_quote(argument)}" for argument in rest]
-    settings = cast("ViewConfig", load_config("view", [*options, *given]))
-    source = settings.run or settings.checkpoint
-    if source is not None:
-        bring_task(settings, source, given)
-    return settings
-
-
-def _quote(path: str) -> str:
-    """Return a path as hydra reads it, whatever letters are in it."""
-    escaped = path.replace("\\", "\\\\").replace("'", "\\'")
-    return f"'{escaped}'"
-
-
 def bring_task(
     settings: EvaluateConfig | ViewConfig, checkpoint: str, arguments: Sequence[str]
 ) -> None:

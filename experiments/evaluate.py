@@ -35,12 +35,12 @@ def evaluate(
     Raises:
         ValueError: for settings that cannot be, and checkpoints that do not fit.
     """
-    from experiments.live import LiveView
     from experiments.settings import check_device
     from fishrl.training.baselines import load_policy, make_policy
     from fishrl.training.evaluation import Evaluator, fixed_starts
     from fishrl.training.loop import make_flow_env
     from fishrl.training.recognition import Recognition
+    from fishrl.viewer import LiveView
 
     progress = progress or Progress(is_shown=False)
     check_device(config.device)
@@ -67,7 +67,7 @@ def evaluate(
         stack.callback(env.close)
         live = None
         if config.live:
-            live = LiveView(env.base_env, config, is_told=recognition.is_told)
+            live = LiveView(env, config)
             stack.callback(live.close)
         result: dict[str, Any] = evaluator.run(
             policy,

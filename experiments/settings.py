@@ -10,53 +10,14 @@ from typing import Any
 
 from omegaconf import MISSING
 
+from fishrl.viewer import ViewerSettings
+
 #: How a run learns that does not say.
 DEFAULT_ALGORITHM = {"_target_": "fishrl.training.algorithms.DiscreteSAC"}
-#: Values of ``fishrl.viewer.FieldFormat``, whose module is too slow to import for a setting.
-FIELD_FORMATS = ("jpeg", "u8")
 
 
 class ConfigError(ValueError):
     """A setting that does not exist or cannot be, in words for the one who typed it."""
-
-
-@dataclass(kw_only=True)
-class ViewerSettings:
-    """Settings of whatever shows flows.
-
-    Args:
-        live: stream to a viewer on this machine (127.0.0.1) while the flows run.
-        flows: which flows of the batch to show, each in a tab of its own.
-        frames_per_T: about; at most as often as the task looks for the end of an episode.
-        field_format: of the vorticity: jpeg (small) or u8 (values under the mouse).
-        vorticity_limit: at which the colours saturate, 1/T.
-        port: of the live viewer; the next free one if it is taken.
-        live_share: of the wall time that a live view may take from a training or an evaluation.
-    """
-
-    live: bool = False
-    flows: list[int] | None = None
-    frames_per_T: int = 8
-    field_format: str = "jpeg"
-    vorticity_limit: float = 15.0
-    port: int = 9876
-    live_share: float = 0.1
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be shown."""
-        _at_least("frames_per_T", self.frames_per_T, 1)
-        if self.field_format not in FIELD_FORMATS:
-            raise ConfigError(
-                f"field_format={self.field_format}: there is no {self.field_format!r}."
-                f"{nearest(self.field_format, FIELD_FORMATS)} "
-                f"There is: {', '.join(FIELD_FORMATS)}."
-            )
-        if self.vorticity_limit <= 0:
-            raise ConfigError(f"vorticity_limit = {self.vorticity_limit}: must be greater than 0")
-        if not 1024 <= self.port <= 65000:
-            raise ConfigError(f"port = {self.port}: allowed is 1024 to 65000")
-        if not 0.0 < self.live_share <= 1.0:
-            raise ConfigError(f"live_share = {self.live_share}: allowed is above 0, up to 1")
 
 
 @dataclass(kw_only=True)

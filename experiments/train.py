@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-#: Flows, and T of each where episodes are long, that a run keeps for the viewer.
-_MAX_FLOWS, _MAX_PERIODS = 3, 20.0
 #: Settings that a resume sets for itself alone: whether to look on, and where things lie.
 _OF_THE_MOMENT = ("live", "recognition", "resume")
 #: Settings with which a finished run is evaluated or drawn anew.
@@ -69,7 +67,6 @@ def set_up(
     from pathlib import Path
 
     from experiments.config import build
-    from experiments.live import choose_flows
     from experiments.settings import check_cluster, check_device
     from fishrl.training.algorithms import build_algorithm
     from fishrl.training.baselines import make_baselines
@@ -84,7 +81,7 @@ def set_up(
         check_device(config.device)
         check_cluster(config.ray_collectors)
         if config.live:
-            choose_flows(config.flows, config.num_envs, default=[0])
+            config.choose_flows(config.num_envs, default=1)
         metrics_logger = build(config.logger)
         choice = find_machine(config.recognition, Path(config.resume or "."))
         recognition = Recognition(build(config.task), choice)
@@ -181,53 +178,24 @@ def finish(training: Training) -> dict[str, Any]:
 
 
 def draw(training: Training, summary: dict[str, Any]) -> None:
-    """Record the learned fish from some of the fixed starts and draw the pictures of the run."""
-    from experiments.figures import write_learning_curve
-    from experiments.figures.run_pictures import write_run_pictures
-    from experiments.recording import record_episodes
-    from experiments.scenes import TaskView
-    from experiments.watching import draw_episodes
+    """Record the learned policy from some of the fixed starts and draw the pictures of the run."""
+    from experiments.figures.run_pictures import record_run
     from fishrl.training.evaluation import fixed_starts
     from fishrl.training.loop import FINAL_SEED
-    from fishrl.viewer import start_drawing
 
-    config, progress, path = training.config, training.progress, training.folder.path
-    task, env = training.task, training.collector.env
-    actor = training.watch(training.learner.actor)  # stops where the program is told to end
-    baselines = {name: summary[f"{name}_success_rate"] for name in summary["baselines"]}
-    starts = fixed_starts(task, config.final_episodes, seed=FINAL_SEED)
-    starts = starts[: min(config.picture_episodes, config.num_envs)]
-    flows = list(range(min(_MAX_FLOWS, starts.shape[0])))
-    view = TaskView(task, is_told=training.is_told, vorticity_limit=config.vorticity_limit)
+    config, progress = training.config, training.progress
+    starts = fixed_starts(training.task, config.final_episodes, seed=FINAL_SEED)
+    starts = starts[: config.picture_episodes]
     progress.start("pictures", total=starts.shape[0])
-    with start_drawing(
-        view.scene,
-        flows=view.name_flows(starts, flows),
-        save=path / "capture.rrd",
-        field_format=config.field_format,
-    ) as drawing:
-        if hasattr(task, "locate_food"):
-            recordings = record_episodes(
-                env=env,
-                policy=actor,
-                starts=starts,
-                on_episodes=progress.advance,
-                give=lambda start, frame: drawing.draw(start, frame) if start in flows else None,
-            )
-            write_run_pictures(path, recordings, baselines=baselines)
-            return
-        draw_episodes(
-            env,
-            actor,
-            starts[flows],
-            view=view,
-            drawing=drawing,
-            flows=flows,
-            frames_per_T=config.frames_per_T,
-            max_T=_MAX_PERIODS,
-        )
-    # experiments.transfer draws the other pictures of a gait
-    write_learning_curve(path / "metrics.csv", path / "learning_curve.png", baselines=baselines)
+    record_run(
+        training.folder.path,
+        training.collector.env,
+        training.watch(training.learner.actor),  # stops where the program is told to end
+        starts,
+        settings=config,
+        baselines={name: summary[f"{name}_success_rate"] for name in summary["baselines"]},
+        on_episodes=progress.advance,
+    )
 
 
 def report(summary: dict[str, Any], *, folder: Path) -> None:

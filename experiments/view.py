@@ -1,208 +1,125 @@
-"""Show what fish do, in the rerun viewer: ``python -m experiments.view run=runs/<name>``.
+"""Show what a policy does, in the rerun viewer: ``python -m experiments.view run=runs/<name>``.
 
-``policy=pid preset=gait_small`` shows a hand-written fish, ``live=true`` streams while it swims,
-``save=`` and ``screenshot=`` write files; a path alone opens a recording that is there.
+``policy=pid preset=gait_small`` shows a baseline, ``live=true`` streams while it runs, ``save=``
+and ``screenshot=`` write files; a path alone opens a recording that exists.
 """
 
 from __future__ import annotations
 
-import sys
-import tempfile
+import math
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from tempfile import TemporaryDirectory
 
+from experiments.configuration import build
+from experiments.program import program
+from experiments.settings import ViewConfig
+from experiments.stored_runs import read_task
+from fishrl.envs import make_env
+from fishrl.envs.scene import Frame
+from fishrl.training.baselines import load_policy, make_policy
+from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from experiments.settings import ViewConfig
-    from experiments.watching import Drawn
-
-#: A flow is recorded for so many T, at least, before the size of longer ones is told from it.
-_LEAST_T = 10.0
+from fishrl.training.recognition import Recognition
+from fishrl.training.settings import check_device
+from fishrl.viewer import (
+    Server,
+    check_folder,
+    find_recording,
+    has_screen,
+    make_scene,
+    name_flows,
+    open_recording,
+    record_episodes,
+    start_drawing,
+    write_screenshot,
+)
 
 
 def record(
-    config: ViewConfig,
-    *,
-    save: str | Path | None,
-    url: str | None = None,
-    make_env: Any = None,
-    progress: Progress | None = None,
-) -> Drawn:
-    """Let fish swim from fixed starts and draw them.
+    settings: ViewConfig, *, save: Path, url: str | None = None, progress: Progress | None = None
+) -> str:
+    """Run a policy from fixed starts and draw its flows.
 
     Args:
-        config: the settings.
-        save: ``.rrd`` file to write, or None.
-        url: of a viewer's server to stream to, or None.
-        make_env: makes the env of a task; by default ``fishrl.envs.flow_env.make_env``.
-        progress: the bar, if there is one already.
+        settings: of the program.
+        save: ``.rrd`` file to write.
+        url: of a viewer's server to stream to as well, or None.
+        progress: the bar, if there is one.
 
     Returns:
-        How much was drawn.
+        The size of the recording, in a line.
 
     Raises:
         ValueError: for settings that cannot be, and checkpoints that do not fit.
     """
-    from experiments.config import build
-    from experiments.live import choose_flows
-    from experiments.scenes import TaskView
-    from experiments.settings import check_device
-    from experiments.watching import draw_episodes
-    from fishrl.training.baselines import load_policy, make_policy
-    from fishrl.training.evaluation import fixed_starts
-    from fishrl.training.loop import make_flow_env
-    from fishrl.training.recognition import Recognition
-    from fishrl.viewer import start_drawing
-
     progress = progress or Progress(is_shown=False)
-    check_device(config.device)
-    recognition = Recognition(build(config.task), config.recognition)
-    task, source = recognition.task, config.run or config.checkpoint
-    flows = choose_flows(config.flows, config.episodes, default=list(range(config.episodes)))
+    check_folder(save)
+    check_device(settings.device)
+    recognition = Recognition(build(settings.task), settings.recognition)
+    task, source = recognition.task, settings.run or settings.checkpoint
+    flows = settings.choose_flows(settings.episodes, default=settings.episodes)
     if source is not None:
-        policy = load_policy(source, task=task, num_told=recognition.num_told, device=config.device)
-    else:
-        policy = make_policy(str(config.policy), task=task, seed=config.seed)
-    view = TaskView(task, is_told=recognition.is_told, vorticity_limit=config.vorticity_limit)
-    starts = fixed_starts(task, config.episodes, seed=config.seed)
-    max_T = task.time_limit * task.interval_T
-    if config.periods is not None:
-        max_T = min(max_T, config.periods)
-    with ExitStack() as stack:
-        drawing = stack.enter_context(
-            start_drawing(
-                view.scene,
-                flows=view.name_flows(starts, flows),
-                save=save,
-                url=url,
-                field_format=config.field_format,
-            )
+        policy = load_policy(
+            source, task=task, num_told=recognition.num_told, device=settings.device
         )
-        progress.rename("compilation" if config.compile else "set-up")
-        env = recognition.equip(make_env or make_flow_env())(
+    else:
+        policy = make_policy(str(settings.policy), task=task, seed=settings.seed)
+    starts = fixed_starts(task, settings.episodes, seed=settings.seed)
+    max_decisions = task.time_limit
+    if settings.periods is not None:
+        max_decisions = min(max_decisions, math.ceil(settings.periods / task.interval_T - 1e-9))
+    times: dict[int, list[float]] = {flow: [] for flow in flows}
+    with ExitStack() as stack:
+        progress.rename("compilation" if settings.compile else "set-up")
+        env = recognition.equip(make_env)(
             task=task,
             num_envs=len(flows),
-            seed=config.seed,
-            device=config.device,
-            compile=config.compile,
+            seed=settings.seed,
+            device=settings.device,
+            compile=settings.compile,
             frames_per_action=task.checks_per_action,
         )
         stack.callback(env.close)
-        progress.start("recording", total=-int(-max_T // task.interval_T))
-        return draw_episodes(
+        scene = make_scene(env, vorticity_limit=settings.vorticity_limit)
+        drawing = stack.enter_context(
+            start_drawing(
+                scene,
+                flows=name_flows(task, flows, starts),
+                save=save,
+                url=url,
+                field_format=settings.field_format,
+            )
+        )
+
+        def draw(start: int, frame: Frame) -> None:
+            times[flows[start]].append(frame.time)
+            drawing.draw(flows[start], frame)
+
+        progress.start("recording", total=max_decisions)
+        record_episodes(
             env,
             policy,
             starts[flows],
-            view=view,
-            drawing=drawing,
-            flows=flows,
-            frames_per_T=config.frames_per_T,
-            max_T=max_T,
-            on_step=lambda step, ended: progress.advance(1),
+            scene=scene,
+            give=draw,
+            frames_per_T=settings.frames_per_T,
+            max_decisions=max_decisions,
+            on_step=lambda running, step: progress.advance(1),
         )
-
-
-def describe_size(num_bytes: int, drawn: Drawn, *, field_format: str) -> str:
-    """Say in one line how large a recording is, and how large one of 100 T of a flow would be.
-
-    Each holds some tenths of a MB once, most of a short one, which says nothing of a long one.
-    """
-    size, periods, flows = num_bytes / 1e6, drawn.periods, drawn.flows
-    rate = drawn.frames / periods if periods > 0 else 0.0
-    words = f"{size:.2f} MB for {flows} flow{'s' * (flows != 1)}, {periods:.1f} T of them together"
-    if periods >= _LEAST_T * flows:
-        words += f"; about {100.0 * size / periods:.0f} MB per 100 T of a flow"
-    return f"{words} ({field_format}, {rate:.1f} frames per T)"
-
-
-def view(
-    config: ViewConfig,
-    *,
-    make_env: Any = None,
-    progress: Progress | None = None,
-    wait: Callable[[], None] | None = None,
-) -> None:
-    """Open, record, stream or photograph, as the settings say.
-
-    Args:
-        config: the settings.
-        make_env: see ``record``.
-        progress: the bar, if there is one already.
-        wait: called when a live view is over, and returns when nobody looks any more; by default
-            on an interrupt.
-
-    Raises:
-        ValueError: for settings that cannot be.
-        FileNotFoundError: if there is no such recording, or no folder for a file.
-    """
-    from experiments.live import announce
-    from experiments.settings import ConfigError
-    from fishrl.viewer import (
-        Server,
-        check_folder,
-        find_recording,
-        has_screen,
-        open_recording,
-        write_screenshot,
+    periods = sum(max(flow, default=0.0) for flow in times.values())
+    rate = sum(map(len, times.values())) / max(periods, 1e-9)
+    return (
+        f"{save.stat().st_size / 1e6:.2f} MB for {periods:.1f} T of {len(flows)} flows "
+        f"({settings.field_format}, {rate:.1f} frames per T)"
     )
 
-    progress = progress or Progress(is_shown=False)
-    opens = not (config.live or config.save or config.screenshot)
-    with _target(config) as path:
-        if config.recording is not None:
-            find_recording(path)
-        if config.screenshot:
-            check_folder(config.screenshot)
-        if opens and not has_screen():
-            raise ConfigError(
-                "there is no screen here to open a window on: give save=<file.rrd>, "
-                "screenshot=<file.png>, or live=true, which a browser may look at"
-            )
-        if config.recording is None:
-            with ExitStack() as stack:
-                server = stack.enter_context(Server(port=config.port)) if config.live else None
-                if server is not None:
-                    announce(server)
-                drawn = record(
-                    config,
-                    save=path,
-                    url=None if server is None else server.url,
-                    make_env=make_env,
-                    progress=progress,
-                )
-                progress.close()
-                said = describe_size(path.stat().st_size, drawn, field_format=config.field_format)
-                print(f"{config.save}: {said}" if config.save else said)
-                if server is not None:
-                    (wait or _wait_for_interrupt)()
-        progress.close()
-        if config.screenshot:
-            write_screenshot(path, config.screenshot, time_T=config.time)
-            print(f"written: {config.screenshot}")
-        elif opens:
-            open_recording(path)
 
-
-@contextmanager
-def _target(config: ViewConfig) -> Iterator[Path]:
-    """Give the recording's path: that of a file which is there, will be, or goes afterwards."""
-    if config.recording is not None:
-        yield Path(config.recording)
-    elif config.save is not None:
-        yield Path(config.save)
-    else:
-        with tempfile.TemporaryDirectory(prefix="fishrl-") as folder:
-            yield Path(folder) / "view.rrd"
-
-
-def _wait_for_interrupt() -> None:
-    print("the flows are at their end; the live view stays until you press Ctrl-C")
+def wait_for_interrupt() -> None:
+    """Return on Ctrl-C."""
+    print("the episodes are over; the live view stays until you press Ctrl-C")
     try:
         while True:
             time.sleep(1.0)
@@ -210,24 +127,62 @@ def _wait_for_interrupt() -> None:
         return
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Read the command line; show the bar before the slow imports."""
-    with Progress() as progress:
-        from experiments.command_line import (
-            plain_errors,
-            set_up_logging,
-            show_help,
-            view_settings,
-        )
+def view(
+    settings: ViewConfig,
+    *,
+    progress: Progress | None = None,
+    wait: Callable[[], None] = wait_for_interrupt,
+) -> None:
+    """Open, record, stream or take a screenshot, as the settings say.
 
-        set_up_logging()
-        with plain_errors():
-            given = sys.argv[1:] if arguments is None else arguments
-            show_help("view", given)
-            try:
-                view(view_settings(given), progress=progress)
-            except KeyboardInterrupt:
-                sys.exit("interrupted")
+    Args:
+        settings: of the program.
+        progress: the bar, if there is one.
+        wait: called when a live view is over; returns when it may end.
+
+    Raises:
+        ValueError: for settings that cannot be, or if the viewer does not start.
+        FileNotFoundError: if there is no such recording, or no folder for a file.
+    """
+    progress = progress or Progress(is_shown=False)
+    opens = not (settings.live or settings.save or settings.screenshot)
+    with ExitStack() as stack:
+        folder = stack.enter_context(TemporaryDirectory(prefix="fishrl-"))
+        path = Path(settings.recording or settings.save or f"{folder}/view.rrd")
+        if settings.recording is not None:
+            find_recording(path)
+        if settings.screenshot is not None:
+            check_folder(settings.screenshot)
+        if opens and not has_screen():
+            raise ValueError(
+                "no screen to open a window on: give save=<file.rrd>, screenshot=<file.png>, or "
+                "live=true for a browser"
+            )
+        if settings.recording is None:
+            server = stack.enter_context(Server(port=settings.port)) if settings.live else None
+            url = None if server is None else server.url
+            size = record(settings, save=path, url=url, progress=progress)
+            progress.close()
+            print(f"{settings.save}: {size}" if settings.save else size)
+            if server is not None:
+                wait()
+        if settings.screenshot is not None:
+            write_screenshot(path, settings.screenshot, time_T=settings.time)
+            print(f"written: {settings.screenshot}")
+        elif opens:
+            open_recording(path)
+
+
+@program(
+    ViewConfig,
+    groups={"task": "predation", "preset": None},
+    stored=read_task,
+    positional="recording",
+)
+def main(settings: ViewConfig) -> None:
+    """Show what the settings say."""
+    with Progress() as progress:
+        view(settings, progress=progress)
 
 
 if __name__ == "__main__":

@@ -11,51 +11,48 @@ import pytest
 import torch
 
 import fishrl.envs.task
-from experiments.recording import Recording
 from experiments.settings import TrainConfig
+from fishrl.envs import Predation
+from fishrl.envs.scene import Frame
 from fishrl.physics import InPlaceSolver
+from fishrl.viewer import Recording
 from tests.experiments.real_wake import develop
 
 TOY = "tests.training.toy_fish.ToyPredation"
 
 
-def _make_recording(*, num_frames: int = 17, captured: bool = True, lane: float = 1.5) -> Recording:
+def _make_recording(
+    *, num_frames: int = 17, has_succeeded: bool = True, lane: float = 1.5
+) -> Recording:
     """Return vortices of alternating sign, shed by a beating outline that heads for its food."""
-    length, frames_per_t = 20.0, 4
-    x, y = 200, 100
-    time = torch.arange(num_frames) / frames_per_t
+    task, length = Predation(body_length=20, reynolds=500.0, wall_margin_bl=0.25), 20.0
+    time = torch.arange(num_frames) / 4
     nose = torch.stack((7.5 - 0.8 * time, lane + 0.2 * (0.7 * time).sin()), 1) * length
     s = torch.linspace(0, 2 * pi, 41)[:-1]
     body_x = 0.5 * (1 - s.cos())
     wave = 0.1 * body_x * (2 * pi * (body_x - time[:, None])).sin()
     body_y = wave + 0.06 * s.sin()
     outline = nose[:, None] + length * torch.stack((body_x.expand_as(body_y), body_y), -1)
-    rows, columns = torch.meshgrid(torch.arange(y), torch.arange(x), indexing="ij")
-    vorticity = torch.zeros(num_frames, y, x)
+    rows, columns = torch.meshgrid(torch.arange(100), torch.arange(200), indexing="ij")
+    vorticity = torch.zeros(num_frames, 100, 200)
     for i, age in enumerate(time.tolist()):
         for k in range(int(2 * age) + 1):
             x_k, y_k = (9.0 - 0.4 * k) * length, (lane + 0.15 * (-1) ** k) * length
             r2 = (columns - x_k) ** 2 + (rows - y_k) ** 2
             core = (0.15 * length) ** 2 * (1 + 0.3 * max(age - k / 2, 0.0))
             vorticity[i] += 12.0 * (-1) ** k * torch.exp(-r2 / core)
-    food = torch.tensor([2.5, lane]).mul(length).expand(num_frames, 2)
-    steps = torch.arange(num_frames) // frames_per_t
-    return Recording(
-        body_length=length,
-        period=200,
-        domain=(x, y),
-        frames_per_T=frames_per_t,
-        time=time,
-        outline=outline,
-        vorticity=vorticity.half(),
-        food=food.clone(),
-        head=nose,
-        heading=torch.full((num_frames,), pi),
-        action=steps % 3,
-        reward=torch.where(steps % 2 == 0, 1.0, -1.0),
-        capture_radius=0.25 * length,
-        captured=captured,
-    )
+    values = {
+        "vorticity": vorticity.half(),
+        "fish": outline,
+        "midline": outline,
+        "head": nose,
+        "food": torch.tensor([2.5, lane]).mul(length).expand(num_frames, 2),
+    }
+    frames = [
+        Frame(time=float(time[i]), values={name: value[i] for name, value in values.items()})
+        for i in range(num_frames)
+    ]
+    return Recording(scene=task.make_scene(), frames=frames, has_succeeded=has_succeeded)
 
 
 @pytest.fixture

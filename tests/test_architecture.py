@@ -21,6 +21,7 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/files.py", {"torch"}),
     ("fishrl/physics/", TENSORS | {"fishrl.physics"}),
     ("fishrl/envs/__init__.py", TASK_SIDE),
+    ("fishrl/envs/scene.py", {"torch"}),
     ("fishrl/envs/flow_env.py", TENSORS | {"torchrl"} | TASK_SIDE),
     ("fishrl/envs/episodes.py", TENSORS | {"torchrl"} | TASK_SIDE),
     ("fishrl/envs/transforms.py", TENSORS | {"torchrl"} | TASK_SIDE),
@@ -34,8 +35,10 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
         "fishrl/training/",
         TENSORS | {"torchrl", "tqdm", "yaml", "wandb", "ray", "fishrl", "experiments", "omegaconf"},
     ),
-    ("fishrl/viewer/scene.py", {"torch"}),
-    ("fishrl/viewer/", {"torch", "numpy", "rerun", "fishrl.viewer"}),
+    (
+        "fishrl/viewer/",
+        TENSORS | {"torchrl", "rerun", "fishrl.viewer", "fishrl.bounds"} | TASK_SIDE,
+    ),
 )
 TORCHRL_SIDE = {"fishrl.envs.flow_env", "fishrl.envs.transforms", "fishrl.envs.episodes"}
 ON_USE = {"rerun", "wandb"}

@@ -14,9 +14,8 @@ from typing import Any
 from experiments.benchmarks.machine import describe_machine
 from experiments.command_line import plain_errors, set_up_logging
 from experiments.config import build, load_config
-from experiments.live import LiveView
-from experiments.settings import ViewerSettings
 from fishrl.envs import make_env
+from fishrl.viewer import LiveView, ViewerSettings
 
 
 def measure(
@@ -43,7 +42,7 @@ def measure(
     seconds: dict[str, list[tuple[float, float]]] = {"without": [], "live": []}
     looks = task.checks_per_action
     env = make_env(task=task, num_envs=num_envs, compile=compile, frames_per_action=looks)
-    live = LiveView(env.base_env, ViewerSettings(port=port, live_share=1.0), is_told=False)
+    live = LiveView(env, ViewerSettings(port=port, live_share=1.0))
     look, state = env.base_env.on_frame, env.reset()
     for _ in range(pairs + 1):
         for name, times in seconds.items():

@@ -15,7 +15,7 @@ from experiments.benchmarks.flows import (
 from experiments.benchmarks.shear_wave import ShearWave
 from fishrl.physics import FlowConfig, InPlaceSolver
 from fishrl.physics.cases import PERIODIC as PERIODIC_EDGES
-from fishrl.physics.flow import make_uniform
+from fishrl.physics.step import make_uniform
 
 
 def make_flows(*, body_length: int, threads: int) -> list[Entry]:

@@ -17,7 +17,7 @@ FRAMES = "frames"
 # Panels of the learning curve: title, and the columns of metrics.csv that it shows.
 PANELS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
     ("return per episode", (("train/return", "training"), ("eval/mean_return", "evaluation"))),
-    ("rate of success", (("train/success_rate", "training"), ("eval/success_rate", "evaluation"))),
+    ("success rate", (("train/success_rate", "training"), ("eval/success_rate", "evaluation"))),
     ("critic loss", (("train/loss_qvalue", "loss"),)),
     ("actor loss", (("train/loss_actor", "loss"),)),
     ("entropy / log(legal actions)", (("train/entropy_fraction", "entropy"),)),
@@ -56,12 +56,12 @@ def write_learning_curve(
     *,
     baselines: Mapping[str, float] | None = None,
 ) -> None:
-    """Draw return, rate of success, losses, entropy and temperature against env frames.
+    """Draw return, success rate, losses, entropy and temperature against env frames.
 
     Args:
         metrics: ``metrics.csv`` of a run.
         path: of the PNG.
-        baselines: rates of success of swimmers that do not learn, by name, drawn as lines.
+        baselines: success rates by name, drawn as lines.
     """
     series = read_metrics(metrics)
     panels = [
@@ -84,7 +84,7 @@ def write_learning_curve(
             axes.set_title(title, loc="left")
             axes.grid(color="#e6e6e6", linewidth=0.7)
             axes.spines[["top", "right"]].set_visible(False)
-            if title == "rate of success":
+            if title == "success rate":
                 _draw_baselines(axes, baselines or {})
             if len(columns) > 1:
                 axes.legend(loc="best", fontsize=9)

@@ -1,6 +1,5 @@
 """Paths of several episodes on one sheet."""
 
-import math
 from collections.abc import Sequence
 from os import PathLike
 
@@ -10,28 +9,23 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
 from experiments.figures.style import COLOURS, FOOD, STYLE, label_axes
-from experiments.recording import Recording
+from fishrl.viewer import Recording
 
 
 def write_trajectories(recordings: Sequence[Recording], path: str | PathLike[str]) -> None:
-    """Draw head paths from several starts, the food's travel and where it was caught.
+    """Draw head paths from several starts, the goal's path and where it was reached.
 
     Args:
-        recordings: one or more episodes of one task.
+        recordings: one or more episodes of one task whose scene has a goal.
         path: of the PNG.
     """
-    if not recordings:
-        raise ValueError("recordings is empty: record at least one episode")
-    if len({(r.domain, r.body_length) for r in recordings}) > 1:
-        raise ValueError("recordings differ in domain or body length: draw them apart")
-    first = recordings[0]
-    length = first.body_length
-    x, y = (n / length for n in first.domain)
+    scene = recordings[0].scene
+    x, y = scene.width / scene.body_length, scene.height / scene.body_length
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9, 0.5 + 6.6 * y / x), layout="constrained")
         axes = figure.subplots()
-        for i, recording in enumerate(recordings):
-            _draw_trajectory(axes, recording, COLOURS[i % len(COLOURS)])
+        for number, recording in enumerate(recordings):
+            _draw_trajectory(axes, recording, COLOURS[number % len(COLOURS)])
         axes.set(xlim=(0, x), ylim=(0, y), aspect="equal")
         label_axes(axes)
         axes.legend(
@@ -43,21 +37,22 @@ def write_trajectories(recordings: Sequence[Recording], path: str | PathLike[str
 
 
 def _draw_trajectory(axes: Axes, recording: Recording, colour: str) -> None:
-    length = recording.body_length
-    head, food = (recording.head / length).numpy(), (recording.food / length).numpy()
+    scene, is_caught = recording.scene, recording.has_succeeded
+    assert scene.goal is not None
+    fish, head, food = (
+        recording.stack_bl(key).numpy()
+        for key in (scene.curves[0].key, scene.trails[0].key, scene.goal.key)
+    )
     end = f"{float(recording.time[-1]):.1f} T"
-    label = f"caught after {end}" if recording.captured else f"not caught, {end}"
-    first, last = ((recording.outline[i] / length).numpy() for i in (0, -1))
-    axes.add_patch(Polygon(first, closed=True, facecolor=colour, alpha=0.9, lw=0))
-    axes.add_patch(Polygon(last, closed=True, facecolor="none", edgecolor=colour, lw=0.8))
+    label = f"caught after {end}" if is_caught else f"not caught, {end}"
+    axes.add_patch(Polygon(fish[0], closed=True, facecolor=colour, alpha=0.9, lw=0))
+    axes.add_patch(Polygon(fish[-1], closed=True, facecolor="none", edgecolor=colour, lw=0.8))
     axes.plot(head[:, 0], head[:, 1], color=colour, linewidth=1.5, label=label)
     axes.plot(food[:, 0], food[:, 1], color=colour, linestyle=":", linewidth=1.1)
-    marker = "*" if recording.captured else "X"
-    size = 13 if recording.captured else 8
     axes.plot(
-        *food[-1], marker=marker, markersize=size, markerfacecolor=FOOD if recording.captured
-        else "white", markeredgecolor=colour, markeredgewidth=1.2, zorder=4,
+        *food[-1], marker="*" if is_caught else "X", markersize=13 if is_caught else 8,
+        markerfacecolor=FOOD if is_caught else "white", markeredgecolor=colour,
+        markeredgewidth=1.2, zorder=4,
     )  # fmt: skip
-    reach = recording.capture_radius / length
-    if math.isfinite(reach):
-        axes.add_patch(Circle(tuple(food[-1]), reach, fill=False, edgecolor=colour, lw=0.8))
+    reach = scene.goal.reach / scene.body_length
+    axes.add_patch(Circle(tuple(food[-1]), reach, fill=False, edgecolor=colour, lw=0.8))

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from fishrl.envs.draws import draw_uniform
-from fishrl.physics.fast.solver import InPlaceSolver
+from fishrl.envs.protocol import Solver
 
 #: The paper's: time since the start in T, place in body lengths, velocity, pressure and speed as
 #: an onlooker sees them. Time and place give a flow away by bookkeeping.
@@ -99,7 +99,7 @@ class LateralLine:
             "distance": self.distance,
         }
 
-    def place(self, solver: InPlaceSolver) -> tuple[Tensor, Tensor, Tensor]:
+    def place(self, solver: Solver) -> tuple[Tensor, Tensor, Tensor]:
         """Return where the neuromasts are and how the skin below them moves.
 
         Returns:
@@ -131,7 +131,7 @@ class LateralLine:
         return own
 
     def feel(
-        self, solver: InPlaceSolver, key: Tensor, *, body_length: float, period: int
+        self, solver: Solver, key: Tensor, *, body_length: float, period: int
     ) -> tuple[Tensor, Tensor]:
         """Return what the neuromasts tell now.
 

@@ -55,6 +55,11 @@ class FrequencyControl(ABC):
         """Number of actions."""
 
     @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the actions, in their order."""
+        return tuple(f"action {index}" for index in range(self.num_actions))
+
+    @property
     @abstractmethod
     def max_frequency(self) -> float:
         """Fastest beat that can be chosen, tail beats per T."""
@@ -112,6 +117,11 @@ class MacroActions(FrequencyControl):
         return 3
 
     @property
+    def action_names(self) -> tuple[str, ...]:
+        """What they do to the tail beat."""
+        return "decelerate", "cruise", "accelerate"
+
+    @property
     def max_frequency(self) -> float:
         """Fastest beat of all rows."""
         return max(row[-1] for row in self.bank.rows)
@@ -163,6 +173,11 @@ class DirectFrequencies(FrequencyControl):
     def num_actions(self) -> int:
         """One per frequency."""
         return len(self.frequencies)
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """The frequencies."""
+        return tuple(f"{frequency:g} beats/T" for frequency in self.frequencies)
 
     @property
     def max_frequency(self) -> float:

@@ -8,11 +8,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from fishrl.envs.protocol import Solver
 from fishrl.envs.wakes import WakeBank, WakeRecipe, load_wakes
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.outline import DCylinder
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
-from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import Scales
 
@@ -110,7 +110,7 @@ class Stream:
 
     def begin_(
         self,
-        solver: InPlaceSolver,
+        solver: Solver,
         rows: Tensor,
         starts: Mapping[str, Tensor],
         place: tuple[Tensor, Tensor],

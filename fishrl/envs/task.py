@@ -18,8 +18,11 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from fishrl.envs.protocol import Solver
+from fishrl.envs.scene import Scene
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.starts import check_fit, check_pattern, place_fish
+from fishrl.envs.views import make_flow_scene, read_flow_scene
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
@@ -202,7 +205,7 @@ class AbstractTask(ABC):
             starts, self.fish, width=config.width, height=config.height, margin=self.wall_margin
         )
 
-    def place_(self, solver: InPlaceSolver, rows: Tensor, starts: TensorDictBase) -> None:
+    def place_(self, solver: Solver, rows: Tensor, starts: TensorDictBase) -> None:
         """Reset the flows of ``rows`` and place their fish; the default is still water.
 
         Args:
@@ -224,7 +227,7 @@ class AbstractTask(ABC):
         """
 
     @abstractmethod
-    def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
+    def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
         """Return a TensorDict ``[B]`` from which observation, reward and termination follow.
 
         Called several times within an action; a row keeps the first measurement that terminates its
@@ -235,7 +238,7 @@ class AbstractTask(ABC):
             starts: start of each row, ``[B]``.
         """
 
-    def sense(self, solver: InPlaceSolver, starts: TensorDictBase) -> dict[str, Tensor]:
+    def sense(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
         """Return ``[B, ...]`` sensor readings to be recorded as a series within each action.
 
         Called ``num_samples`` = W times within an action, at equal intervals, the last time at its
@@ -282,6 +285,31 @@ class AbstractTask(ABC):
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return ``[B, ...]`` entries for the environment to write beside the observation."""
         return {}
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the actions, in their order."""
+        return tuple(f"action {index}" for index in range(self.num_actions))
+
+    def name_start(self, start: TensorDictBase) -> str:
+        """Return what distinguishes the flow of one start, in a few words; by default nothing."""
+        return ""
+
+    def make_scene(self) -> Scene:
+        """Return what there is to see: fish, vorticity, edges, reward and action by default.
+
+        A task that has more extends it: ``super().make_scene().extend(marks=(Marks(...),))``.
+        """
+        return make_flow_scene(
+            self.flow_config(),
+            self.scales,
+            wall_margin=self.wall_margin,
+            action_names=self.action_names,
+        )
+
+    def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
+        """Return ``[B, ...]`` tensors by the keys of the scene; see ``measure``."""
+        return read_flow_scene(solver, self.scales)
 
 
 def as_pair(name: str, value: object) -> tuple[float, float]:

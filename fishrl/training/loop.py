@@ -16,7 +16,6 @@ from tensordict import TensorDictBase
 from torchrl.checkpoint import GlobalRNGState
 
 from experiments.config import to_plain
-from experiments.live import LiveView
 from experiments.settings import TrainConfig
 from fishrl.training.algorithms import build_algorithm
 from fishrl.training.checkpoint import (
@@ -33,6 +32,7 @@ from fishrl.training.metrics import Counters, list_metrics, measure_memory_mb
 from fishrl.training.progress import Progress
 from fishrl.training.recognition import Recognition
 from fishrl.training.run_folder import RunFolder
+from fishrl.viewer import LiveView
 
 logger = logging.getLogger(__name__)
 
@@ -89,7 +89,7 @@ class Training:
             )
         self.live: LiveView | None = None
         if config.live:
-            self.live = LiveView(self.collector.env.base_env, config, is_told=self.is_told)
+            self.live = LiveView(self.collector.env, config)
         self.evaluator = Evaluator(self.collector.env, decision_T=self.decision_T)
 
     def components(self) -> dict[str, Any]:

@@ -1,7 +1,7 @@
-"""Flows on a screen, by rerun; the only importer of it, and on use."""
+"""Flows drawn with rerun, which is imported on use: recordings in files, and live views."""
 
 from fishrl.viewer.blueprint import make_blueprint
-from fishrl.viewer.drawing import TIMELINE, Drawing
+from fishrl.viewer.drawing import TIMELINE, Drawing, FieldFormat
 from fishrl.viewer.files import (
     Picture,
     check_folder,
@@ -11,43 +11,28 @@ from fishrl.viewer.files import (
     start_drawing,
     write_screenshot,
 )
-from fishrl.viewer.live import Server, has_screen
-from fishrl.viewer.scene import (
-    Area,
-    Choice,
-    Field,
-    FieldFormat,
-    Frame,
-    Marks,
-    Outline,
-    Panel,
-    Scene,
-    Series,
-    Trail,
-)
+from fishrl.viewer.live import LiveView, Server, has_screen
+from fishrl.viewer.recording import Recording, make_scene, name_flows, record_episodes
+from fishrl.viewer.settings import ViewerSettings
 
 __all__ = [
     "TIMELINE",
-    "Area",
-    "Choice",
     "Drawing",
-    "Field",
     "FieldFormat",
-    "Frame",
-    "Marks",
-    "Outline",
-    "Panel",
+    "LiveView",
     "Picture",
-    "Scene",
-    "Series",
+    "Recording",
     "Server",
-    "Trail",
+    "ViewerSettings",
     "check_folder",
     "find_recording",
     "has_screen",
     "make_blueprint",
+    "make_scene",
+    "name_flows",
     "open_recording",
     "photograph_views",
+    "record_episodes",
     "start_drawing",
     "write_screenshot",
 ]

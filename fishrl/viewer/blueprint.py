@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from fishrl.envs.scene import Choice, Panel, Scene
 from fishrl.viewer.drawing import LEGEND, TIMELINE, import_rerun, name_flow, name_panel
-from fishrl.viewer.scene import Choice, Panel, Scene
 
 #: Plots follow the last so many T of a stream that has no end.
 LIVE_WINDOW_T = 20.0

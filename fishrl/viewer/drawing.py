@@ -7,6 +7,7 @@ Everything stands on one timeline, ``sim_time``, on which one second is one peri
 import logging
 from collections import deque
 from collections.abc import Mapping
+from enum import StrEnum
 from types import ModuleType, TracebackType
 from typing import Any, Self
 
@@ -15,8 +16,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from fishrl.envs.scene import Area, Choice, Curve, Frame, Marks, Panel, Scene
 from fishrl.viewer.colours import LINES, PURPLE_GREEN, RED_BLUE, paint, quantise
-from fishrl.viewer.scene import Area, Choice, FieldFormat, Frame, Marks, Outline, Panel, Scene
 
 logger = logging.getLogger(__name__)
 
@@ -27,6 +28,17 @@ _LEGEND_SIZE = (256, 12)
 _LEGAL, _CHOSEN = (120, 170, 130), (230, 159, 0)
 _RIM = (20, 20, 20)
 Points = NDArray[np.float32]
+
+
+class FieldFormat(StrEnum):
+    """How the field is stored.
+
+    ``JPEG``: red to blue, small, colours fixed. ``U8``: 255 levels, larger; values under the mouse,
+    and the colour map is chosen in the viewer.
+    """
+
+    JPEG = "jpeg"
+    U8 = "u8"
 
 
 def import_rerun() -> ModuleType:
@@ -118,9 +130,9 @@ class Drawing:
         for trail in scene.trails:
             if trail.key in frame.values:
                 self._draw_trail(flow, frame, trail.key, trail.length_T, trail.colour)
-        for outline in scene.outlines:
-            if outline.key in frame.values:
-                self._draw_outline(root, outline, frame.values[outline.key])
+        for curve in scene.curves:
+            if curve.key in frame.values:
+                self._draw_curve(root, curve, frame.values[curve.key])
         for marks in scene.marks:
             if marks.key in frame.values:
                 self._draw_marks(root, marks, frame.values)
@@ -137,21 +149,19 @@ class Drawing:
     def _place(self, points: Tensor) -> Points:
         return place(points, self.scene.height)
 
-    def _draw_outline(self, root: str, outline: Outline, points: Tensor) -> None:
-        curve = self._place(points)
-        lines = [curve]
-        if outline.is_closed:
+    def _draw_curve(self, root: str, curve: Curve, points: Tensor) -> None:
+        placed = self._place(points)
+        lines, width = [placed], 0.35
+        if curve.is_closed:
             # lines from side to side fill the body: rerun has no filled polygon in two dimensions
-            half = len(curve) // 2
-            ribs = np.stack((curve[1:half], curve[: len(curve) - half : -1]), 1)
-            lines = [np.concatenate((curve, curve[:1])), *ribs]
-        width = 0.35
-        if outline.is_closed:  # so wide that neighbouring ribs touch
-            gaps = np.linalg.norm(np.diff(curve, axis=0), axis=1)
+            half = len(placed) // 2
+            ribs = np.stack((placed[1:half], placed[: len(placed) - half : -1]), 1)
+            lines = [np.concatenate((placed, placed[:1])), *ribs]
+            # so wide that neighbouring ribs touch
+            gaps = np.linalg.norm(np.diff(placed, axis=0), axis=1)
             width = max(width, 30.0 * float(np.median(gaps)) / self.scene.body_length)
         self._log(
-            f"{root}/world/{outline.key}",
-            self._make_lines(lines, outline.colour, width, outline.order),
+            f"{root}/world/{curve.key}", self._make_lines(lines, curve.colour, width, curve.order)
         )
 
     def _draw_marks(self, root: str, marks: Marks, values: Mapping[str, Tensor]) -> None:

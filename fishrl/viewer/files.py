@@ -9,10 +9,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from fishrl.envs.scene import Scene
 from fishrl.viewer.blueprint import make_blueprint
-from fishrl.viewer.drawing import TIMELINE, Drawing, import_rerun
+from fishrl.viewer.drawing import TIMELINE, Drawing, FieldFormat, import_rerun
 from fishrl.viewer.process import Viewer
-from fishrl.viewer.scene import FieldFormat, Scene
 
 _APPLICATION = "fishrl"
 _PATIENCE_S = 60.0
@@ -43,7 +43,7 @@ def start_drawing(
         ValueError: if the format is unknown, or it goes nowhere.
         FileNotFoundError: if the file's folder does not exist.
     """
-    chosen = FieldFormat.parse(field_format)
+    chosen = FieldFormat(field_format)
     if save is None and url is None:
         raise ValueError("neither save nor url is given: say where the drawing goes")
     rr = import_rerun()

@@ -19,7 +19,7 @@ import yaml
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from experiments.command_line import view_settings
+from experiments import view
 from experiments.config import SCHEMAS, build, check_overrides, load_config, to_plain
 from experiments.search_path import split_arguments
 from experiments.sweeps.jobs import is_sweep
@@ -103,7 +103,7 @@ def _split(line: str, home: Path) -> list[str]:
 def _load(program: str, words: list[str]) -> None:
     """Read settings as the programs of hydra do, all jobs of a sweep."""
     if program == "view":
-        view_settings(words)
+        view.main.read(words)
         return
     checked = check_overrides(program, words)
     if any(word.startswith("resume=") for word in words):

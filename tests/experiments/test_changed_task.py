@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 import torch
 
-from experiments import evaluate
-from experiments.command_line import view_settings
+from experiments import evaluate, view
 from experiments.config import build, check_overrides, load_config, to_plain
 from experiments.settings import ConfigError
 from experiments.train import train
@@ -75,7 +74,7 @@ def test_what_is_not_given_stays_as_in_the_run(
     own = evaluated(monkeypatch, checkpoint).task
     assert own["stream"]["speeds_bl"] == [1.0, 1.2, 1.4]
     changed = evaluated(monkeypatch, checkpoint, *CHANGES).task
-    assert view_settings([checkpoint, *CHANGES]).task == changed
+    assert view.main.read([checkpoint, *CHANGES]).task == changed
     own["stream"]["has_disc"] = False
     own["safe_area"] |= {"far_bl": 2.75, "near_bl": 0.1}
     own["control"]["bank"]["rows"] = [[0.1, 0.2]] * 3
@@ -106,7 +105,7 @@ def test_in_a_task_that_is_chosen_by_name_a_fish_is_told_its_flow_as_before(
     ):
         arguments = [checkpoint, *chosen, *given]
         assert evaluated(monkeypatch, *arguments).recognition == wanted
-        assert view_settings(arguments).recognition == wanted
+        assert view.main.read(arguments).recognition == wanted
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,8 @@ import pytest
 
 from experiments.benchmarks.live import measure
 from fishrl.envs import Predation
-from fishrl.viewer import Drawing, Frame
+from fishrl.envs.scene import Frame
+from fishrl.viewer import Drawing
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 
 pytestmark = pytest.mark.usefixtures("gliding")

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from experiments.config import build
-from experiments.scenes import TaskView
+from experiments.configuration import build
 from experiments.settings import ViewConfig
 from experiments.view import record
-from fishrl.training.recognition import Recognition
-from fishrl.viewer import photograph_views
+from fishrl.envs import make_env
+from fishrl.viewer import make_scene, photograph_views
 from tests.envs.test_real_flow import TINY
 from tests.experiments.real_wake import gait_settings
 from tests.viewer.pictures import check_views, needs_vulkan
@@ -41,9 +40,10 @@ def test_every_view_of_a_fish_in_a_real_flow_draws(
         compile=False,
         **looks,  # type: ignore[arg-type]
     )
-    drawn = record(config, save=path)
-    assert drawn.periods == pytest.approx(config.periods, abs=0.1)  # whole decisions
-    view = TaskView(Recognition(build(task), recognition).task, is_told=recognition is not None)
-    pictures = photograph_views(path, time_T=0.9 * drawn.periods)
+    record(config, save=path)
+    env = make_env(task=build(task), num_envs=1, compile=False, recognition=recognition)
+    scene = make_scene(env)
+    env.close()
+    pictures = photograph_views(path, time_T=0.9 * float(config.periods or 0.0))
     (title,) = [one.name for one in pictures if one.origin == "/flow_0/world"]
-    check_views(pictures, view.scene, title=title, least=least)
+    check_views(pictures, scene, title=title, least=least)

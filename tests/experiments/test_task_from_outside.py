@@ -10,8 +10,8 @@ from textwrap import dedent
 
 import pytest
 
-from experiments import search
-from experiments.command_line import plain_errors, view_settings
+from experiments import search, view
+from experiments.command_line import plain_errors
 from experiments.config import build, check_overrides, load_config
 from experiments.evaluate import main as evaluate_main
 from experiments.search_path import CONF, list_groups, split_arguments
@@ -128,9 +128,9 @@ def test_viewer_and_search_take_a_folder_of_configuration_too(
     outside: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
 ) -> None:
     folder = [word.format(outside / "conf") for word in words]
-    settings = view_settings([*folder, "task=hold_station", "policy=random"])
+    settings = view.main.read([*folder, "task=hold_station", "policy=random"])
     assert settings.task["_target_"] == "hold_station.HoldStation"
-    assert view_settings([*folder, "a recording.rrd"]).recording == "a recording.rrd"
+    assert view.main.read([*folder, "a recording.rrd"]).recording == "a recording.rrd"
     plans: list[search.Search] = []
     monkeypatch.setattr(search, "search", lambda plan, **_: plans.append(plan))
     monkeypatch.setattr(search, "report", lambda *_: None)

@@ -1,4 +1,4 @@
-"""The program that shows flows, and trainings that are looked at, on fish that glide."""
+"""The program that shows flows, and live views of trainings, on fish that glide."""
 
 from __future__ import annotations
 
@@ -8,20 +8,16 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from experiments import view
-from experiments.command_line import view_settings
 from experiments.config import load_config, resumed_settings, to_plain
 from experiments.evaluate import evaluate
-from experiments.live import LiveView, choose_flows
-from experiments.settings import ConfigError, EvaluateConfig
 from experiments.train import train
-from experiments.watching import Drawn
+from fishrl.envs.scene import Frame
 from fishrl.training.run_folder import write_yaml
-from fishrl.viewer import Drawing, Frame
+from fishrl.viewer import Drawing
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 from tests.experiments.test_gait import SETTINGS
 
@@ -44,7 +40,7 @@ def test_some_flows_of_a_batch_are_recorded_and_their_size_is_said(
     view.main([*GAIT, "recognition=oracle", *arguments])
     said = capsys.readouterr().out
     number = r"(\d+\.\d+)"
-    words = rf"{path}: {number} MB for 2 flows, {number} T of them together \(jpeg, {number} frames"
+    words = rf"{path}: {number} MB for {number} T of 2 flows \(jpeg, {number} frames per T"
     size, periods, _ = map(float, re.match(words, said).groups())
     assert size == pytest.approx(path.stat().st_size / 1e6, abs=0.005)
     assert 1.7 < periods < 4.0  # whole decisions, which are longer than half a T at this size
@@ -52,18 +48,6 @@ def test_some_flows_of_a_batch_are_recorded_and_their_size_is_said(
     assert "/flow_1/plots/class_probabilities/2" in shown
     assert "/flow_3/world/neuromasts" in shown
     assert "/flow_0/" not in shown
-
-
-@pytest.mark.parametrize(
-    ("drawn", "words"),
-    [
-        (Drawn(1, 80, 10.0), "1.50 MB for 1 flow, 10.0 T of them together; about 15 MB per 100 T "),
-        (Drawn(2, 76, 19.0), "1.50 MB for 2 flows, 19.0 T of them together (u8, 4.0 frames"),
-        (Drawn(1, 0, 0.0), "1.50 MB for 1 flow, 0.0 T of them together (u8, 0.0 frames per T)"),
-    ],
-)
-def test_the_size_of_long_recordings_is_not_told_from_short_ones(drawn: Drawn, words: str) -> None:
-    assert view.describe_size(1_500_000, drawn, field_format="u8").startswith(words)
 
 
 def test_the_learned_fish_of_a_run_is_shown_in_its_own_task(
@@ -74,7 +58,7 @@ def test_the_learned_fish_of_a_run_is_shown_in_its_own_task(
     config.total_frames = config.eval_frames = 16
     train(config)
     assert "/flow_0/plots/class_probabilities" in list_entities(tmp_path / "run" / "capture.rrd")
-    settings = view_settings([f"run={tmp_path / 'run'}", "task.stream.speeds_bl=[1.0,1.2,1.4]"])
+    settings = view.main.read([f"run={tmp_path / 'run'}", "task.stream.speeds_bl=[1.0,1.2,1.4]"])
     assert (settings.recognition, settings.preset) == ("oracle", "gait_small")
     assert settings.task["body_length"] == 20
     assert settings.task["stream"]["speeds_bl"] == [1.0, 1.2, 1.4]
@@ -92,29 +76,17 @@ def test_a_path_alone_opens_the_recording_there(
     (folder / "capture.rrd").touch()
     opened: list[Path] = []
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr("fishrl.viewer.open_recording", opened.append)
+    monkeypatch.setattr(view, "open_recording", opened.append)
     monkeypatch.chdir(tmp_path)
     (folder / "capture.rrd").rename(tmp_path / "it's one.rrd")
     view.main(["it's one.rrd"])
     assert opened == [Path("it's one.rrd")]
 
 
-def test_help_lists_what_there_is_to_set(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["view", "--help"])
-    with pytest.raises(SystemExit) as end:
-        view.main()
-    assert end.value.code == 0
-    said = capsys.readouterr().out
-    assert "preset: gait_half, gait_paper, gait_small" in said
-    assert "screenshot: null" in said
-
-
-def test_a_live_view_streams_and_stays_until_nobody_looks(
+def test_a_live_view_streams_and_stays_until_an_interrupt(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    config = view_settings([*GAIT, "policy=pid", "live=true", "periods=1", "port=29600"])
+    config = view.main.read([*GAIT, "policy=pid", "live=true", "periods=1", "port=29600"])
     waited: list[bool] = []
 
     def wait() -> None:
@@ -124,7 +96,7 @@ def test_a_live_view_streams_and_stays_until_nobody_looks(
     view.view(config, wait=wait)
     assert waited == [True]
     said = capsys.readouterr().out
-    assert " MB for 1 flow, " in said
+    assert " MB for " in said
     assert ".rrd" not in said  # the file goes with the program
 
 
@@ -132,47 +104,32 @@ def test_a_live_view_streams_and_stays_until_nobody_looks(
     ("arguments", "said"),
     [
         ([], "error: give one of run=<run folder>"),
-        (["policy=pid", "run=x"], "error: give one of run=<run folder>"),
-        (["--screenshot", "x.png"], "error: --screenshot: settings are written key=value"),
         (["nowhere.rrd"], r"error: no \.rrd file at nowhere\.rrd"),
         (["run=nowhere"], "error: checkpoint nowhere: there is none"),
-        (["policy=pidd", "save=x.rrd"], "error: policy=pidd: there is no 'pidd'. Did you mean"),
         (["policy=pid", "frames_per_T=0"], "error: frames_per_T = 0: must be at least 1"),
-        (["policy=pid", "field_format=jpg"], "error: field_format=jpg: there is no 'jpg'. Did"),
-        (["policy=pid", "vorticity_limit=0"], "error: vorticity_limit = 0.*: must be greater"),
-        (["policy=pid", "port=80"], "error: port = 80: allowed is 1024 to 65000"),
-        (["policy=pid", "live_share=0"], "error: live_share = 0.*: allowed is above 0, up to 1"),
-        (["policy=pid", "episodes=0"], "error: episodes = 0: must be at least 1"),
-        (["policy=pid", "periods=0"], "error: periods = 0.*: must be greater than 0"),
-        (["policy=pid", "time=-1"], "error: time = -1.*: must be at least 0"),
-        (["policy=pid", "flow=[0]"], r"error: flow=\.\.\.: there is no 'flow'. Did you mean 'flow"),
-        ([*GAIT, "policy=pid", "flows=[1]", "save=x.rrd"], r"error: flows=\[1\]: give some of 0 "),
+        (["policy=pid", "field_format=jpg"], "error: field_format = jpg: .*did you mean 'jpeg'"),
+        (["policy=pid", "flow=[0]"], "error: there is no 'flow'. Did you mean 'flow"),
+        ([*GAIT, "policy=pid", "flows=[1]", "save=x.rrd"], r"error: flows = \[1\]: must be some"),
         ([*GAIT, "policy=pid", "save=nowhere/x.rrd"], "error: no folder nowhere: make it first"),
         (
             [*GAIT, "policy=pid", "save=x.rrd", "screenshot=nowhere/x.png"],
             "error: no folder nowhere: make it first",
         ),
-        ([*GAIT, "policy=pid"], "error: there is no screen here to open a window on: give save="),
+        ([*GAIT, "policy=pid"], "error: no screen to open a window on: give save="),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(
+def test_errors_are_one_line(
     arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("fishrl.viewer.has_screen", lambda: False)
+    monkeypatch.setattr(view, "has_screen", lambda: False)
     with pytest.raises(SystemExit, match=said) as error:
         view.main(arguments)
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("flows", [[], [2], [-1], [0, 0]])
-def test_flows_that_are_not_there_are_refused(flows: list[int]) -> None:
-    with pytest.raises(ConfigError, match="give some of 0 to 1, each once"):
-        choose_flows(flows, 2, default=[0])
-
-
 def test_a_training_that_cannot_be_shown_leaves_no_folder(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"flows=\[9\]: give some of 0 to 3, each once"):
+    with pytest.raises(ValueError, match=r"flows = \[9\]: must be some of 0 to 3, each once"):
         train(load_config("train", [*SETTINGS, f"folder={tmp_path}", "live=true", "flows=[9]"]))
     assert not list(tmp_path.iterdir())
 
@@ -197,7 +154,7 @@ def read_rows(folder: Path) -> list[dict[str, str]]:
     return [{k: v for k, v in row.items() if not k.startswith("time/")} for row in rows]
 
 
-def test_a_training_that_is_looked_at_learns_the_same(
+def test_a_training_with_a_live_view_learns_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = [*SETTINGS, "recognition=oracle", f"folder={tmp_path}", "picture_episodes=0"]
@@ -220,7 +177,9 @@ def test_a_training_that_is_looked_at_learns_the_same(
     assert {flow for flow, _ in drawn.frames} == {1, 2}
 
 
-def test_an_evaluation_that_is_looked_at_finds_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_evaluation_with_a_live_view_is_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     config = load_config("evaluate", [*GAIT, "policy=bang_bang", "episodes=3", "num_envs=2"])
     config.task["time_limit"] = 4
     alone = evaluate(config)
@@ -230,20 +189,8 @@ def test_an_evaluation_that_is_looked_at_finds_the_same(monkeypatch: pytest.Monk
     assert {flow for flow, _ in drawn.frames} == {1}
 
 
-def test_a_resumed_run_is_looked_at_only_when_asked(tmp_path: Path) -> None:
+def test_a_resumed_run_is_live_only_on_request(tmp_path: Path) -> None:
     config = load_config("train", ["live=true"])
     write_yaml(tmp_path / "config.yaml", to_plain(config))
     assert not resumed_settings(str(tmp_path), []).live
     assert resumed_settings(str(tmp_path), ["live=true"]).live
-
-
-def test_a_live_view_leaves_the_env_without_a_watcher() -> None:
-    from fishrl.envs import KarmanGait, make_env
-
-    task = KarmanGait(**{**SMALL, "wall_margin_bl": 0.25})
-    env = make_env(task=task, num_envs=1, compile=False)
-    settings: Any = EvaluateConfig(task={}, preset="x", policy="pid", port=29660)
-    live = LiveView(env.base_env, settings, is_told=False)
-    assert env.base_env.on_frame is not None
-    live.close()
-    assert env.base_env.on_frame is None

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fishrl.viewer import Picture, Scene
+from fishrl.envs.scene import Scene
+from fishrl.viewer import Picture
 
 #: Where the Vulkan loader looks for drivers, unless a variable names their files or folders.
 FOLDERS = [f"{root}/vulkan/icd.d" for root in ("/etc", "/usr/share", "/usr/local/share")]

@@ -2,13 +2,13 @@
 
 import torch
 
-from fishrl.viewer import (
+from fishrl.envs.scene import (
     Area,
     Choice,
+    Curve,
     Field,
     Frame,
     Marks,
-    Outline,
     Panel,
     Scene,
     Series,
@@ -24,9 +24,9 @@ def make_scene(*, limit: float = 10.0) -> Scene:
         width=WIDTH,
         height=HEIGHT,
         field=Field(key="vorticity", name="vorticity", unit="1/T", limit=limit),
-        outlines=(
-            Outline(key="fish", colour=(32, 37, 43)),
-            Outline(key="midline", colour=(240, 240, 240), is_closed=False, order=5.0),
+        curves=(
+            Curve(key="fish", colour=(32, 37, 43)),
+            Curve(key="midline", colour=(240, 240, 240), is_closed=False, order=5.0),
         ),
         marks=(
             Marks(key="food", radius=2.0, colour=(242, 177, 52), reach=6.0),
@@ -39,7 +39,7 @@ def make_scene(*, limit: float = 10.0) -> Scene:
             Choice(names=("left", "keep", "right")),
             Panel(
                 name="class probabilities",
-                series=tuple(Series(key="told", label=f"flow {i}", column=i) for i in range(2)),
+                series=tuple(Series(key="labels", label=f"flow {i}", column=i) for i in range(2)),
                 span=(-0.05, 1.05),
             ),
             Panel(name="power [x/T]", series=(Series(key="work", label="power", is_rate=True),)),
@@ -70,7 +70,7 @@ def make_frame(number: int, *, begins: bool = False, time: float | None = None) 
             "reward": torch.tensor(1.0 - 2.0 * (number % 2)),
             "action": torch.tensor(number % 3),
             "action_mask": torch.tensor([number > 0, True, True]),
-            "told": torch.tensor([0.25, 0.75]),
+            "labels": torch.tensor([0.25, 0.75]),
             "work": torch.tensor(2.0 * now),
             "angle": torch.tensor(torch.nan if number == 1 else 5.0 * now),
         },

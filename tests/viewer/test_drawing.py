@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from fishrl.viewer import Drawing, Field, FieldFormat
+from fishrl.envs.scene import Field
+from fishrl.viewer import Drawing, FieldFormat
 from fishrl.viewer.colours import PURPLE_GREEN, RED_BLUE, paint, quantise
 from fishrl.viewer.drawing import TIMELINE, place
 from tests.viewer.scenes import HEIGHT, make_frame, make_scene

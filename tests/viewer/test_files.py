@@ -124,11 +124,6 @@ def test_a_viewer_that_ends_while_it_is_needed_says_what_it_needs(
     assert not (tmp_path / "x.png").exists()
 
 
-def test_an_unknown_field_format_names_those_allowed(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"field_format = 'png': allowed are \['jpeg', 'u8'\]"):
-        write(tmp_path / "x.rrd", field_format="png")
-
-
 def test_a_missing_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"no folder .*nowhere: make it first"):
         write(tmp_path / "nowhere" / "x.rrd")

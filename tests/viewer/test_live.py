@@ -1,13 +1,18 @@
-"""The live viewer's server: heard on this machine alone, and no harm to those who draw."""
+"""Live views: a server on this machine alone, and frames that disturb nothing."""
 
 import socket
 import time
+from collections.abc import Iterator
 
 import pytest
+import torch
 
-from fishrl.viewer import Server, start_drawing
+from fishrl.envs import Predation, make_env
+from fishrl.envs.scene import Frame
+from fishrl.viewer import Drawing, LiveView, Server, ViewerSettings, start_drawing
 from fishrl.viewer import process as process_module
 from fishrl.viewer.process import HOST, Viewer, find_port
+from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 from tests.viewer.scenes import make_frame, make_scene
 
 FLOWS = {0: "flow 0"}
@@ -63,3 +68,98 @@ def test_no_port_at_all_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_program_that_ends_at_once_is_an_error() -> None:
     with pytest.raises(ValueError, match=r"rerun does not run on port .* with --no-such"):
         Viewer("--no-such-option", port=29500)
+
+
+class Shown:
+    """A live view of flow 1 of two, and the frames that it draws."""
+
+    def __init__(self, *, port: int, share: float = 1.0) -> None:
+        self.task = Predation(**SMALL, time_limit=2)
+        checks = self.task.checks_per_action
+        self.env = make_env(task=self.task, num_envs=2, compile=False, frames_per_action=checks)
+        settings = ViewerSettings(flows=[1], port=port, live_share=share, frames_per_T=5)
+        self.live = LiveView(self.env, settings)
+        self.state = self.env.reset()
+        self.frames: list[Frame] = []
+
+    def act(self, num: int = 1) -> None:
+        for _ in range(num):
+            action = self.state.set("action", torch.ones(2, dtype=torch.int64))
+            step, self.state = self.env.step_and_maybe_reset(action)
+            self.live.settle(step)
+
+
+@pytest.fixture
+def shown(monkeypatch: pytest.MonkeyPatch, gliding: None) -> Iterator[Shown]:  # noqa: F811
+    shown = Shown(port=29660)
+    monkeypatch.setattr(
+        Drawing, "draw", lambda drawing, flow, frame: shown.frames.append(frame) or None
+    )
+    yield shown
+    if shown.env.base_env.on_frame is not None:
+        shown.live.close()
+
+
+def test_episodes_follow_each_other_on_one_clock(shown: Shown) -> None:
+    shown.act(5)
+    times = [frame.time for frame in shown.frames]
+    assert times == sorted(set(times))
+    assert len(times) == pytest.approx(25, abs=3)
+    begins = [frame.time for frame in shown.frames if frame.begins]
+    assert len(begins) == 3 and begins[1] == pytest.approx(2.2, abs=0.1)
+    assert {"action", "reward", "action_mask"} <= set(shown.frames[0].values)
+
+
+def test_rows_that_rest_and_other_episodes_in_between_leave_no_trace(shown: Shown) -> None:
+    shown.act()
+    num_frames = len(shown.frames)
+    shown.env.base_env.is_resting = torch.tensor([False, True])
+    shown.act()
+    assert len(shown.frames) == num_frames
+    shown.env.base_env.is_resting = torch.tensor([False, False])
+    shown.live.restart()
+    shown.state = shown.env.reset()
+    shown.act()
+    assert shown.frames[num_frames].begins
+    times = [frame.time for frame in shown.frames]
+    assert times == sorted(times)
+
+
+def test_frames_that_would_cost_too_much_time_are_left_out(
+    shown: Shown, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = [0.0]
+    monkeypatch.setattr("fishrl.viewer.live.time.monotonic", lambda: clock[0])
+    shown.live.close()
+    shown = Shown(port=29680, share=0.25)
+    frames: list[Frame] = []
+
+    def read_slowly(*_: object) -> dict[str, torch.Tensor]:
+        clock[0] += 1.0
+        return {}
+
+    monkeypatch.setattr(Predation, "read_scene", read_slowly)
+    monkeypatch.setattr(Drawing, "draw", lambda drawing, flow, frame: frames.append(frame))
+    for _ in range(25):
+        clock[0] += 2.0
+        shown.act()
+    shown.live.close()
+    # 50 s of flow, and a quarter of all the time for frames of 1 s each
+    assert len(frames) == pytest.approx(50.0 / 3.0, abs=2.0)
+
+
+def test_a_closed_view_leaves_the_env_as_it_was(shown: Shown) -> None:
+    assert shown.env.base_env.on_frame is not None
+    shown.live.close()
+    assert shown.env.base_env.on_frame is None
+
+
+@pytest.mark.parametrize("flows", [[], [2], [-1], [0, 0]])
+def test_flows_that_are_not_there_are_refused(flows: list[int]) -> None:
+    with pytest.raises(ValueError, match="must be some of 0 to 1, each once"):
+        ViewerSettings(flows=flows).choose_flows(2, default=1)
+
+
+def test_an_unknown_field_format_names_those_allowed() -> None:
+    with pytest.raises(ValueError, match="must be one of jpeg, u8"):
+        ViewerSettings(field_format="png")

@@ -12,14 +12,16 @@ from torch import Tensor
 
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import FrequencyBank, FrequencyControl, MacroActions
+from fishrl.envs.protocol import Solver
+from fishrl.envs.scene import Area, Panel, Scene, Series
 from fishrl.envs.sensors import compute_clearance, wrap_angle
 from fishrl.envs.starts import place_fish
 from fishrl.envs.stations import SafeArea, StationReward
 from fishrl.envs.steering import PIDSteering, Steering
 from fishrl.envs.streams import Stream
 from fishrl.envs.task import AbstractTask, Command, as_pair
+from fishrl.envs.views import describe_flow_label, describe_lateral_line, find_shown_feature
 from fishrl.envs.wakes import WakeBank
-from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import Scales
 
@@ -228,7 +230,7 @@ class KarmanGait(AbstractTask):
                 "move it (start_x_bl, start_y_bl), or widen safe_area"
             )
 
-    def place_(self, solver: InPlaceSolver, rows: Tensor, starts: TensorDictBase) -> None:
+    def place_(self, solver: Solver, rows: Tensor, starts: TensorDictBase) -> None:
         """Set the stream, wake and fish of each row."""
         place = place_fish(starts, self.fish)
         self.stream.begin_(solver, rows, starts, place, scales=self.scales, wakes=self.wakes)
@@ -241,7 +243,7 @@ class KarmanGait(AbstractTask):
         frequency = self.control.select(self.control.shift(before["gear"], action), flow)
         return Command(self.steering.turn(before["sights"]), frequency / self.scales.period)
 
-    def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
+    def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
         """Measure position, heading, distance from the edges and the work done so far."""
         markers, body = solver.markers(), solver.body
         unit = (self.scales.reference_speed * self.body_length) ** 2
@@ -263,7 +265,7 @@ class KarmanGait(AbstractTask):
             device=starts.device,
         )
 
-    def sense(self, solver: InPlaceSolver, starts: TensorDictBase) -> dict[str, Tensor]:
+    def sense(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
         """Return the signals of the lateral line, before any delay."""
         felt, velocity = self.lateral_line.feel(
             solver,
@@ -331,6 +333,53 @@ class KarmanGait(AbstractTask):
         return {
             **{name: now[name] for name in (*names, "lateral_work", "lateral_line")},
             "angle_of_attack": wrap_angle(now["heading"] - pi),
+        }
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names given by ``control``."""
+        return self.control.action_names
+
+    def name_start(self, start: TensorDictBase) -> str:
+        """Return the name of the stream."""
+        return str(self.flow_labels[int(start["flow_index"])]["name"])
+
+    def make_scene(self) -> Scene:
+        """Add the safe area, the nose's place in it, the lateral line and the flow label."""
+        (x, y), length, area = self.origin.tolist(), self.body_length, self.safe_area
+        danger = Area(
+            key="danger_area",
+            low=(x + area.near_bl * length, y - area.aside_bl * length),
+            high=(x + area.far_bl * length, y + area.aside_bl * length),
+        )
+        place = (
+            Series(key="place", column=0, label="x, downstream"),
+            Series(key="place", column=1, label="y"),
+        )
+        neuromasts, felt = describe_lateral_line(self.lateral_line, body_length=length)
+        return (
+            super()
+            .make_scene()
+            .extend(
+                areas=(danger,),
+                marks=(neuromasts,),
+                panels=(
+                    describe_flow_label([label["name"] for label in self.flow_labels]),
+                    Panel(name="nose from the flat side [L]", series=place),
+                    felt,
+                ),
+                note="The danger area is outside the rectangle with red strokes.",
+            )
+        )
+
+    def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
+        """Add the nose's place and the lateral line."""
+        neuromasts = self.lateral_line.place(solver)[0]
+        felt = self.sense(solver, starts)["felt"][..., find_shown_feature(self.lateral_line)]
+        return super().read_scene(solver, starts) | {
+            "place": self._locate(solver.head()),
+            "neuromasts": neuromasts,
+            "felt": felt.expand(neuromasts.shape[:2]),
         }
 
     def _locate(self, head: Tensor) -> Tensor:

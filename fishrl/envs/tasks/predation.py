@@ -11,10 +11,11 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from fishrl.envs.protocol import Solver
 from fishrl.envs.rewards import reward_approach
+from fishrl.envs.scene import Marks, Panel, Scene, Series
 from fishrl.envs.sensors import compute_clearance, sense_target
 from fishrl.envs.task import AbstractTask, Command, as_pair
-from fishrl.physics.fast.solver import InPlaceSolver
 
 
 class FoodDirection(Enum):
@@ -189,7 +190,7 @@ class Predation(AbstractTask):
         """Turn clockwise, not at all, or counter-clockwise."""
         return Command(turn=radians(self.turn_degrees) * (action.double() - 1.0))
 
-    def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
+    def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
         """Measure nose, heading, food, its relative position and the distance from the walls."""
         markers, heading = solver.markers(), solver.body.heading.clone()
         head, food = markers[:, 0].clone(), self.locate_food(starts, solver.body.age)
@@ -228,6 +229,36 @@ class Predation(AbstractTask):
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return ``captured`` ``[B]``."""
         return {"captured": self._is_captured(now)}
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the turns."""
+        return f"turn {-self.turn_degrees:g}°", "keep", f"turn +{self.turn_degrees:g}°"
+
+    def make_scene(self) -> Scene:
+        """Add the food and its distance."""
+        food = Marks(
+            key="food",
+            radius=3.0 * self.body_length / 50.0,
+            colour=(242, 177, 52),
+            reach=self.capture_radius,
+        )
+        series = (Series(key="distance", label="nose to food"),)
+        return (
+            super()
+            .make_scene()
+            .extend(
+                marks=(food,),
+                panels=(Panel(name="distance of the food [L]", series=series),),
+                note="The circle around the food is the capture radius.",
+            )
+        )
+
+    def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
+        """Add the food and its distance."""
+        food = self.locate_food(starts, solver.body.age)
+        distance = (food - solver.head()).norm(dim=-1) / self.body_length
+        return super().read_scene(solver, starts) | {"food": food, "distance": distance}
 
     def _is_captured(self, now: TensorDictBase) -> Tensor:
         distance: Tensor = now["target"][:, 2]

@@ -1,39 +1,16 @@
-"""What there is to see in a flow: a description that any task can fill, without rerun.
+"""What there is to see in a flow: plain data that any task can fill, without a viewer.
 
 A ``Scene`` says once what is drawn, in what colours and units; a ``Frame`` holds one moment's
 tensors under the keys that the scene names. Places are (x, y) in nodes, y upward; times in T.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from enum import StrEnum
+from dataclasses import dataclass, replace
+from typing import Self
 
 from torch import Tensor
 
 Colour = tuple[int, int, int]
-
-
-class FieldFormat(StrEnum):
-    """How the field is stored: what it costs, and what one can still change in the viewer.
-
-    ``JPEG``: red to blue, small, colours fixed. ``U8``: 255 levels, larger, values under the mouse
-    and the colour map chosen in the viewer.
-    """
-
-    JPEG = "jpeg"
-    U8 = "u8"
-
-    @classmethod
-    def parse(cls, name: str) -> "FieldFormat":
-        """Find a format by its name.
-
-        Raises:
-            ValueError: if there is none of that name.
-        """
-        known = [str(one) for one in cls]
-        if name not in known:
-            raise ValueError(f"field_format = {name!r}: allowed are {known}")
-        return cls(name)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,14 +38,14 @@ class Field:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outline:
+class Curve:
     """A curve ``[N, 2]``: closed and filled, or an open line such as a midline.
 
     Args:
         key: of its tensor.
         colour: of it.
         is_closed: whether it encloses something, which is filled by lines from side to side.
-        order: what is drawn later lies above.
+        order: curves of higher order lie above.
     """
 
     key: str
@@ -89,7 +66,7 @@ class Marks:
         name: of the value, for the legend.
         unit: of the value.
         limit: value at which the colours saturate.
-        reach: radius of a circle round each, nodes; 0 draws none.
+        reach: radius of a circle around each, nodes; 0 draws none.
     """
 
     key: str
@@ -104,7 +81,7 @@ class Marks:
 
 @dataclass(frozen=True, kw_only=True)
 class Trail:
-    """The way that a point ``[2]`` has come since its episode began.
+    """The path of a point ``[2]`` since its episode began.
 
     Args:
         key: of the point.
@@ -119,13 +96,13 @@ class Trail:
 
 @dataclass(frozen=True, kw_only=True)
 class Area:
-    """A rectangle that does not move, outside which lies danger.
+    """A fixed rectangle that the fish must not leave.
 
     Args:
         key: its name.
         low: corner (x, y) in nodes.
-        high: the opposite one.
-        colour: of its border, and of the strokes on the side of the danger.
+        high: the opposite corner.
+        colour: of its border, and of the strokes on its outer side.
     """
 
     key: str
@@ -141,9 +118,9 @@ class Series:
     Args:
         key: of its tensor.
         label: for the legend.
-        column: which of the tensor's numbers; None if it is only one.
-        is_rate: draw its change per T since the frame before instead.
-        colour: of it; by default the viewer chooses.
+        column: index into the tensor; None if it is a single number.
+        is_rate: draw its change per T since the previous frame instead.
+        colour: of the line; by default the viewer chooses.
     """
 
     key: str
@@ -155,19 +132,22 @@ class Series:
 
 @dataclass(frozen=True, kw_only=True)
 class Panel:
-    """A plot over time. NaN and what a frame does not hold is left out.
+    """A plot over time. NaN, and what a frame does not hold, is left out.
 
     Args:
         name: of the plot, with its unit.
         series: its lines.
-        span: of the vertical axis; by default what the values need.
-        is_step: values hold since the frame before, rather than at an instant.
+        span: of the vertical axis; by default that of the values.
+        is_step: values hold since the previous frame, rather than at an instant.
+        is_output: the keys are entries of the env's output rather than of ``task.read_scene``; the
+            plot is left out where the env has no such entry.
     """
 
     name: str
     series: tuple[Series, ...]
     span: tuple[float, float] | None = None
     is_step: bool = False
+    is_output: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,6 +158,7 @@ class Choice:
         names: of the actions, in their order.
         key: of the action.
         mask: key of ``[num_actions]`` bool.
+        name: of the plot.
     """
 
     names: tuple[str, ...]
@@ -195,9 +176,9 @@ class Scene:
         width: of the grid, nodes along x.
         height: of the grid, nodes along y.
         field: the flow.
-        outlines: bodies and lines, from below to above.
-        marks: points.
-        trails: ways of points.
+        curves: bodies and lines, from below to above.
+        marks: points; one with a ``reach`` is the goal.
+        trails: paths of points.
         areas: rectangles.
         panels: plots beside the flow.
         note: what else one should know, markdown.
@@ -207,12 +188,33 @@ class Scene:
     width: int
     height: int
     field: Field
-    outlines: tuple[Outline, ...] = ()
+    curves: tuple[Curve, ...] = ()
     marks: tuple[Marks, ...] = ()
     trails: tuple[Trail, ...] = ()
     areas: tuple[Area, ...] = ()
     panels: tuple[Panel | Choice, ...] = ()
     note: str = ""
+
+    @property
+    def goal(self) -> Marks | None:
+        """The point to be reached, if there is one."""
+        return next((marks for marks in self.marks if marks.reach > 0.0), None)
+
+    @property
+    def output_keys(self) -> set[str]:
+        """Entries of the env's output that frames hold."""
+        keys = set[str]()
+        for panel in self.panels:
+            if isinstance(panel, Choice):
+                keys |= {panel.key, panel.mask}
+            elif panel.is_output:
+                keys |= {series.key for series in panel.series}
+        return keys
+
+    def extend(self, *, note: str = "", **parts: tuple[object, ...]) -> Self:
+        """Return this scene with more curves, marks, trails, areas or panels, and a longer note."""
+        longer = {name: getattr(self, name) + more for name, more in parts.items()}
+        return replace(self, note="\n\n".join(filter(None, (self.note, note))), **longer)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,7 +222,7 @@ class Frame:
     """One moment of one flow.
 
     Args:
-        time: in T, not before that of the frame before.
+        time: in T, not before that of the previous frame.
         values: tensors by the keys of the scene; those that are missing are not drawn.
         begins: whether an episode begins here.
     """

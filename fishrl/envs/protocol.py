@@ -1,0 +1,96 @@
+"""What a task may ask of a solver: the only door from tasks, sensors and views to the flow.
+
+``InPlaceSolver`` fulfils it; so does any stand-in with these methods, such as one without a flow
+that tests run in milliseconds. All quantities are in lattice units, with a leading batch axis B.
+"""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from torch import Tensor
+
+from fishrl.physics.bodies.coupling import Markers
+from fishrl.physics.bodies.state import BodyState
+from fishrl.physics.flow import FlowConfig
+
+
+class Solver(Protocol):
+    """B flows and the bodies in them, advanced in place.
+
+    Tensors that the solver returns from ``body`` and ``bodies`` change in place: copy what is kept.
+
+    Attributes:
+        config: of the first flow; grid and bodies are the same in all.
+        num_envs: number of flows B.
+    """
+
+    config: FlowConfig
+    num_envs: int
+
+    @property
+    def bodies(self) -> Sequence[BodyState]:
+        """The bodies' states, in the order of ``config.bodies``."""
+
+    @property
+    def body(self) -> BodyState:
+        """The state of the first body, the fish; ``body.age`` counts the steps since reset."""
+
+    def markers(self, index: int = 0) -> Tensor:
+        """Return the closed outline ``[B, N, 2]`` (x, y) of a body in nodes, nose first."""
+
+    def surface(self, index: int = 0) -> Markers:
+        """Return the markers of a body: position, arm, velocity without the rigid motion."""
+
+    def head(self) -> Tensor:
+        """Return the nose of the first body ``[B, 2]`` in nodes."""
+
+    def macroscopic(self) -> tuple[Tensor, Tensor]:
+        """Return density ``[B, Y, X]`` and velocity ``[B, 2, Y, X]`` in nodes per step."""
+
+    def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Return density ``[B, P]`` and velocity ``[B, P, 2]`` at points ``[B, P, 2]`` in nodes."""
+
+    def is_diverged(self) -> Tensor:
+        """Return ``[B]`` bool: not finite, too fast for the method, or a body outside the grid."""
+
+    def reset_(
+        self,
+        rows: Tensor,
+        position: Tensor,
+        heading: Tensor,
+        *,
+        velocity: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        """Put the bodies of some flows at rest into a fluid without vortices.
+
+        Args:
+            rows: ``[B]`` bool, which flows; others are not touched.
+            position: centres of mass ``[B, 2]``, or ``[B, M, 2]`` for M bodies, nodes.
+            heading: ``[B]`` or ``[B, M]``, radians.
+            velocity: of the fluid everywhere, in units of the stream speed.
+        """
+
+    @property
+    def stream_speed(self) -> Tensor:
+        """Unit of the velocities that the edges impose ``[B]``, nodes per step."""
+
+    def set_stream_speed_(self, speed: Tensor, rows: Tensor | None = None) -> None:
+        """Set the stream speed ``[B]`` of the flows of ``rows`` ``[B]``, all by default."""
+
+    def set_populations_(self, f: Tensor, rows: Tensor) -> None:
+        """Set the flows of ``rows`` ``[B]`` to shifted populations ``[B, Q, Y, X]``."""
+
+    def command_(self, turn: Tensor, num_steps: int, frequency: Tensor | None = None) -> None:
+        """Command the first body to turn and, optionally, to beat at a new frequency.
+
+        Args:
+            turn: ``[B]`` change of heading, radians, spread smoothly over ``num_steps``.
+            num_steps: length of the turn.
+            frequency: ``[B]`` tail beats per step; the phase stays continuous.
+        """
+
+    def advance_(self, num_steps: int, rows: Tensor | None = None) -> None:
+        """Advance the flows of ``rows`` ``[B]`` (all by default) by an even number of steps.
+
+        Other rows are undefined after the call.
+        """

@@ -1,0 +1,226 @@
+"""Frames of running flows: read within decisions, passed on once their decision is over.
+
+A frame carries the action in force and its reward, which is known only at the decision's end.
+"""
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field, replace
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.envs import TransformedEnv
+
+from fishrl.envs.episodes import Episodes, Policy, run_episodes
+from fishrl.envs.flow_env import FlowEnv
+from fishrl.envs.scene import Choice, Frame, Scene
+from fishrl.envs.task import AbstractTask
+
+
+def make_scene(env: TransformedEnv, *, vorticity_limit: float = 15.0) -> Scene:
+    """Return the scene of an env's task, with the plots of those outputs that the env has.
+
+    Args:
+        env: of a ``FlowEnv``.
+        vorticity_limit: at which the field's colours saturate, 1/T.
+    """
+    scene: Scene = env.base_env.task.make_scene()
+    outputs = {*env.observation_spec.keys(), "reward"}
+    panels = [
+        panel
+        for panel in scene.panels
+        if isinstance(panel, Choice)
+        or not panel.is_output
+        or all(series.key in outputs for series in panel.series)
+    ]
+    limited = replace(scene.field, limit=vorticity_limit)
+    return replace(scene, panels=tuple(panels), field=limited)
+
+
+def name_flows(
+    task: AbstractTask, flows: Collection[int], starts: TensorDictBase | None = None
+) -> dict[int, str]:
+    """Return titles of flows by their index, from the starts ``[E]`` they begin with, if known."""
+    names = {flow: "" if starts is None else task.name_start(starts[flow]) for flow in flows}
+    return {flow: f"flow {flow}" + f": {name}" * bool(name) for flow, name in names.items()}
+
+
+class Recorder:
+    """Reads frames of some rows of an env, about ``frames_per_T`` per period.
+
+    Frames are read where the task looks for an episode's end, ``checks_per_action`` times per
+    decision: at one of every so many of them.
+
+    Args:
+        task: of the env.
+        scene: names what a frame holds.
+        frames_per_T: frames per period T.
+        give: called with row and frame, in the order of time; times begin at 0 in each episode.
+
+    Raises:
+        ValueError: for less than one frame per period.
+    """
+
+    def __init__(
+        self,
+        task: AbstractTask,
+        scene: Scene,
+        *,
+        frames_per_T: int,
+        give: Callable[[int, Frame], None],
+    ) -> None:
+        if frames_per_T < 1:
+            raise ValueError(f"frames_per_T = {frames_per_T}: must be at least 1")
+        self._task, self._scene, self._give = task, scene, give
+        self._stride = max(1, round(task.checks_per_action / task.interval_T / frames_per_T))
+        self._num_checks = 0
+        self._pending: dict[int, list[Frame]] = {}
+        self._last_T: dict[int, float] = {}
+        self._has_given: dict[int, bool] = {}
+
+    def begin(self, rows: Collection[int]) -> None:
+        """Begin an episode in some rows; frames of theirs that are pending are dropped."""
+        for row in rows:
+            self._pending[row], self._last_T[row], self._has_given[row] = [], -1.0, False
+
+    def is_due(self) -> bool:
+        """Return whether to read frames at this check; call it once per check."""
+        self._num_checks += 1
+        return self._num_checks % self._stride == 0
+
+    def keep(self, base: FlowEnv, rows: Collection[int]) -> None:
+        """Read a frame of some rows; those that have not moved since the last one are left out."""
+        if not rows:
+            return
+        values = self._task.read_scene(base.solver, base.start)
+        ages = base.solver.body.age.tolist()
+        for row in rows:
+            time, last = ages[row] / self._task.scales.period, self._last_T[row]
+            if time != last:
+                frame = Frame(
+                    time=time,
+                    values={name: value[row].cpu().clone() for name, value in values.items()},
+                    begins=last < 0.0 or time < last,
+                )
+                self._pending[row].append(frame)
+                self._last_T[row] = time
+
+    def settle(self, step: TensorDictBase, rows: Collection[int]) -> None:
+        """Give the frames of a decision that is over, with its action and reward.
+
+        Of a row that diverged nothing is given but, at the very first decision, the start.
+
+        Args:
+            step: ``[B]``, as the env returns it.
+            rows: which of them.
+        """
+        after = step["next"]
+        names = [name for name in self._scene.output_keys if name in step]
+        for row in rows:
+            outputs = {name: step[name][row].cpu() for name in names}
+            outputs["reward"] = after["reward"][row].sum().cpu()
+            frames, self._pending[row] = self._pending[row], []
+            if after["diverged"][row].any():
+                frames = [] if self._has_given[row] else frames[:1]
+            for frame in frames:
+                self._give(row, replace(frame, values={**outputs, **frame.values}))
+                self._has_given[row] = True
+
+
+def record_episodes(
+    env: TransformedEnv,
+    policy: Policy,
+    starts: TensorDictBase,
+    *,
+    scene: Scene,
+    give: Callable[[int, Frame], None],
+    frames_per_T: int = 8,
+    max_decisions: int | None = None,
+    on_step: Callable[[Tensor, TensorDictBase], None] | None = None,
+) -> Episodes:
+    """Run one episode from each start and record it, from its start to the check that ends it.
+
+    Args:
+        env: made with ``frames_per_action=task.checks_per_action``.
+        policy: see ``run_episodes``.
+        starts: ``[E]``.
+        scene: see ``Recorder``.
+        give: called with the number of the start and a frame, in the order of time.
+        frames_per_T: see ``Recorder``.
+        max_decisions: see ``run_episodes``.
+        on_step: likewise.
+
+    Returns:
+        The outcome of each start.
+    """
+    base = env.base_env
+    start_of: dict[int, int] = {}
+    ended = set[int]()  # rows whose episode ended within the decision under way
+    recorder = Recorder(
+        base.task,
+        scene,
+        frames_per_T=frames_per_T,
+        give=lambda row, frame: give(start_of[row], frame),
+    )
+
+    def begin(begun: Tensor, state: TensorDictBase) -> None:
+        rows = _list_rows(begun)
+        start_of.update(rows)
+        recorder.begin(rows)
+        recorder.keep(base, rows)
+
+    def keep(running: Tensor, flows: FlowEnv) -> None:
+        is_over = flows.task.is_terminated(flows.measure()).tolist()
+        rows = set(_list_rows(running)) - ended
+        ending = {row for row in rows if is_over[row]}
+        recorder.keep(flows, rows if recorder.is_due() else ending)
+        ended.update(ending)
+
+    def settle(running: Tensor, step: TensorDictBase) -> None:
+        recorder.settle(step, _list_rows(running))
+        ended.clear()
+        if on_step is not None:
+            on_step(running, step)
+
+    return run_episodes(
+        env,
+        policy,
+        starts,
+        max_decisions=max_decisions,
+        on_begin=begin,
+        on_step=settle,
+        on_frame=keep,
+    )
+
+
+def _list_rows(start_of: Tensor) -> dict[int, int]:
+    """Return the start of each row that has one."""
+    return {row: start for row, start in enumerate(start_of.tolist()) if start >= 0}
+
+
+@dataclass(kw_only=True)
+class Recording:
+    """The frames of one episode.
+
+    Args:
+        scene: names what they hold.
+        frames: F frames in the order of time.
+        has_succeeded: whether the task was accomplished.
+    """
+
+    scene: Scene
+    frames: list[Frame] = field(default_factory=list)
+    has_succeeded: bool = False
+
+    @property
+    def time(self) -> Tensor:
+        """``[F]`` in T, float64."""
+        return torch.tensor([frame.time for frame in self.frames], dtype=torch.float64)
+
+    def stack(self, key: str) -> Tensor:
+        """Return ``[F, ...]`` what the frames hold under a key of the scene."""
+        return torch.stack([frame.values[key] for frame in self.frames])
+
+    def stack_bl(self, key: str) -> Tensor:
+        """Return places ``[F, ..., 2]`` (x, y) in body lengths."""
+        return self.stack(key).float() / self.scene.body_length

@@ -1,0 +1,134 @@
+"""What there is to see in each task, and that all of it can be read off the env."""
+
+import math
+from typing import Any
+
+import pytest
+import torch
+
+from fishrl.envs import AbstractTask, KarmanGait, Predation, make_env
+from fishrl.envs.lateral_line import LateralLine
+from fishrl.envs.macro_actions import DirectFrequencies
+from fishrl.envs.scene import Choice, Scene
+from fishrl.envs.streams import Stream
+from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
+from tests.envs.shy_task import Shy
+
+pytestmark = pytest.mark.usefixtures("gliding")
+
+GAIT: dict[str, Any] = {**SMALL, "wall_margin_bl": 0.25}
+DISC = "dcylinder_1"  # gliding fish have none
+
+
+def make_task(kind: str) -> AbstractTask:
+    line = LateralLine(is_averaged=True, features=("shear",))
+    free = {"stream": Stream(has_disc=False), "control": DirectFrequencies(frequencies=(0.5, 2.0))}
+    return {
+        "predation": lambda: Predation(**SMALL),
+        "gait": lambda: KarmanGait(**GAIT),
+        "averaged": lambda: KarmanGait(**GAIT, lateral_line=line),
+        "free": lambda: KarmanGait(**GAIT, **free),
+        "own": lambda: Shy(**SMALL),
+    }[kind]()
+
+
+def list_keys(scene: Scene) -> set[str]:
+    """Return every key that is read by ``read_scene``."""
+    keys = {scene.field.key, *(one.key for one in (*scene.curves, *scene.marks, *scene.trails))}
+    keys |= {marks.value for marks in scene.marks if marks.value}
+    for panel in scene.panels:
+        if not isinstance(panel, Choice) and not panel.is_output:
+            keys |= {series.key for series in panel.series}
+    return keys
+
+
+@pytest.mark.parametrize("kind", ["predation", "gait", "averaged", "free", "own"])
+def test_everything_that_a_scene_names_can_be_read(kind: str) -> None:
+    task = make_task(kind)
+    env = make_env(task=task, num_envs=2, compile=False)
+    base, scene = env.base_env, task.make_scene()
+    values = task.read_scene(base.solver, base.start)
+    assert list_keys(scene) <= set(values) | {DISC}
+    assert all(len(value) == 2 for value in values.values())
+    assert values["vorticity"].shape == (2, scene.height, scene.width)
+    assert values["vorticity"].float().mean() == pytest.approx(0.02 * task.scales.period, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "names", "areas"),
+    [
+        ("predation", {"distance of the food [L]"}, {"edges"}),
+        (
+            "gait",
+            {"class probabilities", "pressure felt [ρ (L/T)²]", "nose from the flat side [L]"},
+            {"edges", "danger_area"},
+        ),
+        ("own", set(), {"edges"}),
+    ],
+)
+def test_each_task_has_its_own_plots_beside_those_of_all(
+    kind: str, names: set[str], areas: set[str]
+) -> None:
+    scene = make_task(kind).make_scene()
+    always = {"reward", "action (line) among the legal ones (dots)", "tail-beat frequency [1/T]"}
+    always |= {"angle of attack [°]", "power [ρ L⁴/T³]"}
+    assert {panel.name for panel in scene.panels} == always | names
+    assert {area.key for area in scene.areas} == areas
+
+
+def test_only_predation_has_a_goal() -> None:
+    goal = make_task("predation").make_scene().goal
+    assert goal is not None and goal.key == "food"
+    assert make_task("gait").make_scene().goal is None
+
+
+def test_the_danger_area_of_the_scene_is_that_of_the_task() -> None:
+    task = make_task("gait")
+    assert isinstance(task, KarmanGait)
+    (area,) = [area for area in task.make_scene().areas if area.key == "danger_area"]
+    for x, y in (area.low, area.high, (area.low[0], area.high[1])):
+        place = (torch.tensor([[x, y]], dtype=torch.float64) - task.origin) / task.body_length
+        assert task.safe_area.measure_margin(place).item() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_midline_of_a_straight_fish_is_its_axis() -> None:
+    base = make_env(task=make_task("predation"), num_envs=1, compile=False).base_env
+    midline = base.task.read_scene(base.solver, base.start)["midline"][0]
+    head = base.solver.head()[0]
+    assert midline[:, 1].tolist() == pytest.approx([head[1].item()] * len(midline))
+    assert midline[0].tolist() == pytest.approx(head.tolist())
+    assert midline[-1, 0] - head[0] == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize("turn", [0.1, -0.3])
+@pytest.mark.parametrize("kind", ["gait", "predation"])
+def test_the_angle_of_attack_is_from_upstream_or_from_the_direction_of_swimming(
+    kind: str, turn: float
+) -> None:
+    base = make_env(task=make_task(kind), num_envs=1, compile=False).base_env
+    base.solver.body.heading.fill_(math.pi + turn)
+    if kind == "predation":
+        assert base.task.read_scene(base.solver, base.start)["angle_of_attack"].isnan().all()
+        base.solver.body.velocity[:, 0] = -0.5 * base.task.scales.reference_speed
+    angle = base.task.read_scene(base.solver, base.start)["angle_of_attack"].item()
+    assert angle == pytest.approx(math.degrees(turn))
+
+
+def test_starts_are_named_after_their_streams() -> None:
+    task = make_task("gait")
+    starts = task.sample_starts(2, torch.Generator().manual_seed(0))
+    starts["flow_index"] = torch.tensor([2, 0])
+    assert [task.name_start(start) for start in starts] == ["1.5 L/T", "1 L/T"]
+    assert make_task("predation").name_start(starts[0]) == ""
+
+
+@pytest.mark.parametrize(
+    ("kind", "names"),
+    [
+        ("gait", ("decelerate", "cruise", "accelerate")),
+        ("free", ("0.5 beats/T", "2 beats/T")),
+        ("predation", ("turn -15°", "keep", "turn +15°")),
+    ],
+)
+def test_actions_are_named_by_what_they_do(kind: str, names: tuple[str, ...]) -> None:
+    assert make_task(kind).action_names == names

@@ -1,0 +1,91 @@
+"""The pictures of a run, chosen by what its scene offers."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from experiments.figures import vorticity
+from experiments.figures.run_pictures import write_run_pictures
+from fishrl.viewer import Recording
+from tests.experiments.figures.test_learning_curve import METRICS
+
+Maker = Callable[..., Recording]
+
+
+@pytest.fixture
+def run_dir(tmp_path: Path) -> Path:
+    (tmp_path / "metrics.csv").write_text(METRICS)
+    return tmp_path
+
+
+def scale_vorticity(recording: Recording, factor: float) -> Recording:
+    frames = [
+        dataclasses.replace(
+            frame, values={**frame.values, "vorticity": factor * frame.values["vorticity"]}
+        )
+        for frame in recording.frames
+    ]
+    return dataclasses.replace(recording, frames=frames)
+
+
+def test_a_task_with_a_goal_gets_every_picture(make_recording: Maker, run_dir: Path) -> None:
+    recordings = [make_recording(has_succeeded=False), make_recording(num_frames=9, lane=3.0)]
+    written = write_run_pictures(run_dir, recordings, baselines={"random": 0.1})
+    assert [path.name for path in written] == [
+        "learning_curve.png", "trajectories.png", "vorticity_sequence.png", "vorticity_last.png",
+        "capture.gif",
+    ]  # fmt: skip
+    assert all(path.stat().st_size > 1000 for path in written)
+    with Image.open(run_dir / "capture.gif") as picture:  # the first capture, frame by frame
+        assert picture.n_frames == 9
+
+
+def test_a_task_without_a_goal_gets_the_learning_curve(
+    make_recording: Maker, run_dir: Path
+) -> None:
+    recording = make_recording(num_frames=2)
+    recording.scene = dataclasses.replace(recording.scene, marks=())
+    written = write_run_pictures(run_dir, [recording], baselines={})
+    assert [path.name for path in written] == ["learning_curve.png"]
+
+
+def test_the_animation_shrinks_until_it_fits(make_recording: Maker, tmp_path: Path) -> None:
+    recording = make_recording(num_frames=5)
+    vorticity.write_animation(recording, tmp_path / "large.gif")
+    limit = (tmp_path / "large.gif").stat().st_size // 2
+    vorticity.write_animation(recording, tmp_path / "small.gif", max_bytes=limit)
+    assert (tmp_path / "small.gif").stat().st_size <= limit
+    with pytest.raises(ValueError, match="max_bytes = 10: "):
+        vorticity.write_animation(recording, tmp_path / "x.gif", max_bytes=10)
+
+
+def test_colours_are_symmetric_about_zero_and_saturate_at_a_round_number(
+    make_recording: Maker,
+) -> None:
+    recording = make_recording()
+    limit = vorticity.choose_vorticity_limit(recording)
+    assert limit == vorticity.choose_vorticity_limit(scale_vorticity(recording, -1.0))
+    assert limit in (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
+    assert vorticity.choose_vorticity_limit(scale_vorticity(recording, 0.0)) == 1.0
+
+
+def test_flows_are_drawn_in_body_lengths(make_recording: Maker) -> None:
+    recording = make_recording(num_frames=5)
+    figure, flow = vorticity.make_single(recording)
+    flow.show(4)
+    x, y = flow.paths["head"].get_data()
+    assert np.allclose([x[-1], y[-1]], recording.stack_bl("head")[-1].numpy())
+    assert flow.clock.get_text() == "t = 1.0 T"
+    assert figure.axes[0].get_xlabel() == "x / L"
+
+
+def test_snapshots_are_spread_over_the_episode(make_recording: Maker) -> None:
+    recording = make_recording()
+    frames = vorticity.find_frames(recording, 4)
+    assert frames == [4, 8, 12, 16]
+    assert torch.equal(recording.time[frames], torch.tensor([1.0, 2.0, 3.0, 4.0]).double())
