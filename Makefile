@@ -56,7 +56,7 @@ check: $(STAMP) ## lint, formatting, types, who may import whom
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q tests/test_architecture.py
 
-bench: $(STAMP) ## measure the speed of everything, about ten minutes; ARGS="--groups solver coupled" narrows
+bench: $(STAMP) ## measure the speed of everything, about ten minutes; ARGS="groups=[solver,coupled]" narrows
 	$(BIN)/python -m experiments.benchmark $(ARGS)
 
 bench-peers: $(STAMP) ## install the codes that the benchmark compares with

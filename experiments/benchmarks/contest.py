@@ -1,202 +1,246 @@
-"""The protocol: a process per code, short bursts in turn, every entry once a round.
+"""The contest: a process per code, and short bursts in turn, every case once a round.
 
-A machine that changes its mind does so for all entries of a round, so what is compared are speeds
-of the same round. Each process measures its own bursts; while one runs, the others wait. A burst
-begins when the threads of the one before have gone to sleep (they look for work for some
-milliseconds first), and with steps that do not count, which fill the caches and wake its own.
+Other load on the machine then slows every case of a round, so speeds are compared round by round.
+While one process measures, the others wait. A burst begins after the threads of the one before have
+gone to sleep, with some steps that are not timed: they fill the caches and wake its own threads.
 """
 
 from __future__ import annotations
 
 import logging
 import multiprocessing
-import signal
-import sys
+import os
 import time
-import traceback
-from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import fields
-from multiprocessing.connection import Connection, wait
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
 from typing import Any
 
+import torch
 from tqdm import tqdm
 
-from experiments.benchmarks.entry import Entry, Settings, Team
-from experiments.benchmarks.results import Row, Skipped
+from fishrl.bounds import bounded, check_bounds
 
 logger = logging.getLogger(__name__)
-_PAUSE = 0.01  # seconds; a thread of GNU's OpenMP was seen to spin for four milliseconds
-_WARM_UP = 4  # such a part of a burst runs before it and does not count
-_BAR = "{desc} {percentage:3.0f}%|{bar:20}| {n_fmt}/{total_fmt} rounds [{elapsed}<{remaining}]"
-_SENT = tuple(f.name for f in fields(Entry) if f.name not in ("advance", "prepare", "multiple"))
+_PAUSE = 0.01  # seconds; threads of GNU's OpenMP were seen to spin for four milliseconds
+_WARM_UP = 4  # such a part of a burst runs before it and is not timed
+
+KERNEL = "kernel"  # the pass over all nodes alone, without edges
+PERIODIC = "periodic"  # a whole step with periodic edges
+WALLS = "with walls"  # a whole step with boundary conditions on all four sides
+FISH = "with fish"  # the same with a swimming fish in each flow
+PROBE = "memory"  # no flow: the speed of the memory
+OTHER = "other"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What all measurements share.
+
+    Args:
+        body_length: L of the large case, whose tank is 10 L x 5 L; others have L / 2 and L / 4.
+        threads: cores that each code may use.
+        rounds: bursts of every case.
+        burst: seconds that a burst should take.
+    """
+
+    body_length: int = bounded(100, least=16)
+    threads: int = bounded(os.cpu_count() or 1, least=1)
+    rounds: int = bounded(15, least=2)
+    burst: float = bounded(0.1, greater=0.0)
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
+        if self.body_length % 4:
+            raise ValueError(f"body_length = {self.body_length}: must be a multiple of 4")
+
+    @property
+    def how(self) -> str:
+        """How a code runs, in words."""
+        return f"{self.threads} threads" if self.threads > 1 else "one core"
+
+
+@dataclass(kw_only=True)
+class Row:
+    """A case and its times.
+
+    Attributes:
+        label: by which goals and figures find it, such as "large/walls".
+        name: the case in words.
+        scope: how much of a step it is: kernel, periodic, with walls, with fish.
+        num_nodes: node updates of one step, all flows together; 0 where no flow is advanced.
+        working_set: bytes that a step goes through.
+        bytes_per_update: that a node update moves if each population is read and written once.
+        num_steps: of each burst. None: as many as fill one. A given number has no warm-up, and 0
+            no bursts: then ``facts`` hold everything.
+        facts: numbers known before the bursts, such as the slip reached.
+        code, group: of the team.
+        seconds: that one step took, by round.
+        extras: further numbers of each burst, by round.
+    """
+
+    label: str
+    name: str
+    scope: str = OTHER
+    num_nodes: int = 0
+    working_set: int = 0
+    bytes_per_update: int = 72
+    num_steps: int | None = None
+    facts: dict[str, Any] = field(default_factory=dict)
+    code: str = ""
+    group: str = ""
+    seconds: list[float] = field(default_factory=list)
+    extras: dict[str, list[float]] = field(default_factory=dict)
+
+
+@dataclass(kw_only=True)
+class Entry(Row):
+    """A case and how to run it.
+
+    Attributes:
+        advance: runs so many steps, and may return further numbers.
+        multiple: the numbers of steps it can run are multiples of this.
+        prepare: is called before each burst and not timed.
+    """
+
+    advance: Callable[[int], dict[str, float] | None] = lambda num_steps: None
+    multiple: int = 1
+    prepare: Callable[[], object] = lambda: None
+
+
+@dataclass(frozen=True)
+class Team:
+    """The cases of one process.
+
+    Args:
+        group: by which it is chosen.
+        make: a function at the top of a module, run in that process; an ImportError means that the
+            code is not installed.
+        code: whose code it is.
+        is_long: whether bursts take seconds, or everything is measured once. Such teams have
+            rounds of their own, and are prepared one after the other.
+    """
+
+    group: str
+    make: Callable[[Settings], Sequence[Entry]]
+    code: str = "fishrl"
+    is_long: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Skipped:
+    """A team without rows: its code is not installed, or has failed."""
+
+    code: str
+    group: str
+    why: str
+    has_failed: bool
+
+
+def run_alone(function: Callable[..., Any], *arguments: object) -> Any:
+    """Return the result of a function at the top of a module, run in a new process."""
+    with _start_process() as process:
+        return process.submit(function, *arguments).result()
+
+
+def _start_process() -> ProcessPoolExecutor:
+    # spawned, as a fork of a process with threads may hang
+    return ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
 
 
 class _Player:
-    """The process of one team."""
+    """The process of a team, as seen from outside."""
 
-    def __init__(self, team: Team, burst: float) -> None:
-        # spawned, not forked: a fork of a process with threads (torch has some) may hang
-        context = multiprocessing.get_context("spawn")
-        self.team = team
-        self.connection, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, team, burst), daemon=True)
-        self.process.start()
-        theirs.close()
-        self.entries: list[dict[str, Any]] = []
-        self.seconds: list[list[float]] = []
-        self.extras: list[dict[str, list[float]]] = []
+    def __init__(self, team: Team) -> None:
+        self.team, self.process = team, _start_process()
+        self.rows: list[Row] = []
         self.skipped: Skipped | None = None
 
-    def receive_entries(self) -> None:
-        """Take what the process has made, or why it has made nothing."""
-        answer = self._receive()
-        if isinstance(answer, Skipped):
-            self._leave(answer)
-            return
-        self.entries = answer
-        self.seconds = [[] for _ in answer]
-        self.extras = [{} for _ in answer]
+    def prepare(self, settings: Settings) -> None:
+        """Make the cases."""
+        logger.info("%s: preparing %s ...", self.team.group, self.team.code)
+        with self._leaving_if_it_fails():
+            self.rows = self.process.submit(_prepare, self.team, settings).result()
 
-    def play(self, *, counts: bool) -> None:
-        """Run a burst of each entry; a process that fails is out, with all it has measured."""
-        for index in range(len(self.entries)):
-            time.sleep(_PAUSE)
-            with suppress(ConnectionError):  # it is gone: what it sent last says so
-                self.connection.send(index)
-            answer = self._receive()
-            if isinstance(answer, Skipped):
-                self._leave(answer)
-                return
-            if counts:
-                self.seconds[index].append(answer[0])
-                for name, value in answer[1].items():
-                    self.extras[index].setdefault(name, []).append(value)
+    def play(self) -> None:
+        """Run a burst of each case."""
+        with self._leaving_if_it_fails():
+            for index, row in enumerate(self.rows):
+                if row.num_steps:
+                    time.sleep(_PAUSE)
+                    seconds, extras = self.process.submit(_play, index, row.num_steps).result()
+                    row.seconds.append(seconds)
+                    for name, value in extras.items():
+                        row.extras.setdefault(name, []).append(value)
 
-    def _receive(self) -> Any:
+    @contextmanager
+    def _leaving_if_it_fails(self) -> Iterator[None]:
         try:
-            return self.connection.recv()
-        except (EOFError, ConnectionError):
-            self.process.join()
-            why = f"its process ended with exit status {self.process.exitcode}"
-            return Skipped(self.team.code, self.team.group, why, True)
-
-    def _leave(self, skipped: Skipped) -> None:
-        self.skipped, self.entries, self.seconds, self.extras = skipped, [], [], []
-        self.close()
-
-    def list_rows(self) -> list[Row]:
-        """Return what was measured."""
-        return [
-            Row(
-                code=self.team.code, group=self.team.group, seconds=tuple(seconds),
-                extras=extras, **entry,
-            )
-            for entry, seconds, extras in zip(self.entries, self.seconds, self.extras, strict=True)
-        ]  # fmt: skip
-
-    def close(self) -> None:
-        """End the process: gently, as it may have processes of its own."""
-        self.connection.close()
-        self.process.join(timeout=10.0)
-        self.process.terminate()
-        self.process.join()
+            yield
+        except Exception as problem:  # whatever it is, the other teams go on
+            is_absent = isinstance(problem, ImportError)
+            why = str(problem) if is_absent else f"{type(problem).__name__}: {problem}"
+            code, group = self.team.code, self.team.group
+            logger.warning("%s: %s is left out: %s", group, code, why, exc_info=not is_absent)
+            self.rows = []
+            self.skipped = Skipped(code=code, group=group, why=why, has_failed=not is_absent)
 
 
 def run_contest(
-    teams: Sequence[Team], settings: Settings, *, name: str = "measuring"
+    teams: Sequence[Team], settings: Settings, *, num_parallel: int = 1
 ) -> tuple[list[Row], list[Skipped]]:
-    """Time all entries of all teams in turn.
+    """Time all cases of all teams in turn.
 
     Args:
         teams: one process each.
         settings: rounds and length of the bursts.
-        name: of the progress bar.
+        num_parallel: teams that are prepared at the same time, as they may compile.
 
     Returns:
-        A row per entry, and the teams that could not take part.
+        A row per case, and the teams that could not take part.
     """
-    players = []
+    players = [_Player(team) for team in teams]
     try:
-        players = _gather(teams, settings)
-        bar = tqdm(
-            total=settings.rounds, desc=name, bar_format=_BAR, disable=not sys.stderr.isatty()
-        )
-        with bar:
-            for number in range(settings.rounds + 1):
-                for player in players:
-                    player.play(counts=number > 0)  # the first round warms up
-                bar.update(number > 0)
+        with ThreadPoolExecutor(num_parallel) as threads:
+            list(threads.map(lambda player: player.prepare(settings), players))
+        for _ in tqdm(range(settings.rounds), desc="rounds", disable=None):
+            for player in players:
+                player.play()
     finally:
         for player in players:
-            player.close()
-    skipped = [player.skipped for player in players if player.skipped is not None]
-    for each in skipped:
-        logger.warning("%s: %s is left out: %s", each.group, each.code, each.why)
-    return [row for player in players for row in player.list_rows()], skipped
+            player.process.shutdown()
+    rows = [row for player in players for row in player.rows]
+    return rows, [player.skipped for player in players if player.skipped]
 
 
-def _gather(teams: Sequence[Team], settings: Settings) -> list[_Player]:
-    """Start the processes, as many at a time as there are cores; making entries may compile."""
-    players: list[_Player] = []
-    busy: dict[Connection[Any, Any], _Player] = {}
-    waiting = list(teams)
-    try:
-        while waiting or busy:
-            while waiting and len(busy) < settings.threads:
-                player = _Player(waiting.pop(0), settings.burst)
-                players.append(player)
-                busy[player.connection] = player
-                logger.info("%s: preparing %s ...", player.team.group, player.team.code)
-            for connection in wait(list(busy)):
-                assert isinstance(connection, Connection)
-                busy.pop(connection).receive_entries()
-    except BaseException:
-        for player in players:
-            player.close()
-        raise
-    return players
+_entries: list[Entry] = []  # of this process
 
 
-def _serve(connection: Connection[Any, Any], team: Team, burst: float) -> None:
-    """Make a team's entries and time them on demand until the other side closes the pipe."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; the parent decides
-    try:
-        entries = list(team.make(**team.arguments))
-        lengths = [entry.num_steps or find_length(entry, burst) for entry in entries]
-    except ImportError as error:
-        connection.send(Skipped(team.code, team.group, str(error), False))
-        return
-    except Exception as problem:  # noqa: BLE001 - whatever it is, it is this code's alone
-        connection.send(_describe(team, problem))
-        return
-    connection.send(
-        [
-            {name: getattr(entry, name) for name in _SENT} | {"num_steps": length}
-            for entry, length in zip(entries, lengths, strict=True)
-        ]
-    )
-    while True:
-        try:
-            index = connection.recv()
-        except EOFError:
-            return
-        try:
-            connection.send(_time(entries[index], lengths[index]))
-        except Exception as problem:  # noqa: BLE001 - likewise
-            connection.send(_describe(team, problem))
-            return
+def _prepare(team: Team, settings: Settings) -> list[Row]:
+    """Make a team's entries in this process, and return what is known of them."""
+    torch.set_num_threads(settings.threads)
+    _entries.extend(team.make(settings))
+    rows = []
+    for entry in _entries:
+        known = {each.name: getattr(entry, each.name) for each in fields(Row)}
+        known |= {"code": team.code, "group": team.group}
+        if entry.num_steps is None:
+            known["num_steps"] = find_length(entry, settings.burst)
+        elif entry.num_steps:
+            time_burst(entry, entry.num_steps)  # the first may compile
+        rows.append(Row(**known))
+    return rows
 
 
-def _describe(team: Team, problem: Exception) -> Skipped:
-    traceback.print_exc()
-    return Skipped(team.code, team.group, f"{type(problem).__name__}: {problem}", True)
+def _play(index: int, num_steps: int) -> tuple[float, dict[str, float]]:
+    return time_burst(_entries[index], num_steps)
 
 
-def _time(entry: Entry, num_steps: int) -> tuple[float, dict[str, float]]:
-    """Return the seconds of one step, and what else the burst has to say."""
-    if entry.prepare is not None:
-        entry.prepare()
+def time_burst(entry: Entry, num_steps: int) -> tuple[float, dict[str, float]]:
+    """Return the seconds of one step, and further numbers of the burst."""
+    entry.prepare()
     if entry.num_steps is None:
         entry.advance(max(1, num_steps // _WARM_UP // entry.multiple) * entry.multiple)
     start = time.perf_counter()
@@ -205,16 +249,11 @@ def _time(entry: Entry, num_steps: int) -> tuple[float, dict[str, float]]:
 
 
 def find_length(entry: Entry, burst: float) -> int:
-    """Return how many steps fill a burst.
-
-    Args:
-        entry: is run to find out.
-        burst: seconds.
-    """
+    """Return how many steps fill a burst of some seconds."""
     num_steps = entry.multiple
-    _time(entry, num_steps)  # the first run may compile, or touch memory for the first time
+    time_burst(entry, num_steps)  # the first run may compile, or touch memory for the first time
     while True:
-        spent = _time(entry, num_steps)[0] * num_steps
+        spent = time_burst(entry, num_steps)[0] * num_steps
         if spent >= 0.5 * burst or num_steps >= 1_000_000:
             return max(1, round(num_steps * burst / spent / entry.multiple)) * entry.multiple
         num_steps = 2 * num_steps

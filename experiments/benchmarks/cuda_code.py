@@ -1,4 +1,4 @@
-"""Group ``cuda``: what Inductor would launch on a GPU, generated where there is none.
+"""The code that Inductor would launch on a GPU, generated where there is none.
 
 The parts of the step are traced as on a CPU, moved to an imaginary CUDA device and lowered to
 Triton source, which is counted and not run. It needs the package triton, but no device.
@@ -6,7 +6,7 @@ Triton source, which is counted and not run. It needs the package triton, but no
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -20,26 +20,19 @@ from torch._subclasses import FakeTensorMode
 from torch.fx import GraphModule
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from experiments.benchmarks.entry import Settings
-from experiments.benchmarks.flows import make_scales, make_tank
+from experiments.benchmarks.contest import Entry, Settings
+from experiments.benchmarks.flows import list_calls, make_scales
 from fishrl.physics import InPlaceSolver
+from fishrl.physics.cases import make_swimmer_config
 
 # What code generation asks of a device; the numbers are an H100's.
 _PROPERTIES: dict[str, Any] = {
-    "multi_processor_count": 132,
-    "major": 9,
-    "minor": 0,
-    "regs_per_multiprocessor": 65536,
-    "max_threads_per_multi_processor": 2048,
-    "max_threads_per_block": 1024,
-    "warp_size": 32,
-    "shared_memory_per_block": 49152,
-    "shared_memory_per_block_optin": 232448,
-    "L2_cache_size": 50 * 2**20,
-    "total_memory": 80 * 2**30,
-    "name": "imagined",
-    "gcnArchName": "",
-}
+    "name": "imagined", "gcnArchName": "", "major": 9, "minor": 0, "warp_size": 32,
+    "multi_processor_count": 132, "regs_per_multiprocessor": 65536,
+    "max_threads_per_multi_processor": 2048, "max_threads_per_block": 1024,
+    "shared_memory_per_block": 49152, "shared_memory_per_block_optin": 232448,
+    "L2_cache_size": 50 * 2**20, "total_memory": 80 * 2**30,
+}  # fmt: skip
 
 
 def generate(function: Callable[..., Any], arguments: Sequence[Tensor], patches: Any) -> str:
@@ -56,19 +49,12 @@ def generate(function: Callable[..., Any], arguments: Sequence[Tensor], patches:
             torch.empty_strided(t.shape, t.stride(), dtype=t.dtype, device="cuda")
             for t in arguments
         ]
-    with (
-        _imagine_device(),
-        config.patch({"size_asserts": False, "alignment_asserts": False, **patches}),
-    ):
+    asserts = {"size_asserts": False, "alignment_asserts": False}
+    with _imagine_device(), config.patch(asserts | patches), V.set_fake_mode(fake_mode):
         lowering = GraphLowering(graph, example_inputs=imagined, is_inference=True)
-        with (
-            V.set_fake_mode(fake_mode),
-            V.set_debug_handler(DebugContext()),
-            V.set_graph_handler(lowering),
-        ):
+        with V.set_debug_handler(DebugContext()), V.set_graph_handler(lowering):
             lowering.run(*imagined)
-            code, _ = lowering.codegen()
-    return str(code.value)
+            return str(lowering.codegen()[0].value)
 
 
 def _trace(function: Callable[..., Any], arguments: Sequence[Tensor]) -> GraphModule:
@@ -122,24 +108,26 @@ def count(code: str) -> dict[str, int]:
     body = code.split("def call(")[1]
     return {
         "kernels": len(re.findall(r"triton_\w+\.run\(", body)),
-        "library_calls": body.count("extern_kernels."),
+        "library calls": body.count("extern_kernels."),
         "temporaries": body.count("= empty_strided_cuda("),
         "loads": code.count("tl.load("),
         "stores": code.count("tl.store(") + code.count("tl.atomic_add("),
     }
 
 
-def run(settings: Settings) -> dict[str, Any]:
-    """Count for a batch of two flows with a fish in each, as one launch."""
-    if importlib.util.find_spec("triton") is None:
-        return {"skipped": "triton is not installed (pip install triton)"}
-    config = make_tank(make_scales(settings.body_length // 2), has_fish=True)
+def make_code(settings: Settings) -> list[Entry]:
+    """Count for a batch of two flows with a fish in each, as one launch.
+
+    Raises:
+        ImportError: if triton is not installed.
+    """
+    importlib.import_module("triton")
+
+    config = make_swimmer_config(make_scales(settings.body_length // 2))
     solver = InPlaceSolver(config=config, num_envs=2, flows_per_launch=2, compile=False)
-    step, group = solver._stepper, next(iter(solver._groups.values()))
-    parts = {
-        "collide": (step._collide, group.collisions[0], {}),
-        "bodies": (step._act, group.body_arguments[0][1], {"realize_opcount_threshold": 10}),
-    }
-    for i, (edges, arguments) in enumerate(zip(step._set_edges, group.edges[0], strict=True)):
-        parts[f"edges {i + 1}"] = (edges, arguments, {})
-    return {"rows": [{"name": name} | count(generate(*part)) for name, part in parts.items()]}
+    entries = []
+    for part, calls in list_calls(solver).items():
+        patches = {"realize_opcount_threshold": 10} if part == "bodies" else {}
+        facts = count(generate(*calls[0], patches))
+        entries.append(Entry(label=f"cuda/{part}", name=part, num_steps=0, facts=facts))
+    return entries

@@ -1,58 +1,70 @@
-"""Group ``env``: what TorchRL adds to the flow, at one action per tail beat.
+"""What surrounds the flow: the environment, a training run, a live view, and a profile.
 
-The same flows are advanced by the bare solver, by the environment, and by the environment with its
-transforms, resets and a learning fish's policy. No episode ends meanwhile, so the steps are the
-same.
+One action lasts a tail beat. The same flows are advanced by the bare solver, by the environment,
+and by the environment with its transforms, resets and a policy. No episode ends meanwhile, so the
+steps are the same.
 """
 
 from __future__ import annotations
 
+import atexit
 import time
+from collections import defaultdict
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
+from torch.profiler import ProfilerActivity, profile, record_function
 from torchrl.envs import ExplorationType, set_exploration_type
 
-from experiments.benchmarks.entry import FISH, Entry, Settings, Team
-from experiments.benchmarks.flows import CODE, describe_size
-from experiments.config import build, load_config
-from fishrl.envs import make_env
+from experiments.benchmarks.contest import FISH, Entry, Settings
+from experiments.benchmarks.flows import wrap_parts
+from experiments.config import load_config
+from experiments.settings import TrainConfig
+from fishrl.envs import Predation, make_env
 from fishrl.modules import make_actor
+from fishrl.physics import InPlaceSolver
+from fishrl.training.algorithms import build_algorithm
+from fishrl.training.checkpoint import BrainOf
+from fishrl.training.collector import ResumableCollector
+from fishrl.training.learner import one_thread
+from fishrl.viewer import LiveView, ViewerSettings
 
+NUM_ENVS = 16
 NUM_ACTIONS = 5  # until the flows are reset, outside the time: no fish has reached a wall by then
 
 
-def make_task(body_length: int) -> Any:
-    """Return the task of preset ``small``, at its Reynolds number where L is 50."""
-    overrides = [f"task.body_length={body_length}", f"task.reynolds={140.0 * body_length}"]
-    return build(load_config("train", ["preset=small", *overrides]).task)
+def make_task(settings: Settings) -> Predation:
+    """Return the task of preset ``small``, at its relaxation time also where L / 2 is not 50."""
+    length = settings.body_length // 2
+    return Predation(body_length=length, reynolds=140.0 * length)
 
 
 class Stage:
     """Flows, the environment around them and a policy.
 
     Args:
-        task: what the fish has to do.
+        task: of the fish.
         num_envs: number of flows.
+        **options: of ``make_env``.
     """
 
-    def __init__(self, *, task: Any, num_envs: int, **options: Any) -> None:
+    def __init__(self, task: Any, num_envs: int, **options: Any) -> None:
         self.task = task
         middle = task.starts_from(torch.full((1, task.num_draws), 0.5, dtype=torch.float64))
         self.env = make_env(task=task, num_envs=num_envs, starts=middle, **options)
         self.base = self.env.base_env
-        self.policy = make_actor(
+        self.policy: Any = make_actor(
             num_inputs=task.num_stacked * task.n_obs,
             num_actions=task.num_actions,
             generator=torch.Generator().manual_seed(0),
         )
-        self._in_flow = 0.0
-        self._num_actions = NUM_ACTIONS
+        self._in_flow, self._num_actions = 0.0, NUM_ACTIONS
         self.state: TensorDictBase
         solver: Any = self.base.solver
-        solver.advance_ = self._time_flow(solver.advance_)
+        self._advance_, solver.advance_ = solver.advance_, self._time_flow
         self.prepare()
 
     def prepare(self) -> None:
@@ -62,60 +74,43 @@ class Stage:
             self._num_actions = 0
         self._num_actions += 1
 
-    def run_solver(self, num_steps: int) -> None:
-        """Advance the flows, and nothing else."""
-        for _ in range(num_steps):
-            self.base.solver.advance_(self.task.n_substeps)
+    def run_solver(self, num_actions: int) -> None:
+        """Advance the flows by an action, and nothing else."""
+        self.base.solver.advance_(self.task.n_substeps)
 
-    def run_env(self, num_steps: int) -> dict[str, float]:
-        """Step the bare environment; every fish keeps its heading."""
+    def run_env(self, num_actions: int) -> dict[str, float]:
+        """Step the bare environment by an action; every fish keeps its heading."""
         keep = torch.ones(self.base.batch_size, dtype=torch.int64)
-        return self._time(lambda: self.base.step(self.state.clone().set("action", keep)), num_steps)
+        return self._time(lambda: self.base.step(self.state.clone().set("action", keep)))
 
-    def run_policy(self, num_steps: int) -> dict[str, float]:
-        """Step the whole environment as a collector does, with a policy's actions."""
+    def run_policy(self, num_actions: int) -> dict[str, float]:
+        """Step the whole environment as a collector does, with an action of a policy."""
+        return self._time(self.act)
 
-        def act() -> None:
-            with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
-                _, self.state = self.env.step_and_maybe_reset(self.policy(self.state))
+    def act(self) -> TensorDictBase:
+        """Take one action of the policy, and return the step."""
+        with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+            step, self.state = self.env.step_and_maybe_reset(self.policy(self.state))
+        return step
 
-        return self._time(act, num_steps)
-
-    def _time(self, act: Callable[[], object], num_steps: int) -> dict[str, float]:
+    def _time(self, act: Callable[[], object]) -> dict[str, float]:
         """Act, and return the share of the time that was not spent in the flow."""
         self._in_flow, start = 0.0, time.perf_counter()
-        for _ in range(num_steps):
-            act()
-        return {"share_outside_flow": 1.0 - self._in_flow / (time.perf_counter() - start)}
+        act()
+        return {"outside_flow": 1.0 - self._in_flow / (time.perf_counter() - start)}
 
-    def _time_flow(self, advance_: Callable[..., None]) -> Callable[..., None]:
-        def timed(*arguments: Any, **keywords: Any) -> None:
-            start = time.perf_counter()
-            advance_(*arguments, **keywords)
-            self._in_flow += time.perf_counter() - start
-
-        return timed
+    def _time_flow(self, *arguments: Any, **keywords: Any) -> None:
+        start = time.perf_counter()
+        self._advance_(*arguments, **keywords)
+        self._in_flow += time.perf_counter() - start
 
 
-def make_stage(*, body_length: int, num_envs: int, threads: int, compile: bool) -> list[Entry]:
+def make_stage(settings: Settings) -> list[Entry]:
     """Make the flows once, and the three ways to advance them by one action."""
-    torch.set_num_threads(threads)
-    stage = Stage(task=make_task(body_length), num_envs=num_envs, compile=compile)
-    config, substeps = stage.base.solver.config, stage.task.n_substeps
-    size = describe_size(config, num_envs)
+    stage = Stage(make_task(settings), NUM_ENVS)
     return [
-        Entry(
-            label=f"env/{label}",
-            name=f"{size}, {name}",
-            scope=FISH,
-            advance=advance,
-            num_nodes=num_envs * config.width * config.height * substeps,
-            num_steps=1,
-            prepare=stage.prepare,
-            unit="action",
-            facts={"substeps": substeps, "num_envs": num_envs},
-        )
-        for label, name, advance in (
+        make_action_entry(stage.base, f"env/{label}", what, advance, prepare=stage.prepare)
+        for label, what, advance in (
             ("solver", "bare solver", stage.run_solver),
             ("env", "environment", stage.run_env),
             ("policy", "environment, transforms and policy", stage.run_policy),
@@ -123,12 +118,181 @@ def make_stage(*, body_length: int, num_envs: int, threads: int, compile: bool) 
     ]
 
 
-def list_teams(settings: Settings) -> list[Team]:
-    """Return the process of the environment, at the preset's number of flows."""
-    arguments = {
-        "body_length": settings.body_length // 2,
-        "num_envs": load_config("train", ["preset=small"]).num_envs,
-        "threads": settings.threads,
-        "compile": True,
-    }
-    return [Team(code=CODE, group="env", make=make_stage, arguments=arguments)]
+def make_action_entry(base: Any, label: str, what: str, advance: Any, **options: Any) -> Entry:
+    """Return bursts of one action of all flows of an environment."""
+    config, num_envs = base.solver.config, base.batch_size[0]
+    return Entry(
+        label=label,
+        name=f"{num_envs} × {config.width} × {config.height}, {what}",
+        scope=FISH,
+        advance=advance,
+        num_nodes=num_envs * config.width * config.height * base.task.n_substeps,
+        num_steps=1,
+        **options,
+    )
+
+
+class Loop:
+    """The training loop's collecting and learning, without its files.
+
+    Args:
+        config: settings of the run.
+        task: of the fish.
+    """
+
+    def __init__(self, config: TrainConfig, task: Any) -> None:
+        self.config = config
+        algorithm = build_algorithm({"algorithm": config.algorithm})
+        self.learner = algorithm.make_learner(BrainOf.task_of(task), config)
+        self.env = make_env(task=task, num_envs=config.num_envs, compile=config.compile)
+        self.num_updates = round(config.updates_per_frame * config.num_envs)
+        self._batches = iter(
+            ResumableCollector(
+                self.env,
+                self.learner.explorer,
+                frames_per_batch=config.num_envs,
+                total_frames=-1,
+                init_random_frames=config.warmup_frames,
+            )
+        )
+        while len(self.learner.buffer) < config.batch_size:
+            self.collect()
+
+    def collect(self) -> None:
+        """Take a batch of frames and remember it."""
+        self.learner.remember(next(self._batches).reshape(-1))
+
+    def learn(self, num_steps: int) -> None:
+        """Take gradient steps."""
+        with one_thread():
+            for _ in range(num_steps):
+                self.learner.update()
+
+    def run(self, num_batches: int) -> dict[str, float]:
+        """Collect a frame of every flow, learn from it, and return the share of learning."""
+        start = time.perf_counter()
+        self.collect()
+        middle = time.perf_counter()
+        self.learn(self.num_updates)
+        end = time.perf_counter()
+        return {"learning": (end - middle) / (end - start)}
+
+
+def make_training(settings: Settings) -> list[Entry]:
+    """Make a training run, and time a gradient step and a frame of all flows."""
+    config = load_config("train", ["preset=small", f"num_envs={NUM_ENVS}"])
+    loop = Loop(config, make_task(settings))
+    name = f"gradient step, {config.batch_size} transitions"
+    what = f"frame of all flows, {loop.num_updates} gradient steps"
+    return [
+        Entry(label="train/gradient", name=name, advance=loop.learn),
+        make_action_entry(loop.env.base_env, "train/frame", what, loop.run),
+    ]
+
+
+def make_live(settings: Settings) -> list[Entry]:
+    """Make decisions of four fish without and with a live view of flow 0; no window is open."""
+    return list_views(make_task(settings))
+
+
+def list_views(task: Any, *, num_envs: int = 4, port: int = 9876, **options: Any) -> list[Entry]:
+    """Return decisions of the same flows without and with a live view.
+
+    Other load changes the time of a decision, and hardly the processor time of this process; the
+    flows have processes of their own.
+
+    Args:
+        task: of the fish.
+        num_envs: number of flows.
+        port: of the viewer's server.
+        **options: of ``make_env``.
+    """
+    stage = Stage(task, num_envs, frames_per_action=task.checks_per_action, **options)
+    live = LiveView(stage.env, ViewerSettings(port=port, live_share=1.0))
+    atexit.register(live.close)
+    look = stage.base.on_frame
+
+    def decide(num_actions: int, *, is_live: bool) -> dict[str, float]:
+        stage.base.on_frame = look if is_live else None
+        start, busy = time.perf_counter(), time.process_time()
+        step = stage.act()
+        if is_live:
+            live.settle(step)
+        return {"processor": (time.process_time() - busy) / (time.perf_counter() - start)}
+
+    return [
+        make_action_entry(stage.base, f"live/{word}", what, partial(decide, is_live=is_live))
+        for word, what, is_live in (
+            ("without", "nobody looks", False),
+            ("with", "live view of one flow", True),
+        )
+    ]
+
+
+def make_profile(settings: Settings) -> list[Entry]:
+    """Profile actions of four flows on one core, all in this process."""
+    torch.set_num_threads(1)
+    return list_parts(make_task(settings), num_envs=4, num_actions=3)
+
+
+def list_parts(task: Any, *, num_envs: int, num_actions: int, compile: bool = True) -> list[Entry]:
+    """Return the parts of an environment step and their seconds per action.
+
+    Args:
+        task: of the fish.
+        num_envs: number of flows.
+        num_actions: that are profiled, after one that is not.
+        compile: compile the flow step.
+    """
+    stage = Stage(task, num_envs, compile=False)
+    solver: Any = InPlaceSolver(
+        config=task.flow_config(), num_envs=num_envs, frequency=1.0 / task.scales.period,
+        num_workers=0, compile=compile,
+    )  # fmt: skip
+    solver.compile()
+    stage.base.solver = solver
+    stage.prepare()
+    places: dict[str, str] = {}  # of each part
+
+    def name(place: str, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        places[part] = place
+
+        def named(*arguments: Any, **keywords: Any) -> Any:
+            with record_function(part):
+                return function(*arguments, **keywords)
+
+        return named
+
+    wrap_parts(solver, partial(name, "flow"))
+    for owner, attribute, place, part in (
+        (solver, "advance_", "flow", "calls, and what is in no part"),
+        (solver, "is_diverged", "environment", "check for divergence"),
+        (stage.base, "measure", "environment", "sensors and measurement"),
+        (stage.base, "_step", "environment", "reward, observation, ends"),
+        (stage.env, "step_and_maybe_reset", "TorchRL and policy", "transforms, specs, resets"),
+        (stage, "policy", "TorchRL and policy", "policy"),
+    ):
+        setattr(owner, attribute, name(place, part, getattr(owner, attribute)))
+    stage.act()
+    with profile(activities=[ProfilerActivity.CPU], acc_events=True) as profiler:
+        for _ in range(num_actions):
+            stage.act()
+    seconds: dict[str, float] = defaultdict(float)
+    for event in profiler.events():
+        owner = event
+        while owner is not None and owner.name not in places:
+            owner = owner.cpu_parent
+        if owner is not None:
+            seconds[owner.name] += 1e-6 * event.self_cpu_time_total / num_actions
+    config = solver.config
+    size = f"{num_envs} × {config.width} × {config.height}, {task.n_substeps} steps"
+    total = sum(seconds.values())
+    return [
+        Entry(
+            label=f"profile/{part}",
+            name=part,
+            num_steps=0,
+            facts={"place": places[part], "seconds": s, "share": s / total, "size": size},
+        )
+        for part, s in sorted(seconds.items(), key=lambda item: -item[1])
+    ]

@@ -1,19 +1,45 @@
-"""Flows of this project, ready to be timed."""
+"""What a step of the flow costs: without and with fish, by size, force solve and device."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import gc
+import os
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
 from math import pi
 from typing import Any
 
 import torch
+from torch import Tensor
 
-from experiments.benchmarks.entry import FISH, KERNEL, WALLS, Entry
-from experiments.benchmarks.parts import record_calls
+from experiments.benchmarks.contest import (
+    FISH,
+    KERNEL,
+    PERIODIC,
+    PROBE,
+    WALLS,
+    Entry,
+    Settings,
+    run_alone,
+)
+from experiments.benchmarks.peers.shear_wave import ShearWave
 from fishrl.physics import FlowConfig, InPlaceSolver, Scales
+from fishrl.physics.cases import PERIODIC as PERIODIC_EDGES
 from fishrl.physics.cases import make_swimmer_config
+from fishrl.physics.immersed_boundary import DirectSolve, ForceSolve, IterativeForcing
+from fishrl.physics.step import make_uniform
+from fishrl.physics.storage import Storage
 
-CODE = "fishrl"
+Function = Callable[..., Any]
+Call = tuple[Function, Sequence[Tensor]]
+BATCHES = (1, 2, 4, 8, 16, 32)
+#: The cost of the direct solve does not depend on its slip.
+SOLVES: dict[str, ForceSolve] = {
+    **{f"{n} iterations": IterativeForcing(num_iterations=n) for n in (4, 20, 80)},
+    "direct": DirectSolve(),
+}
 
 
 def make_scales(body_length: int) -> Scales:
@@ -21,41 +47,36 @@ def make_scales(body_length: int) -> Scales:
     return Scales.from_budget(body_length=body_length, reynolds=70.0 * body_length)
 
 
-def make_tank(scales: Scales, *, has_fish: bool, **changes: Any) -> FlowConfig:
-    """Return the paper's tank, 10 L x 5 L, with a fish in it or without."""
-    return make_swimmer_config(scales, **({} if has_fish else {"bodies": ()}) | changes)
-
-
 def make_solver(
-    *,
     body_length: int,
+    *,
     has_fish: bool,
     num_envs: int = 1,
     num_workers: int = 0,
-    device: str = "cpu",
     compile: bool = True,
+    device: str = "cpu",
     **changes: Any,
 ) -> InPlaceSolver:
-    """Return flows in the paper's tank, a fish in the middle of each if there is one.
+    """Return compiled flows in the paper's tank, a swimming fish in the middle of each or none.
 
     Args:
         body_length: L; the tank is 10 L x 5 L.
         has_fish: whether a fish swims in it.
         num_envs: number of flows.
         num_workers: processes that share them; 0 advances them here.
-        device: cpu or cuda.
         compile: compile the step.
+        device: cpu or cuda.
         **changes: fields of ``FlowConfig``.
     """
     scales = make_scales(body_length)
-    config = make_tank(scales, has_fish=has_fish, **changes)
+    empty: dict[str, Any] = {} if has_fish else {"bodies": ()}
     solver = InPlaceSolver(
-        config=config,
+        config=make_swimmer_config(scales, **empty | changes),
         num_envs=num_envs,
         frequency=1.0 / scales.period,
         device=device,
         compile=compile,
-        num_workers=num_workers,
+        num_workers=min(num_workers, num_envs),
     )
     rows = torch.ones(num_envs, dtype=torch.bool, device=device)
     solver.reset_(rows, None, torch.full((num_envs,), pi) if has_fish else None)
@@ -64,12 +85,7 @@ def make_solver(
 
 
 def make_entry(
-    solver: InPlaceSolver,
-    *,
-    label: str,
-    how: str,
-    num_flows: int | None = None,
-    **facts: Any,
+    solver: InPlaceSolver, label: str, how: str, *, num_flows: int | None = None, **facts: Any
 ) -> Entry:
     """Return the whole step of some of a solver's flows.
 
@@ -80,66 +96,235 @@ def make_entry(
         num_flows: the first so many flows advance; all by default.
         **facts: of the entry.
     """
-    config = solver.config
-    num_flows = solver.num_envs if num_flows is None else num_flows
-    rows = None
-    if num_flows < solver.num_envs:
-        rows = torch.arange(solver.num_envs) < num_flows
+    config, num_flows = solver.config, num_flows or solver.num_envs
+    is_first = torch.arange(solver.num_envs) < num_flows
+    rows = None if num_flows == solver.num_envs else is_first
+    populations = sum(tensor.nbytes for tensor in solver.state_dict().values())
     return Entry(
         label=label,
-        name=f"{describe_size(config, num_flows)}, {how}",
+        name=f"{num_flows} × {config.width} × {config.height}, {how}",
         scope=FISH if config.bodies else WALLS,
-        advance=_advance(solver, rows),
+        advance=_wait(solver.device, partial(solver.advance_, rows=rows)),
         num_nodes=num_flows * config.width * config.height,
-        working_set=count_working_set(solver, num_flows),
+        working_set=round(populations * num_flows / solver.num_envs),
         bytes_per_update=18 * config.storage.dtype.itemsize,
         multiple=2,
-        facts=facts,
+        facts={"flows": num_flows} | facts,
     )
 
 
-def make_kernel_entry(solver: InPlaceSolver, *, label: str, how: str) -> Entry:
-    """Return the collision alone: the calls of two real steps, made over and over."""
-    calls = record_calls(solver, "collide")
+def make_kernel_entry(solver: InPlaceSolver, label: str, how: str) -> Entry:
+    """Return the collision alone: the calls of an even and an odd step, over and over."""
+    entry, calls = make_entry(solver, label, how), list_calls(solver)["collide"]
 
     def advance(num_steps: int) -> None:
         for _ in range(num_steps // 2):
             for function, arguments in calls:
                 function(*arguments)
 
-    config = solver.config
+    entry.scope, entry.advance = KERNEL, _wait(solver.device, advance)
+    return entry
+
+
+def _wait(device: torch.device, advance: Callable[[int], object]) -> Callable[[int], None]:
+    def advance_and_wait(num_steps: int) -> None:
+        advance(num_steps)
+        if device.type == "cuda":
+            torch.cuda.synchronize(device)
+
+    return advance_and_wait
+
+
+def list_calls(solver: InPlaceSolver) -> dict[str, list[Call]]:
+    """Return the calls that an even and an odd step of the first group make, by part."""
+    stepper, group = solver._stepper, next(iter(solver._groups.values()))
+    calls: dict[str, list[Call]] = {
+        "collide": [(stepper._collide, arguments) for arguments in group.collisions]
+    }
+    if solver.config.bodies:
+        calls["bodies"] = [(stepper._act, leaves) for _, leaves in group.body_arguments]
+    for i, set_edges in enumerate(stepper._set_edges):
+        calls[f"edges {i + 1}"] = [(set_edges, views[i]) for views in group.edges]
+    return calls
+
+
+def wrap_parts(solver: InPlaceSolver, wrap: Callable[[str, Function], Function]) -> None:
+    """Replace each part of the solver's step by ``wrap(name, part)``."""
+    stepper = solver._stepper
+    stepper._collide = wrap("collision", stepper._collide)
+    stepper._set_edges = [wrap("edges", part) for part in stepper._set_edges]
+    if solver.config.bodies:
+        stepper._act = wrap("bodies: markers, force, motion, spreading", stepper._act)
+
+
+def make_probes(settings: Settings) -> list[Entry]:
+    """Make the ceilings at the size of the large case.
+
+    A copy moves as many bytes as a step in two buffers, nine arrays scaled in place as many as a
+    step in one; on a CPU the second is faster, as it writes only what is in the cache already.
+    """
+    num_nodes = 50 * settings.body_length**2
+    arrays = torch.ones(9, num_nodes)
+
+    def scale(num_steps: int) -> None:
+        for step in range(num_steps):
+            for array in arrays:
+                array.mul_(0.8 if step % 2 else 1.25)
+
+    in_place = Entry(
+        label="probe/in place", name=f"nine arrays of {arrays.nbytes / 9e6:.1f} MB scaled in place",
+        scope=PROBE, advance=scale, num_nodes=num_nodes, working_set=arrays.nbytes, multiple=2,
+    )  # fmt: skip
+    return [make_copy("probe/copy", num_nodes, "cpu"), in_place]
+
+
+def make_copy(label: str, num_nodes: int, device: str) -> Entry:
+    """Return the copy of nine populations."""
+    source = torch.ones(9 * num_nodes, device=device)
+    target = torch.empty_like(source)
+
+    def copy(num_steps: int) -> None:
+        for _ in range(num_steps):
+            target.copy_(source)
+
     return Entry(
-        label=label,
-        name=f"{describe_size(config, solver.num_envs)}, {how}",
-        scope=KERNEL,
-        advance=advance,
-        num_nodes=solver.num_envs * config.width * config.height,
-        working_set=count_working_set(solver, solver.num_envs),
-        multiple=2,
-    )
+        label=label, name=f"copy of {source.nbytes / 1e6:.0f} MB", scope=PROBE,
+        advance=_wait(source.device, copy), num_nodes=num_nodes, working_set=2 * source.nbytes,
+    )  # fmt: skip
 
 
-def count_threads(threads: int) -> str:
-    """Say on how many threads something runs."""
-    return f"{threads} threads" if threads > 1 else "one core"
+def make_sizes(settings: Settings, *, has_fish: bool) -> list[Entry]:
+    """Make one flow from L / 4 to 2 L, and batches at L / 2."""
+    length, what = settings.body_length, "fish" if has_fish else "walls"
+    cases: list[tuple[str, int, int, int, str, tuple[int, ...]]] = [
+        (size, factor * length // 4, 1, 0, settings.how, (1,))
+        for size, factor in (("small", 1), ("middle", 2), ("large", 4), ("huge", 8))
+    ]
+    cases.append(("single", length, 1, 1, "one core", (1,)))
+    cases.append(("batch", length // 2, max(BATCHES), settings.threads, "one core each", BATCHES))
+    entries = []
+    for size, length, num_envs, num_workers, how, flows in cases:
+        before = count_tensor_bytes()
+        solver = make_solver(length, has_fish=has_fish, num_envs=num_envs, num_workers=num_workers)
+        num_nodes = num_envs * solver.config.width * solver.config.height
+        facts = {
+            "bytes": (count_tensor_bytes() - before) / num_nodes,
+            "body_length": length,
+            "period": make_scales(length).period,
+        }
+        for n in flows:
+            label = f"{size}{n if size == 'batch' else ''}/{what}"
+            entries.append(make_entry(solver, label, how, num_flows=n, **facts))
+    return entries
 
 
-def describe_size(config: FlowConfig, num_flows: int) -> str:
-    """Name a batch, such as "16 × 500 × 250"."""
-    return f"{num_flows} × {config.width} × {config.height}"
+def make_flows(settings: Settings) -> list[Entry]:
+    """Make the flow alone: its kernel, a periodic step, steps with walls."""
+    periodic = make_periodic(10 * settings.body_length, 5 * settings.body_length)
+    step = make_entry(periodic, "large/periodic", settings.how)
+    step.scope = PERIODIC
+    kernel = make_kernel_entry(periodic, "large/kernel", settings.how)
+    return [kernel, step, *make_sizes(settings, has_fish=False)]
 
 
-def count_working_set(solver: InPlaceSolver, num_flows: int) -> int:
-    """Return the bytes of the populations of some flows."""
-    return round(sum(t.nbytes for t in solver.state_dict().values()) * num_flows / solver.num_envs)
+def make_swimmers(settings: Settings) -> list[Entry]:
+    """Make the same flows with a swimming fish in each."""
+    return make_sizes(settings, has_fish=True)
 
 
-def _advance(solver: InPlaceSolver, rows: torch.Tensor | None) -> Callable[[int], None]:
-    if solver.device.type == "cpu":
-        return lambda num_steps: solver.advance_(num_steps, rows)
+def make_periodic(width: int, height: int, *, compile: bool = True) -> InPlaceSolver:
+    """Return a periodic flow that has damped a shear wave as it should.
 
-    def advance(num_steps: int) -> None:
-        solver.advance_(num_steps, rows)
-        torch.cuda.synchronize(solver.device)
+    Raises:
+        RuntimeError: if it has not.
+    """
+    wave = ShearWave(width, height)
+    config = FlowConfig(width=width, height=height, tau=wave.tau, boundaries=PERIODIC_EDGES)
+    solver = InPlaceSolver(config=config, num_workers=0, compile=compile)
+    velocity = torch.as_tensor(wave.velocity())[None]
+    solver.set_populations_(make_uniform(torch.zeros_like(velocity), velocity, 0.0 * velocity))
+    wave.check(solver.advance_, lambda: solver.macroscopic()[1][0, 0].numpy())
+    return solver
 
-    return advance
+
+def make_solves(settings: Settings, *, batches: tuple[int, ...] = (1, 16, 256)) -> list[Entry]:
+    """Make each force solve in a tank so small, 4 L x 2.5 L, that the body is most of the work."""
+    length, entries = settings.body_length // 2, []
+    for name, solve in SOLVES.items():
+        solver = make_solver(
+            length, has_fish=True, num_envs=max(batches), num_workers=settings.threads,
+            force_solve=solve, width=4 * length, height=5 * length // 2,
+        )  # fmt: skip
+        slip = measure_slip(solver, length)
+        for n in batches:
+            how = f"{name}, {'one core each' if n > 1 else 'one core'}"
+            entries.append(make_entry(solver, f"solve/{name}/{n}", how, num_flows=n, slip=slip))
+    return entries
+
+
+def measure_slip(solver: InPlaceSolver, body_length: int) -> float:
+    """Return the largest slip at a marker of the first fish as a share of its tail's speed.
+
+    It is averaged over twenty steps after half a tail beat.
+    """
+    scales, is_first = make_scales(body_length), torch.arange(solver.num_envs) == 0
+    solver.advance_(2 * (scales.period // 4), is_first)
+    slips = []
+    for _ in range(10):
+        solver.advance_(2, is_first)
+        slips.append(float(solver.body.slip_error[0]))
+    return sum(slips) / len(slips) / scales.tail_speed
+
+
+def make_gpu(settings: Settings) -> list[Entry]:
+    """Make a batch that fills the card, with and without a fish in each, and a copy of its size.
+
+    Raises:
+        ImportError: if torch sees no CUDA device.
+    """
+    if not torch.cuda.is_available():
+        raise ImportError(f"torch {torch.__version__} sees no CUDA device")
+    make = partial(make_solver, settings.body_length // 2, num_envs=64, device="cuda")
+    empty, how = make(has_fish=False), "all in one launch"
+    half = make(has_fish=True, storage=Storage.FLOAT16)
+    return [
+        make_copy("gpu/copy", 64 * empty.config.width * empty.config.height, "cuda"),
+        make_kernel_entry(empty, "gpu/kernel", how),
+        make_entry(empty, "gpu/walls", how),
+        make_entry(make(has_fish=True), "gpu/fish", how),
+        make_entry(half, "gpu/fish, half", f"{how}, half precision"),
+    ]
+
+
+def make_compilation(settings: Settings) -> list[Entry]:
+    """Measure the time until the first step: with nothing kept, and with everything kept."""
+    entries = []
+    with tempfile.TemporaryDirectory(prefix="fishrl-compile-") as folder:
+        for label, name in (("cold", "nothing is kept"), ("warm", "everything is kept")):
+            facts = {"seconds": run_alone(time_compilation, settings.body_length // 2, folder)}
+            entries.append(Entry(label=f"compile/{label}", name=name, num_steps=0, facts=facts))
+    return entries
+
+
+def time_compilation(body_length: int, folder: str) -> float:
+    """Compile the step with a swimming fish, run it, and return the seconds.
+
+    Args:
+        body_length: L.
+        folder: where compiled code is kept, as long as this process lives.
+    """
+    os.environ["TORCHINDUCTOR_CACHE_DIR"] = folder
+    start = time.perf_counter()
+    make_solver(body_length, has_fish=True).advance_(2)
+    return time.perf_counter() - start
+
+
+def count_tensor_bytes() -> int:
+    """Return the bytes of all storages that tensors of this process hold, each once."""
+    gc.collect()
+    storages = {}
+    for thing in gc.get_objects():
+        if type(thing) is torch.Tensor:  # not the compiler's fake ones
+            storage = thing.untyped_storage()
+            storages[storage.data_ptr()] = storage.nbytes()
+    return sum(storages.values())

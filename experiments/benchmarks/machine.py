@@ -11,11 +11,9 @@ import torch
 
 PACKAGES = ("torchrl", "tensordict", "numpy", "lbmpy", "pystencils", "numba", "lettucecfd", "xlb")
 
-_CACHE_FILES = ("type", "level", "size")
-
 
 def describe_machine() -> dict[str, object]:
-    """Name what the figures were measured on."""
+    """Name processor, threads and versions."""
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
@@ -31,7 +29,7 @@ def describe_machine() -> dict[str, object]:
 
 
 def describe_surroundings() -> dict[str, object]:
-    """Name what else speed depends on: vector instructions, caches, GPU, versions, other load."""
+    """Name vector instructions, caches, GPU, versions of other packages, and other load."""
     installed = {}
     for name in PACKAGES:
         try:
@@ -48,14 +46,10 @@ def describe_surroundings() -> dict[str, object]:
 
 
 def read_caches(folder: Path = Path("/sys/devices/system/cpu/cpu0/cache")) -> dict[str, int]:
-    """Return the bytes of each data cache that the first core sees, by level, such as L2.
-
-    Args:
-        folder: where Linux lists them; nothing is returned where there is none.
-    """
+    """Return the bytes of each data cache of the first core by level, such as L2; Linux only."""
     sizes = {}
     for entry in sorted(folder.glob("index*")):
-        kind, level, size = ((entry / name).read_text().strip() for name in _CACHE_FILES)
+        kind, level, size = ((entry / n).read_text().strip() for n in ("type", "level", "size"))
         if kind != "Instruction":
             sizes[f"L{level}"] = int(size.rstrip("K")) * 1024
     return sizes

@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import torch
 
-from experiments.benchmarks.entry import PERIODIC, Entry
-from experiments.benchmarks.flows import count_threads
-from experiments.benchmarks.shear_wave import Field, ShearWave
+from experiments.benchmarks.contest import Entry, Settings
+from experiments.benchmarks.peers.shear_wave import Field, ShearWave, make_peer_entries, make_wave
 
 
-class Flow:
-    """One periodic flow of lettuce.
-
-    Args:
-        wave: that it starts from.
-        is_compiled: hand the step to torch.compile.
-    """
+class LettuceFlow:
+    """A periodic flow of lettuce that starts from a wave."""
 
     def __init__(self, wave: ShearWave, *, is_compiled: bool) -> None:
         import lettuce
@@ -31,7 +22,8 @@ class Flow:
         u = torch.zeros(2, wave.width, wave.height)
         u[0] = torch.as_tensor(wave.velocity()).T
         self._flow.f = self._flow.equilibrium(self._flow, rho=torch.ones_like(u[:1]), u=u)
-        self._step: Callable[[], Any] = self._run
+        self.num_bytes = 2 * self._flow.f.nbytes
+        self._step = self._run
         if is_compiled:
             torch._dynamo.config.recompile_limit = 64
             self._step = torch.compile(self._run)
@@ -49,28 +41,12 @@ class Flow:
         """Return the velocity ``[Y, X]`` along x."""
         return self._flow.u()[0].T.double().numpy()
 
-    @property
-    def num_bytes(self) -> int:
-        """Memory of the populations and of what they become."""
-        return 2 * self._flow.f.nbytes
 
-
-def make_entries(*, width: int, height: int, threads: int) -> list[Entry]:
-    """Make the step, eager and compiled, checked by a shear wave."""
-    torch.set_num_threads(threads)
-    entries = []
+def make_entries(settings: Settings) -> list[Entry]:
+    """Make the step, eager and compiled."""
+    entries, wave = [], make_wave(settings, num_steps=20)
     for name in ("eager", "compiled"):
-        wave = ShearWave(width, height, num_steps=20)
-        flow = Flow(wave, is_compiled=name == "compiled")
-        entries.append(
-            Entry(
-                label=f"lettuce/{name}",
-                name=f"1 × {width} × {height}, {name}, {count_threads(threads)}",
-                scope=PERIODIC,
-                advance=flow.advance,
-                num_nodes=width * height,
-                working_set=flow.num_bytes,
-                facts={"viscosity_error": wave.check(flow.advance, flow.velocity)},
-            )
-        )
+        flow = LettuceFlow(wave, is_compiled=name == "compiled")
+        how = f"{name}, {settings.how}"
+        entries += make_peer_entries(flow, wave, f"lettuce/{name}", how)
     return entries

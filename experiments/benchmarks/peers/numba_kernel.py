@@ -6,87 +6,59 @@ grid is compiled in, so that all addresses of a row differ by constants and the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
-from experiments.benchmarks.entry import KERNEL, PERIODIC, Entry
-from experiments.benchmarks.flows import count_threads
-from experiments.benchmarks.shear_wave import Field, ShearWave
+from experiments.benchmarks.contest import Entry, Settings
+from experiments.benchmarks.peers.shear_wave import Field, ShearWave, make_peer_entries, make_wave
 from fishrl.physics.collision import Rates
 from fishrl.physics.lattice import CX, CY, W
 
 Kernel = Callable[..., None]
 
 
-class TwoBuffers:
-    """A periodic flow in two buffers.
+class NumbaFlow:
+    """A periodic flow in two buffers that starts from a wave."""
 
-    Args:
-        width: nodes along x.
-        height: nodes along y.
-        tau: relaxation time.
-    """
-
-    def __init__(self, width: int, height: int, tau: float) -> None:
-        self.width, self.height = width, height
-        self.pitch = -(-(width + 2) // 16) * 16
-        shape = 9, height + 2, self.pitch
-        self.source = np.zeros(shape, dtype=np.float32)
-        self.target = np.zeros(shape, dtype=np.float32)
-        self.pull, self.wrap = make_kernels(width, height, self.pitch, 1.0 / tau)
-
-    def set_velocity(self, u: Field) -> None:
-        """Start from the equilibrium of a velocity ``[Y, X]`` along x."""
-        for q in range(9):
-            cu, usqr = CX[q] * u, u * u
-            value = W[q] * (3.0 * cu + 4.5 * cu * cu - 1.5 * usqr)
-            self.source[q, 1:-1, 1 : self.width + 1] = value
+    def __init__(self, wave: ShearWave) -> None:
+        width, height = wave.width, wave.height
+        pitch = -(-(width + 2) // 16) * 16
+        self._source, self._target = np.zeros((2, 9, height + 2, pitch), dtype=np.float32)
+        self._inside = np.s_[:, 1:-1, 1 : width + 1]
+        self._pull, self._wrap = make_kernels(width, height, pitch, 1.0 / wave.tau)
+        self.num_bytes = 2 * self._source.nbytes
+        u = wave.velocity()
+        for q, f in enumerate(self._source[self._inside]):
+            cu = CX[q] * u
+            f[:] = W[q] * (3.0 * cu + 4.5 * cu * cu - 1.5 * u * u)
 
     def velocity(self) -> Field:
         """Return the velocity ``[Y, X]`` along x."""
-        f = self.source[:, 1:-1, 1 : self.width + 1].astype(np.float64)
-        momentum = sum(CX[q] * f[q] for q in range(9))
-        return np.asarray(momentum / (1.0 + f.sum(0)))
+        f = self._source[self._inside].astype(np.float64)
+        return np.tensordot(CX, f, 1) / (1.0 + f.sum(0))
 
     def advance(self, num_steps: int) -> None:
         """Advance by whole steps, halo included."""
         for _ in range(num_steps):
-            self.wrap(self.source.reshape(-1))
-            self.pull(self.source.reshape(-1), self.target.reshape(-1))
-            self.source, self.target = self.target, self.source
+            self._wrap(self._source.reshape(-1))
+            self.advance_kernel(1)
 
     def advance_kernel(self, num_steps: int) -> None:
         """Run the kernel alone; the halo stays as it is."""
         for _ in range(num_steps):
-            self.pull(self.source.reshape(-1), self.target.reshape(-1))
-            self.source, self.target = self.target, self.source
+            self._pull(self._source.reshape(-1), self._target.reshape(-1))
+            self._source, self._target = self._target, self._source
 
 
-def make_entries(*, width: int, height: int, threads: int) -> Sequence[Entry]:
-    """Make the kernel and the whole step of one flow, checked by a shear wave."""
+def make_entries(settings: Settings) -> list[Entry]:
+    """Make the kernel and the whole step."""
     import numba
 
-    numba.set_num_threads(threads)
-    wave = ShearWave(width, height)
-    flow = TwoBuffers(width, height, wave.tau)
-    flow.set_velocity(wave.velocity())
-    error = wave.check(flow.advance, flow.velocity)
-    return [
-        Entry(
-            label=f"numba/{label}",
-            name=f"1 × {width} × {height}, two buffers, {count_threads(threads)}",
-            scope=scope,
-            advance=advance,
-            num_nodes=width * height,
-            working_set=flow.source.nbytes + flow.target.nbytes,
-            facts={"viscosity_error": error},
-        )
-        for label, scope, advance in (
-            ("kernel", KERNEL, flow.advance_kernel),
-            ("step", PERIODIC, flow.advance),
-        )
-    ]
+    numba.set_num_threads(settings.threads)
+    wave = make_wave(settings)
+    flow, how = NumbaFlow(wave), f"two buffers, {settings.how}"
+    return make_peer_entries(flow, wave, "numba/step", how, flow.advance_kernel)
 
 
 def make_kernels(width: int, height: int, pitch: int, omega: float) -> tuple[Kernel, Kernel]:

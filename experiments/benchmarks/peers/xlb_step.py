@@ -1,7 +1,6 @@
 """XLB's own time step by its Warp backend: BGK, two buffers.
 
-Warp runs on one core of a CPU whatever there is; XLB is made for GPUs, so nothing follows from this
-for anything but the machine at hand.
+XLB is made for GPUs: Warp runs on one core of a CPU, however many there are.
 """
 
 from __future__ import annotations
@@ -10,16 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from experiments.benchmarks.entry import PERIODIC, Entry
-from experiments.benchmarks.shear_wave import Field, ShearWave
+from experiments.benchmarks.contest import Entry, Settings
+from experiments.benchmarks.peers.shear_wave import Field, ShearWave, make_peer_entries, make_wave
 
 
-class Flow:
-    """One periodic flow of XLB.
-
-    Args:
-        wave: that it starts from.
-    """
+class XLBFlow:
+    """A periodic flow of XLB that starts from a wave."""
 
     def __init__(self, wave: ShearWave) -> None:
         import warp
@@ -46,8 +41,8 @@ class Flow:
         self._u.assign(u)
         self._rho.fill_(1.0)
         self._stepper.equilibrium(self._rho, self._u, self._fields[0])
-        self._omega = 1.0 / wave.tau
-        self._count = 0
+        self._omega, self._count = 1.0 / wave.tau, 0
+        self.num_bytes = 2 * int(self._fields[0].capacity)
 
     def advance(self, num_steps: int) -> None:
         """Advance by whole steps."""
@@ -62,24 +57,8 @@ class Flow:
         self._macroscopic(self._fields[0], self._rho, self._u)
         return np.asarray(self._u.numpy()[0, :, :, 0].T, dtype=np.float64)
 
-    @property
-    def num_bytes(self) -> int:
-        """Memory of both buffers."""
-        return 2 * int(self._fields[0].capacity)
 
-
-def make_entries(*, width: int, height: int) -> list[Entry]:
-    """Make the step, checked by a shear wave."""
-    wave = ShearWave(width, height, num_steps=20)
-    flow = Flow(wave)
-    return [
-        Entry(
-            label="xlb/warp",
-            name=f"1 × {width} × {height}, Warp, one core",
-            scope=PERIODIC,
-            advance=flow.advance,
-            num_nodes=width * height,
-            working_set=flow.num_bytes,
-            facts={"viscosity_error": wave.check(flow.advance, flow.velocity)},
-        )
-    ]
+def make_entries(settings: Settings) -> list[Entry]:
+    """Make the step."""
+    wave = make_wave(settings, num_steps=20)
+    return make_peer_entries(XLBFlow(wave), wave, "xlb/warp", "Warp, one core")

@@ -22,7 +22,7 @@ def call(args):
 def test_launches_library_calls_and_accesses_are_counted() -> None:
     assert count(CODE) == {
         "kernels": 1,
-        "library_calls": 1,
+        "library calls": 1,
         "temporaries": 1,
         "loads": 1,
         "stores": 2,
@@ -35,4 +35,4 @@ def test_a_pass_in_place_is_one_kernel_that_takes_no_memory() -> None:
         x.mul_(2.0)
 
     counted = count(generate(double, [torch.ones(64)], {}))
-    assert counted == {"kernels": 1, "library_calls": 0, "temporaries": 0, "loads": 1, "stores": 1}
+    assert counted == {"kernels": 1, "library calls": 0, "temporaries": 0, "loads": 1, "stores": 1}

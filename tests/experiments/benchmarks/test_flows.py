@@ -1,0 +1,100 @@
+"""The flows that the benchmark times: batches, kernels, slip, memory."""
+
+from itertools import pairwise
+
+import pytest
+import torch
+
+from experiments.benchmarks.contest import FISH, KERNEL, WALLS, Settings
+from experiments.benchmarks.flows import (
+    SOLVES,
+    count_tensor_bytes,
+    list_calls,
+    make_entry,
+    make_kernel_entry,
+    make_periodic,
+    make_probes,
+    make_solver,
+    measure_slip,
+)
+from fishrl.physics import InPlaceSolver
+
+
+@pytest.fixture(scope="module")
+def solver() -> InPlaceSolver:
+    """Return two small flows with a fish in each, eager."""
+    return make_solver(16, has_fish=True, num_envs=2, compile=False)
+
+
+def test_a_step_of_a_batch_updates_all_nodes_of_all_flows(solver: InPlaceSolver) -> None:
+    entry = make_entry(solver, "x", "one core", slip=0.1)
+    assert (entry.scope, entry.num_nodes) == (FISH, 2 * 160 * 80)
+    assert entry.facts == {"flows": 2, "slip": 0.1}
+    assert entry.working_set / entry.num_nodes == pytest.approx(36, rel=0.3)
+
+
+def test_the_first_flows_of_a_batch_advance_alone(solver: InPlaceSolver) -> None:
+    entry = make_entry(solver, "x", "one core", num_flows=1)
+    before = solver.body.age.clone()
+    entry.advance(4)
+    assert (solver.body.age - before).tolist() == [4.0, 0.0]
+    assert entry.num_nodes == 160 * 80
+
+
+def test_a_flow_without_fish_is_a_flow_with_walls_little_larger_than_its_populations() -> None:
+    before = count_tensor_bytes()
+    empty = make_solver(16, has_fish=False, compile=False)
+    per_node = (count_tensor_bytes() - before) / (160 * 80)
+    entry = make_entry(empty, "x", "one core")
+    assert entry.scope == WALLS
+    assert 36.0 < entry.working_set / entry.num_nodes <= per_node < 45.0
+
+
+def test_the_kernel_alone_collides_and_moves_no_fish() -> None:
+    flow = make_solver(16, has_fish=True, compile=False)
+    entry = make_kernel_entry(flow, "x", "one core")
+    flow.advance_(2)
+    age, before = flow.body.age.clone(), flow.populations()
+    entry.advance(2)
+    assert entry.scope == KERNEL
+    assert torch.equal(flow.body.age, age)
+    assert not torch.equal(flow.populations(), before)
+
+
+def test_the_calls_of_two_steps_are_those_of_the_solver() -> None:
+    flow, twin = (make_solver(16, has_fish=True, compile=False) for _ in range(2))
+    for parity in (0, 1):
+        for calls in list_calls(flow).values():
+            function, arguments = calls[parity]
+            function(*arguments)
+    twin.advance_(2)
+    assert torch.equal(flow.populations(), twin.populations())
+
+
+def test_probes_leave_finite_numbers_however_long_they_run() -> None:
+    copy, in_place = make_probes(Settings(body_length=16))
+    for entry in (copy, in_place):
+        entry.advance(200)
+    assert copy.working_set == 2 * in_place.working_set == 2 * 36 * copy.num_nodes
+
+
+def test_slip_falls_with_iterations_and_is_least_in_the_direct_solve() -> None:
+    slips = []
+    for solve in SOLVES.values():
+        flow = make_solver(16, has_fish=True, width=64, height=40, force_solve=solve, compile=False)
+        slips.append(measure_slip(flow, 16))
+    assert all(more > less > 0.0 for more, less in pairwise(slips))
+    assert slips[-1] < 1e-5
+
+
+def test_this_flow_damps_a_shear_wave_as_it_should() -> None:
+    flow = make_periodic(16, 100, compile=False)  # raises otherwise
+    assert float(flow.macroscopic()[1].abs().max()) < 0.02
+
+
+def test_a_storage_counts_once_however_many_tensors_view_it() -> None:
+    before = count_tensor_bytes()
+    tensor = torch.zeros(1000)
+    views = [tensor[i:] for i in range(10)]
+    assert count_tensor_bytes() - before == 4000
+    del views
