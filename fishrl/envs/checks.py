@@ -1,4 +1,4 @@
-"""What a task answers, checked: a mistake is named at once, not felt later in a flow or a loss."""
+"""Checks of what the methods of a task return, so that errors surface early."""
 
 from math import pi
 from typing import TYPE_CHECKING, Any
@@ -16,10 +16,10 @@ NUM_STARTS = 256
 
 
 def check_starts_of(task: "AbstractTask") -> None:
-    """Check that a task lets fish start inside its domain, whatever is drawn.
+    """Check that a sample of a task's random starts is valid.
 
     Raises:
-        ValueError: naming the first start that cannot be.
+        ValueError: naming the first invalid start.
     """
     starts = task.sample_starts(NUM_STARTS, torch.Generator().manual_seed(0))
     for name in ("head", "heading"):
@@ -32,14 +32,14 @@ def check_starts_of(task: "AbstractTask") -> None:
 
 
 def check_answers(task: "AbstractTask", now: TensorDictBase) -> None:
-    """Check what a task answers to a first measurement.
+    """Check observation, mask, termination and report of a first measurement.
 
     Args:
-        task: that is asked.
-        now: ``[B]``, the measurement when episodes begin.
+        task: the task.
+        now: ``[B]``, measurement at the start of episodes.
 
     Raises:
-        ValueError: naming the method, what it gives and what is expected.
+        ValueError: naming the method, its output and the expected one.
     """
     rows = tuple(now.shape)
     sizes = "make it agree with n_obs and num_actions"
@@ -76,7 +76,7 @@ def _check_report(task: "AbstractTask", report: Any, rows: tuple[int, ...]) -> N
     elif word != "survived":
         raise ValueError(
             f"{_name(task)}.success = {word!r}, but report gives {sorted(report)}: let it give "
-            f"{word!r} [B] bool, or leave success away if lasting until the time limit is success"
+            f"{word!r} [B] bool, or remove success if reaching the time limit is success"
         )
 
 
@@ -88,18 +88,18 @@ def check_rows(
     dtype: torch.dtype | None,
     hint: str = "a row for each flow",
 ) -> Tensor:
-    """Return what a method of a task gave, if it is a tensor as expected.
+    """Return the output of a task's method after checking its shape and dtype.
 
     Args:
-        task: whose it is.
-        name: of the method.
-        got: what it gave.
-        shape: expected.
-        dtype: expected; None for any numbers.
-        hint: what to do about a wrong shape.
+        task: the task.
+        name: name of the method.
+        got: its output.
+        shape: expected shape.
+        dtype: expected dtype; None for any.
+        hint: remedy for a wrong shape.
 
     Raises:
-        ValueError: if it is not.
+        ValueError: if it differs.
     """
     if not isinstance(got, Tensor):
         raise ValueError(f"{_name(task)}.{name} gives {_describe(got)}, expected a tensor {shape}")
@@ -113,16 +113,16 @@ def check_rows(
 
 
 def check_command(task: "AbstractTask", order: Any, rows: tuple[int, ...]) -> None:
-    """Check what a task orders, its units above all.
+    """Check the output of ``task.command``, in particular its units.
 
     Args:
-        task: whose order it is.
-        order: what ``command`` gave: ``turn`` in radians within the interval, ``frequency`` in tail
-            beats per step or None.
+        task: the task.
+        order: a ``Command``: ``turn`` in radians within the interval, ``frequency`` in tail beats
+            per step or None.
         rows: ``(B,)``.
 
     Raises:
-        ValueError: if a fish could not do it.
+        ValueError: if a value is out of range.
     """
     turn, frequency = getattr(order, "turn", None), getattr(order, "frequency", None)
     if turn is None:
@@ -146,14 +146,14 @@ def check_command(task: "AbstractTask", order: Any, rows: tuple[int, ...]) -> No
 
 
 def check_action(action: Tensor, mask: Tensor) -> None:
-    """Refuse illegal actions; they would be learned from as if they were others.
+    """Check that actions are legal.
 
     Args:
         action: ``[B]`` int64.
-        mask: ``[B, num_actions]`` bool, the legal ones.
+        mask: ``[B, num_actions]`` bool, legal actions.
 
     Raises:
-        ValueError: naming the first row.
+        ValueError: naming the first row with an illegal action.
     """
     most = mask.shape[-1] - 1
     is_legal = mask.gather(-1, action.clamp(0, most).unsqueeze(-1)).squeeze(-1)

@@ -1,7 +1,7 @@
-"""Random numbers that depend on who draws them, not on who draws beside them.
+"""Counter-based random numbers: a hash of (seed, row, episode).
 
-A stateful generator would hand row 3 other numbers as soon as row 2 ends an episode earlier. Here
-the numbers are a hash of (seed, row, episode): a row's starts are the same in any batch.
+With a stateful generator, the numbers of one row would depend on when other rows end their
+episodes. Here the starts of a row are the same in any batch.
 """
 
 import torch
@@ -13,7 +13,7 @@ _MIX_2 = 0x94D049BB133111EB - (1 << 64)
 
 
 def scramble(x: Tensor) -> Tensor:
-    """Scramble the bits of int64 ``[...]`` as SplitMix64 does (Steele, Lea & Flood 2014)."""
+    """Mix the bits of int64 ``[...]`` as SplitMix64 does (Steele, Lea & Flood 2014)."""
     x = (x ^ _shift_right(x, 30)) * _MIX_1
     x = (x ^ _shift_right(x, 27)) * _MIX_2
     return x ^ _shift_right(x, 31)
@@ -25,7 +25,7 @@ def draw_uniform(seed: int, row: Tensor, episode: Tensor, num: int) -> Tensor:
     Args:
         seed: of the whole environment.
         row: ``[B]`` int64, index of the row.
-        episode: ``[B]`` int64, how many episodes the row has begun.
+        episode: ``[B]`` int64, number of episodes that the row has begun.
         num: numbers per row.
 
     Returns:
@@ -40,5 +40,5 @@ def draw_uniform(seed: int, row: Tensor, episode: Tensor, num: int) -> Tensor:
 
 
 def _shift_right(x: Tensor, num_bits: int) -> Tensor:
-    """Shift int64 as if it had no sign."""
+    """Shift int64 as an unsigned integer."""
     return (x >> num_bits) & ((1 << (64 - num_bits)) - 1)

@@ -1,7 +1,7 @@
-"""The way in from Gymnasium: flows side by side as one ``gymnasium.vector.VectorEnv``.
+"""A ``gymnasium.vector.VectorEnv`` of flows.
 
-It needs ``pip install 'fishrl[gymnasium]'`` and is imported by its own name, since the rest of the
-library does without: ``from fishrl.envs.gymnasium import FlowVectorEnv``.
+Needs ``pip install 'fishrl[gymnasium]'``; import it by its full name:
+``from fishrl.envs.gymnasium import FlowVectorEnv``.
 """
 
 from __future__ import annotations
@@ -33,32 +33,32 @@ OBSERVED = ("observation", "observation_stack")
 
 
 class FlowVectorEnv(VectorEnv):
-    """An environment of ``make_env`` with Gymnasium's vector interface; B flows are B rows.
+    """Wrap an environment of ``make_env`` with B flows as a vector environment of B rows.
 
     Observations are ``observation_stack`` ``[B, num_stacked * n_obs]``, float32; actions are
-    integers ``[B]``, of which the illegal ones are refused with an error. ``infos`` holds
-    ``action_mask`` ``[B, num_actions]`` (int8, as ``Discrete.sample`` wants it) and everything else
-    that the environment and its task report, such as ``captured``, ``diverged``, ``step_count`` and
-    ``episode_reward``, each with its ``_``-prefixed array of the rows that have it. A row whose
-    flow diverges is truncated with reward 0.
+    integers ``[B]``. ``infos`` holds ``action_mask`` ``[B, num_actions]`` (int8, for
+    ``Discrete.sample``) and all other entries of environment and task, such as ``captured``,
+    ``diverged``, ``step_count`` and ``episode_reward``, each with a ``_``-prefixed array of the
+    rows that have it. A row whose flow diverges is truncated with reward 0.
 
-    How rows that end begin anew is Gymnasium's choice of three (``autoreset_mode``):
+    ``autoreset_mode`` is one of Gymnasium's three:
 
     ``NEXT_STEP``
-        the step after the end resets the row, ignores its action, and gives reward 0; its flow does
-        not advance meanwhile. Leave that step out of what is learned from.
+        The step after the end of an episode resets the row, ignores its action and returns reward
+        0; the flow does not advance. Exclude that step from learning.
     ``SAME_STEP``
-        the step that ends an episode returns the first observation of the next one; the last one
-        is ``infos["final_obs"]`` (None in other rows), its infos are ``infos["final_info"]``.
+        The step that ends an episode returns the first observation of the next one. The last
+        observation is ``infos["final_obs"]`` (None in other rows), its infos
+        ``infos["final_info"]``.
     ``DISABLED``
-        ``reset(options={"reset_mask": rows})`` resets rows, and has to before the next step.
+        Ended rows must be reset by ``reset(options={"reset_mask": rows})`` before the next step.
 
     Args:
-        env: of ``make_env``; this wrapper takes it over and closes it.
-        autoreset_mode: one of the three, as ``gymnasium.vector.AutoresetMode`` or its value.
+        env: an environment of ``make_env``, which this wrapper owns and closes.
+        autoreset_mode: a ``gymnasium.vector.AutoresetMode`` or its value.
 
     Raises:
-        ValueError: if there is no such mode.
+        ValueError: for an unknown mode.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class FlowVectorEnv(VectorEnv):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": []}
-        self._told = [name for name in specs.keys(True, True) if name not in OBSERVED]
+        self._reported = [name for name in specs.keys(True, True) if name not in OBSERVED]
         self._state: TensorDictBase | None = None
         self._is_over = np.zeros(self.num_envs, dtype=np.bool_)
 
@@ -90,18 +90,18 @@ class FlowVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin new episodes in all rows, or in those of ``options["reset_mask"]``.
+        """Start new episodes in all rows, or in those of ``options["reset_mask"]``.
 
         Args:
-            seed: of the starts from here on; what a row draws depends on seed, row and episode.
+            seed: seed of all further starts, which depend on seed, row and episode.
             options: ``reset_mask``, ``[B]`` bool, or nothing.
 
         Returns:
             Observations ``[B, ...]`` and infos of all rows.
 
         Raises:
-            ValueError: if the mask or the seed cannot be.
-            gymnasium.error.ResetNeeded: if only some rows shall be reset and none has begun.
+            ValueError: for an invalid mask or seed.
+            gymnasium.error.ResetNeeded: for a partial reset before the first full one.
         """
         rows = self._read_mask(options)
         if seed is not None:
@@ -118,17 +118,17 @@ class FlowVectorEnv(VectorEnv):
         return _observe(self._state), self._tell(self._state)
 
     def step(self, actions: Any) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        """Let every fish act once.
+        """Advance all rows by one decision.
 
         Args:
-            actions: ``[B]`` integers, legal ones.
+            actions: ``[B]`` integers, legal actions.
 
         Returns:
             Observations ``[B, ...]``, rewards ``[B]``, terminations, truncations and infos.
 
         Raises:
-            ValueError: if actions are illegal, or of a wrong shape; and without autoreset, if
-                rows are over.
+            ValueError: for illegal actions or a wrong shape; without autoreset, if a row has not
+                been reset.
             gymnasium.error.ResetNeeded: before the first reset.
         """
         state, waiting = self._need_state(), self._is_over.copy()
@@ -162,7 +162,7 @@ class FlowVectorEnv(VectorEnv):
         )
 
     def action_masks(self) -> Array:
-        """Return which actions are legal now, ``[B, num_actions]`` bool."""
+        """Return the currently legal actions, ``[B, num_actions]`` bool."""
         mask: Array = self._need_state()["action_mask"].cpu().numpy()
         return mask.copy()
 
@@ -178,7 +178,7 @@ class FlowVectorEnv(VectorEnv):
     def _advance(
         self, state: TensorDictBase, actions: torch.Tensor, waiting: Array
     ) -> TensorDictBase:
-        """Return what follows; flows of ``waiting`` rows stand still and mean nothing."""
+        """Return the next state; ``waiting`` rows do not advance and are undefined."""
         rests = torch.as_tensor(waiting, device=self.env.device)
         legal = state["action_mask"].int().argmax(-1)
         self.flows.is_resting = rests
@@ -207,7 +207,7 @@ class FlowVectorEnv(VectorEnv):
         return torch.as_tensor(given, dtype=torch.int64, device=self.env.device)
 
     def _read_mask(self, options: Mapping[str, Any] | None) -> Array | None:
-        """Return the rows that shall be reset, or None for all."""
+        """Return the rows to reset, or None for all."""
         unknown = sorted(set(options or {}) - {"reset_mask"})
         if unknown:
             raise ValueError(f"options = {unknown}: there is only 'reset_mask'")
@@ -222,24 +222,24 @@ class FlowVectorEnv(VectorEnv):
         return rows
 
     def _tell(self, state: TensorDictBase) -> dict[str, Any]:
-        """Return infos: what is not observed, with arrays of the rows that have it (all)."""
-        return _with_rows(self._read_told(state), np.ones(self.num_envs, dtype=np.bool_))
+        """Return infos: all entries but the observations."""
+        return _with_rows(self._read_reported(state), np.ones(self.num_envs, dtype=np.bool_))
 
     def _tell_ends(self, state: TensorDictBase, rows: Array) -> dict[str, Any]:
-        """Return last observations and infos of the episodes that end."""
+        """Return last observations and infos of ended episodes."""
         observations = _observe(state)
         final = np.full(self.num_envs, None, dtype=object)
         for row in rows.nonzero()[0]:
             final[row] = observations[row]
-        last = {  # zeros in rows that go on
+        last = {  # zeros in other rows
             name: np.where(rows.reshape(-1, *(1,) * (value.ndim - 1)), value, np.zeros_like(value))
-            for name, value in self._read_told(state).items()
+            for name, value in self._read_reported(state).items()
         }
         return _with_rows({"final_obs": final, "final_info": _with_rows(last, rows)}, rows)
 
-    def _read_told(self, state: TensorDictBase) -> dict[str, Array]:
-        told = {name: _row_wise(state[name]) for name in self._told}
-        return told | {"action_mask": told["action_mask"].astype(np.int8)}
+    def _read_reported(self, state: TensorDictBase) -> dict[str, Array]:
+        reported = {name: _row_wise(state[name]) for name in self._reported}
+        return reported | {"action_mask": reported["action_mask"].astype(np.int8)}
 
 
 def _as_mode(mode: AutoresetMode | str) -> AutoresetMode:
@@ -256,12 +256,12 @@ def _observe(state: TensorDictBase) -> Array:
 
 
 def _row_wise(tensor: torch.Tensor) -> Array:
-    """Return a copy, columns ``[B, 1]`` as ``[B]``."""
+    """Return a copy as an array, with columns ``[B, 1]`` as ``[B]``."""
     columns = tensor.squeeze(-1) if tensor.dim() == 2 and tensor.shape[-1] == 1 else tensor
     rows: Array = columns.detach().cpu().numpy().copy()
     return rows
 
 
 def _with_rows(infos: Mapping[str, Any], rows: Array) -> dict[str, Any]:
-    """Return infos, each with a copy of ``rows`` under its name with ``_`` before it."""
+    """Return infos, each with a copy of ``rows`` under its ``_``-prefixed name."""
     return dict(infos) | {f"_{name}": rows.copy() for name in infos}

@@ -1,4 +1,4 @@
-"""The lateral line: neuromasts along the body that feel the flow beside the skin."""
+"""The lateral line: neuromasts along the body that sample the flow beside the skin."""
 
 import difflib
 from dataclasses import dataclass
@@ -10,37 +10,36 @@ from torch import Tensor
 from fishrl.envs.draws import draw_uniform
 from fishrl.envs.protocol import Solver
 
-#: The paper's: time since the start in T, place in body lengths, velocity, pressure and speed as
-#: an onlooker sees them. Time and place give a flow away by bookkeeping.
+#: The paper's features: time since the start in T, position in body lengths, and velocity, pressure
+#: and speed in the frame at rest. Time and position leak the flow label.
 PAPER = ("t", "x", "y", "u_x", "u_y", "p", "speed")
-#: What a fish can feel: velocity past the skin, ahead and to its left, its magnitude, and how much
-#: the pressure differs from its mean over the neuromasts.
+#: Local features: velocity relative to the skin, along the heading and to its left, its magnitude,
+#: and the deviation of the pressure from its mean over the neuromasts.
 LOCAL = ("ahead", "left", "pressure", "slip")
-#: Estimate of the shear at the skin: velocity along it, over the distance.
+#: Estimate of the shear at the skin: tangential velocity over distance.
 SHEAR = "shear"
 KNOWN = (*PAPER, *LOCAL, SHEAR)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LateralLine:
-    """P neuromasts on both sides of a fish; one more at the nose where P is odd.
+    """P neuromasts in pairs on both sides of a fish, with one at the nose if P is odd.
 
-    Velocities are in L / T, pressures in rho (L / T)^2, shear in 1 / T. Noise and silence are drawn
-    from a key of the episode, so that they are the same in any batch.
+    Velocities are in L / T, pressures in rho (L / T)^2, shear in 1 / T. Noise and dropout depend on
+    a key of the episode, so they are the same in any batch.
 
     Args:
-        num_neuromasts: P; the paper has 5.
-        features: names of what each neuromast tells, from ``KNOWN``, in this order.
-        num_samples: W, samples of one control interval.
-        first_bl: place of the foremost pair along the body, behind the nose, in body lengths.
-        last_bl: place of the hindmost pair.
-        distance: from the skin, nodes; nearer than 2 the boundary's own nodes blur the flow.
-        is_averaged: report the mean over the neuromasts, as the paper does; not of ``pressure``,
-            which is 0 then.
-        noise: standard deviation of what is added to velocity (L / T) and pressure, each sample.
-        silence: chance that a neuromast says nothing but 0 for a whole episode; means are over
-            those that speak.
-        delay: samples by which the brain learns late of what is felt; at most W.
+        num_neuromasts: P; 5 in the paper.
+        features: signals of each neuromast, names from ``KNOWN``.
+        num_samples: samples W per control interval.
+        first_bl: distance of the first pair from the nose, in body lengths.
+        last_bl: distance of the last pair.
+        distance: distance from the skin, nodes; below 2 the smeared boundary affects the signal.
+        is_averaged: average over the neuromasts, as the paper does; excludes ``pressure``, whose
+            mean is 0.
+        noise: standard deviation of the noise on velocity (L / T) and pressure, per sample.
+        silence: probability that a neuromast outputs 0 for a whole episode; averages exclude it.
+        delay: delay of the signals in samples; at most W.
     """
 
     num_neuromasts: int = 5
@@ -55,7 +54,7 @@ class LateralLine:
     delay: int = 0
 
     def __post_init__(self) -> None:
-        """Refuse a sensor that cannot be."""
+        """Validate the arguments."""
         object.__setattr__(self, "features", tuple(self.features))
         for name in ("num_neuromasts", "num_samples"):
             if getattr(self, name) < 1:
@@ -68,8 +67,8 @@ class LateralLine:
         if "pressure" in self.features and (self.is_averaged or self.num_neuromasts == 1):
             raise ValueError(
                 f"features = {self.features}, num_neuromasts = {self.num_neuromasts}, is_averaged "
-                f"= {self.is_averaged}: pressure is felt as the difference from the mean over the "
-                "neuromasts, so that mean is always 0; leave pressure out, or take p"
+                f"= {self.is_averaged}: pressure is the deviation from the mean over the "
+                "neuromasts, whose mean is always 0; remove pressure, or use p"
             )
         if not 0.0 < self.first_bl <= self.last_bl < 1.0:
             raise ValueError(
@@ -82,13 +81,13 @@ class LateralLine:
                 "no negative noise"
             )
         if not 0.0 <= self.silence <= 1.0:
-            raise ValueError(f"silence = {self.silence}: a chance lies in [0, 1]")
+            raise ValueError(f"silence = {self.silence}: must lie in [0, 1]")
         if not 0 <= self.delay <= self.num_samples:
             raise ValueError(f"delay = {self.delay}: allowed is 0 to {self.num_samples} samples")
 
     @property
     def layout(self) -> dict[str, Any]:
-        """What a classifier must know of its input; noise and such are left to chance."""
+        """Description of the signals for a classifier, without noise, dropout and delay."""
         return {
             "num_neuromasts": 1 if self.is_averaged else self.num_neuromasts,
             "num_felt": self.num_neuromasts,
@@ -100,7 +99,7 @@ class LateralLine:
         }
 
     def place(self, solver: Solver) -> tuple[Tensor, Tensor, Tensor]:
-        """Return where the neuromasts are and how the skin below them moves.
+        """Return positions of the neuromasts, velocity of the skin below them, and normals.
 
         Returns:
             Points ``[B, P, 2]`` in nodes; the skin's velocity there ``[B, P, 2]``, nodes per step;
@@ -133,17 +132,17 @@ class LateralLine:
     def feel(
         self, solver: Solver, key: Tensor, *, body_length: float, period: int
     ) -> tuple[Tensor, Tensor]:
-        """Return what the neuromasts tell now.
+        """Return the current signals.
 
         Args:
             solver: the flows; the first body is the fish.
-            key: ``[B]`` int64 of the episode.
+            key: ``[B]`` int64, key of the episode.
             body_length: L in nodes.
             period: T in steps.
 
         Returns:
-            The signal ``[B, P, F]`` (P = 1 if averaged), and the velocity (x, y) of the water as an
-            onlooker sees it, mean over the neuromasts, ``[B, 2]`` in L / T; float32.
+            The signal ``[B, P, F]`` (P = 1 if averaged), and the velocity (x, y) of the water in
+            the frame at rest, mean over the neuromasts, ``[B, 2]`` in L / T; float32.
         """
         points, skin, normal = self.place(solver)
         density, velocity = solver.sample(points)
@@ -154,17 +153,17 @@ class LateralLine:
             error = self.noise * _draw_normal(key, age.long(), 3 * self.num_neuromasts)
             ex, ey, ep = error.chunk(3, -1)
             ux, uy, pressure = ux + ex, uy + ey, pressure + ep
-        speaks = torch.ones_like(ux, dtype=torch.bool)
+        is_active = torch.ones_like(ux, dtype=torch.bool)
         if self.silence > 0.0:
             chance = draw_uniform(1, key, torch.zeros_like(key), self.num_neuromasts)
-            speaks = chance >= self.silence
-        num_speaking = speaks.sum(-1, keepdim=True).clamp_min(1)
+            is_active = chance >= self.silence
+        num_active = is_active.sum(-1, keepdim=True).clamp_min(1)
         sx, sy = (skin / unit).unbind(-1)
         angle = solver.body.heading + solver.body.internal_angle
         cos, sin = torch.cos(angle)[:, None], torch.sin(angle)[:, None]
         past_x, past_y = ux - sx, uy - sy
         nx, ny = normal.unbind(-1)
-        told = {
+        signals = {
             "t": (age / period)[:, None].expand_as(ux),
             "x": points[..., 0] / body_length,
             "y": points[..., 1] / body_length,
@@ -174,19 +173,19 @@ class LateralLine:
             "speed": (ux * ux + uy * uy).sqrt(),
             "ahead": cos * past_x + sin * past_y,
             "left": cos * past_y - sin * past_x,
-            "pressure": pressure - (pressure * speaks).sum(-1, keepdim=True) / num_speaking,
+            "pressure": pressure - (pressure * is_active).sum(-1, keepdim=True) / num_active,
             "slip": (past_x * past_x + past_y * past_y).sqrt(),
             "shear": (ny * past_x - nx * past_y) * (body_length / self.distance),
         }
-        signal = torch.stack([told[name] for name in self.features], -1)
-        signal = signal.masked_fill(~speaks[..., None], 0.0)
+        signal = torch.stack([signals[name] for name in self.features], -1)
+        signal = signal.masked_fill(~is_active[..., None], 0.0)
         if self.is_averaged:
-            signal = signal.sum(1, keepdim=True) / num_speaking[..., None]
-        mean = [(value * speaks).sum(-1) / num_speaking.squeeze(-1) for value in (ux, uy)]
+            signal = signal.sum(1, keepdim=True) / num_active[..., None]
+        mean = [(value * is_active).sum(-1) / num_active.squeeze(-1) for value in (ux, uy)]
         return signal.float(), torch.stack(mean, -1).float()
 
     def delay_series(self, before: Tensor, now: Tensor) -> Tensor:
-        """Return what the brain learns ``[B, W, ...]`` from the last two intervals' series."""
+        """Return the delayed series ``[B, W, ...]`` from those of the last two intervals."""
         if self.delay == 0:
             return now
         both = torch.cat((before, now), 1)
@@ -194,6 +193,6 @@ class LateralLine:
 
 
 def _draw_normal(key: Tensor, age: Tensor, num: int) -> Tensor:
-    """Draw ``[B, num]`` of mean 0 and deviation 1: sums of four uniform numbers."""
+    """Draw ``[B, num]`` of mean 0 and standard deviation 1, as sums of four uniform numbers."""
     a, b, c, d = draw_uniform(0, key, age, 4 * num).chunk(4, -1)
     return (a + b + c + d - 2.0) * 3.0**0.5

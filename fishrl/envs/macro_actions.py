@@ -1,9 +1,9 @@
-"""How a fish chooses its tail beat: by speeding up and slowing down, or directly.
+"""Action spaces for the tail-beat frequency: macro-actions, or direct choice.
 
-The state of the choice is the *gear*, an index into a row of frequencies. With macro-actions there
-is one row for each known flow, and the gear means in each flow something alike: gear 0 sinks back,
-the last swims up (the paper's macro-action system). If another flow is named on the way, the gear
-stays and the row switches. The phase of the body wave is integrated, so the body never jumps.
+The state is the *gear*, an index into a row of frequencies. Macro-actions (as in the paper) have
+one row per flow, in which a gear has a similar effect in each flow: gear 0 drifts downstream, the
+last one swims upstream. When the flow label changes, the gear stays and the row switches. The
+phase of the body wave is integrated, so the body moves continuously.
 """
 
 from abc import ABC, abstractmethod
@@ -16,7 +16,7 @@ from torch import Tensor
 
 @dataclass(frozen=True, kw_only=True)
 class FrequencyBank:
-    """Tail-beat frequencies that a fish may choose from, one row for each known flow.
+    """Tail-beat frequencies, one row per flow.
 
     Args:
         rows: tail beats per T, rising within each row; all rows have the same length, at least two.
@@ -25,7 +25,7 @@ class FrequencyBank:
     rows: tuple[tuple[float, ...], ...]
 
     def __post_init__(self) -> None:
-        """Refuse rows without a choice; turns sequences from files into tuples."""
+        """Validate the rows, and turn sequences from files into tuples."""
         rows = tuple(_as_row(row) for row in self.rows)
         object.__setattr__(self, "rows", rows)
         if not rows:
@@ -37,17 +37,17 @@ class FrequencyBank:
 
     @property
     def num_gears(self) -> int:
-        """Frequencies in each row."""
+        """Number of frequencies in each row."""
         return len(self.rows[0])
 
 
 class FrequencyControl(ABC):
-    """What actions mean for the tail beat."""
+    """Map actions to tail-beat frequencies."""
 
     @property
     @abstractmethod
     def num_flows(self) -> int | None:
-        """Number of flows that it tells apart; None if it does not look at the flow."""
+        """Number of rows; None if the frequency does not depend on the flow."""
 
     @property
     @abstractmethod
@@ -62,12 +62,12 @@ class FrequencyControl(ABC):
     @property
     @abstractmethod
     def max_frequency(self) -> float:
-        """Fastest beat that can be chosen, tail beats per T."""
+        """Highest frequency, tail beats per T."""
 
     @property
     @abstractmethod
     def start_gear(self) -> int:
-        """Gear in which an episode begins."""
+        """Initial gear."""
 
     @abstractmethod
     def shift(self, gear: Tensor, action: Tensor) -> Tensor:
@@ -79,30 +79,30 @@ class FrequencyControl(ABC):
 
         Args:
             gear: ``[B]``.
-            flow: ``[B]`` which flow it is taken to be, an index.
+            flow: ``[B]`` flow label, an index.
         """
 
     @abstractmethod
     def mask(self, gear: Tensor) -> Tensor:
-        """Return ``[B, num_actions]`` bool, which actions are legal."""
+        """Return the legal actions ``[B, num_actions]``, bool."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MacroActions(FrequencyControl):
-    """Decelerate (0), cruise (1) or accelerate (2): one step in the row of the flow, or none.
+    """Decelerate (0), cruise (1) or accelerate (2): shift by one gear in the row of the flow.
 
     Decelerating is illegal in the first gear, accelerating in the last.
 
     Args:
         bank: the frequencies.
-        first_gear: in which an episode begins, counted from 0; by default the middle one.
+        first_gear: initial gear, counted from 0; by default the middle one.
     """
 
     bank: FrequencyBank
     first_gear: int | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a gear that there is not."""
+        """Validate the initial gear."""
         if self.first_gear is not None:
             _check_gear(self.first_gear, self.bank.num_gears)
 
@@ -123,12 +123,12 @@ class MacroActions(FrequencyControl):
 
     @property
     def max_frequency(self) -> float:
-        """Fastest beat of all rows."""
+        """Highest frequency of all rows."""
         return max(row[-1] for row in self.bank.rows)
 
     @property
     def start_gear(self) -> int:
-        """Gear in which an episode begins."""
+        """Initial gear."""
         return (self.bank.num_gears - 1) // 2 if self.first_gear is None else self.first_gear
 
     def shift(self, gear: Tensor, action: Tensor) -> Tensor:
@@ -136,7 +136,7 @@ class MacroActions(FrequencyControl):
         return gear + action - 1
 
     def select(self, gear: Tensor, flow: Tensor) -> Tensor:
-        """Return tail beats per T ``[B]``; gear and flow must exist."""
+        """Return tail beats per T ``[B]``."""
         rows = torch.tensor(self.bank.rows, dtype=torch.float64, device=gear.device)
         return rows[flow, gear]
 
@@ -148,25 +148,25 @@ class MacroActions(FrequencyControl):
 
 @dataclass(frozen=True, kw_only=True)
 class DirectFrequencies(FrequencyControl):
-    """Choose one of n frequencies outright, in any flow the same: the ablation.
+    """Choose one of n frequencies directly, independent of the flow (the ablation).
 
     Args:
         frequencies: tail beats per T, rising; 0 is a passive fish.
-        first_gear: index of the frequency at the start; by default the middle one.
+        first_gear: index of the initial frequency; by default the middle one.
     """
 
     frequencies: tuple[float, ...]
     first_gear: int | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a list without a choice."""
+        """Validate the frequencies."""
         object.__setattr__(self, "frequencies", _as_row(self.frequencies))
         if self.first_gear is not None:
             _check_gear(self.first_gear, len(self.frequencies))
 
     @property
     def num_flows(self) -> None:
-        """None: all flows are alike to it."""
+        """None: independent of the flow."""
         return None
 
     @property
@@ -181,12 +181,12 @@ class DirectFrequencies(FrequencyControl):
 
     @property
     def max_frequency(self) -> float:
-        """Fastest beat."""
+        """Highest frequency."""
         return self.frequencies[-1]
 
     @property
     def start_gear(self) -> int:
-        """Index of the frequency at the start."""
+        """Index of the initial frequency."""
         return (len(self.frequencies) - 1) // 2 if self.first_gear is None else self.first_gear
 
     def shift(self, gear: Tensor, action: Tensor) -> Tensor:
@@ -194,23 +194,21 @@ class DirectFrequencies(FrequencyControl):
         return action
 
     def select(self, gear: Tensor, flow: Tensor) -> Tensor:
-        """Return tail beats per T ``[B]``, whatever the flow."""
+        """Return tail beats per T ``[B]``."""
         return torch.tensor(self.frequencies, dtype=torch.float64, device=gear.device)[gear]
 
     def mask(self, gear: Tensor) -> Tensor:
-        """Return ``[B, n]``: everything is legal."""
+        """Return ``[B, n]``, all true."""
         return torch.ones(*gear.shape, self.num_actions, dtype=torch.bool, device=gear.device)
 
 
 def _as_row(values: object) -> tuple[float, ...]:
-    """Return rising frequencies as a tuple; a list from a file will do."""
+    """Return rising frequencies as a tuple."""
     row = tuple(float(value) for value in values) if isinstance(values, list | tuple) else ()
     if len(row) < 2:
-        raise ValueError(
-            f"frequencies = {values}: give at least two, or there is nothing to choose"
-        )
+        raise ValueError(f"frequencies = {values}: give at least two")
     if row[0] < 0.0 or any(not low < high for low, high in pairwise(row)):
-        raise ValueError(f"frequencies = {values}: must not be negative, and rise from one to next")
+        raise ValueError(f"frequencies = {values}: must be rising and not negative")
     if not row[-1] < float("inf"):
         raise ValueError(f"frequencies = {values}: must be finite")
     return row

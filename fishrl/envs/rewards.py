@@ -1,4 +1,4 @@
-"""Bricks that tasks build their rewards from, as free functions of ``[B]`` tensors."""
+"""Reward terms as functions of ``[B]`` tensors."""
 
 import torch
 from torch import Tensor
@@ -7,15 +7,14 @@ from torch import Tensor
 def reward_approach(
     distance_before: Tensor, distance: Tensor, error_before: Tensor, error: Tensor
 ) -> Tensor:
-    """Return +1 where the fish came nearer to its target or turned towards it, else -1.
+    """Return +1 where distance or bearing error decreased, else -1.
 
-    Either is enough: the paper's "bearing or distance shrinks", taken literally. Standing still is
-    no progress.
+    Either suffices, as in the paper ("bearing or distance shrinks"). No change gives -1.
 
     Args:
         distance_before: ``[B]`` distance at the last decision.
         distance: ``[B]`` distance now.
-        error_before: ``[B]`` bearing error at the last decision, radians, of any sign.
+        error_before: ``[B]`` signed bearing error at the last decision, radians.
         error: ``[B]`` bearing error now.
     """
     is_nearer = distance < distance_before

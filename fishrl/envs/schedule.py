@@ -1,18 +1,18 @@
-"""When, within an action, the flows are looked at."""
+"""The schedule of checks, frames and samples within an action."""
 
 from itertools import pairwise
 from typing import NamedTuple
 
 
 class Stretch(NamedTuple):
-    """Steps up to the next look at the flows.
+    """Steps up to the next event.
 
     Attributes:
-        num_steps: an even number of steps.
-        is_check: whether ends of episodes are looked for after them.
-        is_frame: whether a picture is due after them.
-        is_sample: whether the series are sampled after them.
-        is_last: whether the action is over after them.
+        num_steps: number of steps, even.
+        is_check: check for termination after them.
+        is_frame: call ``on_frame`` after them.
+        is_sample: record sensor samples after them.
+        is_last: the action ends after them.
     """
 
     num_steps: int
@@ -25,16 +25,16 @@ class Stretch(NamedTuple):
 def make_schedule(
     num_steps: int, *, checks: int, frames: int = 1, samples: int = 0
 ) -> list[Stretch]:
-    """Divide an action into stretches that end at a check, a frame or a sample, as equal as can be.
+    """Divide an action into stretches that end at evenly spaced checks, frames or samples.
 
     Args:
         num_steps: steps of the action, even.
-        checks: how many checks there are, the last at the end.
-        frames: how many frames there are, the last at the end.
-        samples: how many samples there are, the last at the end; there may be none.
+        checks: number of checks, the last at the end.
+        frames: number of frames, the last at the end.
+        samples: number of samples, the last at the end; may be 0.
 
     Raises:
-        ValueError: if there are more of any than pairs of steps, or fewer than allowed.
+        ValueError: if a number exceeds that of pairs of steps, or is too small.
     """
     pairs = num_steps // 2
     for name, count, least in (

@@ -1,8 +1,8 @@
-"""What the fish and its task perceive, by eye: free functions of tensors with a leading batch axis.
+"""Geometric sensors as functions of tensors with a leading batch axis.
 
-Only operations that round the same wherever a row lies in the batch are used: ``atan2`` and
-``hypot`` have a vector and a scalar form that differ in the last bit, so that a row alone would not
-equal the same row in a batch; ``atan``, ``sqrt``, ``sin`` and ``cos`` do not.
+They only use operations whose rounding does not depend on the position in the batch. ``atan2`` and
+``hypot`` have vectorised and scalar versions that differ in the last bit, so that a row would
+change with the batch size; ``atan``, ``sqrt``, ``sin`` and ``cos`` do not.
 """
 
 from math import pi
@@ -12,19 +12,19 @@ from torch import Tensor
 
 
 def wrap_angle(angle: Tensor) -> Tensor:
-    """Return angles, radians, in (-pi, pi]."""
+    """Wrap angles to (-pi, pi] radians."""
     return pi - torch.remainder(pi - angle, 2.0 * pi)
 
 
 def compute_bearing_error(heading: Tensor, away: Tensor) -> Tensor:
-    """Return the angle of a direction off the nose.
+    """Return the angle between the heading and a direction.
 
     Args:
-        heading: ``[B]`` direction the fish faces, radians.
-        away: ``[B, 2]`` direction (x, y), of any length.
+        heading: ``[B]`` heading of the fish, radians.
+        away: ``[B, 2]`` direction (x, y), not normalised.
 
     Returns:
-        ``[B]`` in (-pi, pi] radians, positive to the left (counter-clockwise); 0 for no direction.
+        ``[B]`` in (-pi, pi] radians, positive to the left (counter-clockwise); 0 for a zero vector.
     """
     cos, sin = torch.cos(heading), torch.sin(heading)
     ahead = cos * away[:, 0] + sin * away[:, 1]
@@ -36,11 +36,11 @@ def compute_bearing_error(heading: Tensor, away: Tensor) -> Tensor:
 
 
 def sense_target(head: Tensor, heading: Tensor, target: Tensor, *, body_length: float) -> Tensor:
-    """Return where a target lies, seen from the head.
+    """Return the position of a target relative to the head.
 
     Args:
         head: ``[B, 2]`` nose (x, y) in nodes.
-        heading: ``[B]`` direction the fish faces, radians.
+        heading: ``[B]`` heading of the fish, radians.
         target: ``[B, 2]`` (x, y) in nodes.
         body_length: L in nodes.
 
@@ -55,7 +55,7 @@ def sense_target(head: Tensor, heading: Tensor, target: Tensor, *, body_length: 
 
 
 def compute_clearance(markers: Tensor, *, width: int, height: int) -> Tensor:
-    """Return the distance of an outline from the nearest edge node, negative outside.
+    """Return the distance of an outline from the nearest edge node; negative outside.
 
     Args:
         markers: ``[B, N, 2]`` (x, y) in nodes.
@@ -63,7 +63,7 @@ def compute_clearance(markers: Tensor, *, width: int, height: int) -> Tensor:
         height: nodes along y.
 
     Returns:
-        ``[B]`` nodes; NaN where a marker is.
+        ``[B]`` in nodes; NaN if a marker is NaN.
     """
     last = torch.tensor([width - 1.0, height - 1.0], dtype=markers.dtype, device=markers.device)
     return torch.minimum(markers, last - markers).flatten(1).amin(-1)

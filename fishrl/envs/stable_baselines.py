@@ -1,6 +1,6 @@
-"""The way in from Stable-Baselines3: flows side by side as its ``VecEnv``.
+"""A ``VecEnv`` of flows for Stable-Baselines3.
 
-It needs ``pip install 'fishrl[stable-baselines3]'`` and is imported by its own name:
+Needs ``pip install 'fishrl[stable-baselines3]'``; import it by its full name:
 ``from fishrl.envs.stable_baselines import FlowVecEnv``.
 """
 
@@ -26,13 +26,13 @@ Array = np.ndarray[Any, Any]
 
 
 class FlowVecEnv(VecEnv):
-    """An environment of ``make_env`` for Stable-Baselines3; B flows are B rows.
+    """Wrap an environment of ``make_env`` with B flows as a ``VecEnv`` of B rows.
 
-    ``env_method("action_masks")`` gives the legal actions, as ``MaskablePPO`` of sb3-contrib asks
-    for them; algorithms without masks fit tasks in which every action is always legal.
+    ``env_method("action_masks")`` returns the legal actions, as ``MaskablePPO`` of sb3-contrib
+    expects. Use algorithms without masks for tasks in which all actions are always legal.
 
     Args:
-        env: of ``make_env``; this wrapper takes it over and closes it.
+        env: an environment of ``make_env``, which this wrapper owns and closes.
     """
 
     def __init__(self, env: TransformedEnv) -> None:
@@ -45,7 +45,7 @@ class FlowVecEnv(VecEnv):
         self._actions: Array = np.zeros(self.num_envs, dtype=np.int64)
 
     def reset(self) -> Array:
-        """Begin new episodes in all rows; ``seed`` before it sets the seed of the starts."""
+        """Start new episodes in all rows, with the seed of a preceding call of ``seed``."""
         observations, infos = self.vector.reset(seed=self._seeds[0])
         self._reset_seeds()
         self._reset_options()
@@ -53,14 +53,14 @@ class FlowVecEnv(VecEnv):
         return observations
 
     def step_async(self, actions: Array) -> None:
-        """Keep the actions ``[B]`` for ``step_wait``."""
+        """Store the actions ``[B]`` for ``step_wait``."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Array, Array, Array, list[dict[str, Any]]]:
-        """Act; return observations ``[B, ...]``, rewards, dones and a dict of infos per row.
+        """Return observations ``[B, ...]``, rewards, dones and a dict of infos per row.
 
-        Rows that end begin anew at once; ``terminal_observation`` and ``TimeLimit.truncated`` tell
-        the end from the new beginning.
+        Rows that end are reset at once; their infos hold ``terminal_observation`` and
+        ``TimeLimit.truncated``.
         """
         observations, rewards, terminated, truncated, infos = self.vector.step(self._actions)
         dones = terminated | truncated
@@ -79,12 +79,12 @@ class FlowVecEnv(VecEnv):
         self.vector.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute, the same for each row; for ``action_masks`` see ``env_method``."""
+        """Return an attribute, which is the same for all rows."""
         value = getattr(self.vector, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refuse: rows are one environment.
+        """Raise an error: all rows share one environment.
 
         Raises:
             ValueError: always.
@@ -96,12 +96,12 @@ class FlowVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method of the vector environment, and give each row its row of the result."""
+        """Call a method of the vector environment and return its rows."""
         result = getattr(self.vector, method_name)(*method_args, **method_kwargs)
         return [result[row] for row in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Return False for each row: there are no single environments that could be wrapped."""
+        """Return False for each row: there are no individual environments."""
         return [False for _ in self._get_indices(indices)]
 
     def _split(self, infos: dict[str, Any]) -> list[dict[str, Any]]:

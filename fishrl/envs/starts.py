@@ -1,4 +1,4 @@
-"""Where fish start: from a nose on the map to a body in the flow, and whether it fits there."""
+"""Starts of fish: from nose positions to bodies, and checks that they fit into the domain."""
 
 import torch
 from tensordict import TensorDictBase
@@ -32,10 +32,10 @@ def place_outline(starts: TensorDictBase, fish: Fish) -> Tensor:
 
 
 def check_pattern(starts: TensorDictBase, pattern: TensorDictBase) -> None:
-    """Refuse starts ``[E]`` that lack a key of ``pattern`` ``[1]``, or have another shape or type.
+    """Check that starts ``[E]`` have the keys, shapes and dtypes of ``pattern`` ``[1]``.
 
     Raises:
-        ValueError: naming the key.
+        ValueError: naming the first difference.
     """
     if starts.batch_dims != 1 or starts.shape[0] < 1:
         raise ValueError(
@@ -48,25 +48,25 @@ def check_pattern(starts: TensorDictBase, pattern: TensorDictBase) -> None:
         if given is None or tuple(given.shape) != shape or given.dtype != wanted.dtype:
             got = "nothing" if given is None else f"{tuple(given.shape)}, {given.dtype}"
             raise ValueError(
-                f"starts[{name!r}] is {got}, expected {shape}, {wanted.dtype}: make starts with "
-                "sample_starts, or after its pattern"
+                f"starts[{name!r}] is {got}, expected {shape}, {wanted.dtype}: create starts like "
+                "sample_starts"
             )
 
 
 def check_fit(
     starts: TensorDictBase, fish: Fish, *, width: int, height: int, margin: float
 ) -> None:
-    """Refuse starts ``[E]`` from which a straight fish would not be inside the domain.
+    """Check that straight fish at their starts ``[E]`` are inside the domain.
 
     Args:
-        starts: of the fish.
+        starts: the starts.
         fish: the body.
         width: nodes along x.
         height: nodes along y.
-        margin: how far every marker must stay from the edge nodes, in nodes.
+        margin: smallest distance of a marker from the edge nodes, in nodes.
 
     Raises:
-        ValueError: naming the first that does not fit.
+        ValueError: naming the first start outside.
     """
     clearance = compute_clearance(place_outline(starts, fish), width=width, height=height)
     is_wrong = ~(clearance >= margin)

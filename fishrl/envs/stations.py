@@ -1,4 +1,4 @@
-"""Where a fish that holds its station may be, and what it earns there."""
+"""Safe area and reward for holding station."""
 
 from dataclasses import dataclass
 
@@ -8,15 +8,15 @@ from torch import Tensor
 
 @dataclass(frozen=True, kw_only=True)
 class SafeArea:
-    """The rectangle outside which lies the danger area.
+    """A rectangle surrounded by the danger area.
 
-    Places are (x downstream, y) from the middle of the obstacle's flat side, in body lengths.
+    Positions are (x downstream, y) from the middle of the obstacle's flat side, in body lengths.
 
     Args:
-        near_bl: least x: nearer, the wake sucks the fish to the obstacle.
-        far_bl: largest x: farther, it is swept away.
-        aside_bl: largest distance from the middle line.
-        rim_bl: width of the strip along its border where it is already punished.
+        near_bl: smallest x; nearer, suction in the wake draws the fish to the obstacle.
+        far_bl: largest x; farther, the stream sweeps the fish away.
+        aside_bl: largest distance from the centreline.
+        rim_bl: width of the inner strip with a penalty.
     """
 
     near_bl: float = 0.4
@@ -25,7 +25,7 @@ class SafeArea:
     rim_bl: float = 0.25
 
     def __post_init__(self) -> None:
-        """Refuse an area with nothing in it."""
+        """Check that the area is not empty."""
         if not self.near_bl < self.far_bl or self.aside_bl <= 0.0 or self.rim_bl < 0.0:
             raise ValueError(
                 f"near_bl = {self.near_bl}, far_bl = {self.far_bl}, aside_bl = {self.aside_bl}, "
@@ -33,7 +33,7 @@ class SafeArea:
             )
 
     def measure_margin(self, place: Tensor) -> Tensor:
-        """Return the distance ``[B]`` of places ``[B, 2]`` from the danger area, body lengths."""
+        """Return the distance ``[B]`` of positions ``[B, 2]`` from the danger area, in L."""
         x, y = place.unbind(-1)
         gaps = torch.stack((x - self.near_bl, self.far_bl - x, self.aside_bl - y.abs()))
         return gaps.amin(0)
@@ -41,15 +41,16 @@ class SafeArea:
 
 @dataclass(frozen=True, kw_only=True)
 class StationReward:
-    """Reward for holding a station cheaply: r1 to r4 of the paper's Task 2.
+    """Reward for holding station with little work: r1 to r4 of the paper's Task 2.
 
     Args:
-        drift_limit_bl: way downstream in one interval beyond which r1 is -1 instead of +1;
+        drift_limit_bl: downstream drift in one interval beyond which r1 is -1 instead of +1;
             a quarter of the paper's 20 nodes, for a quarter of its interval.
         work_weight: r2 = work_weight (1 - work of the interval / work_reference).
-        work_reference: in rho L^2 (L / T)^2, of an interval; 0.4 per T, twice what a gait costs.
-        danger_penalty: r3, taken off on entering the danger area or touching an edge.
-        rim_weight: r4, taken off per body length that the fish is inside the rim; the paper's
+        work_reference: work of an interval in rho L^2 (L / T)^2; corresponds to 0.4 per T, twice
+            the work of a typical gait.
+        danger_penalty: r3, subtracted on entering the danger area or touching an edge.
+        rim_weight: r4, subtracted per body length inside the rim; the paper's
             (L_max - L_dis) / 10 in nodes.
     """
 
@@ -60,7 +61,7 @@ class StationReward:
     rim_weight: float = 10.0
 
     def __post_init__(self) -> None:
-        """Refuse a reference that work cannot be measured by."""
+        """Validate the reference."""
         if self.work_reference <= 0.0:
             raise ValueError(f"work_reference = {self.work_reference}: must be positive")
 
@@ -70,9 +71,9 @@ class StationReward:
         """Return the reward ``[B]`` of one interval.
 
         Args:
-            drift: ``[B]`` way downstream, body lengths.
-            work: ``[B]`` done by the muscles, rho L^2 (L / T)^2.
-            depth: ``[B]`` how far it is inside the rim, body lengths, 0 outside.
+            drift: ``[B]`` downstream displacement, body lengths.
+            work: ``[B]`` work of the muscles, rho L^2 (L / T)^2.
+            depth: ``[B]`` depth inside the rim, body lengths, 0 outside.
             is_in_danger: ``[B]`` bool.
         """
         holds = torch.where(drift > self.drift_limit_bl, -1.0, 1.0)

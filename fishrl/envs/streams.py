@@ -1,4 +1,4 @@
-"""Streams to hold station in: several speeds, with or without a half disc upstream."""
+"""Streams of several speeds, with or without a half disc."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -19,20 +19,19 @@ from fishrl.physics.units import Scales
 
 @dataclass(frozen=True, kw_only=True)
 class Stream:
-    """Streams along +x, which differ in speed and are otherwise alike.
+    """Streams along +x that differ in speed only.
 
-    Inflow and sides move with the stream, the outflow lets plane sound waves out. The half disc
-    turns its flat side downstream, as that of Liao et al. 2003; the paper does not say.
+    Inflow and sides move with the stream; the outflow is transparent to plane sound waves. The flat
+    side of the half disc faces downstream as in Liao et al. 2003 (the paper does not specify it).
 
     Args:
-        speeds_bl: of the flows, L / T; the paper's conditions I, II and III by default.
-        has_disc: whether there is a half disc; without one the stream is free, and places are
-            still counted from where it would be.
+        speeds_bl: stream speeds, L / T; by default the paper's conditions I, II and III.
+        has_disc: include the half disc; positions refer to its location in a free stream too.
         diameter_bl: D of the half disc, body lengths.
         face_bl: distance of its flat side from the inflow.
-        num_phases: snapshots of a shedding period that episodes may start from.
-        num_travels: time that a wake has to develop, D / U; see ``wakes.WakeRecipe``.
-        wake_folder: where they are kept.
+        num_phases: number of wake snapshots per shedding period from which episodes start.
+        num_travels: development time of a wake, D / U; see ``wakes.WakeRecipe``.
+        wake_folder: cache of developed wakes.
     """
 
     speeds_bl: tuple[float, ...] = (1.0, 1.25, 1.5)
@@ -44,7 +43,7 @@ class Stream:
     wake_folder: str = "runs/wakes"
 
     def __post_init__(self) -> None:
-        """Refuse streams that stand still; turns sequences from files into tuples."""
+        """Validate the speeds, and turn sequences from files into tuples."""
         speeds = tuple(float(speed) for speed in self.speeds_bl)
         object.__setattr__(self, "speeds_bl", speeds)
         if not speeds or not all(0.0 < speed < inf for speed in speeds):
@@ -52,7 +51,7 @@ class Stream:
 
     @property
     def labels(self) -> list[dict[str, Any]]:
-        """What tells the flows apart, in their order."""
+        """Parameters of each flow, in order."""
         diameter = self.diameter_bl if self.has_disc else 0.0
         return [
             {"name": f"{speed:g} L/T", "stream_speed_bl": speed, "diameter_bl": diameter}
@@ -60,7 +59,7 @@ class Stream:
         ]
 
     def make_config(self, fish: Fish, scales: Scales, domain_bl: tuple[float, float]) -> FlowConfig:
-        """Return the fastest flow with the fish and, where there is one, the half disc in it."""
+        """Return the flow of the fastest stream with the fish and, if any, the half disc."""
         width, height = (round(size * scales.body_length) for size in domain_bl)
         moving = NonEquilibrium(velocity=(1.0, 0.0))
         disc = [DCylinder(diameter=self.diameter_bl * scales.body_length)] if self.has_disc else []
@@ -77,13 +76,13 @@ class Stream:
         if self.has_disc and not (min(x, y) - radius >= 2.0 and x <= width - 3.0):
             raise ValueError(
                 f"face_bl = {self.face_bl}, diameter_bl = {self.diameter_bl}: the half disc "
-                f"reaches out of the domain of {domain_bl[0]:g} L x {domain_bl[1]:g} L; move it, "
-                "make it smaller, or enlarge domain_bl"
+                f"exceeds the domain of {domain_bl[0]:g} L x {domain_bl[1]:g} L; move it, "
+                "reduce it, or enlarge domain_bl"
             )
         return config
 
     def find_origin(self, config: FlowConfig, scales: Scales) -> tuple[float, float]:
-        """Return the middle of the flat side (x, y) in nodes."""
+        """Return the middle of the disc's flat side (x, y) in nodes."""
         return self.face_bl * scales.body_length, 0.5 * (config.height - 1)
 
     def find_disc(self, config: FlowConfig, scales: Scales) -> tuple[float, float]:
@@ -92,11 +91,11 @@ class Stream:
         return x - 2.0 * self.diameter_bl * scales.body_length / (3.0 * pi), y
 
     def load_wakes(self, config: FlowConfig, scales: Scales) -> WakeBank:
-        """Return the developed wakes of all flows; they are made unless their file is there.
+        """Return the developed wakes of all flows, from their file if it exists.
 
         Args:
-            config: as ``make_config`` gives.
-            scales: of the task.
+            config: output of ``make_config``.
+            scales: lattice units of the task.
         """
         recipe = WakeRecipe(
             config=replace(config, bodies=config.bodies[1:]),
@@ -118,15 +117,15 @@ class Stream:
         scales: Scales,
         wakes: WakeBank | None,
     ) -> None:
-        """Set speed, wake and bodies of some flows.
+        """Reset stream speed, wake and bodies of some flows.
 
         Args:
             solver: the flows.
-            rows: ``[B]`` bool, which of them.
+            rows: ``[B]`` bool, rows to reset.
             starts: ``flow_index`` and ``wake_phase``, ``[B]`` each.
             place: centre of mass ``[B, 2]`` and heading ``[B]`` of the fish.
-            scales: of the task.
-            wakes: to begin in; None begins in the undisturbed stream.
+            scales: lattice units of the task.
+            wakes: initial wakes; None starts in the undisturbed stream.
         """
         flow, (position, heading) = starts["flow_index"], place
         speeds = torch.tensor(self.speeds_bl, dtype=torch.float64, device=rows.device)

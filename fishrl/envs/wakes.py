@@ -1,8 +1,8 @@
-"""Developed wakes for episodes to begin in: built once, kept in a file, drawn from at resets.
+"""Developed wakes as initial states of episodes: computed once and cached in a file.
 
-A wake behind an obstacle takes some fifty lengths of travel to develop, longer than many episodes.
-So it is run once for each stream speed without fish; when it repeats itself, one shedding period
-is cut into snapshots of equal distance. Phase 0 is where the lift on the obstacle crosses its mean
+A wake behind an obstacle takes about fifty D / U to develop, longer than many episodes. It is
+therefore simulated once per stream speed without fish. When it is periodic, snapshots are taken at
+equal intervals over one shedding period. At phase 0 the lift on the obstacle crosses its mean
 upwards.
 """
 
@@ -32,16 +32,15 @@ _SAMPLES_PER_TRAVEL = 16  # of the lift; a shedding period is about five travels
 
 @dataclass(frozen=True, kw_only=True)
 class WakeRecipe:
-    """Everything that shapes a bank of wakes. A *travel* is the time D / U.
+    """Parameters of a bank of wakes. A *travel* is the time D / U.
 
     Args:
-        config: of the flow with the obstacle alone in it.
+        config: the flow, with the obstacle as its only body.
         position: centre of the obstacle (x, y) in nodes.
-        heading: of the obstacle, radians.
-        speeds: stream speeds, nodes per step, one for each flow.
+        heading: heading of the obstacle, radians.
+        speeds: stream speeds, nodes per step, one per flow.
         num_phases: snapshots per shedding period.
-        num_travels: that a wake has time to develop; in the second half its shedding frequency is
-            measured.
+        num_travels: development time; the shedding frequency is measured in its second half.
     """
 
     config: FlowConfig
@@ -52,7 +51,7 @@ class WakeRecipe:
     num_travels: float = 100.0
 
     def __post_init__(self) -> None:
-        """Refuse a bank without an obstacle, flows or snapshots."""
+        """Validate obstacle, speeds and snapshots."""
         if len(self.config.bodies) != 1:
             raise ValueError(
                 f"a wake recipe has {len(self.config.bodies)} bodies: give the obstacle alone; a "
@@ -74,7 +73,7 @@ class WakeRecipe:
 
 @dataclass(frozen=True, kw_only=True)
 class WakeBank:
-    """Developed wakes of n flows in K phases.
+    """Developed wakes of n flows at K phases.
 
     Args:
         populations: ``[n, K, Q, Y, X]`` shifted by the weights, float32.
@@ -91,7 +90,7 @@ class WakeBank:
 
 
 def load_wakes(recipe: WakeRecipe, folder: str | Path, *, compile: bool = True) -> WakeBank:
-    """Read the bank of a recipe from its file in ``folder``; make bank and file if there is none.
+    """Read the bank of a recipe from its file in ``folder``, or compute and store it.
 
     Raises:
         ValueError: if the file cannot be read, or holds the wakes of something else.
@@ -99,7 +98,7 @@ def load_wakes(recipe: WakeRecipe, folder: str | Path, *, compile: bool = True) 
     path = Path(folder).expanduser() / f"wakes-{recipe.key}.pt"
     if path.is_file():
         return _read(path, recipe)
-    logger.info("developing %d wakes, once for all: they will be in %s", len(recipe.speeds), path)
+    logger.info("developing %d wakes; they will be stored in %s", len(recipe.speeds), path)
     bank = develop_wakes(recipe, compile=compile)
     path.parent.mkdir(parents=True, exist_ok=True)
     with staged(path) as stage:
@@ -123,10 +122,10 @@ def _read(path: Path, recipe: WakeRecipe) -> WakeBank:
 
 
 def develop_wakes(recipe: WakeRecipe, *, compile: bool = True) -> WakeBank:
-    """Run each flow until its wake repeats itself, and cut one period of it into snapshots.
+    """Simulate each flow until its wake is periodic, and take snapshots of one period.
 
     Raises:
-        ValueError: if too few vortices are shed to measure their frequency, or a flow diverges.
+        ValueError: if too few vortices are shed to measure the frequency, or a flow diverges.
     """
     config, (body,) = recipe.config, recipe.config.bodies
     size, fastest = body.size, max(recipe.speeds)
@@ -177,7 +176,7 @@ def _develop(
             f"{recipe.num_travels:g} D / U ({error}): raise it"
         ) from error
     period = 1.0 / cycles.frequency
-    # a sample is the mean over the interval before it, so that its middle lies half of one earlier
+    # a sample is the mean over the preceding interval, so its time is half an interval earlier
     last = (len(lift) - 0.5 - float(find_crossings(lift - cycles.mean)[-1])) * interval
     begin = period * -(-last // period) - last
     snapshots, now = [], 0

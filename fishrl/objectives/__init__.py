@@ -1,4 +1,4 @@
-"""Losses the brains learn by, and the fit of the lateral-line machine."""
+"""Losses of the algorithms, and the fit of the lateral-line classifier."""
 
 from fishrl.objectives.classification import (
     Curves,

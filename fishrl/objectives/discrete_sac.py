@@ -1,14 +1,14 @@
-"""Discrete soft actor-critic that knows about illegal actions.
+"""Discrete soft actor-critic with action masks.
 
 Christodoulou 2019, "Soft Actor-Critic for Discrete Action Settings", eqs. 10-12, as TorchRL's
-``DiscreteSACLoss`` implements it. What differs here, and why:
+``DiscreteSACLoss`` implements it. Differences:
 
-* the actor loss never multiplies a zero probability by the logit of an illegal action, which is
-  infinite in TorchRL's default and would make every loss and gradient NaN;
-* the entropy asked of the policy in a state is a share of the largest one its *legal* actions
-  allow, log(number of legal actions), not log(number of actions): the latter cannot be reached
-  where actions are banned, and the temperature then grows without bound;
-* ``skip_done_states`` is refused: it treats a truncated state as a final one, worth nothing.
+* The actor loss never multiplies a zero probability by the logit of an illegal action, which is
+  infinite in TorchRL's default and would make losses and gradients NaN.
+* The target entropy of a state is a share of log(number of *legal* actions), not of log(number of
+  actions). The latter is out of reach where actions are masked, and the temperature would grow
+  without bound.
+* ``skip_done_states`` raises an error, because it treats truncated states as terminal with value 0.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
     """Discrete SAC loss for actors with an action mask.
 
     With every action legal it equals TorchRL's ``DiscreteSACLoss`` bit for bit. Actions are
-    integers (categorical). Besides the parent's outputs it gives ``entropy_fraction``: the mean of
-    entropy / log(number of legal actions) over the states that leave a choice, between 0 (always
-    the same action) and 1 (uniform).
+    integers (categorical). An additional output, ``entropy_fraction``, is the mean of entropy /
+    log(number of legal actions) over states with more than one legal action: 0 for a deterministic
+    policy, 1 for a uniform one.
 
-    Every state, also a final one, must have at least one legal action.
+    Every state, including terminal ones, must have at least one legal action.
 
     Args:
         actor_network: policy with a mask, see ``fishrl.modules.make_actor``.
         qvalue_network: list of critics of the observation, ``action_value`` ``[..., num_actions]``.
-            A list keeps their initial weights; the parent resamples those of a single module.
+            A list keeps the initial weights; the parent resamples those of a single module.
         num_actions: number of actions, legal or not.
         mask_key: key of the mask ``[..., num_actions]``, true where an action is legal.
         alpha_init: initial temperature.
         min_alpha: lower bound of the temperature, or ``None``.
         max_alpha: upper bound of the temperature, or ``None``.
         fixed_alpha: keep the temperature at ``alpha_init``.
-        target_entropy: ``"auto"`` asks for ``target_entropy_weight * log(num_legal)`` in each
-            state; a number asks for that entropy everywhere.
-        target_entropy_weight: share of the largest entropy that is asked for.
-        loss_function: distance of the critics to their target: smooth_l1, l2 or l1.
+        target_entropy: ``"auto"`` for ``target_entropy_weight * log(num_legal)`` in each state, or
+            a number for all states.
+        target_entropy_weight: target entropy as a share of the maximum entropy.
+        loss_function: distance between values and targets: smooth_l1, l2 or l1.
         reduction: mean or sum over the batch.
         skip_done_states: only ``False`` is allowed.
 
@@ -77,8 +77,8 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
     ) -> None:
         if skip_done_states:
             raise ValueError(
-                "skip_done_states = True: a truncated state would count as a final one, worth "
-                "nothing; leave it False, terminated states are not bootstrapped anyway"
+                "skip_done_states = True: truncated states would count as terminal; leave it "
+                "False, terminated states are not bootstrapped anyway"
             )
         if reduction not in ("mean", "sum"):
             raise ValueError(f"reduction = {reduction!r}: must be 'mean' or 'sum'")
@@ -179,7 +179,7 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
     def _alpha_loss(self, log_prob: Tensor, num_legal: Tensor | None = None) -> Tensor:
         """Compute -log(alpha) (E[log pi] + target): Christodoulou 2019, eq. 11, with log(alpha).
 
-        States that leave no choice say nothing about the temperature.
+        States with a single legal action do not contribute.
         """
         if num_legal is None:
             return super()._alpha_loss(log_prob)

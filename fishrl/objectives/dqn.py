@@ -1,4 +1,4 @@
-"""Deep Q-learning among legal actions, with and without a memory."""
+"""Losses of DQN, double DQN and recurrent DQN with action masks."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ class MaskedDQNLoss(DQNLoss):
 
     Mnih et al. 2015, "Human-level control through deep reinforcement learning", and with
     ``is_double`` van Hasselt et al. 2016, "Deep Reinforcement Learning with Double Q-learning". The
-    greatest value of the next state is that of its legal actions. Actions are integers; truncated
-    states are bootstrapped, terminated ones not.
+    maximum over next actions includes legal actions only. Actions are integers; truncated states
+    are bootstrapped, terminated ones are not.
 
     Args:
         value_network: writes ``action_value`` and the greedy legal ``action``.
-        is_double: let the network that learns choose the next action, and the target value it.
-        loss_function: distance of the values to their target: smooth_l1, l2 or l1.
+        is_double: select the next action by the online network and evaluate it by the target.
+        loss_function: distance between values and targets: smooth_l1, l2 or l1.
         mask_key: key of the mask ``[..., num_actions]``, true where an action is legal.
 
     Raises:
@@ -40,8 +40,8 @@ class MaskedDQNLoss(DQNLoss):
     ) -> None:
         if mask_key not in value_network.in_keys:
             raise ValueError(
-                f"value_network reads {value_network.in_keys}: it must read {mask_key!r}, or "
-                "targets would be values of illegal actions; make it with make_value_actor"
+                f"value_network reads {value_network.in_keys}, not {mask_key!r}: targets could be "
+                "values of illegal actions; create it with make_value_actor"
             )
         super().__init__(
             value_network,
@@ -57,22 +57,21 @@ class MaskedDQNLoss(DQNLoss):
 
 
 class RecurrentDQNLoss(MaskedDQNLoss):
-    """The same for a network with an LSTM, on stretches of episodes.
+    """DQN loss for networks with an LSTM, on sequences of transitions.
 
-    Hausknecht & Stone 2015, "Deep Recurrent Q-Learning for Partially Observable MDPs"; a stretch
-    begins with the memory it was collected with (Kapturowski et al. 2019, "Recurrent Experience
-    Replay in Distributed Reinforcement Learning").
+    Hausknecht & Stone 2015, "Deep Recurrent Q-Learning for Partially Observable MDPs"; a sequence
+    starts from its stored LSTM state (Kapturowski et al. 2019, "Recurrent Experience Replay in
+    Distributed Reinforcement Learning").
 
-    What differs from the parent's way with recurrent networks, and why: the parent runs the network
-    over the next states from the memory that it has just overwritten, which is zero but at the
-    stretch's end. Here it runs once over the states of the stretch and the one behind it, both with
-    the weights that learn and with those of the target.
+    TorchRL's ``DQNLoss`` evaluates recurrent networks on the next states from a state that it has
+    just overwritten, mostly with zeros. This loss evaluates all states of a sequence and the one
+    after it in a single pass, with the online weights and with those of the target.
 
     Args:
         value_network: see ``fishrl.modules.make_recurrent_value_actor``.
-        sequence_length: L, the transitions of a stretch. In a batch ``[N * L]`` stretches lie one
-            behind the other; those of a shorter episode are filled up, ``("collector", "mask")``
-            ``[N * L]`` is true where a transition is real.
+        sequence_length: transitions L of a sequence. A batch ``[N * L]`` holds N consecutive
+            sequences; shorter ones are padded, and ``("collector", "mask")`` ``[N * L]`` is true
+            for real transitions.
         is_double: see ``MaskedDQNLoss``.
         loss_function: see ``MaskedDQNLoss``.
         in_key: key of the observation.
@@ -97,7 +96,7 @@ class RecurrentDQNLoss(MaskedDQNLoss):
         self.sequence_length, self.in_key = sequence_length, in_key
 
     def _set_in_keys(self) -> None:
-        """List what a transition must have; of the next state's memory, nothing."""
+        """List the entries that a transition must have (no LSTM state of the next state)."""
         seen = (self.in_key, self.mask_key)
         flags = ("reward", "done", "terminated")
         self._in_keys = [
@@ -109,7 +108,7 @@ class RecurrentDQNLoss(MaskedDQNLoss):
         ]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
-        """Compute ``loss_qvalue``, the mean over the real transitions of a batch ``[N * L]``."""
+        """Compute ``loss_qvalue``, the mean over real transitions of a batch ``[N * L]``."""
         batch = tensordict.reshape(-1, self.sequence_length)
         states = self._states(batch)
         with set_recurrent_mode(True):
@@ -125,17 +124,17 @@ class RecurrentDQNLoss(MaskedDQNLoss):
         return TensorDict({"loss_qvalue": (loss * is_real).sum() / is_real.sum()})
 
     def _states(self, batch: TensorDictBase) -> TensorDict:
-        """Return the states of stretches ``[N, L]`` and the one behind each, ``[N, L + 1]``.
+        """Return the states of sequences ``[N, L]`` and the one after each, ``[N, L + 1]``.
 
-        Behind the first they are the next states of its transitions, which are right also where a
-        filled-up stretch repeats its last transition.
+        After the first state they are the next states of the transitions, which also holds where
+        padding repeats the last transition.
         """
         begins = batch["is_init"][:, :1]
         states = {
             key: torch.cat((batch[key][:, :1], batch["next", key]), 1)
             for key in (self.in_key, self.mask_key)
         }
-        for key in self._MEMORY:  # only the first state's is read
+        for key in self._MEMORY:  # only that of the first state is read
             first = batch[key][:, :1] * ~begins.unsqueeze(-1)
             states[key] = first.expand(-1, self.sequence_length + 1, *first.shape[2:])
         num = (batch.shape[0], self.sequence_length + 1)
@@ -143,6 +142,6 @@ class RecurrentDQNLoss(MaskedDQNLoss):
         return TensorDict(states, num)
 
     def _values(self, states: TensorDict, weights: TensorDictBase) -> Tensor:
-        """Return values ``[N, L + 1, num_actions]``, the least number there is if illegal."""
+        """Return values ``[N, L + 1, num_actions]``, the most negative float if illegal."""
         with weights.to_module(self.value_network, preserve_module_state=False):
             return self.value_network(states.clone(False))["action_value"]

@@ -257,9 +257,9 @@ def test_the_fastest_beat_and_the_fastest_stream_keep_the_speed_budget() -> None
         ({"start_x_bl": 2.0}, "start_x_bl = 2.0: give two numbers"),
         (
             {"stream": Stream(face_bl=0.1)},
-            "face_bl = 0.1, .*the half disc reaches out of the domain",
+            "face_bl = 0.1, .*the half disc exceeds the domain",
         ),
-        ({"stream": Stream(face_bl=9.9)}, "face_bl = 9.9, .*the half disc reaches out of"),
+        ({"stream": Stream(face_bl=9.9)}, "face_bl = 9.9, .*the half disc exceeds the domain"),
         (
             {"steering": PolicySteering()},
             "decisions_per_T = 4, but the control interval is 1 T: give 1",

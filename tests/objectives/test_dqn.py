@@ -98,7 +98,7 @@ def test_values_of_illegal_actions_change_nothing(is_double: bool) -> None:
 
 def test_a_network_that_reads_no_mask_is_refused() -> None:
     module = TensorDictModule(nn.Linear(2, 2), in_keys=["observation"], out_keys=["action_value"])
-    with pytest.raises(ValueError, match=r"it must read 'action_mask'.*make_value_actor"):
+    with pytest.raises(ValueError, match=r"not 'action_mask'.*make_value_actor"):
         MaskedDQNLoss(TensorDictSequential(module))
 
 
