@@ -1,69 +1,90 @@
-"""How a fish drifts at each tail beat: ``python -m experiments.drift_sweep``.
+"""Measure the drift of a fish at each tail-beat frequency: ``python -m experiments.drift_sweep``.
 
-In every flow fish beat at one frequency each, from several places and phases of the wake, with
-steering; what they drift per T says which frequencies a row of gears needs: the lowest must let the
-fish sink back, the highest must swim up. Writes a table (CSV), the figures behind it (JSON) and a
-picture.
+In every flow fish beat at one frequency each, from several positions and phases of the wake, with
+steering. Their drift per T says which frequencies a row of gears needs: at the lowest the fish must
+be swept back, at the highest it must swim up. Writes a table (CSV), settings (JSON) and a figure.
 """
 
 from __future__ import annotations
 
-import argparse
 import csv
-import json
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import torch
-from matplotlib.figure import Figure
+from omegaconf import MISSING
 
-from experiments.command_line import plain_errors, set_up_logging
-from experiments.figures import COLOURS, STYLE
+from experiments.configuration import build
+from experiments.figures.style import COLOURS, panels, tidy
 from experiments.gait.histories import Histories, record_histories
-from experiments.gait.trials import STARTS
-from experiments.transfer import load_task
-from experiments.validation.convergence import tidy
+from experiments.gait.trials import START_Y_BL, list_shedding
+from experiments.program import program
+from fishrl.bounds import bounded, check_bounds
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.stations import SafeArea
 from fishrl.training.progress import Progress
+from fishrl.training.run_folder import write_json
 
-FREQUENCIES = (0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.2, 2.6)
 #: Distances behind the disc, body lengths, within which drift counts: near it a fish is sucked in
 #: by the recirculation, far from it the wake carries less.
 BANDS = ((0.8, 1.4), (1.4, 2.0), (2.0, 2.6), (2.6, 3.5))
-COLUMNS = ("stream_speed_bl", "frequency", "from_bl", "to_bl", "drift", "error", "work", "samples")
+
+Row = dict[str, float]
+
+
+@dataclass(kw_only=True)
+class DriftSettings:
+    """Settings of a drift sweep.
+
+    Args:
+        task: whose streams and body are used.
+        preset: name of the preset whose task it is.
+        frequencies: to measure at, beats per T.
+        starts: episodes per flow and frequency.
+        periods: duration of an episode in T.
+        folder: for table, settings and figure.
+    """
+
+    task: Any = MISSING
+    preset: str | None = None
+    frequencies: tuple[float, ...] = bounded((0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.2, 2.6), least=0)
+    starts: int = bounded(6, least=1)
+    periods: int = bounded(8, least=1)
+    folder: str = "runs/drift_sweep"
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
 
 
 def sweep(
-    task: KarmanGait, frequencies: Sequence[float], *, num_starts: int, num_periods: int
-) -> tuple[KarmanGait, Histories]:
-    """Let ``num_starts`` fish beat at each frequency in each flow for ``num_periods`` T."""
-    flows = len(task.stream.speeds_bl)
-    per_flow = len(frequencies) * num_starts
-    starts = task.sample_starts(flows * per_flow, torch.Generator().manual_seed(0))
-    starts["flow_index"] = torch.arange(flows).repeat_interleave(per_flow)
-    index = torch.arange(len(frequencies)).repeat_interleave(num_starts).repeat(flows)
+    task: KarmanGait, *, num_starts: int, num_periods: int, progress: Progress | None = None
+) -> Histories:
+    """Record ``num_starts`` episodes of ``num_periods`` T in each flow at each frequency."""
+    flows, num = len(task.stream.speeds_bl), task.num_actions
+    starts = task.sample_starts(flows * num * num_starts, torch.Generator().manual_seed(0))
+    starts["flow_index"] = torch.arange(flows).repeat_interleave(num * num_starts)
+    index = torch.arange(num).repeat_interleave(num_starts).repeat(flows)
     env = make_env(task=task, num_envs=len(index), starts=starts)
     num_decisions = round(num_periods / task.interval_T)
-    with Progress() as progress:
-        progress.start("drift", total=num_decisions)
-        histories = record_histories(
-            env,
-            lambda state: state.set("action", index),
-            starts,
-            num_decisions=num_decisions,
-            on_decision=lambda: progress.advance(1),
-        )
+    progress = progress or Progress(is_shown=False)
+    progress.start("drift", total=num_decisions)
+    histories = record_histories(
+        env,
+        lambda state: state.set("action", index),
+        starts,
+        num_decisions=num_decisions,
+        on_decision=lambda: progress.advance(1),
+    )
     env.close()
-    return task, histories
+    return histories
 
 
-def tabulate(task: KarmanGait, histories: Histories) -> list[dict[str, float]]:
+def tabulate(task: KarmanGait, histories: Histories) -> list[Row]:
     """Return drift in L / T and work per T for each flow, frequency and band of distances.
 
     The first T of each episode is left out, in which the beat begins.
@@ -81,35 +102,29 @@ def tabulate(task: KarmanGait, histories: Histories) -> list[dict[str, float]]:
             mine = (histories.flow == flow) & (histories.frequency[:, 0] == frequency)
             for low, high in BANDS:
                 counts = (middle >= low) & (middle < high) & mine[:, None] & counted
-                drift = steps[counts]
+                drift, num = steps[counts], int(counts.sum())
                 table.append(
                     {
                         "stream_speed_bl": speed,
                         "frequency": frequency,
                         "from_bl": low,
                         "to_bl": high,
-                        "drift": _mean(drift),
-                        "error": float(drift.std() / len(drift) ** 0.5)
-                        if len(drift) > 1
-                        else math.nan,
-                        "work": _mean(work[counts]),
-                        "samples": len(drift),
+                        "drift": float(drift.mean()),
+                        "error": float(drift.std() / num**0.5) if num > 1 else math.nan,
+                        "work": float(work[counts].mean()),
+                        "samples": num,
                     }
                 )
     return table
 
 
-def _mean(values: torch.Tensor) -> float:
-    return float(values.mean()) if len(values) else math.nan
-
-
-def draw(task: KarmanGait, table: Sequence[dict[str, float]], shedding: Sequence[float]) -> Figure:
+def draw(
+    path: Path, table: Sequence[Row], speeds: Sequence[float], shedding: Sequence[float]
+) -> None:
     """Draw drift against frequency, one panel per flow, one line per band of distances."""
-    speeds = task.stream.speeds_bl
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(3.4 * len(speeds) + 0.6, 3.6), layout="constrained")
-        grid = figure.subplots(1, len(speeds), sharey=True, squeeze=False)[0]
-        for axes, speed, beat in zip(grid, speeds, shedding, strict=True):
+    num = len(speeds)
+    with panels(path, columns=num, size=(3.4 * num + 0.6, 3.6), sharey=True) as grid:
+        for axes, speed, shed in zip(grid[0], speeds, shedding, strict=True):
             for colour, (low, high) in zip(COLOURS, BANDS, strict=False):
                 rows = [
                     row for row in table
@@ -117,85 +132,64 @@ def draw(task: KarmanGait, table: Sequence[dict[str, float]], shedding: Sequence
                     and row["samples"] >= 3
                 ]  # fmt: skip
                 axes.errorbar(
-                    [row["frequency"] for row in rows],
-                    [row["drift"] for row in rows],
-                    [row["error"] for row in rows],
+                    *([row[name] for row in rows] for name in ("frequency", "drift", "error")),
                     color=colour, marker="o", markersize=3.5, capsize=2, linewidth=1.4,
                     label=f"nose {low:g}–{high:g} L behind the disc",
                 )  # fmt: skip
             axes.axhline(0.0, color="#555555", linewidth=0.8)
-            axes.axvline(beat, color="#999999", linewidth=0.8, linestyle=":")
+            axes.axvline(shed, color="#999999", linewidth=0.8, linestyle=":")
             axes.set(title=f"stream {speed:g} L/T", xlabel="tail beats per T")
             tidy(axes)
-        grid[0].set_ylabel("drift  [L/T]   (up: swept downstream)")
-        handles, labels = grid[-1].get_legend_handles_labels()
+        grid[0, 0].set_ylabel("drift  [L/T]   (up: swept downstream)")
+        figure, (handles, labels) = grid[0, 0].figure, grid[0, -1].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(BANDS), fontsize=8)
         figure.suptitle("dotted: shedding frequency; bars: standard error", fontsize=9)
-    return figure
 
 
-def main() -> None:
-    """Sweep, write, draw."""
-    parser = argparse.ArgumentParser(description="Drift of a fish against its tail beat.")
-    parser.add_argument("--preset", default="gait_small", help="whose task it is")
-    parser.add_argument("--frequencies", type=float, nargs="+", default=list(FREQUENCIES))
-    parser.add_argument("--starts", type=int, default=6, help="fish per flow and frequency")
-    parser.add_argument("--periods", type=int, default=8, help="T that each swims")
-    parser.add_argument("--folder", type=Path, default=Path("runs/drift_sweep"))
-    arguments = parser.parse_args()
-    set_up_logging()
-    with plain_errors():
-        task = load_task(arguments.preset)
-        task = replace(
-            task,
-            start_flows=tuple(range(len(task.stream.speeds_bl))),
-            control=DirectFrequencies(frequencies=tuple(arguments.frequencies)),
-            start_x_bl=(1.2, 2.6),
-            start_y_bl=STARTS["start_y_bl"],
-            safe_area=SafeArea(near_bl=0.4, far_bl=4.5),
-        )
-    task, histories = sweep(
-        task, arguments.frequencies, num_starts=arguments.starts, num_periods=arguments.periods
-    )
-    table = tabulate(task, histories)
-    assert task.wakes is not None
-    shedding = (task.wakes.shedding_frequencies * task.scales.period).tolist()
-    arguments.folder.mkdir(parents=True, exist_ok=True)
-    write(arguments.folder, task, histories, table, shedding)
-    print(f"written to {arguments.folder}: drift.csv, drift.json, drift.png")
-
-
-def write(
-    folder: Path,
-    task: KarmanGait,
-    histories: Histories,
-    table: Sequence[dict[str, float]],
-    shedding: Sequence[float],
-) -> None:
-    """Write table, settings and picture."""
+def write(folder: Path, task: KarmanGait, histories: Histories) -> None:
+    """Write table, settings and figure."""
+    table, shedding = tabulate(task, histories), list_shedding(task)
+    speeds, scales = task.stream.speeds_bl, task.scales
     with (folder / "drift.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS)
+        writer = csv.DictWriter(file, list(table[0]))
         writer.writeheader()
-        writer.writerows({name: _round(value) for name, value in row.items()} for row in table)
-    scales = task.scales
-    settings: dict[str, Any] = {
+        writer.writerows({name: float(f"{v:.4g}") for name, v in row.items()} for row in table)
+    settings = {
         "body_length": scales.body_length,
         "reynolds": scales.reynolds,
         "steps_per_T": scales.period,
         "tau": scales.tau,
         "mach": scales.mach,
-        "stream_speeds_bl": list(task.stream.speeds_bl),
-        "shedding_frequencies_per_T": list(shedding),
+        "stream_speeds_bl": list(speeds),
+        "shedding_frequencies_per_T": shedding,
         "steering": repr(task.steering),
         "episodes": len(histories.flow),
         "diverged": int(histories.diverged.sum()),
     }
-    (folder / "drift.json").write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
-    draw(task, table, shedding).savefig(folder / "drift.png")
+    write_json(folder / "drift.json", settings)
+    draw(folder / "drift.png", table, speeds, shedding)
 
 
-def _round(value: float) -> float:
-    return float(f"{value:.4g}")
+@program(DriftSettings, groups={"task": "karman_gait", "preset": "gait_small"})
+def main(settings: DriftSettings) -> None:
+    """Sweep, write, draw."""
+    task: KarmanGait = build(settings.task)
+    task = replace(
+        task,
+        start_flows=tuple(range(len(task.stream.speeds_bl))),
+        control=DirectFrequencies(frequencies=tuple(settings.frequencies)),
+        start_x_bl=(1.2, 2.6),
+        start_y_bl=START_Y_BL,
+        safe_area=SafeArea(near_bl=0.4, far_bl=4.5),
+    )
+    folder = Path(settings.folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    with Progress() as progress:
+        histories = sweep(
+            task, num_starts=settings.starts, num_periods=settings.periods, progress=progress
+        )
+    write(folder, task, histories)
+    print(f"written to {folder}: drift.csv, drift.json, drift.png")
 
 
 if __name__ == "__main__":

@@ -1,33 +1,47 @@
-"""Make a helmsman of a fish that learned to catch food: ``python -m experiments.export_steering``.
+"""Make a heading controller of a learned policy: ``python -m experiments.export_steering``.
 
-Writes the actor's weights of a run of ``task=predation`` as ``PolicySteering`` reads them. The one
-that comes with the package was made by ``make train`` and
-``python -m experiments.export_steering runs/predation-small-seed0 fishrl/envs/steering.pt``.
+Writes the actor's weights of a run of ``task=predation`` as ``PolicySteering`` reads them. The
+file that comes with the package was made by ``make train`` and ``python -m
+experiments.export_steering run=runs/predation-small-seed0 path=fishrl/envs/steering.pt``.
 """
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
+from omegaconf import MISSING
 from torch import Tensor, nn
 
-from experiments.command_line import plain_errors
-from experiments.config import build
+from experiments.configuration import build
+from experiments.program import program
 from fishrl.envs.steering import PolicySteering, save_weights
 from fishrl.training.baselines import load_policy
 from fishrl.training.checkpoint import read_metadata
 
 
+@dataclass(kw_only=True)
+class ExportSettings:
+    """Settings of an export.
+
+    Args:
+        run: folder of a run of ``task=predation``, or a checkpoint.
+        path: of the file to write.
+    """
+
+    run: str = MISSING
+    path: str = MISSING
+
+
 def export_steering(run: Path, path: Path) -> PolicySteering:
-    """Write the weights of a run's best actor, and read them back.
+    """Write the weights of a run's best actor, and return the controller.
 
     Args:
         run: folder of a run of ``task=predation``, or a checkpoint.
         path: of the file.
 
     Raises:
-        ValueError: if there is no such run, or its fish cannot steer.
+        ValueError: if there is no such run, or its policy cannot steer.
     """
     _, metadata = read_metadata(str(run))
     task = build(metadata["config"]["task"])
@@ -43,15 +57,11 @@ def export_steering(run: Path, path: Path) -> PolicySteering:
         raise
 
 
-def main() -> None:
-    """Read the command line."""
-    parser = argparse.ArgumentParser(description="Weights of a learned fish, to steer with.")
-    parser.add_argument("run", type=Path, help="run folder of task=predation")
-    parser.add_argument("path", type=Path, help="file to write")
-    arguments = parser.parse_args()
-    with plain_errors():
-        export_steering(arguments.run, arguments.path)
-    print(f"written to {arguments.path}")
+@program(ExportSettings)
+def main(settings: ExportSettings) -> None:
+    """Export and say where."""
+    export_steering(Path(settings.run), Path(settings.path))
+    print(f"written to {settings.path}")
 
 
 if __name__ == "__main__":

@@ -1,95 +1,202 @@
-"""Teach a lateral line to name its flow: ``python -m experiments.train_lateral_line seed=0``.
+"""Train a lateral-line classifier: ``python -m experiments.train_lateral_line seed=0``.
 
-Collects labelled signals of fish that hold stations and act at random, half of the decisions each,
-fits a machine, and writes what it can tell: ``lateral_line.md`` with figures,
-``lateral_line.json``, and ``machine.pt``, which the task takes.
-``preset=gait_small`` makes it for the fish of that preset.
-Collected data are kept: the same command goes on after an interruption, and other fits use them.
+Collects labelled signals in every flow of a task, under actions of which half are random and half
+hold a station, fits the classifier, and measures what the signal tells: ``lateral_line.md`` with
+figures, ``lateral_line.json``, and ``machine.pt``, the file for ``recognition=``.
+``preset=gait_small`` trains one for the task of that preset. Collected data are kept: the same
+command continues after an interruption, and other fits reuse them.
 """
 
 from __future__ import annotations
 
 import logging
-import sys
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from omegaconf import MISSING
+from tensordict import TensorDict
+
+from experiments.configuration import build, to_plain
+from experiments.lateral_line import pictures
+from experiments.lateral_line.collection import Collection, collect
+from experiments.lateral_line.questions import answer, list_questions, list_training_data
+from experiments.lateral_line.report import describe, write_page
+from experiments.lateral_line.study import Study, TrainingData
+from experiments.program import program
+from fishrl.bounds import bounded, check_bounds
+from fishrl.modules.lateral_line import BOOKKEEPING
+from fishrl.objectives import FitSettings
 from fishrl.training.progress import Progress
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
-    from experiments.settings import LateralLineConfig
+from fishrl.training.run_folder import RunFolder, write_json, write_yaml
 
 logger = logging.getLogger(__name__)
 
+#: Control intervals that the classifier reads by default.
+NUM_INTERVALS = 8
 
-def train_lateral_line(
-    config: LateralLineConfig, *, progress: Progress | None = None
-) -> dict[str, Any]:
-    """Collect data, fit a machine, put the questions of the study, and write the run folder.
+
+@dataclass(kw_only=True)
+class LateralLineSettings:
+    """Settings of a study of the lateral line.
 
     Args:
-        config: the settings.
-        progress: the bar, if there is one already.
+        task: task whose flows are told apart; all of them, whatever ``task.start_flows`` says.
+        preset: name of the preset whose task it is; nothing else is taken of a preset.
+        seed: of data, splits and fits.
+        device: cpu or cuda, for the flows.
+        compile: compile the flow solver.
+        folder: where run folders lie.
+        name: of the run folder; by default made from task and seed.
+        data_folder: where collected data are kept, for every study that can use them.
+        num_envs: flows that advance together.
+        num_samples: decisions to collect, one signal of a control interval each.
+        max_decisions: after which an episode is truncated.
+        window: samples that the classifier reads, the newest; by default those of eight intervals.
+        hidden: widths of its hidden layers.
+        learning_rate: of the fits.
+        batch_size: of the fits.
+        num_epochs: of the fits, at most.
+        patience: epochs without a lower validation loss that end a fit.
+        weight_decay: of the fits.
+        noise: added to the training signals, as a share of each feature's standard deviation.
+        paper_epochs: epochs of the paper's classifier, which is fitted with its settings.
+        num_splits: divisions of the episodes over which accuracies are averaged.
+        windows: lengths of window to compare, in samples.
+        noises: levels of noise to compare, as shares of each feature's standard deviation.
+        memories: weights of earlier predictions to compare, see ``PredictedFlowLabel``.
+    """
+
+    task: Any = MISSING
+    preset: str | None = None
+    seed: int = bounded(0, least=0)
+    device: str = "cpu"
+    compile: bool = True
+    folder: str = "runs"
+    name: str | None = None
+    data_folder: str = "runs/lateral_line_data"
+    num_envs: int = bounded(16, least=1)
+    num_samples: int = bounded(6000, least=1)
+    max_decisions: int = bounded(60, least=1)
+    window: int | None = bounded(None, least=1)
+    hidden: tuple[int, ...] = bounded((128, 128), least=1)
+    learning_rate: float = bounded(1e-3, greater=0)
+    batch_size: int = bounded(256, least=1)
+    num_epochs: int = bounded(300, least=1)
+    patience: int = bounded(15, least=1)
+    weight_decay: float = bounded(1e-3, least=0)
+    noise: float = bounded(0.5, least=0)
+    paper_epochs: int = bounded(1000, least=1)
+    num_splits: int = bounded(2, least=1)
+    windows: tuple[int, ...] = bounded((1, 2, 4, 8, 16), least=1)
+    noises: tuple[float, ...] = bounded((0.0, 0.1, 0.2, 0.5, 1.0), least=0)
+    memories: tuple[float, ...] = bounded((0.0, 0.7, 1.0), least=0)
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
+
+
+def study_lateral_line(
+    settings: LateralLineSettings,
+    *,
+    task: Any,
+    episodes: TensorDict,
+    folder: Path,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Fit the classifier and those to compare it with, and write results and figures.
+
+    Args:
+        settings: see there.
+        task: whose flows are told apart.
+        episodes: ``[E, D]`` as ``collect`` returns.
+        folder: that takes the files.
+        progress: the bar.
 
     Returns:
-        The findings, as in ``lateral_line.json``, and ``folder``.
-
-    Raises:
-        ValueError: for settings that cannot be.
+        The results, as in ``lateral_line.json``.
     """
-    from experiments.config import build, to_plain
-    from experiments.lateral_line.collection import Collection, collect
-    from experiments.lateral_line.examination import examine
-    from experiments.settings import check_device
-    from fishrl.training.run_folder import RunFolder, write_yaml
+    line, window = task.lateral_line, settings.window
+    window = window or NUM_INTERVALS * line.num_samples
+    study = Study(
+        episodes=episodes,
+        flows=task.flow_labels,
+        layout=Collection(task=task).task.lateral_line_layout,
+        hidden=settings.hidden,
+        settings=FitSettings(
+            learning_rate=settings.learning_rate,
+            batch_size=settings.batch_size,
+            num_epochs=settings.num_epochs,
+            patience=settings.patience,
+            weight_decay=settings.weight_decay,
+        ),
+        seed=settings.seed,
+    )
+    questions = list_questions(
+        window=window,
+        windows=settings.windows,
+        noises=settings.noises,
+        memories=settings.memories,
+    )
+    progress.start("fits", total=2 + settings.num_splits * len(questions))
+    own = TrainingData(
+        features=tuple(name for name in line.features if name not in BOOKKEEPING),
+        num_samples=window,
+        is_averaged=line.is_averaged,
+        sensed=line.features,
+    )
+    fit = study.fit(own, noise=settings.noise)
+    fit.classifier.save(folder / "machine.pt")
+    progress.advance(1)
+    paper = study.fit(
+        next(iter(list_training_data(window).values())),
+        settings=replace(FitSettings.of_the_paper(), num_epochs=settings.paper_epochs),
+        max_samples=settings.num_samples,
+        is_mirrored=False,
+    )
+    progress.advance(1)
+    tables = answer(
+        study,
+        questions,
+        num_splits=settings.num_splits,
+        on_answer=lambda: progress.advance(1),
+    )
+    findings = describe(study, fit, paper, tables, num_splits=settings.num_splits)
+    write_json(folder / "lateral_line.json", findings)
+    (folder / "lateral_line.md").write_text(write_page(findings), encoding="utf-8")
+    pictures.write_figures(findings, {"this classifier": fit, "as in the paper": paper}, folder)
+    return findings
 
-    progress = progress or Progress(is_shown=False)
-    check_device(config.device)
-    task = build(config.task)
+
+@program(LateralLineSettings, groups={"task": "karman_gait", "preset": None})
+def main(settings: LateralLineSettings) -> None:
+    """Collect, fit and write a run folder."""
+    task = build(settings.task)
     collection = Collection(
         task=task,
-        num_envs=config.num_envs,
-        max_decisions=config.max_decisions,
-        seed=config.seed,
+        num_envs=settings.num_envs,
+        max_decisions=settings.max_decisions,
+        seed=settings.seed,
     )
-    name = config.name or f"lateral-line-{type(task).__name__.lower()}-seed{config.seed}"
-    folder = RunFolder.create(parent=config.folder, name=name)
-    write_yaml(folder.config, to_plain(config))
+    name = settings.name or f"lateral-line-{type(task).__name__.lower()}-seed{settings.seed}"
+    folder = RunFolder.create(parent=settings.folder, name=name)
+    write_yaml(folder.config, to_plain(settings))
     logger.info("run folder: %s", folder.path)
-    episodes = collect(
-        collection,
-        num_samples=config.num_samples,
-        folder=Path(config.data_folder),
-        device=config.device,
-        compile=config.compile,
-        progress=progress,
-    )
-    return examine(config, task=task, episodes=episodes, folder=folder.path, progress=progress)
-
-
-def main() -> None:
-    """Read the command line; show the bar before the slow imports."""
     with Progress() as progress:
-        import hydra
-
-        from experiments.command_line import plain_errors, read_arguments, set_up_logging
-        from experiments.config import CONF, to_settings
-
-        set_up_logging()
-        sys.argv[1:] = read_arguments("train_lateral_line", sys.argv[1:])
-
-        @hydra.main(config_path=str(CONF), config_name="train_lateral_line", version_base="1.3")
-        def run(config: DictConfig) -> None:
-            with plain_errors():
-                settings = to_settings("train_lateral_line", config)
-                findings = train_lateral_line(settings, progress=progress)
-            progress.close()
-            print((findings["folder"] / "lateral_line.md").read_text(encoding="utf-8"))
-            print(f"written to {findings['folder']}")
-
-        run()
+        episodes = collect(
+            collection,
+            num_samples=settings.num_samples,
+            folder=Path(settings.data_folder),
+            device=settings.device,
+            compile=settings.compile,
+            progress=progress,
+        )
+        study_lateral_line(
+            settings, task=task, episodes=episodes, folder=folder.path, progress=progress
+        )
+    print((folder.path / "lateral_line.md").read_text(encoding="utf-8"))
+    print(f"written to {folder.path}")
 
 
 if __name__ == "__main__":

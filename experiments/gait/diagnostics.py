@@ -1,10 +1,9 @@
-"""From histories to numbers: how long a fish held its station, where, how, and at what cost."""
+"""Diagnostics of station holding: survival, position, gait, phase locking and work."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import torch
@@ -13,29 +12,31 @@ from torch import Tensor
 
 from experiments.gait.histories import Histories
 from experiments.statistics import half_width
+from fishrl.envs.stations import SafeArea
 
-#: Nose places (x behind the flat side, |y|), body lengths, that count as inside the vortex street.
+#: Nose positions (x behind the flat side, |y|), body lengths, inside the vortex street.
 STREET = ((0.8, 3.0), 0.5)
-#: How far the tail beat may be off the shedding frequency, as a share of that, in Kármán gait.
+#: Largest relative difference from the shedding frequency that counts as Kármán gait.
 GAIT_BAND = 0.25
+WORKS = ("work", "positive_work", "lateral_work")
 
 
 def diagnose(
     histories: Histories,
     *,
     shedding_frequency: float,
-    safe_area: Any,
+    safe_area: SafeArea,
     time_limit_T: float,
     interval_T: float = 1.0,
 ) -> dict[str, float]:
-    """Reduce the episodes of one fish in one flow to numbers; NaN where there is nothing.
+    """Reduce the episodes of one policy in one flow to numbers; NaN where there is no data.
 
     Args:
         histories: of episodes in that flow alone.
         shedding_frequency: per T, of the wake without a fish; NaN in a free stream.
         safe_area: of the task.
         time_limit_T: duration of an episode that nothing ends.
-        interval_T: duration of an interval.
+        interval_T: duration of a control interval.
 
     Returns:
         ``survival_T`` (mean over all episodes, a diverged one until then, with the half-width
@@ -45,57 +46,46 @@ def diagnose(
         and ``frequency_over_shedding``; ``in_street`` and ``in_gait`` (shares of the intervals:
         nose in ``STREET``, and there beating within ``GAIT_BAND`` of the shedding frequency);
         ``accelerations`` and ``decelerations`` per interval; ``angle_mean`` and ``angle_max`` in
-        degrees; ``sway``, root of two times the deviation of the nose's y about its mean over two
-        T, in L; ``phase_lock``, see ``lock_phases``; ``work``, ``positive_work`` and
-        ``lateral_work`` per T in rho L^2 (L / T)^2; ``named_right``, share of decisions at which
-        the fish was told the true flow; and ``episodes``, ``diverged``.
+        degrees; ``sway``, see ``measure_sway``; ``phase_lock``, see ``lock_phases``; ``work``,
+        ``positive_work`` and ``lateral_work`` per T in rho L^2 (L / T)^2; ``named_right``, share
+        of decisions with the correct flow label; and ``episodes``, ``diverged``.
     """
-    h = histories
-    num = len(h.flow)
-    lengths = h.lengths_T.double()
-    area, shares = safe_area, {"near": 0, "far": 0, "aside": 0}
-    for episode in range(num):
-        if h.terminated[episode]:
-            shares[_name_end(_last_place(h.place[episode]), area)] += 1
+    h, lengths = histories, histories.lengths_T.double()
+    ends = [
+        _name_end(place[~place[:, 0].isnan()][-1], safe_area) for place in h.place[h.terminated]
+    ]
     x, y = h.place[:, 1:, 0], h.place[:, 1:, 1]
     (near, far), aside = STREET
-    is_there = ~h.frequency.isnan()
-    in_street = (x >= near) & (x <= far) & (y.abs() <= aside) & is_there
-    ratio = h.frequency / shedding_frequency
+    is_known = ~h.frequency.isnan()
+    in_street = (x >= near) & (x <= far) & (y.abs() <= aside) & is_known
+    ratio, change = h.frequency / shedding_frequency, h.frequency.diff(dim=1)
     in_gait = in_street & ((ratio - 1.0).abs() <= GAIT_BAND)
-    frames_per_T = _count_frames(h) / interval_T
-    change = h.frequency.diff(dim=1)
-    pairs = ~change.isnan()
-    total_T = float(h.lengths_T.sum())
-    per_T = {
-        name: _last_values(getattr(h, name)).nansum().item() / max(total_T, 1e-9)
-        for name in ("work", "positive_work", "lateral_work")
-    }
-    told = ~h.named.isnan() & is_there
-    right = (h.named == h.flow[:, None]) & told
+    frames_per_T = max(1, h.beat.shape[1] // max(1, h.frequency.shape[1])) / interval_T
+    is_labelled = ~h.named.isnan() & is_known
     angle = h.angle_of_attack.abs() * 180.0 / math.pi
+    total_T = max(float(h.lengths_T.sum()), 1e-9)
     return {
-        "episodes": num,
+        "episodes": len(h.flow),
         "diverged": int(h.diverged.sum()),
         "survival_T": _mean(lengths),
         "survival_error_T": half_width(lengths.tolist()),
         "survivors": _mean(((lengths >= time_limit_T - 1e-6) & ~h.diverged).double()),
-        **{f"ended_{name}": count / num for name, count in shares.items()},
+        **{f"ended_{side}": ends.count(side) / len(h.flow) for side in ("near", "far", "aside")},
         "x_mean": _mean(x),
         "x_deviation": _deviation(x),
         "y_deviation": _deviation(y),
         "frequency": _mean(h.frequency),
         "frequency_over_shedding": _mean(ratio),
-        "in_street": _share(in_street, is_there),
-        "in_gait": _share(in_gait, is_there),
-        "accelerations": _share(change > 1e-9, pairs),
-        "decelerations": _share(change < -1e-9, pairs),
+        "in_street": _share(in_street, is_known),
+        "in_gait": _share(in_gait, is_known),
+        "accelerations": _share(change > 1e-9, ~change.isnan()),
+        "decelerations": _share(change < -1e-9, ~change.isnan()),
         "angle_mean": _mean(angle),
         "angle_max": float(angle.nan_to_num(0.0).max()),
         "sway": measure_sway(h.aside, frames_per_T=frames_per_T),
         "phase_lock": lock_phases(h, shedding_frequency, frames_per_T=frames_per_T),
-        **per_T,
-        "named_right": _share(right, told),
+        **{name: float(_last_values(getattr(h, name)).nansum()) / total_T for name in WORKS},
+        "named_right": _share(h.named == h.flow[:, None], is_labelled),
     }
 
 
@@ -119,7 +109,10 @@ def trace_work(histories: Histories, *, interval_T: float) -> dict[str, list[flo
 
 
 def measure_sway(aside: Tensor, *, frames_per_T: float) -> float:
-    """Return the amplitude of the nose's sideways swing ``[E, frames]``, faster than about 2 T."""
+    """Return the amplitude of the nose's lateral oscillation ``[E, frames]``, body lengths.
+
+    Root of twice the variance about the mean of each 2 T.
+    """
     swings: list[float] = []
     for row in aside:
         values = row[~row.isnan()].double()
@@ -130,9 +123,9 @@ def measure_sway(aside: Tensor, *, frames_per_T: float) -> float:
 
 
 def measure_lean(histories: Histories, *, interval_T: float) -> tuple[Tensor, Tensor]:
-    """Return beats per T and lean ``[n]`` of all whole windows of 8 T.
+    """Return tail beats per T and lean ``[n]`` of all whole windows of 8 T.
 
-    The lean is how far the body points off the stream on average, either way, degrees.
+    The lean is the magnitude of the mean angle of attack, degrees.
     """
     span = max(1, round(8.0 / interval_T))
     num = histories.frequency.shape[1] // span * span
@@ -145,7 +138,7 @@ def measure_lean(histories: Histories, *, interval_T: float) -> tuple[Tensor, Te
 
 
 def lock_phases(histories: Histories, shedding_frequency: float, *, frames_per_T: float) -> float:
-    """Return how firmly the tail beat keeps step with the lift on the obstacle, 0 to 1.
+    """Return the phase locking of the tail beat to the lift on the obstacle, 0 to 1.
 
     Length of the mean of exp(i (beat - shed)) over windows of 8 T, averaged over those; shed is
     the phase of the lift at the shedding frequency's first harmonic band (Hilbert transform of
@@ -180,11 +173,6 @@ def find_phase(signal: NDArray[np.float64], frequency: float, rate: float) -> ND
     return np.asarray(np.angle(np.fft.ifft(spectrum)))
 
 
-def pick(histories: Histories, rows: Tensor) -> Histories:
-    """Return some of the episodes; ``rows`` is a mask ``[E]``."""
-    return Histories(*(value[rows] for value in histories))
-
-
 def combine_seeds(results: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Average the numbers of several seeds; ``survival_error_T`` becomes that over the seeds."""
     if len(results) == 1:
@@ -197,23 +185,14 @@ def combine_seeds(results: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return mean
 
 
-def _count_frames(histories: Histories) -> int:
-    """Return the frames of one interval."""
-    return max(1, histories.beat.shape[1] // max(1, histories.frequency.shape[1]))
-
-
-def _last_place(place: Tensor) -> Tensor:
-    return place[~place[:, 0].isnan()][-1]
-
-
 def _last_values(series: Tensor) -> Tensor:
     """Return the last number of each row ``[E]``."""
     last = (~series.isnan()).sum(1).clamp_min(1) - 1
     return series.gather(1, last[:, None]).squeeze(1)
 
 
-def _name_end(place: Tensor, area: Any) -> str:
-    """Say across which side of the safe area an episode ended."""
+def _name_end(place: Tensor, area: SafeArea) -> str:
+    """Return the side of the safe area at which an episode ended."""
     x, y = place.tolist()
     gaps = {"near": x - area.near_bl, "far": area.far_bl - x, "aside": area.aside_bl - abs(y)}
     return min(gaps, key=lambda name: gaps[name])
@@ -231,24 +210,3 @@ def _deviation(values: Tensor) -> float:
 
 def _share(flag: Tensor, of: Tensor) -> float:
     return float((flag & of).sum() / of.sum()) if bool(of.any()) else math.nan
-
-
-def stack(parts: Sequence[Histories]) -> Histories:
-    """Put episodes of several recordings together; shorter ones are filled with NaN."""
-    most = {
-        name: max(getattr(part, name).shape[1] for part in parts)
-        for name in Histories._fields
-        if getattr(parts[0], name).dim() > 1
-    }
-    columns = []
-    for name in Histories._fields:
-        values = [getattr(part, name) for part in parts]
-        if name in most:
-            values = [_widen(value, most[name]) for value in values]
-        columns.append(torch.cat(values))
-    return Histories(*columns)
-
-
-def _widen(values: Tensor, length: int) -> Tensor:
-    shape = (values.shape[0], length - values.shape[1], *values.shape[2:])
-    return torch.cat((values, torch.full(shape, math.nan, dtype=values.dtype)), 1)

@@ -1,13 +1,14 @@
-"""What fish did, decision by decision: the numbers behind the figures of the Kármán gait."""
+"""Histories of episodes of station holding, decision by decision."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
+from torch.nn.functional import pad
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
@@ -18,17 +19,16 @@ class Histories(NamedTuple):
     """E episodes of up to N decisions, with M frames in each; NaN after an episode's end.
 
     Attributes:
-        flow: ``[E]`` which flow it was.
+        flow: ``[E]`` index of the flow.
         place: ``[E, N + 1, 2]`` of the nose (x downstream, y), body lengths, from the start on.
         frequency: ``[E, N]`` beats per T of each interval.
-        named: ``[E, N]`` the flow that the fish was told it was in at the decision, else NaN.
+        named: ``[E, N]`` flow label given to the policy at the decision; NaN without one.
         angle_of_attack: ``[E, N]`` at its end, radians.
         work: ``[E, N + 1]`` done since the start by all forces, rho L^2 (L / T)^2.
         positive_work: ``[E, N + 1]`` the same where no marker gives back what the flow does on it.
         lateral_work: ``[E, N + 1]`` the paper's form.
-        lengths_T: ``[E]`` duration of the episode, until the moment within an interval in which it
-            ended.
-        terminated: ``[E]`` bool, whether it ended in danger.
+        lengths_T: ``[E]`` duration of the episode, also within its last interval.
+        terminated: ``[E]`` bool, whether it left the safe area.
         diverged: ``[E]`` bool.
         beat: ``[E, N M]`` phase of the tail beat at the end of each frame, radians.
         aside: ``[E, N M]`` y of the nose, body lengths.
@@ -52,6 +52,26 @@ class Histories(NamedTuple):
     lift: Tensor
 
 
+def pick(histories: Histories, rows: Tensor) -> Histories:
+    """Return some of the episodes; ``rows`` is a mask ``[E]``."""
+    return Histories(*(value[rows] for value in histories))
+
+
+def stack(parts: Sequence[Histories]) -> Histories:
+    """Concatenate episodes of several recordings; shorter ones are padded with NaN."""
+    return Histories(*(_concatenate(values) for values in zip(*parts, strict=True)))
+
+
+def _concatenate(values: Sequence[Tensor]) -> Tensor:
+    if values[0].dim() == 1:
+        return torch.cat(list(values))
+    length = max(value.shape[1] for value in values)
+    sides = (0, 0) * (values[0].dim() - 2)
+    return torch.cat(
+        [pad(value, (*sides, 0, length - value.shape[1]), value=torch.nan) for value in values]
+    )
+
+
 _PLACES = ("place", "work", "positive_work", "lateral_work")
 _FRAMES = ("beat", "aside", "lift")
 
@@ -73,8 +93,8 @@ def record_histories(
         policy: writes ``action``.
         starts: ``[E]``.
         num_decisions: N, after which episodes are left.
-        samples_actions: let a learned policy draw its actions from torch's global generator, as it
-            does while it learns; otherwise it takes the likeliest.
+        samples_actions: sample the actions of a learned policy with torch's global generator, as
+            in training; otherwise it acts greedily.
         on_decision: called after each.
 
     Raises:

@@ -1,22 +1,19 @@
-"""The Kármán gait in tables, beside the paper's numbers."""
+"""Tables of the Kármán gait study, with the paper's numbers beside ours."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-#: Zhang et al. 2023, Tables 2 to 4 and text: of conditions I, II and III.
-PAPER = {
-    "survival without": (6.54, 39.80, 6.13),
-    "survival with": (100.0, 100.0, 100.0),
-    "in_gait": (0.955, 0.870, 0.930),
-    "angle_max": (14.3, 15.0, 11.7),
-    "work_ratio": (7577.94 / 1526.73, 14682.95 / 2145.74, 51520.26 / 3057.03),
-}
-#: Of every fish and flow: heading, entry of ``diagnose``, format.
+from experiments.pages import write_table
+
+#: Work in a free stream over that in the wake, conditions I to III: Zhang et al. 2023, Table 4.
+PAPER_WORK_RATIO = (7577.94 / 1526.73, 14682.95 / 2145.74, 51520.26 / 3057.03)
+#: Heading, entry of ``diagnose``, format.
 COLUMNS = (
+    ("episodes", "episodes", ".0f"),
     ("survival, T", "survival_T", ".1f"),
     ("lasted", "survivors", ".0%"),
-    ("told right", "named_right", ".1%"),
+    ("label correct", "named_right", ".1%"),
     ("x, L", "x_mean", ".2f"),
     ("beat / shedding", "frequency_over_shedding", ".2f"),
     ("in street", "in_street", ".0%"),
@@ -31,46 +28,56 @@ COLUMNS = (
     ("pushing", "positive_work", ".3f"),
     ("lateral", "lateral_work", ".3f"),
 )
+ENDS = (
+    ("lasted", "survivors", ".0%"),
+    ("at the disc", "ended_near", ".0%"),
+    ("swept away", "ended_far", ".0%"),
+    ("aside", "ended_aside", ".0%"),
+    ("diverged", "diverged", ".0f"),
+)
 
+#: Of each arm, per flow, as ``diagnose`` or ``combine_seeds`` returns.
 Results = Mapping[str, Sequence[Mapping[str, float]]]
 
 
-def write_table(results: Results, speeds: Sequence[float]) -> str:
-    """Return a Markdown table: a row per fish and flow.
+def write_results(results: Results, speeds: Sequence[float]) -> str:
+    """Return two Markdown tables, a row per arm and flow: all diagnostics, and how episodes ended.
 
     Args:
-        results: of each arm, per flow, as ``diagnose`` or ``combine_seeds`` returns.
+        results: see ``Results``.
         speeds: of the flows, L / T.
     """
-    heads = ["fish", "stream, L/T", "episodes", *(head for head, _, _ in COLUMNS)]
-    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
-    for name, flows in results.items():
-        for speed, result in zip(speeds, flows, strict=True):
-            cells = [name, f"{speed:g}", f"{result['episodes']:.0f}"]
-            for _, key, form in COLUMNS:
-                cell = _show(result.get(key, float("nan")), form)
-                if key == "survival_T" and result["survival_error_T"] == result["survival_error_T"]:
-                    cell += f" ± {result['survival_error_T']:.1f}"
-                cells.append(cell)
-            lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+    return "\n".join(_tabulate(results, speeds, columns) for columns in (COLUMNS, ENDS))
 
 
-def write_ends(results: Results, speeds: Sequence[float]) -> str:
-    """Return a Markdown table of where episodes ended."""
-    lines = [
-        "| fish | stream, L/T | lasted | at the disc | swept away | aside | diverged |",
-        "|---" * 7 + "|",
+def _tabulate(
+    results: Results, speeds: Sequence[float], columns: Sequence[tuple[str, str, str]]
+) -> str:
+    rows = [
+        [name, f"{speed:g}", *(_show_entry(result, key, form) for _, key, form in columns)]
+        for name, flows in results.items()
+        for speed, result in zip(speeds, flows, strict=True)
     ]
-    for name, flows in results.items():
-        for speed, result in zip(speeds, flows, strict=True):
-            shares = [
-                _show(result[key], ".0%")
-                for key in ("survivors", "ended_near", "ended_far", "ended_aside")
-            ]
-            cells = [name, f"{speed:g}", *shares, f"{result['diverged']:.0f}"]
-            lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+    return write_table(["policy", "stream, L/T", *(head for head, _, _ in columns)], rows)
+
+
+def _show_entry(result: Mapping[str, float], key: str, form: str) -> str:
+    shown = show(result.get(key, float("nan")), form)
+    error = result["survival_error_T"] if key == "survival_T" else float("nan")
+    return shown if error != error else f"{shown} ± {error:.1f}"
+
+
+def write_survival_table(corner: str, results: Results, speeds: Sequence[float]) -> str:
+    """Return a Markdown table of survival, a row per name and a column per flow."""
+    rows = [
+        [
+            name,
+            f"{flows[0]['episodes']:.0f}",
+            *(f"{flow['survival_T']:.0f} ± {flow['survival_error_T']:.0f}" for flow in flows),
+        ]
+        for name, flows in results.items()
+    ]
+    return write_table([corner, "episodes", *(f"{speed:g} L/T" for speed in speeds)], rows)
 
 
 def write_work_table(
@@ -79,28 +86,32 @@ def write_work_table(
     speeds: Sequence[float],
 ) -> str:
     """Return a Markdown table: work per T in the wake and in the free stream, and their ratio."""
-    lines = [
-        "| stream, L/T | work, wake | free | ratio | saved | pushing: ratio "
-        "| lateral (paper's form), wake | free | ratio | paper's ratio |",
-        "|---" * 10 + "|",
-    ]
+    has_paper = len(speeds) == len(PAPER_WORK_RATIO)
+    rows = []
     for number, (speed, wake, still) in enumerate(zip(speeds, in_wake, free, strict=True)):
         ratio = {
             name: still[name] / wake[name] if min(still[name], wake[name]) > 0.0 else float("nan")
             for name in ("work", "positive_work", "lateral_work")
         }
-        known = PAPER["work_ratio"]
-        paper = f"{known[number]:.2f}" if len(speeds) == len(known) else "–"
-        cells = [
-            f"{speed:g}", f"{wake['work']:.3f}", f"{still['work']:.2f}",
-            _show(ratio["work"], ".1f"),
-            _show(1.0 - 1.0 / ratio["work"], ".1%"), _show(ratio["positive_work"], ".1f"),
-            f"{wake['lateral_work']:.3f}", f"{still['lateral_work']:.2f}",
-            _show(ratio["lateral_work"], ".1f"), paper,
-        ]  # fmt: skip
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+        rows.append(
+            [
+                f"{speed:g}",
+                f"{wake['work']:.3f}",
+                f"{still['work']:.2f}",
+                show(ratio["work"], ".1f"),
+                show(1.0 - 1.0 / ratio["work"], ".1%"),
+                show(ratio["positive_work"], ".1f"),
+                f"{wake['lateral_work']:.3f}",
+                f"{still['lateral_work']:.2f}",
+                show(ratio["lateral_work"], ".1f"),
+                f"{PAPER_WORK_RATIO[number]:.2f}" if has_paper else "–",
+            ]
+        )
+    heads = ("stream, L/T", "work, wake", "free", "ratio", "saved", "pushing: ratio")
+    lateral = ("lateral (paper's form), wake", "free", "ratio", "paper's ratio")
+    return write_table([*heads, *lateral], rows)
 
 
-def _show(value: float, form: str) -> str:
+def show(value: float, form: str) -> str:
+    """Write a number, or a dash for NaN."""
     return "–" if value != value else format(value, form)

@@ -1,167 +1,195 @@
-"""Trials: one fish in every flow, from the same starts; kept in files, run once."""
+"""Trials: one policy in every flow, from the same starts; histories are kept in files."""
 
 from __future__ import annotations
 
-import hashlib
-import logging
 import math
-import os
-import pickle
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 from tensordict import TensorDict
+from torchrl.envs import TransformedEnv
 
-import experiments.gait.histories as histories_module
-import fishrl.envs
-import fishrl.modules
-from experiments.config import build
+from experiments.configuration import build
 from experiments.gait.histories import Histories, record_histories
-from experiments.settings import ConfigError
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.steering import PolicySteering
-from fishrl.modules import FixedFrequency
-from fishrl.physics.cache_key import hash_sources
-from fishrl.training import baselines
+from fishrl.envs.transforms import ORACLE, equip
+from fishrl.files import load_tensors, staged
+from fishrl.modules import FixedFrequency, LateralLineClassifier
+from fishrl.physics.cache_key import hash_sources, make_key
 from fishrl.training.baselines import load_policy, make_gait_policy, make_policy
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.progress import Progress
-from fishrl.training.recognition import ORACLE, Recognition, find_machine
+from fishrl.training.recognition import find_machine
 
-logger = logging.getLogger(__name__)
-
-#: How long a trial lasts, however short the episodes in which a fish learned; T.
+#: Duration of a trial in T, whatever the length of the training episodes.
 PERIODS = 100.0
-#: Where the nose is at first, wherever a fish began while it learned; body lengths.
-STARTS = {"start_x_bl": (1.5, 2.0), "start_y_bl": (-0.1, 0.1)}
-#: Frames within an action: what phases and swings are measured by.
+#: Initial position of the nose, whatever it was in training; body lengths.
+START_X_BL, START_Y_BL = (1.5, 2.0), (-0.1, 0.1)
+#: Frames within an action, for phases and oscillations.
 FRAMES = 8
+_SOURCES = (
+    "fishrl.envs",
+    "fishrl.modules",
+    "fishrl.training.baselines",
+    "experiments.gait.histories",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """A fish to try.
+    """A policy to try in every flow.
 
     Args:
-        name: of it, for tables; trials of one ``arm`` differ in their seed.
-        arm: what kind of fish it is.
-        recognition: its task, and who tells it which flow it is in.
-        make_policy: makes its brain.
-        identity: what shapes its behaviour beside the task, as text.
-        periods: how long it is tried, T; rounded up to whole decisions.
+        name: of the policy, for tables; trials of one ``arm`` differ in their seed.
+        arm: kind of policy.
+        trained: task of the policy.
+        make_policy: creates it.
+        identity: what determines its behaviour besides the task, as text.
+        recognition: gives it flow labels, see ``make_env``.
+        periods: duration in T; rounded up to whole decisions.
     """
 
     name: str
     arm: str
-    recognition: Recognition
+    trained: KarmanGait
     make_policy: Callable[[], Any]
     identity: str
+    recognition: LateralLineClassifier | str | None = None
     periods: float = PERIODS
 
     @property
     def task(self) -> KarmanGait:
-        """What it does; in all flows, from the same starts."""
-        task = self.recognition.task
+        """The task of the trial: all flows, fixed starts."""
+        task = self.trained
         return replace(
             task,
             start_flows=tuple(range(len(task.stream.speeds_bl))),
             time_limit=math.ceil(self.periods / task.interval_T - 1e-9),
-            **STARTS,
+            start_x_bl=START_X_BL,
+            start_y_bl=START_Y_BL,
+        )
+
+    def make_env(self, *, num_envs: int, seed: int) -> TransformedEnv:
+        """Return the environment of the trial."""
+        return make_env(
+            task=self.task,
+            num_envs=num_envs,
+            seed=seed,
+            frames_per_action=FRAMES,
+            recognition=self.recognition,
         )
 
 
 def load_trial(run: Path, *, periods: float = PERIODS) -> Trial:
-    """Take the learned fish of a run folder.
+    """Return the trial of a learned policy.
 
     Args:
-        run: the folder.
+        run: its run folder.
         periods: see ``Trial``.
 
     Raises:
-        ValueError: if there is none, or it does not hold a station.
+        ValueError: if there is none, or it has another task.
     """
     path, metadata = read_metadata(str(run))
     config = metadata["config"]
     choice = find_machine(config.get("recognition"), path)
-    recognition = Recognition(build(config["task"]), choice)
-    task, weights = recognition.task, sorted(path.rglob("*-actor/*"))
+    recognition: LateralLineClassifier | str | None = choice
+    if choice is not None and choice != ORACLE:
+        recognition = LateralLineClassifier.load(choice)
+    task, _ = equip(build(config["task"]), recognition)
     if not isinstance(task, KarmanGait):
-        raise ValueError(f"{run}: a fish of {type(task).__name__}; give runs of task=karman_gait")
+        raise ValueError(f"{run}: a policy of {type(task).__name__}; give runs of task=karman_gait")
+    files = sorted(path.rglob("*-actor/*"))
+    if isinstance(recognition, LateralLineClassifier):
+        files.append(Path(str(choice)))
+    num_told = 0 if recognition is None else task.num_label_inputs
     return Trial(
         name=run.name,
         arm=name_arm(task, config.get("recognition")),
+        trained=task,
         recognition=recognition,
-        make_policy=lambda: load_policy(
-            str(path), task=task, num_told=recognition.num_told, device="cpu"
-        ),
-        identity=_hash_files(*weights, *([] if choice in (None, ORACLE) else [Path(choice)])),
+        make_policy=lambda: load_policy(str(path), task=task, num_told=num_told, device="cpu"),
+        identity=make_key(*(file.read_bytes() for file in files)),
         periods=periods,
     )
 
 
 def name_arm(task: KarmanGait, recognition: str | None) -> str:
-    """Name the kind of a learned fish."""
+    """Name the kind of a learned policy."""
     if isinstance(task.control, DirectFrequencies):
         return "ablation" if recognition is None else "lateral line alone"
-    return {None: "true row, untold", "oracle": "oracle"}.get(recognition, "both modules")
+    return {None: "true row, unlabelled", ORACLE: "oracle"}.get(recognition, "both modules")
 
 
-def hand_written(name: str, task: KarmanGait, *, periods: float = PERIODS) -> Trial:
-    """Take a hand-written fish, which is told the true flow.
+def make_trial(name: str, task: KarmanGait, *, periods: float = PERIODS) -> Trial:
+    """Return the trial of a baseline, which is given the true flow label.
 
     Args:
-        name: as for ``make_policy``, or ``fixed-0.6``, which beats 0.6 times per T whatever comes;
-            with ``+policy`` behind it, the learned helmsman steers.
+        name: as for ``make_policy``; or ``passive``, ``shedding`` (the shedding frequency of each
+            flow) or ``fixed-0.6`` (0.6 beats per T), whatever the rows of the task; with
+            ``+policy`` appended, the learned heading controller steers.
         task: of the others.
         periods: see ``Trial``.
+
+    Raises:
+        ValueError: for an unknown name.
     """
     task = replace(task, reads_flow_class=False)
-    kind, _, helmsman = name.partition("+")
-    if helmsman not in ("", "policy"):
-        raise ValueError(f"fish {name!r}: behind the + may stand policy")
-    if helmsman:
+    kind, _, steering = name.partition("+")
+    if steering not in ("", "policy"):
+        raise ValueError(f"baseline {name!r}: the only suffix is +policy")
+    if steering:
         per_T = max(1, round(1.0 / task.interval_T))
         task = replace(task, steering=PolicySteering(decisions_per_T=per_T))
     rates = _find_rates(kind, task)
-    if rates is not None:
-        # the fastest beat stays among them: it sets T, and so the flow
-        known = sorted({0.0, *rates, task.control.max_frequency})
-        if known[-1] > task.control.max_frequency:
-            raise ConfigError(f"fish {name!r}: at most {task.control.max_frequency} beats per T")
-        task = replace(task, control=DirectFrequencies(frequencies=tuple(known), first_gear=0))
+    if rates is None:
+        return Trial(
+            name=name,
+            arm=name,
+            trained=task,
+            make_policy=lambda: make_policy(kind, task=task, seed=0),
+            identity=name,
+            periods=periods,
+        )
+    # the highest frequency stays in the row: it determines T, and so the flow
+    row = tuple(sorted({0.0, *rates, task.control.max_frequency}))
+    if row[-1] > task.control.max_frequency:
+        raise ValueError(f"baseline {name!r}: at most {task.control.max_frequency} beats per T")
+    direct = replace(task, control=DirectFrequencies(frequencies=row, first_gear=0))
+    controller = FixedFrequency(rates if len(rates) > 1 else rates[0])
     return Trial(
         name=name,
         arm=name,
-        recognition=Recognition(task, None),
-        make_policy=lambda: (
-            make_gait_policy(FixedFrequency(rates if len(rates) > 1 else rates[0]), task)
-            if rates is not None
-            else make_policy(kind, task=task, seed=0)
-        ),
+        trained=direct,
+        make_policy=lambda: make_gait_policy(controller, direct),
         identity=name,
         periods=periods,
     )
 
 
-def _find_rates(kind: str, task: KarmanGait) -> list[float] | None:
-    """Return the rates that a fish beats at, one or one per flow; None if it chooses."""
-    word, _, rate = kind.partition("-")
-    if word == "fixed":
-        try:
-            return [float(rate)]
-        except ValueError:
-            raise ConfigError(f"fish {kind!r}: give beats per T, such as fixed-0.6") from None
+def _find_rates(kind: str, task: KarmanGait) -> Sequence[float] | None:
+    """Return the constant frequencies of a baseline, one or one per flow; None if they vary."""
     if kind == "passive":
         return [0.0]
     if kind == "shedding":
         if task.wakes is None:
-            raise ConfigError("shedding: in a free stream no vortices are shed")
-        return (task.wakes.shedding_frequencies * task.scales.period).tolist()  # type: ignore[no-any-return]
-    return None
+            raise ValueError("baseline shedding: there is no vortex shedding in a free stream")
+        return list_shedding(task)
+    word, _, rate = kind.partition("-")
+    return [float(rate)] if word == "fixed" else None
+
+
+def list_shedding(task: KarmanGait) -> list[float]:
+    """Return the shedding frequency of each flow, per T; NaN in free streams."""
+    if task.wakes is None:
+        return [math.nan] * len(task.stream.speeds_bl)
+    frequencies: list[float] = (task.wakes.shedding_frequencies * task.scales.period).tolist()
+    return frequencies
 
 
 def run_trial(
@@ -173,73 +201,40 @@ def run_trial(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Histories:
-    """Run a fish from fixed starts in every flow, or read what it did before.
+    """Run a policy from fixed starts in every flow, or read its histories from an earlier run.
 
     Args:
-        trial: the fish.
+        trial: the policy.
         episodes: in each flow.
-        folder: where histories are kept, in a file for each trial.
+        folder: where histories are kept, a file for each trial.
         samples_actions: see ``record_histories``.
-        seed: of the starts, the same for every fish, and of sampled actions.
+        seed: of the starts, the same for every policy, and of sampled actions.
         progress: the bar.
     """
-    task = trial.task
-    num_decisions = task.time_limit
-    settings = (episodes, samples_actions, seed, FRAMES)
-    words = (repr(task), trial.identity, settings, hash_behaviour())
-    key = hashlib.sha256("\0".join(map(str, words)).encode()).hexdigest()[:16]
+    task, sources = trial.task, hash_sources(*_SOURCES)
+    key = make_key(task, trial.identity, episodes, samples_actions, seed, FRAMES, sources)
     path = folder / f"{trial.name}-{key}.pt"
     if path.is_file():
-        return _read(path)
+        return Histories(**load_tensors(path, what="histories", remedy="delete the file"))
     flows = len(task.stream.speeds_bl)
     starts: TensorDict = task.sample_starts(flows * episodes, torch.Generator().manual_seed(seed))
     # the same noses, phases and keys in each flow
     starts = torch.cat([starts[:episodes]] * flows)
     starts["flow_index"] = torch.arange(flows).repeat_interleave(episodes)
-    env = trial.recognition.equip(make_env)(
-        task=task, num_envs=len(starts), seed=seed, starts=starts, frames_per_action=FRAMES
-    )
+    env = trial.make_env(num_envs=len(starts), seed=seed)
     torch.manual_seed(seed)
     progress = progress or Progress(is_shown=False)
-    progress.start(trial.name, total=num_decisions)
+    progress.start(trial.name, total=task.time_limit)
     histories = record_histories(
         env,
         trial.make_policy(),
         starts,
-        num_decisions=num_decisions,
+        num_decisions=task.time_limit,
         samples_actions=samples_actions,
         on_decision=lambda: progress.advance(1),
     )
     env.close()
     folder.mkdir(parents=True, exist_ok=True)
-    stage = path.with_suffix(f".{os.getpid()}.stage")
-    torch.save(histories._asdict(), stage)
-    stage.replace(path)
+    with staged(path) as stage:
+        torch.save(histories._asdict(), stage)
     return histories
-
-
-def hash_behaviour() -> str:
-    """Return a word that changes when the flow, the environment or a fish's code may act otherwise.
-
-    The weights of the learned helmsman are among it.
-    """
-    folders = [Path(str(package.__file__)).parent for package in (fishrl.envs, fishrl.modules)]
-    files = [file for folder in folders for file in sorted(folder.rglob("*")) if file.is_file()]
-    files += [Path(str(baselines.__file__)), Path(str(histories_module.__file__))]
-    digest = hashlib.sha256(hash_sources().encode())
-    for file in files:
-        if file.suffix in (".py", ".pt"):
-            digest.update(file.read_bytes())
-    return digest.hexdigest()
-
-
-def _hash_files(*files: Path) -> str:
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-
-
-def _read(path: Path) -> Histories:
-    try:
-        content: Mapping[str, Any] = torch.load(path, weights_only=True)
-        return Histories(**content)
-    except (OSError, RuntimeError, EOFError, TypeError, pickle.UnpicklingError) as error:
-        raise ValueError(f"histories {path}: cannot be read; delete the file") from error

@@ -1,113 +1,161 @@
-"""The study in words: one page of tables beside the figures."""
+"""The results of a study as numbers, and as a page of tables beside the figures."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from experiments.lateral_line.findings import Answers
+import numpy as np
+
+from experiments.lateral_line.questions import Answers
+from experiments.lateral_line.study import Fit, Study
+from experiments.pages import write_table
+
+
+def describe(
+    study: Study, fit: Fit, paper: Fit, tables: Mapping[str, Answers], *, num_splits: int
+) -> dict[str, Any]:
+    """Return the numbers of a study.
+
+    Args:
+        study: with the data.
+        fit: of the classifier that is kept.
+        paper: of the paper's.
+        tables: accuracies, as ``answer`` returns.
+        num_splits: divisions of the episodes behind each of them.
+    """
+    is_decision, sample_T = study.episodes["is_decision"], study.layout["interval_T"]
+    by_decision = {
+        memory: {number: float(np.mean(rows[number])) for number in sorted(rows, key=int)}
+        for memory, rows in tables["by_decision"].items()
+    }
+    return {
+        "flows": list(study.flows),
+        "sensors": {name: fit.classifier.sensors[name] for name in study.layout},
+        "features": fit.classifier.features,
+        "window_T": fit.classifier.num_samples * sample_T,
+        "chance": 1.0 / len(study.flows),
+        "num_splits": num_splits,
+        "data": {
+            "samples": int(is_decision.sum()),
+            "episodes": len(study.episodes),
+            "decisions_per_episode": float(is_decision.sum(1).double().mean()),
+            "sample_T": sample_T,
+        },
+        "classifier": _describe_fit(fit),
+        "paper": _describe_fit(paper),
+        **tables,
+        "by_decision": by_decision,
+    }
+
+
+def _describe_fit(fit: Fit) -> dict[str, Any]:
+    return {
+        "fitted_accuracy": fit.fitted.accuracy,
+        "held_out_accuracy": fit.held_out.accuracy,
+        "held_out_loss": fit.held_out.loss,
+        "held_out_samples": len(fit.test),
+        "held_out_episodes": int(fit.test["episode"].unique().numel()),
+        "confusion": fit.held_out.confusion.tolist(),
+        "epochs": len(fit.curves.train_loss),
+        "chosen_epoch": fit.curves.chosen_epoch,
+    }
+
+
+_PAGE = """# What the lateral line tells
+
+Flows: {flows}; chance is {chance:.0%}. Accuracies are those on held-out episodes{divisions}.
+
+Data: {samples} decisions in {episodes} episodes, half of the actions random and half of them
+holding some station; {num_samples} samples per decision at {num_neuromasts} neuromasts. The row of
+frequencies is drawn independently of the flow. All classifiers but the paper's are fitted on the
+mirror image of each sample too.
+
+{fits}
+This classifier reads {features} over {window_T:.3g} T.
+
+![accuracy and loss](curves.png)
+
+![confusion matrix](confusion.png)
+
+![window, noise, memory](limits.png)
+
+## Memory
+
+Predictions from all signals of the episode so far; memory 0 uses the current signal alone.
+
+{memory}
+## Window
+
+{windows}
+## Noise
+
+Added to each feature, as a share of its standard deviation.
+
+{noise}
+## Leakage
+
+*New starts*: those farthest downstream, none of them in the fit. *Later times*: decisions later in
+their episodes than any in the fit.
+
+{leaks}
+## Own tail beat
+
+After a wrong prediction a fish beats in the wrong flow's row. *Right row* fits use only data in the
+row of the true label.
+
+{rows}"""
 
 
 def write_page(findings: Mapping[str, Any]) -> str:
     """Return the Markdown page of a study.
 
     Args:
-        findings: as in ``lateral_line.json``.
+        findings: as ``describe`` returns.
     """
-    data, machine, paper = (findings[name] for name in ("data", "machine", "paper"))
-    flows = ", ".join(flow["name"] for flow in findings["flows"])
+    num_splits, sample_T = findings["num_splits"], findings["data"]["sample_T"]
     windows = {
-        f"{int(length) * data['sample_T']:.3g} T ({length})": values
-        for length, values in findings["windows"].items()
+        f"{int(length) * sample_T:.3g} T ({length})": values
+        for length, values in findings["windows"]["accuracy"].items()
     }
-    sensors = findings["sensors"]
-    lines = [
-        "# What the lateral line tells",
-        "",
-        f"Flows: {flows}; guessing is right in {findings['chance']:.0%}. Accuracies are those on "
-        f"episodes that had no part in the fit{_name_divisions(findings['num_splits'])}.",
-        "",
-        f"Data: {data['samples']} decisions in {data['episodes']} episodes, actions half "
-        "drawn at random and half to hold some station, "
-        f"{sensors['num_samples']} samples per decision at {sensors['num_neuromasts']} "
-        "neuromasts; the row of frequencies is drawn apart from the flow. "
-        "But for the paper's, machines are fitted on the mirror image of each sample too.",
-        "",
-        "| machine | fitted | unseen episodes | samples | epochs |",
-        "|---|---|---|---|---|",
-        _row("this one", machine),
-        _row("as in the paper: [t, x, y, u_x, u_y, p, speed], mean, instant", paper),
-        "",
-        f"This one reads {', '.join(findings['features'])} over {findings['window_T']:.3g} T.",
-        "",
-        "![accuracy and loss](curves.png)",
-        "",
-        "![who is taken for whom](confusion.png)",
-        "",
-        "![window, noise, memory](limits.png)",
-        "",
-        "## Memory",
-        "",
-        "The flow named by all that was felt so far in the episode; 0 is the present signal alone.",
-        "",
-        *_table("memory", {"accuracy": findings["memory"]["overall"]}),
-        "",
-        "## Window",
-        "",
-        *_table("window (samples)", {"accuracy": windows}),
-        "",
-        "## Noise",
-        "",
-        "Added to each feature, as a share of its standard deviation.",
-        "",
-        *_table("noise", findings["noise"]),
-        "",
-        "## Leaks",
-        "",
-        "*New starts*: those farthest downstream, never seen in the fit. *Later times*: decisions "
-        "later in their episodes than any in the fit.",
-        "",
-        *_table("fed on", _turn(findings["leaks"])),
-        "",
-        "## Own tail beat",
-        "",
-        "A fish that takes the flow for another beats in the wrong row. *Right row* fits are those "
-        "of data with the true label at hand.",
-        "",
-        *_table("machine", _turn(findings["confirmation"])),
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def _name_divisions(num: int) -> str:
-    return "" if num == 1 else f", mean over {num} divisions of the episodes [least-largest]"
-
-
-def _row(name: str, fit: Mapping[str, Any]) -> str:
-    return (
-        f"| {name} | {fit['fitted_accuracy']:.1%} | {fit['held_out_accuracy']:.1%} "
-        f"| {fit['held_out_samples']} of {fit['held_out_episodes']} episodes "
-        f"| {fit['chosen_epoch'] + 1} of {fit['epochs']} |"
+    fits = {
+        "this one": findings["classifier"],
+        "as in the paper: [t, x, y, u_x, u_y, p, speed], mean, instant": findings["paper"],
+    }
+    divided = f", mean over {num_splits} divisions of the episodes [least-largest]"
+    return _PAGE.format(
+        flows=", ".join(flow["name"] for flow in findings["flows"]),
+        chance=findings["chance"],
+        divisions=divided if num_splits > 1 else "",
+        **findings["data"],
+        **{name: findings["sensors"][name] for name in ("num_samples", "num_neuromasts")},
+        features=", ".join(findings["features"]),
+        window_T=findings["window_T"],
+        fits=write_table(
+            ("classifier", "fitted", "held-out episodes", "samples", "epochs"),
+            [
+                (
+                    name,
+                    f"{fit['fitted_accuracy']:.1%}",
+                    f"{fit['held_out_accuracy']:.1%}",
+                    f"{fit['held_out_samples']} of {fit['held_out_episodes']} episodes",
+                    f"{fit['chosen_epoch'] + 1} of {fit['epochs']}",
+                )
+                for name, fit in fits.items()
+            ],
+        ),
+        memory=_tabulate("memory", findings["memory"]),
+        windows=_tabulate("window (samples)", {"accuracy": windows}),
+        noise=_tabulate("noise", findings["noise"]),
+        leaks=_tabulate("input", findings["leaks"]),
+        rows=_tabulate("classifier", findings["rows"]),
     )
 
 
-def _turn(answers: Mapping[str, Answers]) -> dict[str, Answers]:
-    """Make rows columns."""
-    columns: dict[str, Answers] = {}
-    for row, cells in answers.items():
-        for column, values in cells.items():
-            columns.setdefault(column, {})[row] = values
-    return columns
-
-
-def _table(corner: str, columns: Mapping[str, Answers]) -> list[str]:
-    rows = next(iter(columns.values()))
-    lines = [f"| {corner} | {' | '.join(columns)} |", "|---" * (len(columns) + 1) + "|"]
-    for row in rows:
-        cells = [format_accuracies(column[row]) for column in columns.values()]
-        lines.append(f"| {row} | {' | '.join(cells)} |")
-    return lines
+def _tabulate(corner: str, columns: Answers) -> str:
+    names = next(iter(columns.values()))
+    rows = [[name, *(format_accuracies(c[name]) for c in columns.values())] for name in names]
+    return write_table([corner, *columns], rows)
 
 
 def format_accuracies(values: Sequence[float]) -> str:

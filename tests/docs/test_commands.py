@@ -21,6 +21,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from experiments import view
 from experiments.config import SCHEMAS, build, check_overrides, load_config, to_plain
+from experiments.program import Program
 from experiments.search_path import split_arguments
 from experiments.sweeps.jobs import is_sweep
 from fishrl.training.checkpoint import BrainOf, save_checkpoint
@@ -147,7 +148,7 @@ def test_a_program_understands_what_the_pages_show(
     main = import_module(module.removesuffix(".py").replace("/", ".")).main
     if "--help" in words:
         return
-    if program == "benchmark":
+    if isinstance(main, Program):
         main.read(words)
         return
     options = vars(_parse(main, words, monkeypatch))

@@ -169,12 +169,12 @@ def test_every_hand_written_fish_is_evaluated(policy: str) -> None:
     _run("evaluate", *chosen, "episodes=2", "num_envs=2", "compile=false")
 
 
-def test_a_learned_fish_is_evaluated_shown_listed_and_made_a_helmsman(
+def test_a_learned_policy_is_evaluated_shown_listed_and_exported(
     hunter: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _run("evaluate", f"checkpoint={hunter}", "episodes=1", "num_envs=1", "compile=false")
     _run("table", hunter)
-    _run("export_steering", hunter, tmp_path / "helmsman.pt")
+    _run("export_steering", f"run={hunter}", f"path={tmp_path / 'steering.pt'}")
     verified = []
 
     def verify(command: list[str], **options: Any) -> None:
@@ -195,18 +195,14 @@ def test_a_gait_is_tried_in_all_streams_and_its_page_is_written(
     holder: Path, tmp_path: Path
 ) -> None:
     trial, sweep = tmp_path / "transfer", tmp_path / "sweep"
-    brief = ("--episodes", 1, "--periods", 0.2)
-    _run("transfer", holder, *brief, "--hand-written", "pid", "--folder", trial)
-    _run(
-        *("drift_sweep", "--starts", 1, "--periods", 1, "--frequencies", 0.9, 1.8),
-        *("--preset", "gait_small", "--folder", sweep),
-    )
-    _run(
-        *("free_stream", "--episodes", 1, "--periods", 2, "--max-frequency", 2),
-        *("--frequency", 1, "--folder", tmp_path / "free", "--wake", tmp_path / "none"),
-    )
+    own = _set_task(GLIDING)
+    given = [f"runs=[{holder}]", "baselines=[pid]", "episodes=1", "periods=0.2"]
+    _run("transfer", *own, *given, f"folder={trial}")
+    _run("drift_sweep", *own, "starts=1", "periods=1", "frequencies=[0.9,1.8]", f"folder={sweep}")
+    few = ["episodes=1", "periods=2", "max_frequency=2", "frequency=1", f"wake={tmp_path}/none"]
+    _run("free_stream", *own, *few, f"folder={tmp_path}/free")
     shutil.copy(DOCS / "karman_gait.md", tmp_path)
-    _run("gait_page", "--docs", tmp_path, "--drift", sweep)
+    _run("gait_page", f"docs={tmp_path}", f"drift={sweep}")
     assert (tmp_path / "figures" / "gait" / "drift.png").is_file()
 
 

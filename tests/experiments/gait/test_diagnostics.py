@@ -13,12 +13,10 @@ from experiments.gait.diagnostics import (
     lock_phases,
     measure_lean,
     measure_sway,
-    pick,
-    stack,
     trace_work,
 )
-from experiments.gait.histories import Histories
-from experiments.gait.tables import write_ends, write_table, write_work_table
+from experiments.gait.histories import Histories, pick, stack
+from experiments.gait.tables import write_results, write_work_table
 from experiments.statistics import half_width
 from fishrl.envs.stations import SafeArea
 
@@ -166,11 +164,10 @@ def test_recordings_of_different_length_go_together() -> None:
 def test_tables_have_a_row_per_fish_and_flow() -> None:
     result = judge(make_histories(lengths=[40, 23]))
     results = {"pid": [result, result], "passive": [result, result]}
-    table = write_table(results, (1.0, 1.5))
-    assert len({line.count("|") for line in table.splitlines()}) == 1
-    assert len(table.splitlines()) == 6
+    table = write_results(results, (1.0, 1.5))
+    assert len(table.splitlines()) == 2 * 6 + 1
     assert "| pid | 1.5 | 2 | 31.5 ±" in table
-    assert "| passive | 1 | 50% | 0% | 50% | 0% | 0 |" in write_ends(results, (1.0, 1.5))
+    assert "| passive | 1 | 50% | 0% | 50% | 0% | 0 |" in table
 
 
 def test_work_is_compared_as_a_ratio_and_a_saving() -> None:

@@ -1,0 +1,84 @@
+"""Programs of the Kármán gait study, on fish that glide."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from experiments import drift_sweep, free_stream, gait_page, transfer
+from experiments.gait.trials import make_trial
+from tests.envs.conftest import gliding  # noqa: F401 - a fixture
+from tests.experiments.gait.tasks import BRIEF, OVERRIDES, make_task
+
+pytestmark = pytest.mark.usefixtures("gliding")
+
+
+def test_policies_of_one_name_or_of_different_tasks_are_refused(tmp_path: Path) -> None:
+    pid = make_trial("pid", make_task(), periods=BRIEF)
+    with pytest.raises(ValueError, match="rename run folders of equal names"):
+        transfer.transfer([pid, pid], episodes=1, folder=tmp_path)
+    other = make_trial("bang_bang", make_task(reynolds=400.0), periods=BRIEF)
+    with pytest.raises(ValueError, match="tasks differ in reynolds"):
+        transfer.transfer([pid, other], episodes=1, folder=tmp_path)
+
+
+def test_designs_of_the_task_are_compared_by_the_survival_of_the_pid_controller(
+    tmp_path: Path,
+) -> None:
+    pid = make_trial("pid", make_task(), periods=BRIEF)
+    results = transfer.transfer([pid], episodes=2, folder=tmp_path / "transfer")
+    page = tmp_path / "karman_gait.md"
+    page.write_text("a\n<!-- design: begin -->\n<!-- design: end -->\nz\n")
+    gait_page.main([f"docs={tmp_path}", f"design={{half T:{tmp_path / 'transfer'}}}"])
+    lasted = results["arms"]["pid"][0]["survival_T"]
+    assert f"| half T | 2 | {lasted:.0f} ± " in page.read_text()
+
+
+def test_the_free_stream_is_held_without_a_disc(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)  # without a transfer test
+    settings = ["episodes=1", "periods=4", "max_frequency=2", "frequency=1", "max_wall_speed=0.15"]
+    free_stream.main([*OVERRIDES, *settings, f"folder={tmp_path}"])
+    result = json.loads((tmp_path / "free_stream.json").read_text())
+    assert [row["episodes"] for row in result["flows"]] == [1, 1, 1]
+    assert [len(flow["work"]) for flow in result["work"]] == [5, 5, 5]  # at 0 to 4 T
+    assert "1.25 L/T:" in capsys.readouterr().out
+
+
+def test_drift_is_swept_over_frequencies_in_every_stream(tmp_path: Path) -> None:
+    settings = ["frequencies=[0.5,1]", "starts=2", "periods=3", f"folder={tmp_path}"]
+    drift_sweep.main([*OVERRIDES, *settings])
+    with (tmp_path / "drift.csv").open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if float(row["samples"]) > 0]
+    assert {row["stream_speed_bl"] for row in rows} == {"1.0", "1.25", "1.5"}
+    # gliding fish swim 0.4 L in a beat, upstream, whatever the stream
+    for row in rows:
+        expected = -0.4 * float(row["frequency"])
+        assert float(row["drift"]) == pytest.approx(expected, abs=0.02)
+    facts = json.loads((tmp_path / "drift.json").read_text())
+    assert (facts["episodes"], facts["diverged"]) == (12, 0)
+
+
+def test_policies_of_another_test_stand_below_in_the_tables(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = make_task()
+    for name in ("pid", "fixed-0.6"):
+        trial = make_trial(name, task, periods=BRIEF)
+        transfer.transfer([trial], episodes=2, folder=tmp_path / name)
+    monkeypatch.setattr(gait_page, "load_trial", lambda run: make_trial("pid", task))
+    for name in ("write_period", "list_shedding"):
+        monkeypatch.setattr(gait_page, name, lambda *_, **__: [0.5])
+    monkeypatch.setattr(gait_page.pictures, "write_training", lambda *_: None)
+    page = tmp_path / "page.md"
+    page.write_text("<!-- transfer: begin -->\n<!-- transfer: end -->\n")
+    gait_page.write_transfer(
+        page, tmp_path, str(tmp_path / "pid"), ["a run"], beside=str(tmp_path / "fixed-0.6")
+    )
+    rows = [line.split(" | ")[0] for line in page.read_text().splitlines()]
+    assert [rows.count(f"| {name}") for name in ("pid", "fixed-0.6")] == [6, 6]
+    assert rows.index("| pid") < rows.index("| fixed-0.6")
