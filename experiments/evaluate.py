@@ -36,9 +36,10 @@ def evaluate(
         ValueError: for settings that cannot be, and checkpoints that do not fit.
     """
     from experiments.settings import check_device
-    from fishrl.training.baselines import load_policy, make_policy
+    from fishrl.envs import make_env as make_real_env
+    from fishrl.training.baselines import make_policy
     from fishrl.training.evaluation import Evaluator, fixed_starts
-    from fishrl.training.loop import make_flow_env
+    from fishrl.training.policies import load_policy
     from fishrl.training.recognition import Recognition
     from fishrl.viewer import LiveView
 
@@ -48,12 +49,12 @@ def evaluate(
     task, policy = recognition.task, None
     if config.checkpoint is not None:
         policy = load_policy(
-            config.checkpoint, task=task, num_told=recognition.num_told, device=config.device
+            config.checkpoint, task=task, has_labels=recognition.is_told, device=config.device
         )
     else:
         policy = make_policy(str(config.policy), task=task, seed=config.seed)
     progress.rename("compilation" if config.compile else "set-up")
-    env = recognition.equip(make_env or make_flow_env())(
+    env = recognition.equip(make_env or make_real_env)(
         task=task,
         num_envs=min(config.num_envs, config.episodes),
         seed=config.seed,

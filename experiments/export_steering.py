@@ -16,8 +16,8 @@ from torch import Tensor, nn
 from experiments.configuration import build
 from experiments.program import program
 from fishrl.envs.steering import PolicySteering, save_weights
-from fishrl.training.baselines import load_policy
 from fishrl.training.checkpoint import read_metadata
+from fishrl.training.policies import load_policy
 
 
 @dataclass(kw_only=True)

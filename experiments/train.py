@@ -9,19 +9,27 @@ from __future__ import annotations
 import logging
 import sys
 import time
-from contextlib import ExitStack, closing
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from experiments.config import build, to_plain
+from experiments.settings import TrainConfig
+from experiments.sweeps.runs import read_run
+from fishrl.envs import make_env as make_real_env
+from fishrl.training.evaluation import fixed_starts
+from fishrl.training.loop import Training
+from fishrl.training.observer import Observer
+from fishrl.training.plan import LEARNING, PARTS, RUN, Plan
 from fishrl.training.progress import Progress
+from fishrl.training.run_folder import RunFolder, read_config
+from fishrl.training.runs import begin, complete, make_folder, reopen
+from fishrl.training.settings import LearningSettings, RunSettings
+from fishrl.training.summary import FINAL_SEED
+from fishrl.viewer import LiveView
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from omegaconf import DictConfig
-
-    from experiments.settings import TrainConfig
-    from fishrl.training.loop import Training
-    from fishrl.training.run_folder import RunFolder
 
 logger = logging.getLogger(__name__)
 
@@ -56,6 +64,59 @@ def train(
     return finish(training)
 
 
+class RunObserver(Observer):
+    """The live view of a run, and its pictures at the end.
+
+    Args:
+        config: settings of the run.
+    """
+
+    def __init__(self, config: TrainConfig) -> None:
+        self.config = config
+        self.live: LiveView | None = None
+        if config.live:
+            config.choose_flows(config.num_envs, default=1)
+
+    def begin(self, env: Any) -> None:
+        """Start the live view."""
+        if self.config.live:
+            self.live = LiveView(env, self.config)
+
+    def settle(self, step: Any) -> None:
+        """Show a decision."""
+        if self.live is not None:
+            self.live.settle(step)
+
+    def restart(self) -> None:
+        """Expect other episodes."""
+        if self.live is not None:
+            self.live.restart()
+
+    def finish(self, training: Training, summary: Mapping[str, Any]) -> None:
+        """Draw the pictures."""
+        if self.config.picture_episodes > 0:
+            draw(training, self.config, summary)
+
+    def close(self) -> None:
+        """End the live view."""
+        if self.live is not None:
+            self.live.close()
+
+
+def make_plan(config: TrainConfig) -> Plan:
+    """Return what a run with these settings is made from."""
+    plain = to_plain(config)
+    return Plan(
+        task=build(config.task),
+        algorithm=build(config.algorithm),
+        logger=build(config.logger),
+        learning=LearningSettings(**{name: plain[name] for name in LEARNING}),
+        run=RunSettings(**{name: plain[name] for name in RUN}),
+        preset=config.preset,
+        extra={n: v for n, v in plain.items() if n not in (*LEARNING, *RUN, *PARTS, "resume")},
+    )
+
+
 def set_up(
     config: TrainConfig,
     *,
@@ -64,90 +125,28 @@ def set_up(
     began: float | None = None,
 ) -> Training:
     """Make everything a run needs; see ``train``. Wrong settings show here, not later."""
-    from pathlib import Path
-
-    from experiments.config import build
-    from experiments.settings import check_cluster, check_device
-    from fishrl.training.algorithms import build_algorithm
-    from fishrl.training.baselines import make_baselines
-    from fishrl.training.loop import FINAL_SEED, Training, make_flow_env
-    from fishrl.training.recognition import Recognition, find_machine
-    from fishrl.training.run_folder import RunFolder
-
-    with ExitStack() as stack:
-        if config.resume:
-            folder = RunFolder.of_existing(config.resume)
-            stack.enter_context(folder.noting_failure())
-        check_device(config.device)
-        check_cluster(config.ray_collectors)
-        if config.live:
-            config.choose_flows(config.num_envs, default=1)
-        metrics_logger = build(config.logger)
-        choice = find_machine(config.recognition, Path(config.resume or "."))
-        recognition = Recognition(build(config.task), choice)
-        task = recognition.task
-        baselines = make_baselines(config.baselines, task=task, seed=FINAL_SEED)
-        if not config.resume:
-            kind = type(task).__name__.lower()
-            label = build_algorithm({"algorithm": config.algorithm}).label
-            words = [kind, config.preset, label, f"seed{config.seed}"]
-            name = config.name or "-".join(filter(None, words))
-            folder = begin_run(config, RunFolder.create(parent=config.folder, name=name))
-            stack.enter_context(folder.noting_failure())
-        logger.info("run folder: %s", folder.path)
-        training = Training(
-            config=config,
-            recognition=recognition,
-            make_env=make_env or make_flow_env(),
-            baselines=baselines,
-            folder=folder,
-            metrics_logger=metrics_logger,
-            progress=progress or Progress(is_shown=False),
-            began=time.perf_counter() if began is None else began,
-        )
-        if config.resume:
-            if folder.has_begun():
-                training.resume()
-                folder.summary.unlink(missing_ok=True)  # it will be another one
-            note_settings(config, folder)
-        return training
+    given: dict[str, Any] = {
+        "make_env": make_env or make_real_env,
+        "progress": progress,
+        "began": began,
+        "observer": RunObserver(config),
+    }
+    if not config.resume:
+        return begin(make_plan(config), recognition=config.recognition, **given)
+    plain, stored = to_plain(config), read_config(RunFolder.of_existing(config.resume).config)
+    kept = (*LEARNING, *PARTS, *_OF_THE_MOMENT)
+    changes = {n: v for n, v in plain.items() if n not in kept and (n in RUN or n in stored)}
+    modules = [config.task["_target_"].rpartition(".")[0]]
+    return reopen(config.resume, modules=modules, **given, **changes)
 
 
 def begin_run(config: TrainConfig, folder: RunFolder) -> RunFolder:
     """Write into a new folder all that its run needs; ``resume=<folder>`` then starts it."""
-    from experiments.config import to_plain
-    from fishrl.training.recognition import keep_machine
-    from fishrl.training.run_folder import write_yaml
-
-    config.recognition = keep_machine(config.recognition, folder.path)
-    write_yaml(folder.config, to_plain(config))
-    return folder
-
-
-def note_settings(config: TrainConfig, folder: RunFolder) -> None:
-    """Write what a resumed run was given anew, for the next resume.
-
-    What is of the moment stays as the run was begun with.
-    """
-    from omegaconf import OmegaConf
-
-    from experiments.config import to_plain
-    from fishrl.training.run_folder import write_yaml
-
-    stored: Any = OmegaConf.to_container(OmegaConf.load(folder.config))
-    begun_with = {name: stored[name] for name in _OF_THE_MOMENT if name in stored}
-    settings = to_plain(config) | begun_with
-    if settings != stored:
-        write_yaml(folder.config, settings)
+    return make_folder(make_plan(config), recognition=config.recognition, folder=folder)[0]
 
 
 def is_over(config: TrainConfig) -> bool:
     """Tell whether a resumed run is finished, and nothing more is asked of it."""
-    from pathlib import Path
-
-    from experiments.config import to_plain
-    from experiments.sweeps.runs import read_run
-
     run, asked = read_run(Path(str(config.resume)).expanduser()), to_plain(config)
     if run.status != "finished" or config.total_frames > run.summary.get("frames", 0):
         return False
@@ -155,35 +154,18 @@ def is_over(config: TrainConfig) -> bool:
 
 
 def finish(training: Training) -> dict[str, Any]:
-    """Run what is set up to its end, write the summary and the pictures, and print the table."""
-    from fishrl.training.interruption import Interrupted
-    from fishrl.training.run_folder import write_json
-
-    config, folder = training.config, training.folder
-    with folder.noting_failure(), closing(training):
-        summary = training.run()
-        try:
-            if config.picture_episodes > 0:
-                draw(training, summary)
-                summary["wall_seconds"] = training.wall_seconds()
-        except Interrupted:  # not finished, so that a resume draws them
-            raise
-        except Exception:
-            write_json(folder.summary, summary)
-            raise
-        write_json(folder.summary, summary)
+    """Run what is set up to its end, with its pictures, and print the table."""
+    summary = complete(training)
     training.progress.close()
-    report(summary, folder=folder.path)
+    report(summary, folder=training.folder.path)
     return summary
 
 
-def draw(training: Training, summary: dict[str, Any]) -> None:
+def draw(training: Training, config: TrainConfig, summary: Mapping[str, Any]) -> None:
     """Record the learned policy from some of the fixed starts and draw the pictures of the run."""
     from experiments.figures.run_pictures import record_run
-    from fishrl.training.evaluation import fixed_starts
-    from fishrl.training.loop import FINAL_SEED
 
-    config, progress = training.config, training.progress
+    progress = training.progress
     starts = fixed_starts(training.task, config.final_episodes, seed=FINAL_SEED)
     starts = starts[: config.picture_episodes]
     progress.start("pictures", total=starts.shape[0])

@@ -19,8 +19,9 @@ from experiments.settings import ViewConfig
 from experiments.stored_runs import read_task
 from fishrl.envs import make_env
 from fishrl.envs.scene import Frame
-from fishrl.training.baselines import load_policy, make_policy
+from fishrl.training.baselines import make_policy
 from fishrl.training.evaluation import fixed_starts
+from fishrl.training.policies import load_policy
 from fishrl.training.progress import Progress
 from fishrl.training.recognition import Recognition
 from fishrl.training.settings import check_device
@@ -63,7 +64,7 @@ def record(
     flows = settings.choose_flows(settings.episodes, default=settings.episodes)
     if source is not None:
         policy = load_policy(
-            source, task=task, num_told=recognition.num_told, device=settings.device
+            source, task=task, has_labels=recognition.is_told, device=settings.device
         )
     else:
         policy = make_policy(str(settings.policy), task=task, seed=settings.seed)

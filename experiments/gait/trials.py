@@ -21,8 +21,9 @@ from fishrl.envs.transforms import ORACLE, equip
 from fishrl.files import load_tensors, staged
 from fishrl.modules import FixedFrequency, LateralLineClassifier
 from fishrl.physics.cache_key import hash_sources, make_key
-from fishrl.training.baselines import load_policy, make_gait_policy, make_policy
+from fishrl.training.baselines import make_gait_policy, make_policy
 from fishrl.training.checkpoint import read_metadata
+from fishrl.training.policies import load_policy
 from fishrl.training.progress import Progress
 from fishrl.training.recognition import find_machine
 
@@ -107,13 +108,13 @@ def load_trial(run: Path, *, periods: float = PERIODS) -> Trial:
     files = sorted(path.rglob("*-actor/*"))
     if isinstance(recognition, LateralLineClassifier):
         files.append(Path(str(choice)))
-    num_told = 0 if recognition is None else task.num_label_inputs
+    has_labels = recognition is not None
     return Trial(
         name=run.name,
         arm=name_arm(task, config.get("recognition")),
         trained=task,
         recognition=recognition,
-        make_policy=lambda: load_policy(str(path), task=task, num_told=num_told, device="cpu"),
+        make_policy=lambda: load_policy(str(path), task=task, has_labels=has_labels, device="cpu"),
         identity=make_key(*(file.read_bytes() for file in files)),
         periods=periods,
     )

@@ -106,7 +106,7 @@ def _count_parts(flat: Sequence[Mapping[str, str]], keys: Sequence[str]) -> int:
 
 def _settings_of(run: Run) -> dict[str, str]:
     """Return the settings of a run, its machine by content, as every run calls its own the same."""
-    flat, machine = _flatten(run.config), RunFolder(run.path).machine
+    flat, machine = _flatten(run.config), RunFolder(run.path).classifier
     if flat.get("recognition") == machine.name and machine.is_file():
         flat["recognition"] = f"machine {hashlib.sha256(machine.read_bytes()).hexdigest()[:8]}"
     return flat

@@ -207,7 +207,7 @@ def find_difference(config: TrainConfig, path: Path) -> tuple[str, Any, Any] | N
 
     stored: Any = OmegaConf.to_container(OmegaConf.load(path / "config.yaml"))
     wanted = to_plain(config)
-    own, given = RunFolder(path).machine, Path(wanted["recognition"] or "").expanduser()
+    own, given = RunFolder(path).classifier, Path(wanted["recognition"] or "").expanduser()
     if own.is_file() and given.is_file():
         is_equal = filecmp.cmp(own, given, shallow=False)
         stored["recognition"] = wanted["recognition"] if is_equal else str(own)

@@ -328,7 +328,7 @@ class FlowEnv(EnvBase):
             ValueError: if ``device`` is of another kind.
         """
         if torch.device(device).type != self.device.type:
-            raise ValueError(f"flows on {self.device} cannot move: make_env(device='{device}')")
+            raise ValueError(f"flows on {self.device} cannot move to {device}: make another env")
         return self
 
     def close(self, *, raise_if_closed: bool = True) -> None:

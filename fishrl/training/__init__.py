@@ -1,1 +1,50 @@
-"""Training: the loop, its algorithms, checkpoints and evaluation."""
+"""Train a policy for any task, evaluate it, load it again.
+
+    from fishrl.envs import Predation
+    from fishrl.training import DiscreteSAC, LearningSettings, RunSettings, evaluate, train
+    from pathlib import Path
+
+    summary = train(
+        task=Predation(body_length=30, reynolds=2000),
+        algorithm=DiscreteSAC(target_entropy_weight=0.1),
+        learning=LearningSettings(seed=1, num_envs=8),
+        run=RunSettings(total_frames=2000, folder="runs", name="first"),
+    )
+    print(summary["success_rate"], summary["random_success_rate"])
+    print(evaluate(Path("runs/first"), episodes=64))
+
+``resume("runs/first", total_frames=4000)`` goes on where a run ended or was stopped, exactly.
+"""
+
+from fishrl.training.algorithms import DQN, DRQN, Algorithm, DiscreteSAC
+from fishrl.training.baselines import Baseline, find_baselines
+from fishrl.training.interruption import Interrupted
+from fishrl.training.observer import Observer
+from fishrl.training.plan import Plan
+from fishrl.training.policies import evaluate, load_plan, load_policy
+from fishrl.training.runs import begin, complete, find_summary, make_folder, reopen, resume, train
+from fishrl.training.settings import LearningSettings, RunSettings
+
+__all__ = [
+    "DQN",
+    "DRQN",
+    "Algorithm",
+    "Baseline",
+    "DiscreteSAC",
+    "Interrupted",
+    "LearningSettings",
+    "Observer",
+    "Plan",
+    "RunSettings",
+    "begin",
+    "complete",
+    "evaluate",
+    "find_baselines",
+    "find_summary",
+    "load_plan",
+    "load_policy",
+    "make_folder",
+    "reopen",
+    "resume",
+    "train",
+]

@@ -1,72 +1,24 @@
-"""Save and load everything a run needs to go on, and say clearly why something does not load."""
+"""Save and load everything a run needs to continue, and say clearly why something does not load.
+
+A checkpoint is a folder that TorchRL's ``Checkpoint`` writes: ``manifest.json`` with metadata, and
+one ``state.pt`` per component. Loading runs no code from it: each state is read from that one file
+with ``weights_only=True``, after its SHA-256 was compared with the manifest's.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
 from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointAdapter
 
+from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import refuse_many
-
-
-@dataclass(frozen=True, kw_only=True)
-class BrainOf:
-    """What a brain was made for; brains of another task or another size do not fit.
-
-    Args:
-        task: name of the task's class.
-        num_inputs: length of the stacked observation.
-        num_actions: number of actions.
-        num_stacked: observations in a stack.
-    """
-
-    task: str
-    num_inputs: int
-    num_actions: int
-    num_stacked: int = 1
-
-    @property
-    def num_observed(self) -> int:
-        """Length of one observation."""
-        return self.num_inputs // self.num_stacked
-
-    @classmethod
-    def task_of(cls, task: Any, *, num_told: int = 0) -> BrainOf:
-        """Describe the brain that a task needs.
-
-        Args:
-            task: what the fish does.
-            num_told: numbers that transforms put behind each observation.
-        """
-        return cls(
-            task=type(task).__name__,
-            num_inputs=(task.n_obs + num_told) * task.num_stacked,
-            num_actions=task.num_actions,
-            num_stacked=task.num_stacked,
-        )
-
-    def check(self, metadata: Mapping[str, Any], *, path: Path) -> None:
-        """Compare with the metadata of a checkpoint.
-
-        Raises:
-            ValueError: if the checkpoint is of another task or size.
-        """
-        changed = "a setting of the task changes its {}: leave that away; or its code has changed"
-        for key, wanted, remedy in (
-            ("task", self.task, "choose the task the checkpoint was made for with task=..."),
-            ("num_inputs", self.num_inputs, changed.format("observation")),
-            ("num_actions", self.num_actions, changed.format("actions")),
-        ):
-            if metadata.get(key) != wanted:
-                raise ValueError(
-                    f"checkpoint {path}: it is of {key} = {metadata.get(key)!r}, here it is "
-                    f"{wanted!r}; {remedy}, or train anew"
-                )
 
 
 class CheckpointNotWritten(OSError):
@@ -77,8 +29,7 @@ def save_checkpoint(
     path: Path,
     components: Mapping[str, Any],
     *,
-    brain: BrainOf,
-    preset: str | None,
+    spec: PolicySpec,
     frames: int,
     config: Mapping[str, Any],
     keep: int = 1,
@@ -88,30 +39,31 @@ def save_checkpoint(
     Args:
         path: the folder.
         components: objects with ``state_dict`` and ``load_state_dict``.
-        brain: task and sizes, compared on loading.
-        preset: name of the preset.
+        spec: task and sizes, compared on loading.
         frames: env frames so far.
-        config: the whole configuration.
-        keep: how many checkpoints stay, this one included; older ones get their frames behind
+        config: the whole configuration of the run.
+        keep: how many checkpoints are kept, this one included; older ones get their frames behind
             their name.
 
     Raises:
         CheckpointNotWritten: if the disk is full or the folder cannot be written.
     """
     fresh = path.with_name(f".{path.name}.new")
+    sums: dict[str, str] = {}  # filled while the states are written, before the manifest
     metadata = {
-        "task": brain.task,
-        "num_inputs": brain.num_inputs,
-        "num_actions": brain.num_actions,
-        "preset": preset,
+        "task": spec.task,
+        "num_inputs": spec.num_inputs,
+        "num_actions": spec.num_actions,
+        "preset": config.get("preset"),
         "frames": frames,
         "config": config,
+        "sha256": sums,
     }
     try:
         if fresh.exists() and not path.exists():  # killed between the renames: it is the newest
             os.replace(fresh, path)
         _clear(path)
-        _checkpoint(components).save(fresh, metadata=metadata)
+        _register(components, sums).save(fresh, metadata=metadata)
         for file in fresh.rglob("*"):
             _flush(file)
         _put_in_place(fresh, path, keep=keep)
@@ -120,6 +72,112 @@ def save_checkpoint(
             raise
         _clear(path)
         raise _not_written(path, error) from error
+
+
+def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[str, Any]]:
+    """Find a checkpoint and read what it says about itself.
+
+    Args:
+        path: a checkpoint, or the folder of a run.
+        which: ``best`` (the last where there is none) or ``last``, for the folder of a run.
+
+    Raises:
+        ValueError: if there is none or it is corrupt.
+    """
+    folder = Path(path).expanduser()
+    if (folder / "config.yaml").is_file() or (folder / "checkpoints").is_dir():
+        folder = folder / "checkpoints"
+        folder /= which if (folder / which).exists() else "last"
+    found = folder
+    if not found.exists():
+        # Killed between the renames that replace a checkpoint, or the newest one was deleted.
+        complete = [folder.with_name(f".{folder.name}.new")]
+        complete += sorted(folder.parent.glob(f".{folder.name}.backup*")) + _list_older(folder)
+        found = next((place for place in complete if place.exists()), folder)
+    refuse_many(found, setting="checkpoint")
+    if not found.exists():
+        raise ValueError(
+            f"checkpoint {folder}: there is none; give the folder of a run, or one of its "
+            "checkpoints/best and checkpoints/last"
+        )
+    try:
+        metadata = Checkpoint.manifest(found).get("metadata")
+    except (CheckpointError, OSError, ValueError, TypeError, AttributeError) as error:
+        raise _corrupt(found, error) from error
+    if not isinstance(metadata, dict) or not {"task", "config"} <= set(metadata):
+        raise _corrupt(found, "it does not name its task")
+    return found, metadata
+
+
+def load_checkpoint(
+    path: str | Path,
+    components: Mapping[str, Any],
+    *,
+    spec: PolicySpec,
+    device: str = "cpu",
+    which: str = "best",
+) -> dict[str, Any]:
+    """Load components' states and return the metadata.
+
+    Args:
+        path: a checkpoint, or the folder of a run.
+        components: what to load; others in the checkpoint are left alone.
+        spec: task and sizes the checkpoint must be of.
+        device: where tensors go.
+        which: ``best`` (the last where there is none) or ``last``, for the folder of a run.
+
+    Raises:
+        ValueError: if it is missing, corrupt, or of another task.
+    """
+    found, metadata = read_metadata(path, which=which)
+    spec.check(metadata, path=found)
+    try:
+        _register(components, metadata.get("sha256")).load(found, map_location=device)
+    except (CheckpointError, OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
+        raise _corrupt(found, error) from error
+    return metadata
+
+
+class _StateFile(StateDictCheckpointAdapter):
+    """Keeps a state in ``state.pt`` alone, and its SHA-256 in the metadata of the checkpoint.
+
+    Args:
+        name: of the component.
+        sums: SHA-256 by component, filled by ``save`` and compared by ``load``; None for a
+            checkpoint that was written without.
+    """
+
+    def __init__(self, name: str, sums: dict[str, str] | None) -> None:
+        super().__init__("torch")
+        self.name, self.sums = name, sums
+
+    def save(self, component: Any, path: Path, **options: Any) -> Any:
+        """Write the state and note its sum."""
+        state = super().save(component, path, **options)
+        if self.sums is not None:
+            self.sums[self.name] = _sum(path / self.state_torch)
+        return state
+
+    def load(self, component: Any, path: Path, *, map_location: Any, **options: Any) -> None:
+        """Compare the sum, then read the state, and nothing else that lies there."""
+        file = path / self.state_torch
+        if self.sums is not None and self.sums.get(self.name) != _sum(file):
+            raise CheckpointError(
+                f"{file.parent.name}/{file.name} has changed since it was written"
+            )
+        component.load_state_dict(torch.load(file, map_location=map_location, weights_only=True))
+
+
+def _register(components: Mapping[str, Any], sums: dict[str, str] | None) -> Checkpoint:
+    checkpoint = Checkpoint()
+    for name, component in components.items():
+        checkpoint.register(name, component, adapter=_StateFile(name, sums))
+    return checkpoint
+
+
+def _sum(file: Path) -> str:
+    with file.open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()
 
 
 def _put_in_place(fresh: Path, path: Path, *, keep: int) -> None:
@@ -140,7 +198,7 @@ def _put_in_place(fresh: Path, path: Path, *, keep: int) -> None:
 
 
 def _clear(path: Path) -> None:
-    """Remove what a process that was killed while writing left; it is no use beside the place."""
+    """Remove what a process left that was killed while writing beside a complete checkpoint."""
     if path.exists():
         for debris in (*path.parent.glob(f".{path.name}.*"), *path.parent.glob(f"..{path.name}.*")):
             shutil.rmtree(debris, ignore_errors=True)
@@ -187,85 +245,10 @@ def _not_written(path: Path, error: Exception) -> CheckpointNotWritten:
     )
 
 
-def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[str, Any]]:
-    """Find a checkpoint and read what it says about itself.
-
-    Args:
-        path: a checkpoint, or the folder of a run.
-        which: ``best`` (the last where there is none) or ``last``, for the folder of a run.
-
-    Raises:
-        ValueError: if there is none or it is corrupt.
-    """
-    folder = Path(path).expanduser()
-    if (folder / "config.yaml").is_file() or (folder / "checkpoints").is_dir():
-        folder = folder / "checkpoints"
-        folder /= which if (folder / which).exists() else "last"
-    found = folder
-    if not found.exists():
-        # Killed between the renames that replace a checkpoint, or the newest one was deleted.
-        complete = [folder.with_name(f".{folder.name}.new")]
-        complete += sorted(folder.parent.glob(f".{folder.name}.backup*")) + _list_older(folder)
-        found = next((place for place in complete if place.exists()), folder)
-    refuse_many(found, setting="checkpoint")
-    if not found.exists():
-        raise ValueError(
-            f"checkpoint {folder}: there is none; give the folder of a run, or one of its "
-            "checkpoints/best and checkpoints/last"
-        )
-    try:
-        metadata = Checkpoint.manifest(found).get("metadata")
-    except (CheckpointError, OSError, ValueError, TypeError, AttributeError) as error:
-        raise _corrupt(found, error) from error
-    if not isinstance(metadata, dict) or "task" not in metadata:
-        raise _corrupt(found, "it does not name its task")
-    return found, metadata
-
-
-def load_checkpoint(
-    path: str | Path,
-    components: Mapping[str, Any],
-    *,
-    brain: BrainOf,
-    device: str = "cpu",
-    which: str = "best",
-) -> dict[str, Any]:
-    """Load components' states and return the metadata.
-
-    Files are read with ``weights_only=True``: a checkpoint cannot run code.
-
-    Args:
-        path: a checkpoint, or the folder of a run.
-        components: what to load; others in the checkpoint are left alone.
-        brain: task and sizes the checkpoint must be of.
-        device: where tensors go.
-        which: ``best`` (the last where there is none) or ``last``, for the folder of a run.
-
-    Raises:
-        ValueError: if it is missing, corrupt, or of another task.
-    """
-    found, metadata = read_metadata(path, which=which)
-    brain.check(metadata, path=found)
-    try:
-        _checkpoint(components).load(
-            found, map_location=device, tensor_load_kwargs={"weights_only": True}
-        )
-    except (CheckpointError, OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
-        raise _corrupt(found, error) from error
-    return metadata
-
-
-def _checkpoint(components: Mapping[str, Any]) -> Checkpoint:
-    checkpoint = Checkpoint()
-    for name, component in components.items():
-        checkpoint.register(name, component, adapter=StateDictCheckpointAdapter("torch"))
-    return checkpoint
-
-
 def _corrupt(path: Path, reason: object) -> ValueError:
     older = [place.name for place in _list_older(path)]
     remedy = f"; or delete it, and {older[0]} takes its place" if older else ""
     return ValueError(
-        f"checkpoint {path}: corrupt or not a checkpoint ({reason}); take another one, such as "
+        f"checkpoint {path}: corrupt or not a checkpoint ({reason}); use another one, such as "
         f"checkpoints/last or checkpoints/best of the run{remedy}"
     )

@@ -1,8 +1,8 @@
-"""Flows on several machines: TorchRL's Ray collector, in the place of the ordinary one.
+"""Flows on several machines: TorchRL's Ray collector in the place of the ordinary one.
 
 All collectors take one decision in each of their flows with the newest weights, then the loop
-learns: the same order as in one process, only that the flows advance elsewhere. Evaluations and
-recordings run in flows of this process, so they leave those that train alone.
+learns: the same order as in one process. Evaluations and recordings use flows of this process and
+leave the training flows alone.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from torchrl.collectors.distributed import RayCollector
 from torchrl.envs import EnvBase
 from torchrl.modules import EGreedyModule
 
-from experiments.settings import ConfigError
 from fishrl.training.collector import ResumableCollector
 
 logger = logging.getLogger(__name__)
@@ -62,7 +61,7 @@ class ClusterCollector:
         seed: of the first collector.
 
     Raises:
-        ConfigError: if the cluster has fewer CPUs than there are collectors.
+        ValueError: if the cluster has fewer CPUs than there are collectors.
     """
 
     def __init__(
@@ -159,7 +158,7 @@ def join_cluster(num_collectors: int) -> bool:
         Whether this process was not connected before.
 
     Raises:
-        ConfigError: if the cluster has fewer CPUs.
+        ValueError: if the cluster has fewer CPUs.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # report nothing to anybody
     import ray
@@ -175,7 +174,7 @@ def join_cluster(num_collectors: int) -> bool:
         ray.init(log_to_driver=False, logging_level=logging.WARNING, **given)
     num_cpus = int(ray.cluster_resources().get("CPU", 0))
     if num_cpus < num_collectors:
-        raise ConfigError(
+        raise ValueError(
             f"ray_collectors={num_collectors}: the cluster has {num_cpus} CPUs, and each takes "
             "one; take fewer, or add machines with `ray start --address=...`"
         )

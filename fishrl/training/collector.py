@@ -1,4 +1,4 @@
-"""What collects: a collector that goes on exactly where it was stopped, here or on a cluster."""
+"""What collects: a collector that continues exactly where it was stopped, here or on a cluster."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from functools import partial
 from typing import Any
 
 from tensordict import TensorDict
+from torch import nn
 from torchrl.collectors import Collector
 from torchrl.envs import ActionMask, EnvBase, Transform
 
-from experiments.settings import TrainConfig
+from fishrl.envs import AbstractTask
 from fishrl.training.evaluation import copy_state
 from fishrl.training.learner import Learner
-from fishrl.training.recognition import Recognition
+from fishrl.training.settings import LearningSettings
 
 MakeEnv = Callable[..., EnvBase]
 
@@ -61,40 +62,48 @@ class ResumableCollector(Collector):
 
 
 def make_collector(
-    config: TrainConfig,
-    recognition: Recognition,
-    make_env: MakeEnv,
+    task: AbstractTask,
     learner: Learner,
+    settings: LearningSettings,
     *,
+    make_env: MakeEnv,
+    recognition: nn.Module | str | None,
+    device: str,
+    compile: bool,
     seed: int,
 ) -> Any:
     """Make what collects for a run, in this process or in those of a cluster.
 
     Args:
-        config: settings of the run.
-        recognition: the task, and who tells the fish its flow.
-        make_env: makes the env of a task.
+        task: what the fish does.
         learner: whose explorer acts.
+        settings: number of flows, of processes, and of warm-up frames.
+        make_env: makes the env of a task, such as ``fishrl.envs.make_env``.
+        recognition: labels flows, see there.
+        device: where flows live.
+        compile: compile the flow step.
         seed: of the flows.
     """
+    given = {} if recognition is None else {"recognition": recognition}
     make = partial(
         _make_equipped,
         make_env,
-        recognition,
         learner.transforms,
-        device=config.device,
-        compile=config.compile,
+        task=task,
+        device=device,
+        compile=compile,
+        **given,
     )
-    # the looks within an action are for the recording at the end
-    looks = recognition.task.checks_per_action
-    env = make(num_envs=config.num_envs, seed=seed, frames_per_action=looks)
-    if not config.ray_collectors:
+    # an observer may look at every moment at which the task looks for the end of an episode
+    env = make(num_envs=settings.num_envs, seed=seed, frames_per_action=task.checks_per_action)
+    if not settings.ray_collectors:
         return ResumableCollector(
             env,
             learner.explorer,
-            frames_per_batch=config.num_envs,
+            frames_per_batch=settings.num_envs,
             total_frames=-1,
-            init_random_frames=config.warmup_frames,
+            init_random_frames=settings.warmup_frames,
+            storing_device=device,  # trajectory ids too, which the sampler of DRQN reads
         )
     from fishrl.training.cluster import ClusterCollector
 
@@ -102,18 +111,16 @@ def make_collector(
         env=env,
         make_env=make,
         explorer=learner.explorer,
-        num_collectors=config.ray_collectors,
-        num_envs=config.num_envs,
-        warmup_frames=config.warmup_frames,
+        num_collectors=settings.ray_collectors,
+        num_envs=settings.num_envs,
+        warmup_frames=settings.warmup_frames,
         seed=seed,
     )
 
 
-def _make_equipped(
-    make_env: MakeEnv, recognition: Recognition, transforms: Sequence[Transform], **arguments: Any
-) -> EnvBase:
-    """Make an env whose transforms are its own."""
-    env = recognition.equip(make_env)(task=recognition.task, **arguments)
+def _make_equipped(make_env: MakeEnv, transforms: Sequence[Transform], **arguments: Any) -> EnvBase:
+    """Make an env with transforms of its own."""
+    env = make_env(**arguments)
     for transform in transforms:
         env.append_transform(transform.clone())
     return env

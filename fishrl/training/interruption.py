@@ -1,9 +1,10 @@
-"""Ending a run when it is told to: Ctrl-C, SIGTERM of a scheduler, and who shall not hear them."""
+"""Ending a run on Ctrl-C or on SIGTERM of a scheduler, with everything saved."""
 
 from __future__ import annotations
 
 import logging
 import signal
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,7 +18,7 @@ TWICE_SECONDS = 1.0
 
 
 class Interrupted(Exception):
-    """The program was told to end, and nothing is half done.
+    """The program was told to end, at a moment when nothing is half done.
 
     Args:
         number: of the signal.
@@ -29,32 +30,33 @@ class Interrupted(Exception):
 
 
 class Interruption:
-    """Remembers a signal until there is a good moment to end; a second one ends at once.
+    """Remembers a signal until the next ``check``; a second one ends at once.
 
-    As a context it listens to the signals of the process; without that it only does as asked.
+    As a context in the main thread it handles the signals of the process; ``request`` needs none.
     """
 
     def __init__(self) -> None:
         self._number: int | None = None
-        self._heard = 0.0
+        self._received = 0.0
         self._before: dict[signal.Signals, object] = {}
 
     def request(self, number: int = signal.SIGTERM) -> None:
-        """Ask for an end at the next ``check``."""
+        """Request an end at the next ``check``."""
         self._number = number
 
     def check(self) -> None:
-        """Call this where nothing is half done.
+        """End here if an end was requested; to be called where nothing is half done.
 
         Raises:
-            Interrupted: if an end was asked for.
+            Interrupted: if so.
         """
         if self._number is not None:
             raise Interrupted(self._number)
 
     def __enter__(self) -> Interruption:
-        for number in SIGNALS:
-            self._before[number] = signal.signal(number, self._hear)
+        is_main = threading.current_thread() is threading.main_thread()
+        for number in SIGNALS if is_main else ():
+            self._before[number] = signal.signal(number, self._handle)
         return self
 
     def __exit__(
@@ -66,23 +68,23 @@ class Interruption:
         for number, handler in self._before.items():
             signal.signal(number, handler)  # type: ignore[arg-type]
 
-    def _hear(self, number: int, frame: FrameType | None) -> None:
+    def _handle(self, number: int, frame: FrameType | None) -> None:
         if self._number is not None:
-            if number == self._number and time.monotonic() - self._heard < TWICE_SECONDS:
+            if number == self._number and time.monotonic() - self._received < TWICE_SECONDS:
                 return
             raise KeyboardInterrupt
         self.request(number)
-        self._heard = time.monotonic()
+        self._received = time.monotonic()
         name = signal.Signals(number).name
         logger.warning("%s: saving at the next step; a second signal ends at once", name)
 
 
 @contextmanager
-def spare_children() -> Iterator[None]:
-    """Start processes inside that Ctrl-C and SIGTERM for the whole group do not end.
+def ignore_signals_in_children() -> Iterator[None]:
+    """Block SIGINT and SIGTERM in processes that are started inside.
 
-    They end with this one, which first wants an answer from them. A signal that comes meanwhile
-    is heard at the end.
+    A terminal sends Ctrl-C to the whole process group; flow workers must outlive it until this
+    process has saved their flows. A signal that arrives meanwhile is handled at the end.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:

@@ -1,4 +1,4 @@
-"""A brain that learns: what acts, what it remembers, and one gradient step."""
+"""What learns: a policy, the transitions it remembers, and one gradient step."""
 
 from __future__ import annotations
 
@@ -14,18 +14,7 @@ from torchrl.data.replay_buffers.samplers import Sampler
 from torchrl.envs import Transform
 from torchrl.objectives import LossModule, SoftUpdate
 
-from experiments.settings import TrainConfig
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Run torch on one CPU thread: for networks this small, more threads mostly wait."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
+from fishrl.training.settings import LearningSettings
 
 
 class Learner:
@@ -35,9 +24,10 @@ class Learner:
         actor: the policy that is evaluated and saved; under ``ExplorationType.DETERMINISTIC`` it
             acts greedily.
         explorer: the policy that collects, of the same weights; its state is the collector's.
-        loss: entries ``loss_...`` of what it returns add up to what is minimised.
-        reports: what a gradient step reports, as ``train/<name>``; entries of the same.
-        config: settings that all algorithms share.
+        loss: the sum of its entries ``loss_...`` is minimised.
+        reports: entries of the loss that are logged as ``train/<name>``.
+        settings: settings that all algorithms share.
+        device: where networks and buffer live.
         keys: entries of a transition beside the loss's own that the sampler reads.
         sampler: draws from the buffer; by default uniformly.
         transforms: of the environment that collects.
@@ -50,29 +40,30 @@ class Learner:
         explorer: TensorDictModuleBase,
         loss: LossModule,
         reports: Sequence[str],
-        config: TrainConfig,
+        settings: LearningSettings,
+        device: str = "cpu",
         keys: Sequence[Any] = (),
         sampler: Sampler | None = None,
         transforms: Sequence[Transform] = (),
     ) -> None:
         self.actor, self.explorer, self.loss = actor, explorer, loss
         self.reports, self.transforms = tuple(reports), tuple(transforms)
-        self.loss.make_value_estimator(gamma=config.gamma)
-        self.targets = SoftUpdate(self.loss, tau=config.tau)
+        self.loss.make_value_estimator(gamma=settings.gamma)
+        self.targets = SoftUpdate(self.loss, tau=settings.tau)
         self.optimiser = torch.optim.Adam(
-            self.loss.parameters(), lr=config.learning_rate, fused=True
+            self.loss.parameters(), lr=settings.learning_rate, fused=True
         )
         self._keys = [*self.loss.in_keys, *keys]
         # No prefetch: its threads would draw batches in an order that no seed fixes.
         self.buffer = TensorDictReplayBuffer(
-            storage=LazyTensorStorage(config.buffer_size, device=config.device),
+            storage=_ZeroedStorage(settings.buffer_size, device=device),
             sampler=sampler,
-            batch_size=config.batch_size,
+            batch_size=settings.batch_size,
             prefetch=0,
         )
 
     def remember(self, transitions: TensorDictBase) -> int:
-        """Store transitions ``[N]`` but for those whose flow diverged, and return how many did.
+        """Store transitions ``[N]`` except diverged ones, and return how many those were.
 
         Raises:
             ValueError: if a state leaves no legal action.
@@ -81,11 +72,11 @@ class Learner:
             raise ValueError(
                 "action_mask: a state has no legal action; every state needs one, also a final one"
             )
-        is_sound = ~transitions["next", "diverged"].reshape(-1)
-        sound = transitions.select(*self._keys)[is_sound]
-        if sound.shape[0] > 0:
-            self.buffer.extend(sound)
-        return transitions.shape[0] - sound.shape[0]
+        is_valid = ~transitions["next", "diverged"].reshape(-1)
+        valid = transitions.select(*self._keys)[is_valid]
+        if valid.shape[0] > 0:
+            self.buffer.extend(valid)
+        return transitions.shape[0] - valid.shape[0]
 
     def update(self) -> TensorDict:
         """Take one gradient step, and return the losses and what else the loss reports."""
@@ -104,3 +95,22 @@ class Learner:
             "optimiser": self.optimiser,
             "buffer": self.buffer,
         }
+
+
+class _ZeroedStorage(LazyTensorStorage):
+    """Storage whose unwritten rows are zero: checkpoints hold no left-over memory."""
+
+    def _init(self, *args: Any, **kwargs: Any) -> None:
+        super()._init(*args, **kwargs)
+        self._storage.zero_()
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Run torch on one CPU thread: networks this small gain nothing from more."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -72,7 +72,14 @@ class Counters:
         return {**vars(self), "recent": list(self.recent), "pending": dict(self.pending)}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned."""
+        """Restore what ``state_dict`` returned.
+
+        Raises:
+            ValueError: if it is the state of something else.
+        """
+        unknown = sorted(set(state) - set(vars(self)))
+        if unknown:
+            raise ValueError(f"counters: {unknown} are not among {sorted(vars(self))}")
         for name, value in state.items():
             setattr(self, name, value)
         self.recent = deque(state["recent"], maxlen=WINDOW)

@@ -11,7 +11,6 @@ from typing import Any
 
 from torchrl.envs import EnvBase, Transform
 
-from experiments.settings import ConfigError
 from fishrl.envs import KarmanGait, TrueFlowLabel, make_recognition
 from fishrl.modules import LateralLineClassifier
 
@@ -34,7 +33,7 @@ class Recognition:
         num_told: numbers that stand behind each observation: one per flow, or none.
 
     Raises:
-        ConfigError: if the task has no flows to tell apart.
+        ValueError: if the task has no flows to tell apart.
         ValueError: if the machine cannot be read, or was trained for other flows or sensors.
     """
 
@@ -45,7 +44,7 @@ class Recognition:
         if choice is None:
             return
         if not isinstance(task, KarmanGait):
-            raise ConfigError(
+            raise ValueError(
                 f"recognition={choice}: {type(task).__name__} has no flows to tell apart; "
                 "take recognition=null, or task=karman_gait"
             )
@@ -77,13 +76,13 @@ def keep_machine(choice: str | None, folder: Path) -> str | None:
     """Copy the machine of a run into its folder, where nobody trains it anew; return the setting.
 
     Raises:
-        ConfigError: if there is no such file.
+        ValueError: if there is no such file.
     """
     if choice is None or choice == ORACLE:
         return choice
     source = Path(choice).expanduser()
     if not source.is_file():
-        raise ConfigError(
+        raise ValueError(
             f"recognition={choice}: there is no such file; give oracle, or the machine.pt that "
             "python -m experiments.train_lateral_line wrote"
         )

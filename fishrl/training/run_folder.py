@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
-from omegaconf import OmegaConf
+import yaml
 
 from fishrl.files import staged
 from fishrl.training.interruption import Interrupted
@@ -22,7 +22,7 @@ logger = logging.getLogger(__name__)
 
 
 class HeldError(ValueError):
-    """A run that another process writes."""
+    """Another process writes the run."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,8 @@ class RunFolder:
         return self.path / "checkpoints" / "best"
 
     @property
-    def machine(self) -> Path:
-        """The lateral-line machine that tells its fish the flow, if one does."""
+    def classifier(self) -> Path:
+        """The lateral-line classifier that labels its flows, if one does."""
         return self.path / "machine.pt"
 
     @property
@@ -76,9 +76,11 @@ class RunFolder:
         """Make a new folder; one that exists is left alone and a number is put behind the name.
 
         Raises:
-            ValueError: if it cannot be made or written.
+            ValueError: if it cannot be made or written, or would not lie in ``parent``.
         """
         base = Path(parent).expanduser()
+        if Path(name).name != name or name == "..":
+            raise ValueError(f"name = {name}: is the name of a folder in {base}, without slashes")
         number = 1
         while True:
             path = base / (name if number == 1 else f"{name}-{number}")
@@ -97,7 +99,7 @@ class RunFolder:
         return cls(path).checked()
 
     @classmethod
-    def of_existing(cls, path: str) -> RunFolder:
+    def of_existing(cls, path: str | Path) -> RunFolder:
         """Take a folder that a run has written.
 
         Raises:
@@ -137,7 +139,7 @@ class RunFolder:
         return len(self.metrics.read_text(encoding="utf-8").splitlines()) > 1
 
     def hold(self) -> TextIO:
-        """Take the run for this process, until the file is closed or the process ends, however.
+        """Lock the run for this process, until the file is closed or the process ends.
 
         Raises:
             HeldError: if another process has it.
@@ -156,7 +158,7 @@ class RunFolder:
 
     @contextmanager
     def noting_failure(self) -> Iterator[None]:
-        """Write down why it failed, if it does; an interruption is no failure."""
+        """Write an error that occurs inside to ``failure.txt``; an interruption is none."""
         self.failure.unlink(missing_ok=True)
         try:
             yield
@@ -180,15 +182,31 @@ def refuse_many(folder: Path, *, setting: str) -> None:
         )
 
 
+def read_config(path: Path) -> dict[str, Any]:
+    """Read the ``config.yaml`` of a run.
+
+    Raises:
+        ValueError: if it holds no settings.
+    """
+    try:
+        config = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"{path}: not the configuration of a run ({reason})") from error
+    if not isinstance(config, dict):
+        raise ValueError(f"{path}: not the configuration of a run")
+    return config
+
+
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
-    """Write numbers and words; NaN, which JSON does not know, becomes null."""
+    """Write numbers and words; NaN, which JSON lacks, becomes null."""
     plain = {name: None if value != value else value for name, value in values.items()}
     write_whole(path, json.dumps(plain, indent=2) + "\n")
 
 
 def write_yaml(path: Path, values: Mapping[str, Any]) -> None:
     """Write nested settings."""
-    write_whole(path, OmegaConf.to_yaml(OmegaConf.create(dict(values))))
+    write_whole(path, yaml.safe_dump(dict(values), sort_keys=False, allow_unicode=True))
 
 
 def write_whole(path: Path, text: str) -> None:

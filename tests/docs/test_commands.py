@@ -24,7 +24,8 @@ from experiments.config import SCHEMAS, build, check_overrides, load_config, to_
 from experiments.program import Program
 from experiments.search_path import split_arguments
 from experiments.sweeps.jobs import is_sweep
-from fishrl.training.checkpoint import BrainOf, save_checkpoint
+from fishrl.training.checkpoint import save_checkpoint
+from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import RunFolder, write_whole
 from tests.docs.pages import DOCS, read_blocks
 
@@ -90,8 +91,8 @@ def _write_runs() -> None:
         config = load_config("train", settings)
         plain = to_plain(config)
         write_whole(run.config, yaml.safe_dump(plain))
-        brain = BrainOf.task_of(build(plain["task"]), num_told=0)
-        save_checkpoint(run.best, {}, brain=brain, preset=config.preset, frames=0, config=plain)
+        spec = PolicySpec.for_task(build(plain["task"]))
+        save_checkpoint(run.best, {}, spec=spec, frames=0, config=plain)
 
 
 def _split(line: str, home: Path) -> list[str]:

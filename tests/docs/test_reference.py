@@ -12,7 +12,8 @@ from experiments.config import SCHEMAS
 from experiments.search_path import list_groups
 from fishrl import physics
 from fishrl.envs import KarmanGait, Predation
-from fishrl.training.loop import FINAL_SEED, SELECTION_SEED
+from fishrl.training.loop import SELECTION_SEED
+from fishrl.training.summary import FINAL_SEED
 from tests.docs.pages import DOCS
 
 

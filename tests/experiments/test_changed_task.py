@@ -14,7 +14,8 @@ from experiments import evaluate, view
 from experiments.config import build, check_overrides, load_config, to_plain
 from experiments.settings import ConfigError
 from experiments.train import train
-from fishrl.training.checkpoint import BrainOf, save_checkpoint
+from fishrl.training.checkpoint import save_checkpoint
+from fishrl.training.policy_spec import PolicySpec
 from tests.envs.conftest import gliding  # noqa: F401 - a fixture
 from tests.experiments.test_gait import SETTINGS, make_machine, make_task
 
@@ -31,8 +32,7 @@ def store(folder: Path, *overrides: str, recognition: str | None = None) -> str:
     save_checkpoint(
         folder / "checkpoints" / "last",
         {"net": torch.nn.Linear(1, 1)},
-        brain=BrainOf.task_of(task, num_told=0 if recognition is None else 3),
-        preset=config.preset,
+        spec=PolicySpec.for_task(task, has_labels=recognition is not None),
         frames=0,
         config=to_plain(config),
     )

@@ -1,69 +1,70 @@
-"""What a checkpoint says when it does not fit, and that it cannot run code."""
+"""A checkpoint is whole or not there, of the right task, unchanged, and cannot run code."""
 
 from __future__ import annotations
 
 import json
+import logging
 import os
-import shutil
+import pickle
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
-from experiments.evaluate import evaluate
-from experiments.settings import EvaluateConfig, TrainConfig
-from experiments.train import finish, set_up, train
-from fishrl.training.checkpoint import BrainOf, load_checkpoint, read_metadata, save_checkpoint
-from tests.training.toy_fish import ToyPredation, make_toy_env
+from fishrl.training.checkpoint import (
+    CheckpointNotWritten,
+    load_checkpoint,
+    read_metadata,
+    save_checkpoint,
+)
+from fishrl.training.loop import Training
+from fishrl.training.policy_spec import PolicySpec
+from tests.training.conftest import QUICK, Toy
 
-TOY = {"_target_": "tests.training.toy_fish.ToyPredation"}
-BRAIN = BrainOf(task="Predation", num_inputs=16, num_actions=3)
-
-
-class OtherTask(ToyPredation):
-    pass
-
-
-class WiderTask(ToyPredation):
-    n_obs = 5
-
-
-WiderTask.__name__ = "ToyPredation"
+SPEC = PolicySpec(task="Predation", num_inputs=16, num_actions=3)
+Limit = Callable[[int], AbstractContextManager[None]]
 
 
 def save(path: Path, *, value: float = 1.0) -> torch.nn.Linear:
     net = torch.nn.Linear(3, 2)
     torch.nn.init.constant_(net.weight, value)
-    save_checkpoint(path, {"net": net}, brain=BRAIN, preset="small", frames=7, config={"a": 1})
+    save_checkpoint(path, {"net": net}, spec=SPEC, frames=7, config={"preset": "small"})
+    return net
+
+
+def load(path: Path) -> torch.nn.Linear:
+    net = torch.nn.Linear(3, 2)
+    load_checkpoint(path, {"net": net}, spec=SPEC)
     return net
 
 
 def test_what_was_saved_is_loaded_with_its_metadata(tmp_path: Path) -> None:
     net = save(tmp_path / "last")
-    fresh = torch.nn.Linear(3, 2)
-    metadata = load_checkpoint(tmp_path / "last", {"net": fresh}, brain=BRAIN)
-    assert torch.equal(fresh.weight, net.weight)
-    assert metadata["task"] == "Predation"
-    assert (metadata["preset"], metadata["frames"]) == ("small", 7)
+    assert torch.equal(load(tmp_path / "last").weight, net.weight)
+    metadata = read_metadata(tmp_path / "last")[1]
+    assert (metadata["task"], metadata["preset"], metadata["frames"]) == ("Predation", "small", 7)
 
 
 def test_a_newer_checkpoint_replaces_the_old_one_and_leaves_no_debris(tmp_path: Path) -> None:
     (tmp_path / ".last.stage-0123").mkdir()  # of a process killed while writing
     save(tmp_path / "last", value=1.0)
-    net = save(tmp_path / "last", value=2.0)
-    fresh = torch.nn.Linear(3, 2)
-    load_checkpoint(tmp_path / "last", {"net": fresh}, brain=BRAIN)
-    assert torch.equal(fresh.weight, net.weight)
+    save(tmp_path / "last", value=2.0)
+    assert (load(tmp_path / "last").weight == 2.0).all()
     assert [path.name for path in tmp_path.iterdir()] == ["last"]
 
 
-def test_a_kill_between_two_renames_loses_nothing(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "left", [".last.new", ".last.backup", ".last.backup-0123", "last-000000007"]
+)
+def test_a_kill_between_the_renames_loses_nothing(tmp_path: Path, left: str) -> None:
     save(tmp_path / "last")
-    os.replace(tmp_path / "last", tmp_path / ".last.backup-0123")
-    found, metadata = read_metadata(tmp_path / "last")
-    assert found.name == ".last.backup-0123"
-    assert metadata["frames"] == 7
+    (tmp_path / "last").rename(tmp_path / left)
+    assert read_metadata(tmp_path / "last")[1]["frames"] == 7
+    save(tmp_path / "last", value=2.0)
+    assert (load(tmp_path / "last").weight == 2.0).all()
 
 
 def test_a_run_folder_gives_its_best_checkpoint_and_before_there_is_one_the_last(
@@ -78,18 +79,17 @@ def test_a_run_folder_gives_its_best_checkpoint_and_before_there_is_one_the_last
 
 def test_a_missing_checkpoint_is_an_error_that_says_what_to_give(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="there is none; give the folder of a run"):
-        load_checkpoint(tmp_path / "nothing", {}, brain=BRAIN)
+        load(tmp_path / "nothing")
     (tmp_path / "checkpoints").mkdir()
     with pytest.raises(ValueError, match="there is none; give the folder of a run"):
-        load_checkpoint(tmp_path, {}, brain=BRAIN)
+        load(tmp_path)
 
 
 @pytest.mark.parametrize("damage", ["no manifest", "no json", "truncated", "missing file", "list"])
 def test_a_corrupt_checkpoint_is_an_error(tmp_path: Path, damage: str) -> None:
     path = tmp_path / "last"
     save(path)
-    payload = next(path.rglob("state.pt"))
-    manifest = path / "manifest.json"
+    payload, manifest = next(path.rglob("state.pt")), path / "manifest.json"
     if damage == "no manifest":
         manifest.unlink()
     elif damage == "no json":
@@ -101,90 +101,156 @@ def test_a_corrupt_checkpoint_is_an_error(tmp_path: Path, damage: str) -> None:
     else:
         manifest.write_text(json.dumps([1, 2]))
     with pytest.raises(ValueError, match="corrupt or not a checkpoint"):
-        load_checkpoint(path, {"net": torch.nn.Linear(3, 2)}, brain=BRAIN)
+        load(path)
 
 
-def test_a_file_that_is_no_checkpoint_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "last").write_text("not a checkpoint")
-    with pytest.raises(ValueError, match="corrupt or not a checkpoint"):
-        read_metadata(tmp_path / "last")
-
-
-def test_a_checkpoint_cannot_run_code(tmp_path: Path) -> None:
-    class Evil:
-        def __reduce__(self) -> tuple[Callable[[str], int], tuple[str]]:
-            return os.system, (f"touch {tmp_path / 'ran'}",)
-
+def test_a_single_flipped_bit_is_noticed(tmp_path: Path) -> None:
     save(tmp_path / "last")
-    torch.save(Evil(), next((tmp_path / "last").rglob("state.pt")))
+    payload = next(tmp_path.rglob("state.pt"))
+    content = bytearray(payload.read_bytes())
+    for place in range(0, len(content), 97):
+        content[place] ^= 1
+        payload.write_bytes(content)
+        with pytest.raises(ValueError, match="has changed since it was written"):
+            load(tmp_path / "last")
+        content[place] ^= 1
+
+
+class Evil:
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> tuple[Callable[[str], int], tuple[str]]:
+        return os.system, (f"touch {self.mark}",)
+
+
+@pytest.mark.parametrize("way", ["state.pt", "state", "state.tdz"])
+def test_a_checkpoint_cannot_run_code(tmp_path: Path, way: str) -> None:
+    save(tmp_path / "last")
+    manifest = tmp_path / "last" / "manifest.json"
+    content = json.loads(manifest.read_text())
+    del content["metadata"]["sha256"]  # as in older checkpoints, or by whoever changed the file
+    manifest.write_text(json.dumps(content))
+    file = next((tmp_path / "last").rglob("state.pt"))
+    evil = Evil(tmp_path / "ran")
+    if way == "state.pt":
+        torch.save(evil, file)
+    else:
+        file.unlink()
+        other = file.with_name(way)
+        if way == "state":
+            other.mkdir()
+            other = other / "other.pickle"
+        other.write_bytes(pickle.dumps(evil))
     with pytest.raises(ValueError, match="corrupt or not a checkpoint"):
-        load_checkpoint(tmp_path / "last", {"net": torch.nn.Linear(3, 2)}, brain=BRAIN)
+        load(tmp_path / "last")
     assert not (tmp_path / "ran").exists()
 
 
 @pytest.mark.parametrize(
-    ("brain", "said"),
+    ("changed", "said"),
     [
-        (BrainOf(task="Gait", num_inputs=16, num_actions=3), "task = 'Predation', here it is 'Ga"),
-        (BrainOf(task="Predation", num_inputs=20, num_actions=3), "num_inputs = 16, here it is 20"),
-        (BrainOf(task="Predation", num_inputs=16, num_actions=5), "num_actions = 3, here it is 5"),
+        ({"task": "Gait"}, "task = 'Predation', here it is 'Gait'"),
+        ({"num_inputs": 20}, "num_inputs = 16, here it is 20"),
+        ({"num_actions": 5}, "num_actions = 3, here it is 5"),
     ],
 )
 def test_a_checkpoint_of_another_task_or_size_is_refused(
-    tmp_path: Path, brain: BrainOf, said: str
+    tmp_path: Path, changed: dict[str, Any], said: str
 ) -> None:
     save(tmp_path / "last")
+    other = PolicySpec(**{"task": "Predation", "num_inputs": 16, "num_actions": 3, **changed})
     with pytest.raises(ValueError, match=said):
-        load_checkpoint(tmp_path / "last", {}, brain=brain)
+        load_checkpoint(tmp_path / "last", {}, spec=other)
 
 
-def test_every_part_of_a_run_is_saved_without_pickle_of_code(
-    toy_config: Callable[..., TrainConfig], tmp_path: Path
-) -> None:
-    set_up(toy_config(name="run", total_frames=8), make_env=make_toy_env).run()
-    folder = tmp_path / "run" / "checkpoints" / "last"
+def test_every_part_of_a_run_is_saved_without_pickled_code_or_left_over_memory(toy: Toy) -> None:
+    training = toy.begin(name="run", total_frames=16, buffer_size=500, **QUICK)
+    training.run()
+    folder = toy.folder / "run" / "checkpoints" / "last"
     manifest = json.loads((folder / "manifest.json").read_text())
     parts = {"actor", "loss", "optimiser", "buffer", "collector", "rng", "counters"}
-    assert set(manifest["components"]) == parts
+    assert set(manifest["components"]) == parts == set(manifest["metadata"]["sha256"])
     files = [path for path in folder.rglob("*") if path.is_file() and path.name != "manifest.json"]
     assert len(files) == len(parts)
-    for path in files:
-        torch.load(path, weights_only=True)
+    states = {path.parent.name[5:]: torch.load(path, weights_only=True) for path in files}
+    stored = states["buffer"]["_storage"]["_storage"]
+    rows = [value for value in stored.values() if isinstance(value, torch.Tensor)]
+    assert rows and all((value[16:] == 0).all() for value in rows)
 
 
-def test_a_learned_fish_is_evaluated_as_at_the_end_of_its_run(
-    toy_config: Callable[..., TrainConfig], tmp_path: Path
+def test_a_full_disk_is_named_and_the_checkpoint_before_is_as_it_was(
+    tmp_path: Path, limited_disk: Limit
 ) -> None:
-    summary = train(toy_config(name="run"), make_env=make_toy_env)
-    config = EvaluateConfig(
-        task=TOY, preset="toy", checkpoint=str(tmp_path / "run"), episodes=10, compile=False
-    )
-    result = evaluate(config, make_env=make_toy_env)
-    for key in ("success_rate", "mean_return", "episodes", "diverged"):
-        assert result[key] == summary[key], key
+    save(tmp_path / "last", value=1.0)
+    with (
+        limited_disk(1000),
+        pytest.raises(CheckpointNotWritten, match=r"cannot be written \(.*the one of frame 7"),
+    ):
+        save(tmp_path / "last", value=2.0)
+    assert [path.name for path in tmp_path.iterdir()] == ["last"]
+    assert (load(tmp_path / "last").weight == 1.0).all()
 
 
-@pytest.mark.parametrize(
-    ("task", "said"), [("OtherTask", "it is of task"), ("WiderTask", "it is of num_inputs = 16")]
-)
-def test_a_fish_of_another_task_is_not_evaluated(
-    toy_config: Callable[..., TrainConfig], tmp_path: Path, task: str, said: str
+def test_an_error_that_is_not_the_disks_is_not_taken_for_it(tmp_path: Path) -> None:
+    class Broken(torch.nn.Linear):
+        def state_dict(self, *args: Any, **kwargs: Any) -> Any:
+            raise RuntimeError("a flow worker failed")
+
+    with pytest.raises(RuntimeError, match="a flow worker failed"):
+        save_checkpoint(tmp_path / "last", {"net": Broken(1, 1)}, spec=SPEC, frames=7, config={})
+
+
+def test_a_folder_that_cannot_be_written_any_more_is_named(read_only_folder: Path) -> None:
+    with pytest.raises(CheckpointNotWritten, match=r"\(Permission denied\); there is none yet"):
+        save(read_only_folder / "last")
+
+
+@pytest.mark.parametrize("is_killed", [False, True])
+def test_a_run_cut_off_in_its_first_checkpoint_begins_anew(
+    toy: Toy, limited_disk: Limit, is_killed: bool
 ) -> None:
-    set_up(toy_config(name="run", total_frames=8), make_env=make_toy_env).run()
-    config = EvaluateConfig(
-        task={"_target_": f"{__name__}.{task}"},
-        preset="toy",
-        checkpoint=str(tmp_path / "run"),
-        compile=False,
-    )
-    with pytest.raises(ValueError, match=said):
-        evaluate(config, make_env=make_toy_env)
+    run = toy.folder / "run"
+    training = toy.begin(name="run", **QUICK)
+    with limited_disk(1000), pytest.raises(CheckpointNotWritten, match="there is none yet"):
+        training.run()
+    training.close()
+    if is_killed:
+        (run / "checkpoints" / "..last.new.stage-0a1b").mkdir()
+    toy.reopen("run", total_frames=40).run()
+    assert not list((run / "checkpoints").glob("..*"))
+    assert [row["frames"] for row in toy.rows("run")] == ["40"]
 
 
-def test_a_run_without_its_checkpoint_is_not_resumed(
-    toy_config: Callable[..., TrainConfig], tmp_path: Path
+def test_a_run_outlives_a_full_disk(
+    toy: Toy, limited_disk: Limit, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    finish(set_up(toy_config(name="run", total_frames=80), make_env=make_toy_env))
-    shutil.rmtree(tmp_path / "run" / "checkpoints")
-    with pytest.raises(ValueError, match="there is none"):
-        set_up(toy_config(resume=str(tmp_path / "run")), make_env=make_toy_env)
+    toy.begin(name="whole", **QUICK).run()
+    training = toy.begin(name="run", **QUICK)
+    run, conclude = toy.folder / "run", Training._conclude
+
+    def conclude_on_a_full_disk(self: Training) -> dict[str, float]:
+        if not 80 < self.counters.frames < 200:
+            return conclude(self)
+        with limited_disk((run / "metrics.csv").stat().st_size):
+            metrics = conclude(self)
+        assert read_metadata(run, which="last")[1]["frames"] == 80
+        return metrics
+
+    monkeypatch.setattr(Training, "_conclude", conclude_on_a_full_disk)
+    with caplog.at_level(logging.ERROR, logger="fishrl"):
+        training.run()
+    assert "best: cannot be written" in caplog.text
+    assert "the one of frame 80 is still there" in caplog.text
+    assert "metrics.csv: 1 rows cannot be written (File too large)" in caplog.text
+    assert toy.rows("run") == toy.rows("whole")
+    assert read_metadata(run, which="last")[1]["frames"] == 240
+
+
+def test_a_run_whose_last_checkpoint_cannot_be_written_says_so(
+    toy: Toy, limited_disk: Limit
+) -> None:
+    toy.begin(name="run", total_frames=40, **QUICK).run()
+    longer = toy.reopen("run", total_frames=80)
+    with limited_disk(2000), pytest.raises(CheckpointNotWritten, match="the one of frame 40 is"):
+        longer.run()

@@ -2,47 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import pytest
 import torch
 
-from experiments import settings
-from experiments.settings import ConfigError, TrainConfig
-from experiments.sweeps.runs import read_run
-from experiments.train import finish, set_up
-from fishrl.training.loop import Training
-from fishrl.training.run_folder import RunFolder
-from tests.experiments.test_sweep_jobs import rows_of
-from tests.training.toy_fish import make_toy_env
-
-MakeConfig = Callable[..., TrainConfig]
+from fishrl.training import DQN, complete, runs
+from tests.training.conftest import Toy
 
 
-@pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ({"num_envs": 8, "ray_collectors": 3}, "num_envs = 8: must be a multiple of"),
-        ({"ray_collectors": 2, "live": True}, "take live=false and device=cpu"),
+def test_flows_that_cannot_be_shared_are_refused(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runs, "find_spec", lambda name: None)
+    for wrong, said in (
+        ({"ray_collectors": 3}, "num_envs = 8: must be a multiple of"),
         ({"ray_collectors": -1}, "ray_collectors = -1: must be at least 0"),
-    ],
-)
-def test_flows_that_cannot_be_shared_are_refused(
-    toy_config: MakeConfig, wrong: dict[str, Any], said: str
-) -> None:
-    with pytest.raises(ConfigError, match=said):
-        toy_config(**wrong)
-
-
-def test_without_ray_it_says_what_to_install(
-    toy_config: MakeConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(settings, "find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r"pip install 'fishrl\[cluster\]'"):
-        set_up(toy_config(ray_collectors=2), make_env=make_toy_env)
-    assert not any(tmp_path.iterdir())
+        ({"ray_collectors": 2}, r"pip install 'fishrl\[cluster\]'"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            toy.begin(**wrong)
+    assert not any(toy.folder.iterdir())
 
 
 @pytest.fixture(scope="module")
@@ -56,39 +35,29 @@ def cluster() -> Iterator[None]:
     ray.shutdown()
 
 
-def training_of(config: TrainConfig) -> Training:
-    return set_up(config, make_env=make_toy_env)
-
-
 @pytest.mark.cluster
 @pytest.mark.usefixtures("cluster")
-def test_a_run_on_a_cluster_goes_on_exactly_after_a_stop(
-    toy_config: MakeConfig, tmp_path: Path
-) -> None:
+def test_a_run_on_a_cluster_goes_on_exactly_after_a_stop(toy: Toy) -> None:
     shared: dict[str, Any] = {
         "ray_collectors": 2,
-        "algorithm": {"_target_": "fishrl.training.algorithms.DQN", "epsilon_frames": 100},
+        "algorithm": DQN(epsilon_frames=100),
         "task": {"divergence_rate": 0.05, "banned_action": 2},
     }
-    whole = training_of(toy_config(name="whole", **shared))
-    finish(whole)
+    whole = toy.begin(name="whole", **shared)
+    complete(whole)
     counters, buffer = whole.counters, whole.learner.buffer
     assert counters.diverged > 0
     assert len(buffer) == counters.frames - counters.diverged == 240 - counters.diverged
     assert set(buffer[:]["action"].tolist()) == {0, 1}
-    finish(training_of(toy_config(name="parts", total_frames=120, **shared)))
-    config = toy_config(resume=str(tmp_path / "parts"), **shared)
-    finish(training_of(config))
-    assert rows_of(tmp_path / "parts") == rows_of(tmp_path / "whole")
-    assert RunFolder(tmp_path / "whole").summary.is_file()
+    complete(toy.begin(name="parts", total_frames=120, **shared))
+    complete(toy.reopen("parts", total_frames=240))
+    assert toy.rows("parts") == toy.rows("whole")
 
 
 @pytest.mark.cluster
 @pytest.mark.usefixtures("cluster")
-def test_collectors_act_with_the_newest_weights_and_know_their_episodes_apart(
-    toy_config: MakeConfig,
-) -> None:
-    training = training_of(toy_config(ray_collectors=2, warmup_frames=0))
+def test_collectors_act_with_the_newest_weights_and_know_their_episodes_apart(toy: Toy) -> None:
+    training = toy.begin(ray_collectors=2, warmup_frames=0)
     batches = iter(training.collector)
     first = next(batches)
     assert first.batch_size == torch.Size([2, 4, 1])
@@ -103,30 +72,26 @@ def test_collectors_act_with_the_newest_weights_and_know_their_episodes_apart(
 
 @pytest.mark.cluster
 @pytest.mark.usefixtures("cluster")
-def test_a_lost_machine_ends_the_run_and_nothing_hangs(
-    toy_config: MakeConfig, tmp_path: Path
-) -> None:
+def test_a_lost_machine_ends_the_run_and_nothing_hangs(toy: Toy) -> None:
     import ray
 
-    training = training_of(toy_config(name="run", ray_collectors=2))
-    log = training.metrics_logger.log
+    training = toy.begin(name="run", ray_collectors=2)
+    log = training.plan.logger.log
 
     def log_and_lose(metrics: Mapping[str, float]) -> None:
         log(metrics)
         ray.kill(training.collector._flows.remote_collectors[0])
 
-    training.metrics_logger.log = log_and_lose
+    training.plan.logger.log = log_and_lose  # type: ignore[method-assign]
     with pytest.raises(ray.exceptions.RayActorError):
-        finish(training)
-    assert read_run(tmp_path / "run").status == "failed"
+        complete(training)
+    assert (toy.folder / "run" / "failure.txt").is_file()
 
 
 @pytest.mark.cluster
-def test_a_cluster_that_is_too_small_is_refused(
-    toy_config: MakeConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cluster_that_is_too_small_is_refused(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
     ray = pytest.importorskip("ray", reason="pip install 'fishrl[cluster]'")
     monkeypatch.setattr(ray, "is_initialized", lambda: True)
     monkeypatch.setattr(ray, "cluster_resources", lambda: {"CPU": 1.0})
-    with pytest.raises(ConfigError, match="the cluster has 1 CPUs, and each takes one"):
-        set_up(toy_config(ray_collectors=2), make_env=make_toy_env)
+    with pytest.raises(ValueError, match="the cluster has 1 CPUs, and each takes one"):
+        toy.begin(ray_collectors=2)

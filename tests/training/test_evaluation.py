@@ -3,24 +3,15 @@
 from __future__ import annotations
 
 import math
-import os
-import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from tensordict import TensorDict
 
-from experiments.evaluate import check_result, evaluate, main, write_result
-from experiments.settings import ConfigError, EvaluateConfig
-from fishrl.envs import Predation
 from fishrl.modules import PursuitPolicy, RandomPolicy
-from fishrl.training.baselines import list_baselines, make_policy
 from fishrl.training.evaluation import Evaluation, Evaluator, Policy, fixed_starts
 from tests.training.toy_fish import ToyPredation, make_toy_env
-
-TOY = {"_target_": "tests.training.toy_fish.ToyPredation"}
 
 
 class Fixed:
@@ -133,69 +124,3 @@ def test_fixed_starts_repeat_for_their_seed() -> None:
     first, second, other = (fixed_starts(task, 6, seed=s)["position"] for s in (0, 0, 1))
     assert torch.equal(first, second)
     assert not torch.equal(first, other)
-
-
-def test_hand_written_fish_are_evaluated_by_name() -> None:
-    rates = {}
-    for name in ("random", "pursuit", "intercept"):
-        config = EvaluateConfig(task=TOY, preset="toy", policy=name, episodes=16, compile=False)
-        result = evaluate(config, make_env=make_toy_env)
-        assert (result["fish"], result["task"], result["episodes"]) == (name, "ToyPredation", 16)
-        rates[name] = result["success_rate"]
-    assert rates["pursuit"] > rates["random"]
-
-
-def test_an_unknown_fish_is_refused_with_the_nearest_one() -> None:
-    config = EvaluateConfig(task=TOY, preset="toy", policy="pursiut", compile=False)
-    with pytest.raises(ConfigError, match="Did you mean 'pursuit'"):
-        evaluate(config, make_env=make_toy_env)
-
-
-def test_fish_that_decide_once_per_T_are_not_asked_more_often() -> None:
-    often = Predation(control_interval_T=0.5)
-    assert list_baselines(Predation()) == ["intercept", "pursuit", "random"]
-    assert list_baselines(often) == ["random"]
-    with pytest.raises(
-        ConfigError, match=r"decides once per T, here a decision takes 0\.\d+ T; set"
-    ):
-        make_policy("intercept", task=often, seed=0)
-
-
-def test_where_a_result_cannot_be_written_is_found_before_anything_swims(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: Any, **__: Any) -> None:
-        pytest.fail("swam first")
-
-    monkeypatch.setattr("experiments.evaluate.evaluate", fail)
-    for place, said in (
-        (tmp_path / "nowhere" / "x.json", "error: no folder .*nowhere: make it first"),
-        (tmp_path, "error: save=.*: cannot be written .it is a folder.; choose another file"),
-    ):
-        monkeypatch.setattr(sys, "argv", ["evaluate", "policy=random", f"save={place}"])
-        with pytest.raises(SystemExit, match=said):
-            main()
-    monkeypatch.setattr(os, "access", lambda path, mode: False)
-    with pytest.raises(ValueError, match=r"cannot be written \(no write permission\)"):
-        check_result(str(tmp_path / "x.json"))
-
-
-def test_a_result_that_cannot_be_written_is_printed_all_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def swim_while_the_folder_goes(*_: Any, **__: Any) -> dict[str, Any]:
-        (tmp_path / "gone").rmdir()
-        return {"mean_return": 1.5}
-
-    (tmp_path / "gone").mkdir()
-    monkeypatch.setattr("experiments.evaluate.evaluate", swim_while_the_folder_goes)
-    place = tmp_path / "gone" / "x.json"
-    monkeypatch.setattr(sys, "argv", ["evaluate", "policy=random", f"save={place}"])
-    with pytest.raises(SystemExit, match=r"error: save=.*: cannot be written \(No such file"):
-        main()
-    assert "mean_return             1.500" in capsys.readouterr().out
-
-
-def test_a_result_in_a_folder_without_permission_is_an_error(read_only_folder: Path) -> None:
-    with pytest.raises(ValueError, match=r"cannot be written \(Permission denied\); choose"):
-        write_result(read_only_folder / "x.json", {})

@@ -26,6 +26,9 @@ from torchrl.envs import (
     TransformedEnv,
 )
 
+from fishrl.envs import AbstractTask
+from fishrl.training.baselines import find_baselines, find_pursuers
+
 STATE = ("position", "heading", "food", "direction", "age", "distance", "error", "start_index")
 
 
@@ -37,6 +40,7 @@ class ToyPredation:
     turn_degrees, food_limits_bl, food_y_bl = 15.0, (1.5, 3.5), 2.5
     food_still_T, food_direction = 5.0, "up"
     success = "captured"
+    flow_labels, num_label_inputs = (), 0
 
     def __init__(
         self,
@@ -63,6 +67,10 @@ class ToyPredation:
         draw = torch.rand(num, 2, generator=generator)
         position = torch.tensor([5.0, 1.0]) + draw * torch.tensor([2.5, 3.0])
         return TensorDict({"position": position}, [num])
+
+
+AbstractTask.register(ToyPredation)
+find_baselines.register(ToyPredation)(find_pursuers)
 
 
 class ToyFishEnv(EnvBase):

@@ -1,7 +1,8 @@
-"""Ways to learn, all through the one training loop: the setting ``algorithm``."""
+"""Algorithms, all trained by the one loop."""
 
-from fishrl.training.algorithms.algorithm import Algorithm, build_algorithm
+from fishrl.training.algorithms.algorithm import Algorithm
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
-from fishrl.training.algorithms.value_based import DQN, DRQN
+from fishrl.training.algorithms.dqn import DQN
+from fishrl.training.algorithms.drqn import DRQN
 
-__all__ = ["DQN", "DRQN", "Algorithm", "DiscreteSAC", "build_algorithm"]
+__all__ = ["DQN", "DRQN", "Algorithm", "DiscreteSAC"]

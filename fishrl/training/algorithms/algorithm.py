@@ -1,33 +1,33 @@
-"""What an algorithm is to the training loop, and to those who evaluate what it has learned."""
+"""What an algorithm is to the training loop, and to whoever evaluates what it has learned."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import torch
 from tensordict.nn import TensorDictModuleBase
 
-from experiments.config import build
-from experiments.settings import DEFAULT_ALGORITHM, TrainConfig
-from fishrl.training.checkpoint import BrainOf
 from fishrl.training.learner import Learner
+from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.settings import LearningSettings
 
 
 class Algorithm(ABC):
-    """A way to learn, made of its own settings; those that all share are in ``TrainConfig``.
+    """A way to learn: a frozen dataclass of its own settings.
 
-    Attributes:
-        label: part of a run folder's name; empty for the default.
+    What all algorithms share is in ``LearningSettings``.
     """
 
-    label: str
+    @property
+    @abstractmethod
+    def label(self) -> str:
+        """Part of a run folder's name; empty for the default algorithm."""
 
     @abstractmethod
     def make_policy(
         self,
-        brain: BrainOf,
+        spec: PolicySpec,
         *,
         hidden: Sequence[int],
         generator: torch.Generator | None = None,
@@ -35,17 +35,13 @@ class Algorithm(ABC):
         """Make what is evaluated and saved: a policy that is greedy under ``DETERMINISTIC``.
 
         Args:
-            brain: the sizes it must have.
+            spec: the sizes it must have.
             hidden: widths of the hidden layers.
             generator: source of the initial weights.
         """
 
     @abstractmethod
-    def make_learner(self, brain: BrainOf, config: TrainConfig) -> Learner:
-        """Make a new brain and what it learns with; ``config.seed`` gives its weights."""
-
-
-def build_algorithm(config: Mapping[str, Any]) -> Algorithm:
-    """Make the algorithm of a run from its whole configuration, the default if it names none."""
-    algorithm: Algorithm = build(config.get("algorithm") or DEFAULT_ALGORITHM)
-    return algorithm
+    def make_learner(
+        self, spec: PolicySpec, settings: LearningSettings, *, device: str = "cpu"
+    ) -> Learner:
+        """Make a new policy and what trains it; ``settings.seed`` gives the initial weights."""

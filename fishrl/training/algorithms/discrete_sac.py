@@ -3,70 +3,83 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from torchrl.modules import ProbabilisticActor
 
-from experiments.settings import ConfigError, TrainConfig
+from fishrl.bounds import bounded, check_bounds
 from fishrl.modules import make_actor, make_twin_critics
 from fishrl.objectives import MaskedDiscreteSACLoss
 from fishrl.training.algorithms.algorithm import Algorithm
-from fishrl.training.checkpoint import BrainOf
 from fishrl.training.learner import Learner
+from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.settings import LearningSettings
 
 
+@dataclass(frozen=True, kw_only=True)
 class DiscreteSAC(Algorithm):
     """Actor, twin critics and a temperature; see ``fishrl.objectives.MaskedDiscreteSACLoss``.
 
     Args:
         alpha_init: initial temperature.
-        target_entropy_weight: share of the largest entropy that the policy shall keep.
+        target_entropy_weight: target entropy as a share of the largest possible one.
 
     Raises:
-        ConfigError: if one of them cannot be.
+        ValueError: for a value outside its bounds.
     """
 
-    label = ""
+    alpha_init: float = bounded(1.0, greater=0)
+    target_entropy_weight: float = bounded(0.1, least=0, largest=1)
 
-    def __init__(self, *, alpha_init: float = 1.0, target_entropy_weight: float = 0.1) -> None:
-        if alpha_init <= 0:
-            raise ConfigError(f"algorithm.alpha_init = {alpha_init}: must be greater than 0")
-        if not 0 <= target_entropy_weight <= 1:
-            raise ConfigError(
-                f"algorithm.target_entropy_weight = {target_entropy_weight}: must lie in [0, 1]"
-            )
-        self.alpha_init, self.target_entropy_weight = alpha_init, target_entropy_weight
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
+
+    @property
+    def label(self) -> str:
+        """Empty: the default algorithm."""
+        return ""
 
     def make_policy(
         self,
-        brain: BrainOf,
+        spec: PolicySpec,
         *,
         hidden: Sequence[int],
         generator: torch.Generator | None = None,
     ) -> ProbabilisticActor:
         """Make the softmax actor."""
         return make_actor(
-            num_inputs=brain.num_inputs,
-            num_actions=brain.num_actions,
+            num_inputs=spec.num_inputs,
+            num_actions=spec.num_actions,
             hidden=hidden,
             generator=generator,
         )
 
-    def make_learner(self, brain: BrainOf, config: TrainConfig) -> Learner:
+    def make_learner(
+        self, spec: PolicySpec, settings: LearningSettings, *, device: str = "cpu"
+    ) -> Learner:
         """Make the actor, which explores by itself, and its critics."""
-        generator = torch.Generator().manual_seed(config.seed)
-        actor = self.make_policy(brain, hidden=config.hidden, generator=generator).to(config.device)
+        generator = torch.Generator().manual_seed(settings.seed)
+        actor = self.make_policy(spec, hidden=settings.hidden, generator=generator).to(device)
         critics = make_twin_critics(
-            num_inputs=brain.num_inputs,
-            num_actions=brain.num_actions,
-            hidden=config.hidden,
+            num_inputs=spec.num_inputs,
+            num_actions=spec.num_actions,
+            hidden=settings.hidden,
             generator=generator,
         )
         loss = MaskedDiscreteSACLoss(
             actor,
-            [critic.to(config.device) for critic in critics],
-            num_actions=brain.num_actions,
+            [critic.to(device) for critic in critics],
+            num_actions=spec.num_actions,
             alpha_init=self.alpha_init,
             target_entropy_weight=self.target_entropy_weight,
         )
-        return Learner(actor=actor, explorer=actor, loss=loss, reports=loss.out_keys, config=config)
+        return Learner(
+            actor=actor,
+            explorer=actor,
+            loss=loss,
+            reports=loss.out_keys,
+            settings=settings,
+            device=device,
+        )

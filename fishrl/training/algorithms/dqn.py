@@ -1,0 +1,98 @@
+"""DQN and double DQN with action masks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+
+from fishrl.bounds import bounded, check_bounds
+from fishrl.modules import EpsilonGreedy, make_value_actor
+from fishrl.objectives import MaskedDQNLoss
+from fishrl.training.algorithms.algorithm import Algorithm
+from fishrl.training.learner import Learner
+from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.settings import LearningSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class DQN(Algorithm):
+    """One network of action values: the policy takes the legal action of the largest value.
+
+    Mnih et al. 2015; with ``is_double`` van Hasselt et al. 2016. Unlike there, the target network
+    follows softly, as those of SAC do.
+
+    Args:
+        is_double: let the network that learns choose the action whose value the target gives.
+        epsilon_start: share of random legal actions when the warm-up is over.
+        epsilon_end: share that remains.
+        epsilon_frames: env frames after the warm-up from the one to the other.
+
+    Raises:
+        ValueError: for a value outside its bounds.
+    """
+
+    is_double: bool = False
+    epsilon_start: float = bounded(1.0, least=0, largest=1)
+    epsilon_end: float = bounded(0.05, least=0, largest=1)
+    epsilon_frames: int = bounded(1000, least=1)
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
+        if self.epsilon_end > self.epsilon_start:
+            raise ValueError(
+                f"epsilon_end = {self.epsilon_end}: must be at most epsilon_start = "
+                f"{self.epsilon_start}"
+            )
+
+    @property
+    def label(self) -> str:
+        """Part of a run folder's name."""
+        return "double_dqn" if self.is_double else "dqn"
+
+    def make_policy(
+        self,
+        spec: PolicySpec,
+        *,
+        hidden: Sequence[int],
+        generator: torch.Generator | None = None,
+    ) -> TensorDictModuleBase:
+        """Make the greedy policy."""
+        return make_value_actor(
+            num_inputs=spec.num_inputs,
+            num_actions=spec.num_actions,
+            hidden=hidden,
+            generator=generator,
+        )
+
+    def make_learner(
+        self, spec: PolicySpec, settings: LearningSettings, *, device: str = "cpu"
+    ) -> Learner:
+        """Make the network, and an explorer that takes random legal actions now and then."""
+        generator = torch.Generator().manual_seed(settings.seed)
+        actor = self.make_policy(spec, hidden=settings.hidden, generator=generator).to(device)
+        loss = MaskedDQNLoss(actor, is_double=self.is_double)
+        return Learner(
+            actor=actor,
+            explorer=self.make_explorer(actor, spec, device=device),
+            loss=loss,
+            reports=loss.out_keys,
+            settings=settings,
+            device=device,
+        )
+
+    def make_explorer(
+        self, actor: TensorDictModuleBase, spec: PolicySpec, *, device: str
+    ) -> TensorDictSequential:
+        """Make the policy that collects: the greedy one, with random legal actions mixed in."""
+        mixed_in = EpsilonGreedy(
+            num_actions=spec.num_actions,
+            start=self.epsilon_start,
+            end=self.epsilon_end,
+            num_frames=self.epsilon_frames,
+            device=device,
+        )
+        return TensorDictSequential(actor, mixed_in)

@@ -1,0 +1,104 @@
+"""DRQN: DQN with an LSTM in the place of the observation stack."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torchrl.data import SliceSampler
+
+from fishrl.bounds import bounded
+from fishrl.modules import RecurrentPolicy, make_recurrent_value_actor
+from fishrl.objectives import RecurrentDQNLoss
+from fishrl.training.algorithms.dqn import DQN
+from fishrl.training.learner import Learner
+from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.settings import LearningSettings
+
+TRAJECTORY, STEP = ("collector", "traj_ids"), "step_count"
+
+
+@dataclass(frozen=True, kw_only=True)
+class DRQN(DQN):
+    """DQN that reads the newest observation alone and remembers the others in an LSTM.
+
+    Hausknecht & Stone 2015, trained on sequences that begin with the LSTM state at the time of
+    collection, as in Kapturowski et al. 2019 (R2D2). A gradient step reads ``batch_size /
+    sequence_length`` sequences: as many transitions as that of the other algorithms, or fewer where
+    sequences are short.
+
+    Args:
+        sequence_length: decisions in a sequence; the rest of a shorter episode is one, too.
+        is_double: see ``DQN``.
+        epsilon_start: see ``DQN``.
+        epsilon_end: see ``DQN``.
+        epsilon_frames: see ``DQN``.
+
+    Raises:
+        ValueError: for a value outside its bounds.
+    """
+
+    sequence_length: int = bounded(8, least=1)
+
+    @property
+    def label(self) -> str:
+        """Part of a run folder's name."""
+        return "double_drqn" if self.is_double else "drqn"
+
+    def make_policy(
+        self,
+        spec: PolicySpec,
+        *,
+        hidden: Sequence[int],
+        generator: torch.Generator | None = None,
+    ) -> RecurrentPolicy:
+        """Make the greedy policy, which carries the LSTM state by itself."""
+        return RecurrentPolicy(
+            make_recurrent_value_actor(
+                num_inputs=spec.num_observed,
+                num_actions=spec.num_actions,
+                hidden=hidden,
+                generator=generator,
+            )
+        )
+
+    def make_learner(
+        self, spec: PolicySpec, settings: LearningSettings, *, device: str = "cpu"
+    ) -> Learner:
+        """Make the network; while it collects, the environment carries the LSTM state.
+
+        Raises:
+            ValueError: if a batch is not a whole number of sequences.
+        """
+        if settings.batch_size % self.sequence_length:
+            raise ValueError(
+                f"batch_size = {settings.batch_size}: must be a multiple of "
+                f"algorithm.sequence_length = {self.sequence_length}"
+            )
+        generator = torch.Generator().manual_seed(settings.seed)
+        actor = self.make_policy(spec, hidden=settings.hidden, generator=generator).to(device)
+        loss = RecurrentDQNLoss(
+            actor.network, sequence_length=self.sequence_length, is_double=self.is_double
+        )
+        return Learner(
+            actor=actor,
+            explorer=self.make_explorer(actor.network, spec, device=device),
+            loss=loss,
+            reports=loss.out_keys,
+            settings=settings,
+            device=device,
+            keys=(TRAJECTORY, STEP),
+            # Episodes lie in pieces between those of other flows, diverged decisions are missing.
+            sampler=SliceSampler(
+                slice_len=self.sequence_length,
+                traj_key=TRAJECTORY,
+                step_key=STEP,
+                fragmented=True,
+                strict_length=False,
+                pad_output=True,
+                init_key=None,
+                truncated_key=None,
+            ),
+            transforms=[actor.make_primer()],
+        )

@@ -1,0 +1,49 @@
+"""The classifier of a run: read from a file, kept in the run folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from shutil import copyfile
+
+from fishrl.envs.transforms import ORACLE
+from fishrl.modules import LateralLineClassifier
+
+#: Name of the classifier that a run has copied into its folder.
+OWN = "machine.pt"
+
+Recognition = LateralLineClassifier | str | None
+
+
+def load_recognition(choice: Recognition, folder: Path = Path()) -> Recognition:
+    """Return who labels flows, for ``make_env(recognition=...)``.
+
+    Args:
+        choice: None, ``oracle``, a classifier, or the file of one.
+        folder: run or checkpoint where the file of a run's own classifier is looked for.
+
+    Raises:
+        ValueError: if the file cannot be read.
+    """
+    if not isinstance(choice, str) or choice == ORACLE:
+        return choice
+    places = [place / OWN for place in (folder, *folder.resolve().parents[:2])]
+    own = next((path for path in places if path.is_file()), places[0])
+    return LateralLineClassifier.load(own if choice == OWN else Path(choice).expanduser())
+
+
+def keep_recognition(choice: Recognition, folder: Path) -> str | None:
+    """Copy the classifier of a run into its folder, and return the setting of the run.
+
+    Raises:
+        ValueError: if there is no such file.
+    """
+    if choice is None or choice == ORACLE:
+        return choice
+    if isinstance(choice, LateralLineClassifier):
+        choice.save(folder / OWN)
+        return OWN
+    source = Path(choice).expanduser()
+    if not source.is_file():
+        raise ValueError(f"recognition = {choice}: there is no such file; give oracle or a file")
+    copyfile(source, folder / OWN)
+    return OWN

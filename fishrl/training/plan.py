@@ -1,0 +1,115 @@
+"""All that a run is made from, as objects and as the ``config.yaml`` in its folder."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any
+
+from fishrl.bounds import suggest
+from fishrl.envs import AbstractTask
+from fishrl.training.algorithms import Algorithm, DiscreteSAC
+from fishrl.training.description import describe, make, to_plain
+from fishrl.training.logger import CsvLogger
+from fishrl.training.settings import LearningSettings, RunSettings
+
+LEARNING = tuple(entry.name for entry in fields(LearningSettings))
+RUN = tuple(entry.name for entry in fields(RunSettings))
+#: What a run is, besides its settings; fixed like those of learning.
+PARTS = ("task", "algorithm", "logger", "preset", "recognition")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """A run before it runs.
+
+    Args:
+        task: what the fish does.
+        algorithm: how it learns.
+        learning: what makes the result.
+        run: where and how often.
+        logger: where numbers go.
+        preset: name of the preset, for the files of the run.
+        recognition: who labels the flows: None, ``oracle``, or the file of a classifier.
+        extra: further settings that ``config.yaml`` shall hold, of whoever trains.
+    """
+
+    task: AbstractTask
+    algorithm: Algorithm = field(default_factory=DiscreteSAC)
+    learning: LearningSettings = field(default_factory=LearningSettings)
+    run: RunSettings = field(default_factory=RunSettings)
+    logger: CsvLogger = field(default_factory=CsvLogger)
+    preset: str | None = None
+    recognition: str | None = None
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Name of the run folder."""
+        words = (
+            type(self.task).__name__.lower(),
+            self.preset,
+            self.algorithm.label,
+            f"seed{self.learning.seed}",
+        )
+        return self.run.name or "-".join(word for word in words if word)
+
+    def to_config(self) -> dict[str, Any]:
+        """Return the plan as nested plain values, settings at the top level."""
+        return {
+            "task": describe(self.task),
+            "algorithm": describe(self.algorithm),
+            "logger": describe(self.logger),
+            "preset": self.preset,
+            "recognition": self.recognition,
+            **to_plain(asdict(self.learning)),
+            **to_plain(asdict(self.run)),
+            **to_plain(self.extra),
+        }
+
+    @classmethod
+    def from_config(cls, config: Mapping[str, Any], *, modules: Collection[str] = ()) -> Plan:
+        """Make a plan of what ``config.yaml`` or the metadata of a checkpoint says.
+
+        Args:
+            config: see ``to_config``. What is missing is left at its default.
+            modules: of one's own that may be imported, see ``description.make``.
+
+        Raises:
+            ValueError: for a class that is not allowed, and values that cannot be.
+        """
+        algorithm = dict(config.get("algorithm") or describe(DiscreteSAC()))
+        former = ("alpha_init", "target_entropy_weight")  # of runs before there was a choice
+        algorithm |= {name: config[name] for name in former if name in config}
+        known = {*LEARNING, *RUN, *PARTS, *former}
+        try:
+            learning = LearningSettings(**{n: config[n] for n in LEARNING if n in config})
+            run = RunSettings(**{n: config[n] for n in RUN if n in config})
+        except TypeError as error:
+            raise ValueError(f"settings of the run: {error}") from error
+        logger = config.get("logger") or describe(CsvLogger())
+        return cls(
+            task=make(config.get("task"), kind=AbstractTask, modules=modules),
+            algorithm=make(algorithm, kind=Algorithm, modules=modules),
+            learning=learning,
+            run=run,
+            logger=make(logger, kind=CsvLogger, modules=modules),
+            preset=config.get("preset"),
+            recognition=config.get("recognition"),
+            extra={name: value for name, value in config.items() if name not in known},
+        )
+
+    def change(self, **changes: Any) -> Plan:
+        """Return the plan with other settings of ``RunSettings`` or ``extra``.
+
+        Raises:
+            ValueError: for a setting that a run has fixed, and for unknown ones.
+        """
+        for name in changes:
+            if name in (*LEARNING, *PARTS):
+                raise ValueError(f"{name}: is fixed in a run that has begun; start a new run")
+            if name not in RUN and name not in self.extra:
+                raise ValueError(f"{name}: no such setting{suggest(name, (*RUN, *self.extra))}")
+        of_run = {name: value for name, value in changes.items() if name in RUN}
+        extra = {name: value for name, value in changes.items() if name not in RUN}
+        return replace(self, run=replace(self.run, **of_run), extra={**self.extra, **extra})

@@ -1,0 +1,150 @@
+"""Learned policies from their checkpoints, and how well a policy does."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Any
+
+from tensordict.nn import TensorDictModuleBase
+
+from fishrl.envs import AbstractTask, make_env
+from fishrl.envs.episodes import Policy
+from fishrl.envs.transforms import equip
+from fishrl.training.baselines import make_policy
+from fishrl.training.checkpoint import load_checkpoint, read_metadata
+from fishrl.training.classifier import Recognition, load_recognition
+from fishrl.training.collector import MakeEnv
+from fishrl.training.evaluation import Evaluator, fixed_starts
+from fishrl.training.observer import Observer
+from fishrl.training.plan import Plan
+from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.progress import Progress
+from fishrl.training.settings import check_device
+
+
+def load_plan(checkpoint: str | Path, *, modules: Collection[str] = ()) -> tuple[Path, Plan]:
+    """Return where a checkpoint lies, and the plan of its run.
+
+    Args:
+        checkpoint: run folder or checkpoint.
+        modules: of one's own that may be imported, see ``description.make``.
+
+    Raises:
+        ValueError: if there is none, or it names classes that are not allowed.
+    """
+    path, metadata = read_metadata(checkpoint)
+    return path, Plan.from_config(metadata["config"], modules=modules)
+
+
+def load_policy(
+    checkpoint: str | Path,
+    *,
+    task: AbstractTask | None = None,
+    has_labels: bool | None = None,
+    device: str = "cpu",
+    modules: Collection[str] = (),
+) -> TensorDictModuleBase:
+    """Load the learned policy of a run folder or a checkpoint.
+
+    Args:
+        checkpoint: where it lies.
+        task: what it shall do; by default the task of its run.
+        has_labels: whether transforms label the flows of the task; by default as in its run.
+        device: where it computes.
+        modules: of one's own that may be imported, see ``description.make``.
+
+    Raises:
+        ValueError: if the checkpoint is missing, corrupt, or of another task.
+    """
+    path, plan = load_plan(checkpoint, modules=modules)
+    if has_labels is None:
+        has_labels = plan.recognition is not None
+    spec = PolicySpec.for_task(task or plan.task, has_labels=has_labels)
+    spec.check(read_metadata(path)[1], path=path)
+    actor = plan.algorithm.make_policy(spec, hidden=plan.learning.hidden).to(device)
+    load_checkpoint(path, {"actor": actor}, spec=spec, device=device)
+    return actor
+
+
+def evaluate(
+    policy: str | Path | Policy,
+    *,
+    task: AbstractTask | None = None,
+    recognition: Recognition = None,
+    episodes: int = 32,
+    num_envs: int = 16,
+    seed: int = 0,
+    device: str = "cpu",
+    compile: bool = True,
+    make_env: MakeEnv = make_env,
+    observer: Observer | None = None,
+    progress: Progress | None = None,
+    modules: Collection[str] = (),
+) -> dict[str, Any]:
+    """Run one episode from each of the fixed starts.
+
+    Args:
+        policy: ``Path`` of a run folder or checkpoint, name of a baseline of the task, or a policy
+            that writes ``action``.
+        task: what it shall do; a checkpoint brings its own.
+        recognition: labels flows, see ``make_env``, or the file of a classifier; a checkpoint
+            without a given task brings its own.
+        episodes: number of starts.
+        num_envs: flows that advance together.
+        seed: of the starts and of random actions; 0 gives those of every run's last evaluation, 1
+            those that chose its best checkpoint.
+        device: cpu or cuda.
+        compile: compile the flow step.
+        make_env: makes the env.
+        observer: looks on.
+        progress: the bar.
+        modules: see ``load_policy``.
+
+    Returns:
+        ``success_rate``, ``mean_return``, ``mean_length_T``, ``mean_time_to_success_T``,
+        ``episodes`` and ``diverged``.
+
+    Raises:
+        ValueError: for settings that cannot be, and checkpoints that do not fit.
+    """
+    check_device(device)
+    progress, observer = progress or Progress(is_shown=False), observer or Observer()
+    if isinstance(policy, Path) and task is None:
+        path, plan = load_plan(policy, modules=modules)
+        task, recognition = plan.task, load_recognition(plan.recognition, path)
+    if task is None:
+        raise ValueError("evaluate: give a task, or the Path of a checkpoint, which brings its own")
+    recognition = load_recognition(recognition)
+    task, _ = equip(task, recognition)
+    has_labels = recognition is not None
+    act: Policy
+    if isinstance(policy, Path):
+        act = load_policy(policy, task=task, has_labels=has_labels, device=device, modules=modules)
+    elif isinstance(policy, str):
+        act = make_policy(policy, task=task, seed=seed)
+    else:
+        act = policy
+    progress.rename("compilation" if compile else "set-up")
+    env = make_env(
+        task=task,
+        num_envs=min(num_envs, episodes),
+        seed=seed,
+        device=device,
+        compile=compile,
+        frames_per_action=task.checks_per_action,
+        **({"recognition": recognition} if has_labels else {}),
+    )
+    with ExitStack() as stack:
+        stack.callback(env.close)
+        stack.enter_context(closing(observer))
+        observer.begin(env)
+        progress.start("evaluation", total=episodes)
+        result = Evaluator(env, decision_T=task.interval_T).run(
+            act,
+            starts=fixed_starts(task, episodes, seed=seed),
+            on_episodes=progress.advance,
+            on_step=observer.settle,
+        )
+    return result.metrics()

@@ -1,0 +1,62 @@
+"""The sizes that a policy for a task must have."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fishrl.envs import AbstractTask
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicySpec:
+    """What a policy is made for; it fits no other task and no other sizes.
+
+    Args:
+        task: name of the task's class.
+        num_inputs: length of the stacked observation.
+        num_actions: number of actions.
+        num_stacked: observations in a stack.
+    """
+
+    task: str
+    num_inputs: int
+    num_actions: int
+    num_stacked: int = 1
+
+    @property
+    def num_observed(self) -> int:
+        """Length of one observation."""
+        return self.num_inputs // self.num_stacked
+
+    @classmethod
+    def for_task(cls, task: AbstractTask, *, has_labels: bool = False) -> PolicySpec:
+        """Return the sizes that a task asks for.
+
+        Args:
+            task: the task.
+            has_labels: whether transforms label its flows, see ``make_env(recognition=...)``.
+        """
+        num_labels = task.num_label_inputs if has_labels else 0
+        return cls(
+            task=type(task).__name__,
+            num_inputs=(task.n_obs + num_labels) * task.num_stacked,
+            num_actions=task.num_actions,
+            num_stacked=task.num_stacked,
+        )
+
+    def check(self, metadata: Mapping[str, Any], *, path: Path) -> None:
+        """Compare with the metadata of a checkpoint.
+
+        Raises:
+            ValueError: if the checkpoint is of another task or size.
+        """
+        for name in ("task", "num_inputs", "num_actions"):
+            stored, wanted = metadata.get(name), getattr(self, name)
+            if stored != wanted:
+                raise ValueError(
+                    f"checkpoint {path}: it is of {name} = {stored!r}, here it is {wanted!r}; use "
+                    "task and settings that it was trained with, or train again"
+                )

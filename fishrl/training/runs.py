@@ -1,0 +1,258 @@
+"""Begin a run, and go on with one."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Collection, Mapping
+from contextlib import closing
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from fishrl.envs import AbstractTask, make_env
+from fishrl.envs.transforms import equip
+from fishrl.training.algorithms import Algorithm, DiscreteSAC
+from fishrl.training.baselines import make_baselines
+from fishrl.training.classifier import Recognition, keep_recognition, load_recognition
+from fishrl.training.collector import MakeEnv
+from fishrl.training.logger import CsvLogger
+from fishrl.training.loop import Training
+from fishrl.training.observer import Observer
+from fishrl.training.plan import Plan
+from fishrl.training.progress import Progress
+from fishrl.training.run_folder import RunFolder, read_config, write_yaml
+from fishrl.training.settings import LearningSettings, RunSettings, check_device
+
+
+def train(
+    *,
+    task: AbstractTask,
+    algorithm: Algorithm | None = None,
+    learning: LearningSettings | None = None,
+    run: RunSettings | None = None,
+    recognition: Recognition = None,
+    logger: CsvLogger | None = None,
+    preset: str | None = None,
+    extra: Mapping[str, Any] | None = None,
+    make_env: MakeEnv = make_env,
+    observer: Observer | None = None,
+    progress: Progress | None = None,
+    began: float | None = None,
+) -> dict[str, Any]:
+    """Train a policy, and compare it with the baselines of the task.
+
+    Args:
+        task: what the fish does.
+        algorithm: how it learns; by default ``DiscreteSAC()``.
+        learning: what makes the result.
+        run: where and how often.
+        recognition: labels flows, see ``fishrl.envs.make_env``, or the file of a classifier.
+        logger: where numbers go; by default a CSV file.
+        preset: a name for these settings, part of the run folder's.
+        extra: further settings to keep in ``config.yaml``.
+        make_env: makes the env of the task.
+        observer: looks on.
+        progress: the bar; by default none is shown.
+        began: ``time.perf_counter()`` when the program started.
+
+    Returns:
+        The summary, as in ``summary.json``.
+
+    Raises:
+        ValueError: for settings that cannot be.
+        Interrupted: after SIGINT or SIGTERM; ``resume`` continues the run.
+    """
+    plan = Plan(
+        task=task,
+        algorithm=algorithm or DiscreteSAC(),
+        learning=learning or LearningSettings(),
+        run=run or RunSettings(),
+        logger=logger or CsvLogger(),
+        preset=preset,
+        extra=extra or {},
+    )
+    training = begin(
+        plan,
+        recognition=recognition,
+        make_env=make_env,
+        observer=observer,
+        progress=progress,
+        began=began,
+    )
+    return complete(training)
+
+
+def resume(
+    folder: str | Path,
+    *,
+    make_env: MakeEnv = make_env,
+    observer: Observer | None = None,
+    progress: Progress | None = None,
+    modules: Collection[str] = (),
+    began: float | None = None,
+    **changes: Any,
+) -> dict[str, Any]:
+    """Go on with a run from its last checkpoint; one that is finished is left as it is.
+
+    Args:
+        folder: of the run.
+        make_env: see ``train``.
+        observer: see ``train``.
+        progress: see ``train``.
+        modules: of one's own that may be imported for it, see ``description.make``.
+        began: see ``train``.
+        **changes: other values of ``RunSettings``, such as ``total_frames=8000``.
+
+    Returns:
+        The summary.
+
+    Raises:
+        ValueError: if there is no run, its files do not load, or a change is not possible.
+        Interrupted: see ``train``.
+    """
+    summary = find_summary(folder, modules=modules, **changes)
+    if summary is not None:
+        return summary
+    training = reopen(
+        folder,
+        make_env=make_env,
+        observer=observer,
+        progress=progress,
+        modules=modules,
+        began=began,
+        **changes,
+    )
+    return complete(training)
+
+
+def begin(
+    plan: Plan,
+    *,
+    recognition: Recognition = None,
+    make_env: MakeEnv = make_env,
+    observer: Observer | None = None,
+    progress: Progress | None = None,
+    began: float | None = None,
+) -> Training:
+    """Set up a new run in a folder of its own; settings that cannot be are refused before that."""
+    labels = load_recognition(recognition)
+    _check(plan, labels)
+    folder, plan = make_folder(plan, recognition=recognition)
+    with folder.noting_failure():
+        return Training(
+            plan,
+            recognition=labels,
+            folder=folder,
+            make_env=make_env,
+            observer=observer or Observer(),
+            progress=progress or Progress(is_shown=False),
+            began=time.perf_counter() if began is None else began,
+        )
+
+
+def make_folder(
+    plan: Plan, *, recognition: Recognition = None, folder: RunFolder | None = None
+) -> tuple[RunFolder, Plan]:
+    """Write all that a run needs into a folder, from which ``resume`` starts it.
+
+    Args:
+        plan: of the run.
+        recognition: see ``train``; the file of a classifier is copied.
+        folder: to write into; by default a new one.
+
+    Returns:
+        The folder, and the plan as it stands there.
+
+    Raises:
+        ValueError: if it cannot be written.
+    """
+    folder = folder or RunFolder.create(parent=plan.run.folder, name=plan.name)
+    plan = replace(plan, recognition=keep_recognition(recognition, folder.path))
+    write_yaml(folder.config, plan.to_config())
+    return folder, plan
+
+
+def reopen(
+    folder: str | Path,
+    *,
+    make_env: MakeEnv = make_env,
+    observer: Observer | None = None,
+    progress: Progress | None = None,
+    modules: Collection[str] = (),
+    began: float | None = None,
+    **changes: Any,
+) -> Training:
+    """Set up a run as its last checkpoint left it; see ``resume``."""
+    run = RunFolder.of_existing(folder)
+    with run.noting_failure():
+        stored = Plan.from_config(read_config(run.config), modules=modules)
+        plan = stored.change(**changes)
+        labels = load_recognition(plan.recognition, run.path)
+        _check(plan, labels)
+        training = Training(
+            plan,
+            recognition=labels,
+            folder=run,
+            make_env=make_env,
+            observer=observer or Observer(),
+            progress=progress or Progress(is_shown=False),
+            began=time.perf_counter() if began is None else began,
+        )
+        if run.has_begun():
+            try:
+                training.restore()
+            except ValueError:
+                training.close()
+                raise
+            run.summary.unlink(missing_ok=True)  # it will be another one
+        if plan != stored:
+            write_yaml(run.config, plan.to_config())
+        return training
+
+
+def complete(training: Training) -> dict[str, Any]:
+    """Run what is set up to its end, and return the summary; SIGINT and SIGTERM save and end it."""
+    with training.folder.noting_failure(), closing(training), training.interruption:
+        return training.run()
+
+
+def find_summary(
+    folder: str | Path, *, modules: Collection[str] = (), **changes: Any
+) -> dict[str, Any] | None:
+    """Return the summary of a run that is finished even with some changes, otherwise None.
+
+    Args:
+        folder: of the run.
+        modules: see ``resume``.
+        **changes: see ``resume``; more frames, and another last evaluation, make it unfinished.
+    """
+    run = RunFolder.of_existing(folder)
+    if not run.summary.is_file() or run.failure.is_file():
+        return None
+    try:
+        summary = json.loads(run.summary.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{run.summary}: damaged ({error}); delete it") from error
+    stored = Plan.from_config(read_config(run.config), modules=modules)
+    plan = stored.change(**changes)
+    same = (
+        plan.run.final_episodes == stored.run.final_episodes
+        and plan.run.baselines == stored.run.baselines
+        and plan.extra == stored.extra
+        and plan.run.total_frames <= summary.get("frames", 0)
+    )
+    return dict(summary) if same else None
+
+
+def _check(plan: Plan, recognition: Recognition) -> None:
+    """Refuse what cannot run, before anything slow is made."""
+    check_device(plan.run.device)
+    if plan.learning.ray_collectors:
+        if plan.run.device != "cpu":
+            raise ValueError(f"device = {plan.run.device}: with ray_collectors it must be cpu")
+        if find_spec("ray") is None:
+            raise ValueError("ray_collectors: needs Ray; pip install 'fishrl[cluster]'")
+    task, _ = equip(plan.task, recognition)
+    make_baselines(plan.run.baselines, task=task, seed=0)

@@ -1,0 +1,46 @@
+"""Algorithms are frozen settings, checked and written into files like tasks."""
+
+from __future__ import annotations
+
+import dataclasses
+from math import nan
+from typing import Any
+
+import pytest
+
+from fishrl.training import DQN, DRQN, Algorithm, DiscreteSAC
+from fishrl.training.description import describe, make
+from tests.training.conftest import Toy
+
+ALL: list[Algorithm] = [DiscreteSAC(), DQN(), DQN(is_double=True), DRQN(), DRQN(is_double=True)]
+
+
+def test_each_has_a_label_of_its_own_and_is_the_same_after_a_trip_through_a_file() -> None:
+    assert [algorithm.label for algorithm in ALL] == [
+        *("", "dqn", "double_dqn", "drqn", "double_drqn"),
+    ]
+    for algorithm in ALL:
+        assert make(describe(algorithm), kind=Algorithm) == algorithm
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            algorithm.label = "x"  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("kind", "wrong"),
+    [
+        (DiscreteSAC, {"alpha_init": 0.0}),
+        (DiscreteSAC, {"alpha_init": nan}),
+        (DiscreteSAC, {"target_entropy_weight": 1.1}),
+        (DQN, {"epsilon_end": 0.2, "epsilon_start": 0.1}),
+        (DQN, {"epsilon_frames": 0}),
+        (DRQN, {"sequence_length": 0}),
+    ],
+)
+def test_a_setting_that_cannot_be_is_refused(kind: type, wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        kind(**wrong)
+
+
+def test_a_batch_is_whole_sequences(toy: Toy) -> None:
+    with pytest.raises(ValueError, match=r"batch_size = 66: must be a multiple of .* = 4"):
+        toy.begin(algorithm=DRQN(sequence_length=4), batch_size=66)

@@ -1,0 +1,40 @@
+"""DRQN learns from sequences of single episodes."""
+
+from __future__ import annotations
+
+import torch
+
+from fishrl.training import DRQN, evaluate
+from tests.training.conftest import QUICK, Toy
+from tests.training.toy_fish import make_toy_env
+
+ALGORITHM = DRQN(sequence_length=4, epsilon_frames=60)
+
+
+def test_sequences_are_pieces_of_one_episode_each(toy: Toy) -> None:
+    training = toy.begin(algorithm=ALGORITHM, task={"divergence_rate": 0.05}, updates_per_frame=0.0)
+    batches = iter(training.collector)
+    for _ in range(40):
+        training.learner.remember(next(batches).reshape(-1))
+    num_short = 0
+    for _ in range(20):
+        batch = training.learner.buffer.sample().reshape(-1, 4)
+        is_real = batch["collector", "mask"]
+        steps = batch["step_count"].squeeze(-1)
+        traj = batch["collector", "traj_ids"].reshape(steps.shape)
+        expected = steps[:, :1] + torch.arange(4)
+        assert torch.equal(steps[is_real], expected[is_real])
+        assert (traj == traj[:, :1]).all()
+        begins = batch["is_init"].squeeze(-1)
+        assert torch.equal(begins, steps == 0)
+        num_short += int((~is_real).any(-1).sum())
+        follows = batch["next", "observation"][:, :-1] == batch["observation"][:, 1:]
+        assert follows[is_real[:, 1:]].all()
+    assert num_short > 0
+
+
+def test_a_recurrent_policy_is_evaluated_as_at_the_end_of_its_run(toy: Toy) -> None:
+    summary = toy.begin(name="run", algorithm=ALGORITHM, **QUICK | {"final_episodes": 10}).run()
+    result = evaluate(toy.folder / "run", episodes=10, compile=False, make_env=make_toy_env)
+    assert result["mean_return"] == summary["mean_return"]
+    assert result["success_rate"] == summary["success_rate"]

@@ -1,0 +1,127 @@
+"""Trainings of the point fish, small enough for a second each."""
+
+from __future__ import annotations
+
+import csv
+import resource
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from fishrl.training import LearningSettings, Plan, RunSettings, begin, reopen
+from fishrl.training.loop import Training
+from fishrl.training.plan import LEARNING
+from tests.training.toy_fish import ToyPredation, make_toy_env
+
+DEFAULTS: dict[str, Any] = {
+    "compile": False,
+    "num_envs": 8,
+    "total_frames": 240,
+    "warmup_frames": 80,
+    "updates_per_frame": 0.25,
+    "hidden": (16,),
+    "buffer_size": 1000,
+    "log_frames": 40,
+    "checkpoint_frames": 80,
+    "eval_frames": 120,
+    "eval_episodes": 6,
+    "final_episodes": 10,
+}
+#: Little of what is looked at elsewhere.
+QUICK: dict[str, Any] = {"baselines": (), "eval_episodes": 2, "final_episodes": 2}
+
+
+def make_toy_plan(folder: Path, *, task: dict[str, Any] | None = None, **settings: Any) -> Plan:
+    """Make a plan from settings and parts of ``Plan``; ``folder`` is where run folders lie."""
+    values = {**DEFAULTS, "folder": str(folder), **settings}
+    parts = {n: values.pop(n) for n in ("algorithm", "logger", "extra") if n in values}
+    learning = {name: values.pop(name) for name in LEARNING if name in values}
+    return Plan(
+        task=ToyPredation(**task or {}),  # type: ignore[arg-type]
+        learning=LearningSettings(**learning),
+        run=RunSettings(**values),
+        preset="toy",
+        **parts,
+    )
+
+
+class Toy:
+    """Makes trainings whose run folders lie in one folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.trainings: list[Training] = []
+
+    def begin(
+        self,
+        *,
+        observer: Any = None,
+        progress: Any = None,
+        recognition: Any = None,
+        **settings: Any,
+    ) -> Training:
+        plan = make_toy_plan(self.folder, **settings)
+        self.trainings.append(
+            begin(
+                plan,
+                recognition=recognition,
+                make_env=make_toy_env,
+                observer=observer,
+                progress=progress,
+            )
+        )
+        return self.trainings[-1]
+
+    def reopen(self, name: str, **changes: Any) -> Training:
+        for training in self.trainings:
+            training._lock.close()
+        self.trainings.append(reopen(self.folder / name, make_env=make_toy_env, **changes))
+        return self.trainings[-1]
+
+    def rows(self, name: str) -> list[dict[str, str]]:
+        return read_rows(self.folder / name)
+
+
+@pytest.fixture
+def toy(tmp_path: Path) -> Iterator[Toy]:
+    made = Toy(tmp_path)
+    yield made
+    for training in made.trainings:
+        training._lock.close()
+
+
+def read_rows(folder: Path) -> list[dict[str, str]]:
+    """Read metrics.csv without what depends on the machine."""
+    with (folder / "metrics.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    return [{k: v for k, v in row.items() if not k.startswith("time/")} for row in rows]
+
+
+def weights_of(training: Training) -> dict[str, torch.Tensor]:
+    return dict(training.learner.loss.state_dict())
+
+
+def assert_equal_weights(training: Training, other: Training) -> None:
+    theirs = weights_of(other)
+    for name, value in weights_of(training).items():
+        assert torch.equal(value, theirs[name]), name
+
+
+@pytest.fixture
+def limited_disk() -> Callable[[int], AbstractContextManager[None]]:
+    """Let no file grow beyond a size: what a full disk does, for this process alone."""
+
+    @contextmanager
+    def limit(num_bytes: int) -> Iterator[None]:
+        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (num_bytes, hard))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+    return limit

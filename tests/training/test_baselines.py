@@ -1,0 +1,43 @@
+"""A task brings its baselines."""
+
+from __future__ import annotations
+
+import pytest
+
+from fishrl.envs import KarmanGait, Predation
+from fishrl.envs.streams import Stream
+from fishrl.modules import RandomPolicy
+from fishrl.training.baselines import Baseline, find_baselines, list_baselines, make_policy
+
+
+class Drift:
+    pass
+
+
+def test_tasks_are_compared_with_their_own_baselines() -> None:
+    assert list_baselines(Predation()) == ["intercept", "pursuit", "random"]
+    assert list_baselines(Predation(control_interval_T=0.5)) == ["random"]  # they decide once per T
+    free = KarmanGait(stream=Stream(has_disc=False))
+    assert list_baselines(free) == ["pid", "random"]
+    assert set(find_baselines(free)) == {"pid", "passive", "bang_bang", "random"}
+
+
+def test_a_new_task_has_random_actions_and_what_is_registered_for_it() -> None:
+    assert list_baselines(Drift()) == ["random"]
+
+    class Station(Drift):
+        pass
+
+    @find_baselines.register(Station)
+    def _(task: Station) -> dict[str, Baseline]:
+        return {"steady": Baseline(lambda seed: RandomPolicy(seed=seed)), **find_baselines(None)}
+
+    assert list_baselines(Station()) == ["steady", "random"]
+    assert isinstance(make_policy("steady", task=Station(), seed=3), RandomPolicy)
+
+
+def test_an_unknown_baseline_is_refused_with_those_there_are() -> None:
+    with pytest.raises(ValueError, match=r"has intercept, pursuit, random; did you mean 'pursuit'"):
+        make_policy("pursiut", task=Predation(), seed=0)
+    with pytest.raises(ValueError, match="has random"):
+        make_policy("intercept", task=Predation(control_interval_T=0.5), seed=0)

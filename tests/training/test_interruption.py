@@ -1,0 +1,98 @@
+"""Signals: the first saves and ends a run, a second one ends it at once."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from fishrl.training.checkpoint import read_metadata
+from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children
+from tests.training.conftest import Toy
+from tests.training.test_runs import ROOT
+
+SIGNALLED_RUN = """
+import os, signal, sys
+from pathlib import Path
+from fishrl.training import Interrupted, begin, complete
+from tests.training.conftest import QUICK, make_toy_plan
+from tests.training.toy_fish import ToyFishEnv, make_toy_env
+step, num_steps = ToyFishEnv._step, [0]
+def step_and_signal(self, td):
+    num_steps[0] += 1
+    if num_steps[0] == 5:
+        os.kill(os.getpid(), signal.SIGTERM)
+    return step(self, td)
+ToyFishEnv._step = step_and_signal
+plan = make_toy_plan(Path(sys.argv[1]), name="run", **QUICK)
+try:
+    complete(begin(plan, make_env=make_toy_env))
+except Interrupted as end:
+    sys.exit(128 + end.number)
+"""
+
+
+def test_a_signal_ends_a_run_with_everything_saved(toy: Toy) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", SIGNALLED_RUN, str(toy.folder)],
+        cwd=ROOT,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 128 + signal.SIGTERM, done.stderr
+    run = toy.folder / "run"
+    assert read_metadata(run, which="last")[1]["frames"] == 40
+    assert not (run / "failure.txt").exists()
+
+
+def test_a_second_signal_ends_it_at_once() -> None:
+    interruption, before = Interruption(), signal.getsignal(signal.SIGINT)
+    with interruption:
+        signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before
+    Interruption().check()
+    with pytest.raises(Interrupted):
+        interruption.check()
+
+
+def test_the_same_signal_sent_twice_at_once_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    interruption = Interruption()
+    with interruption:
+        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGTERM)
+        monkeypatch.setattr("fishrl.training.interruption.TWICE_SECONDS", 0.0)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+    with pytest.raises(Interrupted):
+        interruption.check()
+
+
+def test_outside_the_main_thread_signals_are_left_alone() -> None:
+    def enter() -> None:
+        with Interruption():
+            pass
+
+    thread = threading.Thread(target=enter)
+    thread.start()
+    thread.join()
+
+
+def test_processes_of_the_flows_ignore_signals_of_the_run() -> None:
+    sleep = [sys.executable, "-c", "input()"]
+    with ignore_signals_in_children():
+        child = subprocess.Popen(sleep, stdin=subprocess.PIPE)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        child.send_signal(number)
+    with pytest.raises(subprocess.TimeoutExpired):
+        child.wait(0.5)
+    child.communicate(b"\n")
+    assert child.returncode == 0
+    assert not signal.pthread_sigmask(signal.SIG_BLOCK, []) & {signal.SIGINT, signal.SIGTERM}

@@ -1,0 +1,50 @@
+"""What is remembered, and that remembering does not grow."""
+
+from __future__ import annotations
+
+import gc
+from dataclasses import replace
+
+import pytest
+import torch
+
+from fishrl.training import DRQN, DiscreteSAC
+from fishrl.training.metrics import Counters, measure_memory_mb
+from tests.training.conftest import QUICK, Toy
+
+
+def test_a_state_without_legal_action_is_refused(toy: Toy) -> None:
+    training = toy.begin()
+    batch = next(iter(training.collector)).reshape(-1)
+    batch["next", "action_mask"][3] = False
+    with pytest.raises(ValueError, match="a state has no legal action"):
+        training.learner.remember(batch)
+
+
+def test_counters_of_something_else_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"\['config'\]"):
+        Counters().load_state_dict({**Counters().state_dict(), "config": {}})
+
+
+def count_tensors() -> int:
+    gc.collect()
+    return sum(isinstance(thing, torch.Tensor) for thing in gc.get_objects())
+
+
+@pytest.mark.parametrize("algorithm", [DiscreteSAC(), DRQN()], ids=["sac", "drqn"])
+def test_memory_stays_flat(toy: Toy, algorithm: DiscreteSAC | DRQN) -> None:
+    training = toy.begin(
+        algorithm=algorithm,
+        buffer_size=100,
+        total_frames=160,
+        task={"time_limit": 5},
+        eval_frames=80,
+        **QUICK,
+    )
+    training.run()
+    tensors, megabytes = count_tensors(), measure_memory_mb()
+    training.plan = replace(training.plan, run=replace(training.plan.run, total_frames=400))
+    training.run()
+    assert count_tensors() <= tensors + 5
+    assert measure_memory_mb() < megabytes + 10.0  # allocators keep some; a frame is 5 kB
+    assert megabytes > 50.0

@@ -1,0 +1,74 @@
+"""Policies are loaded for the task they were trained for, and evaluated as at the end of a run."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from fishrl.training import evaluate, load_policy
+from fishrl.training.checkpoint import read_metadata
+from tests.training.conftest import QUICK, Toy
+from tests.training.toy_fish import ToyPredation, make_toy_env
+
+
+class OtherTask(ToyPredation):
+    pass
+
+
+class WiderTask(ToyPredation):
+    n_obs = 5
+
+
+WiderTask.__name__ = "ToyPredation"
+
+
+def test_a_learned_policy_is_evaluated_as_at_the_end_of_its_run(toy: Toy) -> None:
+    summary = toy.begin(name="run").run()
+    result = evaluate(toy.folder / "run", episodes=10, compile=False, make_env=make_toy_env)
+    assert result == {name: summary[name] for name in result}
+
+
+def test_baselines_are_evaluated_by_name_and_any_policy_as_it_is() -> None:
+    task = ToyPredation()
+    rates = {
+        name: evaluate(name, task=task, episodes=16, compile=False, make_env=make_toy_env)
+        for name in ("random", "pursuit")
+    }
+    assert rates["pursuit"]["success_rate"] > rates["random"]["success_rate"]
+    still = evaluate(
+        lambda td: td.set("action", td["start_index"] * 0 + 1),
+        task=task,
+        episodes=4,
+        compile=False,
+        make_env=make_toy_env,
+    )
+    assert still["episodes"] == 4
+    with pytest.raises(ValueError, match="did you mean 'pursuit'"):
+        evaluate("pursiut", task=task, make_env=make_toy_env)
+    with pytest.raises(ValueError, match="give a task"):
+        evaluate("pursuit", make_env=make_toy_env)
+
+
+@pytest.mark.parametrize(
+    ("task", "said"),
+    [(OtherTask(), "it is of task"), (WiderTask(), "it is of num_inputs = 16")],
+)
+def test_a_policy_of_another_task_is_refused(toy: Toy, task: ToyPredation, said: str) -> None:
+    toy.begin(name="run", total_frames=8, **QUICK).run()
+    with pytest.raises(ValueError, match=said):
+        load_policy(toy.folder / "run", task=task)
+
+
+@pytest.mark.parametrize("part", ["task", "algorithm"])
+def test_the_metadata_of_a_checkpoint_cannot_run_code(toy: Toy, part: str) -> None:
+    toy.begin(name="run", total_frames=8, **QUICK).run()
+    manifest = read_metadata(toy.folder / "run")[0] / "manifest.json"
+    content = json.loads(manifest.read_text())
+    ran = toy.folder / "ran"
+    content["metadata"]["config"][part] = {"_target_": "os.system", "command": f"touch {ran}"}
+    manifest.write_text(json.dumps(content))
+    for read in (evaluate, load_policy):
+        with pytest.raises(ValueError, match=r"os\.system: is no"):
+            read(toy.folder / "run")
+    assert not ran.exists()

@@ -1,0 +1,59 @@
+"""Files of a run: whole or not there, its folder written by one process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+import pytest
+
+from fishrl.training.logger import CsvLogger
+from fishrl.training.run_folder import RunFolder, read_config, write_whole, write_yaml
+
+Limit = Callable[[int], AbstractContextManager[None]]
+
+
+def test_rows_that_cannot_be_written_at_the_end_are_named(
+    tmp_path: Path, limited_disk: Limit, caplog: pytest.LogCaptureFixture
+) -> None:
+    log = CsvLogger()
+    log.open(tmp_path, columns=["frames"], config={})
+    with limited_disk(8):
+        log.log({"frames": 123456})
+        log.close()
+    assert caplog.text.count("1 rows cannot be written") == 2
+    assert (tmp_path / "metrics.csv").read_text() == "frames\n"
+    log.close()
+    assert (tmp_path / "metrics.csv").read_text() == "frames\n123456\n"
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, limited_disk: Limit) -> None:
+    write_whole(tmp_path / "a", "before")
+    with limited_disk(3), pytest.raises(OSError, match="File too large"):
+        write_whole(tmp_path / "a", "afterwards")
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a", "before")]
+
+
+@pytest.mark.parametrize("name", ["../run", "a/b", "/tmp/run", ".."])
+def test_a_run_does_not_leave_its_folder(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ValueError, match="is the name of a folder"):
+        RunFolder.create(parent=str(tmp_path / "runs"), name=name)
+    assert not list(tmp_path.iterdir())
+
+
+def test_settings_are_the_same_after_a_trip_through_a_file(tmp_path: Path) -> None:
+    settings = {
+        "rate": 1e-05,
+        "name": "1e3",
+        "on": "yes",
+        "none": None,
+        "list": [1, 2.0],
+        "π": {"a": -0.0},
+    }
+    write_yaml(tmp_path / "config.yaml", settings)
+    assert read_config(tmp_path / "config.yaml") == settings
+    for text in ("[1, 2]", "{", "a: !!python/name:os.system"):
+        (tmp_path / "config.yaml").write_text(text)
+        with pytest.raises(ValueError, match="not the configuration of a run"):
+            read_config(tmp_path / "config.yaml")

@@ -1,0 +1,211 @@
+"""Runs begin, end, are killed, and go on as if nothing had happened."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+import fishrl.training
+from fishrl.envs import Predation
+from fishrl.training import (
+    DQN,
+    DRQN,
+    DiscreteSAC,
+    LearningSettings,
+    RunSettings,
+    evaluate,
+    find_summary,
+    resume,
+    train,
+)
+from fishrl.training.run_folder import read_config, write_yaml
+from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
+from tests.training.conftest import QUICK, Toy, assert_equal_weights, make_toy_plan
+from tests.training.stops import run_and_stop
+from tests.training.toy_fish import ToyFishEnv, make_toy_env
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.usefixtures("gliding")
+def test_a_library_user_trains_evaluates_and_resumes_in_ten_lines(tmp_path: Path) -> None:
+    summary = train(
+        task=Predation(**SMALL),
+        algorithm=DiscreteSAC(target_entropy_weight=0.2),
+        learning=LearningSettings(num_envs=4, warmup_frames=8, buffer_size=100, hidden=(16,)),
+        run=RunSettings(
+            total_frames=40, compile=False, folder=str(tmp_path), name="first", final_episodes=3
+        ),
+    )
+    result = evaluate(tmp_path / "first", episodes=3, num_envs=4, compile=False)
+    assert result["mean_return"] == summary["mean_return"]
+    longer = resume(tmp_path / "first", total_frames=48)
+    assert (summary["frames"], longer["frames"]) == (40, 48)
+    assert "train(" in str(fishrl.training.__doc__)
+
+
+KILLED_RUN = """
+import os, signal, sys
+from pathlib import Path
+from fishrl.training import begin
+from tests.training.conftest import make_toy_plan
+from tests.training.toy_fish import ToyFishEnv, make_toy_env
+step, num_steps = ToyFishEnv._step, [0]
+def step_or_die(self, td):
+    num_steps[0] += self.starts is None  # not of evaluations
+    if num_steps[0] == 23:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return step(self, td)
+ToyFishEnv._step = step_or_die
+begin(make_toy_plan(Path(sys.argv[1]), name="killed"), make_env=make_toy_env).run()
+"""
+
+
+def test_a_run_killed_and_resumed_equals_one_that_was_not(toy: Toy) -> None:
+    whole = toy.begin(name="whole")
+    whole.run()
+    killed = subprocess.run(
+        [sys.executable, "-c", KILLED_RUN, str(toy.folder)],
+        cwd=ROOT,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        check=False,
+        capture_output=True,
+    )
+    assert killed.returncode == -signal.SIGKILL, killed.stderr.decode()
+    assert toy.rows("killed")[-1]["frames"] == "160"  # killed at 184, last checkpoint at 160
+    resumed = toy.reopen("killed")
+    assert resumed.counters.frames == 160
+    resumed.run()
+    assert toy.rows("killed") == toy.rows("whole")
+    assert_equal_weights(resumed, whole)
+
+
+@pytest.mark.parametrize("during", ["collecting", "evaluating"])
+def test_a_run_told_to_end_saves_and_goes_on_exactly(toy: Toy, during: str) -> None:
+    whole = toy.begin(name="whole", **QUICK)
+    whole.run()
+    is_late = during == "evaluating"
+    part = toy.begin(name="part", **QUICK)
+    run_and_stop(part, ToyFishEnv, step=3 if is_late else 23, evaluating=is_late)
+    resumed = toy.reopen("part")
+    assert resumed.counters.frames == (120 if is_late else 184)
+    assert bool(resumed.counters.pending) == is_late
+    resumed.run()
+    assert toy.rows("part") == toy.rows("whole")
+    assert_equal_weights(resumed, whole)
+
+
+@pytest.mark.parametrize(
+    "algorithm",
+    [DQN(epsilon_frames=60), DQN(is_double=True), DRQN(sequence_length=4, epsilon_frames=60)],
+    ids=lambda algorithm: algorithm.label,
+)
+def test_every_algorithm_goes_on_exactly_with_equal_effort_and_legal_actions(
+    toy: Toy, algorithm: Any
+) -> None:
+    settings: dict[str, Any] = {
+        "task": {"banned_action": 1, "divergence_rate": 0.03},
+        "algorithm": algorithm,
+        "buffer_size": 130,  # the oldest are forgotten on the way
+        **QUICK,
+    }
+    whole = toy.begin(name="whole", **settings)
+    summary = whole.run()
+    # as many as those of SAC in test_loop
+    assert (summary["frames"], summary["updates"]) == (240, (240 - 80) * 0.25)
+    assert summary["train_diverged"] > 0
+    assert set(whole.learner.buffer[:]["action"].tolist()) == {0, 2}
+    toy.begin(name="part", **settings | {"total_frames": 160}).run()
+    resumed = toy.reopen("part", total_frames=240)
+    assert resumed.counters.frames == 160
+    resumed.run()
+    assert toy.rows("part")[-1] == toy.rows("whole")[-1]
+    assert_equal_weights(resumed, whole)
+    mine, other = (t.learner.explorer.state_dict() for t in (resumed, whole))
+    assert all(torch.equal(value, other[key]) for key, value in mine.items())
+
+
+def test_rows_after_the_last_checkpoint_are_written_once(toy: Toy) -> None:
+    toy.begin(name="run", total_frames=160, **QUICK).run()
+    before = toy.rows("run")
+    with (toy.folder / "run" / "metrics.csv").open("a") as file:
+        file.write("200,1,2\n24")  # of a run that went on and was killed while writing
+    toy.reopen("run", total_frames=200).run()
+    frames = [row["frames"] for row in toy.rows("run")]
+    assert frames == [*(row["frames"] for row in before), "200"]
+
+
+def test_changes_of_a_resume_stay_and_what_is_learned_is_fixed(toy: Toy) -> None:
+    folder = toy.folder / "run"
+    toy.begin(name="run", total_frames=80, extra={"pictures": 6}, **QUICK).run()
+    run_and_stop(toy.reopen("run", total_frames=160, pictures=2), ToyFishEnv, step=3)
+    config = read_config(folder / "config.yaml")
+    assert (config["total_frames"], config["pictures"], config["num_envs"]) == (160, 2, 8)
+    assert toy.reopen("run").run()["frames"] == 160
+    for wrong in ({"gamma": 0.9}, {"task": None}, {"total_frame": 200}):
+        with pytest.raises(ValueError, match=r"is fixed in a run|did you mean 'total_frames'"):
+            toy.reopen("run", **wrong)
+
+
+def test_a_finished_run_is_left_as_it_is_unless_more_is_asked_of_it(toy: Toy) -> None:
+    toy.begin(name="run", total_frames=16, **QUICK).run()
+    toy.trainings[-1].close()
+    run = toy.folder / "run"
+    before = {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()}
+    summary = resume(run, make_env=make_toy_env, log_frames=10)
+    assert summary["frames"] == 16
+    assert before == {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()}
+    for more in ({"total_frames": 48}, {"final_episodes": 4}, {"baselines": ("random",)}):
+        assert find_summary(run, **more) is None
+    assert resume(run, make_env=make_toy_env, final_episodes=4)["episodes"] == 4
+
+
+def test_a_run_without_its_checkpoint_is_not_resumed(toy: Toy) -> None:
+    training = toy.begin(name="run", total_frames=16, **QUICK)
+    training.run()
+    (toy.folder / "run" / "checkpoints").rename(toy.folder / "elsewhere")
+    with pytest.raises(ValueError, match="there is none"):
+        toy.reopen("run")
+    assert "there is none" in (toy.folder / "run" / "failure.txt").read_text()
+
+
+def test_an_older_checkpoint_takes_the_place_of_a_corrupt_one(toy: Toy) -> None:
+    toy.begin(name="run", keep_checkpoints=3, **QUICK).run()
+    folder = toy.folder / "run" / "checkpoints"
+    names = sorted(path.name for path in folder.iterdir())
+    assert names == ["best", "last", "last-000000080", "last-000000160"]
+    (folder / "last" / "manifest.json").write_text("{")
+    with pytest.raises(ValueError, match="or delete it, and last-000000160 takes its place"):
+        toy.reopen("run")
+    (folder / "last").rename(toy.folder / "broken")
+    assert toy.reopen("run").counters.frames == 160
+
+
+def test_runs_of_before_there_was_a_choice_of_algorithms_are_known(toy: Toy) -> None:
+    toy.begin(name="run", total_frames=8, **QUICK).run()
+    path = toy.folder / "run" / "config.yaml"
+    config = read_config(path)
+    assert config.pop("algorithm")["_target_"].endswith("DiscreteSAC")
+    write_yaml(path, config | {"alpha_init": 0.7, "target_entropy_weight": 0.2})
+    resumed = toy.reopen("run", total_frames=16)
+    assert resumed.plan.algorithm == DiscreteSAC(alpha_init=0.7, target_entropy_weight=0.2)
+
+
+def test_a_config_cannot_run_code(tmp_path: Path) -> None:
+    plain = make_toy_plan(tmp_path).to_config()
+    evil = {"_target_": "os.system", "command": f"touch {tmp_path / 'ran'}"}
+    for name in ("task", "algorithm", "logger"):
+        write_yaml(tmp_path / "config.yaml", plain | {name: evil})
+        with pytest.raises(ValueError, match=r"os\.system: is no"):
+            resume(tmp_path, make_env=make_toy_env)
+    (tmp_path / "config.yaml").write_text("!!python/object/apply:os.system [touch ran]")
+    with pytest.raises(ValueError, match="not the configuration of a run"):
+        resume(tmp_path, make_env=make_toy_env)
+    assert not (tmp_path / "ran").exists()
