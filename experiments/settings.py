@@ -13,7 +13,7 @@ from omegaconf import MISSING
 from fishrl.viewer import ViewerSettings
 
 #: How a run learns that does not say.
-DEFAULT_ALGORITHM = {"_target_": "fishrl.training.algorithms.DiscreteSAC"}
+DEFAULT_ALGORITHM = {"_target_": "fishrl.training.algorithms.discrete_sac.DiscreteSAC"}
 
 
 class ConfigError(ValueError):

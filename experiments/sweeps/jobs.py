@@ -27,6 +27,7 @@ from experiments.sweeps.ending import (
     leave_ending_to_sweep,
 )
 from experiments.sweeps.runs import HARMLESS, Run, advise, count_frames, list_runs, read_run
+from fishrl.training.aliases import update_names
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder
 
@@ -205,8 +206,8 @@ def find_difference(config: TrainConfig, path: Path) -> tuple[str, Any, Any] | N
 
     from experiments.config import to_plain
 
-    stored: Any = OmegaConf.to_container(OmegaConf.load(path / "config.yaml"))
-    wanted = to_plain(config)
+    stored = update_names(OmegaConf.to_container(OmegaConf.load(path / "config.yaml")))
+    wanted = update_names(to_plain(config))
     own, given = RunFolder(path).classifier, Path(wanted["recognition"] or "").expanduser()
     if own.is_file() and given.is_file():
         is_equal = filecmp.cmp(own, given, shallow=False)

@@ -17,6 +17,7 @@ from omegaconf import OmegaConf
 
 from experiments.command_line import show_command
 from experiments.settings import ViewerSettings
+from fishrl.training.aliases import update_names
 from fishrl.training.run_folder import RunFolder
 
 #: Settings that change neither what a run learns nor how that is judged: where it lies, and what is
@@ -99,7 +100,7 @@ def read_run(path: Path) -> Run:
         if folder.summary.is_file():
             summary = dict(json.loads(folder.summary.read_text(encoding="utf-8")))
         if folder.config.is_file():
-            config = OmegaConf.to_container(OmegaConf.load(folder.config))
+            config = update_names(OmegaConf.to_container(OmegaConf.load(folder.config)))
     except Exception as error:
         raise ValueError(f"{path}: damaged ({error}); mend or delete it") from error
     frames = count_frames(path)

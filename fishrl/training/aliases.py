@@ -2,14 +2,37 @@
 
 from __future__ import annotations
 
-_ALGORITHMS = "fishrl.training.algorithms"
-_FORMER = ("experiments.algorithms", "experiments.algorithms.value_based")
+from typing import Any
+
+_ALGORITHMS = {
+    "DiscreteSAC": "fishrl.training.algorithms.discrete_sac.DiscreteSAC",
+    "DQN": "fishrl.training.algorithms.dqn.DQN",
+    "DRQN": "fishrl.training.algorithms.drqn.DRQN",
+}
+_FORMER = (
+    "experiments.algorithms",
+    "experiments.algorithms.discrete_sac",
+    "experiments.algorithms.value_based",
+    "fishrl.training.algorithms",
+)
 
 #: Old dotted name -> new dotted name.
 ALIASES: dict[str, str] = {
-    "experiments.algorithms.DiscreteSAC": f"{_ALGORITHMS}.DiscreteSAC",
-    "experiments.algorithms.discrete_sac.DiscreteSAC": f"{_ALGORITHMS}.DiscreteSAC",
-    **{f"{old}.{name}": f"{_ALGORITHMS}.{name}" for old in _FORMER for name in ("DQN", "DRQN")},
+    **{f"{old}.{name}": new for old in _FORMER for name, new in _ALGORITHMS.items()},
     "experiments.logger.CsvLogger": "fishrl.training.logger.CsvLogger",
     "experiments.logger.WandbLogger": "fishrl.training.logger.WandbLogger",
 }
+
+
+def update_names(node: Any) -> Any:
+    """Return plain nested data with the names of today in every ``_target_``."""
+    if isinstance(node, list):
+        return [update_names(item) for item in node]
+    if not isinstance(node, dict):
+        return node
+    return {
+        name: ALIASES.get(value, value)
+        if name == "_target_" and isinstance(value, str)
+        else update_names(value)
+        for name, value in node.items()
+    }

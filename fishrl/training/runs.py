@@ -86,6 +86,7 @@ def train(
 
 def resume(
     folder: str | Path,
+    /,
     *,
     make_env: MakeEnv = make_env,
     observer: Observer | None = None,
@@ -176,6 +177,7 @@ def make_folder(
 
 def reopen(
     folder: str | Path,
+    /,
     *,
     make_env: MakeEnv = make_env,
     observer: Observer | None = None,
@@ -219,7 +221,7 @@ def complete(training: Training) -> dict[str, Any]:
 
 
 def find_summary(
-    folder: str | Path, *, modules: Collection[str] = (), **changes: Any
+    folder: str | Path, /, *, modules: Collection[str] = (), **changes: Any
 ) -> dict[str, Any] | None:
     """Return the summary of a run that is finished even with some changes, otherwise None.
 

@@ -43,7 +43,7 @@ def test_algorithms_are_trained_once_and_compared(
         raise Interrupted(15)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Training, "_compare", stop)  # of the first run, at its end
+        patch.setattr(Training, "run", stop)  # of the first run, at its end
         with pytest.raises(SystemExit, match="143"):
             main()
     assert "SIGTERM: saved; the same command goes on" in capsys.readouterr().err

@@ -232,5 +232,5 @@ def test_a_fish_that_hunts_or_holds_is_refused_where_there_is_nothing_to_do(outs
     config = load_config("train", [f"--config-dir={outside / 'conf'}", "task=hold_station"])
     task = build(config.task)
     for name in ("intercept", "pid"):
-        with pytest.raises(ConfigError, match="has nothing to do in HoldStation"):
+        with pytest.raises(ValueError, match="HoldStation with these settings has random"):
             make_policy(name, task=task, seed=0)

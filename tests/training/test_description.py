@@ -12,7 +12,7 @@ import pytest
 
 from fishrl.envs import AbstractTask, KarmanGait, Predation
 from fishrl.envs.macro_actions import DirectFrequencies
-from fishrl.training.aliases import ALIASES
+from fishrl.training.aliases import ALIASES, update_names
 from fishrl.training.description import describe, find_class, make
 
 
@@ -106,8 +106,11 @@ def test_a_description_that_does_not_fit_is_refused(node: Any, said: str) -> Non
 
 
 def test_former_names_lead_to_classes_of_today() -> None:
-    for name in ALIASES:
-        assert find_class(name, kind=object).__module__.startswith("fishrl.")
+    for name, new in ALIASES.items():
+        found = find_class(name, kind=object)
+        assert new == f"{found.__module__}.{found.__qualname__}"
+    old = {"parts": [{"_target_": next(iter(ALIASES)), "size": 3}]}
+    assert update_names(old)["parts"] == [{"_target_": next(iter(ALIASES.values())), "size": 3}]
 
 
 def test_checks_of_the_object_itself_are_passed_on() -> None:
