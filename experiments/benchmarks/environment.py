@@ -21,15 +21,15 @@ from torchrl.envs import ExplorationType, set_exploration_type
 
 from experiments.benchmarks.contest import FISH, Entry, Settings
 from experiments.benchmarks.flows import wrap_parts
-from experiments.config import load_config
+from experiments.config import load_config, to_plain
 from experiments.settings import TrainConfig
 from fishrl.envs import Predation, make_env
 from fishrl.modules import make_actor
 from fishrl.physics import InPlaceSolver
-from fishrl.training.algorithms import build_algorithm
-from fishrl.training.checkpoint import BrainOf
+from fishrl.training import Plan
 from fishrl.training.collector import ResumableCollector
 from fishrl.training.learner import one_thread
+from fishrl.training.policy_spec import PolicySpec
 from fishrl.viewer import LiveView, ViewerSettings
 
 NUM_ENVS = 16
@@ -142,8 +142,9 @@ class Loop:
 
     def __init__(self, config: TrainConfig, task: Any) -> None:
         self.config = config
-        algorithm = build_algorithm({"algorithm": config.algorithm})
-        self.learner = algorithm.make_learner(BrainOf.task_of(task), config)
+        plan = Plan.from_config(to_plain(config))
+        spec = PolicySpec.for_task(task)
+        self.learner = plan.algorithm.make_learner(spec, plan.learning)
         self.env = make_env(task=task, num_envs=config.num_envs, compile=config.compile)
         self.num_updates = round(config.updates_per_frame * config.num_envs)
         self._batches = iter(
