@@ -1,28 +1,28 @@
-# Every target makes its own virtual environment first; a second call finds it there.
+# Every target first creates the virtual environment if it does not exist.
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 DOCS_STAMP := $(VENV)/.docs
 ARGS ?=
-# Python 3.11: the first of these that is one, or name it: make setup PYTHON=/path/to/python3.11
+# The first of these that is Python 3.11; or choose one: make setup PYTHON=/path/to/python3.11
 PYTHON ?= $(shell for p in python3 python3.11; do \
 	$$p -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null \
 	&& { echo $$p; break; }; done)
-# Tests that need CUDA skip themselves where there is none; `make smoke` runs those of its marker.
+# Tests that need CUDA are skipped without it.
 MARKERS ?= not slow and not smoke
 # One process per core; files keep their order, so that physics and environments come first.
 PARALLEL ?= -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 .PHONY: help setup train test test-all smoke docs check bench bench-peers validate validate-quick format clean
 
-help: ## say what there is to make
+help: ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/:.*## /\t/' | expand -t 16
 
 setup: $(STAMP) ## install everything into .venv
 
-# torch comes first and pinned, so that nothing else can ask for another build of it.
+# torch is installed first and pinned, so that no dependency replaces its build.
 $(STAMP): pyproject.toml constraints.txt
-	@test -n "$(PYTHON)" || { echo "no Python 3.11 found: install it, or name it with PYTHON=..."; exit 1; }
+	@test -n "$(PYTHON)" || { echo "no Python 3.11 found: install it, or set PYTHON=..."; exit 1; }
 	@echo "setting up $(VENV) with $(PYTHON): a few minutes, once"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "1/2 torch"
@@ -31,47 +31,47 @@ $(STAMP): pyproject.toml constraints.txt
 	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -e '.[dev]' -c constraints.txt
 	@touch $@
 
-train: $(STAMP) ## teach a fish to catch its food; ARGS="seed=1 ..." overrides the configuration
+train: $(STAMP) ## train a policy to catch moving food; ARGS="seed=1 ..." sets any setting
 	$(BIN)/python -m experiments.train $(ARGS)
 
-test: $(STAMP) ## run the tests, a short training among them; ARGS="tests/physics" narrows
+test: $(STAMP) ## run the tests, including a short training; ARGS="tests/physics" selects some
 	$(BIN)/python -m pytest $(PARALLEL) -m "$(MARKERS)" $(ARGS)
 
-test-all: $(STAMP) ## run every test, the slow ones and those of make smoke among them
+test-all: $(STAMP) ## run all tests, including the slow ones and those of make smoke
 	$(BIN)/python -m pytest $(ARGS)
 
-smoke: $(STAMP) ## every task, every algorithm and every program for a few steps, under 90 s
+smoke: $(STAMP) ## run each task, algorithm and program for a few steps, under 90 s
 	$(BIN)/python -m pytest -m smoke $(ARGS)
 
 $(DOCS_STAMP): $(STAMP)
 	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -e '.[docs]' -c constraints.txt
 	@touch $@
 
-docs: $(DOCS_STAMP) ## build the pages into build/docs; a warning is an error
+docs: $(DOCS_STAMP) ## build the documentation into build/docs; warnings are errors
 	$(BIN)/python -m sphinx -W --keep-going -b html docs build/docs
 
-check: $(STAMP) ## lint, formatting, types, who may import whom
+check: $(STAMP) ## lint, formatting, types, import rules
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q tests/test_architecture.py
 
-bench: $(STAMP) ## measure the speed of everything, about ten minutes; ARGS="groups=[solver,coupled]" narrows
+bench: $(STAMP) ## run the benchmarks, about ten minutes; ARGS="groups=[solver,coupled]" selects some
 	$(BIN)/python -m experiments.benchmark $(ARGS)
 
-bench-peers: $(STAMP) ## install the codes that the benchmark compares with
+bench-peers: $(STAMP) ## install the other codes of the benchmark
 	$(BIN)/python -m pip install --quiet -e '.[bench]' -c constraints.txt
 
-validate: $(STAMP) ## judge the solver by the literature and write docs/validation.md
+validate: $(STAMP) ## compare the solver with the literature and write docs/validation.md
 	$(BIN)/python -m experiments.validate $(ARGS)
 
-validate-quick: $(STAMP) ## the same, coarse cases only, about a minute; the page goes to runs/validation
+validate-quick: $(STAMP) ## coarse cases only, about a minute; the page goes to runs/validation
 	$(BIN)/python -m experiments.validate --quick $(ARGS)
 
-format: $(STAMP) ## put the code into the house style
+format: $(STAMP) ## format the code
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-clean: ## remove the environment and caches; runs/ stays
+clean: ## remove environment and caches, keep runs/
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
