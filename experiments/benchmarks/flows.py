@@ -28,8 +28,8 @@ from experiments.benchmarks.peers.shear_wave import ShearWave
 from fishrl.physics import FlowConfig, InPlaceSolver, Scales
 from fishrl.physics.cases import PERIODIC as PERIODIC_EDGES
 from fishrl.physics.cases import make_swimmer_config
+from fishrl.physics.flow import make_uniform
 from fishrl.physics.immersed_boundary import DirectSolve, ForceSolve, IterativeForcing
-from fishrl.physics.step import make_uniform
 from fishrl.physics.storage import Storage
 
 Function = Callable[..., Any]

@@ -23,7 +23,7 @@ from experiments.validation.wake import start_flow
 from fishrl.physics import Ellipse, FlowConfig
 from fishrl.physics.bodies.motion import Free
 from fishrl.physics.boundaries import Boundaries, NoSlip, Periodic
-from fishrl.physics.step import make_uniform
+from fishrl.physics.flow import make_uniform
 
 ASPECT_RATIO = 2.0
 NUM_SAMPLES = 400  # per 5 pi / G, Jeffery's period

@@ -17,12 +17,13 @@ from matplotlib.figure import Figure
 from experiments.figures import COLOURS
 from experiments.validation.case import Case, Check, Job, Result, Results
 from fishrl.physics import Cylinder, Fish, FlowConfig, FlowState, Free, Scales
+from fishrl.physics.bodies.geometry import locate_bodies
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium
 from fishrl.physics.collision import compute_macroscopic
-from fishrl.physics.flow import FlowParams, make_params
+from fishrl.physics.flow import FlowParams, make_params, make_rest
 from fishrl.physics.immersed_boundary import DirectSolve, ForceSolve, IterativeForcing, interpolate
-from fishrl.physics.step import exchange, gather, locate_bodies, make_rest, spread, step
+from fishrl.physics.step import exchange, gather, gather_fluid, spread, step
 
 RELAXATIONS = {1.0: "--", 1.7: "-"}  # with the lines of the figure
 COUNTS = (1, 2, 3, 4, 6, 10, 20)
@@ -70,19 +71,18 @@ def measure_slip(state: FlowState, config: FlowConfig, params: FlowParams) -> fl
 
     The velocity is interpolated anew from the nodes, force included, not taken from the solve.
     """
-    rho, jx, jy = compute_macroscopic(state.f.unbind(1))
-    ux, uy = jx / (rho + 1.0), jy / (rho + 1.0)
-    place = locate_bodies(state.bodies, config, params.bodies, rho.dtype)
+    fluid = compute_macroscopic(state.f.unbind(1))
+    place = locate_bodies(config, params.bodies, state.bodies, fluid.rho.dtype)
     nodes = place.stencil.index_nodes(config.width)
-    fluid = (gather(v, nodes) for v in (rho, ux, uy))
-    moved, *shares = exchange(state.bodies, config, params.bodies, place, *fluid)
+    seen = gather_fluid(fluid, nodes)
+    moved, *shares = exchange(config, params.bodies, state.bodies, place, seen)
     body, markers = moved[0], place.markers[0]
     spin = torch.stack((-markers.arm[..., 1], markers.arm[..., 0]), -1)
     wall = body.velocity[:, None] + body.angular_velocity[:, None, None] * spin
     wall = wall + markers.deformation_velocity
     slip = []
-    for axis, (u, share) in enumerate(zip((ux, uy), shares, strict=True)):
-        forced = u + 0.5 * spread(share, nodes, rho) / (rho + 1.0)
+    for axis, (u, share) in enumerate(zip((fluid.ux, fluid.uy), shares, strict=True)):
+        forced = u + 0.5 * spread(share, nodes, fluid.rho) / fluid.rho
         slip.append(interpolate(gather(forced, nodes), place.stencil.weights) - wall[..., axis])
     return float(torch.stack(slip).double().square().sum(0).sqrt().max())
 

@@ -18,8 +18,8 @@ from experiments.validation.case import Case, Check, Job, Result, Results, check
 from experiments.validation.convergence import draw_convergence, fit_order
 from fishrl.physics.cases import PERIODIC, make_taylor_green
 from fishrl.physics.collision import compute_macroscopic
-from fishrl.physics.flow import FlowConfig, FlowState
-from fishrl.physics.step import make_uniform, step
+from fishrl.physics.flow import FlowConfig, FlowState, make_params, make_uniform
+from fishrl.physics.step import step
 
 REYNOLDS = 20.0
 SPEED = 0.64  # U N
@@ -44,12 +44,12 @@ def decay_vortices(*, size: int, is_single: bool) -> Result:
     nu = speed * size / REYNOLDS
     config = FlowConfig(width=size, height=size, tau=3.0 * nu + 0.5, boundaries=PERIODIC)
     half = round(1.0 / (4.0 * nu * k * k))
-    rho, u = make_taylor_green(size, speed, 0.0, nu)
-    state = FlowState(make_uniform(rho, u[:, 0], u[:, 1]).to(dtype))
-    amplitudes = []
+    drho, u = make_taylor_green(size, speed, 0.0, nu)
+    state = FlowState(make_uniform(drho, u[:, 0], u[:, 1]).to(dtype))
+    params, amplitudes = make_params([config]), []
     for _ in range(2):
         for _ in range(half):
-            state = step(state, config)
+            state = step(state, config, params)
         velocity = _read_velocity(state)
         amplitudes.append(float((velocity * u).sum() / (u * u).sum()))
     measured = log(amplitudes[0] / amplitudes[1]) / (2.0 * k * k * half)
@@ -61,8 +61,8 @@ def decay_vortices(*, size: int, is_single: bool) -> Result:
 
 
 def _read_velocity(state: FlowState) -> Tensor:
-    rho, jx, jy = compute_macroscopic(state.f.double().unbind(1))
-    return torch.stack((jx, jy), 1) / (rho + 1.0)[:, None]
+    _, ux, uy = compute_macroscopic(state.f.double().unbind(1))
+    return torch.stack((ux, uy), 1)
 
 
 def _label(size: int, is_single: bool) -> str:

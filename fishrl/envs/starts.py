@@ -5,8 +5,8 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.sensors import compute_clearance
-from fishrl.physics.bodies.coupling import locate_markers
 from fishrl.physics.bodies.fish import Fish
+from fishrl.physics.bodies.geometry import locate_markers
 from fishrl.physics.bodies.state import make_body
 
 

@@ -1,8 +1,8 @@
 """The flow and the bodies in it: batched immersed-boundary lattice Boltzmann in torch."""
 
-from fishrl.physics.bodies.coupling import Coupling, Markers
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.gait import CARANGIFORM, CARLING, LONG_WAVE, Gait
+from fishrl.physics.bodies.geometry import Markers
 from fishrl.physics.bodies.motion import Bending, Commanded, Driven, Fixed, Free, Oscillating
 from fishrl.physics.bodies.outline import BodyConfig, Cylinder, DCylinder, Ellipse, Foil
 from fishrl.physics.bodies.sections import Section
@@ -26,7 +26,7 @@ from fishrl.physics.diagnostics import (
     measure_cycles,
 )
 from fishrl.physics.fast.solver import InPlaceSolver
-from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, Sponge
+from fishrl.physics.flow import Coupling, FlowConfig, FlowParams, FlowState, Sponge
 from fishrl.physics.storage import Storage
 from fishrl.physics.units import Scales, compute_tau
 

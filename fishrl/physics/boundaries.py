@@ -1,9 +1,9 @@
 """Boundary conditions on the four edges of the domain.
 
 A boundary sets the *incoming* populations of the edge nodes after streaming. Edges that need only
-their own nodes go first, then those that look at a neighbour: left and right, and last bottom and
-top, so that every neighbour is complete when it is read. One function per boundary serves the
-readable step and the in-place step alike: it takes views of one edge and returns new values.
+their own nodes go first, then those that read a neighbour: left and right, then bottom and top, so
+that every neighbour is complete when it is read. The readable and the in-place step share one
+function per boundary, which takes views of one edge and returns new values.
 """
 
 from abc import ABC, abstractmethod
@@ -15,7 +15,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
+from fishrl.physics.collision import Macroscopic, compute_equilibrium, compute_macroscopic
 from fishrl.physics.lattice import CX, CY, OPPOSITE, W
 
 Index = tuple[slice, slice, slice]
@@ -89,17 +89,25 @@ class Boundary(ABC):
         """
 
 
+def _extrapolate(
+    neighbour: Sequence[Tensor], fluid: Macroscopic, target: Macroscopic
+) -> dict[int, Tensor]:
+    """Return f_eq(target) + f_n - f_eq(fluid): the neighbour's non-equilibrium part is kept."""
+    pairs = zip(compute_equilibrium(*target), compute_equilibrium(*fluid), strict=True)
+    return {q: t + (neighbour[q] - e) for q, (t, e) in enumerate(pairs)}
+
+
 @dataclass(frozen=True, kw_only=True)
 class NonEquilibrium(Boundary):
     """Non-equilibrium extrapolation of Guo, Zheng & Shi 2002, eq. 6 (second order).
 
-    f_b = f_eq(rho_b, u_b) + f_n - f_eq(rho_n, u_n), with n the inner neighbour. What is not given
-    is taken from the neighbour. With the stream's velocity it is an inlet or a far field that moves
-    along, with (0, 0) a wall at rest, with a density an outflow.
+    f_b = f_eq(rho_b, u_b) + f_n - f_eq(rho_n, u_n), with n the inner neighbour, which also provides
+    the velocity or density that is not given. With the stream's velocity it is an inlet or a far
+    field, with (0, 0) a wall at rest, with a density an outflow.
 
     Args:
-        velocity: (x, y) in units of the flow's stream speed (1 node per step unless set).
-        density: rho; give it (1.0) at an outlet, which pins the pressure.
+        velocity: (x, y) in units of the flow's stream speed (1 node per step by default).
+        density: rho; 1.0 at an outlet fixes the pressure.
         profile: how the velocity varies along the edge.
     """
 
@@ -116,31 +124,26 @@ class NonEquilibrium(Boundary):
         self, side: Side, neighbour: Sequence[Tensor], outgoing: Sequence[Tensor], speed: Tensor
     ) -> dict[int, Tensor]:
         """Return all nine populations."""
-        rho, jx, jy = compute_macroscopic(neighbour)
-        ux, uy = jx / (rho + 1.0), jy / (rho + 1.0)
-        rho_b = rho if self.density is None else 0.0 * rho + (self.density - 1.0)
+        fluid = compute_macroscopic(neighbour)
+        drho, ux, uy = fluid
+        drho_b = drho if self.density is None else 0.0 * drho + (self.density - 1.0)
         ux_b = ux if self.velocity is None else 0.0 * ux + self.velocity[0] * speed[:, 1:-1]
         uy_b = uy if self.velocity is None else 0.0 * uy + self.velocity[1] * speed[:, 1:-1]
-        equilibrium = compute_equilibrium(rho, ux, uy)
-        target = compute_equilibrium(rho_b, ux_b, uy_b)
-        return {
-            q: t + (f - e)
-            for q, (t, f, e) in enumerate(zip(target, neighbour, equilibrium, strict=True))
-        }
+        return _extrapolate(neighbour, fluid, Macroscopic(drho_b, ux_b, uy_b))
 
 
 @dataclass(frozen=True, kw_only=True)
 class OpenEdge(Boundary):
-    """An edge that lets sound out, where pinned velocities or densities throw it back.
+    """A non-reflecting edge: sound leaves, where a fixed velocity or density would reflect it.
 
-    Non-equilibrium extrapolation with the velocity of the neighbour and the density of a wave that
-    only leaves: rho - 1 = ((rho_n - 1) + (outward velocity less the stream's) / c_s) / 2
-    (characteristic condition in one dimension, Thompson 1987). Between an inlet that pins velocity
-    and an outflow that pins density sound runs to and fro like in an organ pipe and shakes bodies.
+    Non-equilibrium extrapolation with the velocity of the neighbour and the density of an outgoing
+    wave: rho - 1 = ((rho_n - 1) + (outward velocity less the stream's) / c_s) / 2 (characteristic
+    condition in one dimension, Thompson 1987). Between an inlet of fixed velocity and an outflow of
+    fixed density, sound is reflected back and forth as in an organ pipe and shakes bodies.
 
     Args:
-        is_plane: means along the edge decide, so that vortices may leave, which do not change them;
-            otherwise each node decides for itself.
+        is_plane: apply the condition to means along the edge, which vortices that leave do not
+            change; otherwise to each node.
         velocity: (x, y) of the undisturbed stream in units of the flow's stream speed.
         profile: how that velocity varies along the edge.
     """
@@ -154,28 +157,23 @@ class OpenEdge(Boundary):
     ) -> dict[int, Tensor]:
         """Return all nine populations."""
         nx, ny = side.value
-        rho, jx, jy = compute_macroscopic(neighbour)
-        ux, uy = jx / (rho + 1.0), jy / (rho + 1.0)
+        fluid = compute_macroscopic(neighbour)
+        drho, ux, uy = fluid
         stream = speed[:, 1:-1]
         inward = nx * (ux - self.velocity[0] * stream) + ny * (uy - self.velocity[1] * stream)
-        wave = 0.5 * (rho - inward * 3.0**0.5)
+        wave = 0.5 * (drho - inward * 3.0**0.5)
         if self.is_plane:  # nodes at the ends may not be complete yet
-            wave = wave[:, 1:-1].mean(-1, keepdim=True) + 0.0 * rho
-        equilibrium = compute_equilibrium(rho, ux, uy)
-        target = compute_equilibrium(wave, ux, uy)
-        return {
-            q: t + (f - e)
-            for q, (t, f, e) in enumerate(zip(target, neighbour, equilibrium, strict=True))
-        }
+            wave = wave[:, 1:-1].mean(-1, keepdim=True) + 0.0 * drho
+        return _extrapolate(neighbour, fluid, Macroscopic(wave, ux, uy))
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoSlip(Boundary):
     """Half-way bounce-back: a wall half a node outside the edge nodes (Ladd 1994).
 
-    f_in = f_out(opposite) + 6 w c . U. A wall that slides along itself carries mass that no link
-    counts; it comes from and goes to the corners, so the links through them belong to the walls at
-    its ends where those rest. Without that a lid-driven cavity is of first order only.
+    f_in = f_out(opposite) + 6 w c . U. The mass that a sliding wall carries along itself enters and
+    leaves at the corners, so links through a corner belong to the wall at its end where that rests.
+    Without this a lid-driven cavity converges at first order only.
 
     Args:
         velocity: (x, y) of the wall in units of the flow's stream speed.

@@ -11,6 +11,7 @@ equals M f_eq of the second-order equilibrium exactly.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from torch import Tensor
 
@@ -41,28 +42,54 @@ class Rates:
                 raise ValueError(f"rates.{name} = {value}: a relaxation rate must lie in (0, 2)")
 
 
-def compute_macroscopic(f: Sequence[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-    """Return density deviation rho - 1 and momentum (jx, jy), without the half-force."""
+class Macroscopic(NamedTuple):
+    """Fluid at some nodes, without the half-force; tensors of any common shape.
+
+    Attributes:
+        drho: density deviation rho - 1.
+        ux: velocity along x, u* = j / rho.
+        uy: velocity along y.
+    """
+
+    drho: Tensor
+    ux: Tensor
+    uy: Tensor
+
+    @property
+    def rho(self) -> Tensor:
+        """Density."""
+        return self.drho + 1.0
+
+
+def compute_moments(f: Sequence[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the density deviation rho - 1 and the momentum (jx, jy), without the half-force."""
     f0, f1, f2, f3, f4, f5, f6, f7, f8 = f
     p57, p68, d57, d68 = f5 + f7, f6 + f8, f5 - f7, f6 - f8
-    rho = f0 + ((f1 + f3) + (f2 + f4)) + (p57 + p68)
-    return rho, (f1 - f3) + (d57 - d68), (f2 - f4) + (d57 + d68)
+    drho = f0 + ((f1 + f3) + (f2 + f4)) + (p57 + p68)
+    return drho, (f1 - f3) + (d57 - d68), (f2 - f4) + (d57 + d68)
 
 
-def compute_equilibrium(rho: Tensor, ux: Tensor, uy: Tensor) -> list[Tensor]:
+def compute_macroscopic(f: Sequence[Tensor]) -> Macroscopic:
+    """Return density deviation and velocity, without the half-force."""
+    drho, jx, jy = compute_moments(f)
+    rho = drho + 1.0
+    return Macroscopic(drho, jx / rho, jy / rho)
+
+
+def compute_equilibrium(drho: Tensor, ux: Tensor, uy: Tensor) -> list[Tensor]:
     """Return the shifted equilibrium f_eq - w.
 
     Args:
-        rho: density deviation rho - 1.
+        drho: density deviation rho - 1.
         ux: velocity along x.
         uy: velocity along y.
     """
-    density = rho + 1.0
+    rho = drho + 1.0
     u2 = 1.5 * (ux * ux + uy * uy)
     f_eq = []
     for cx, cy, w in zip(CX, CY, W, strict=True):
         cu = cx * ux + cy * uy
-        f_eq.append(w * (rho + density * (3.0 * cu + 4.5 * cu * cu - u2)))
+        f_eq.append(w * (drho + rho * (3.0 * cu + 4.5 * cu * cu - u2)))
     return f_eq
 
 
@@ -81,14 +108,14 @@ def collide_mrt(f: Sequence[Tensor], omega: Tensor | float, rates: Rates) -> lis
     a13, a24, a57, a68 = f1 + f3, f2 + f4, f5 + f7, f6 + f8
     d13, d24, d57, d68 = f1 - f3, f2 - f4, f5 - f7, f6 - f8
     axis, diagonal = a13 + a24, a57 + a68
-    rho = f0 + axis + diagonal
+    drho = f0 + axis + diagonal
     jx, jy = d13 + (d57 - d68), d24 + (d57 + d68)
-    inverse = 1.0 / (rho + 1.0)
+    inverse = 1.0 / (drho + 1.0)
     jxx, jyy, jxy = jx * jx * inverse, jy * jy * inverse, jx * jy * inverse
     u2 = 3.0 * (jxx + jyy)
     # relaxation of each moment: s (m - m_eq)
-    de = rates.energy * (-4.0 * f0 - axis + 2.0 * diagonal + 2.0 * rho - u2)
-    deps = rates.energy * (4.0 * f0 - 2.0 * axis + diagonal - rho + u2)
+    de = rates.energy * (-4.0 * f0 - axis + 2.0 * diagonal + 2.0 * drho - u2)
+    deps = rates.energy * (4.0 * f0 - 2.0 * axis + diagonal - drho + u2)
     dqx = rates.flux * (-2.0 * d13 + (d57 - d68) + jx)
     dqy = rates.flux * (-2.0 * d24 + (d57 + d68) + jy)
     dpxx = omega * (a13 - a24 - (jxx - jyy))
@@ -120,9 +147,12 @@ def _from_moments(
 
 
 def compute_force_increment(
-    rho: Tensor, ux: Tensor, uy: Tensor, fx: Tensor, fy: Tensor,
-    part_x: Tensor, part_y: Tensor, omega: Tensor | float, rates: Rates,
-) -> list[Tensor]:  # fmt: skip
+    fluid: Macroscopic,
+    force: tuple[Tensor, Tensor],
+    share: tuple[Tensor, Tensor],
+    omega: Tensor | float,
+    rates: Rates,
+) -> list[Tensor]:
     """Return what a body force adds to the post-collision populations.
 
     Forced collision (Guo, Zheng & Shi 2002 in moment form, equal to the paper's eq. 1 with Cheng's
@@ -131,30 +161,29 @@ def compute_force_increment(
         delta m = M g(u* + F / 2 rho, F) - (s / 4 rho) Q(F, F),
 
     Q being the quadratic form of m_eq, because M g(u + F / 2 rho, F) = m_eq(u + F / rho) - m_eq(u).
-    With the node's total force in ``fx, fy`` it is linear in ``part``, so the shares of several
-    markers in one node may be added one by one.
+    Given the node's total force it is linear in ``share``, so the contributions of several markers
+    to one node may be added one by one.
 
     Args:
-        rho: density deviation rho - 1 at the nodes.
-        ux: velocity without force, u* = j / rho, along x.
-        uy: the same along y.
-        fx: total body-force density at the node along x.
-        fy: the same along y.
-        part_x: the share of the force whose increment is returned (``fx`` itself for all of it).
-        part_y: the same along y.
+        fluid: density and unforced velocity at the nodes.
+        force: total body-force density at the node (x, y).
+        share: the part of it whose increment is returned (x, y); ``force`` itself for all of it.
         omega: 1 / tau.
         rates: the other rates.
     """
-    half = 0.5 / (rho + 1.0)
+    _, ux, uy = fluid
+    fx, fy = force
+    sx, sy = share
+    half = 0.5 / fluid.rho
     # the force works on u* + (1 - s/4) F / (2 rho), with the rate s of the moment at hand
     gx, gy = fx * half, fy * half
     ex, ey = ux + (1.0 - 0.25 * rates.energy) * gx, uy + (1.0 - 0.25 * rates.energy) * gy
     px, py = ux + (1.0 - 0.25 * omega) * gx, uy + (1.0 - 0.25 * omega) * gy
-    e = 6.0 * (ex * part_x + ey * part_y)
-    pxx = 2.0 * (px * part_x - py * part_y)
-    pxy = px * part_y + py * part_x
-    change = _from_moments(e, -e, -part_x, -part_y, pxx, pxy)
-    x6, y6 = part_x * (1 / 6), part_y * (1 / 6)
+    e = 6.0 * (ex * sx + ey * sy)
+    pxx = 2.0 * (px * sx - py * sy)
+    pxy = px * sy + py * sx
+    change = _from_moments(e, -e, -sx, -sy, pxx, pxy)
+    x6, y6 = sx * (1 / 6), sy * (1 / 6)
     return [
         c + (cx * x6 + cy * y6) if cx or cy else c for c, cx, cy in zip(change, CX, CY, strict=True)
     ]

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from math import inf, isfinite, pi
 from typing import NamedTuple
 
@@ -9,21 +10,28 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from fishrl.physics.bodies.coupling import Coupling
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.boundaries import Boundaries, Side
-from fishrl.physics.collision import Rates
+from fishrl.physics.collision import Rates, compute_equilibrium
 from fishrl.physics.delta import Kernel, Roma3
 from fishrl.physics.immersed_boundary import ForceSolve, IterativeForcing
+from fishrl.physics.lattice import Q
 from fishrl.physics.storage import Storage
 from fishrl.physics.units import MAX_WALL_SPEED, check_tau
 
 
+class Coupling(Enum):
+    """How force and rigid motion are solved."""
+
+    IMPLICIT = "implicit"  # together; conserves momentum, stable at equal density
+    EXPLICIT = "explicit"  # the paper's eqs. 5 and 6: the last step's velocity sets the force
+
+
 @dataclass(frozen=True, kw_only=True)
 class Sponge:
-    """A strip along an edge where the viscosity rises smoothly and swallows vortices and sound.
+    """A strip along an edge where the viscosity rises smoothly and damps vortices and sound.
 
     Args:
         length: of the strip, nodes.
@@ -192,6 +200,16 @@ class FlowState(NamedTuple):
     f: Tensor
     bodies: tuple[BodyState, ...] = ()
     clock: Tensor | None = None
+
+
+def make_rest(config: FlowConfig, num_envs: int, dtype: torch.dtype = torch.float64) -> Tensor:
+    """Return the populations ``[B, Q, Y, X]`` of a fluid at rest."""
+    return torch.zeros(num_envs, Q, config.height, config.width, dtype=dtype)
+
+
+def make_uniform(drho: Tensor, ux: Tensor, uy: Tensor) -> Tensor:
+    """Return equilibrium populations ``[B, Q, Y, X]`` of ``[B, Y, X]`` fields (rho - 1, u)."""
+    return torch.stack(compute_equilibrium(drho, ux, uy), 1)
 
 
 def make_params(configs: Sequence[FlowConfig], device: torch.device | str = "cpu") -> FlowParams:

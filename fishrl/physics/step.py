@@ -1,62 +1,50 @@
-"""One step of the flow and the bodies in it, as the paper writes it.
+"""One step of the flow and the bodies in it, as the paper writes it. Read this file first.
 
 This is the readable step: batched, functional, of any float type, differentiable. The in-place step
-(``in_place.py``) calls the same collision, boundaries and body functions and is tested against it.
+(``fast/step.py``) calls the same collision, boundaries and body functions and is tested against it.
+
+The method in one paragraph. A flow is nine populations ``f`` at every node; their sum is the
+density, their first moment the momentum. A step relaxes them towards equilibrium (collision), moves
+each to the next node along its own direction (streaming) and sets those that come in at the edges.
+A body is a closed line of markers that exchanges velocity and force with the nodes around it: the
+fluid velocity is interpolated to the markers, the force that removes the slip between fluid and
+body is solved for, together with the motion of bodies that move freely, and spread to the nodes.
 """
 
 from collections.abc import Sequence
 from math import inf
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from fishrl.physics.bodies.coupling import (
-    Markers,
-    deform_body,
-    move_body,
-    place_markers,
-    solve_body_force,
-)
-from fishrl.physics.bodies.gait import Deformation
+from fishrl.physics.bodies.coupling import move_body, solve_body_force
+from fishrl.physics.bodies.geometry import BodyGeometry, locate_bodies
 from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.boundaries import apply_boundaries_
 from fishrl.physics.collision import (
+    Macroscopic,
     collide_mrt,
-    compute_equilibrium,
     compute_force_increment,
     compute_macroscopic,
 )
-from fishrl.physics.flow import (
-    FlowConfig,
-    FlowParams,
-    FlowState,
-    compute_stream_speed,
-    make_params,
-)
-from fishrl.physics.immersed_boundary import (
-    Stencil,
-    interpolate,
-    make_stencil,
-    overlap_markers,
-)
+from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, compute_stream_speed
+from fishrl.physics.immersed_boundary import interpolate
 from fishrl.physics.streaming import stream
 
 
 def step(
     state: FlowState,
     config: FlowConfig,
-    params: FlowParams | None = None,
+    params: FlowParams,
     external_force: Tensor | None = None,
 ) -> FlowState:
     """Advance a batch of flows by one step.
 
     Args:
         state: populations ``[B, Q, Y, X]`` and bodies.
-        config: of the flows.
-        params: what differs between them, from ``make_params``; None makes those of ``config``,
-            which takes long where there are bodies.
+        config: of the flows. Its ``tau``, ``stream_speed`` and ``ramp_steps`` are not read here.
+        params: those, per flow, and the parameters of the bodies, from ``make_params``.
         external_force: ``[B, 2, Y, X]`` body-force density, added to the bodies'.
 
     Source: the paper's eqs. 1 to 6, with the changes listed in the theory page: force-free implicit
@@ -67,115 +55,65 @@ def step(
             f"the state has {len(state.bodies)} bodies, the config {len(config.bodies)}: give "
             "FlowConfig(bodies=...) and FlowState(f, bodies) the same number"
         )
-    params = make_params([config]) if params is None else params
     f = state.f.unbind(1)
-    rho, jx, jy = compute_macroscopic(f)
-    ux, uy = jx / (rho + 1.0), jy / (rho + 1.0)
+    fluid = compute_macroscopic(f)
     force = torch.zeros_like(state.f[:, :2]) if external_force is None else external_force
     bodies = state.bodies
     if bodies:
-        place = locate_bodies(bodies, config, params.bodies, f[0].dtype)
-        nodes = place.stencil.index_nodes(config.width)
-        fluid = (gather(v, nodes) for v in (rho, ux, uy))
-        bodies, share_x, share_y = exchange(bodies, config, params.bodies, place, *fluid)
-        force = force + torch.stack((spread(share_x, nodes, rho), spread(share_y, nodes, rho)), 1)
+        geometry = locate_bodies(config, params.bodies, bodies, f[0].dtype)
+        nodes = geometry.stencil.index_nodes(config.width)
+        seen = gather_fluid(fluid, nodes)
+        bodies, share_x, share_y = exchange(config, params.bodies, bodies, geometry, seen)
+        spread_x, spread_y = spread(share_x, nodes, fluid.rho), spread(share_y, nodes, fluid.rho)
+        force = force + torch.stack((spread_x, spread_y), 1)
     fx, fy = force.unbind(1)
-    omega = config.compute_omega(params.tau).to(rho)
-    increment = compute_force_increment(rho, ux, uy, fx, fy, fx, fy, omega, config.rates)
-    outgoing = [a + b for a, b in zip(collide_mrt(f, omega, config.rates), increment, strict=True)]
+    omega = config.compute_omega(params.tau).to(fluid.drho)
+    increment = compute_force_increment(fluid, (fx, fy), (fx, fy), omega, config.rates)
+    collided = collide_mrt(f, omega, config.rates)
+    outgoing = [a + b for a, b in zip(collided, increment, strict=True)]
     incoming = stream(outgoing)
     clock = torch.full_like(params.ramp_steps, inf) if state.clock is None else state.clock + 1.0
     apply_boundaries_(incoming, outgoing, config.boundaries, compute_stream_speed(params, clock))
     return FlowState(torch.stack(incoming, 1), bodies, clock)
 
 
-def make_rest(config: FlowConfig, num_envs: int, dtype: torch.dtype = torch.float64) -> Tensor:
-    """Return the populations ``[B, Q, Y, X]`` of a fluid at rest."""
-    return torch.zeros(num_envs, 9, config.height, config.width, dtype=dtype)
-
-
-def make_uniform(rho: Tensor, ux: Tensor, uy: Tensor) -> Tensor:
-    """Return equilibrium populations ``[B, Q, Y, X]`` of ``[B, Y, X]`` fields (rho - 1, u)."""
-    return torch.stack(compute_equilibrium(rho, ux, uy), 1)
-
-
-class BodyGeometry(NamedTuple):
-    """Where the bodies are in this step.
-
-    Attributes:
-        deformations: of each body.
-        markers: of each body.
-        stencil: of all markers.
-        operator: of the force solve.
-    """
-
-    deformations: tuple[Deformation, ...]
-    markers: tuple[Markers, ...]
-    stencil: Stencil
-    operator: tuple[Tensor, ...]
-
-
-def locate_bodies(
-    bodies: Sequence[BodyState],
-    config: FlowConfig,
-    shapes: Sequence[BodyParams],
-    dtype: torch.dtype,
-) -> BodyGeometry:
-    """Deform the bodies, place their markers and find the nodes they see."""
-    triples = zip(config.bodies, shapes, bodies, strict=True)
-    deformations = tuple(deform_body(outline, shape, body) for outline, shape, body in triples)
-    markers = tuple(place_markers(b, d) for b, d in zip(bodies, deformations, strict=True))
-    positions = torch.cat([m.position for m in markers], 1)
-    stencil = make_stencil(positions, config.kernel, config.width, config.height, dtype)
-    spacing = torch.cat([s.spacing.to(dtype).expand(len(positions), -1) for s in shapes], -1)
-    operator = config.force_solve.prepare(overlap_markers(stencil), spacing)
-    return BodyGeometry(deformations, markers, stencil, operator)
-
-
 def exchange(
-    bodies: Sequence[BodyState],
     config: FlowConfig,
-    shapes: Sequence[BodyParams],
-    place: BodyGeometry,
-    rho: Tensor,
-    ux: Tensor,
-    uy: Tensor,
+    params: Sequence[BodyParams],
+    states: Sequence[BodyState],
+    geometry: BodyGeometry,
+    fluid: Macroscopic,
 ) -> tuple[tuple[BodyState, ...], Tensor, Tensor]:
-    """Solve force and rigid motion together from the fluid at the markers' nodes.
+    """Let fluid and bodies act on each other: solve force and rigid motion together.
 
     Args:
-        bodies: states at the start of the step.
         config: of the flows.
-        shapes: of the bodies.
-        place: where the bodies are.
-        rho: density deviation at the nodes ``[B, S * S, N]``.
-        ux: velocity without force along x there.
-        uy: the same along y.
+        params: of each body.
+        states: of each body at the start of the step.
+        geometry: of the bodies, from ``locate_bodies``.
+        fluid: at the nodes of the markers' stencils, ``[B, S * S, N]``.
 
     Returns:
         The bodies after the step and each marker's share of the nodes' force density along x and y,
         ``[B, S * S, N]``: F = 2 rho W g ds.
     """
-    weights = place.stencil.weights
-    g, updates = solve_body_force(
-        config.bodies,
-        shapes,
-        bodies,
-        place.deformations,
-        place.markers,
-        place.operator,
-        torch.stack((interpolate(ux, weights), interpolate(uy, weights)), 1),
-        interpolate(rho + 1.0, weights),
-        solve=config.force_solve,
-        coupling=config.coupling,
-    )
+    weights = geometry.stencil.weights
+    velocity = torch.stack((interpolate(fluid.ux, weights), interpolate(fluid.uy, weights)), 1)
+    rho = interpolate(fluid.rho, weights)
+    g, updates = solve_body_force(config, params, states, geometry, velocity, rho)
+    bodies = zip(config.bodies, params, states, geometry.deformations, updates, strict=True)
     moved = tuple(
-        move_body(*each)
-        for each in zip(config.bodies, shapes, bodies, place.deformations, updates, strict=True)
+        move_body(body, own, state, deformation, update)
+        for body, own, state, deformation, update in bodies
     )
-    spacing = torch.cat([s.spacing.to(ux.dtype).expand(len(ux), -1) for s in shapes], -1)
-    strength = 2.0 * spacing[:, None] * (rho + 1.0) * weights
+    strength = 2.0 * geometry.spacing[:, None] * fluid.rho * weights
     return moved, strength * g[:, None, 0], strength * g[:, None, 1]
+
+
+def gather_fluid(fluid: Macroscopic, nodes: Tensor) -> Macroscopic:
+    """Read the fields ``[B, Y, X]`` at flat node indices ``[B, ...]``."""
+    drho, ux, uy = fluid
+    return Macroscopic(gather(drho, nodes), gather(ux, nodes), gather(uy, nodes))
 
 
 def gather(field: Tensor, nodes: Tensor) -> Tensor:

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from fishrl.physics.bodies.coupling import Markers, deform_body, place_markers
+from fishrl.physics.bodies.geometry import Markers, deform_body, place_markers
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.flow import FlowConfig
 

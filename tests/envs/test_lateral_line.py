@@ -9,7 +9,7 @@ from torch import Tensor
 
 from fishrl.envs.lateral_line import LOCAL, PAPER, LateralLine
 from fishrl.physics import Fish, FlowConfig, InPlaceSolver
-from fishrl.physics.step import make_uniform
+from fishrl.physics.flow import make_uniform
 
 LENGTH, PERIOD = 20, 200
 UNIT = LENGTH / PERIOD

@@ -23,8 +23,10 @@ from fishrl.physics.flow import (
     Sponge,
     compute_stream_speed,
     make_params,
+    make_rest,
+    make_uniform,
 )
-from fishrl.physics.step import make_rest, make_uniform, step
+from fishrl.physics.step import step
 
 
 @pytest.mark.parametrize("top", [NoSlip(velocity=(1.0, 0.0)), NonEquilibrium(velocity=(1.0, 0.0))])
@@ -32,11 +34,10 @@ def test_a_sliding_wall_drives_an_exact_couette_flow(top: NoSlip | NonEquilibriu
     """u = U y / H, H from wall to wall: a linear profile is met to round-off."""
     edges = Boundaries(left=Periodic(), right=Periodic(), bottom=NoSlip(), top=top)
     config = FlowConfig(width=4, height=12, tau=0.9, stream_speed=0.05, boundaries=edges)
-    state = FlowState(make_rest(config, 1))
+    state, params = FlowState(make_rest(config, 1)), make_params([config])
     for _ in range(1500):
-        state = step(state, config)
-    rho, jx, _ = compute_macroscopic(state.f.unbind(1))
-    u = (jx / (rho + 1.0))[0, :, 1]
+        state = step(state, config, params)
+    u = compute_macroscopic(state.f.unbind(1)).ux[0, :, 1]
     gap = 12.0 if isinstance(top, NoSlip) else 11.5
     exact = 0.05 * (torch.arange(12, dtype=torch.float64) + 0.5) / gap
     torch.testing.assert_close(u, exact, rtol=0, atol=1e-6)
@@ -54,11 +55,11 @@ def test_sound_leaves_through_an_open_edge_and_returns_from_a_pinned_one() -> No
         pulse = 1e-3 * torch.exp(-(((x - 100) / 10) ** 2))
         # only the wave that runs to the right: u' = c_s rho'
         f = make_uniform(pulse, 0.05 + pulse / 3**0.5, 0.0 * pulse)
-        state = FlowState(f)
+        state, params = FlowState(f), make_params([config])
         for _ in range(260):
-            state = step(state, config)
-        rho, _, _ = compute_macroscopic(state.f.unbind(1))
-        left[name] = float(rho[0, :, 10:150].abs().max())
+            state = step(state, config, params)
+        drho, _, _ = compute_macroscopic(state.f.unbind(1))
+        left[name] = float(drho[0, :, 10:150].abs().max())
     assert left["open"] < 6e-5 < 3e-4 < left["pinned"]
 
 

@@ -1,4 +1,4 @@
-"""Rigid motion of the bodies and its coupling to the flow.
+"""Coupling of the bodies' rigid motion to the flow.
 
 Marker l sits at x_l = X + R(angle) (axial, lateral) and moves with V_l = U + (Omega - H/I) z x
 r_l + R u_deform. Fluid and bodies are solved together: with the force solve written as a linear map
@@ -9,73 +9,20 @@ coupling, as the paper writes it, is unstable there (added mass).
 """
 
 from collections.abc import Sequence
-from enum import Enum
 from itertools import accumulate
-from math import pi
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from fishrl.physics.bodies.gait import Beat, Deformation, advance_phase
+from fishrl.physics.bodies.gait import Deformation, advance_phase
+from fishrl.physics.bodies.geometry import BodyGeometry, Markers, compute_axis
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.immersed_boundary import ForceSolve
+from fishrl.physics.flow import Coupling, FlowConfig
 
-
-class Coupling(Enum):
-    """How force and rigid motion are solved."""
-
-    IMPLICIT = "implicit"  # together; conserves momentum, stable at equal density
-    EXPLICIT = "explicit"  # the paper's eqs. 5 and 6: the last step's velocity sets the force
-
-
-class Markers(NamedTuple):
-    """Where the markers of one body are and how they deform, ``[B, N, 2]`` each.
-
-    Attributes:
-        position: in nodes.
-        arm: position relative to the centre of mass.
-        deformation_velocity: velocity without the rigid motion, u_def.
-    """
-
-    position: Tensor
-    arm: Tensor
-    deformation_velocity: Tensor
-
-
-def deform_body(outline: BodyConfig, shape: BodyParams, body: BodyState) -> Deformation:
-    """Return the outline of a body in its own frame."""
-    return shape.deform(_read_beat(outline, body))
-
-
-def locate_markers(outline: BodyConfig, shape: BodyParams, body: BodyState) -> Tensor:
-    """Return the positions of ``place_markers`` alone, ``[B, N, 2]`` in nodes."""
-    axial, lateral = shape.draw(_read_beat(outline, body))
-    return body.position[:, None] + _turn(body, axial, lateral)
-
-
-def _read_beat(outline: BodyConfig, body: BodyState) -> Beat:
-    rate = outline.motion.compute_bend_rate(body)
-    return Beat(body.phase, body.frequency, body.beats, body.bend, rate)
-
-
-def _turn(body: BodyState, axial: Tensor, lateral: Tensor) -> Tensor:
-    """Turn vectors along and across the body's axis into the flow's frame, ``[B, N, 2]``."""
-    angle = body.heading + pi + body.internal_angle
-    cos, sin = torch.cos(angle)[:, None], torch.sin(angle)[:, None]
-    return torch.stack((cos * axial - sin * lateral, sin * axial + cos * lateral), -1)
-
-
-def place_markers(body: BodyState, deformation: Deformation) -> Markers:
-    """Carry the deformed outline into the flow; the body axis runs from head to tail."""
-    arm = _turn(body, deformation.axial, deformation.lateral)
-    rx, ry = arm.unbind(-1)
-    spin = deformation.spin[:, None]
-    velocity = _turn(body, deformation.axial_velocity, deformation.lateral_velocity)
-    velocity = velocity + torch.stack((-spin * ry, spin * rx), -1)
-    return Markers(body.position[:, None] + arm, arm, velocity)
+_Pair = tuple[Tensor | None, Tensor | None]
 
 
 class RigidUpdate(NamedTuple):
@@ -106,151 +53,225 @@ class _Freedom(NamedTuple):
     """One rigid degree of freedom that the flow decides.
 
     Attributes:
-        body: number of its body.
+        body: index of its body.
         axis: 0 and 1 for the centre of mass along x and y, 2 for turning.
         unit: velocity (x, y) that a unit of it gives all markers, ``[B, N]``; None is zero.
         rows: of the force solve whose right-hand sides these are.
+        inertia: ``[B]`` mass or moment of inertia; implicit coupling leaves out the fluid's inside.
+        push: ``[B]`` force or torque beside the fluid's.
     """
 
     body: int
     axis: int
-    unit: tuple[Tensor | None, Tensor | None]
+    unit: _Pair
     rows: tuple[int | None, int | None]
+    inertia: Tensor
+    push: Tensor
+
+    def respond(self, solution: Tensor) -> _Pair:
+        """Return the rows (x, y) of a solution ``[B, R, N]`` that a unit of it causes."""
+        x, y = self.rows
+        return None if x is None else solution[:, x], None if y is None else solution[:, y]
+
+
+class _Walls(NamedTuple):
+    """What the bodies ask of the fluid at their markers.
+
+    Attributes:
+        rates: (U_x, U_y, Omega) ``[B]`` of each body: prescribed, or as in the last step.
+        velocity: ``[B, 2, N]`` of the markers at these rates.
+        freedoms: rates that the flow decides.
+        units: ``[B, N]`` right-hand sides of the force solve for the freedoms.
+    """
+
+    rates: list[list[Tensor]]
+    velocity: Tensor
+    freedoms: list[_Freedom]
+    units: list[Tensor]
+
+
+class _MarkerMass(NamedTuple):
+    """Fluid mass that the markers' forces act on: F = mass g at each marker.
+
+    Attributes:
+        mass: ``[B, N]``, 2 rho ds.
+        own: slice of each body's markers.
+    """
+
+    mass: Tensor
+    own: list[slice]
+
+    def project(self, freedom: _Freedom, g: _Pair) -> Tensor | float:
+        """Return the force or torque ``[B]`` along a degree of freedom that g puts on the fluid."""
+        pairs = zip(freedom.unit, g, strict=True)
+        parts = [unit * value for unit, value in pairs if unit is not None and value is not None]
+        if not parts:
+            return 0.0
+        work = self.mass * sum(parts[1:], parts[0])
+        return work[:, self.own[freedom.body]].sum(-1).double()
 
 
 def solve_body_force(
-    outlines: Sequence[BodyConfig],
-    shapes: Sequence[BodyParams],
-    bodies: Sequence[BodyState],
-    deformations: Sequence[Deformation],
-    markers: Sequence[Markers],
-    operator: Sequence[Tensor],
+    config: FlowConfig,
+    params: Sequence[BodyParams],
+    states: Sequence[BodyState],
+    geometry: BodyGeometry,
     velocity: Tensor,
-    density: Tensor,
-    *,
-    solve: ForceSolve,
-    coupling: Coupling,
+    rho: Tensor,
 ) -> tuple[Tensor, list[RigidUpdate]]:
     """Find the marker force and the new rigid velocities of all bodies together.
 
     Args:
-        outlines: what the bodies are; their markers follow each other in N.
-        shapes: of each body.
-        bodies: their states at the start of the step.
-        deformations: of each at this step.
-        markers: of each at this step.
-        operator: of the force solve, from ``solve.prepare``.
+        config: of the flows; ``force_solve`` is P. Explicit coupling is the paper's with corrected
+            sign: the body feels minus the force on the fluid.
+        params: of each body.
+        states: of each body at the start of the step.
+        geometry: of the bodies at this step.
         velocity: ``[B, 2, N]`` unforced fluid velocity at the markers.
-        density: ``[B, N]`` fluid density at the markers.
-        solve: the force solve P.
-        coupling: implicit, or the paper's explicit one (corrected sign: the body feels minus the
-            force on the fluid).
+        rho: ``[B, N]`` fluid density at the markers.
 
     Returns:
         g ``[B, 2, N]``, with F = 2 rho g per unit length, and an update per body.
     """
-    dtype, num_bodies = velocity.dtype, len(outlines)
-    ends = list(accumulate(outline.num_markers for outline in outlines))
-    own = [slice(b - o.num_markers, b) for b, o in zip(ends, outlines, strict=True)]
-    spacing = torch.cat([s.spacing.to(dtype).expand(len(density), -1) for s in shapes], -1)
-    mass = 2.0 * density * spacing
-
-    def widen(values: Tensor, m: int) -> Tensor:
-        """Return values of body m at all markers, zero at the others'."""
-        return pad(values, (own[m].start, ends[-1] - ends[m])) if num_bodies > 1 else values
-
-    def total(values: Tensor, m: int) -> Tensor:
-        """Sum over the markers of body m, each with the fluid mass that it moves."""
-        return (mass * values)[:, own[m]].sum(-1).double()
-
-    def project(i: _Freedom, gx: Tensor | None, gy: Tensor | None) -> Tensor | float:
-        """Return the force or torque along a degree of freedom that (gx, gy) puts on the fluid."""
-        pairs = zip(i.unit, (gx, gy), strict=True)
-        parts = [unit * g for unit, g in pairs if unit is not None and g is not None]
-        return total(sum(parts[1:], parts[0]), i.body) if parts else 0.0
-
-    arms = [[arm.to(dtype) for arm in place.arm.unbind(-1)] for place in markers]
-    rates: list[list[Tensor]] = []  # (U_x, U_y, Omega) of each body
-    targets: list[Tensor] = []
-    freedoms: list[_Freedom] = []
-    right: list[Tensor] = []  # sides of the force solve beside the slip itself
-    for m, (outline, body, place) in enumerate(zip(outlines, bodies, markers, strict=True)):
-        motion, (given, turn_rate) = outline.motion, outline.motion.prescribe(body)
-        linear = body.velocity if motion.moves_freely else given
-        omega = body.angular_velocity if motion.turns_freely else turn_rate
-        rates.append([*linear.unbind(-1), omega])
-        spin = torch.stack((-place.arm[..., 1], place.arm[..., 0]), -1) * omega[:, None, None]
-        targets.append((linear[:, None] + spin + place.deformation_velocity).to(dtype).mT)
-        rx, ry = arms[m]
-        row = 2 + len(right)
-        if motion.moves_freely:
-            one = widen(torch.ones_like(rx), m)
-            right.append(one)
-            freedoms += [_Freedom(m, 0, (one, None), (row, None))]
-            freedoms += [_Freedom(m, 1, (None, one), (None, row))]
-            row += 1
-        if motion.turns_freely:
-            right += [widen(-ry, m), widen(rx, m)]
-            freedoms += [_Freedom(m, 2, (right[-2], right[-1]), (row, row + 1))]
-    residual = torch.cat(targets, -1) - velocity
-    solution, rest = solve(operator, torch.stack([*residual.unbind(1), *right], 1))
-
-    def respond(of: Tensor, i: _Freedom) -> list[Tensor | None]:
-        return [None if row is None else of[:, row] for row in i.rows]
-
+    markers = _MarkerMass(2.0 * rho * geometry.spacing, _slice_markers(config.bodies))
+    walls = _move_walls(config, params, states, geometry, velocity.dtype)
+    residual = walls.velocity - velocity
+    right = torch.stack([*residual.unbind(1), *walls.units], 1)
+    solution, rest = config.force_solve(geometry.operator, right)
+    is_implicit = config.coupling is Coupling.IMPLICIT
+    changes = _solve_rigid_motion(walls.freedoms, markers, solution, is_implicit)
     g, slip = list(solution[:, :2].unbind(1)), list(rest[:, :2].unbind(1))
-    is_implicit = coupling is Coupling.IMPLICIT
-    matrix, drive = [], []
-    for i in freedoms:
-        shape, body, deformation = shapes[i.body], bodies[i.body], deformations[i.body]
-        excess = shape.density_ratio - (1.0 if is_implicit else 0.0)
-        push = -project(i, *g)
-        if i.axis == 2:
-            inertia = excess * deformation.inertia
-            push = push - excess * deformation.inertia_rate * body.angular_velocity
-        else:
-            inertia = excess * shape.area
-            push = push + body.load[:, i.axis]
-        matrix.append(
-            [
-                (project(i, *respond(solution, j)) if is_implicit else 0.0)
-                + (inertia if i is j else 0.0)
-                for j in freedoms
-            ]
-        )
-        drive.append(push)
-    for i, change in zip(freedoms, eliminate(matrix, drive), strict=True):
-        rates[i.body][i.axis] = rates[i.body][i.axis] + change
+    for freedom, change in zip(walls.freedoms, changes, strict=True):
+        rates = walls.rates[freedom.body]
+        rates[freedom.axis] = rates[freedom.axis] + change
         if is_implicit:
-            weight = change.to(dtype)[:, None]
+            weight = change.to(velocity.dtype)[:, None]
             for values, of in ((g, solution), (slip, rest)):
-                for axis, answer in enumerate(respond(of, i)):
+                for axis, answer in enumerate(freedom.respond(of)):
                     if answer is not None:
                         values[axis] = values[axis] + weight * answer
-    gx, gy = g
+    fx, fy = markers.mass * g[0], markers.mass * g[1]
     square = slip[0] * slip[0] + slip[1] * slip[1]
-    updates = []
-    for m, (body, deformation) in enumerate(zip(bodies, deformations, strict=True)):
-        (rx, ry), mine = arms[m], own[m]
-        ux, uy = markers[m].deformation_velocity.to(dtype).unbind(-1)
-        angle = body.heading + pi + body.internal_angle
-        cos, sin = torch.cos(angle).to(dtype)[:, None], torch.sin(angle).to(dtype)[:, None]
-        across = deformation.lateral_velocity.to(dtype)
-        fx, fy = (mass * gx)[:, mine], (mass * gy)[:, mine]
-        power = fx * ux + fy * uy
-        updates.append(
-            RigidUpdate(
-                velocity=torch.stack(rates[m][:2], -1),
-                angular_velocity=rates[m][2],
-                slip_error=square[:, mine].amax(-1).sqrt().double(),
-                force=torch.stack((fx.sum(-1).double(), fy.sum(-1).double()), -1),
-                torque=(rx * fy - ry * fx).sum(-1).double(),
-                power=power.sum(-1).double(),
-                positive_power=power.clamp_min(0.0).sum(-1).double(),
-                lateral_power=((cos * fy - sin * fx) * across).sum(-1).double(),
-            )
+    updates = [
+        _report(
+            states[m],
+            geometry.markers[m],
+            rates=walls.rates[m],
+            lateral_velocity=geometry.deformations[m].lateral_velocity,
+            force=(fx[:, own], fy[:, own]),
+            square=square[:, own],
         )
+        for m, own in enumerate(markers.own)
+    ]
     return torch.stack(g, 1), updates
+
+
+def _slice_markers(bodies: Sequence[BodyConfig]) -> list[slice]:
+    """Return where the markers of each body are among all."""
+    ends = list(accumulate(body.num_markers for body in bodies))
+    return [slice(end - body.num_markers, end) for end, body in zip(ends, bodies, strict=True)]
+
+
+def _move_walls(
+    config: FlowConfig,
+    params: Sequence[BodyParams],
+    states: Sequence[BodyState],
+    geometry: BodyGeometry,
+    dtype: torch.dtype,
+) -> _Walls:
+    """Return how the markers move if the flow changes nothing, and what it may change."""
+    own, num_markers = _slice_markers(config.bodies), geometry.spacing.shape[-1]
+    displaced = 1.0 if config.coupling is Coupling.IMPLICIT else 0.0
+
+    def widen(values: Tensor, m: int) -> Tensor:
+        """Return values of body m at all markers, zero at those of the others."""
+        return pad(values, (own[m].start, num_markers - own[m].stop)) if len(own) > 1 else values
+
+    rates: list[list[Tensor]] = []
+    velocities: list[Tensor] = []
+    freedoms: list[_Freedom] = []
+    units: list[Tensor] = []
+    for m, (body, state) in enumerate(zip(config.bodies, states, strict=True)):
+        markers, deformation, motion = geometry.markers[m], geometry.deformations[m], body.motion
+        linear, omega = motion.prescribe(state)
+        linear = state.velocity if motion.moves_freely else linear
+        omega = state.angular_velocity if motion.turns_freely else omega
+        rates.append([*linear.unbind(-1), omega])
+        spin = torch.stack((-markers.arm[..., 1], markers.arm[..., 0]), -1) * omega[:, None, None]
+        velocities.append((linear[:, None] + spin + markers.deformation_velocity).to(dtype).mT)
+        rx, ry = (arm.to(dtype) for arm in markers.arm.unbind(-1))
+        excess = params[m].density_ratio - displaced
+        row = 2 + len(units)  # the first two rows are the slip itself
+        if motion.moves_freely:
+            one, mass = widen(torch.ones_like(rx), m), excess * params[m].area
+            units.append(one)
+            freedoms.append(_Freedom(m, 0, (one, None), (row, None), mass, state.load[:, 0]))
+            freedoms.append(_Freedom(m, 1, (None, one), (None, row), mass, state.load[:, 1]))
+            row += 1
+        if motion.turns_freely:
+            turning = widen(-ry, m), widen(rx, m)
+            units += turning
+            inertia = excess * deformation.inertia
+            push = -(excess * deformation.inertia_rate * state.angular_velocity)
+            freedoms.append(_Freedom(m, 2, turning, (row, row + 1), inertia, push))
+    return _Walls(rates, torch.cat(velocities, -1), freedoms, units)
+
+
+def _solve_rigid_motion(
+    freedoms: Sequence[_Freedom], markers: _MarkerMass, solution: Tensor, is_implicit: bool
+) -> list[Tensor]:
+    """Return the change ``[B]`` of each rate that the flow decides, from Newton's second law.
+
+    Implicit: (inertia + added mass) dU = -F + push. The added mass is the force that dU itself
+    causes, the projection of the other rows of the force solve. Explicit: without it.
+    """
+    slip_force = solution[:, 0], solution[:, 1]
+    matrix, drive = [], []
+    for i in freedoms:
+        row = [
+            (markers.project(i, j.respond(solution)) if is_implicit else 0.0)
+            + (i.inertia if i is j else 0.0)
+            for j in freedoms
+        ]
+        matrix.append(row)
+        drive.append(-markers.project(i, slip_force) + i.push)
+    return eliminate(matrix, drive)
+
+
+def _report(
+    state: BodyState,
+    markers: Markers,
+    *,
+    rates: Sequence[Tensor],
+    lateral_velocity: Tensor,
+    force: tuple[Tensor, Tensor],
+    square: Tensor,
+) -> RigidUpdate:
+    """Sum force, torque and power over the markers of one body.
+
+    Args:
+        state: of the body.
+        markers: of the body.
+        rates: its new (U_x, U_y, Omega).
+        lateral_velocity: of its deformation in its own frame ``[B, N]``.
+        force: of each marker on the fluid (x, y), ``[B, N]``.
+        square: of the remaining slip ``[B, N]``.
+    """
+    dtype, (fx, fy) = square.dtype, force
+    rx, ry = markers.arm.to(dtype).unbind(-1)
+    ux, uy = markers.deformation_velocity.to(dtype).unbind(-1)
+    cos, sin = (part.to(dtype)[:, None] for part in compute_axis(state))
+    power = fx * ux + fy * uy
+    return RigidUpdate(
+        velocity=torch.stack((rates[0], rates[1]), -1),
+        angular_velocity=rates[2],
+        slip_error=square.amax(-1).sqrt().double(),
+        force=torch.stack((fx.sum(-1).double(), fy.sum(-1).double()), -1),
+        torque=(rx * fy - ry * fx).sum(-1).double(),
+        power=power.sum(-1).double(),
+        positive_power=power.clamp_min(0.0).sum(-1).double(),
+        lateral_power=((cos * fy - sin * fx) * lateral_velocity.to(dtype)).sum(-1).double(),
+    )
 
 
 def eliminate(matrix: Sequence[Sequence[Tensor | float]], right: Sequence[Tensor]) -> list[Tensor]:
@@ -281,40 +302,40 @@ def _is_zero(entry: Tensor | float) -> bool:
 
 
 def move_body(
-    outline: BodyConfig,
-    shape: BodyParams,
-    body: BodyState,
+    config: BodyConfig,
+    params: BodyParams,
+    state: BodyState,
     deformation: Deformation,
     update: RigidUpdate,
 ) -> BodyState:
-    """Advance rigid motion, phase and ledgers of one body by one step.
+    """Advance rigid motion, phase and totals of one body by one step.
 
     The markers' force also drives the fluid inside the body, whose momentum is exactly the
     displaced mass times the body's velocity: hydro_force = m_f dU/dt - F. For the torque the same
     holds approximately (Feng & Michaelides 2009).
     """
-    gain = shape.area[:, None] * (update.velocity - body.velocity)
-    spin_up = deformation.inertia * (update.angular_velocity - body.angular_velocity)
+    gain = params.area[:, None] * (update.velocity - state.velocity)
+    spin_up = deformation.inertia * (update.angular_velocity - state.angular_velocity)
     hydro_force = gain - update.force
-    is_still = outline.motion.is_still
-    return body._replace(
-        position=body.position + (0.0 if is_still else update.velocity),
-        heading=body.heading + (0.0 if is_still else update.angular_velocity),
-        internal_angle=body.internal_angle + deformation.spin,
+    is_still = config.motion.is_still
+    return state._replace(
+        position=state.position + (0.0 if is_still else update.velocity),
+        heading=state.heading + (0.0 if is_still else update.angular_velocity),
+        internal_angle=state.internal_angle + deformation.spin,
         velocity=update.velocity,
         angular_velocity=update.angular_velocity,
-        phase=advance_phase(body.phase, body.frequency),
-        beats=body.beats + body.frequency,
-        age=body.age + 1.0,
-        bend=body.bend + outline.motion.compute_bend_rate(body),
-        turn_clock=body.turn_clock + 1.0,
-        work=body.work + update.power,
-        positive_work=body.positive_work + update.positive_power,
-        lateral_work=body.lateral_work + update.lateral_power,
-        torque_impulse=body.torque_impulse + update.torque,
+        phase=advance_phase(state.phase, state.frequency),
+        beats=state.beats + state.frequency,
+        age=state.age + 1.0,
+        bend=state.bend + config.motion.compute_bend_rate(state),
+        turn_clock=state.turn_clock + 1.0,
+        work=state.work + update.power,
+        positive_work=state.positive_work + update.positive_power,
+        lateral_work=state.lateral_work + update.lateral_power,
+        torque_impulse=state.torque_impulse + update.torque,
         slip_error=update.slip_error,
         force=update.force,
         hydro_force=hydro_force,
         hydro_torque=spin_up - update.torque,
-        impulse=body.impulse + hydro_force,
+        impulse=state.impulse + hydro_force,
     )

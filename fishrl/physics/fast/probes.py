@@ -40,9 +40,8 @@ def sample_flow(
     group, own = flow // layout.num_envs, flow % layout.num_envs
     cells = corners + own * layout.flow_length + layout.first_cell
     f = [storage.decode(data[group, cells + offset]) for offset in layout.offsets(0, False)]
-    rho, jx, jy = compute_macroscopic(f)
-    density = rho + 1.0
-    values = torch.stack((density, jx / density, jy / density), -1)
+    fluid = compute_macroscopic(f)
+    values = torch.stack((fluid.rho, fluid.ux, fluid.uy), -1)
     mean = (weights[..., None] * values).sum(1)
     return mean[..., 0], mean[..., 1:]
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from fishrl.physics.bodies.coupling import Markers, deform_body, locate_markers, place_markers
+from fishrl.physics.bodies.geometry import Markers, deform_body, locate_markers, place_markers
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
@@ -320,9 +320,8 @@ class InPlaceSolver:
         return torch.cat([rho for rho, _ in fields]), torch.cat([u for _, u in fields])
 
     def _read_group(self, group: FlowGroup) -> tuple[Tensor, Tensor]:
-        rho, jx, jy = compute_macroscopic(self._read(group))
-        density = rho + 1.0
-        return density, torch.stack((jx / density, jy / density), 1)
+        fluid = compute_macroscopic(self._read(group))
+        return fluid.rho, torch.stack((fluid.ux, fluid.uy), 1)
 
     def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Return density ``[B, P]`` and velocity ``[B, P, 2]`` at points ``[B, P, 2]`` (x, y)."""

@@ -15,13 +15,19 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
+from fishrl.physics.bodies.geometry import BodyGeometry, locate_bodies
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.boundaries import Boundary, Side
-from fishrl.physics.collision import collide_mrt, compute_force_increment, compute_macroscopic
+from fishrl.physics.collision import (
+    collide_mrt,
+    compute_force_increment,
+    compute_macroscopic,
+    compute_moments,
+)
 from fishrl.physics.fast.compiled import compile_inplace, is_own
 from fishrl.physics.flow import FlowConfig, FlowParams, compute_stream_speed
 from fishrl.physics.lattice import OPPOSITE, Q
-from fishrl.physics.step import BodyGeometry, exchange, locate_bodies
+from fishrl.physics.step import exchange
 from fishrl.physics.storage import Storage
 from fishrl.physics.streaming import InPlaceLayout
 
@@ -107,7 +113,7 @@ class Stepper:
     def _prepare_bodies(self, sample: FlowData, group_size: int) -> None:
         layout, device = self.layout, self.device
         self._place: BodyGeometry = locate_bodies(
-            sample.bodies, self.config, sample.params.bodies, torch.float32
+            self.config, sample.params.bodies, sample.bodies, torch.float32
         )
         self._first_cell = (
             torch.arange(group_size, device=device) * layout.flow_length + layout.first_cell
@@ -253,7 +259,7 @@ def _make_locate(config: FlowConfig, trees: _Trees) -> _Function:
 
     def locate(*leaves: Tensor) -> None:
         bodies, shapes, place = pytree.tree_unflatten(leaves, form)
-        _copy_tree(place, locate_bodies(bodies, config, shapes, torch.float32))
+        _copy_tree(place, locate_bodies(config, shapes, bodies, torch.float32))
 
     return locate
 
@@ -268,27 +274,24 @@ def _make_act(config: FlowConfig, layout: InPlaceLayout, trees: _Trees) -> _Func
     ) -> None:  # fmt: skip
         bodies, shapes, place = pytree.tree_unflatten(leaves, form)
         if not config.is_still:
-            place = locate_bodies(bodies, config, shapes, torch.float32)
+            place = locate_bodies(config, shapes, bodies, torch.float32)
         nodes = place.stencil.index_nodes(layout.row_length) + first_cell[:, None, None]
         slots = [nodes + offsets[q] for q in range(Q)]
-        rho, jx, jy = compute_macroscopic([storage.decode(data[slot]) for slot in slots])
-        ux, uy = jx / (rho + 1.0), jy / (rho + 1.0)
-        moved, share_x, share_y = exchange(bodies, config, shapes, place, rho, ux, uy)
-        for total, share in ((force_x, share_x), (force_y, share_y)):
-            total.index_put_((nodes,), share, accumulate=True)
+        fluid = compute_macroscopic([storage.decode(data[slot]) for slot in slots])
+        moved, share_x, share_y = exchange(config, shapes, bodies, place, fluid)
+        force_x.index_put_((nodes,), share_x, accumulate=True)
+        force_y.index_put_((nodes,), share_y, accumulate=True)
         rates = omega[..., None]
         if config.sponges:  # each node has its own
             rates = layout.strip_rings(omega).flatten(1)
             own = place.stencil.index_nodes(config.width)
             rates = rates.gather(1, own.flatten(1)).view_as(own)
-        increment = compute_force_increment(
-            rho, ux, uy, force_x[nodes], force_y[nodes], share_x, share_y,
-            rates, config.rates,
-        )  # fmt: skip
+        force, share = (force_x[nodes], force_y[nodes]), (share_x, share_y)
+        increment = compute_force_increment(fluid, force, share, rates, config.rates)
         for slot, values in zip(slots, increment, strict=True):
             data.index_put_((slot,), storage.encode(values), accumulate=True)
         for total in (force_x, force_y):
-            total.index_put_((nodes,), torch.zeros_like(rho))
+            total.index_put_((nodes,), torch.zeros_like(fluid.drho))
         _copy_tree(bodies, moved)
 
     return act
@@ -299,8 +302,8 @@ def _make_check(config: FlowConfig) -> _Function:
     storage = config.storage
 
     def check(is_fine: Tensor, *f: Tensor) -> None:
-        rho, jx, jy = compute_macroscopic([storage.decode(g) for g in f])
-        limit = MAX_SPEED * (rho + 1.0)
+        drho, jx, jy = compute_moments([storage.decode(g) for g in f])
+        limit = MAX_SPEED * (drho + 1.0)
         # comparisons with NaN are false, so a broken flow is never fine
         is_fine.copy_((jx * jx + jy * jy < limit * limit).flatten(1).all(-1))
 

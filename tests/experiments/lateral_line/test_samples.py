@@ -11,7 +11,7 @@ from tensordict import TensorDict
 from experiments.lateral_line.samples import cut_windows, mirror, select_features
 from fishrl.envs.lateral_line import KNOWN, LateralLine
 from fishrl.physics import Fish, FlowConfig, InPlaceSolver
-from fishrl.physics.step import make_uniform
+from fishrl.physics.flow import make_uniform
 
 #: Two episodes of at most three decisions with four samples each, numbered; one neuromast.
 SIGNAL = torch.arange(24.0).view(2, 3, 4, 1, 1)

@@ -11,9 +11,9 @@ from fishrl.physics import Cylinder, FlowConfig, FlowState, Scales
 from fishrl.physics.bodies.motion import Driven, Free
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
-from fishrl.physics.collision import compute_macroscopic
-from fishrl.physics.flow import make_params
-from fishrl.physics.step import make_rest, make_uniform, step
+from fishrl.physics.collision import compute_moments
+from fishrl.physics.flow import make_params, make_rest, make_uniform
+from fishrl.physics.step import step
 
 CENTRE = torch.tensor([[30.3, 29.6]], dtype=torch.float64)
 ONE = torch.ones(1, dtype=torch.float64)
@@ -32,7 +32,7 @@ def test_what_a_turning_cylinder_gives_the_fluid_is_the_fluids_angular_momentum(
     for _ in range(15):
         state = step(state, config, params)
         felt += float(state.bodies[0].hydro_torque)
-    _, jx, jy = compute_macroscopic(state.f.unbind(1))
+    _, jx, jy = compute_moments(state.f.unbind(1))
     x, y = (torch.arange(60.0) - c for c in CENTRE[0])
     given = float(state.bodies[0].torque_impulse)
     assert given * rate > 0  # the cylinder takes the fluid along

@@ -5,7 +5,6 @@ import math
 import pytest
 import torch
 
-from fishrl.physics.bodies.coupling import Coupling, deform_body, locate_markers, place_markers
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.gait import (
     CARANGIFORM,
@@ -15,14 +14,22 @@ from fishrl.physics.bodies.gait import (
     Deformation,
     Gait,
 )
+from fishrl.physics.bodies.geometry import deform_body, locate_bodies, locate_markers, place_markers
 from fishrl.physics.bodies.midline import MidlineParams
 from fishrl.physics.bodies.motion import Bending, Commanded, Free, Motion, compute_turn_rate
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
-from fishrl.physics.collision import compute_macroscopic
+from fishrl.physics.collision import compute_moments
 from fishrl.physics.diagnostics import compute_area
-from fishrl.physics.flow import FlowConfig, FlowState, make_params
-from fishrl.physics.step import locate_bodies, make_rest, make_uniform, step
+from fishrl.physics.flow import (
+    Coupling,
+    FlowConfig,
+    FlowState,
+    make_params,
+    make_rest,
+    make_uniform,
+)
+from fishrl.physics.step import step
 from fishrl.physics.units import Scales
 
 GAITS = {"carling": CARLING, "carangiform": CARANGIFORM, "long wave": LONG_WAVE}
@@ -57,11 +64,11 @@ def run(config: FlowConfig, body: BodyState, num_steps: int) -> FlowState:
 def test_a_state_with_other_bodies_than_the_config_is_refused() -> None:
     config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
     with pytest.raises(ValueError, match="the state has 0 bodies, the config 1"):
-        step(FlowState(make_rest(config, 1)), config)
+        step(FlowState(make_rest(config, 1)), config, make_params([config]))
 
 
 def measure_momentum(f: torch.Tensor) -> torch.Tensor:
-    _, jx, jy = compute_macroscopic(f.unbind(1))
+    _, jx, jy = compute_moments(f.unbind(1))
     return torch.stack((jx.sum((-1, -2)), jy.sum((-1, -2))), -1)
 
 
@@ -110,9 +117,9 @@ def test_markers_move_by_the_velocity_that_the_flow_is_given(motion: Motion) -> 
     state = FlowState(make_rest(config, 1), (body,))
     worst = 0.0
     for _ in range(SCALES.period + 40):
-        place = locate_bodies(state.bodies, config, params.bodies, torch.float64).markers[0]
+        place = locate_bodies(config, params.bodies, state.bodies, torch.float64).markers[0]
         state = step(state, config, params)
-        after = locate_bodies(state.bodies, config, params.bodies, torch.float64).markers[0]
+        after = locate_bodies(config, params.bodies, state.bodies, torch.float64).markers[0]
         rx, ry = place.arm.unbind(-1)
         omega = state.bodies[0].angular_velocity[:, None]
         imposed = (

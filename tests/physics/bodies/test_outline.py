@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from fishrl.physics.bodies.coupling import deform_body, place_markers
 from fishrl.physics.bodies.fish import Fish
+from fishrl.physics.bodies.geometry import deform_body, place_markers
 from fishrl.physics.bodies.motion import Driven, Fixed, Free, Oscillating
 from fishrl.physics.bodies.outline import BodyConfig, Cylinder, DCylinder, Ellipse, Foil
 from fishrl.physics.bodies.sections import Section, compute_eel_half_thickness

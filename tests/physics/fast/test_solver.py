@@ -27,9 +27,9 @@ from fishrl.physics.boundaries import (
 )
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.fast import compiled as compiled_module
-from fishrl.physics.flow import Sponge, make_params
+from fishrl.physics.flow import Sponge, make_params, make_rest, make_uniform
 from fishrl.physics.immersed_boundary import DirectSolve
-from fishrl.physics.step import make_rest, make_uniform, step
+from fishrl.physics.step import step
 
 SCALES = Scales.from_budget(body_length=24, reynolds=800.0, max_wall_speed=0.1)
 STARTS = torch.tensor([[60.3, 36.4], [40.1, 30.7], [50.0, 41.0]], dtype=torch.float64)

@@ -21,9 +21,9 @@ from fishrl.physics.boundaries import (
     Profile,
 )
 from fishrl.physics.fast.compiled import compile_inplace, is_own
-from fishrl.physics.flow import make_params
+from fishrl.physics.flow import make_params, make_uniform
 from fishrl.physics.lattice import Q
-from fishrl.physics.step import make_uniform, step
+from fishrl.physics.step import step
 
 WIDTH, HEIGHT, SPEED = 90, 60, 0.02
 STREAM = NonEquilibrium(velocity=(1.0, 0.0))
