@@ -9,7 +9,7 @@ from typing import Protocol
 
 from torch import Tensor
 
-from fishrl.physics.bodies.coupling import Markers
+from fishrl.physics.bodies.geometry import Markers
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.flow import FlowConfig
 
