@@ -5,7 +5,7 @@
     from pathlib import Path
 
     summary = train(
-        task=Predation(body_length=30, reynolds=2000),
+        task=Predation(body_length=40, reynolds=2000),
         algorithm=DiscreteSAC(target_entropy_weight=0.1),
         learning=LearningSettings(seed=1, num_envs=8),
         run=RunSettings(total_frames=2000, folder="runs", name="first"),
@@ -13,7 +13,7 @@
     print(summary["success_rate"], summary["random_success_rate"])
     print(evaluate(Path("runs/first"), episodes=64))
 
-``resume("runs/first", total_frames=4000)`` goes on where a run ended or was stopped, exactly.
+``resume("runs/first", total_frames=4000)`` continues a finished or interrupted run exactly.
 """
 
 from fishrl.training.algorithms import DQN, DRQN, Algorithm, DiscreteSAC
