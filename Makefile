@@ -66,7 +66,7 @@ validate: $(STAMP) ## compare the solver with the literature and write docs/vali
 	$(BIN)/python -m experiments.validate $(ARGS)
 
 validate-quick: $(STAMP) ## coarse cases only, about a minute; the page goes to runs/validation
-	$(BIN)/python -m experiments.validate --quick $(ARGS)
+	$(BIN)/python -m experiments.validate quick=true $(ARGS)
 
 format: $(STAMP) ## format the code
 	$(BIN)/ruff check --fix .

@@ -60,15 +60,13 @@ def test_a_stopped_run_keeps_what_is_finished(tmp_path: Path, name: str) -> None
         "import signal, sys; from pathlib import Path\n"
         # a shell's background jobs begin with SIGINT ignored
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "from experiments.validate import resumable\n"
-        "from experiments.validation.runner import run_cases\n"
+        "from experiments import validate\n"
         "from tests.experiments.toy_cases import make_squares, stop_parent\n"
         "if __name__ == '__main__':\n"
         "    diary = Path(sys.argv[1], 'diary')\n"
         f"    stop = (stop_parent, dict(number=signal.{name}.value, diary=str(diary)))\n"
-        "    with resumable():\n"
-        "        case = make_squares(diary=diary, others=[stop])\n"
-        "        run_cases([case], folder=diary.parent / 'results')\n"
+        "    validate.CASES = (make_squares(diary=diary, others=[stop]),)\n"
+        "    validate.main(['jobs=1', f'folder={diary.parent}/results'])\n"
     )
     (tmp_path / "stopped.py").write_text(script)
     command = [sys.executable, str(tmp_path / "stopped.py"), str(tmp_path)]
@@ -86,12 +84,15 @@ def run_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Program:
     """Run the program with toy cases; return its exit status and the folder of the docs."""
 
     def run(*arguments: str, **settings: object) -> tuple[int | str | None, Path]:
-        places = ["--folder", str(tmp_path / "results"), "--docs", str(tmp_path / "docs")]
-        monkeypatch.setattr(sys, "argv", ["validate", "--jobs", "1", *places, *arguments])
         case = make_squares(diary=tmp_path / "diary", **settings)  # type: ignore[arg-type]
-        with pytest.raises(SystemExit) as end:
-            program.main([case])
-        return end.value.code, tmp_path / "docs"
+        monkeypatch.setattr(program, "CASES", (case,))
+        places = [f"folder={tmp_path}/results", f"docs={tmp_path}/docs"]
+        status: int | str | None = 0
+        try:
+            program.main(["jobs=1", *places, *arguments])
+        except SystemExit as end:
+            status = end.code
+        return status, tmp_path / "docs"
 
     return run
 
@@ -125,14 +126,14 @@ def test_a_missed_criterion_is_shown_with_its_reason_and_ends_in_failure(
 
 
 def test_quick_and_chosen_runs_leave_the_docs_alone(run_program: Program, tmp_path: Path) -> None:
-    for arguments in (["--quick"], ["--cases", "squares"]):
-        _, docs = run_program(*arguments, reference=4.0)
+    for argument in ("quick=true", "cases=[squares]"):
+        _, docs = run_program(argument, reference=4.0)
         assert not docs.exists()
         assert (tmp_path / "results" / "validation.md").is_file()
 
 
 def test_an_unknown_case_is_refused_with_the_nearest_name(run_program: Program) -> None:
-    status, _ = run_program("--cases", "square")
+    status, _ = run_program("cases=[square]")
     assert "square" in str(status) and "squares" in str(status)
 
 

@@ -235,7 +235,7 @@ def test_a_lateral_line_is_studied(tmp_path: Path) -> None:
 
 
 def test_the_solver_is_judged_by_a_case(tmp_path: Path) -> None:
-    _run("validate", "--quick", "--cases", "taylor-green", "--folder", tmp_path, "--jobs", 1)
+    _run("validate", "quick=true", "cases=[taylor-green]", f"folder={tmp_path}", "jobs=1")
 
 
 def test_the_speed_of_flows_is_measured(tmp_path: Path) -> None:
