@@ -16,8 +16,7 @@ from experiments.figures import COLOURS
 from experiments.validation.case import Case, Check, Job, Result, Results
 from experiments.validation.swimming import make_swim
 from experiments.validation.wake import start_flow
-from fishrl.physics import Cylinder, Fixed, FlowConfig
-from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
+from fishrl.physics import Boundaries, Cylinder, Fixed, FlowConfig, NonEquilibrium, OpenEdge
 from fishrl.physics.immersed_boundary import DirectSolve
 from fishrl.physics.units import DEFAULT_WALL_SPEED
 
@@ -42,13 +41,9 @@ SWIMMER_NOTE = (
 
 
 def hold_cylinder(*, speed: float) -> Result:
-    """Hold a cylinder in a stream until its wake is periodic.
+    """Hold a cylinder in a stream of ``speed`` nodes per step until its wake is periodic.
 
-    Args:
-        speed: of the stream, nodes per step.
-
-    Returns:
-        Mean drag coefficient and root mean square of the lift coefficient.
+    Returns the mean drag coefficient and the root mean square of the lift coefficient.
     """
     stream, side = NonEquilibrium(velocity=(1.0, 0.0)), OpenEdge(is_plane=False)
     travel = round(DIAMETER / speed)

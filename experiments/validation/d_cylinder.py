@@ -62,7 +62,7 @@ def run_half_disc(
     slowing: float = 1.0,
     is_pinned: bool = False,
 ) -> Result:
-    """Run a half disc in the paper's domain until its wake repeats itself.
+    """Run a half disc in the paper's domain until its wake repeats itself; see ``measure_wake``.
 
     Args:
         diameter: D in nodes; 40 is the paper's.
@@ -71,9 +71,6 @@ def run_half_disc(
         is_flat_downstream: the flat side's place; else it meets the flow.
         slowing: how many times slower than the paper's stream, in nodes per step.
         is_pinned: an outlet with pinned density instead of one that lets sound out.
-
-    Returns:
-        Those of ``measure_wake``.
     """
     speed = SPEEDS[reynolds] / slowing
     nu = speed * diameter / reynolds

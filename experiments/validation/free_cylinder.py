@@ -17,8 +17,7 @@ from torch import Tensor
 
 from experiments.validation.case import Case, Check, Job, Result, Results, select
 from experiments.validation.wake import draw_vorticity, make_even, measure_wake, start_flow
-from fishrl.physics import Cylinder, Fixed, FlowConfig
-from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
+from fishrl.physics import Boundaries, Cylinder, Fixed, FlowConfig, NonEquilibrium, OpenEdge
 from fishrl.physics.immersed_boundary import DirectSolve
 
 Setup = tuple[int, int, float]
@@ -61,16 +60,10 @@ VIEW_D = (-3, 15, -4, 4)  # left, right, low, high
 
 
 def run_cylinder(*, diameter: int, height: int, reynolds: int, speed: float) -> Result:
-    """Run a cylinder in a box that lets sound out on all sides but the inflow.
+    """Run a cylinder, D nodes wide, in a box ``height`` D high, open but for the inflow.
 
-    Args:
-        diameter: D in nodes.
-        height: of the box in D; the cylinder stands half of it behind the inflow.
-        reynolds: U D / nu, a key of ``TRAVELS``.
-        speed: U, nodes per step.
-
-    Returns:
-        Those of ``measure_wake``, and the length of a steady wake / D.
+    The cylinder stands half the height behind the inflow of ``speed`` nodes per step. Returns those
+    of ``measure_wake``, and the length of a steady wake / D.
     """
     nu = speed * diameter / reynolds
     is_shedding = reynolds in SHEDDING

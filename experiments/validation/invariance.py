@@ -17,9 +17,8 @@ from torch import Tensor
 from experiments.figures import COLOURS
 from experiments.validation.case import Case, Check, Job, Result, Results
 from experiments.validation.convergence import GREY
-from fishrl.physics import Cylinder, DCylinder, Fish, FlowConfig, InPlaceSolver, Scales
+from fishrl.physics import BodyConfig, Cylinder, DCylinder, Fish, FlowConfig, InPlaceSolver, Scales
 from fishrl.physics.bodies.motion import Driven, Free
-from fishrl.physics.bodies.outline import BodyConfig
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium
 
 Start = tuple[tuple[float, float], float, float]  # place, heading and speed of the stream
@@ -52,14 +51,10 @@ CYLINDER, HALF_DISC, FISH = "cylinder: force", "half disc: force", "fish: speed"
 
 
 def push_cylinders(*, is_half: bool, is_turned: bool) -> Result:
-    """Measure the force on cylinders in a stream, and of one that moves through fluid at rest.
+    """Measure the mean force on cylinders in a stream, and of one that moves through fluid at rest.
 
-    Args:
-        is_half: a tilted half disc and its mirror image; else circles, shifted and moving.
-        is_turned: the stream goes along +y instead.
-
-    Returns:
-        By name: mean force (x, y) / (rho U^2 D / 2), as without the turn.
+    These are a tilted half disc and its mirror image, or circles, shifted and moving. Returns by
+    name the vector (x, y) / (rho U^2 D / 2), turned back if the stream goes along +y instead.
     """
     size = (30 * DIAMETER, 20 * DIAMETER)
     x, y = 14.0 * DIAMETER, 0.5 * (size[1] - 1.0)
@@ -89,13 +84,9 @@ def push_cylinders(*, is_half: bool, is_turned: bool) -> Result:
 
 
 def swim_invariantly(*, is_turned: bool) -> Result:
-    """Measure how fast free fish swim from rest.
+    """Measure how fast free fish swim from rest along -x, or along -y where all is turned.
 
-    Args:
-        is_turned: they swim along -y instead of -x.
-
-    Returns:
-        By name: mean velocity (x, y) relative to the stream, L / T, as without the turn.
+    Returns by name the mean velocity (x, y) relative to the stream, L / T, as without the turn.
     """
     scales = Scales.from_budget(body_length=BODY_LENGTH, reynolds=FISH_REYNOLDS)
     size = (6 * BODY_LENGTH, 4 * BODY_LENGTH)

@@ -18,9 +18,7 @@ from numpy.typing import NDArray
 from experiments.figures import COLOURS
 from experiments.validation.case import Case, Check, Job, Result, Results, check_finest, select
 from experiments.validation.wake import start_flow
-from fishrl.physics import Cylinder, FlowConfig
-from fishrl.physics.bodies.motion import Oscillating
-from fishrl.physics.boundaries import Boundaries, NonEquilibrium
+from fishrl.physics import Boundaries, Cylinder, FlowConfig, NonEquilibrium, Oscillating
 
 KC = 5.0  # U T / D
 REYNOLDS = 100.0  # U D / nu
@@ -64,18 +62,10 @@ def oscillate(
 ) -> Result:
     """Let a cylinder oscillate along x, starting at rest at its turning point.
 
-    Args:
-        diameter: D in nodes.
-        length: of the domain along x, D.
-        height: of the domain, D.
-        speed: U, largest speed of the cylinder.
-        inset: of the markers from the surface, nodes.
-        num_periods: how many; the last is measured.
-
-    Returns:
-        ``time`` / T from the middle of the path on, in the direction of -x, ``force`` / (rho U^2 D)
-        of the outer fluid, least-squares ``c_d`` and ``c_i`` (both also for the period before), and
-        those of the first harmonic, ``c_d_harmonic`` and ``c_i_harmonic``.
+    The domain is ``length`` by ``height`` D, the markers lie ``inset`` nodes inside. Returns
+    ``time`` / T from the middle of the path on, in the direction of -x, ``force`` / (rho U^2 D) of
+    the outer fluid over the last period, least-squares ``c_d`` and ``c_i``, and ``c_i_before`` of
+    the period before.
     """
     samples = 2 * round(KC * diameter / speed / NUM_SAMPLES / 2)  # steps between samples
     period = samples * NUM_SAMPLES
@@ -92,11 +82,10 @@ def oscillate(
     centre = (0.5 * config.width + amplitude + 0.3, 0.5 * config.height + 0.2)
     solver = start_flow(config, centre, frequency=1.0 / period)
     solver.body.phase.fill_(0.5 * pi)
-    impulses, slip = [float(solver.body.impulse[0, 0])], 0.0
+    impulses = [float(solver.body.impulse[0, 0])]
     for _ in range(num_periods * NUM_SAMPLES):
         solver.advance_(samples)
         impulses.append(float(solver.body.impulse[0, 0]))
-        slip = max(slip, float(solver.body.slip_error))
     if bool(solver.is_diverged().any()):
         raise RuntimeError("the flow diverged: lower the speed")
     phase = 0.5 * pi + 2.0 * pi * np.arange(num_periods * NUM_SAMPLES + 1) / NUM_SAMPLES
@@ -105,22 +94,15 @@ def oscillate(
     v = np.diff(np.sin(phase)) / np.diff(phase)
     a = np.diff(np.cos(phase)) * NUM_SAMPLES / KC
     last, before = slice(-NUM_SAMPLES, None), slice(-2 * NUM_SAMPLES, -NUM_SAMPLES)
-    (c_d, c_i), (c_d_before, c_i_before) = (
-        fit_force(force[part], v[part], a[part]) for part in (last, before)
-    )
-    in_phase = -float((force[last] * v[last]).sum() / (v[last] ** 2).sum())
-    out_of_phase = -float((force[last] * a[last]).sum() / (a[last] ** 2).sum())
+    c_d, c_i = fit_force(force[last], v[last], a[last])
+    _, c_i_before = fit_force(force[before], v[before], a[before])
     return {
         "time": ((np.arange(NUM_SAMPLES) + 0.5) / NUM_SAMPLES).tolist(),
         # a quarter period after the start it passes the middle, going to -x
         "force": np.roll(force[last], -NUM_SAMPLES // 4).tolist(),
         "c_d": c_d,
         "c_i": c_i,
-        "c_d_before": c_d_before,
         "c_i_before": c_i_before,
-        "c_d_harmonic": in_phase * 2.0 * 3.0 * pi / 8.0,
-        "c_i_harmonic": out_of_phase * 4.0 / pi,
-        "slip": slip / speed,
     }
 
 

@@ -19,10 +19,9 @@ from torch import Tensor
 
 from experiments.figures import COLOURS
 from experiments.validation.case import Case, Check, Job, Result, Results, select
-from fishrl.physics import FlowConfig, InPlaceSolver
+from fishrl.physics import FlowConfig, InPlaceSolver, Sponge
 from fishrl.physics.boundaries import Boundaries, Boundary, NonEquilibrium, OpenEdge, Periodic
 from fishrl.physics.collision import compute_equilibrium
-from fishrl.physics.flow import Sponge
 
 WIDTH, HEIGHT, AHEAD = 240, 320, 80  # nodes; the disturbance starts so far ahead of the outflow
 RADIUS, SPEED, TAU = 10.0, 0.1, 0.53
@@ -67,16 +66,11 @@ KINDS = {
 
 
 def disturb_outflow(*, outflow: str, kind: str) -> Result:
-    """Send a disturbance through an outflow, beside a domain twice as long.
+    """Send one of ``KINDS`` through one of ``OUTFLOWS``, beside a domain twice as long.
 
-    Args:
-        outflow: key of ``OUTFLOWS``.
-        kind: key of ``KINDS``.
-
-    Returns:
-        Over time, the largest difference from the long domain in velocity (vortex, relative to its
-        speed) or density (pulse, relative to its height when it meets the outflow), where the
-        disturbance has gone by; and its largest value.
+    Returns over time the largest difference from the long domain in velocity (vortex, relative to
+    its speed) or density (pulse, relative to its height when it meets the outflow), where the
+    disturbance has gone by; and its largest value.
     """
     boundary, sponge = OUTFLOWS[outflow]
     is_vortex = kind == "vortex"

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from experiments.validation.case import Case, Check, Job, Result, Results, select
 from experiments.validation.convergence import draw_convergence, fit_order
-from fishrl.physics.boundaries import Boundaries, NonEquilibrium, NoSlip, Periodic
+from fishrl.physics import Boundaries, NonEquilibrium, NoSlip, Periodic
 from fishrl.physics.cases import measure_poiseuille_error
 
 HALF_WAY = "half-way bounce-back"
@@ -25,12 +25,7 @@ JUDGED_HEIGHT = 32
 
 
 def run_channel(*, walls: str, height: int) -> Result:
-    """Run a channel to its steady state and measure its largest error.
-
-    Args:
-        walls: key of ``WALLS``.
-        height: nodes across.
-    """
+    """Return the largest error of a steady channel, ``height`` nodes across, between ``WALLS``."""
     wall = WALLS[walls]
     boundaries = Boundaries(left=Periodic(), right=Periodic(), bottom=wall, top=wall)
     return {"error": measure_poiseuille_error(height, boundaries)}

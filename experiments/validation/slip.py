@@ -88,14 +88,10 @@ def measure_slip(state: FlowState, config: FlowConfig, params: FlowParams) -> fl
 
 
 def compare_solves(*, body: str) -> Result:
-    """Run a body into motion, then go on with each way to solve for the force.
+    """Run the fish or the cylinder into motion, then go on with each way to solve for the force.
 
-    Args:
-        body: "fish" or "cylinder".
-
-    Returns:
-        Slip / fastest wall or stream: by relaxation, one per number of iterations; of the direct
-        solves; of the exact one in single precision.
+    Returns slip / fastest wall or stream: by relaxation, one per number of iterations; of the
+    direct solves; of the exact one in single precision.
     """
     flow = make_fish_flow() if body == "fish" else _make_cylinder_flow()
     config, start, speed, num_steps = flow

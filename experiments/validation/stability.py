@@ -57,16 +57,8 @@ def turn_at_random(
 ) -> Result:
     """Let fish turn at random in a tank of 10 L × 5 L until they meet a wall, diverge or stop.
 
-    Args:
-        body_length: L in nodes.
-        max_wall_speed: of the tail, nodes per step.
-        energy: relaxation rate.
-        flux: relaxation rate.
-        num_episodes: fish.
-
-    Returns:
-        Number of diverged fish, of beats swum, and the largest speed seen at the end of a fifth of
-        a beat.
+    ``energy`` and ``flux`` are relaxation rates. Returns the number of diverged fish and the
+    largest speed seen at the end of a fifth of a beat.
     """
     scales = Scales.from_budget(
         body_length=body_length, reynolds=REYNOLDS, max_wall_speed=max_wall_speed
@@ -75,12 +67,11 @@ def turn_at_random(
     solver = InPlaceSolver(config=config, frequency=1.0 / scales.period, num_workers=0)
     generator = torch.Generator().manual_seed(0)
     size = torch.tensor([config.width, config.height])
-    num_diverged, num_beats, fastest = 0, 0, 0.0
+    num_diverged, fastest = 0, 0.0
     for _ in range(num_episodes):
         heading = 2.0 * pi * torch.rand(1, generator=generator)
         solver.reset_(torch.ones(1, dtype=torch.bool), heading=heading)
         for _ in _swim(solver, scales, generator):
-            num_beats += 1
             if solver.is_diverged().any():
                 num_diverged += 1
                 break
@@ -88,7 +79,7 @@ def turn_at_random(
             markers, margin = solver.markers(), WALL_MARGIN_BL * body_length
             if not ((markers > margin) & (markers < size - margin)).all():
                 break
-    return {"diverged": num_diverged, "fifths": num_beats, "fastest": fastest}
+    return {"diverged": num_diverged, "fastest": fastest}
 
 
 def _swim(solver: InPlaceSolver, scales: Scales, generator: torch.Generator) -> Iterator[None]:
@@ -104,13 +95,7 @@ def _swim(solver: InPlaceSolver, scales: Scales, generator: torch.Generator) -> 
 def start_cylinder(*, diameter: int, speed: float, reynolds: float) -> Result:
     """Start a stream at once past a cylinder, between edges that reflect its sound.
 
-    Args:
-        diameter: D in nodes.
-        speed: of the stream, nodes per step.
-        reynolds: U D / nu.
-
-    Returns:
-        What became of it after ``TRAVELS`` diameters: one of ``RAN, DIVERGED, REFUSED``.
+    Returns what became of it after ``TRAVELS`` diameters: one of ``RAN, DIVERGED, REFUSED``.
     """
     stream = NonEquilibrium(velocity=(1.0, 0.0))
     boundaries = Boundaries(

@@ -2,13 +2,10 @@
 
 from math import pi
 
-from torch import Tensor
-
 from experiments.validation.case import Job, Result
 from experiments.validation.wake import start_flow
-from fishrl.physics import Commanded, Fish, Free, Scales
+from fishrl.physics import Commanded, Fish, Free, Scales, Section
 from fishrl.physics.bodies.gait import GAITS
-from fishrl.physics.bodies.sections import Section
 from fishrl.physics.cases import make_swimmer_config
 from fishrl.physics.units import DEFAULT_WALL_SPEED
 
@@ -45,9 +42,8 @@ def swim(
         inset: how far the markers lie inside the outline, nodes.
 
     Returns:
-        Of each beat the speed along -x and along y (L / T) and the mean power of the muscles
-        (rho L^4 / T^3), signed and without what the flow gives back; of the last step the heading
-        (degrees off the start), and the largest slip seen at the end of a beat (L / T).
+        ``speed`` along -x (L / T) and mean ``power`` of the muscles (rho L^4 / T^3) of each beat;
+        the largest ``slip`` seen at the end of a beat and the ``tail_speed`` (L / T).
     """
     scales = Scales.from_budget(
         body_length=body_length,
@@ -69,27 +65,19 @@ def swim(
     solver = start_flow(config, place, pi, frequency=1.0 / scales.period)
     body = solver.body
     unit = body_length**4 * scales.reference_speed**2 / body_length**2
-    result: Result = {"speed": [], "drift": [], "power": [], "positive_power": []}
-    slips = []
+    speeds, powers, slips = [], [], []
     for _ in range(num_beats):
-        before: list[Tensor] = [
-            t[0].clone() for t in (body.position, body.work, body.positive_work)
-        ]
+        x, work = body.position[0, 0].clone(), body.work[0].clone()
         solver.advance_(scales.period)
-        moved = (body.position[0] - before[0]) / body_length
-        result["speed"].append(-float(moved[0]))
-        result["drift"].append(float(moved[1]))
-        result["power"].append(float(body.work[0] - before[1]) / unit)
-        result["positive_power"].append(float(body.positive_work[0] - before[2]) / unit)
+        speeds.append(float(x - body.position[0, 0]) / body_length)
+        powers.append(float(body.work[0] - work) / unit)
         slips.append(float(body.slip_error[0]) / scales.reference_speed)
     if solver.is_diverged().any():
         raise RuntimeError(f"the flow diverged at L = {body_length}: lower max_wall_speed")
-    heading = float((body.heading + body.internal_angle)[0]) - pi
-    return result | {
-        "heading": heading * 180.0 / pi,
+    return {
+        "speed": speeds,
+        "power": powers,
         "slip": max(slips),
-        "tau": scales.tau,
-        "period": scales.period,
         "tail_speed": scales.gait.tail_speed,
     }
 

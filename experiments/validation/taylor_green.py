@@ -29,15 +29,10 @@ SOURCE = "Taylor & Green 1937"
 
 
 def decay_vortices(*, size: int, is_single: bool) -> Result:
-    """Let the vortices of a periodic box decay for one decay time.
+    """Let the vortices of a box of N = ``size`` nodes decay for one decay time, U = 0.64 / N.
 
-    Args:
-        size: nodes N along each axis; U = 0.64 / N.
-        is_single: float32 instead of float64.
-
-    Returns:
-        ``error``: relative L2 error of the velocity at the end; ``viscosity``: what the amplitude
-        lost over the second half says, relative to (tau - 1/2) / 3.
+    Returns ``error``, the relative L2 error of the velocity at the end, and ``viscosity``, what the
+    amplitude lost over the second half says, relative to (tau - 1/2) / 3.
     """
     dtype = torch.float32 if is_single else torch.float64
     speed, k = SPEED / size, 2.0 * pi / size

@@ -33,13 +33,10 @@ MODES: dict[str, float | None] = {
 
 
 def turn(*, gain: float | None) -> Result:
-    """Swim straight, turn left for some beats and swim on.
+    """Swim straight, turn left for some beats and swim on, by command or bending with a gain.
 
-    Args:
-        gain: of the bend; None holds the heading by command.
-
-    Returns:
-        The path in L, and of each beat the change of the body axis in degrees and the speed L / T.
+    Returns the path in L, and of each beat the change of the body axis in degrees and the speed
+    L / T.
     """
     scales = Scales.from_budget(body_length=BODY_LENGTH, reynolds=REYNOLDS)
     motion = Commanded() if gain is None else Bending(gain=gain)

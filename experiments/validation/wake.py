@@ -7,20 +7,14 @@ from matplotlib.axes import Axes
 from torch import Tensor
 
 from experiments.validation.case import Result
-from fishrl.physics import (
-    FlowConfig,
-    InPlaceSolver,
-    compute_coefficient,
-    compute_spectral_frequency,
-    compute_vorticity,
-    measure_cycles,
-)
+from fishrl.physics import FlowConfig, InPlaceSolver, compute_coefficient, compute_vorticity
+from fishrl.physics.diagnostics import compute_spectral_frequency, measure_cycles
 
 
 def start_flow(
     config: FlowConfig,
     place: Sequence[float],
-    heading: float | Tensor = 0.0,
+    heading: float = 0.0,
     *,
     stream: tuple[float, float] = (0.0, 0.0),
     frequency: float = 0.0,
@@ -37,8 +31,8 @@ def start_flow(
     solver = InPlaceSolver(config=config, num_envs=1, frequency=frequency, num_workers=0)
     solver.reset_(
         torch.ones(1, dtype=torch.bool),
-        torch.tensor([place], dtype=torch.float64),
-        torch.as_tensor(heading).reshape(1),
+        torch.tensor([place]),
+        torch.tensor([heading]),
         velocity=stream,
     )
     return solver
