@@ -92,7 +92,7 @@ def record_run(
 def write_run_pictures(
     folder: Path, recordings: Sequence[Recording], *, baselines: Mapping[str, float]
 ) -> list[Path]:
-    """Write the learning curve, and what the episodes of a task with a goal look like.
+    """Write the learning curve and, if the task has a goal, pictures of the episodes.
 
     Args:
         folder: of the run.

@@ -1,4 +1,4 @@
-"""What there is to see in a flow: plain data that any task can fill, without a viewer.
+"""The scene that a task draws: plain data, independent of any viewer.
 
 A ``Scene`` says once what is drawn, in what colours and units; a ``Frame`` holds one moment's
 tensors under the keys that the scene names. Places are (x, y) in nodes, y upward; times in T.
@@ -169,7 +169,7 @@ class Choice:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """What there is to see in each flow of a task.
+    """What is drawn of each flow of a task.
 
     Args:
         body_length: L, nodes.

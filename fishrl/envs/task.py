@@ -296,7 +296,7 @@ class AbstractTask(ABC):
         return ""
 
     def make_scene(self) -> Scene:
-        """Return what there is to see: fish, vorticity, edges, reward and action by default.
+        """Return what is drawn: fish, vorticity, edges, reward and action by default.
 
         A task that has more extends it: ``super().make_scene().extend(marks=(Marks(...),))``.
         """

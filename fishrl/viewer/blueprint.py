@@ -1,4 +1,4 @@
-"""How the viewer is laid out: a tab for each flow, with its legend and the plots beside it."""
+"""Layout of the viewer: a tab for each flow, with its legend and plots."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,17 +6,17 @@ from typing import Any
 from fishrl.envs.scene import Choice, Panel, Scene
 from fishrl.viewer.drawing import LEGEND, TIMELINE, import_rerun, name_flow, name_panel
 
-#: Plots follow the last so many T of a stream that has no end.
+#: Length of the time window of live plots.
 LIVE_WINDOW_T = 20.0
 
 
 def make_blueprint(scene: Scene, flows: Mapping[int, str], *, is_live: bool = False) -> Any:
-    """Return rerun's blueprint of a scene: which views follows from what there is to see.
+    """Return rerun's blueprint of a scene.
 
     Args:
-        scene: what there is.
+        scene: what is drawn.
         flows: titles of the flows, by their index.
-        is_live: whether frames come in while one looks.
+        is_live: whether frames are streamed.
     """
     import_rerun()
     import rerun.blueprint as rrb

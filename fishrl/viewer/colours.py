@@ -1,4 +1,4 @@
-"""Diverging colours around zero: of the field, and of what neuromasts feel."""
+"""Diverging colours around zero, for the field and for values of marks."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ PURPLE_GREEN = (
     (64, 0, 75), (118, 42, 131), (153, 112, 171), (194, 165, 207), (231, 212, 232), (247, 247, 247),
     (217, 240, 211), (166, 219, 160), (90, 174, 97), (27, 120, 55), (0, 68, 27),
 )  # fmt: skip
-#: Of lines in plots; Okabe and Ito: told apart by the colour-blind too.
+#: Of lines in plots; Okabe and Ito: distinguishable for the colour-blind too.
 LINES = (
     (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (230, 159, 0),
     (127, 63, 191), (110, 110, 110),

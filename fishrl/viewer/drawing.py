@@ -1,7 +1,7 @@
 """Frames drawn into a rerun stream.
 
 The y axis points down on a screen and up in the flow: rows are flipped here and nowhere else.
-Everything stands on one timeline, ``sim_time``, on which one second is one period T.
+The only timeline is ``sim_time``, on which one second is one period T.
 """
 
 import logging
@@ -22,7 +22,7 @@ from fishrl.viewer.colours import LINES, PURPLE_GREEN, RED_BLUE, paint, quantise
 logger = logging.getLogger(__name__)
 
 TIMELINE = "sim_time"
-#: Where the legends lie, which all flows share.
+#: Entity of the legends, which all flows share.
 LEGEND = "legend"
 _LEGEND_SIZE = (256, 12)
 _LEGAL, _CHOSEN = (120, 170, 130), (230, 159, 0)
@@ -42,7 +42,11 @@ class FieldFormat(StrEnum):
 
 
 def import_rerun() -> ModuleType:
-    """Return rerun, or say what to install."""
+    """Return rerun.
+
+    Raises:
+        ImportError: saying what to install.
+    """
     try:
         import rerun
     except ImportError as error:
@@ -68,10 +72,10 @@ class Drawing:
 
     Args:
         stream: rerun's ``RecordingStream``, with its sinks.
-        scene: what there is to see.
+        scene: what is drawn.
         flows: titles of the flows, by their index.
         field_format: how the field is stored.
-        is_live: whether it goes to a viewer, too, which may end before.
+        is_live: whether it goes to a viewer too, which may end earlier.
     """
 
     def __init__(
@@ -105,13 +109,13 @@ class Drawing:
         self.close()
 
     def close(self) -> None:
-        """Write what is still on its way, and end the stream."""
+        """Flush and end the stream."""
         try:
             self.stream.flush(timeout_sec=30.0)
         except RuntimeError as error:
             if not self._is_live:
                 raise
-            logger.warning("the live viewer has not got everything: %s", error)
+            logger.warning("the live viewer has not received everything: %s", error)
         self.stream.disconnect()
 
     def draw(self, flow: int, frame: Frame) -> None:
@@ -119,7 +123,7 @@ class Drawing:
 
         Args:
             flow: its index.
-            frame: what it looks like.
+            frame: its tensors.
         """
         rr, scene, root = self._rerun, self.scene, name_flow(flow)
         self.stream.set_time(TIMELINE, duration=frame.time)
@@ -227,7 +231,7 @@ class Drawing:
         self._log(path, self._rerun.Scalars(value))
 
     def _draw_constants(self, root: str, title: str) -> None:
-        """Draw what holds for the whole recording: areas, names of lines, words."""
+        """Draw what does not change: areas, styles of the plots, the text."""
         rr, scene = self._rerun, self.scene
         for area in scene.areas:
             self._log(

@@ -1,4 +1,4 @@
-"""Recordings as ``.rrd`` files: written, opened in a window, photographed without one."""
+"""Recordings as ``.rrd`` files: writing, opening in a window, screenshots without one."""
 
 import os
 import subprocess
@@ -17,7 +17,7 @@ from fishrl.viewer.process import Viewer
 _APPLICATION = "fishrl"
 _PATIENCE_S = 60.0
 _PORT = 29870
-_GREETING_S = 4.5  # for which the viewer shows a word of its own
+_GREETING_S = 4.5  # duration of the viewer's welcome message
 _MAX_SIZE = 1920
 _FLUSH_S, _FLUSH_BYTES = 60.0, 2**21
 
@@ -33,19 +33,19 @@ def start_drawing(
     """Begin to draw flows into a file, a viewer, or both.
 
     Args:
-        scene: what there is to see.
+        scene: what is drawn.
         flows: titles of the flows, by their index.
         save: path of the ``.rrd`` file; one that exists is replaced.
         url: of a viewer's server, see ``live.Server``.
         field_format: ``jpeg`` or ``u8``.
 
     Raises:
-        ValueError: if the format is unknown, or it goes nowhere.
+        ValueError: if the format is unknown, or neither file nor viewer is given.
         FileNotFoundError: if the file's folder does not exist.
     """
     chosen = FieldFormat(field_format)
     if save is None and url is None:
-        raise ValueError("neither save nor url is given: say where the drawing goes")
+        raise ValueError("neither save nor url is given: give one of them")
     rr = import_rerun()
     sinks: list[Any] = []
     name = "live"
@@ -57,7 +57,7 @@ def start_drawing(
     if url is not None:
         sinks.append(rr.GrpcSink(url))
         name = f"{name}-{time.time_ns()}"
-    # chunks carry kilobytes of their own: only who looks on at once needs many small ones
+    # a chunk has an overhead of kilobytes: only a live viewer needs many small ones
     batches = rr.ChunkBatcherConfig(flush_tick=_FLUSH_S, flush_num_bytes=_FLUSH_BYTES)
     stream = rr.RecordingStream(
         _APPLICATION,
@@ -84,7 +84,7 @@ class Picture(NamedTuple):
         name: of the view.
         origin: the entity that it shows.
         png: the picture.
-        reports: what the viewer says failed to draw.
+        reports: errors of the viewer.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The rerun program as a process of ours: heard on 127.0.0.1 alone, and ended with all it starts.
+"""The rerun program as a child process that listens on 127.0.0.1 only.
 
 rerun's own ``serve_grpc``, ``spawn`` and headless viewer listen on every network interface.
 """
@@ -27,8 +27,8 @@ class Viewer:
         port: where it listens; the next free one if it is taken.
 
     Attributes:
-        port: where it does listen.
-        url: how one reaches it.
+        port: where it listens.
+        url: of its gRPC server.
 
     Raises:
         ValueError: if no port is free, or it does not start.
@@ -49,7 +49,7 @@ class Viewer:
         raise ValueError(self.explain_failure())
 
     def __enter__(self) -> Self:
-        """Run within a ``with``."""
+        """Return the running program."""
         return self
 
     def __exit__(
@@ -62,10 +62,10 @@ class Viewer:
         self.close()
 
     def explain_failure(self) -> str:
-        """Say what to do when it does not start, or ends while it is needed."""
+        """Return the message for a program that does not start, or ends too early."""
         return (
-            f"rerun does not run on port {self.port} with {' '.join(self._options)}: see what "
-            "`python -m rerun` says with the same options (without a screen it needs a Vulkan "
+            f"rerun does not run on port {self.port} with {' '.join(self._options)}: run `python "
+            "-m rerun` with these options for its error (without a screen it needs a Vulkan "
             "driver, such as Mesa's lavapipe), or give another port"
         )
 
@@ -87,7 +87,7 @@ class Viewer:
 
 
 def start_rerun(*options: str) -> subprocess.Popen[bytes]:
-    """Start rerun in a group of its own: it starts another process, and both end together."""
+    """Start rerun in its own process group, as it starts another process: both end together."""
     return subprocess.Popen(
         [sys.executable, "-m", "rerun", *options],
         stdout=subprocess.DEVNULL,
@@ -97,7 +97,7 @@ def start_rerun(*options: str) -> subprocess.Popen[bytes]:
 
 
 def find_port(first: int) -> int:
-    """Return the first port from ``first`` on that nobody on this machine listens to.
+    """Return the first free port from ``first`` on.
 
     Raises:
         ValueError: if a hundred are taken.

@@ -46,10 +46,10 @@ def name_flows(
 
 
 class Recorder:
-    """Reads frames of some rows of an env, about ``frames_per_T`` per period.
+    """Reads about ``frames_per_T`` frames per period of some rows of an env.
 
-    Frames are read where the task looks for an episode's end, ``checks_per_action`` times per
-    decision: at one of every so many of them.
+    Termination is checked ``task.checks_per_action`` times per decision; a frame is read at every
+    n-th check.
 
     Args:
         task: of the env.

@@ -13,8 +13,7 @@ class ViewerSettings:
     Args:
         live: stream to a viewer on this machine (127.0.0.1) while the flows run.
         flows: which flows of the batch to show, each in a tab of its own.
-        frames_per_T: frames per period, about; at most as often as the task looks for the end of
-            an episode.
+        frames_per_T: frames per period, approximately; they coincide with checks for termination.
         field_format: of the vorticity: jpeg (small) or u8 (values under the mouse).
         vorticity_limit: at which the colours saturate, 1/T.
         port: of the live viewer; the next free one if it is taken.

@@ -67,9 +67,9 @@ def test_a_row_of_a_batch_equals_the_same_row_alone_and_resets_touch_no_other(
     env.reset()
     alone.reset()
     assert (act(alone, 2)[0] == act(env, 0, 2)[1]).exclude("start_index").all()
-    env.starts, env._next_start = starts[2:], 0
     before = memory_of(env)
-    env.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
+    with env.set_starts(starts[2:]):
+        env.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
     after = memory_of(env)
     for name, value in before.items():
         assert torch.equal(after[name][1], value[1]), name

@@ -1,4 +1,4 @@
-"""What there is to see in each task, and that all of it can be read off the env."""
+"""What is drawn of each task, and that all of it can be read."""
 
 import math
 from typing import Any

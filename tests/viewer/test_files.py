@@ -130,7 +130,7 @@ def test_a_missing_folder_is_named(tmp_path: Path) -> None:
 
 
 def test_a_drawing_that_goes_nowhere_is_refused() -> None:
-    with pytest.raises(ValueError, match="say where the drawing goes"):
+    with pytest.raises(ValueError, match="neither save nor url"):
         start_drawing(make_scene(), flows=FLOWS)
 
 
