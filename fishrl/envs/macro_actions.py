@@ -7,11 +7,21 @@ phase of the body wave is integrated, so the body moves continuously.
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import torch
 from torch import Tensor
+
+
+#: For the paper's three flows, from the sweep of ``experiments.drift_sweep``. In each row the
+#: second frequency is the shedding frequency, which roughly holds station, and the last one swims
+#: upstream.
+DEFAULT_ROWS = (
+    (0.25, 0.53, 1.0, 1.5, 2.1),
+    (0.3, 0.66, 1.1, 1.65, 2.25),
+    (0.4, 0.78, 1.3, 1.9, 2.6),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +32,7 @@ class FrequencyBank:
         rows: tail beats per T, rising within each row; all rows have the same length, at least two.
     """
 
-    rows: tuple[tuple[float, ...], ...]
+    rows: tuple[tuple[float, ...], ...] = DEFAULT_ROWS
 
     def __post_init__(self) -> None:
         """Validate the rows, and turn sequences from files into tuples."""
@@ -98,7 +108,7 @@ class MacroActions(FrequencyControl):
         first_gear: initial gear, counted from 0; by default the middle one.
     """
 
-    bank: FrequencyBank
+    bank: FrequencyBank = field(default_factory=FrequencyBank)
     first_gear: int | None = None
 
     def __post_init__(self) -> None:

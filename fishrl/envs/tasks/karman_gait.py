@@ -11,7 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.lateral_line import LateralLine
-from fishrl.envs.macro_actions import FrequencyBank, FrequencyControl, MacroActions
+from fishrl.envs.macro_actions import FrequencyControl, MacroActions
 from fishrl.envs.protocol import Solver
 from fishrl.envs.scene import Area, Panel, Scene, Series
 from fishrl.envs.sensors import compute_clearance, wrap_angle
@@ -24,17 +24,6 @@ from fishrl.envs.views import describe_flow_label, describe_lateral_line, find_s
 from fishrl.envs.wakes import WakeBank
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import Scales
-
-#: Tail beats per T for the paper's three flows, from the sweep of ``experiments.drift_sweep``. In
-#: each row the second frequency is the shedding frequency, which roughly holds station, and the
-#: last one swims upstream.
-DEFAULT_BANK = FrequencyBank(
-    rows=(
-        (0.25, 0.53, 1.0, 1.5, 2.1),
-        (0.3, 0.66, 1.1, 1.65, 2.25),
-        (0.4, 0.78, 1.3, 1.9, 2.6),
-    )
-)
 
 
 @final
@@ -82,7 +71,7 @@ class KarmanGait(AbstractTask):
     checks_per_action: int = 7
     stream: Stream = field(default_factory=Stream)
     start_flows: tuple[int, ...] = (0, 1, 2)
-    control: FrequencyControl = field(default_factory=lambda: MacroActions(bank=DEFAULT_BANK))
+    control: FrequencyControl = field(default_factory=MacroActions)
     reads_flow_class: bool = False
     observes_flow: bool = True
     steering: Steering = field(default_factory=PIDSteering)
