@@ -14,7 +14,7 @@ import matplotlib as mpl
 from experiments.figures import STYLE
 from experiments.pages import write_table
 from experiments.validation.case import MISSED, PASS, RECORDED, Check, as_range
-from experiments.validation.runner import Outcome, write_whole
+from experiments.validation.runner import Outcome
 
 HEADS = ("case", "quantity", "ours", "reference", "error", "tolerance", "verdict", "resolution")
 
@@ -34,9 +34,9 @@ def write_report(outcomes: Sequence[Outcome], *, page: Path, json_path: Path, co
         if outcome.figure is not None:
             with mpl.rc_context(STYLE):
                 outcome.figure.savefig(figures / f"{outcome.case.name}.png")
-    write_whole(page, render(outcomes, command))
+    page.write_text(render(outcomes, command), encoding="utf-8")
     rows = [_to_row(outcome, check) for outcome in outcomes for check in outcome.checks]
-    write_whole(json_path, json.dumps(rows, indent=1) + "\n")
+    json_path.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
 def _to_row(outcome: Outcome, check: Check) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from experiments.figures import STYLE
 from experiments.validation.case import Case, Check, Job, Result
 from experiments.validation.convergence import tidy
 from experiments.validation.fingerprint import fingerprint
+from fishrl.files import staged
 
 logger = logging.getLogger(__name__)
 
@@ -123,7 +124,8 @@ def _run(todo: list[tuple[Outcome, Job, Path]], num_workers: int) -> None:
             "machine": machine,
             "result": json.loads(result),
         }
-        write_whole(path, json.dumps(outcome.records[job.label], indent=1) + "\n")
+        with staged(path) as stage:
+            stage.write_text(json.dumps(outcome.records[job.label], indent=1) + "\n")
 
 
 def _run_jobs(
@@ -174,13 +176,6 @@ def _call(job: Job) -> tuple[str, float]:
     start = time.perf_counter()
     text = json.dumps(job.function(**job.arguments))
     return text, time.perf_counter() - start
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file at once or not at all."""
-    stage = path.with_name(f".{path.name}.stage")
-    stage.write_text(text, encoding="utf-8")
-    stage.replace(path)
 
 
 def _judge(outcome: Outcome) -> None:
