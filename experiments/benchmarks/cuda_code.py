@@ -21,7 +21,7 @@ from torch.fx import GraphModule
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from experiments.benchmarks.contest import Entry, Settings
-from experiments.benchmarks.flows import list_calls, make_scales
+from experiments.benchmarks.flows import make_scales
 from fishrl.physics import InPlaceSolver
 from fishrl.physics.cases import make_swimmer_config
 
@@ -126,7 +126,7 @@ def make_code(settings: Settings) -> list[Entry]:
     config = make_swimmer_config(make_scales(settings.body_length // 2))
     solver = InPlaceSolver(config=config, num_envs=2, flows_per_launch=2, compile=False)
     entries = []
-    for part, calls in list_calls(solver).items():
+    for part, calls in solver.list_calls().items():
         patches = {"realize_opcount_threshold": 10} if part == "bodies" else {}
         facts = count(generate(*calls[0], patches))
         entries.append(Entry(label=f"cuda/{part}", name=part, num_steps=0, facts=facts))

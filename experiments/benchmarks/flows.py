@@ -6,13 +6,12 @@ import gc
 import os
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from math import pi
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from experiments.benchmarks.contest import (
     FISH,
@@ -28,12 +27,11 @@ from experiments.benchmarks.peers.shear_wave import ShearWave
 from fishrl.physics import FlowConfig, InPlaceSolver, Scales
 from fishrl.physics.cases import PERIODIC as PERIODIC_EDGES
 from fishrl.physics.cases import make_swimmer_config
+from fishrl.physics.fast.compiled import Kernel
 from fishrl.physics.flow import make_uniform
 from fishrl.physics.immersed_boundary import DirectSolve, ForceSolve, IterativeForcing
 from fishrl.physics.storage import Storage
 
-Function = Callable[..., Any]
-Call = tuple[Function, Sequence[Tensor]]
 BATCHES = (1, 2, 4, 8, 16, 32)
 #: The cost of the direct solve does not depend on its slip.
 SOLVES: dict[str, ForceSolve] = {
@@ -115,7 +113,7 @@ def make_entry(
 
 def make_kernel_entry(solver: InPlaceSolver, label: str, how: str) -> Entry:
     """Return the collision alone: the calls of an even and an odd step, over and over."""
-    entry, calls = make_entry(solver, label, how), list_calls(solver)["collide"]
+    entry, calls = make_entry(solver, label, how), solver.list_calls()["collide"]
 
     def advance(num_steps: int) -> None:
         for _ in range(num_steps // 2):
@@ -135,26 +133,10 @@ def _wait(device: torch.device, advance: Callable[[int], object]) -> Callable[[i
     return advance_and_wait
 
 
-def list_calls(solver: InPlaceSolver) -> dict[str, list[Call]]:
-    """Return the calls that an even and an odd step of the first group make, by part."""
-    stepper, group = solver._stepper, next(iter(solver._groups.values()))
-    calls: dict[str, list[Call]] = {
-        "collide": [(stepper._collide, arguments) for arguments in group.collisions]
-    }
-    if solver.config.bodies:
-        calls["bodies"] = [(stepper._act, leaves) for _, leaves in group.body_arguments]
-    for i, set_edges in enumerate(stepper._set_edges):
-        calls[f"edges {i + 1}"] = [(set_edges, views[i]) for views in group.edges]
-    return calls
-
-
-def wrap_parts(solver: InPlaceSolver, wrap: Callable[[str, Function], Function]) -> None:
+def wrap_parts(solver: InPlaceSolver, wrap: Callable[[str, Kernel], Kernel]) -> None:
     """Replace each part of the solver's step by ``wrap(name, part)``."""
-    stepper = solver._stepper
-    stepper._collide = wrap("collision", stepper._collide)
-    stepper._set_edges = [wrap("edges", part) for part in stepper._set_edges]
-    if solver.config.bodies:
-        stepper._act = wrap("bodies: markers, force, motion, spreading", stepper._act)
+    names = {"collide": "collision", "bodies": "bodies: markers, force, motion, spreading"}
+    solver.wrap_kernels_(lambda name, kernel: wrap(names.get(name, "edges"), kernel))
 
 
 def make_probes(settings: Settings) -> list[Entry]:

@@ -26,10 +26,10 @@ class Rates:
         energy: rate of e and eps; sets the bulk viscosity (1 / energy - 1/2) / 3.
         flux: rate of the energy fluxes qx and qy.
 
-    Near tau = 0.5 the flux rate decides whether vortices shed in a turn survive: at 1.2 most fish
-    that turn at the paper's own speed diverge, from 1.6 on hardly any (the validation page has the
-    map). Much more than 1.7, such as Lallemand & Luo's 1.9, leaves less room for explicit coupling.
-    The energy rate is theirs; a lower one damps sound more, and makes a fish slower.
+    Near tau = 0.5 the flux rate decides stability when vortices are shed in a turn: at 1.2 most
+    flows with a fish that turns at the paper's own speed diverge, from 1.6 on hardly any (see the
+    map on the validation page). Larger values, such as Lallemand & Luo's 1.9, leave explicit
+    coupling less margin. The energy rate is theirs; a lower one damps sound more and slows a fish.
     """
 
     energy: float = 1.64

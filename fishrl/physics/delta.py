@@ -1,8 +1,8 @@
 """Regularised delta kernels: one-dimensional weights of the nodes around a marker.
 
 The two-dimensional kernel is the product of two one-dimensional ones. All sum to one; all but the
-hat have a constant sum of squares, so the force on a body does not depend on where it lies between
-the nodes.
+hat have a constant sum of squares, so the force on a body does not depend on its position relative
+to the nodes.
 """
 
 from abc import ABC, abstractmethod
@@ -16,7 +16,7 @@ class Kernel(ABC):
     """A kernel phi(r) of compact support.
 
     Attributes:
-        support: number of nodes in one direction that a marker sees.
+        support: number of nodes per axis within reach of a marker.
         spectrum: upper bound of the marker coupling's eigenvalues for a thin closed body with a
             marker spacing of one node; sets the acceleration of the force iteration.
     """

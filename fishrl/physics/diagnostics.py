@@ -1,4 +1,4 @@
-"""What is read off a flow."""
+"""Quantities derived from a flow: vorticity, pressure, coefficients, frequencies."""
 
 from itertools import pairwise
 from typing import NamedTuple
@@ -42,13 +42,13 @@ def compute_coefficient(force: Tensor, *, length: float, speed: float, rho: floa
 
 
 class Cycles(NamedTuple):
-    """What a signal does over whole periods.
+    """Statistics of a signal over whole periods.
 
     Attributes:
         frequency: periods per unit of time, from its zero crossings.
-        num_cycles: how many periods were seen.
+        num_cycles: number of periods.
         mean: over whole periods.
-        rms: root mean square of what differs from the mean.
+        rms: root mean square deviation from the mean.
         low: mean of the periods' minima.
         high: mean of the periods' maxima.
     """
@@ -74,17 +74,17 @@ def find_crossings(signal: Tensor) -> Tensor:
 
 
 def measure_cycles(signal: Tensor, interval: float, *, clock: Tensor | None = None) -> Cycles:
-    """Measure a periodic signal over the whole periods that it holds.
+    """Measure a periodic signal over its whole periods.
 
-    A period runs from one upward crossing of the clock's mean to the next. The mean is taken over
-    whole periods too, so that a part of one does not shift it. Extremes are those of parabolas
+    A period runs from one upward crossing of the clock's mean to the next. The mean, too, is taken
+    over whole periods, so that a partial period does not shift it. Extremes are those of parabolas
     through three samples.
 
     Args:
         signal: ``[n]`` evenly sampled.
         interval: time between samples.
-        clock: ``[n]`` signal whose periods count, such as the lift for the drag, which has two
-            periods in one of the lift; ``signal`` itself if not given.
+        clock: ``[n]`` signal that defines the periods, such as the lift for the drag, which has two
+            periods in one of the lift; ``signal`` itself by default.
 
     Raises:
         ValueError: if there are not two whole periods.
@@ -133,8 +133,8 @@ def compute_strouhal(lift: Tensor, interval: float, *, length: float, speed: flo
 def compute_spectral_frequency(signal: Tensor, interval: float) -> float:
     """Return the frequency of the strongest line of a signal's spectrum.
 
-    Hann window; the line's place between the bins is that of a parabola through the logarithm of
-    three of them, good to about 1 % of a bin.
+    Hann window; the frequency between bins is that of a parabola through the logarithm of three
+    bins, accurate to about 1 % of a bin.
 
     Args:
         signal: ``[n]`` evenly sampled.

@@ -1,4 +1,4 @@
-"""What a flow is: its static configuration, its parameters and its state."""
+"""A flow: its static configuration, its parameters and its state."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -52,7 +52,7 @@ class Sponge:
 
 @dataclass(frozen=True, kw_only=True)
 class FlowConfig:
-    """Everything about a flow that never changes while it runs.
+    """The static configuration of a flow.
 
     Flows of one batch may differ in ``tau``, ``stream_speed``, ``ramp_steps`` and in the size, gait
     and density of their bodies (with equal ``num_markers``); all else must be equal.
@@ -68,10 +68,10 @@ class FlowConfig:
         boundaries: the four edges.
         sponges: strips of raised viscosity.
         kernel: delta kernel of the immersed boundary.
-        force_solve: how no slip is enforced.
+        force_solve: method that enforces no slip.
         coupling: implicit, or the paper's explicit one.
-        storage: how the in-place step keeps the populations; half precision halves what a step
-            moves, for GPUs (a CPU gains nothing).
+        storage: number format of the in-place step's populations; half precision halves the memory
+            traffic, for GPUs (a CPU gains nothing).
     """
 
     width: int
@@ -152,7 +152,7 @@ class FlowConfig:
         return alike, bodies
 
     def weigh_sponges(self) -> Tensor:
-        """Return for each sponge how much of it there is at each node, ``[S, Y, X]`` in [0, 1]."""
+        """Return the weight of each sponge at each node, ``[S, Y, X]`` in [0, 1]."""
         y, x = torch.meshgrid(
             torch.arange(self.height).double(), torch.arange(self.width).double(), indexing="ij"
         )
@@ -194,7 +194,7 @@ class FlowState(NamedTuple):
     Attributes:
         f: ``[B, Q, Y, X]`` incoming populations, shifted by the weights.
         bodies: in each flow.
-        clock: ``[B]`` steps since the flow began; None is long ago.
+        clock: ``[B]`` steps since the start; None means that the stream's ramp is over.
     """
 
     f: Tensor

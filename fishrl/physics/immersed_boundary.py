@@ -2,8 +2,8 @@
 
 With weights W_l(x) of marker l and spacing ds, interpolation is U_l = sum_x W_l u and the force
 2 rho W_l g_l ds at the nodes adds the velocity A g at the markers, A_kl = ds sum_x W_k W_l. No slip
-means A g = U_d - U*. Everything here works on the marker side: A is a small dense matrix, so that
-iterating costs no pass over the grid.
+means A g = U_d - U*. Everything here works on the marker side: A is a small dense matrix, and
+iterating needs no pass over the grid.
 """
 
 from abc import ABC, abstractmethod
@@ -18,7 +18,7 @@ from fishrl.physics.delta import Kernel
 
 
 class Stencil(NamedTuple):
-    """The nodes that each marker sees; S is the kernel's support. Markers come last in memory.
+    """The nodes around each marker; S is the kernel's support. Markers come last in memory.
 
     Attributes:
         x: ``[B, N]`` column of the first node, a whole number in the weights' type.
@@ -54,7 +54,7 @@ def make_stencil(
         markers: ``[B, N, 2]`` positions (x, y) in nodes.
         kernel: the delta kernel.
         width: number of nodes along x; markers outside are clamped to the edge, so that a body
-            that left the domain (reported as diverged) reads no foreign memory.
+            outside the domain (reported as diverged) reads no other flow's memory.
         height: number of nodes along y.
         dtype: of the weights.
     """
@@ -97,14 +97,14 @@ def _overlap(first: Tensor, weights: Tensor) -> Tensor:
 
 
 class ForceSolve(ABC):
-    """How A g = r is solved for the force g at the markers."""
+    """A method that solves A g = r for the force g at the markers."""
 
     @abstractmethod
     def check(self, kernel: Kernel) -> None:
         """Raise if the solve does not work with ``kernel``."""
 
     def prepare(self, overlap: Tensor, spacing: Tensor) -> tuple[Tensor, ...]:
-        """Return what the solve needs of the markers' places; once where bodies stay still.
+        """Return what the solve needs of the marker positions; once where bodies stay still.
 
         Args:
             overlap: of the markers' weights ``[B, N, N]``, symmetric.
@@ -121,8 +121,8 @@ class ForceSolve(ABC):
 
         Args:
             operator: from ``prepare``.
-            residual: r ``[B, R, N]``, one row per right-hand side (rows times A^T run three times
-                as fast as A times columns).
+            residual: r ``[B, R, N]``, one row per right-hand side (rows times A^T are three times
+                faster than A times columns).
 
         Returns:
             The solution g and the remaining residual r - A g, both ``[B, R, N]``.
@@ -133,10 +133,10 @@ class ForceSolve(ABC):
 class IterativeForcing(ForceSolve):
     """Iterative force correction, the paper's eq. 4: g += w r, r -= w A r.
 
-    The factor 2 rho of eq. 4 is the half-force of the forcing scheme and stands in F = 2 rho g, so
-    the paper's form (Zhang et al. 2016) is w = 1, see ``zhang``. What a body moves smoothly lies in
-    the upper part of A's spectrum, so a constant w near the stability limit does as well as
-    Chebyshev factors (both were measured: 2 % slip after 3 iterations, 1 % after 4).
+    The factor 2 rho of eq. 4 is the half-force of the forcing scheme and is part of F = 2 rho g, so
+    the paper's form (Zhang et al. 2016) is w = 1, see ``zhang``. Smooth body motion lies in the
+    upper part of A's spectrum, so a constant w near the stability limit performs as well as
+    Chebyshev factors (measured for both: 2 % slip after 3 iterations, 1 % after 4).
 
     Args:
         num_iterations: K.
@@ -147,7 +147,7 @@ class IterativeForcing(ForceSolve):
     relaxation: float = 1.7
 
     def __post_init__(self) -> None:
-        """Refuse an iteration that does nothing."""
+        """Refuse an iteration without effect."""
         if self.num_iterations < 1 or self.relaxation <= 0:
             raise ValueError(
                 f"num_iterations = {self.num_iterations}, relaxation = {self.relaxation}: give at "
@@ -180,7 +180,7 @@ class IterativeForcing(ForceSolve):
 
 @dataclass(frozen=True, kw_only=True)
 class DirectSolve(ForceSolve):
-    """Exact no slip by inverting A (Wu & Shu 2009); for bodies that stay still, and as an oracle.
+    """Exact no slip by inverting A (Wu & Shu 2009); for bodies that stay still, and as reference.
 
     Args:
         regularisation: added to the diagonal of A, relative to its mean; a thin trailing edge makes

@@ -1,8 +1,8 @@
-"""How populations are kept in memory: in single precision, or in half of it for bandwidth.
+"""Storage format of populations: single precision, or half precision for bandwidth.
 
-Arithmetic is always in single precision. What is stored are deviations f - w, so that half
-precision spends its eleven bits on the flow and not on the rest state; scaling by a power of two
-keeps small deviations out of the denormals (the FP16S format of Lehmann et al. 2022).
+Arithmetic is always in single precision. Deviations f - w are stored, so that the eleven bits of
+half precision resolve the flow and not the rest state; scaling by a power of two keeps small
+deviations out of the denormals (the FP16S format of Lehmann et al. 2022).
 """
 
 from enum import Enum
@@ -12,7 +12,7 @@ from torch import Tensor
 
 
 class Storage(Enum):
-    """A type of number in memory and the factor by which stored values are larger."""
+    """A number format and the factor by which stored values are larger."""
 
     FLOAT32 = (torch.float32, 1.0)
     FLOAT16 = (torch.float16, 2.0**15)  # holds deviations below 2
@@ -27,5 +27,5 @@ class Storage(Enum):
         return stored if self.value[1] == 1.0 else stored.float() * (1.0 / self.value[1])
 
     def encode(self, f: Tensor) -> Tensor:
-        """Return what to keep of populations."""
+        """Return populations as stored."""
         return f.to(self.dtype) if self.value[1] == 1.0 else (f * self.value[1]).to(self.dtype)

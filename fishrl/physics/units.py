@@ -1,7 +1,7 @@
 """From Reynolds number, body length and a Mach budget to lattice units.
 
-A preset is a body length and a speed budget; everything else follows. The fastest thing in the flow
-is the tail, 2 pi a(1) f L, or the stream, so the budget is set on them. nu = L^2 / (Re T), tau =
+A preset is a body length and a speed budget; everything else follows. The largest speed is that of
+the tail, 2 pi a(1) f L, or of the stream, so the budget limits these. nu = L^2 / (Re T), tau =
 3 nu + 1/2.
 """
 
@@ -9,9 +9,8 @@ from dataclasses import dataclass
 
 from fishrl.physics.bodies.gait import CARLING, Gait
 
-# Validated range. Below MIN_TAU the collision loses its margin against vortices shed in a turn;
-# above MAX_TAU the boundary's slip grows. The fastest wall is kept well under the speed of sound
-# 0.577.
+# Validated range. Below MIN_TAU the collision is no longer stable for vortices shed in a turn;
+# above MAX_TAU the boundary's slip grows. Walls move well below the speed of sound, 0.577.
 MIN_TAU = 0.501
 MAX_TAU = 2.0
 MAX_WALL_SPEED = 0.15
@@ -72,7 +71,7 @@ class Scales:
     stream_speed_bl: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what was never validated, and say what to do."""
+        """Refuse settings outside the validated range."""
         if self.body_length < 16:
             raise ValueError(f"body_length = {self.body_length}: a fish needs at least 16 nodes")
         if self.reynolds <= 0:

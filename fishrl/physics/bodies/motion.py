@@ -31,7 +31,7 @@ class Motion:
     is_still: ClassVar[bool] = False
 
     def prescribe(self, body: BodyState) -> tuple[Tensor, Tensor]:
-        """Return velocity ``[B, 2]`` and Omega ``[B]``; read where the flow does not decide."""
+        """Return velocity ``[B, 2]`` and Omega ``[B]``; used where the flow does not set them."""
         return body.velocity, body.angular_velocity
 
     def compute_bend_rate(self, body: BodyState) -> Tensor:
@@ -41,11 +41,11 @@ class Motion:
 
 @dataclass(frozen=True, kw_only=True)
 class Fixed(Motion):
-    """A body that stays where it is.
+    """A body that does not move.
 
     Args:
-        kick_speed: largest transverse (y) speed that its surface imposes during the kick, nodes per
-            step; it breaks the symmetry of a young wake.
+        kick_speed: largest transverse (y) speed of its surface during the kick, nodes per step; it
+            breaks the symmetry of a young wake.
         kick_steps: length of the kick, one period of a sine, from reset on.
     """
 
@@ -60,7 +60,7 @@ class Fixed(Motion):
             raise ValueError(f"kick_steps = {self.kick_steps}: a kick takes at least one step")
 
     def prescribe(self, body: BodyState) -> tuple[Tensor, Tensor]:
-        """Return zero, and the kick at first."""
+        """Return zero, apart from the initial kick."""
         swing = self.kick_speed * torch.sin(2.0 * pi * body.age / self.kick_steps)
         kick = torch.where(body.age < self.kick_steps, swing, torch.zeros_like(swing))
         zero = torch.zeros_like(kick)
@@ -69,7 +69,7 @@ class Fixed(Motion):
 
 @dataclass(frozen=True)
 class Driven(Motion):
-    """A body that keeps the velocity and angular velocity that its state was given."""
+    """A body that keeps the velocity and angular velocity of its initial state."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +87,7 @@ class Oscillating(Motion):
     pitch_lag: float = 0.0
 
     def prescribe(self, body: BodyState) -> tuple[Tensor, Tensor]:
-        """Return what carries the body exactly along its path in one step."""
+        """Return the velocities that move the body exactly along its path in one step."""
         after = body.phase + 2.0 * pi * body.frequency
         swing = torch.sin(after) - torch.sin(body.phase)
         turn = torch.sin(after + self.pitch_lag) - torch.sin(body.phase + self.pitch_lag)
@@ -104,7 +104,7 @@ class Free(Motion):
 
 @dataclass(frozen=True)
 class Commanded(Motion):
-    """A fish that the flow moves and the command turns; the torque that takes is reported."""
+    """A fish that the flow moves and the command turns; the torque this requires is reported."""
 
     moves_freely: ClassVar[bool] = True
 
@@ -115,17 +115,17 @@ class Commanded(Motion):
 
 @dataclass(frozen=True, kw_only=True)
 class Bending(Motion):
-    """A free fish that turns by bending its midline towards the command; no torque from outside.
+    """A free fish that turns by bending its midline; no external torque.
 
     The bend adds L kappa x^2 to the midline, x in body lengths from the head. During a command
     kappa relaxes towards -gain * turn, afterwards back to zero, with a sixth of the command's
-    length as time constant: the tail goes to the side that the fish turns to, and commands in a row
-    keep it there.
+    length as time constant: the tail moves to the side of the turn and stays there while commands
+    continue.
 
     Args:
-        gain: bend per radian of commanded turn. With 1, commands of 15 degrees in a row turn a
-            Carling swimmer at Re = 7000 and L = 50 by 11 degrees per tail beat, with 0.5 by 8; more
-            than 1 only slows it.
+        gain: bend per radian of commanded turn. With 1, successive commands of 15 degrees turn a
+            Carling swimmer at Re = 7000 and L = 50 by 11 degrees per tail beat, with 0.5 by 8;
+            larger values only slow it.
     """
 
     moves_freely: ClassVar[bool] = True

@@ -31,13 +31,13 @@ class BodyConfig(ABC):
 
     Args:
         density_ratio: body density over fluid density; 1 is neutrally buoyant.
-        marker_spacing: wanted distance of the markers along the outline, in nodes.
-        inset: how far the markers lie inside the outline, nodes. The force of a marker is spread
-            over some nodes around it, so the flow feels a body larger than its markers' outline by
-            0.45 nodes (three-point kernel; measured on a cylinder, see the validation page; the
-            idea is Breugem's, 2012). Area, mass and gait stay those of the outline itself.
-        num_markers: N, instead of what the spacing gives; bodies of different size in one batch
-            need the same number.
+        marker_spacing: target distance of the markers along the outline, in nodes.
+        inset: how far the markers lie inside the outline, nodes. A marker's force is spread over
+            the nodes around it, so the effective body is 0.45 nodes larger than its markers'
+            outline (three-point kernel; measured on a cylinder, see the validation page; the idea
+            is Breugem's, 2012). Area, mass and gait remain those of the outline.
+        num_markers: N; 0 derives it from the spacing. Bodies of different size in one batch need
+            the same number.
         motion: what moves the body.
     """
 

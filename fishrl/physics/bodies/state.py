@@ -1,4 +1,4 @@
-"""State of a body: place, velocity, phase, the command it follows and what it has done so far."""
+"""State of a body: position, velocity, phase, current command and accumulated totals."""
 
 from typing import NamedTuple
 
@@ -23,9 +23,9 @@ class BodyState(NamedTuple):
         turn: commanded change of heading, radians.
         turn_steps: steps over which the turn is spread.
         turn_clock: steps since the command.
-        load: ``[B, 2]`` force on the body beside the fluid's: weight less buoyancy, a tether.
+        load: ``[B, 2]`` external force on the body: weight minus buoyancy, a tether.
         work: done by the muscles since reset, rho (nodes / step)^2 nodes^2: sum of F . u_def.
-        positive_work: the same where no marker gives back what the flow does on it.
+        positive_work: the same without recovery: negative power at a marker counts as zero.
         lateral_work: its lateral part, the paper's eqs. 12 and 13 with the sign of work done.
         torque_impulse: sum of the torque on the fluid over all steps.
         slip_error: largest velocity error at a marker in the last step.
@@ -61,7 +61,7 @@ class BodyState(NamedTuple):
 
 
 def make_body(position: Tensor, heading: Tensor, frequency: Tensor) -> BodyState:
-    """Return a body at rest, about to move.
+    """Return the state of a body at rest.
 
     Args:
         position: ``[B, 2]`` centre of mass in nodes.

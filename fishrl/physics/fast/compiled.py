@@ -2,7 +2,7 @@
 
 ``torch.compile`` checks guards on every call (about 100 us with many tensors) and functionalises
 views of one buffer into whole-buffer copies. Tracing the function once and handing the graph to
-Inductor with *the views themselves as inputs* avoids both. The price: the caller promises that
+Inductor with *the views themselves as inputs* avoids both. In return, the caller guarantees that
 shapes, strides and types never change and that mutated inputs do not overlap within one call.
 """
 
@@ -23,9 +23,9 @@ from fishrl.physics.cache_key import hash_sources, make_key
 
 logger = logging.getLogger(__name__)
 
-Step = Callable[..., Any]
+Kernel = Callable[..., Any]
 
-# Fused multiply-add, and no check of each argument's shape at each call: they never change.
+# Fused multiply-add, and no check of the arguments' shapes at each call: they never change.
 _SETTINGS: dict[str, object] = {
     "cpp.enable_floating_point_contract_flag": "fast",
     "size_asserts": False,
@@ -58,9 +58,9 @@ def _make_twin(t: Tensor) -> Tensor:
 
 
 def is_own(thing: object) -> bool:
-    """Return whether ``thing`` is made of plain values and of this package's dataclasses alone.
+    """Return whether ``thing`` consists of plain values and dataclasses of this package alone.
 
-    Then its ``repr`` and the package's sources say all there is to know about it.
+    Then its ``repr`` and the package's sources determine it completely.
     """
     if isinstance(thing, list | tuple):
         return all(map(is_own, thing))
@@ -75,17 +75,17 @@ def is_own(thing: object) -> bool:
 
 
 def compile_inplace(
-    function: Step, example: Sequence[Tensor], *, name: str | None = None, **patches: object
-) -> Step:
+    function: Kernel, example: Sequence[Tensor], *, name: str | None = None, **patches: object
+) -> Kernel:
     """Compile ``function(*tensors)``, which may mutate its arguments.
 
     Args:
         function: traceable, of tensors alone; a tuple of tensors or nothing is returned.
         example: arguments of the shapes, strides and types that every call will have. They are not
             touched.
-        name: everything that shaped the function beside this package's sources and ``example``.
-            With it the result is kept beside Inductor's cache, and the next process loads it
-            without tracing. None keeps nothing.
+        name: key of everything that determines the function, apart from this package's sources and
+            ``example``. The result is stored under it beside Inductor's cache, and the next
+            process loads it without tracing. None stores nothing.
         **patches: Inductor settings.
 
     Returns:
@@ -129,7 +129,7 @@ def _locate_artefact(name: str, example: Sequence[Tensor], settings: dict[str, o
     return Path(cache_dir()) / "fishrl" / f"{key}.bin"
 
 
-def _load(path: Path, settings: dict[str, object]) -> Step | None:
+def _load(path: Path, settings: dict[str, object]) -> Kernel | None:
     """Return what is kept at ``path``; None if there is nothing that can be used.
 
     The settings count here too: they are part of how Inductor finds the machine code.

@@ -4,9 +4,8 @@ import torch
 from torch import Tensor
 
 from fishrl.physics.collision import compute_macroscopic
-from fishrl.physics.flow import FlowConfig
+from fishrl.physics.fast.layout import InPlaceLayout
 from fishrl.physics.storage import Storage
-from fishrl.physics.streaming import InPlaceLayout
 
 
 def sample_flow(
@@ -44,32 +43,3 @@ def sample_flow(
     values = torch.stack((fluid.rho, fluid.ux, fluid.uy), -1)
     mean = (weights[..., None] * values).sum(1)
     return mean[..., 0], mean[..., 1:]
-
-
-def spread_starts(
-    position: Tensor | None,
-    heading: Tensor | None,
-    config: FlowConfig,
-    num_envs: int,
-    device: torch.device,
-) -> tuple[Tensor, Tensor]:
-    """Return positions ``[B, M, 2]`` and headings ``[B, M]`` of all bodies, float64.
-
-    Raises:
-        ValueError: if there is not one for each body of each flow.
-    """
-    shape = num_envs, max(1, len(config.bodies))
-    if position is None:
-        position = torch.tensor([0.5 * config.width, 0.5 * config.height]).expand(*shape, 2)
-    if heading is None:
-        heading = torch.zeros(shape)
-    got = tuple(position.shape), tuple(heading.shape)
-    position, heading = position.to(device, torch.float64), heading.to(device, torch.float64)
-    if shape[1] == 1:
-        position, heading = position.reshape(-1, 1, 2), heading.reshape(-1, 1)
-    if position.shape != (*shape, 2) or heading.shape != shape:
-        raise ValueError(
-            f"position and heading have shapes {got[0]} and {got[1]}: give {(*shape, 2)} and "
-            f"{shape}, one for each of the {shape[1]} bodies in {num_envs} flows"
-        )
-    return position, heading

@@ -2,202 +2,201 @@
 
 Order of one step: collide all nodes without force (one pass, 72 bytes a node), then let the bodies
 act on the outgoing populations at their marker nodes alone, then set the edges. As collision
-conserves mass and momentum, the bodies see the same unforced velocity as in ``solver.step``, and
-the increment they add makes the result equal to the forced collision there. Even and odd steps are
-the same code on other views (see ``streaming.InPlaceLayout``); states are exchanged at even
+conserves mass and momentum, the bodies see the same unforced velocity as in the readable
+``step.step``, and the increment they add makes the result equal to the forced collision there. Even
+and odd steps are the same code on other views (see ``layout.py``); states are exchanged at even
 parity only.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.geometry import BodyGeometry, locate_bodies
-from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.boundaries import Boundary, Side
-from fishrl.physics.collision import (
-    collide_mrt,
-    compute_force_increment,
-    compute_macroscopic,
-    compute_moments,
+from fishrl.physics.boundaries import Side
+from fishrl.physics.fast.compiled import Kernel, compile_inplace, is_own
+from fishrl.physics.fast.kernels import (
+    BodyArguments,
+    make_bodies,
+    make_check,
+    make_collide,
+    make_edges,
+    make_locate,
 )
-from fishrl.physics.fast.compiled import compile_inplace, is_own
-from fishrl.physics.flow import FlowConfig, FlowParams, compute_stream_speed
-from fishrl.physics.lattice import OPPOSITE, Q
-from fishrl.physics.step import exchange
-from fishrl.physics.storage import Storage
-from fishrl.physics.streaming import InPlaceLayout
+from fishrl.physics.fast.layout import FlowData, InPlaceLayout
+from fishrl.physics.flow import FlowConfig
 
-_Function = Callable[..., Any]
-
-# A flow whose speed passes this (Mach 0.87) is beyond the method and counts as diverged.
-MAX_SPEED = 0.5
 _GRAPH_PAIRS = 50  # most pairs of steps in one CUDA graph
 # The bodies' part is small and scatters: one thread, and weights are kept, not computed again for
 # every pair of markers (six times slower at L = 100).
 _BODY: dict[str, object] = {"cpp.threads": 1, "realize_opcount_threshold": 10}
 
 
-class FlowData(NamedTuple):
-    """All numbers of a batch of flows beside the populations, float64, every tensor ``[B, ...]``.
-
-    Attributes:
-        clock: ``[B]`` steps since reset.
-        params: of the flows.
-        bodies: in them.
-    """
-
-    clock: Tensor
-    params: FlowParams
-    bodies: tuple[BodyState, ...]
-
-
-class FlowGroup:
-    """The views that a step needs of one group's populations and bodies.
-
-    Args:
-        stepper: whose scratch the body part uses.
-        populations: ``[num_slots]`` of the group.
-        omega: ``[B, 1]`` or ``[B, cells]`` relaxation rates.
-        flow: the group's numbers, views of the batch.
-    """
-
-    def __init__(
-        self, stepper: "Stepper", populations: Tensor, omega: Tensor, flow: FlowData
-    ) -> None:
-        layout = stepper.layout
-        self.populations, self.omega, self.flow = populations, omega, flow
-        self.cells = [layout.cells(populations, p) for p in (0, 1)]
-        self.nodes = layout.nodes(populations, 0, False)
-        self.edges = [stepper.gather_edge_arguments(populations, flow, p) for p in (0, 1)]
-        self.crossings = [stepper.gather_crossings(populations, p) for p in (0, 1)]
-        self.body_arguments = [
-            stepper.gather_body_arguments(populations, omega, flow, p) for p in (0, 1)
-        ]
-        self.graphs: dict[int, torch.cuda.CUDAGraph] = {}
-        self.collisions = [(flow.clock, omega, *cells) for cells in self.cells]
-
-
-class Stepper:
-    """The functions of one step for groups of equal size, and the scratch they share.
+class Scratch:
+    """Constants of a step, and memory in use during a step only; all groups share it.
 
     Args:
         config: of the flows.
-        group_size: number of flows that advance together.
-        sample: numbers of ``group_size`` flows, for their shapes and types.
-        device: where everything lives.
+        layout: of one group.
+        sample: numbers of one group's flows, for their shapes and types.
+    """
+
+    def __init__(self, config: FlowConfig, layout: InPlaceLayout, sample: FlowData) -> None:
+        device = sample.clock.device
+        self.is_fine = torch.zeros(layout.num_envs, dtype=torch.bool, device=device)
+        self.profiles = [
+            [_make_profile(config, side).to(device) for side, _ in sides]
+            for sides in config.boundaries.in_order()
+        ]
+        self.geometry: BodyGeometry | tuple[()] = ()
+        self.force: tuple[Tensor, ...] = ()
+        if config.bodies:
+            if config.is_still:
+                self.geometry = locate_bodies(
+                    config, sample.params.bodies, sample.bodies, torch.float32
+                )
+            flows = torch.arange(layout.num_envs, device=device)
+            self.first_cell = flows * layout.flow_length + layout.first_cell
+            self.offsets = [torch.tensor(layout.offsets(p, True), device=device) for p in (0, 1)]
+            self.force = tuple(torch.zeros(layout.num_cells, device=device) for _ in range(2))
+
+
+class FlowGroup:
+    """One group of flows that advance together: the views of its memory that a step needs.
+
+    Args:
+        config: of the flows.
+        layout: of the group.
+        scratch: that it shares.
+        populations: ``[num_slots]`` of the group.
+        omega: ``[B, 1]`` or ``[B, cells]`` relaxation rates.
+        flow: the group's numbers, views of the batch.
+
+    Attributes:
+        arguments: of each kernel, at even and odd steps.
+        crossings: (to, from) views of what crosses periodic edges, at even and odd steps.
+        graphs: CUDA graphs by number of pairs of steps.
     """
 
     def __init__(
-        self, *, config: FlowConfig, group_size: int, sample: FlowData, device: torch.device
+        self,
+        *,
+        config: FlowConfig,
+        layout: InPlaceLayout,
+        scratch: Scratch,
+        populations: Tensor,
+        omega: Tensor,
+        flow: FlowData,
     ) -> None:
-        self.config, self.device = config, device
-        self.layout = InPlaceLayout(num_envs=group_size, height=config.height, width=config.width)
-        self._collide = _make_collide(config)
-        groups = config.boundaries.in_order()
-        self._set_edges = [_make_edge_step(sides, config.storage) for sides in groups]
-        self._profiles = [[self._make_profile(side) for side, _ in sides] for sides in groups]
-        self._check = _make_check(config)
-        self._is_fine = torch.zeros(group_size, dtype=torch.bool, device=device)
+        self._storage = config.storage
+        self._cells = layout.cells(populations, 0)
+        self._nodes = layout.nodes(populations, 0, False)
+        self.graphs: dict[int, torch.cuda.CUDAGraph] = {}
+        self.arguments: dict[str, list[Sequence[Tensor]]] = {
+            "collide": [(flow.clock, omega, *layout.cells(populations, p)) for p in (0, 1)],
+            "check": [(scratch.is_fine, *self._nodes)],
+        }
+        self.crossings: list[list[tuple[Tensor, Tensor]]] = []
+        for parity in (0, 1):
+            incoming = layout.nodes(populations, 1 - parity, False)
+            outgoing = layout.nodes(populations, parity, True)
+            crossings = config.boundaries.list_crossings(config.height, config.width)
+            self.crossings.append([(incoming[q][to], outgoing[q][at]) for q, to, at in crossings])
+            params = flow.params
+            numbers = flow.clock, params.tau, params.stream_speed, params.ramp_steps
+            for i, sides in enumerate(config.boundaries.in_order()):
+                views: list[Tensor] = []
+                for side, _ in sides:
+                    views += [f[side.edge] for f in incoming]
+                    views += [f[side.neighbour] for f in incoming]
+                    views += [f[side.edge] for f in outgoing]
+                calls = self.arguments.setdefault(f"edges {i}", [])
+                calls.append((*numbers, *scratch.profiles[i], *views))
         if config.bodies:
-            self._prepare_bodies(sample, group_size)
+            body_calls = [
+                BodyArguments(
+                    data=populations,
+                    force_x=scratch.force[0],
+                    force_y=scratch.force[1],
+                    offsets=scratch.offsets[parity],
+                    first_cell=scratch.first_cell,
+                    omega=omega,
+                    bodies=flow.bodies,
+                    params=flow.params.bodies,
+                    geometry=scratch.geometry,
+                )
+                for parity in (0, 1)
+            ]
+            self.body_form = pytree.tree_structure(body_calls[0])
+            self.arguments["bodies"] = [pytree.tree_leaves(call) for call in body_calls]
 
-    def _make_profile(self, side: Side) -> Tensor:
-        num_nodes = self.config.height if side.value[0] else self.config.width
-        profile = self.config.boundaries.evaluate_profile(side, num_nodes)
-        return profile[None].to(self.device, torch.float32)
+    def read(self) -> list[Tensor]:
+        """Return the nine incoming populations ``[B, Y, X]``, before an even step."""
+        return [self._storage.decode(f) for f in self._nodes]
 
-    def _prepare_bodies(self, sample: FlowData, group_size: int) -> None:
-        layout, device = self.layout, self.device
-        self._place: BodyGeometry = locate_bodies(
-            self.config, sample.params.bodies, sample.bodies, torch.float32
-        )
-        self._first_cell = (
-            torch.arange(group_size, device=device) * layout.flow_length + layout.first_cell
-        )
-        self._offsets = [torch.tensor(layout.offsets(p, True), device=device) for p in (0, 1)]
-        self._force = [torch.zeros(layout.num_cells, device=device) for _ in range(2)]
-        trees = self._gather_trees(sample)
-        self._locate = _make_locate(self.config, trees)
-        self._act = _make_act(self.config, layout, trees)
+    def write_(self, rows: Tensor, f: Sequence[Tensor]) -> None:
+        """Set the incoming populations ``[B, Y, X]`` of the flows in ``rows`` ``[B]``."""
+        for view, values in zip(self._nodes, f, strict=True):
+            stored = self._storage.encode(values.to(view.device))
+            view.copy_(torch.where(rows.view(-1, 1, 1), stored, view))
 
-    def _gather_trees(self, flow: FlowData) -> "_Trees":
-        """Return bodies, shapes and, where it is kept, their place."""
-        return flow.bodies, flow.params.bodies, self._place if self.config.is_still else ()
+    def fill_(self, rows: Tensor, f: Sequence[Tensor]) -> None:
+        """Set all cells of the flows in ``rows`` ``[B]`` to the populations ``[B]``."""
+        for view, value in zip(self._cells, f, strict=True):
+            view.copy_(torch.where(rows[:, None], self._storage.encode(value[:, None]), view))
 
-    def gather_body_arguments(
-        self, populations: Tensor, omega: Tensor, flow: FlowData, parity: int
-    ) -> tuple[Sequence[Tensor], ...]:
-        """Return the arguments of locate and act after a step of ``parity``."""
-        if not self.config.bodies:
-            return ()
-        everything = pytree.tree_leaves(self._gather_trees(flow))
-        where = self._offsets[parity], self._first_cell
-        return everything, (populations, *self._force, *where, omega, *everything)
 
-    def gather_edge_arguments(
-        self, populations: Tensor, flow: FlowData, parity: int
-    ) -> list[Sequence[Tensor]]:
-        """Return the arguments of the edge calls after a step of ``parity``."""
-        incoming = self.layout.nodes(populations, 1 - parity, False)
-        outgoing = self.layout.nodes(populations, parity, True)
-        params = flow.params
-        calls: list[Sequence[Tensor]] = []
-        groups = self.config.boundaries.in_order()
-        for sides, profiles in zip(groups, self._profiles, strict=True):
-            views: list[Tensor] = []
-            for side, _ in sides:
-                views += [f[side.edge] for f in incoming]
-                views += [f[side.neighbour] for f in incoming]
-                views += [f[side.edge] for f in outgoing]
-            numbers = (flow.clock, params.tau, params.stream_speed, params.ramp_steps)
-            calls.append((*numbers, *profiles, *views))
-        return calls
+class Stepper:
+    """The kernels of one step, for groups of one form.
 
-    def gather_crossings(self, populations: Tensor, parity: int) -> list[tuple[Tensor, Tensor]]:
-        """Return (to, from) views of what crosses periodic edges after a step of ``parity``."""
-        incoming = self.layout.nodes(populations, 1 - parity, False)
-        outgoing = self.layout.nodes(populations, parity, True)
-        size = self.config.height, self.config.width
-        crossings = self.config.boundaries.list_crossings(*size)
-        return [(incoming[q][to], outgoing[q][origin]) for q, to, origin in crossings]
+    Args:
+        config: of the flows.
+        layout: of the groups.
+        example: one of the groups.
 
-    def compile(self, group: FlowGroup) -> None:
-        """Compile every part of the step for groups like ``group``."""
-        self._collide = self._build("collide", self._collide, group.collisions[0])
-        for i, views in enumerate(group.edges[0]):
-            self._set_edges[i] = self._build(f"edges {i}", self._set_edges[i], views)
-        if self.config.bodies:
-            locate, act = group.body_arguments[0]
-            if self.config.is_still:
-                self._locate = self._build("locate", self._locate, locate, **_BODY)
-            self._act = self._build("act", self._act, act, **_BODY)
+    Attributes:
+        kernels: "collide", "bodies" where there are some, "edges 0" and on, in their order; and
+            "locate" (bodies that stay still, once before many steps) and "check".
+    """
 
-    def compile_check(self, group: FlowGroup) -> None:
-        """Compile ``is_fine`` for groups like ``group``."""
-        self._check = self._build("check", self._check, (self._is_fine, *group.nodes))
+    def __init__(self, config: FlowConfig, layout: InPlaceLayout, example: FlowGroup) -> None:
+        self._config, self._example = config, example
+        self.kernels: dict[str, Kernel] = {"collide": make_collide(config)}
+        if config.bodies:
+            self.kernels["bodies"] = make_bodies(config, layout, example.body_form)
+            if config.is_still:
+                self.kernels["locate"] = make_locate(config, example.body_form)
+        for i, sides in enumerate(config.boundaries.in_order()):
+            self.kernels[f"edges {i}"] = make_edges(sides, config.storage)
+        self._edges = [name for name in self.kernels if name.startswith("edges")]
+        self.kernels["check"] = make_check(config)
 
-    def _build(
-        self, part: str, function: _Function, example: Sequence[Tensor], **patches: object
-    ) -> _Function:
-        structure = self.config.get_structure()
-        name = part + repr(structure) if is_own(structure) else None
-        return compile_inplace(function, example, name=name, **patches)
+    def compile(self, *names: str) -> None:
+        """Compile the kernels named, or all but "check"."""
+        structure = self._config.get_structure()
+        for name in names or [name for name in self.kernels if name != "check"]:
+            is_body = name in ("bodies", "locate")
+            self.kernels[name] = compile_inplace(
+                self.kernels[name],
+                self._example.arguments["bodies" if is_body else name][0],
+                name=name + repr(structure) if is_own(structure) else None,
+                **_BODY if is_body else {},
+            )
 
     def is_fine(self, group: FlowGroup) -> Tensor:
         """Return ``[B]``: whether everything is finite and slower than ``MAX_SPEED``."""
-        self._check(self._is_fine, *group.nodes)
-        return self._is_fine.clone()
+        (arguments,) = group.arguments["check"]
+        self.kernels["check"](*arguments)
+        return arguments[0].clone()
 
     def advance_(self, group: FlowGroup, num_steps: int) -> None:
         """Advance one group by an even number of steps."""
-        if self.config.bodies and self.config.is_still:
-            self._locate(*group.body_arguments[0][0])
+        if "locate" in self.kernels:
+            self.kernels["locate"](*group.arguments["bodies"][0])
         num_pairs = num_steps // 2
-        if self.device.type == "cuda" and num_pairs:
+        if group.arguments["collide"][0][0].is_cuda and num_pairs:
             if not group.graphs:  # kernels are built in a first call, which cannot be captured
                 self._advance_pairs_(group, 1)
                 num_pairs -= 1
@@ -223,107 +222,17 @@ class Stepper:
 
     def step_(self, group: FlowGroup, parity: int) -> None:
         """Advance one group by one step."""
-        self._collide(*group.collisions[parity])
-        if self.config.bodies:
-            self._act(*group.body_arguments[parity][1])
+        kernels, arguments = self.kernels, group.arguments
+        kernels["collide"](*arguments["collide"][parity])
+        if "bodies" in kernels:
+            kernels["bodies"](*arguments["bodies"][parity])
         for to, origin in group.crossings[parity]:
             to.copy_(origin)
-        for set_edges, arguments in zip(self._set_edges, group.edges[parity], strict=True):
-            set_edges(*arguments)
+        for edges in self._edges:
+            kernels[edges](*arguments[edges][parity])
 
 
-def _make_collide(config: FlowConfig) -> _Function:
-    """Return: collide without force; on the incoming views this streams as well."""
-    storage = config.storage
-
-    def collide(clock: Tensor, omega: Tensor, *f: Tensor) -> None:
-        clock.add_(1.0)
-        decoded = [storage.decode(g) for g in f]
-        for q, g in enumerate(collide_mrt(decoded, omega, config.rates)):
-            f[OPPOSITE[q]].copy_(storage.encode(g))
-
-    return collide
-
-
-_Trees = tuple[Any, Any, BodyGeometry | tuple[()]]
-
-
-def _copy_tree(old: object, new: object) -> None:
-    for a, b in zip(pytree.tree_leaves(old), pytree.tree_leaves(new), strict=True):
-        a.copy_(b)
-
-
-def _make_locate(config: FlowConfig, trees: _Trees) -> _Function:
-    """Return: place markers and stencils of bodies that stay where they are."""
-    form = pytree.tree_structure(trees)
-
-    def locate(*leaves: Tensor) -> None:
-        bodies, shapes, place = pytree.tree_unflatten(leaves, form)
-        _copy_tree(place, locate_bodies(config, shapes, bodies, torch.float32))
-
-    return locate
-
-
-def _make_act(config: FlowConfig, layout: InPlaceLayout, trees: _Trees) -> _Function:
-    """Return: the bodies read the fluid, move, and put their force into the populations."""
-    form, storage = pytree.tree_structure(trees), config.storage
-
-    def act(
-        data: Tensor, force_x: Tensor, force_y: Tensor, offsets: Tensor, first_cell: Tensor,
-        omega: Tensor, *leaves: Tensor,
-    ) -> None:  # fmt: skip
-        bodies, shapes, place = pytree.tree_unflatten(leaves, form)
-        if not config.is_still:
-            place = locate_bodies(config, shapes, bodies, torch.float32)
-        nodes = place.stencil.index_nodes(layout.row_length) + first_cell[:, None, None]
-        slots = [nodes + offsets[q] for q in range(Q)]
-        fluid = compute_macroscopic([storage.decode(data[slot]) for slot in slots])
-        moved, share_x, share_y = exchange(config, shapes, bodies, place, fluid)
-        force_x.index_put_((nodes,), share_x, accumulate=True)
-        force_y.index_put_((nodes,), share_y, accumulate=True)
-        rates = omega[..., None]
-        if config.sponges:  # each node has its own
-            rates = layout.strip_rings(omega).flatten(1)
-            own = place.stencil.index_nodes(config.width)
-            rates = rates.gather(1, own.flatten(1)).view_as(own)
-        force, share = (force_x[nodes], force_y[nodes]), (share_x, share_y)
-        increment = compute_force_increment(fluid, force, share, rates, config.rates)
-        for slot, values in zip(slots, increment, strict=True):
-            data.index_put_((slot,), storage.encode(values), accumulate=True)
-        for total in (force_x, force_y):
-            total.index_put_((nodes,), torch.zeros_like(fluid.drho))
-        _copy_tree(bodies, moved)
-
-    return act
-
-
-def _make_check(config: FlowConfig) -> _Function:
-    """Return: look at every node of the flows."""
-    storage = config.storage
-
-    def check(is_fine: Tensor, *f: Tensor) -> None:
-        drho, jx, jy = compute_moments([storage.decode(g) for g in f])
-        limit = MAX_SPEED * (drho + 1.0)
-        # comparisons with NaN are false, so a broken flow is never fine
-        is_fine.copy_((jx * jx + jy * jy < limit * limit).flatten(1).all(-1))
-
-    return check
-
-
-def _make_edge_step(sides: list[tuple[Side, Boundary]], storage: Storage) -> _Function:
-    """Return: set some edges, from the arguments of ``gather_edge_arguments``."""
-
-    def set_edges(
-        clock: Tensor, tau: Tensor, stream_speed: Tensor, ramp_steps: Tensor, *rest: Tensor
-    ) -> None:
-        params = FlowParams(tau, stream_speed, ramp_steps, ())
-        speed_now = compute_stream_speed(params, clock).float()[:, None]
-        profiles, views = rest[: len(sides)], rest[len(sides) :]
-        for i, (side, boundary) in enumerate(sides):
-            edge, *known = (views[(3 * i + j) * Q :][:Q] for j in range(3))
-            neighbour, outgoing = ([storage.decode(f) for f in views] for views in known)
-            speed = speed_now * profiles[i]
-            for q, values in boundary.compute_edge(side, neighbour, outgoing, speed).items():
-                edge[q].copy_(storage.encode(values))
-
-    return set_edges
+def _make_profile(config: FlowConfig, side: Side) -> Tensor:
+    """Return how the velocity varies along an edge, ``[1, n + 2]``, float32."""
+    num_nodes = config.height if side.value[0] else config.width
+    return config.boundaries.evaluate_profile(side, num_nodes)[None].to(torch.float32)

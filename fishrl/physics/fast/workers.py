@@ -1,10 +1,10 @@
 """Flows side by side on the cores of a CPU: one process per core, one flow at a time in each.
 
-Flows do not see each other between two actions, so each core can run its own flow for all steps
-of an action. That keeps the flow in the core's cache and needs no synchronisation inside a step,
-where two threads sharing one flow wait for each other at every call. State lies in shared memory;
-workers only advance it, everything else happens in the parent while they wait. A worker is a
-plain subprocess (not ``multiprocessing``, which would import the caller's script again).
+Flows are independent between two actions, so each core can run its own flow for all steps of an
+action. That keeps the flow in the core's cache and needs no synchronisation inside a step, where
+two threads sharing one flow wait for each other at every call. State lies in shared memory; workers
+only advance it, everything else happens in the parent while they wait. A worker is a plain
+subprocess (not ``multiprocessing``, which would import the caller's script again).
 """
 
 import logging
@@ -14,11 +14,15 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, NamedTuple
 
 import torch
 from torch import Tensor
+
+from fishrl.physics.fast.batch import FlowBatch
+from fishrl.physics.flow import FlowConfig
 
 logger = logging.getLogger(__name__)
 
@@ -58,14 +62,32 @@ def count_cores() -> int:
     return len(given(0)) if given else os.cpu_count() or 1
 
 
+class Job(NamedTuple):
+    """What a worker is sent.
+
+    Attributes:
+        configs: of all flows.
+        group_size: flows per group.
+        path: of the shared memory.
+        groups: that this worker advances.
+        compile: whether to compile the step.
+    """
+
+    configs: Sequence[FlowConfig]
+    group_size: int
+    path: str
+    groups: range
+    compile: bool
+
+
 class Workers:
     """Subprocesses that advance their share of the flows.
 
     Args:
-        jobs: one picklable description per worker, the arguments of ``InPlaceSolver.attach``.
+        jobs: one per worker.
     """
 
-    def __init__(self, jobs: Sequence[dict[str, Any]]) -> None:
+    def __init__(self, jobs: Sequence[Job]) -> None:
         command = [sys.executable, "-c", "from fishrl.physics.fast.workers import serve; serve()"]
         root = str(Path(__file__).parents[3])
         path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
@@ -125,20 +147,26 @@ def _send(pipe: IO[bytes] | None, message: object) -> None:
 
 def serve() -> None:
     """Run one worker: attach, then advance on demand until the parent closes the pipe."""
-    from fishrl.physics.fast.solver import InPlaceSolver
-
     requests, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # nothing but answers may go to the pipe
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)
-    job = pickle.load(requests)
-    logging.basicConfig(level=job.pop("log_level"))
-    solver = InPlaceSolver.attach(**job)
+    job: Job = pickle.load(requests)
+    logging.basicConfig(level=logging.WARNING)
+    batch = FlowBatch(
+        job.configs,
+        group_size=job.group_size,
+        device=torch.device("cpu"),
+        allocate=partial(map_shared, job.path),
+        groups=job.groups,
+    )
+    if job.compile:
+        batch.stepper.compile()
     _send(answers, None)
     while True:
         try:
             num_steps, groups = pickle.load(requests)
         except EOFError:
             return
-        solver.advance_groups_(num_steps, groups)
+        batch.advance_(num_steps, groups)
         _send(answers, None)

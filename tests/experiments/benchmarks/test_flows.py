@@ -9,7 +9,6 @@ from experiments.benchmarks.contest import FISH, KERNEL, WALLS, Settings
 from experiments.benchmarks.flows import (
     SOLVES,
     count_tensor_bytes,
-    list_calls,
     make_entry,
     make_kernel_entry,
     make_periodic,
@@ -64,7 +63,7 @@ def test_the_kernel_alone_collides_and_moves_no_fish() -> None:
 def test_the_calls_of_two_steps_are_those_of_the_solver() -> None:
     flow, twin = (make_solver(16, has_fish=True, compile=False) for _ in range(2))
     for parity in (0, 1):
-        for calls in list_calls(flow).values():
+        for calls in flow.list_calls().values():
             function, arguments = calls[parity]
             function(*arguments)
     twin.advance_(2)

@@ -97,8 +97,8 @@ def test_a_batch_of_mixed_flows_equals_each_flow_alone() -> None:
     both.advance_(40)
     for i, config in enumerate(CROWD):
         alone = start_crowd([config])
-        alone.flow.bodies[0].frequency.fill_(float(both.body.frequency[i]))
-        alone.flow.bodies[1].frequency.fill_(float(both.body.frequency[i]))
+        alone.bodies[0].frequency.fill_(float(both.body.frequency[i]))
+        alone.bodies[1].frequency.fill_(float(both.body.frequency[i]))
         alone.advance_(40)
         assert torch.equal(alone.populations()[0], both.populations()[i])
         for mine, batch in zip(alone.bodies, both.bodies, strict=True):

@@ -110,8 +110,9 @@ def test_a_thousand_steps_and_one_equal_the_readable_step(name: str) -> None:
     scale = float(reference.f.abs().max())
     assert float((solver.populations() - reference.f).abs().max()) < 1e-3 * scale
     assert float((solver.body.position - reference.bodies[0].position).abs().max()) < 1e-3
-    solver._stepper.step_(solver._groups[0], 0)
-    after_odd = solver._stepper.layout.nodes(solver._groups[0].populations, 1, False)
+    batch = solver._batch
+    batch.stepper.step_(batch.first, 0)
+    after_odd = batch.layout.nodes(batch._data[0], 1, False)
     reference = step(reference, config, make_params([config]))
     assert float((torch.stack(after_odd, 1) - reference.f).abs().max()) < 1e-3 * scale
 
@@ -156,7 +157,7 @@ def test_half_precision_storage_stays_near_single_precision() -> None:
     single, half = (start(make_config(storage=storage)) for storage in Storage)
     for solver in (single, half):
         solver.advance_(400)
-    assert half._data.dtype == torch.float16
+    assert half.state_dict()["data"].dtype == torch.float16
     error = (half.macroscopic()[1] - single.macroscopic()[1]).abs().max()
     assert 0.0 < float(error) < 0.01 * SPEED
     assert float((half.body.position - single.body.position).abs().max()) < 0.01
@@ -191,7 +192,8 @@ def test_the_bulk_pass_is_one_loop_of_nine_loads_and_nine_stores(
     monkeypatch.setattr(GraphLowering, "save_output_code", written.append)
     solver = start(make_config(storage=storage), rows=[0])
     with inductor_config.patch(force_disable_caches=True):
-        compile_inplace(solver._stepper._collide, solver._groups[0].collisions[0])
+        function, arguments = solver.list_calls()["collide"][0]
+        compile_inplace(function, arguments)
     (code,) = written  # one graph
     assert code.count("for(int64_t ") == 1
     assert code.count("::loadu(") == code.count(".store(") == Q
@@ -215,8 +217,8 @@ def test_memory_per_node_and_flow_is_within_45_bytes() -> None:
         num_envs=1,
         compile=False,
     )
-    force = sum(part.numel() * part.element_size() for part in solver._stepper._force)
-    assert (solver._memory.count_bytes() + force) / (1000 * 500) < 45.5
+    force = sum(part.nbytes for part in solver._batch.scratch.force)
+    assert (solver._batch.num_bytes + force) / (1000 * 500) < 45.5
 
 
 @pytest.mark.compile

@@ -1,0 +1,144 @@
+"""The kernels of the fast step: functions of tensors alone that change their arguments in place."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.utils import _pytree as pytree
+
+from fishrl.physics.bodies.geometry import BodyGeometry, locate_bodies
+from fishrl.physics.bodies.outline import BodyParams
+from fishrl.physics.bodies.state import BodyState
+from fishrl.physics.boundaries import Boundary, Side
+from fishrl.physics.collision import (
+    collide_mrt,
+    compute_force_increment,
+    compute_macroscopic,
+    compute_moments,
+)
+from fishrl.physics.fast.compiled import Kernel
+from fishrl.physics.fast.layout import InPlaceLayout
+from fishrl.physics.flow import FlowConfig, FlowParams, compute_stream_speed
+from fishrl.physics.lattice import OPPOSITE, Q
+from fishrl.physics.step import exchange
+from fishrl.physics.storage import Storage
+
+# A flow whose speed passes this (Mach 0.87) is beyond the method and counts as diverged.
+MAX_SPEED = 0.5
+
+
+class BodyArguments(NamedTuple):
+    """What the bodies' part of a step reads and writes.
+
+    Attributes:
+        data: populations of the group.
+        force_x: ``[cells]``, zero between steps.
+        force_y: the same.
+        offsets: ``[Q]`` of the outgoing populations' slots.
+        first_cell: ``[B]`` cell of each flow's node (0, 0).
+        omega: ``[B, 1]`` or ``[B, cells]`` relaxation rates.
+        bodies: states of the bodies.
+        params: of the bodies.
+        geometry: of bodies that stay still, else nothing.
+    """
+
+    data: Tensor
+    force_x: Tensor
+    force_y: Tensor
+    offsets: Tensor
+    first_cell: Tensor
+    omega: Tensor
+    bodies: tuple[BodyState, ...]
+    params: tuple[BodyParams, ...]
+    geometry: BodyGeometry | tuple[()]
+
+
+def make_collide(config: FlowConfig) -> Kernel:
+    """Return: collide without force; on the incoming views this streams as well."""
+    storage = config.storage
+
+    def collide(clock: Tensor, omega: Tensor, *f: Tensor) -> None:
+        clock.add_(1.0)
+        decoded = [storage.decode(g) for g in f]
+        for q, g in enumerate(collide_mrt(decoded, omega, config.rates)):
+            f[OPPOSITE[q]].copy_(storage.encode(g))
+
+    return collide
+
+
+def _copy_tree(old: object, new: object) -> None:
+    for a, b in zip(pytree.tree_leaves(old), pytree.tree_leaves(new), strict=True):
+        a.copy_(b)
+
+
+def make_locate(config: FlowConfig, form: pytree.TreeSpec) -> Kernel:
+    """Return: place markers and stencils of bodies that stay where they are."""
+
+    def locate(*leaves: Tensor) -> None:
+        call: BodyArguments = pytree.tree_unflatten(leaves, form)
+        _copy_tree(call.geometry, locate_bodies(config, call.params, call.bodies, torch.float32))
+
+    return locate
+
+
+def make_bodies(config: FlowConfig, layout: InPlaceLayout, form: pytree.TreeSpec) -> Kernel:
+    """Return: the bodies read the fluid, move, and put their force into the populations."""
+    storage = config.storage
+
+    def act(*leaves: Tensor) -> None:
+        call: BodyArguments = pytree.tree_unflatten(leaves, form)
+        data, force_x, force_y = call.data, call.force_x, call.force_y
+        # bodies that stay still were located before
+        geometry = call.geometry or locate_bodies(config, call.params, call.bodies, torch.float32)
+        nodes = geometry.stencil.index_nodes(layout.row_length) + call.first_cell[:, None, None]
+        slots = [nodes + call.offsets[q] for q in range(Q)]
+        fluid = compute_macroscopic([storage.decode(data[slot]) for slot in slots])
+        moved, share_x, share_y = exchange(config, call.params, call.bodies, geometry, fluid)
+        force_x.index_put_((nodes,), share_x, accumulate=True)
+        force_y.index_put_((nodes,), share_y, accumulate=True)
+        omega = call.omega[..., None]
+        if config.sponges:  # each node has its own
+            omega = layout.strip_rings(call.omega).flatten(1)
+            own = geometry.stencil.index_nodes(config.width)
+            omega = omega.gather(1, own.flatten(1)).view_as(own)
+        force, share = (force_x[nodes], force_y[nodes]), (share_x, share_y)
+        increment = compute_force_increment(fluid, force, share, omega, config.rates)
+        for slot, values in zip(slots, increment, strict=True):
+            data.index_put_((slot,), storage.encode(values), accumulate=True)
+        for total in (force_x, force_y):
+            total.index_put_((nodes,), torch.zeros_like(fluid.drho))
+        _copy_tree(call.bodies, moved)
+
+    return act
+
+
+def make_check(config: FlowConfig) -> Kernel:
+    """Return: look at every node of the flows."""
+    storage = config.storage
+
+    def check(is_fine: Tensor, *f: Tensor) -> None:
+        drho, jx, jy = compute_moments([storage.decode(g) for g in f])
+        limit = MAX_SPEED * (drho + 1.0)
+        # comparisons with NaN are false, so a broken flow is never fine
+        is_fine.copy_((jx * jx + jy * jy < limit * limit).flatten(1).all(-1))
+
+    return check
+
+
+def make_edges(sides: list[tuple[Side, Boundary]], storage: Storage) -> Kernel:
+    """Return: set some edges. Of each side come 9 x 3 views: edge, neighbour, outgoing."""
+
+    def set_edges(
+        clock: Tensor, tau: Tensor, stream_speed: Tensor, ramp_steps: Tensor, *rest: Tensor
+    ) -> None:
+        params = FlowParams(tau=tau, stream_speed=stream_speed, ramp_steps=ramp_steps, bodies=())
+        speed_now = compute_stream_speed(params, clock).float()[:, None]
+        profiles, views = rest[: len(sides)], rest[len(sides) :]
+        for i, (side, boundary) in enumerate(sides):
+            edge, *known = (views[(3 * i + j) * Q :][:Q] for j in range(3))
+            neighbour, outgoing = ([storage.decode(f) for f in views] for views in known)
+            speed = speed_now * profiles[i]
+            for q, values in boundary.compute_edge(side, neighbour, outgoing, speed).items():
+                edge[q].copy_(storage.encode(values))
+
+    return set_edges
