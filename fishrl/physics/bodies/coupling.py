@@ -258,7 +258,7 @@ def _report(
         square: of the remaining slip ``[B, N]``.
     """
     dtype, (fx, fy) = square.dtype, force
-    rx, ry = markers.arm.to(dtype).unbind(-1)
+    rx, ry = (arm.to(dtype) for arm in markers.arm.unbind(-1))
     ux, uy = markers.deformation_velocity.to(dtype).unbind(-1)
     cos, sin = (part.to(dtype)[:, None] for part in compute_axis(state))
     power = fx * ux + fy * uy
