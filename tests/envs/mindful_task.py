@@ -1,4 +1,4 @@
-"""A task that senses within its actions, remembers between them, and is told something."""
+"""A task with sensor series, entries that persist between decisions, and an input."""
 
 from dataclasses import dataclass
 from math import pi

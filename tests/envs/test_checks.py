@@ -46,12 +46,8 @@ def test_the_task_that_these_are_made_of_is_right() -> None:
         ("observe", lambda _, now: now["x"], r"observe gives shape \(2,\), expected \(2, 2\): "),
         ("observe", lambda _, now: torch.ones(2, 2).double(), "observe gives torch.float64, exp"),
         ("observe", lambda _, now: torch.full((2, 2), torch.nan), "observe gives .*nan.* finite"),
-        ("observe", lambda _, now: [1.0], r"observe gives list \[1.0\], expected a ten"),
         ("action_mask", lambda _, now: torch.zeros(2, 2) > 1, "has a row without any legal action"),
-        ("action_mask", lambda _, now: torch.ones(2, 2), "action_mask gives torch.float32, exp"),
         ("is_terminated", lambda _, now: now["x"], "is_terminated gives torch.float64, expect"),
-        ("is_terminated", lambda _, now: now["x"][:, None] < 0, r"is_terminated gives shape \(2"),
-        ("reward", lambda _, b, now: 1.0, "reward gives float 1.0, expected a tensor"),
         ("reward", lambda _, b, now: now["x"][:, None], r"reward gives shape \(2, 1\), "),
         ("report", lambda _, now: {"far": 1.0}, "report gives 'far' = float 1.0: expected"),
         ("report", lambda _, now: now["x"], "report gives a tensor .* expected a dict"),
@@ -61,8 +57,6 @@ def test_the_task_that_these_are_made_of_is_right() -> None:
         ("starts_from", _starts(0.0, "heading"), r"starts_from gives \['head'\]: it must give"),
         ("command", lambda _, a, b: 0.1 * a, "command gives a tensor .* expected"),
         ("command", lambda _, a, b: Command(150.0 * a), "expected radians, at most 2"),
-        ("command", lambda _, a, b: Command(torch.zeros(1)), r"turn gives shape \(1,\), e"),
-        ("command", lambda _, a, b: Command(a * torch.nan), "expected radians, at mo"),
         (
             "command",
             lambda _, a, b: Command(0.0 * a, 1.0 + a),
@@ -75,8 +69,8 @@ def test_a_wrong_answer_is_named(member: str, gives: Any, said: str) -> None:
         _step(_make(**{member: gives}))
 
 
-@pytest.mark.parametrize("name", ["n_obs", "num_actions", "num_draws"])
-def test_a_size_that_is_forgotten_is_named(name: str) -> None:
+def test_a_size_that_is_forgotten_is_named() -> None:
+    name = "num_actions"
     members = {key: value for key, value in vars(Shy).items() if key != name and callable(value)}
     sizes = {key: 1 for key in ("n_obs", "num_actions", "num_draws") if key != name}
     forgetful = type("Forgetful", (AbstractTask,), {**members, **sizes})

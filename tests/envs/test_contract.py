@@ -1,4 +1,4 @@
-"""What every task owes the environment and the brain, whatever it is about.
+"""What the environment and policies require of every task.
 
 A task that appears in ``fishrl.envs.tasks`` is tested here without further ado.
 """
@@ -52,7 +52,7 @@ def test_the_specs_hold(task: AbstractTask) -> None:
     check_env_specs(make_env(task=task, num_envs=3, compile=False), seed=0)
 
 
-def test_observation_stack_and_mask_have_the_sizes_that_brains_are_made_for(
+def test_observation_stack_and_mask_have_the_sizes_of_policies(
     task: AbstractTask,
 ) -> None:
     env = make_env(task=task, num_envs=2, compile=False)

@@ -155,7 +155,7 @@ def test_without_autoreset_rows_are_reset_by_a_mask_and_not_forgotten() -> None:
     assert envs.step(keep(3))[4]["step_count"].tolist() == [2, 1, 2]
 
 
-def test_masks_are_told_and_illegal_actions_are_refused() -> None:
+def test_masks_are_in_the_infos_and_illegal_actions_are_refused() -> None:
     envs = make(task=Shy(**SMALL, time_limit=8), num_envs=2)
     _, infos = envs.reset(seed=0)
     some_illegal = False
@@ -177,10 +177,10 @@ def test_what_a_task_reports_is_in_the_infos() -> None:
     envs = make("SameStep", Shy(**SMALL, time_limit=2))
     _, infos = envs.reset(seed=0)
     assert infos["beats"].tolist() == [1.0, 1.0]
-    told = {name for name in infos if not name.startswith("_")}
-    assert {"action_mask", "diverged", "start_index", "step_count", "episode_reward"} <= told
-    assert not {"observation", "observation_stack"} & told
-    assert all(infos[f"_{name}"].tolist() == [True, True] for name in told)
+    reported = {name for name in infos if not name.startswith("_")}
+    assert {"action_mask", "diverged", "start_index", "step_count", "episode_reward"} <= reported
+    assert not {"observation", "observation_stack"} & reported
+    assert all(infos[f"_{name}"].tolist() == [True, True] for name in reported)
 
 
 def test_wrappers_of_gymnasium_fit() -> None:
@@ -195,7 +195,7 @@ def test_wrappers_of_gymnasium_fit() -> None:
     assert [info["step_count"] for info in infos] == [0, 0]
 
 
-def test_a_task_that_is_told_its_flow_is_told_by_a_transform() -> None:
+def test_a_transform_labels_the_flow() -> None:
     task = KarmanGait(**SMALL, checks_per_action=30)
     envs = make(task=task, transforms=[TrueFlowLabel(num_flows=3)])
     observations, infos = envs.reset(seed=0)
@@ -214,17 +214,14 @@ def test_what_cannot_be_is_refused() -> None:
     with pytest.raises(ResetNeeded, match="call reset"):
         envs.reset(options={"reset_mask": np.array([True, False])})
     envs.reset()
-    for actions in (np.ones(3, dtype=int), np.ones((2, 1), dtype=int), np.ones(2)):
+    for actions in (np.ones(3, dtype=int), np.ones(2)):
         with pytest.raises(ValueError, match=r"actions of shape .*: expected \(2,\), whole"):
             envs.step(actions)
-    for mask in (np.zeros(2, bool), np.ones(3, bool), np.ones(2)):
+    for mask in (np.zeros(2, bool), np.ones(3, bool)):
         with pytest.raises(ValueError, match=r"reset_mask of shape .*at least one set"):
             envs.reset(options={"reset_mask": mask})
-    with pytest.raises(ValueError, match=r"options = \['colour'\]: there is only 'reset_mask'"):
-        envs.reset(options={"colour": 1})
-    for seed in ([1, 2], True, -1):
-        with pytest.raises(ValueError, match="give one whole number"):
-            envs.reset(seed=seed)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="give one whole number"):
+        envs.reset(seed=-1)
 
 
 @pytest.mark.parametrize(
@@ -234,7 +231,7 @@ def test_what_cannot_be_is_refused() -> None:
         ("stable_baselines", "stable_baselines3.common.vec_env", "stable-baselines3"),
     ],
 )
-def test_a_way_in_says_what_to_install(
+def test_a_missing_framework_is_an_error_with_the_command_to_install_it(
     monkeypatch: pytest.MonkeyPatch, module: str, needs: str, extra: str
 ) -> None:
     name = f"fishrl.envs.{module}"

@@ -1,4 +1,4 @@
-"""The environment with its transforms, as a brain sees it. No flow needed."""
+"""The environment with its transforms. No flow needed."""
 
 import math
 

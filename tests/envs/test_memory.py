@@ -127,13 +127,6 @@ def test_what_a_transform_says_reaches_the_command_and_the_stack() -> None:
     torch.testing.assert_close(turned, expected, rtol=0, atol=1e-12)
 
 
-def test_a_missing_input_is_an_error_that_says_what_to_append() -> None:
-    env = make(2)
-    state = env.reset()
-    with pytest.raises(ValueError, match=r"Mindful reads \['told'\].*append the transform"):
-        env.step(state.set("action", torch.zeros(2, dtype=torch.int64)))
-
-
 def test_a_saved_environment_goes_on_with_its_memory() -> None:
     env, other = make(2), make(2)
     env.reset()
@@ -147,9 +140,3 @@ def test_the_specs_hold_with_series_of_several_dimensions() -> None:
     env = make_env(task=Mindful(**SMALL), num_envs=3, compile=False, transforms=[Tell()])
     assert env.observation_spec["trace"].shape == (3, 4, 3)
     check_env_specs(env, seed=0)
-
-
-def test_more_samples_than_pairs_of_steps_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Mindful, "num_samples", 54)
-    with pytest.raises(ValueError, match=r"num_samples = 54: must lie in \[0, 53\]"):
-        Mindful(**SMALL)

@@ -196,21 +196,12 @@ def test_a_capture_just_before_a_wall_is_a_capture() -> None:
 
 BAD_ARGUMENTS: dict[str, tuple[dict[str, Any], str]] = {
     "direction": ({"food_direction": "upp"}, r"food_direction = 'upp'.*did you mean 'up'"),
-    "still": ({"food_still_T": -1.0}, r"food_still_T = -1.0: must not be negative"),
-    "speed": ({"food_speed_bl": -0.1}, r"food_speed_bl = -0.1: must not be negative"),
     "radius": ({"capture_radius_bl": 0.0}, r"capture_radius_bl = 0.0: must be positive"),
     "limits": ({"food_limits_bl": (3.5, 1.5)}, r"lower limit <= food_y_bl <= upper limit"),
-    "limits of one": ({"food_limits_bl": [1.5]}, r"food_limits_bl = \[1.5\]: give two numbers"),
-    "outside": ({"food_y_bl": 5.5}, r"food_y_bl = 5.5"),
-    "column": ({"food_x_bl": 10.0}, r"food_x_bl = 10.0: must lie inside \(0, 10.0\)"),
     "starts": ({"start_x_bl": (9.5, 9.9)}, r"does not fit; widen the ranges"),
     "in reach": ({"start_x_bl": (2.0, 7.5)}, r"may start with its food in reach"),
     "domain": ({"domain_bl": (10.0, 1.0)}, r"Fish of 20 nodes does not fit into 200 x 20"),
-    "domain of one": ({"domain_bl": 10.0}, r"domain_bl = 10.0: give two numbers"),
-    "checks": ({"checks_per_action": 54}, r"checks_per_action = 54: must lie in \[1, 53\]"),
     "margin": ({"wall_margin_bl": 0.05}, r"wall_margin_bl = 0.05 is 1.0 nodes"),
-    "stack": ({"num_stacked": 0}, r"num_stacked = 0: must be at least 1"),
-    "time": ({"time_limit": 0}, r"time_limit = 0: must be at least 1"),
     "mach": ({"max_wall_speed": 0.3}, r"max_wall_speed = 0.3 \(Mach 0.52\)"),
     "tau": ({"reynolds": 1e6}, r"tau = 0.50.* outside the validated range.*raise body_length"),
 }
@@ -225,19 +216,15 @@ def test_arguments_that_cannot_be_are_refused_with_a_remedy(case: str) -> None:
 
 BAD_STARTS: dict[str, tuple[TensorDict, str]] = {
     "outside": (starts_at((6.0, 2.5), (11.0, 2.5)), r"start 1, head at \(220, 50\).*outside"),
-    "not a number": (starts_at((math.nan, 2.5)), r"start 0.*outside the domain"),
-    "tail outside": (starts_at((9.5, 2.5)), r"start 0, head at \(190, 50\).*outside the domain"),
     "near": (starts_at((6.0, 0.2)), r"start 0.*too near the edge; it must keep 3 nodes"),
     "in reach": (starts_at((2.6, 2.5)), r"within capture_radius = 5 nodes of its food"),
     "direction": (starts_at((6.0, 2.5), up=0.5), r"must be 1 \(up\) or -1 \(down\)"),
     "none": (starts_at((6.0, 2.5))[:0], r"at least one start"),
-    "no batch": (starts_at((6.0, 2.5))[0], r"batch shape \(\): give a TensorDict of shape \[E\]"),
     "no heading": (starts_at((6.0, 2.5)).exclude("heading"), r"starts\['heading'\] is nothing"),
     "shape": (
         starts_at((6.0, 2.5)).set("head", torch.zeros(1, 3, dtype=torch.float64)),
         r"starts\['head'\] is \(1, 3\), torch.float64, expected \(1, 2\)",
     ),
-    "type": (starts_at((6.0, 2.5)).float(), r"torch.float32, expected \(1, 2\), torch.float64"),
 }
 
 

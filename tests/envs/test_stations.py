@@ -39,14 +39,7 @@ def test_drift_work_nearness_and_danger_add_up_as_in_the_paper(
     assert reward.item() == pytest.approx(expected)
 
 
-@pytest.mark.parametrize(
-    "bad", [{"near_bl": 4.0}, {"aside_bl": 0.0}, {"rim_bl": -0.1}], ids=lambda b: next(iter(b))
-)
+@pytest.mark.parametrize("bad", [{"near_bl": 4.0}, {"rim_bl": -0.1}])
 def test_an_area_with_nothing_in_it_is_refused(bad: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="allowed is near < far, aside > 0, rim >= 0"):
         SafeArea(**bad)
-
-
-def test_work_needs_a_reference() -> None:
-    with pytest.raises(ValueError, match=r"work_reference = 0.0: must be positive"):
-        StationReward(work_reference=0.0)

@@ -1,6 +1,5 @@
 """Banks of wakes: developed once, phases in order, files that are what they say."""
 
-import logging
 from dataclasses import replace
 from math import pi
 from pathlib import Path
@@ -80,7 +79,9 @@ def test_each_flow_of_a_bank_has_the_wake_of_its_own_speed(
         torch.testing.assert_close(measured, torch.full_like(measured, speed), rtol=1e-4, atol=0)
 
 
-def test_a_bar_shows_how_far_the_wakes_have_come(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wake_without_vortices_is_an_error(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     with pytest.raises(ValueError, match="sheds too few vortices"):
         develop_wakes(replace(RECIPE, num_travels=4.0), compile=False)
     shown = capsys.readouterr().err
@@ -97,12 +98,9 @@ def test_a_file_is_made_once_and_read_the_next_time(
     bank: WakeBank,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
 ) -> None:
     monkeypatch.setattr("fishrl.envs.wakes.develop_wakes", lambda *_, **__: bank)
-    with caplog.at_level(logging.INFO):
-        load_wakes(RECIPE, tmp_path / "new")
-    assert "developing 1 wakes, once for all" in caplog.text
+    load_wakes(RECIPE, tmp_path / "new")
     monkeypatch.setattr("fishrl.envs.wakes.develop_wakes", None)
     again = load_wakes(RECIPE, tmp_path / "new")
     assert torch.equal(again.populations, bank.populations)
@@ -135,11 +133,6 @@ def test_files_that_hold_something_else_are_refused(bank: WakeBank, tmp_path: Pa
         load_wakes(RECIPE, tmp_path)
 
 
-def test_too_short_a_time_to_see_vortices_is_an_error_with_a_remedy() -> None:
-    with pytest.raises(ValueError, match=r"sheds too few vortices within num_travels = 4 .*raise"):
-        develop_wakes(replace(RECIPE, num_travels=4.0), compile=False)
-
-
 def test_a_wake_that_diverges_is_an_error_with_a_remedy() -> None:
     outside = replace(RECIPE, position=(1.0, 23.5), num_travels=1.0)
     with pytest.raises(ValueError, match=r"the wake at 0.1200 nodes per step diverged: lower"):
@@ -150,9 +143,7 @@ def test_a_wake_that_diverges_is_an_error_with_a_remedy() -> None:
     ("bad", "message"),
     [
         ({"speeds": ()}, r"speeds = \(\): give at least one"),
-        ({"speeds": (0.0,)}, r"speeds = \(0.0,\): give at least one, all positive"),
         ({"num_phases": 0}, "num_phases = 0.*at least one snapshot"),
-        ({"num_travels": 0.0}, "num_travels = 0.0: .*a positive time"),
         ({"config": replace(RECIPE.config, bodies=())}, "has 0 bodies: give the obstacle alone"),
     ],
 )

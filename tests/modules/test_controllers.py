@@ -1,8 +1,9 @@
-"""The hand-written fish: what they turn towards, that they repeat, and that they may."""
+"""The hand-crafted controllers: bearing, interception, seeds and masks."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -40,7 +41,7 @@ def seen(
     )
 
 
-def test_random_fish_is_uniform_over_legal_actions_and_repeats_for_its_seed() -> None:
+def test_random_actions_are_uniform_over_legal_ones_and_repeat_with_the_seed() -> None:
     mask = torch.tensor([[True, False, True]]).expand(9000, 3)
     td = TensorDict({"action_mask": mask}, [9000])
     first, second, other = (RandomPolicy(seed=s)(td.clone())["action"] for s in (0, 0, 1))
@@ -50,15 +51,6 @@ def test_random_fish_is_uniform_over_legal_actions_and_repeats_for_its_seed() ->
     assert abs(int(counts[0]) - 4500) < 213
     assert torch.equal(first, second)
     assert not torch.equal(first, other)
-
-
-def test_random_fish_leaves_the_global_generator_alone() -> None:
-    td = TensorDict({"action_mask": torch.ones(5, 3, dtype=torch.bool)}, [5])
-    torch.manual_seed(0)
-    expected = torch.rand(3)
-    torch.manual_seed(0)
-    RandomPolicy(seed=3)(td)
-    assert torch.equal(torch.rand(3), expected)
 
 
 @pytest.mark.parametrize(
@@ -107,38 +99,26 @@ def test_intercept_sees_through_its_own_sideways_motion() -> None:
         assert InterceptPolicy()(seen(food=food, heading=heading))["action"].tolist() == [KEEP]
 
 
-def test_intercept_told_the_route_foresees_that_food_turns_back() -> None:
+def test_with_the_route_intercept_predicts_that_food_turns_back() -> None:
     # Food at y = 3.4 on its way up to 3.5, the fish 4 L away at the same height: when it arrives,
     # the food is on its way down again.
-    told = InterceptPolicy(food_limits_bl=(1.5, 3.5), food_start_bl=2.5, food_still_T=5.0)
+    informed = InterceptPolicy(food_limits_bl=(1.5, 3.5), food_start_bl=2.5, food_still_T=5.0)
     time = 5.0 + 0.9 / 0.3
     td = seen(food=(-4.0, 0.0), heading=math.pi, food_velocity=0.3, time=time)
     assert InterceptPolicy()(td.clone())["action"].tolist() == [CLOCKWISE]  # leads it upwards
-    assert told(td)["action"].tolist() == [COUNTER_CLOCKWISE]
+    assert informed(td)["action"].tolist() == [COUNTER_CLOCKWISE]
 
 
-def test_the_route_rests_sets_off_and_turns_at_its_limits() -> None:
-    told = InterceptPolicy(food_limits_bl=(1.5, 3.5), food_start_bl=2.5, food_still_T=5.0)
-    period = 4.0 / 0.3  # 2 L up and 2 L down at 0.3 L/T
-    times = torch.tensor([0.0, 5.0, 5.0 + period / 4, 5.0 + period / 2, 5.0 + 3 * period / 4])
-    expected = torch.tensor([2.5, 2.5, 3.5, 2.5, 1.5])
-    up = torch.tensor(1.0)
-    assert torch.allclose(told._food_height(times, up), expected, atol=1e-4)
-    assert torch.allclose(told._food_height(times, -up), 5.0 - expected, atol=1e-4)
-
-
-def test_intercept_sees_where_the_food_set_off_to_if_not_told() -> None:
+def test_intercept_estimates_an_unknown_first_direction() -> None:
     for way in (1, -1):
-        told, seeing = (
+        informed, estimating = (
             InterceptPolicy(food_limits_bl=(1.5, 3.5), food_start_bl=2.5, food_direction=direction)
             for direction in (way, 0)
         )
         # After 1 T on its way, and after it has turned back once.
         for time, velocity in ((6.0, 0.3 * way), (5.0 + 1.6 / 0.3, -0.3 * way)):
             td = seen(food=(-2.5, 0.0), heading=math.pi, food_velocity=velocity, time=time)
-            assert torch.equal(told(td.clone())["action"], seeing(td.clone())["action"])
-            now = torch.tensor([[time]])
-            assert seeing._food_direction_of(torch.tensor([[velocity]]), now) == way
+            assert torch.equal(informed(td.clone())["action"], estimating(td.clone())["action"])
 
 
 def test_intercept_does_not_circle_food_inside_its_turning_circle() -> None:
@@ -148,18 +128,23 @@ def test_intercept_does_not_circle_food_inside_its_turning_circle() -> None:
     assert InterceptPolicy(turn_radius_bl=1.7)(td)["action"].tolist() != [COUNTER_CLOCKWISE]
 
 
-def test_food_does_not_swim_backwards() -> None:
-    with pytest.raises(ValueError, match="must not be negative"):
-        InterceptPolicy(food_speed_bl=-0.1)
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"food_speed_bl": -0.1},
+        {"turn_radius_bl": 0.0},
+        {"food_limits_bl": (1.5, 3.5), "food_start_bl": 4.0},
+    ],
+)
+def test_invalid_speeds_radii_and_routes_are_refused(bad: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        InterceptPolicy(**bad)
 
 
-@pytest.mark.parametrize("name", ["swim_speed_bl", "turn_radius_bl"])
-def test_speeds_and_radius_must_be_positive(name: str) -> None:
-    with pytest.raises(ValueError, match=f"{name} = 0.0: must be greater than 0"):
-        InterceptPolicy(**{name: 0.0})  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("start", [None, 4.0])
-def test_a_route_needs_a_start_inside_its_limits(start: float | None) -> None:
-    with pytest.raises(ValueError, match="must lie inside food_limits_bl"):
-        InterceptPolicy(food_limits_bl=(1.5, 3.5), food_start_bl=start)
+def test_random_actions_leave_the_global_generator_alone() -> None:
+    td = TensorDict({"action_mask": torch.ones(5, 3, dtype=torch.bool)}, [5])
+    torch.manual_seed(0)
+    expected = torch.rand(3)
+    torch.manual_seed(0)
+    RandomPolicy(seed=3)(td)
+    assert torch.equal(torch.rand(3), expected)

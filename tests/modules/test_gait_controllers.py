@@ -1,4 +1,4 @@
-"""Hand-written fish that hold a station: what they want, and which action brings it."""
+"""Frequency controllers, and the action that follows a commanded frequency."""
 
 from typing import Any
 

@@ -268,18 +268,6 @@ def test_d7_the_initial_weights_of_the_critics_are_kept() -> None:
         )
 
 
-def test_a_reduction_that_keeps_the_batch_is_refused() -> None:
-    with pytest.raises(ValueError, match="must be 'mean' or 'sum'"):
-        make_loss(reduction="none")
-
-
-def test_a_missing_mask_of_the_next_state_is_an_error() -> None:
-    data = transitions()
-    del data["next", "action_mask"]
-    with pytest.raises((KeyError, ValueError)):
-        make_loss()(data)
-
-
 def test_temperature_stays_inside_its_bounds() -> None:
     loss = make_loss(alpha_init=5.0, min_alpha=0.1, max_alpha=0.5)
     assert loss(transitions())["alpha"] == pytest.approx(0.5)
@@ -331,3 +319,10 @@ def test_learns_a_masked_corridor_in_seconds() -> None:
     with torch.no_grad():
         probs = actor.get_dist(state(torch.arange(num_cells - 1))).probs
     assert (probs.argmax(-1) == 2).all()
+
+
+def test_a_missing_mask_of_the_next_state_is_an_error() -> None:
+    data = transitions()
+    del data["next", "action_mask"]
+    with pytest.raises((KeyError, ValueError)):
+        make_loss()(data)
