@@ -28,6 +28,7 @@ from experiments.benchmarks.report import describe_run, list_tables, write_page
 from experiments.benchmarks.results import Results
 from experiments.configuration import nearest
 from experiments.program import program
+from fishrl.bounds import bounded
 
 TEAMS = (
     Team("probe", flows.make_probes, code="torch"),
@@ -38,7 +39,6 @@ TEAMS = (
     Team("peers", lettuce_step.make_entries, code="lettuce"),
     Team("peers", xlb_step.make_entries, code="xlb"),
     Team("gpu", flows.make_gpu),
-    Team("solves", flows.make_solves),
     Team("env", environment.make_stage, is_long=True),
     Team("train", environment.make_training, is_long=True),
     Team("live", environment.make_live, is_long=True),
@@ -58,6 +58,7 @@ class BenchmarkSettings(Settings):
         docs: measure nothing; put the results of the folder into the pages in this one.
     """
 
+    body_length: int = bounded(100, least=80)  # a fish has at least 16 nodes, also in a small case
     groups: tuple[str, ...] = ()
     folder: str = "runs/benchmark"
     docs: str | None = None

@@ -31,7 +31,6 @@ PERIODIC = "periodic"  # a whole step with periodic edges
 WALLS = "with walls"  # a whole step with boundary conditions on all four sides
 FISH = "with fish"  # the same with a swimming fish in each flow
 PROBE = "memory"  # no flow: the speed of the memory
-OTHER = "other"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,12 +69,11 @@ class Row:
         label: by which goals and figures find it, such as "large/walls".
         name: the case in words.
         scope: how much of a step it is: kernel, periodic, with walls, with fish.
-        num_nodes: node updates of one step, all flows together; 0 where no flow is advanced.
+        num_nodes: node updates of one step, all flows together.
         working_set: bytes that a step goes through.
         bytes_per_update: that a node update moves if each population is read and written once.
-        num_steps: of each burst. None: as many as fill one. A given number has no warm-up, and 0
-            no bursts: then ``facts`` hold everything.
-        facts: numbers known before the bursts, such as the slip reached.
+        num_steps: of each burst. None: as many as fill one. 0: no bursts, ``facts`` hold all.
+        facts: numbers known before the bursts.
         code, group: of the team.
         seconds: that one step took, by round.
         extras: further numbers of each burst, by round.
@@ -83,7 +81,7 @@ class Row:
 
     label: str
     name: str
-    scope: str = OTHER
+    scope: str = ""
     num_nodes: int = 0
     working_set: int = 0
     bytes_per_update: int = 72
@@ -139,14 +137,8 @@ class Skipped:
     has_failed: bool
 
 
-def run_alone(function: Callable[..., Any], *arguments: object) -> Any:
-    """Return the result of a function at the top of a module, run in a new process."""
-    with _start_process() as process:
-        return process.submit(function, *arguments).result()
-
-
-def _start_process() -> ProcessPoolExecutor:
-    # spawned, as a fork of a process with threads may hang
+def start_process() -> ProcessPoolExecutor:
+    """Return a new process; it is spawned, as a fork of one with threads may hang."""
     return ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
 
 
@@ -154,18 +146,16 @@ class _Player:
     """The process of a team, as seen from outside."""
 
     def __init__(self, team: Team) -> None:
-        self.team, self.process = team, _start_process()
+        self.team, self.process = team, start_process()
         self.rows: list[Row] = []
         self.skipped: Skipped | None = None
 
     def prepare(self, settings: Settings) -> None:
-        """Make the cases."""
         logger.info("%s: preparing %s ...", self.team.group, self.team.code)
         with self._leaving_if_it_fails():
             self.rows = self.process.submit(_prepare, self.team, settings).result()
 
     def play(self) -> None:
-        """Run a burst of each case."""
         with self._leaving_if_it_fails():
             for index, row in enumerate(self.rows):
                 if row.num_steps:
@@ -219,18 +209,16 @@ _entries: list[Entry] = []  # of this process
 
 
 def _prepare(team: Team, settings: Settings) -> list[Row]:
-    """Make a team's entries in this process, and return what is known of them."""
     torch.set_num_threads(settings.threads)
     _entries.extend(team.make(settings))
     rows = []
     for entry in _entries:
         known = {each.name: getattr(entry, each.name) for each in fields(Row)}
-        known |= {"code": team.code, "group": team.group}
         if entry.num_steps is None:
             known["num_steps"] = find_length(entry, settings.burst)
         elif entry.num_steps:
             time_burst(entry, entry.num_steps)  # the first may compile
-        rows.append(Row(**known))
+        rows.append(Row(**known | {"code": team.code, "group": team.group}))
     return rows
 
 

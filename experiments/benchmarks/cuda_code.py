@@ -42,17 +42,17 @@ def generate(function: Callable[..., Any], arguments: Sequence[Tensor], patches:
     from torch._inductor.graph import GraphLowering
     from torch._inductor.virtualized import V
 
-    graph = _trace(function, arguments)
-    fake_mode = FakeTensorMode(allow_non_fake_inputs=True)
+    graph, fake_mode = _trace(function, arguments), FakeTensorMode(allow_non_fake_inputs=True)
     with fake_mode:
         imagined = [
             torch.empty_strided(t.shape, t.stride(), dtype=t.dtype, device="cuda")
             for t in arguments
         ]
     asserts = {"size_asserts": False, "alignment_asserts": False}
-    with _imagine_device(), config.patch(asserts | patches), V.set_fake_mode(fake_mode):
+    with _imagine_device(), config.patch(asserts | patches):
         lowering = GraphLowering(graph, example_inputs=imagined, is_inference=True)
-        with V.set_debug_handler(DebugContext()), V.set_graph_handler(lowering):
+        debug, handler = V.set_debug_handler(DebugContext()), V.set_graph_handler(lowering)
+        with V.set_fake_mode(fake_mode), debug, handler:
             lowering.run(*imagined)
             return str(lowering.codegen()[0].value)
 
@@ -64,13 +64,11 @@ def _trace(function: Callable[..., Any], arguments: Sequence[Tensor]) -> GraphMo
     from torch._inductor.fx_utils import FakeTensorUpdater
     from torch._inductor.virtualized import V
 
-    graph: GraphModule = make_fx(
-        torch.func.functionalize(function, remove="mutations"),
-        decomposition_table=select_decomp_table(),
-        tracing_mode="fake",
-    )(*arguments)
-    places = [node for node in graph.graph.nodes if node.op == "placeholder"]
-    with V.set_fake_mode(places[0].meta["val"].fake_mode):
+    pure = torch.func.functionalize(function, remove="mutations")
+    table = select_decomp_table()
+    graph: GraphModule = make_fx(pure, decomposition_table=table, tracing_mode="fake")(*arguments)
+    first = next(node for node in graph.graph.nodes if node.op == "placeholder")
+    with V.set_fake_mode(first.meta["val"].fake_mode):
         reinplace_inplaceable_ops(FakeTensorUpdater(graph), graph.graph)
     for node in graph.graph.nodes:
         if "device" in node.kwargs:
@@ -94,12 +92,11 @@ def _imagine_device() -> Iterator[None]:
         "torch.cuda.get_device_capability": (9, 0),
         "torch.cuda.get_device_properties": SimpleNamespace(**_PROPERTIES),
         "torch.utils._triton.triton_hash_with_backend": "imagined",
+        "torch._inductor.runtime.hints.DeviceProperties.create": properties,
     }
     with ExitStack() as stack:
         for name, answer in answers.items():
             stack.enter_context(mock.patch(name, mock.Mock(return_value=answer)))
-        create = mock.Mock(return_value=properties)
-        stack.enter_context(mock.patch.object(DeviceProperties, "create", create))
         yield
 
 
@@ -116,13 +113,8 @@ def count(code: str) -> dict[str, int]:
 
 
 def make_code(settings: Settings) -> list[Entry]:
-    """Count for a batch of two flows with a fish in each, as one launch.
-
-    Raises:
-        ImportError: if triton is not installed.
-    """
+    """Count for two flows with a fish in each in one launch; ImportError without triton."""
     importlib.import_module("triton")
-
     config = make_swimmer_config(make_scales(settings.body_length // 2))
     solver = InPlaceSolver(config=config, num_envs=2, flows_per_launch=2, compile=False)
     entries = []

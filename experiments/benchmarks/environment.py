@@ -21,15 +21,14 @@ from torchrl.envs import ExplorationType, set_exploration_type
 
 from experiments.benchmarks.contest import FISH, Entry, Settings
 from experiments.benchmarks.flows import wrap_parts
-from experiments.config import load_config, to_plain
-from experiments.settings import TrainConfig
 from fishrl.envs import Predation, make_env
 from fishrl.modules import make_actor
 from fishrl.physics import InPlaceSolver
-from fishrl.training import Plan
+from fishrl.training.algorithms import DiscreteSAC
 from fishrl.training.collector import ResumableCollector
 from fishrl.training.learner import one_thread
 from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.settings import LearningSettings
 from fishrl.viewer import LiveView, ViewerSettings
 
 NUM_ENVS = 16
@@ -43,13 +42,7 @@ def make_task(settings: Settings) -> Predation:
 
 
 class Stage:
-    """Flows, the environment around them and a policy.
-
-    Args:
-        task: of the fish.
-        num_envs: number of flows.
-        **options: of ``make_env``.
-    """
+    """Flows, the environment around them and a policy; ``options`` are those of ``make_env``."""
 
     def __init__(self, task: Any, num_envs: int, **options: Any) -> None:
         self.task = task
@@ -62,7 +55,6 @@ class Stage:
             generator=torch.Generator().manual_seed(0),
         )
         self._in_flow, self._num_actions = 0.0, NUM_ACTIONS
-        self.state: TensorDictBase
         solver: Any = self.base.solver
         self._advance_, solver.advance_ = solver.advance_, self._time_flow
         self.prepare()
@@ -70,7 +62,7 @@ class Stage:
     def prepare(self) -> None:
         """Begin new episodes where the old ones could soon end."""
         if self._num_actions >= NUM_ACTIONS:
-            self.state = self.env.reset()
+            self.state: TensorDictBase = self.env.reset()
             self._num_actions = 0
         self._num_actions += 1
 
@@ -94,7 +86,6 @@ class Stage:
         return step
 
     def _time(self, act: Callable[[], object]) -> dict[str, float]:
-        """Act, and return the share of the time that was not spent in the flow."""
         self._in_flow, start = 0.0, time.perf_counter()
         act()
         return {"outside_flow": 1.0 - self._in_flow / (time.perf_counter() - start)}
@@ -103,19 +94,6 @@ class Stage:
         start = time.perf_counter()
         self._advance_(*arguments, **keywords)
         self._in_flow += time.perf_counter() - start
-
-
-def make_stage(settings: Settings) -> list[Entry]:
-    """Make the flows once, and the three ways to advance them by one action."""
-    stage = Stage(make_task(settings), NUM_ENVS)
-    return [
-        make_action_entry(stage.base, f"env/{label}", what, advance, prepare=stage.prepare)
-        for label, what, advance in (
-            ("solver", "bare solver", stage.run_solver),
-            ("env", "environment", stage.run_env),
-            ("policy", "environment, transforms and policy", stage.run_policy),
-        )
-    ]
 
 
 def make_action_entry(base: Any, label: str, what: str, advance: Any, **options: Any) -> Entry:
@@ -132,81 +110,72 @@ def make_action_entry(base: Any, label: str, what: str, advance: Any, **options:
     )
 
 
-class Loop:
-    """The training loop's collecting and learning, without its files.
-
-    Args:
-        config: settings of the run.
-        task: of the fish.
-    """
-
-    def __init__(self, config: TrainConfig, task: Any) -> None:
-        self.config = config
-        plan = Plan.from_config(to_plain(config))
-        spec = PolicySpec.for_task(task)
-        self.learner = plan.algorithm.make_learner(spec, plan.learning)
-        self.env = make_env(task=task, num_envs=config.num_envs, compile=config.compile)
-        self.num_updates = round(config.updates_per_frame * config.num_envs)
-        self._batches = iter(
-            ResumableCollector(
-                self.env,
-                self.learner.explorer,
-                frames_per_batch=config.num_envs,
-                total_frames=-1,
-                init_random_frames=config.warmup_frames,
-            )
+def make_stage(settings: Settings) -> list[Entry]:
+    """Make the flows once, and the three ways to advance them by one action."""
+    stage = Stage(make_task(settings), NUM_ENVS)
+    return [
+        make_action_entry(stage.base, f"env/{label}", what, advance, prepare=stage.prepare)
+        for label, what, advance in (
+            ("solver", "bare solver", stage.run_solver),
+            ("env", "environment", stage.run_env),
+            ("policy", "environment, transforms and policy", stage.run_policy),
         )
-        while len(self.learner.buffer) < config.batch_size:
-            self.collect()
-
-    def collect(self) -> None:
-        """Take a batch of frames and remember it."""
-        self.learner.remember(next(self._batches).reshape(-1))
-
-    def learn(self, num_steps: int) -> None:
-        """Take gradient steps."""
-        with one_thread():
-            for _ in range(num_steps):
-                self.learner.update()
-
-    def run(self, num_batches: int) -> dict[str, float]:
-        """Collect a frame of every flow, learn from it, and return the share of learning."""
-        start = time.perf_counter()
-        self.collect()
-        middle = time.perf_counter()
-        self.learn(self.num_updates)
-        end = time.perf_counter()
-        return {"learning": (end - middle) / (end - start)}
+    ]
 
 
 def make_training(settings: Settings) -> list[Entry]:
-    """Make a training run, and time a gradient step and a frame of all flows."""
-    config = load_config("train", ["preset=small", f"num_envs={NUM_ENVS}"])
-    loop = Loop(config, make_task(settings))
-    name = f"gradient step, {config.batch_size} transitions"
-    what = f"frame of all flows, {loop.num_updates} gradient steps"
+    """Make a training run at the default settings."""
+    return list_training(LearningSettings(num_envs=NUM_ENVS), make_task(settings))
+
+
+def list_training(settings: LearningSettings, task: Any, **options: Any) -> list[Entry]:
+    """Return a gradient step, and a frame of all flows with the gradient steps it brings."""
+    learner = DiscreteSAC().make_learner(PolicySpec.for_task(task), settings)
+    env = make_env(task=task, num_envs=settings.num_envs, **options)
+    batches = iter(
+        ResumableCollector(
+            env, learner.explorer, frames_per_batch=settings.num_envs, total_frames=-1,
+            init_random_frames=settings.warmup_frames,
+        )
+    )  # fmt: skip
+    num_updates = round(settings.updates_per_frame * settings.num_envs)
+
+    def collect() -> None:
+        learner.remember(next(batches).reshape(-1))
+
+    def learn(num_steps: int) -> None:
+        with one_thread():
+            for _ in range(num_steps):
+                learner.update()
+
+    def run(num_batches: int) -> dict[str, float]:
+        start = time.perf_counter()
+        collect()
+        middle = time.perf_counter()
+        learn(num_updates)
+        end = time.perf_counter()
+        return {"learning": (end - middle) / (end - start)}
+
+    while len(learner.buffer) < settings.batch_size:
+        collect()
+    name = f"gradient step, {settings.batch_size} transitions"
+    what = f"frame of all flows, {num_updates} gradient steps"
     return [
-        Entry(label="train/gradient", name=name, advance=loop.learn),
-        make_action_entry(loop.env.base_env, "train/frame", what, loop.run),
+        Entry(label="train/gradient", name=name, advance=learn),
+        make_action_entry(env.base_env, "train/frame", what, run),
     ]
 
 
 def make_live(settings: Settings) -> list[Entry]:
-    """Make decisions of four fish without and with a live view of flow 0; no window is open."""
-    return list_views(make_task(settings))
+    """Make actions of four flows of preset ``small`` without and with a live view of flow 0."""
+    return list_views(make_task(settings), num_envs=4)
 
 
-def list_views(task: Any, *, num_envs: int = 4, port: int = 9876, **options: Any) -> list[Entry]:
-    """Return decisions of the same flows without and with a live view.
+def list_views(task: Any, *, num_envs: int, port: int = 9876, **options: Any) -> list[Entry]:
+    """Return actions of the same flows without and with a live view that leaves out no frame.
 
-    Other load changes the time of a decision, and hardly the processor time of this process; the
+    Other load changes the time of an action, and hardly the processor time of this process; the
     flows have processes of their own.
-
-    Args:
-        task: of the fish.
-        num_envs: number of flows.
-        port: of the viewer's server.
-        **options: of ``make_env``.
     """
     stage = Stage(task, num_envs, frames_per_action=task.checks_per_action, **options)
     live = LiveView(stage.env, ViewerSettings(port=port, live_share=1.0))
@@ -224,27 +193,20 @@ def list_views(task: Any, *, num_envs: int = 4, port: int = 9876, **options: Any
     return [
         make_action_entry(stage.base, f"live/{word}", what, partial(decide, is_live=is_live))
         for word, what, is_live in (
-            ("without", "nobody looks", False),
+            ("without", "no view", False),
             ("with", "live view of one flow", True),
         )
     ]
 
 
 def make_profile(settings: Settings) -> list[Entry]:
-    """Profile actions of four flows on one core, all in this process."""
+    """Profile three actions of four flows on one core, all in this process."""
     torch.set_num_threads(1)
     return list_parts(make_task(settings), num_envs=4, num_actions=3)
 
 
 def list_parts(task: Any, *, num_envs: int, num_actions: int, compile: bool = True) -> list[Entry]:
-    """Return the parts of an environment step and their seconds per action.
-
-    Args:
-        task: of the fish.
-        num_envs: number of flows.
-        num_actions: that are profiled, after one that is not.
-        compile: compile the flow step.
-    """
+    """Return the parts of an environment step and their seconds per action."""
     stage = Stage(task, num_envs, compile=False)
     solver: Any = InPlaceSolver(
         config=task.flow_config(), num_envs=num_envs, frequency=1.0 / task.scales.period,
@@ -285,15 +247,12 @@ def list_parts(task: Any, *, num_envs: int, num_actions: int, compile: bool = Tr
             owner = owner.cpu_parent
         if owner is not None:
             seconds[owner.name] += 1e-6 * event.self_cpu_time_total / num_actions
-    config = solver.config
-    size = f"{num_envs} × {config.width} × {config.height}, {task.n_substeps} steps"
+    size = f"{num_envs} × {solver.config.width} × {solver.config.height}, {task.n_substeps} steps"
     total = sum(seconds.values())
     return [
         Entry(
-            label=f"profile/{part}",
-            name=part,
-            num_steps=0,
+            label=f"profile/{part}", name=part, num_steps=0,
             facts={"place": places[part], "seconds": s, "share": s / total, "size": size},
         )
         for part, s in sorted(seconds.items(), key=lambda item: -item[1])
-    ]
+    ]  # fmt: skip

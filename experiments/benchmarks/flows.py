@@ -21,7 +21,7 @@ from experiments.benchmarks.contest import (
     WALLS,
     Entry,
     Settings,
-    run_alone,
+    start_process,
 )
 from experiments.benchmarks.peers.shear_wave import ShearWave
 from fishrl.physics import FlowConfig, InPlaceSolver, Scales
@@ -29,71 +29,46 @@ from fishrl.physics.cases import PERIODIC as PERIODIC_EDGES
 from fishrl.physics.cases import make_swimmer_config
 from fishrl.physics.fast.compiled import Kernel
 from fishrl.physics.flow import make_uniform
-from fishrl.physics.immersed_boundary import DirectSolve, ForceSolve, IterativeForcing
 from fishrl.physics.storage import Storage
 
 BATCHES = (1, 2, 4, 8, 16, 32)
-#: The cost of the direct solve does not depend on its slip.
-SOLVES: dict[str, ForceSolve] = {
-    **{f"{n} iterations": IterativeForcing(num_iterations=n) for n in (4, 20, 80)},
-    "direct": DirectSolve(),
-}
-
-
-def make_scales(body_length: int) -> Scales:
-    """Return lattice units with the same relaxation time at every length: Re = 70 L."""
-    return Scales.from_budget(body_length=body_length, reynolds=70.0 * body_length)
 
 
 def make_solver(
-    body_length: int,
-    *,
-    has_fish: bool,
-    num_envs: int = 1,
-    num_workers: int = 0,
-    compile: bool = True,
-    device: str = "cpu",
-    **changes: Any,
+    body_length: int, *, has_fish: bool, num_envs: int = 1, **options: Any
 ) -> InPlaceSolver:
     """Return compiled flows in the paper's tank, a swimming fish in the middle of each or none.
 
     Args:
-        body_length: L; the tank is 10 L x 5 L.
+        body_length: L; the tank is 10 L x 5 L, and Re = 70 L, so that the relaxation time is one.
         has_fish: whether a fish swims in it.
         num_envs: number of flows.
-        num_workers: processes that share them; 0 advances them here.
-        compile: compile the step.
-        device: cpu or cuda.
-        **changes: fields of ``FlowConfig``.
+        **options: of ``InPlaceSolver``, or ``storage``.
     """
     scales = make_scales(body_length)
-    empty: dict[str, Any] = {} if has_fish else {"bodies": ()}
+    changes = {"storage": options.pop("storage", Storage.FLOAT32)}
+    options.setdefault("num_workers", 0)
     solver = InPlaceSolver(
-        config=make_swimmer_config(scales, **empty | changes),
+        config=make_swimmer_config(scales, **changes | ({} if has_fish else {"bodies": ()})),
         num_envs=num_envs,
         frequency=1.0 / scales.period,
-        device=device,
-        compile=compile,
-        num_workers=min(num_workers, num_envs),
+        **options,
     )
-    rows = torch.ones(num_envs, dtype=torch.bool, device=device)
+    rows = torch.ones(num_envs, dtype=torch.bool, device=solver.device)
     solver.reset_(rows, None, torch.full((num_envs,), pi) if has_fish else None)
     solver.compile()
     return solver
 
 
+def make_scales(body_length: int) -> Scales:
+    """Return the lattice units of ``make_solver``."""
+    return Scales.from_budget(body_length=body_length, reynolds=70.0 * body_length)
+
+
 def make_entry(
     solver: InPlaceSolver, label: str, how: str, *, num_flows: int | None = None, **facts: Any
 ) -> Entry:
-    """Return the whole step of some of a solver's flows.
-
-    Args:
-        solver: from ``make_solver``.
-        label: of the entry.
-        how: it runs, such as "2 threads".
-        num_flows: the first so many flows advance; all by default.
-        **facts: of the entry.
-    """
+    """Return the whole step of a solver's flows, by default of all of them."""
     config, num_flows = solver.config, num_flows or solver.num_envs
     is_first = torch.arange(solver.num_envs) < num_flows
     rows = None if num_flows == solver.num_envs else is_first
@@ -176,25 +151,24 @@ def make_copy(label: str, num_nodes: int, device: str) -> Entry:
 
 
 def make_sizes(settings: Settings, *, has_fish: bool) -> list[Entry]:
-    """Make one flow from L / 4 to 2 L, and batches at L / 2."""
-    length, what = settings.body_length, "fish" if has_fish else "walls"
-    cases: list[tuple[str, int, int, int, str, tuple[int, ...]]] = [
-        (size, factor * length // 4, 1, 0, settings.how, (1,))
+    """Make one flow from L / 4 to 2 L, one on a single core, and batches at L / 2."""
+    length, what, alone = settings.body_length, "fish" if has_fish else "walls", "one core"
+    cases: dict[str, tuple[int, str, tuple[int, ...], int]] = {
+        size: (factor * length // 4, settings.how, (1,), 0)
         for size, factor in (("small", 1), ("middle", 2), ("large", 4), ("huge", 8))
-    ]
-    cases.append(("single", length, 1, 1, "one core", (1,)))
-    cases.append(("batch", length // 2, max(BATCHES), settings.threads, "one core each", BATCHES))
+    }
+    cases["single"] = length, alone, (1,), 1
+    cases["batch"] = length // 2, f"{alone} each", BATCHES, settings.threads
     entries = []
-    for size, length, num_envs, num_workers, how, flows in cases:
-        before = count_tensor_bytes()
-        solver = make_solver(length, has_fish=has_fish, num_envs=num_envs, num_workers=num_workers)
+    for size, (length, how, batches, num_workers) in cases.items():
+        before, num_envs = count_tensor_bytes(), max(batches)
+        solver = make_solver(
+            length, has_fish=has_fish, num_envs=num_envs, num_workers=min(num_workers, num_envs)
+        )
         num_nodes = num_envs * solver.config.width * solver.config.height
-        facts = {
-            "bytes": (count_tensor_bytes() - before) / num_nodes,
-            "body_length": length,
-            "period": make_scales(length).period,
-        }
-        for n in flows:
+        per_node = (count_tensor_bytes() - before) / num_nodes
+        facts = {"bytes": per_node, "body_length": length, "period": make_scales(length).period}
+        for n in batches:
             label = f"{size}{n if size == 'batch' else ''}/{what}"
             entries.append(make_entry(solver, label, how, num_flows=n, **facts))
     return entries
@@ -229,35 +203,6 @@ def make_periodic(width: int, height: int, *, compile: bool = True) -> InPlaceSo
     return solver
 
 
-def make_solves(settings: Settings, *, batches: tuple[int, ...] = (1, 16, 256)) -> list[Entry]:
-    """Make each force solve in a tank so small, 4 L x 2.5 L, that the body is most of the work."""
-    length, entries = settings.body_length // 2, []
-    for name, solve in SOLVES.items():
-        solver = make_solver(
-            length, has_fish=True, num_envs=max(batches), num_workers=settings.threads,
-            force_solve=solve, width=4 * length, height=5 * length // 2,
-        )  # fmt: skip
-        slip = measure_slip(solver, length)
-        for n in batches:
-            how = f"{name}, {'one core each' if n > 1 else 'one core'}"
-            entries.append(make_entry(solver, f"solve/{name}/{n}", how, num_flows=n, slip=slip))
-    return entries
-
-
-def measure_slip(solver: InPlaceSolver, body_length: int) -> float:
-    """Return the largest slip at a marker of the first fish as a share of its tail's speed.
-
-    It is averaged over twenty steps after half a tail beat.
-    """
-    scales, is_first = make_scales(body_length), torch.arange(solver.num_envs) == 0
-    solver.advance_(2 * (scales.period // 4), is_first)
-    slips = []
-    for _ in range(10):
-        solver.advance_(2, is_first)
-        slips.append(float(solver.body.slip_error[0]))
-    return sum(slips) / len(slips) / scales.tail_speed
-
-
 def make_gpu(settings: Settings) -> list[Entry]:
     """Make a batch that fills the card, with and without a fish in each, and a copy of its size.
 
@@ -279,22 +224,19 @@ def make_gpu(settings: Settings) -> list[Entry]:
 
 
 def make_compilation(settings: Settings) -> list[Entry]:
-    """Measure the time until the first step: with nothing kept, and with everything kept."""
+    """Measure the time until the first step with nothing kept, then with everything kept."""
     entries = []
     with tempfile.TemporaryDirectory(prefix="fishrl-compile-") as folder:
         for label, name in (("cold", "nothing is kept"), ("warm", "everything is kept")):
-            facts = {"seconds": run_alone(time_compilation, settings.body_length // 2, folder)}
+            with start_process() as process:
+                seconds = process.submit(time_compilation, settings.body_length // 2, folder)
+                facts = {"seconds": seconds.result()}
             entries.append(Entry(label=f"compile/{label}", name=name, num_steps=0, facts=facts))
     return entries
 
 
 def time_compilation(body_length: int, folder: str) -> float:
-    """Compile the step with a swimming fish, run it, and return the seconds.
-
-    Args:
-        body_length: L.
-        folder: where compiled code is kept, as long as this process lives.
-    """
+    """Compile the step with a fish in this process, keep it in a folder, and return the seconds."""
     os.environ["TORCHINDUCTOR_CACHE_DIR"] = folder
     start = time.perf_counter()
     make_solver(body_length, has_fish=True).advance_(2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import distributions
 from pathlib import Path
 
 import torch
@@ -30,17 +30,12 @@ def describe_machine() -> dict[str, object]:
 
 def describe_surroundings() -> dict[str, object]:
     """Name vector instructions, caches, GPU, versions of other packages, and other load."""
-    installed = {}
-    for name in PACKAGES:
-        try:
-            installed[name] = version(name)
-        except PackageNotFoundError:
-            continue
+    installed = {each.name.lower(): each.version for each in distributions()}
     return {
         "instructions": torch.backends.cpu.get_cpu_capability(),
         "caches": read_caches(),
         "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
-        "versions": installed,
+        "versions": {name: installed[name] for name in PACKAGES if name in installed},
         "load": round(os.getloadavg()[0], 2),
     }
 

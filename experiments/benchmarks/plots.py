@@ -1,4 +1,4 @@
-"""Figures: bandwidth beside the memory's own, speed against size, parts of a step."""
+"""Figures: bandwidth beside the memory's own, and speed against size."""
 
 from __future__ import annotations
 
@@ -20,30 +20,21 @@ SCOPES = {KERNEL: COLOURS[4], PERIODIC: COLOURS[0], WALLS: COLOURS[2], FISH: COL
 def write_plots(results: Results, folder: Path) -> dict[Path, str]:
     """Draw what was measured as PNGs in a folder, and return the files and their captions."""
     folder.mkdir(parents=True, exist_ok=True)
-    speeds = [
-        row for row in results.of_group("solver", "coupled", "peers", "gpu") if row.scope in SCOPES
-    ]
     written = {}
     with mpl.rc_context(STYLE):
-        for name, caption, rows, draw in (
-            ("roofline", "Bandwidth of each step beside that of the memory", speeds, draw_roofline),
-            (
-                "scaling",
-                "Speed against the size of the grid and the number of flows",
-                results.of_group("coupled"),
-                draw_scaling,
-            ),
-            ("profile", "Parts of an environment step", results.of_group("profile"), draw_profile),
-        ):
-            if rows:
-                written[folder / f"{name}.png"] = caption
-                draw(rows, results).savefig(folder / f"{name}.png")
+        if rows := results.of_group("solver", "coupled", "peers", "gpu"):
+            written[folder / "roofline.png"] = "Bandwidth of each step and of the memory"
+            draw_roofline(rows, results).savefig(folder / "roofline.png")
+        if rows := results.of_group("coupled"):
+            written[folder / "scaling.png"] = "Speed against grid size and number of flows"
+            draw_scaling(rows, results.machine["caches"]).savefig(folder / "scaling.png")
     return written
 
 
 def draw_roofline(rows: Sequence[Row], results: Results) -> Figure:
     """Draw the bandwidth that each step achieves beside that of a copy and an in-place pass."""
-    rows = sorted(rows, key=lambda row: measure_bandwidth(row).median)
+    rows = [row for row in rows if row.scope in SCOPES]
+    rows.sort(key=lambda row: measure_bandwidth(row).median)
     figure = Figure(figsize=(9.0, 1.6 + 0.27 * len(rows)), layout="constrained")
     axes = figure.subplots()
     for i, row in enumerate(rows):
@@ -63,26 +54,26 @@ def draw_roofline(rows: Sequence[Row], results: Results) -> Figure:
     axes.margins(x=0.08)
     handles = [mpl.patches.Patch(color=colour, label=name) for name, colour in SCOPES.items()]
     axes.legend(handles=handles, loc="lower right", fontsize=8, title="strong: fishrl")
-    axes.set_title("Bandwidth of each step, and of the memory", loc="left", pad=18)
+    axes.set_title("Bandwidth of each step and of the memory", loc="left", pad=18)
     tidy(axes)
     axes.grid(axis="y", visible=False)
     return figure
 
 
-def draw_scaling(rows: Sequence[Row], results: Results) -> Figure:
+def draw_scaling(rows: Sequence[Row], caches: dict[str, int]) -> Figure:
     """Draw speed against the size of the grid and against the number of flows."""
-    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True)
     batch = [row for row in rows if row.label.startswith("batch")]
     grid = [row for row in rows if row not in batch and row.label != "single/fish"]
     nodes, flows = [row.num_nodes for row in grid], [row.facts["flows"] for row in batch]
+    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
     _draw_line(left, nodes, grid, COLOURS[1])
     _draw_line(right, flows, batch, COLOURS[0])
     for row in grid:
         place = (row.num_nodes, measure_speed(row).median)
         text = f"L = {row.facts['body_length']}"
         left.annotate(text, place, (4, -12), textcoords="offset points", fontsize=8)
-    for name, size in results.machine["caches"].items():
+    for name, size in caches.items():
         if 0.5 * nodes[0] < size / 36 < 2.0 * nodes[-1]:  # nodes whose populations it holds
             left.axvline(size / 36, color="#bbbbbb", linewidth=1.0)
             left.text(size / 36, 0.0, f" {name} {size / 2**20:g} MB", fontsize=8, rotation=90)
@@ -103,23 +94,3 @@ def _draw_line(axes: Axes, x: Sequence[float], rows: Sequence[Row], colour: str)
     low, median, high = zip(*(measure_speed(row) for row in rows), strict=True)
     axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
     axes.plot(x, median, "o-", color=colour)
-
-
-def draw_profile(rows: Sequence[Row], results: Results) -> Figure:
-    """Draw the shares of an environment step, those of the flow in another colour."""
-    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
-    axes = figure.subplots()
-    places = list(dict.fromkeys(row.facts["place"] for row in rows))
-    for i, row in enumerate(reversed(rows)):
-        share = 100.0 * row.facts["share"]
-        axes.barh(i, share, color=COLOURS[places.index(row.facts["place"])])
-        axes.text(share, i, f"  {share:.1f} %", va="center", fontsize=8)
-    axes.set_yticks(range(len(rows)), [row.name for row in reversed(rows)], fontsize=8)
-    axes.set(xlabel="% of an action")
-    axes.margins(x=0.08)
-    handles = [mpl.patches.Patch(color=COLOURS[i], label=name) for i, name in enumerate(places)]
-    axes.legend(handles=handles, loc="lower right", fontsize=8)
-    axes.set_title(f"One environment step, {rows[0].facts['size']} on one core", loc="left")
-    tidy(axes)
-    axes.grid(axis="y", visible=False)
-    return figure

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ from experiments.benchmarks.results import Results, Spread, compare, measure_spe
 from experiments.pages import divide, fill, write_table
 
 MARK = "measured"  # name of the place of the page that is filled
+GOAL_HEADS = ("goal", "bar", "measured", "verdict")
 
 
 class Goal(NamedTuple):
@@ -102,11 +103,6 @@ def show_ratio(row: Row, results: Results, label: str) -> str:
     return f"{compare(row, other).median:.2f}" if other else "–"
 
 
-def show_time(row: Row, scale: float = 1e3, *, digits: int = 0, num_flows: int = 1) -> str:
-    """Return the median time of a step, by default in milliseconds."""
-    return f"{scale * spread(row.seconds).median / num_flows:.{digits}f}"
-
-
 def show_excess(row: Row, results: Results) -> str:
     """Return by how many percent actions take longer than in the bare solver."""
     bare = results.find("env/solver")
@@ -115,14 +111,9 @@ def show_excess(row: Row, results: Results) -> str:
     return Spread(*(100.0 * (ratio - 1.0) for ratio in compare(bare, row))).show()
 
 
-def show_fact(row: Row, name: str) -> str:
-    """Return a number that was measured once."""
-    return f"{row.facts[name]:.1f}" if name in row.facts else "–"
-
-
-def show_extra(row: Row, name: str, digits: int = 1) -> str:
+def show_share(row: Row, name: str) -> str:
     """Return a share that came with the bursts, in percent."""
-    return spread(row.extras[name]).show(digits, 100.0) if name in row.extras else "–"
+    return spread(row.extras[name]).show(scale=100.0) if name in row.extras else "–"
 
 
 Columns = dict[str, Callable[[Row, Results], str]]
@@ -135,42 +126,25 @@ SPEED: Columns = CASE | {
     "/ in-place probe": lambda row, results: show_ratio(row, results, "probe/in place"),
     "B / update": lambda row, _: str(row.bytes_per_update),
     "MB": lambda row, _: f"{row.working_set / 1e6:.1f}",
-    "memory, B / node": lambda row, _: show_fact(row, "bytes"),
+}
+MEMORY: Columns = {
+    "memory, B / node": lambda row, _: f"{row.facts['bytes']:.1f}" if "bytes" in row.facts else "–"
+}
+PRICE: Columns = {
+    "µs / step": lambda row, _: f"{1e6 * spread(row.seconds).median:.0f}",
+    "s / T and flow": lambda row, _: (
+        f"{spread(row.seconds).median * row.facts['period'] / row.facts['flows']:.2f}"
+    ),
 }
 ACTION: Columns = CASE | {"ms": lambda row, _: spread(row.seconds).show(scale=1e3)}
-COUNTS = ("kernels", "library calls", "temporaries", "loads", "stores")
+PART: Columns = {"part": lambda row, _: row.name}
 #: Group, heading, line above the table (with facts of its first row), columns.
 TABLES: tuple[tuple[str, str, str, Columns], ...] = (
     ("probe", "What the memory does", "", SPEED),
-    ("solver", "The flow", "", SPEED),
-    ("coupled", "A swimming fish in each flow", "", SPEED),
+    ("solver", "The flow", "", SPEED | MEMORY),
+    ("coupled", "A swimming fish in each flow", "T is a tail beat.", SPEED | MEMORY | PRICE),
     ("peers", "Other codes", "", SPEED),
     ("gpu", "GPU", "", SPEED),
-    (
-        "solves",
-        "Force solve",
-        "In a tank of 4 L × 2.5 L. The cost of the direct solve does not depend on its slip.",
-        CASE
-        | {
-            "slip / tail speed": lambda row, _: f"{row.facts['slip']:.1e}",
-            "µs / step and flow": lambda row, _: show_time(row, 1e6, num_flows=row.facts["flows"]),
-        },
-    ),
-    (
-        "coupled",
-        "Price of a step, and of a tail beat T",
-        "A swimming fish in each flow. L is 50 in preset small, 100 in preset paper.",
-        CASE
-        | {
-            "L": lambda row, _: str(row.facts["body_length"]),
-            "µs / step": lambda row, _: show_time(row, 1e6),
-            "MLUPS": lambda row, _: measure_speed(row).show(0),
-            "s / T": lambda row, _: show_time(row, row.facts["period"], digits=2),
-            "s / T and flow": lambda row, _: show_time(
-                row, row.facts["period"], digits=2, num_flows=row.facts["flows"]
-            ),
-        },
-    ),
     (
         "env",
         "Environment",
@@ -178,27 +152,27 @@ TABLES: tuple[tuple[str, str, str, Columns], ...] = (
         ACTION
         | {
             "beyond the bare solver, %": show_excess,
-            "share outside the flow, %": lambda row, _: show_extra(row, "outside_flow", 2),
+            "share outside the flow, %": lambda row, _: show_share(row, "outside_flow"),
         },
     ),
     (
         "train",
         "Training",
         "",
-        ACTION | {"share of learning, %": lambda row, _: show_extra(row, "learning")},
+        ACTION | {"share of learning, %": lambda row, _: show_share(row, "learning")},
     ),
     (
         "live",
         "Live view",
         "Bursts of one action; the flows have processes of their own.",
-        ACTION | {"thereof processor time, %": lambda row, _: show_extra(row, "processor")},
+        ACTION | {"processor time of the main process, %": lambda r, _: show_share(r, "processor")},
     ),
     (
         "profile",
         "Where the time of an environment step goes",
         "{size}, one core, all in one process, by torch.profiler.",
-        {
-            "part": lambda row, _: row.name,
+        PART
+        | {
             "of": lambda row, _: row.facts["place"],
             "ms / action": lambda row, _: f"{1e3 * row.facts['seconds']:.1f}",
             "share, %": lambda row, _: f"{100.0 * row.facts['share']:.2f}",
@@ -208,34 +182,34 @@ TABLES: tuple[tuple[str, str, str, Columns], ...] = (
         "compile",
         "Compilation",
         "Time until the first step with a fish.",
-        CASE | {"seconds": lambda row, _: show_fact(row, "seconds")},
+        CASE | {"seconds": lambda row, _: f"{row.facts['seconds']:.1f}"},
     ),
     (
         "cuda",
         "Code for a GPU",
         "Inductor's Triton source for one step of two flows, counted and not run.",
-        {"part": lambda row, _: row.name}
-        | {name: lambda row, _, name=name: str(row.facts[name]) for name in COUNTS},  # type: ignore[misc]
+        PART
+        | {
+            "kernels": lambda row, _: str(row.facts["kernels"]),
+            "library calls": lambda row, _: str(row.facts["library calls"]),
+            "temporaries": lambda row, _: str(row.facts["temporaries"]),
+            "loads": lambda row, _: str(row.facts["loads"]),
+            "stores": lambda row, _: str(row.facts["stores"]),
+        },
     ),
 )
 
 
 def list_tables(results: Results) -> list[str]:
     """Return every table that there is something to put into, in Markdown."""
-    goals = [goal.judge(results) for goal in GOALS]
-    header = ["goal", "bar", "measured", "verdict"]
-    tables = [tabulate("Goals", "Ratios of the same round: median and quartiles.", header, goals)]
+    goals = write_table(GOAL_HEADS, [goal.judge(results) for goal in GOALS])
+    tables = [f"### Goals\n\nRatios of the same round: median and quartiles.\n\n{goals}"]
     for group, title, note, columns in TABLES:
-        rows = results.of_group(group)
-        if rows:
+        if rows := results.of_group(group):
             cells = [[show(row, results) for show in columns.values()] for row in rows]
-            tables.append(tabulate(title, note.format(**rows[0].facts), [*columns], cells))
-    return tables
-
-
-def tabulate(title: str, note: str, heads: Sequence[str], cells: Sequence[list[str]]) -> str:
-    """Return a heading, a line above the table, and the table."""
-    return "\n\n".join(filter(None, [f"### {title}", note, write_table(heads, cells).strip()]))
+            parts = [f"### {title}", note.format(**rows[0].facts), write_table([*columns], cells)]
+            tables.append("\n\n".join(filter(None, parts)))
+    return [table.strip() for table in tables]
 
 
 def describe_run(results: Results) -> str:

@@ -240,7 +240,7 @@ def test_the_solver_is_judged_by_a_case(tmp_path: Path) -> None:
 
 def test_the_speed_of_flows_is_measured(tmp_path: Path) -> None:
     _run(
-        *("benchmark", "groups=[probe]", "body_length=16", "rounds=2", "burst=0.01", "threads=1"),
+        *("benchmark", "groups=[probe]", "body_length=80", "rounds=2", "burst=0.01", "threads=1"),
         f"folder={tmp_path}",
     )
 

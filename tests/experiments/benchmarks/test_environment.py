@@ -1,21 +1,28 @@
 """What the benchmark times around the flow: environment, training, live view, profile."""
 
 import pytest
-import torch
 
-from experiments.benchmarks.environment import NUM_ACTIONS, Loop, Stage, list_parts, list_views
-from experiments.config import load_config
+from experiments.benchmarks.environment import (
+    NUM_ACTIONS,
+    Stage,
+    list_parts,
+    list_training,
+    list_views,
+)
 from fishrl.envs import Predation
 from fishrl.envs.scene import Frame
+from fishrl.training.settings import LearningSettings
 from fishrl.viewer import Drawing
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 from tests.envs.test_real_flow import TINY
+
+SHORT = TINY | {"control_interval_T": 0.1, "checks_per_action": 2}  # few steps per action
 
 
 @pytest.fixture(scope="module")
 def stage() -> Stage:
     """Return an environment of two tiny eager flows."""
-    return Stage(Predation(**TINY), 2, compile=False)
+    return Stage(Predation(**SHORT), 2, compile=False)
 
 
 def test_solver_environment_and_policy_advance_the_same_steps(stage: Stage) -> None:
@@ -34,18 +41,16 @@ def test_flows_begin_anew_before_an_episode_can_end(stage: Stage) -> None:
 
 
 def test_a_training_loop_collects_and_learns() -> None:
-    overrides = ["num_envs=2", "compile=false", "batch_size=2", "updates_per_frame=2"]
-    loop = Loop(load_config("train", overrides), Predation(**TINY))
-    before = [p.clone() for p in loop.learner.actor.parameters()]
-    assert 0.0 < loop.run(1)["learning"] < 1.0
-    assert len(loop.learner.buffer) == 4
-    after = list(loop.learner.actor.parameters())
-    assert not all(torch.equal(a, b) for a, b in zip(after, before, strict=True))
+    settings = LearningSettings(num_envs=2, batch_size=2, updates_per_frame=2.0)
+    gradient, frame = list_training(settings, Predation(**SHORT), compile=False)
+    assert gradient.advance(2) is None
+    extras = frame.advance(1)
+    assert extras is not None
+    assert 0.0 < extras["learning"] < 1.0
 
 
 def test_a_profile_has_the_parts_of_the_flow_and_of_the_environment() -> None:
-    task = Predation(**TINY | {"control_interval_T": 0.1, "checks_per_action": 2})
-    parts = list_parts(task, num_envs=1, num_actions=1, compile=False)
+    parts = list_parts(Predation(**SHORT), num_envs=1, num_actions=1, compile=False)
     places = {entry.name: entry.facts["place"] for entry in parts}
     assert places["collision"] == places["edges"] == "flow"
     assert places["sensors and measurement"] == "environment"

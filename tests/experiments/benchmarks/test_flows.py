@@ -1,20 +1,16 @@
-"""The flows that the benchmark times: batches, kernels, slip, memory."""
-
-from itertools import pairwise
+"""The flows that the benchmark times: batches, kernels, memory."""
 
 import pytest
 import torch
 
 from experiments.benchmarks.contest import FISH, KERNEL, WALLS, Settings
 from experiments.benchmarks.flows import (
-    SOLVES,
     count_tensor_bytes,
     make_entry,
     make_kernel_entry,
     make_periodic,
     make_probes,
     make_solver,
-    measure_slip,
 )
 from fishrl.physics import InPlaceSolver
 
@@ -75,15 +71,6 @@ def test_probes_leave_finite_numbers_however_long_they_run() -> None:
     for entry in (copy, in_place):
         entry.advance(200)
     assert copy.working_set == 2 * in_place.working_set == 2 * 36 * copy.num_nodes
-
-
-def test_slip_falls_with_iterations_and_is_least_in_the_direct_solve() -> None:
-    slips = []
-    for solve in SOLVES.values():
-        flow = make_solver(16, has_fish=True, width=64, height=40, force_solve=solve, compile=False)
-        slips.append(measure_slip(flow, 16))
-    assert all(more > less > 0.0 for more, less in pairwise(slips))
-    assert slips[-1] < 1e-5
 
 
 def test_this_flow_damps_a_shear_wave_as_it_should() -> None:

@@ -49,9 +49,3 @@ def die(settings: Settings) -> Sequence[Entry]:
 def die_between_bursts(settings: Settings) -> Sequence[Entry]:
     threading.Timer(0.5, os._exit, (4,)).start()
     return [Entry(label=f"rest/{i}", name=i, num_steps=1) for i in "ab"]
-
-
-def halve(number: int) -> int:
-    if number % 2:
-        raise ValueError(f"{number} is odd")
-    return number // 2
