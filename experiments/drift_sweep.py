@@ -12,17 +12,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import torch
-from omegaconf import MISSING
 
 from experiments.configuration import build
 from experiments.figures.style import COLOURS, panels, tidy
 from experiments.gait.histories import Histories, record_histories
-from experiments.gait.trials import START_Y_BL, list_shedding
+from experiments.gait.trials import START_Y_BL, GaitSettings, list_shedding
 from experiments.program import program
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.stations import SafeArea
@@ -37,28 +35,20 @@ Row = dict[str, float]
 
 
 @dataclass(kw_only=True)
-class DriftSettings:
+class DriftSettings(GaitSettings):
     """Settings of a drift sweep.
 
     Args:
-        task: whose streams and body are used.
-        preset: name of the preset whose task it is.
         frequencies: to measure at, beats per T.
         starts: episodes per flow and frequency.
         periods: duration of an episode in T.
         folder: for table, settings and figure.
     """
 
-    task: Any = MISSING
-    preset: str | None = None
     frequencies: tuple[float, ...] = bounded((0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.2, 2.6), least=0)
     starts: int = bounded(6, least=1)
     periods: int = bounded(8, least=1)
     folder: str = "runs/drift_sweep"
-
-    def __post_init__(self) -> None:
-        """Check the bounds."""
-        check_bounds(self)
 
 
 def sweep(

@@ -8,26 +8,22 @@ is run twice.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 from pathlib import Path
-from typing import Any
 
 import torch
-from omegaconf import MISSING
 from torch import Tensor
 
 from experiments.configuration import build
-from experiments.gait import tables
 from experiments.gait.diagnostics import WORKS, measure_lean, trace_work
 from experiments.gait.histories import Histories, pick
-from experiments.gait.trials import Trial, run_trial
+from experiments.gait.trials import GaitSettings, Trial, run_trial
 from experiments.program import program
 from experiments.statistics import half_width
 from experiments.transfer import split_flows
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.modules import PID
@@ -39,36 +35,24 @@ _NUM_FREQUENCIES = 81
 
 
 @dataclass(kw_only=True)
-class FreeStreamSettings:
+class FreeStreamSettings(GaitSettings):
     """Settings of a free-stream test.
 
     Args:
-        task: whose streams, body and safe area are used.
-        preset: name of the preset whose task it is.
         episodes: in each flow.
         periods: duration of an episode in T.
         max_frequency: largest frequency that may be commanded, beats per T.
         max_wall_speed: speed of the tail, nodes per step; so fast a tail diverges at the wake's.
         frequency: of the controller at zero error, beats per T.
-        wake: folder of a transfer test to compare with.
-        arm: its policy to compare with.
         folder: for results and histories.
     """
 
-    task: Any = MISSING
-    preset: str | None = None
     episodes: int = bounded(4, least=1)
     periods: int = bounded(30, least=1)
     max_frequency: float = bounded(10.0, greater=0)
     max_wall_speed: float = bounded(0.1, greater=0)
     frequency: float = bounded(5.0, least=0)
-    wake: str = "runs/transfer"
-    arm: str = "both modules"
     folder: str = "runs/free_stream"
-
-    def __post_init__(self) -> None:
-        """Check the bounds."""
-        check_bounds(self)
 
 
 def make_free_trial(task: KarmanGait, settings: FreeStreamSettings) -> Trial:
@@ -148,7 +132,7 @@ def find_holding(flow: Histories, periods: float) -> Tensor:
 
 @program(FreeStreamSettings, groups={"task": "karman_gait", "preset": "gait_small"})
 def main(settings: FreeStreamSettings) -> None:
-    """Run, write, and compare with a transfer test if there is one."""
+    """Run, write and print."""
     torch.set_num_threads(1)
     folder, trial = Path(settings.folder), make_free_trial(build(settings.task), settings)
     with Progress() as progress:
@@ -176,12 +160,6 @@ def main(settings: FreeStreamSettings) -> None:
             f"{row['work_error']:.2f} per T, drift {row['drift']:+.3f} L/T, held "
             f"{row['held']:.0f} of {row['episodes']:.0f}"
         )
-    in_wake = Path(settings.wake) / "transfer.json"
-    arms = json.loads(in_wake.read_text(encoding="utf-8"))["arms"] if in_wake.is_file() else {}
-    if settings.arm in arms:
-        table = tables.write_work_table(arms[settings.arm], rows, speeds)
-        (folder / "work.md").write_text(table, encoding="utf-8")
-        print("\n" + table)
     print(f"written to {folder}")
 
 

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from omegaconf import MISSING
 
 from experiments.configuration import build
 from experiments.gait import pictures, tables
@@ -21,6 +20,7 @@ from experiments.gait.diagnostics import combine_seeds, diagnose, measure_lean, 
 from experiments.gait.histories import Histories, pick, stack
 from experiments.gait.trials import (
     PERIODS,
+    GaitSettings,
     Trial,
     list_shedding,
     load_trial,
@@ -28,7 +28,7 @@ from experiments.gait.trials import (
     run_trial,
 )
 from experiments.program import program
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
@@ -46,13 +46,12 @@ SHARED = (
 
 
 @dataclass(kw_only=True)
-class TransferSettings:
+class TransferSettings(GaitSettings):
     """Settings of a transfer test.
 
     Args:
-        runs: run folders of ``task=karman_gait``; runs of one kind are its seeds.
-        task: task of the baselines, unless a run with macro actions brings one.
-        preset: name of the preset whose task it is.
+        runs: run folders of ``task=karman_gait``; runs of one kind are its seeds. The first one
+            with macro actions brings the task of the baselines.
         episodes: in each flow.
         periods: duration of a trial in T.
         baselines: to put beside the runs; see ``trials.make_trial``.
@@ -61,17 +60,11 @@ class TransferSettings:
     """
 
     runs: tuple[str, ...] = ()
-    task: Any = MISSING
-    preset: str | None = None
     episodes: int = bounded(100, least=1)
     periods: float = bounded(PERIODS, greater=0)
     baselines: tuple[str, ...] = ("pid", "pid+policy", "bang_bang", "shedding")
     samples_actions: bool = False
     folder: str = "runs/transfer"
-
-    def __post_init__(self) -> None:
-        """Check the bounds."""
-        check_bounds(self)
 
 
 def split_flows(histories: Histories, num_flows: int) -> list[Histories]:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from experiments.benchmarks.contest import FISH, KERNEL, PERIODIC, WALLS, Row
 from experiments.benchmarks.results import Results, measure_bandwidth, measure_speed
 from experiments.figures import COLOURS, STYLE
-from experiments.validation.convergence import tidy
+from experiments.figures.style import tidy
 
 SCOPES = {KERNEL: COLOURS[4], PERIODIC: COLOURS[0], WALLS: COLOURS[2], FISH: COLOURS[1]}
 

@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from omegaconf import MISSING
 from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 
 from experiments.configuration import build
 from experiments.gait.histories import Histories, record_histories
+from fishrl.bounds import check_bounds
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.steering import PolicySteering
@@ -39,6 +41,23 @@ _SOURCES = (
     "fishrl.training.baselines",
     "experiments.gait.histories",
 )
+
+
+@dataclass(kw_only=True)
+class GaitSettings:
+    """Settings that the programs of the study share.
+
+    Args:
+        task: with streams, body and safe area.
+        preset: name of the preset whose task it is.
+    """
+
+    task: Any = MISSING
+    preset: str | None = None
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,6 @@ from matplotlib.axes import Axes
 
 from experiments.figures import COLOURS
 
-GRID = "#e6e6e6"
 GREY = "#777777"
 
 
@@ -49,10 +48,3 @@ def draw_convergence(axes: Axes, series: Mapping[str, Mapping[int, float]]) -> N
     axes.set_xticks(sizes, [str(n) for n in sizes])
     axes.minorticks_off()
     axes.legend(fontsize=9)
-
-
-def tidy(axes: Axes) -> None:
-    """Give axes a faint grid and no frame above and to the right."""
-    axes.grid(color=GRID, linewidth=0.7)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)

@@ -23,8 +23,8 @@ from tqdm import tqdm
 
 from experiments.benchmarks.machine import describe_machine
 from experiments.figures import STYLE
+from experiments.figures.style import tidy
 from experiments.validation.case import Case, Check, Job, Result
-from experiments.validation.convergence import tidy
 from experiments.validation.fingerprint import fingerprint
 from fishrl.files import staged
 

@@ -38,9 +38,8 @@ def test_designs_of_the_task_are_compared_by_the_survival_of_the_pid_controller(
 
 
 def test_the_free_stream_is_held_without_a_disc(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)  # without a transfer test
     settings = ["episodes=1", "periods=4", "max_frequency=2", "frequency=1", "max_wall_speed=0.15"]
     free_stream.main([*OVERRIDES, *settings, f"folder={tmp_path}"])
     result = json.loads((tmp_path / "free_stream.json").read_text())

@@ -1,0 +1,27 @@
+"""Pictures of a shedding period, in a wake that really sheds."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from experiments.configuration import build
+from experiments.gait import trials
+from experiments.gait.snapshots import write_period
+from experiments.gait.trials import make_trial
+from fishrl.envs import make_env
+from tests.experiments.real_wake import gait_settings
+
+
+def test_a_period_is_drawn_as_long_as_an_episode_lasts(
+    tmp_path: Path, real_wake: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trials, "make_env", partial(make_env, compile=False))
+    monkeypatch.setattr(trials, "START_X_BL", (0.8, 0.9))
+    trial = make_trial("bang_bang", build(gait_settings(real_wake)), periods=4.0)
+    write_period(tmp_path / "period.png", trial, num_decisions=1, periods_T=[0.2])
+    assert (tmp_path / "period.png").stat().st_size > 20000
+    with pytest.raises(ValueError, match="all episodes end before"):
+        write_period(tmp_path / "period.png", trial, num_decisions=18, periods_T=[0.2])
