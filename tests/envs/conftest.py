@@ -11,7 +11,7 @@ from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
 from tests.envs.gliding import GlidingSolver
 
-#: Smallest scales that the units and the wall margin allow without much delay; not honest physics.
+#: Smallest scales that the units and the wall margin allow: fast, not accurate.
 SMALL: dict[str, Any] = {
     "body_length": 20,
     "reynolds": 500.0,

@@ -14,13 +14,13 @@ from fishrl.physics.fast.solver import InPlaceSolver
 
 @dataclass(frozen=True, kw_only=True)
 class Mindful(AbstractTask):
-    """Glide to the left: 0 straight on, 1 turn by what one is told; sum up the actions."""
+    """Glide to the left: 0 straight on, 1 turn by the hint; sum up the actions."""
 
     n_obs: ClassVar[int] = 2
     num_actions: ClassVar[int] = 2
     num_draws: ClassVar[int] = 1
     num_samples: ClassVar[int] = 4
-    inputs: ClassVar[tuple[str, ...]] = ("told",)
+    inputs: ClassVar[tuple[str, ...]] = ("hint",)
 
     goal_bl: float = 1.0
 
@@ -30,7 +30,7 @@ class Mindful(AbstractTask):
         return TensorDict({"head": head * self.body_length, "heading": heading}, uniform.shape[:1])
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
-        return Command(action * before["told"].double())
+        return Command(action * before["hint"].double())
 
     def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
         x = solver.markers()[:, 0, 0] / self.body_length

@@ -36,8 +36,10 @@ def make(num_envs: int = 3, **arguments: Any) -> FlowEnv:
 
 
 def act(env: FlowEnv, *actions: int, **inputs: Any) -> TensorDict:
-    told = {name: torch.tensor(value) for name, value in inputs.items()}
-    return env.step(TensorDict({"action": torch.tensor(actions), **told}, env.batch_size))["next"]
+    entries = {name: torch.tensor(value) for name, value in inputs.items()}
+    return env.step(TensorDict({"action": torch.tensor(actions), **entries}, env.batch_size))[
+        "next"
+    ]
 
 
 def test_each_row_has_the_stream_of_its_start_and_a_reset_changes_it() -> None:

@@ -67,12 +67,12 @@ def test_an_onlooker_sees_time_place_velocity_pressure_and_speed() -> None:
     line = LateralLine(features=PAPER)
     solver = make_solver(ux=0.03, uy=-0.04, rho=0.006)
     points, _, _ = line.place(solver)
-    told = feel(line, solver)
-    torch.testing.assert_close(told["x"], points[..., 0] / LENGTH, rtol=0, atol=1e-6)
-    torch.testing.assert_close(told["y"], points[..., 1] / LENGTH, rtol=0, atol=1e-6)
+    signals = feel(line, solver)
+    torch.testing.assert_close(signals["x"], points[..., 0] / LENGTH, rtol=0, atol=1e-6)
+    torch.testing.assert_close(signals["y"], points[..., 1] / LENGTH, rtol=0, atol=1e-6)
     for name, value in (("t", 0.0), ("u_x", 0.3), ("u_y", -0.4), ("speed", 0.5), ("p", 0.2)):
-        wanted = torch.full_like(told[name], value)
-        torch.testing.assert_close(told[name], wanted, rtol=0, atol=1e-4)
+        wanted = torch.full_like(signals[name], value)
+        torch.testing.assert_close(signals[name], wanted, rtol=0, atol=1e-4)
     solver.body.age.fill_(100.0)
     assert (feel(line, solver)["t"] == 0.5).all()
 
@@ -84,10 +84,12 @@ def test_a_fish_feels_the_water_past_its_skin_in_its_own_frame() -> None:
     solver = make_solver(ux=0.03)
     solver.body.velocity.copy_(torch.tensor([[0.01, 0.0], [0.01, 0.0]]))
     solver.body.frequency.zero_()
-    told = feel(line, solver)
-    torch.testing.assert_close(told["ahead"], torch.full((2, 4), -0.2).double(), rtol=0, atol=1e-4)
-    torch.testing.assert_close(told["left"], torch.zeros(2, 4).double(), rtol=0, atol=1e-4)
-    torch.testing.assert_close(told["slip"], torch.full((2, 4), 0.2).double(), rtol=0, atol=1e-4)
+    signals = feel(line, solver)
+    torch.testing.assert_close(
+        signals["ahead"], torch.full((2, 4), -0.2).double(), rtol=0, atol=1e-4
+    )
+    torch.testing.assert_close(signals["left"], torch.zeros(2, 4).double(), rtol=0, atol=1e-4)
+    torch.testing.assert_close(signals["slip"], torch.full((2, 4), 0.2).double(), rtol=0, atol=1e-4)
     solver.body.angular_velocity.fill_(0.001)  # counter-clockwise: the nose of it goes left
     left = feel(line, solver)["left"][0]
     assert left[0] < 0.0 < left[-1]
@@ -106,11 +108,13 @@ def test_pressure_is_felt_as_a_difference_and_shear_as_velocity_over_distance() 
     line = LateralLine(num_neuromasts=4, features=("pressure", "shear"), distance=2.5)
     solver = make_solver(ux=0.03, rho=0.01)
     solver.body.frequency.zero_()
-    told = feel(line, solver)
-    assert told["pressure"].abs().max() < 1e-5
+    signals = feel(line, solver)
+    assert signals["pressure"].abs().max() < 1e-5
     flat = 0.3 * LENGTH / 2.5
-    assert (told["shear"].abs() < 1.01 * flat).all() and (told["shear"].abs() > 0.9 * flat).all()
-    assert told["shear"][0, 0] * told["shear"][0, 1] < 0.0  # clockwise round both sides
+    assert (signals["shear"].abs() < 1.01 * flat).all() and (
+        signals["shear"].abs() > 0.9 * flat
+    ).all()
+    assert signals["shear"][0, 0] * signals["shear"][0, 1] < 0.0  # clockwise round both sides
 
 
 def test_pressure_is_told_as_deviation_from_the_mean_over_neuromasts() -> None:
@@ -119,10 +123,10 @@ def test_pressure_is_told_as_deviation_from_the_mean_over_neuromasts() -> None:
     solver.set_populations_(make_uniform(1e-4 * (x - 30.0), none, none))
     points, _, _ = line.place(solver)
     pressure = 1e-4 * (points[..., 0] - 30.0) / (3.0 * UNIT**2)  # c_s^2 (rho - 1), in rho (L / T)^2
-    told = feel(line, solver)["pressure"]
+    signals = feel(line, solver)["pressure"]
     expected = pressure - pressure.mean(-1, keepdim=True)
     assert expected.abs().max() > 0.01
-    torch.testing.assert_close(told, expected, rtol=0, atol=1e-4)
+    torch.testing.assert_close(signals, expected, rtol=0, atol=1e-4)
 
 
 def test_averaging_leaves_one_number_a_feature() -> None:
@@ -138,11 +142,11 @@ def test_averaging_leaves_one_number_a_feature() -> None:
 def test_noise_has_its_deviation_and_depends_on_key_and_time_alone() -> None:
     solver = make_solver()
     line, keys = LateralLine(num_neuromasts=5, features=("u_x", "u_y"), noise=0.1), KEYS
-    told = []
+    signals = []
     for age in range(200):
         solver.body.age.fill_(age)
-        told.append(line.feel(solver, keys, body_length=LENGTH, period=PERIOD)[0])
-    noise = torch.stack(told)
+        signals.append(line.feel(solver, keys, body_length=LENGTH, period=PERIOD)[0])
+    noise = torch.stack(signals)
     assert noise.mean().abs() < 0.01 and noise.std().item() == pytest.approx(0.1, rel=0.05)
     correlation = torch.corrcoef(noise.flatten(1).T)  # of neuromasts and features, 200 samples
     assert (correlation - torch.eye(len(correlation))).abs().max() < 5 / 200**0.5

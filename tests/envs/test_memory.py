@@ -14,15 +14,15 @@ pytestmark = pytest.mark.usefixtures("gliding")
 
 
 class Tell(Transform):
-    """Write ``told`` and lengthen the observation by it."""
+    """Write ``hint`` and lengthen the observation by it."""
 
     def __init__(self) -> None:
-        super().__init__(in_keys=["observation"], out_keys=["observation", "told"])
+        super().__init__(in_keys=["observation"], out_keys=["observation", "hint"])
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        told = next_tensordict["observation"][..., 0] * 0.1
-        longer = torch.cat((next_tensordict["observation"], told[..., None]), -1)
-        return next_tensordict.set("told", told).set("observation", longer)
+        hint = next_tensordict["observation"][..., 0] * 0.1
+        longer = torch.cat((next_tensordict["observation"], hint[..., None]), -1)
+        return next_tensordict.set("hint", hint).set("observation", longer)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -33,7 +33,7 @@ class Tell(Transform):
         spec = observation_spec.clone()
         batch = spec.shape
         spec["observation"] = Unbounded((*batch, 3))
-        spec["told"] = Unbounded(batch)
+        spec["hint"] = Unbounded(batch)
         return spec
 
 
@@ -44,7 +44,7 @@ def make(num_envs: int, **arguments: float) -> FlowEnv:
 def act(env: FlowEnv, *actions: int) -> TensorDict:
     rows = env.batch_size
     return env.step(
-        TensorDict({"action": torch.tensor(actions), "told": torch.full(rows, 0.2)}, rows)
+        TensorDict({"action": torch.tensor(actions), "hint": torch.full(rows, 0.2)}, rows)
     )["next"]
 
 
@@ -123,7 +123,7 @@ def test_what_a_transform_says_reaches_the_command_and_the_stack() -> None:
     heading = env.base_env.now["heading"].clone()
     env.step(state.set("action", torch.tensor([0, 1])))
     turned = env.base_env.now["heading"] - heading
-    expected = torch.stack((torch.zeros(()), state["told"][1])).double()
+    expected = torch.stack((torch.zeros(()), state["hint"][1])).double()
     torch.testing.assert_close(turned, expected, rtol=0, atol=1e-12)
 
 

@@ -1,4 +1,4 @@
-"""The environment on the real flow: small and for few actions, so it is not honest physics."""
+"""The environment on the real flow: small and for few actions, so the physics is not accurate."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Kármán gait on the real flow: small and for few actions, so it is not honest physics."""
+"""Kármán gait on the real flow: small and for few actions, so the physics is not accurate."""
 
 from pathlib import Path
 
