@@ -8,7 +8,7 @@ function per boundary, which takes views of one edge and returns new values.
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import Enum
 from typing import ClassVar
 
@@ -229,11 +229,6 @@ class Boundaries:
         for a, b in (("left", "right"), ("bottom", "top")):
             if isinstance(getattr(self, a), Periodic) != isinstance(getattr(self, b), Periodic):
                 raise ValueError(f"{a} and {b} must both be Periodic or neither")
-
-    @property
-    def is_periodic(self) -> bool:
-        """Whether any edge is periodic."""
-        return any(isinstance(getattr(self, f.name), Periodic) for f in fields(self))
 
     def in_order(self) -> list[list[tuple[Side, Boundary]]]:
         """Return the edges in the order in which they are set; edges of one list at once."""

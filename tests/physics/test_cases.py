@@ -22,13 +22,3 @@ def test_poiseuille_profile_is_second_order(wall: Boundary) -> None:
     coarse, fine = (measure_poiseuille_error(n, boundaries) for n in (8, 16))
     assert log2(coarse / fine) > 1.9
     assert fine < 4e-3  # half-way bounce-back: 3.2e-3, it depends on tau and the flux rate
-
-
-def test_half_a_period_is_refused() -> None:
-    with pytest.raises(ValueError, match="left and right must both be Periodic"):
-        Boundaries(left=Periodic())
-
-
-def test_a_boundary_that_prescribes_nothing_is_refused() -> None:
-    with pytest.raises(ValueError, match="give velocity, density or both"):
-        NonEquilibrium()

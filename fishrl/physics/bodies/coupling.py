@@ -150,7 +150,6 @@ def solve_body_force(
                 for axis, answer in enumerate(freedom.respond(of)):
                     if answer is not None:
                         values[axis] = values[axis] + weight * answer
-    fx, fy = markers.mass * g[0], markers.mass * g[1]
     square = slip[0] * slip[0] + slip[1] * slip[1]
     updates = [
         _report(
@@ -158,7 +157,8 @@ def solve_body_force(
             geometry.markers[m],
             rates=walls.rates[m],
             lateral_velocity=geometry.deformations[m].lateral_velocity,
-            force=(fx[:, own], fy[:, own]),
+            mass=markers.mass[:, own],
+            g=(g[0][:, own], g[1][:, own]),
             square=square[:, own],
         )
         for m, own in enumerate(markers.own)
@@ -244,7 +244,8 @@ def _report(
     *,
     rates: Sequence[Tensor],
     lateral_velocity: Tensor,
-    force: tuple[Tensor, Tensor],
+    mass: Tensor,
+    g: tuple[Tensor, Tensor],
     square: Tensor,
 ) -> RigidUpdate:
     """Sum force, torque and power over the markers of one body.
@@ -254,13 +255,16 @@ def _report(
         markers: of the body.
         rates: its new (U_x, U_y, Omega).
         lateral_velocity: of its deformation in its own frame ``[B, N]``.
-        force: of each marker on the fluid (x, y), ``[B, N]``.
+        mass: of the fluid at its markers ``[B, N]``.
+        g: force per mass on the fluid at its markers (x, y), ``[B, N]``.
         square: of the remaining slip ``[B, N]``.
     """
-    dtype, (fx, fy) = square.dtype, force
+    dtype = square.dtype
     rx, ry = (arm.to(dtype) for arm in markers.arm.unbind(-1))
     ux, uy = markers.deformation_velocity.to(dtype).unbind(-1)
     cos, sin = (part.to(dtype)[:, None] for part in compute_axis(state))
+    across = lateral_velocity.to(dtype)
+    fx, fy = mass * g[0], mass * g[1]
     power = fx * ux + fy * uy
     return RigidUpdate(
         velocity=torch.stack((rates[0], rates[1]), -1),
@@ -270,7 +274,7 @@ def _report(
         torque=(rx * fy - ry * fx).sum(-1).double(),
         power=power.sum(-1).double(),
         positive_power=power.clamp_min(0.0).sum(-1).double(),
-        lateral_power=((cos * fy - sin * fx) * lateral_velocity.to(dtype)).sum(-1).double(),
+        lateral_power=((cos * fy - sin * fx) * across).sum(-1).double(),
     )
 
 

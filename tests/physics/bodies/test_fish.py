@@ -6,14 +6,7 @@ import pytest
 import torch
 
 from fishrl.physics.bodies.fish import Fish
-from fishrl.physics.bodies.gait import (
-    CARANGIFORM,
-    CARLING,
-    LONG_WAVE,
-    Beat,
-    Deformation,
-    Gait,
-)
+from fishrl.physics.bodies.gait import GAITS, Beat, Deformation, Gait
 from fishrl.physics.bodies.geometry import deform_body, locate_bodies, locate_markers, place_markers
 from fishrl.physics.bodies.midline import MidlineParams
 from fishrl.physics.bodies.motion import Bending, Commanded, Free, Motion, compute_turn_rate
@@ -32,7 +25,6 @@ from fishrl.physics.flow import (
 from fishrl.physics.step import step
 from fishrl.physics.units import Scales
 
-GAITS = {"carling": CARLING, "carangiform": CARANGIFORM, "long wave": LONG_WAVE}
 SCALES = Scales.from_budget(body_length=24, reynolds=800.0, max_wall_speed=0.1)
 STILL = Gait(amplitude=0.0, envelope=(0.0, 1.0, 0.0), wavenumber=1.0)
 

@@ -136,10 +136,12 @@ def test_in_place_step_equals_the_readable_step(changes: dict[str, object]) -> N
 
 
 @pytest.mark.compile
-def test_compiled_step_equals_the_readable_step() -> None:
+def test_compiled_step_equals_the_readable_step_and_repeats_bit_for_bit() -> None:
     config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
-    solver = make_solver(config, compile=True)
-    solver.advance_(120)
+    solver, twin = make_solver(config, compile=True), make_solver(config, compile=True)
+    for each in (solver, twin):
+        each.advance_(120)
+    assert torch.equal(solver.populations(), twin.populations())
     assert_equal_to_reference(solver, run_reference(config, 120))
 
 
@@ -280,12 +282,6 @@ def test_markers_of_a_flow_without_a_fish_are_refused() -> None:
         (lambda s: s.sample(torch.zeros(1, 5, 2)), r"shape \(1, 5, 2\): give \(3, P, 2\)"),
         (lambda s: s.reset_(torch.ones(2), STARTS, HEADINGS), r"bool tensor of shape \(3,\)"),
         (lambda s: s.load_state_dict({}), "state 'data' is nothing, expected torch.float32"),
-        (
-            lambda s: s.load_state_dict(
-                s.state_dict() | {"data": s.state_dict()["data"].to(torch.float16)}
-            ),
-            "state 'data' is torch.float16 of shape .*another grid, batch, storage",
-        ),
     ],
 )
 def test_wrong_calls_are_refused(call: object, message: str) -> None:
@@ -294,16 +290,15 @@ def test_wrong_calls_are_refused(call: object, message: str) -> None:
         call(solver)  # type: ignore[operator]
 
 
-@pytest.mark.parametrize(
-    ("bad", "message"),
-    [
-        ({"num_envs": 0}, "num_envs = 0: at least one flow"),
-        ({"num_workers": -1}, "num_workers = -1"),
-    ],
-)
-def test_an_impossible_batch_is_refused(bad: dict[str, int], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
+@pytest.mark.parametrize("bad", [{"num_envs": 0}, {"num_workers": -1}])
+def test_an_impossible_batch_is_refused(bad: dict[str, int]) -> None:
+    with pytest.raises(ValueError, match=next(iter(bad))):
         InPlaceSolver(**({"config": FlowConfig(width=32, height=32, tau=0.6), "num_envs": 1} | bad))
+
+
+def test_saved_states_keep_the_names_that_earlier_runs_wrote() -> None:
+    solver = make_solver(make_swimmer_config(SCALES, length_bl=4, height_bl=3))
+    assert "params.shapes[0].axial" in solver.state_dict()
 
 
 @pytest.mark.compile

@@ -1,0 +1,56 @@
+"""What a flow is made of: sponges, the stream's rise, and configurations that are refused."""
+
+import math
+from itertools import pairwise
+
+import pytest
+import torch
+
+from fishrl.physics import Boundaries, Cylinder, Fish, FlowConfig, NonEquilibrium, Sponge
+from fishrl.physics.flow import compute_stream_speed, make_params
+
+
+def test_a_sponge_raises_tau_smoothly_towards_its_edge_alone() -> None:
+    config = FlowConfig(width=40, height=10, tau=0.52, sponges=(Sponge(length=15, tau=1.0),))
+    tau = 1.0 / config.compute_omega(torch.tensor([0.52, 0.6]))
+    assert tau.shape == (2, 10, 40)
+    torch.testing.assert_close(tau[:, 3, -1], torch.ones(2).double())
+    torch.testing.assert_close(tau[0, :, :24], torch.full((10, 24), 0.52).double())
+    assert (tau[0, 0, 24:].diff() > 0).all()
+
+
+def test_the_stream_rises_smoothly_to_its_speed() -> None:
+    config = FlowConfig(width=8, height=8, tau=0.6, stream_speed=0.1, ramp_steps=100)
+    params = make_params([config])
+    speeds = [float(compute_stream_speed(params, torch.tensor([float(t)]))) for t in range(150)]
+    assert speeds[0] == 0.0 and speeds[50] == pytest.approx(0.05) and speeds[149] == 0.1
+    assert max(b - a for a, b in pairwise(speeds)) < 0.1 * math.pi / 200 * 1.01
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        ({"tau": 0.5}, "tau = 0.50000 lies outside the validated range"),
+        ({"width": 8.5}, "width = 8.5: .* whole number"),
+        ({"height": math.nan}, "height = nan: .* whole number"),
+        ({"stream_speed": math.nan}, "stream_speed = nan: give a finite"),
+        ({"ramp_steps": -1}, "ramp_steps = -1"),
+        ({"bodies": (Fish(body_length=70),)}, "does not fit into 128 x 64 nodes"),
+        (
+            {"bodies": (Cylinder(diameter=9), Fish(body_length=24))},
+            r"bodies = \['Cylinder', 'Fish'\]: a fish comes first",
+        ),
+        (
+            {"boundaries": Boundaries(left=NonEquilibrium(velocity=(0.5, 0.0)))},
+            "an edge imposes 0.500 nodes per step",
+        ),
+    ],
+)
+def test_a_flow_that_cannot_run_is_refused(bad: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        FlowConfig(**({"width": 128, "height": 64, "tau": 0.6} | bad))  # type: ignore[arg-type]
+
+
+def test_a_sponge_without_length_is_refused() -> None:
+    with pytest.raises(ValueError, match="length = 0"):
+        Sponge(length=0)
