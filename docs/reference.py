@@ -8,14 +8,16 @@ import inspect
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from hydra.utils import get_object
 from omegaconf import OmegaConf
 
-from experiments.config import SCHEMAS
-from experiments.search_path import CONF, list_groups
+from experiments.configuration import CONF
+from experiments.docstrings import read_arguments
+from experiments.program import Program, list_choices
 
 HEAD = """# Configuration reference
 
@@ -38,11 +40,12 @@ def write_reference(path: Path) -> None:
 
 def make_reference() -> str:
     """Return the page as Markdown."""
-    groups = list_groups()
+    groups = list_choices()
     said = "; ".join(f"`{name}=` {', '.join(f'`{o}`' for o in groups[name])}" for name in groups)
     parts = [HEAD.format(groups=said)]
-    for program, schema in SCHEMAS.items():
-        parts.append(f"## python -m experiments.{program}\n\n{describe(schema)}")
+    for name, program in list_programs().items():
+        schema = program.command_line.schema
+        parts.append(f"## python -m experiments.{name}\n\n{describe(schema)}")
     for group in groups:
         targets = sorted(set(_find_targets(group)))
         if targets:
@@ -54,10 +57,21 @@ def make_reference() -> str:
     return "\n".join(parts)
 
 
+def list_programs() -> dict[str, Program]:
+    """Return the programs of ``experiments`` by name, those with a task first."""
+    found: dict[str, Program] = {}
+    for path in sorted(CONF.parent.glob("*.py")):
+        if '__name__ == "__main__"' in path.read_text(encoding="utf-8"):
+            main = import_module(f"experiments.{path.stem}").main
+            if isinstance(main, Program):
+                found[path.stem] = main
+    return dict(sorted(found.items(), key=lambda item: not item[1].command_line.groups))
+
+
 def describe(kind: type) -> str:
     """Return what a class is and a table of its arguments."""
     summary = (inspect.getdoc(kind) or "").split("\n\n")[0].replace("\n", " ")
-    texts = _read_arguments(kind)
+    texts = read_arguments(kind)
     rows = ["| argument | type | default | what |", "|---|---|---|---|"]
     for name, parameter in inspect.signature(kind).parameters.items():
         type_name = _show_type(parameter.annotation)
@@ -80,29 +94,6 @@ def _walk(node: Any) -> Iterator[str]:
             yield node["_target_"]
         for value in node.values():
             yield from _walk(value)
-
-
-def _read_arguments(kind: type) -> dict[str, str]:
-    """Return what ``Args:`` of the class and of those it inherits from says, by name."""
-    texts: dict[str, str] = {}
-    for base in reversed(kind.__mro__):
-        if base.__doc__:
-            texts |= _parse(inspect.cleandoc(base.__doc__))
-    return texts
-
-
-def _parse(doc: str) -> dict[str, str]:
-    match = re.search(r"^Args:\n((?:(?: .*)?\n?)*)", doc, re.MULTILINE)
-    texts: dict[str, str] = {}
-    name = ""
-    for line in match.group(1).splitlines() if match else ():
-        begins = re.match(r" {4}(\w+): (.*)", line)
-        if begins:
-            name = begins.group(1)
-            texts[name] = begins.group(2)
-        elif name and line.strip():
-            texts[name] += " " + line.strip()
-    return texts
 
 
 def _show_type(annotation: Any) -> str:

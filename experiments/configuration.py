@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, make_dataclass
+from dataclasses import dataclass, field, fields, make_dataclass
 from difflib import SequenceMatcher
 from functools import cache, partial
 from pathlib import Path
@@ -124,7 +124,7 @@ class CommandLine:
         Raises:
             ValueError: see ``compose``.
         """
-        given = parse(override for override in overrides if "hydra" not in override)
+        given = parse(line for line in overrides if not line.startswith("hydra"))
         taken = {override.key_or_group.split(".", 1)[0] for override in given}
         if not self.is_training:
             config = OmegaConf.masked_copy(config, [*taken & set(config), *self.groups])
@@ -156,6 +156,9 @@ class CommandLine:
             return f"++{self.positional}='{escaped}'"
         if word.startswith(("~", "hydra")) or key in self.groups or "/" in key or "@" in key:
             return word
+        known = [entry.name for entry in fields(self.schema)]
+        if key.split(".", 1)[0] not in known:
+            raise unknown(key, known)
         return f"++{word.lstrip('+')}"
 
 
@@ -271,16 +274,21 @@ def explain(
     if isinstance(error.__cause__, MissingConfigException | OmegaConfBaseException):
         error = error.__cause__
     if isinstance(error, MissingConfigException) and error.options:
-        group, _, name = str(error.missing_cfg_file).rpartition("/")
-        return ValueError(f"{group}={name}: there is no {name!r}.{nearest(name, error.options)}")
+        name = str(error.missing_cfg_file).rpartition("/")[2]
+        return unknown(name, error.options)
     key = getattr(error, "full_key", None)
     if isinstance(error, ConfigKeyError) and key:
-        return ValueError(f"there is no {key!r}.{nearest(key, known)}")
+        return unknown(key, known)
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     if not key:
         return ValueError(" ".join(lines))
     value = None if config is None else OmegaConf.select(config, key)
     return ValueError(f"{key}={value}: {lines[0]}")
+
+
+def unknown(key: str, known: Iterable[str]) -> ValueError:
+    """Return the error for a key that there is not."""
+    return ValueError(f"there is no {key!r}.{nearest(key, known)}")
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

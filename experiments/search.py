@@ -1,27 +1,31 @@
-"""Search for good settings: ``python -m experiments.search runs/search 'gamma=interval(0.9,1)'``.
+"""Search for good settings with Optuna: ``python -m experiments.search folder=runs/search ...``.
 
-Optuna proposes values, each trial trains, as one of a sweep's jobs does, and the study lies in
-``study.db`` in the folder. The same command goes on with it, an interrupted or killed trial first;
-given several times at once, it searches with several processes.
+What is searched is written ``gamma=interval(0.9,1)``, ``learning_rate=tag(log,interval(a,b))``,
+``batch_size=int(interval(16,128))`` or ``hidden=choice([64],[64,64])``; other settings are those
+of every trial, as for ``experiments.train``. Each trial trains as a job of a sweep does. The study
+lies in ``study.db`` in the folder: the same command goes on with it, an interrupted or killed trial
+first; started several times at once, it searches with several processes.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import logging
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from experiments.command_line import plain_errors, set_up_logging, show_command
-from experiments.search_path import FOLDER
-from experiments.settings import ConfigError
+from hydra.core.override_parser.types import IntervalSweep
+
+from experiments.configuration import CommandLine, parse
+from experiments.program import Program, show_command
 from experiments.sweeps.ending import ending_runs
-from experiments.sweeps.runs import Run, read_run
+from experiments.sweeps.jobs import find_or_begin, quote, run_alone
+from experiments.sweeps.runs import read_run
+from experiments.train_settings import TRAINING
+from fishrl.bounds import bounded, check_bounds
 from fishrl.training.run_folder import HeldError, RunFolder
 
 logger = logging.getLogger(__name__)
@@ -29,158 +33,114 @@ logger = logging.getLogger(__name__)
 _LOOK_SECONDS = 0.5
 
 
-@dataclass(frozen=True, kw_only=True)
-class Search:
-    """What a study searches, and by what measure.
+@dataclass(kw_only=True)
+class SearchSettings:
+    """Settings of a search, beside those of its trainings.
 
     Args:
         folder: of the study and its runs.
-        overrides: ``key=value`` for every trial, and ``key=interval(low,high)``,
-            ``key=tag(log,interval(low,high))``, ``key=int(interval(low,high))`` or
-            ``key=choice(a,b)`` for what is searched.
-        metric: entry of summary.json.
+        trials: of the whole study, failed ones and those of other processes too.
         seeds: runs per trial, over which the metric is averaged.
-        is_minimized: the smaller, the better.
-
-    Raises:
-        ConfigError: for unknown settings, and if nothing is searched.
+        metric: entry of summary.json.
+        minimize: the smaller the metric, the better.
+        overrides: settings of the trainings; on the command line, whatever is none of the above.
     """
 
-    folder: Path
-    overrides: tuple[str, ...]
+    folder: str
+    trials: int = bounded(20, least=1)
+    seeds: int = bounded(1, least=1)
     metric: str = "mean_return"
-    seeds: int = 1
-    is_minimized: bool = False
+    minimize: bool = False
+    overrides: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be searched."""
-        if self.seeds < 1:
-            raise ConfigError(f"seeds = {self.seeds}: must be at least 1")
-        for override in self.parsed():
-            key = override.key_or_group
-            if key in ("seed", "name", "folder", "resume"):
-                raise ConfigError(f"{key}=...: the search sets it itself; leave it away")
-        if not self.space():
-            raise ConfigError(
-                "nothing to search: give one or more settings as key=interval(low,high), "
-                "key=tag(log,interval(low,high)), key=int(interval(low,high)) or key=choice(a,b)"
-            )
+        """Check the bounds, and that something is searched."""
+        check_bounds(self)
+        for override in parse(self.lines):
+            if override.key_or_group in ("seed", "name", "resume"):
+                raise ValueError(f"{override.key_or_group}: is set by the search; leave it out")
+        space = self.space()
+        if not space:
+            raise ValueError("nothing to search: give a setting as key=interval(low,high)")
+        TRAINING.compose([*self.fixed, *(f"{name}={_pick(space[name])}" for name in space)])
 
-    def parsed(self) -> list[Any]:
-        """Return the overrides, checked and parsed by hydra."""
-        from hydra.core.override_parser.overrides_parser import OverridesParser
+    @property
+    def lines(self) -> list[str]:
+        """The settings of the trainings, as hydra reads them."""
+        return [line for line in TRAINING.prepare(self.overrides) if not line.startswith("hydra")]
 
-        from experiments.config import check_overrides
-
-        checked = check_overrides("train", list(self.overrides), is_search=True)
-        return list(OverridesParser.create().parse_overrides(checked))
+    @property
+    def fixed(self) -> list[str]:
+        """The settings that every trial shares."""
+        searched = {o.input_line for o in parse(self.lines) if o.is_sweep_override()}
+        return [line for line in TRAINING.prepare(self.overrides) if line not in searched]
 
     def space(self) -> dict[str, Any]:
-        """Return what is searched: of each key, Optuna's distribution."""
-        from hydra.core.override_parser.types import IntervalSweep
-        from optuna.distributions import (
-            BaseDistribution,
-            CategoricalDistribution,
-            FloatDistribution,
-            IntDistribution,
-        )
-
-        space: dict[str, BaseDistribution] = {}
-        for override in self.parsed():
+        """Return Optuna's distribution of each setting that is searched."""
+        try:
+            from optuna.distributions import (
+                CategoricalDistribution,
+                FloatDistribution,
+                IntDistribution,
+            )
+        except ImportError as error:
+            raise ImportError("the search needs Optuna: pip install -e '.[sweep]'") from error
+        space: dict[str, Any] = {}
+        for override in parse(self.lines):
             if not override.is_sweep_override():
                 continue
             key, value = override.get_key_element(), override.value()
-            if isinstance(value, IntervalSweep):
-                low: Any = value.start
-                high: Any = value.end
-                is_log = "log" in value.tags
-                try:
-                    if isinstance(low, int) and isinstance(high, int):
-                        space[key] = IntDistribution(low, high, log=is_log)
-                    else:
-                        space[key] = FloatDistribution(float(low), float(high), log=is_log)
-                except ValueError as error:
-                    raise ConfigError(f"{override.input_line}: {error}") from error
-            else:
+            if not isinstance(value, IntervalSweep):
                 space[key] = CategoricalDistribution(list(override.sweep_string_iterator()))
+                continue
+            is_whole = isinstance(value.start, int) and isinstance(value.end, int)
+            kind: Any = IntDistribution if is_whole else FloatDistribution
+            space[key] = kind(value.start, value.end, log="log" in value.tags)
         return space
 
-    def fixed(self) -> list[str]:
-        """Return the overrides that every trial shares."""
-        return [
-            str(override.input_line)
-            for override in self.parsed()
-            if not override.is_sweep_override()
-        ]
 
-    def identity(self) -> str:
-        """Say what makes the trials of a study comparable."""
-        space = {key: str(distribution) for key, distribution in self.space().items()}
-        told = [self.fixed(), space, self.metric, self.seeds, self.is_minimized]
-        return json.dumps(told)
-
-
-def search(plan: Search, *, trials: int) -> Any:
-    """Run trials until the study has as many, those that were cut off first.
-
-    Args:
-        plan: the search.
-        trials: of the whole study, failed ones and those of other processes too.
+def search(settings: SearchSettings) -> Any:
+    """Run trials until the study has as many as wanted, those that were cut off first.
 
     Returns:
         Optuna's study.
 
     Raises:
-        ConfigError: if there is another search in the folder.
+        ValueError: if there is another search in the folder.
     """
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    plan.folder.mkdir(parents=True, exist_ok=True)
+    folder, space = Path(settings.folder), settings.space()
+    folder.mkdir(parents=True, exist_ok=True)
     study = optuna.create_study(
-        storage=f"sqlite:///{plan.folder.resolve() / 'study.db'}",
+        storage=f"sqlite:///{folder.resolve() / 'study.db'}",
         study_name="search",
-        direction="minimize" if plan.is_minimized else "maximize",
+        direction="minimize" if settings.minimize else "maximize",
         load_if_exists=True,
     )
-    if study.user_attrs.setdefault("identity", plan.identity()) != plan.identity():
-        raise ConfigError(
-            f"{plan.folder}: holds another search: {study.user_attrs['identity']}; take another "
-            "folder, or give the same settings again"
-        )
-    study.set_user_attr("identity", plan.identity())
+    ranges = {key: str(distribution) for key, distribution in space.items()}
+    identity = str([settings.fixed, ranges, settings.metric, settings.seeds, settings.minimize])
+    if study.user_attrs.get("identity", identity) != identity:
+        raise ValueError(f"{folder}: holds another search, {study.user_attrs['identity']}")
+    study.set_user_attr("identity", identity)
     for trial in study.get_trials(states=[optuna.trial.TrialState.RUNNING]):
-        _run_trial(plan, study, trial.number)
-    while len(study.trials) < trials:
-        new = study.ask()
+        run_trial(settings, study, trial.number)
+    while len(study.trials) < settings.trials:
         # Its own seed: a search that goes on, or has several processes, draws nothing twice.
-        study.sampler = optuna.samplers.TPESampler(seed=new.number)
+        study.sampler = optuna.samplers.TPESampler(seed=len(study.trials))
         try:
-            for name, distribution in plan.space().items():
-                _suggest(new, name, distribution)
+            run_trial(settings, study, study.ask(space).number)
         except optuna.exceptions.UpdateFinishedTrialError:
-            logger.info("trial %d: another search began meanwhile and gave it up", new.number)
-            continue
-        _run_trial(plan, study, new.number)
+            logger.info("another search began meanwhile and gave the new trial up")
     return study
 
 
-def _suggest(trial: Any, name: str, distribution: Any) -> None:
-    from optuna.distributions import CategoricalDistribution, IntDistribution
-
-    if isinstance(distribution, CategoricalDistribution):
-        trial.suggest_categorical(name, distribution.choices)
-        return
-    is_whole = isinstance(distribution, IntDistribution)
-    suggest = trial.suggest_int if is_whole else trial.suggest_float
-    suggest(name, distribution.low, distribution.high, log=distribution.log)
-
-
-def _run_trial(plan: Search, study: Any, number: int) -> None:
+def run_trial(settings: SearchSettings, study: Any, number: int) -> None:
     """Train as a trial says and tell the study, unless another process is at it or has done it."""
     from optuna.trial import TrialState
 
-    place = RunFolder(plan.folder / ".trials" / f"{number:04d}")
+    place = RunFolder(Path(settings.folder) / ".trials" / f"{number:04d}")
     place.path.mkdir(parents=True, exist_ok=True)
     try:
         lock = place.hold()
@@ -190,105 +150,82 @@ def _run_trial(plan: Search, study: Any, number: int) -> None:
         trial = study.trials[number]  # read anew: another process may just have finished it
         if trial.state != TrialState.RUNNING:
             return
-        if set(trial.params) != set(plan.space()):  # killed before it was begun
-            study.tell(number, state=TrialState.FAIL)
-            return
         chosen = [f"{key}={value}" for key, value in trial.params.items()]
-        logger.info("trial %d: %s", number, " ".join(chosen))
-        values = [_run_seed(plan, number, chosen, seed) for seed in range(plan.seeds)]
+        is_whole = set(trial.params) == set(settings.space())  # else killed before it was begun
+        seeds = range(settings.seeds) if is_whole else ()
+        values = [run_seed(settings, number, chosen, seed) for seed in seeds]
         known = [value for value in values if value is not None]
-        if len(known) < len(values):
+        if not values or len(known) < len(values):
             study.tell(number, state=TrialState.FAIL)
             return
-        value = sum(known) / len(known)
-        study.tell(number, value)
-        logger.info("trial %d: %s = %g", number, plan.metric, value)
+        study.tell(number, sum(known) / len(known))
+        logger.info("trial %d: %s: %g", number, " ".join(chosen), sum(known) / len(known))
 
 
-def _run_seed(plan: Search, number: int, chosen: Sequence[str], seed: int) -> float | None:
+def run_seed(
+    settings: SearchSettings, number: int, chosen: Sequence[str], seed: int
+) -> float | None:
     """Run one seed of a trial, or read its result; None if it failed."""
-    from experiments.config import load_config
-    from experiments.sweeps.jobs import find_or_begin, quote, run_alone
-
-    place = [f"seed={seed}", f"folder={quote(str(plan.folder))}"]
+    place = [f"seed={seed}", f"folder={quote(settings.folder)}"]
     name = f"trial_{number:04d}-seed_{seed}"
     try:
-        config = load_config("train", [*plan.fixed(), *chosen, *place])
-        run = _wait_for_others(find_or_begin(config, name=name).path)
+        config = TRAINING.read([*settings.fixed, *chosen, *place])
+        path = find_or_begin(config, name=name).path
     except ValueError as error:
         logger.info("%s: failed: %s", name, error)
         return None
+    while read_run(path).status == "running":  # as one that outlived its search
+        time.sleep(_LOOK_SECONDS)
+    run = read_run(path)
     if run.status != "finished":
-        run = run_alone(run.path, total_frames=config.total_frames)
+        run = run_alone(path, total_frames=config.total_frames)
     if run.status != "finished":
         logger.info("%s: %s: %s", name, run.status, run.reason)
         return None
-    if plan.metric not in run.summary:
+    if settings.metric not in run.summary:
         numbers = sorted(k for k, v in run.summary.items() if isinstance(v, int | float))
-        raise ConfigError(f"metric = {plan.metric}: not in {run.path}; there is {numbers}")
-    value = run.summary[plan.metric]
+        raise ValueError(f"metric = {settings.metric}: not in {path}; there is {numbers}")
+    value = run.summary[settings.metric]
     return None if value is None else float(value)
 
 
-def _wait_for_others(path: Path) -> Run:
-    """Read a run once no other process writes it, such as one that outlived its search."""
-    run = read_run(path)
-    if run.status == "running":
-        logger.info("%s: another process writes it, which is waited for", path)
-    while run.status == "running":
-        time.sleep(_LOOK_SECONDS)
-        run = read_run(path)
-    return run
+def _pick(distribution: Any) -> Any:
+    """Return some value of a distribution."""
+    return distribution.choices[0] if hasattr(distribution, "choices") else distribution.low
 
 
-def report(plan: Search, study: Any) -> None:
+def report(settings: SearchSettings, study: Any) -> None:
     """Print the best trials and what to do with them."""
     done = [trial for trial in study.trials if trial.value is not None]
-    print(f"\n{len(done)} of {len(study.trials)} trials finished in {plan.folder}")
-    for trial in sorted(done, key=lambda t: t.value, reverse=not plan.is_minimized)[:5]:
+    print(f"\n{len(done)} of {len(study.trials)} trials finished in {settings.folder}")
+    for trial in sorted(done, key=lambda t: t.value, reverse=not settings.minimize)[:5]:
         chosen = " ".join(f"{key}={value}" for key, value in trial.params.items())
-        print(f"  trial {trial.number:<4} {plan.metric} {trial.value:<12.6g} {chosen}")
-    print(f"table and curves: {show_command('experiments.summarize', str(plan.folder))}")
+        print(f"  trial {trial.number:<4} {settings.metric} {trial.value:<12.6g} {chosen}")
+    print(f"table and curves: {show_command('experiments.summarize', settings.folder)}")
 
 
-def main() -> None:
-    """Read the command line."""
-    parser = argparse.ArgumentParser(description="Search for good settings with Optuna.")
-    parser.add_argument("folder", type=Path, help="of the study; one that exists goes on")
-    parser.add_argument("overrides", nargs="+", help="key=value, or key=interval(low,high), ...")
-    parser.add_argument(
-        *FOLDER, action="append", default=[], metavar="FOLDER", help="with tasks of one's own"
-    )
-    parser.add_argument("--trials", type=int, default=20, help="of the whole study")
-    parser.add_argument("--seeds", type=int, default=1, help="runs per trial")
-    parser.add_argument("--metric", default="mean_return", help="entry of summary.json")
-    parser.add_argument("--minimize", action="store_true", help="the smaller, the better")
-    arguments = parser.parse_intermixed_args()
-    set_up_logging()
-    with plain_errors():
-        try:
-            import optuna  # noqa: F401 - here, so that its absence is said at once
-        except ImportError as error:
-            raise ImportError(
-                "the search needs the package optuna: pip install -e '.[sweep]'"
-            ) from error
-        if arguments.trials < 1:
-            raise ConfigError(f"trials = {arguments.trials}: must be at least 1")
-        folders = [f"--config-dir={folder}" for folder in arguments.config_dir]
-        plan = Search(
-            folder=arguments.folder,
-            overrides=(*folders, *arguments.overrides),
-            metric=arguments.metric,
-            seeds=arguments.seeds,
-            is_minimized=arguments.minimize,
-        )
-        try:
-            with ending_runs(plan.folder):
-                study = search(plan, trials=arguments.trials)
-            report(plan, study)
-        except KeyboardInterrupt:
-            sys.exit("interrupted; the same command goes on")
+class _Search(Program):
+    """Collects the settings of the trainings on its command line."""
 
+    def read(self, arguments: Sequence[str] = ()) -> Any:
+        """Return the settings of a command line."""
+        own = tuple(f"{name}=" for name in ("folder", "trials", "seeds", "metric", "minimize"))
+        words = [word for word in arguments if word.startswith(own)]
+        others = ",".join(quote(word) for word in arguments if not word.startswith(own))
+        return super().read([*words, f"overrides=[{others}]"])
+
+
+def run(settings: SearchSettings) -> None:
+    """Search, and print the best trials."""
+    try:
+        with ending_runs():
+            study = search(settings)
+    except KeyboardInterrupt:
+        sys.exit("interrupted; the same command goes on")
+    report(settings, study)
+
+
+main = _Search(run, CommandLine(schema=SearchSettings))
 
 if __name__ == "__main__":
     main()

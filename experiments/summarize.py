@@ -1,46 +1,31 @@
 """Turn a sweep folder into tables and curves: ``python -m experiments.summarize runs/sweep-...``.
 
 Runs that differ only in their seed are put together. Written into the folder: ``summary.md`` (mean,
-95 % confidence interval, interquartile mean, and what is to be rerun), ``summary.csv`` (the same
-for every number of the summaries), ``runs.csv`` (each run) and ``curves.png``.
+95 % confidence interval and interquartile mean of each group, differences between groups paired by
+seed, each run beside its baselines, and what is to be rerun), ``summary.csv`` (the same for every
+number of the summaries), ``runs.csv`` (each run) and ``curves.png``.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from shutil import copyfile
 
+from experiments.figures import read_metrics
+from experiments.pages import fill
 from experiments.program import program
-from experiments.sweeps.runs import advise, read_runs
-
-
-def summarize(folder: Path) -> str:
-    """Write tables and curves of a sweep into its folder.
-
-    Args:
-        folder: that holds the run folders.
-
-    Returns:
-        The text of ``summary.md``.
-
-    Raises:
-        ValueError: if there are no runs, or none that began.
-    """
-    from experiments.sweeps.curves import write_curves
-    from experiments.sweeps.groups import group_runs
-    from experiments.sweeps.tables import write_runs, write_statistics, write_table
-
-    runs = read_runs(folder)
-    groups = group_runs(runs)
-    if not groups:
-        raise ValueError(f"{folder}: no run has begun\n{advise(runs)}")
-    text = f"# {folder.resolve().name}\n\n{write_table(groups)}\n{advise(runs)}\n"
-    (folder / "summary.md").write_text(text, encoding="utf-8")
-    write_statistics(groups, folder / "summary.csv")
-    write_runs(groups, folder / "runs.csv")
-    if write_curves(groups, folder / "curves.png"):
-        text += f"\ncurves: {folder / 'curves.png'}\n"
-    return text
+from experiments.sweeps.curves import write_curves
+from experiments.sweeps.groups import group_runs
+from experiments.sweeps.runs import Run, advise, read_runs
+from experiments.sweeps.tables import (
+    describe_effort,
+    write_differences,
+    write_each,
+    write_groups,
+    write_runs,
+    write_statistics,
+)
 
 
 @dataclass(kw_only=True)
@@ -49,15 +34,68 @@ class SummarizeSettings:
 
     Args:
         folder: of a sweep, which holds the run folders.
+        page: Markdown file whose marked place ``summary`` takes the tables; pictures go into the
+            folder ``figures`` beside it: the curves under the name of the page, and those of the
+            first run that the page shows.
     """
 
     folder: str
+    page: str | None = None
+
+
+def summarize(folder: Path, *, page: Path | None = None) -> str:
+    """Write tables and curves of a sweep into its folder.
+
+    Args:
+        folder: that holds the run folders.
+        page: see ``SummarizeSettings``.
+
+    Returns:
+        The text of ``summary.md``.
+
+    Raises:
+        ValueError: if there are no runs, or none that began.
+    """
+    runs = [add_curve_mean(run) for run in read_runs(folder)]
+    groups = group_runs(runs)
+    if not groups:
+        raise ValueError(f"{folder}: no run has begun\n{advise(runs)}")
+    tables = [write_groups(groups)]
+    if any(group.finished for group in groups):
+        tables.append(f"{describe_effort(groups)}\n")
+        if len(groups) > 1:
+            tables.append(write_differences(groups))
+        tables.append(write_each(groups))
+    text = "\n".join(tables)
+    write_statistics(groups, folder / "summary.csv")
+    write_runs(groups, folder / "runs.csv")
+    has_curves = write_curves(groups, folder / "curves.png")
+    if page is not None:
+        fill(page, "summary", text)
+        figures, shown = page.parent / "figures", page.read_text(encoding="utf-8")
+        if has_curves:
+            copyfile(folder / "curves.png", figures / f"{page.stem}.png")
+        for picture in sorted(runs[0].path.iterdir()):
+            if f"figures/{picture.name}" in shown:
+                copyfile(picture, figures / picture.name)
+    text = f"# {folder.resolve().name}\n\n{text}\n{advise(runs)}\n"
+    (folder / "summary.md").write_text(text, encoding="utf-8")
+    return text + (f"\ncurves: {folder / 'curves.png'}\n" if has_curves else "")
+
+
+def add_curve_mean(run: Run) -> Run:
+    """Add the mean success rate over all evaluations of a training to the summary of a run."""
+    if not run.summary or not run.frames:
+        return run
+    _, rates = read_metrics(run.path / "metrics.csv")["eval/success_rate"]
+    return replace(run, summary={**run.summary, "curve_mean": float(rates.mean())})
 
 
 @program(SummarizeSettings, positional="folder")
 def main(settings: SummarizeSettings) -> None:
-    """Print the table."""
-    print(summarize(Path(settings.folder)))
+    """Print the tables."""
+    page = None if settings.page is None else Path(settings.page)
+    print(summarize(Path(settings.folder), page=page))
 
 
 if __name__ == "__main__":

@@ -6,32 +6,35 @@ is, unless ``total_frames`` makes it longer.
 
 from __future__ import annotations
 
-import logging
+import signal
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from experiments.config import build, to_plain
+from experiments.configuration import to_plain
+from experiments.figures.run_pictures import record_run
+from experiments.program import program, show_command
 from experiments.settings import TrainConfig
+from experiments.sweeps.jobs import sweep
 from experiments.sweeps.runs import read_run
+from experiments.train_settings import TRAINING, make_plan
 from fishrl.envs import make_env as make_real_env
 from fishrl.training.evaluation import fixed_starts
+from fishrl.training.interruption import Interrupted
 from fishrl.training.loop import Training
 from fishrl.training.observer import Observer
-from fishrl.training.plan import LEARNING, PARTS, RUN, Plan
+from fishrl.training.plan import LEARNING, PARTS, RUN
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, read_config
-from fishrl.training.runs import begin, complete, make_folder, reopen
-from fishrl.training.settings import LearningSettings, RunSettings
+from fishrl.training.runs import begin, complete, reopen
 from fishrl.training.summary import FINAL_SEED
 from fishrl.viewer import LiveView
 
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
-logger = logging.getLogger(__name__)
+#: When the program started, but for its imports.
+BEGAN = time.perf_counter()
 
 #: Settings that a resume sets for itself alone: whether to look on, and where things lie.
 _OF_THE_MOMENT = ("live", "recognition", "resume")
@@ -103,20 +106,6 @@ class RunObserver(Observer):
             self.live.close()
 
 
-def make_plan(config: TrainConfig) -> Plan:
-    """Return what a run with these settings is made from."""
-    plain = to_plain(config)
-    return Plan(
-        task=build(config.task),
-        algorithm=build(config.algorithm),
-        logger=build(config.logger),
-        learning=LearningSettings(**{name: plain[name] for name in LEARNING}),
-        run=RunSettings(**{name: plain[name] for name in RUN}),
-        preset=config.preset,
-        extra={n: v for n, v in plain.items() if n not in (*LEARNING, *RUN, *PARTS, "resume")},
-    )
-
-
 def set_up(
     config: TrainConfig,
     *,
@@ -140,11 +129,6 @@ def set_up(
     return reopen(config.resume, modules=modules, **given, **changes)
 
 
-def begin_run(config: TrainConfig, folder: RunFolder) -> RunFolder:
-    """Write into a new folder all that its run needs; ``resume=<folder>`` then starts it."""
-    return make_folder(make_plan(config), recognition=config.recognition, folder=folder)[0]
-
-
 def is_over(config: TrainConfig) -> bool:
     """Tell whether a resumed run is finished, and nothing more is asked of it."""
     run, asked = read_run(Path(str(config.resume)).expanduser()), to_plain(config)
@@ -163,8 +147,6 @@ def finish(training: Training) -> dict[str, Any]:
 
 def draw(training: Training, config: TrainConfig, summary: Mapping[str, Any]) -> None:
     """Record the learned policy from some of the fixed starts and draw the pictures of the run."""
-    from experiments.figures.run_pictures import record_run
-
     progress = training.progress
     starts = fixed_starts(training.task, config.final_episodes, seed=FINAL_SEED)
     starts = starts[: config.picture_episodes]
@@ -182,8 +164,6 @@ def draw(training: Training, config: TrainConfig, summary: Mapping[str, Any]) ->
 
 def report(summary: dict[str, Any], *, folder: Path) -> None:
     """Print the table of all fish, where the files lie, and how to look at it."""
-    from experiments.command_line import show_command
-
     word = summary["success"]
     print(f"\n{'fish':<12}{word:>14}{'mean return':>14}{'mean duration':>16}{f'until {word}':>18}")
     for name in ("learned", *summary["baselines"]):
@@ -204,41 +184,33 @@ def report(summary: dict[str, Any], *, folder: Path) -> None:
     print(f"see it swim: {show_command('experiments.view', shown)}")
 
 
-def main() -> None:
-    """Read the command line; show the bar before the slow imports."""
-    began = time.perf_counter()
+@contextmanager
+def resumable(training: Training) -> Iterator[None]:
+    """Save and print how to go on if the program is interrupted, or cannot write any more."""
+    hint = f"go on with: {show_command('experiments.train', f'resume={training.folder.path}')}"
+    try:
+        with training.interruption:
+            yield
+    except Interrupted as end:
+        print(f"{end}: saved at frame {training.counters.frames}; {hint}", file=sys.stderr)
+        sys.exit(128 + end.number)
+    except KeyboardInterrupt:
+        print(f"interrupted; {hint}", file=sys.stderr)
+        sys.exit(128 + signal.SIGINT)
+    except OSError as error:
+        sys.exit(f"error: {error}\n{hint}")
+
+
+@program(TRAINING, sweep=sweep)
+def main(settings: TrainConfig) -> None:
+    """Train, or go on with a run."""
+    if settings.resume and is_over(settings):
+        print(f"{settings.resume}: already finished; total_frames=... makes it longer")
+        return
     with Progress() as progress:
-        import hydra
-
-        from experiments.command_line import (
-            plain_errors,
-            read_arguments,
-            resumable,
-            set_up_logging,
-            training_settings,
-        )
-        from experiments.config import CONF
-        from experiments.sweeps.jobs import is_sweep, run_job, sweep
-
-        set_up_logging()
-        sys.argv[1:] = read_arguments("train", sys.argv[1:])
-
-        def run(config: DictConfig) -> None:
-            with plain_errors():
-                settings = training_settings(config)
-                if settings.resume and is_over(settings):
-                    progress.close()
-                    print(f"{settings.resume}: already finished; total_frames=... makes it longer")
-                    return
-                training = set_up(settings, progress=progress, began=began)
-                with resumable(training):
-                    finish(training)
-
-        decorate = hydra.main(config_path=str(CONF), config_name="train", version_base="1.3")
-        if not is_sweep(sys.argv[1:]):
-            decorate(run)()
-            return
-    sweep(decorate(run_job))
+        training = set_up(settings, progress=progress, began=BEGAN)
+        with resumable(training):
+            finish(training)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Ending a sweep or a search when it is told to: its runs save first, whoever launched them."""
+"""Ending a sweep or a search: the runs below it save first, whoever launched them."""
 
 from __future__ import annotations
 
@@ -12,67 +12,49 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
-from experiments.sweeps.runs import find_writers
 from fishrl.training.interruption import SIGNALS
 
 logger = logging.getLogger(__name__)
 
-#: Exit codes of a training that was told to end; it has said how to go on.
-TOLD_CODES = tuple(128 + number for number in SIGNALS)
-#: After which a run that still does not end is left to whoever launched it.
+#: Exit codes of a training that saved because of a signal.
+END_CODES = tuple(128 + number for number in SIGNALS)
+#: After which a run that has not ended is left alone.
 SAVE_SECONDS = 600.0
 _LOOK_SECONDS = 0.1
 
 
-class Terminated(KeyboardInterrupt):
-    """The program was told to end, and the runs below it have ended.
-
-    Args:
-        number: of the signal.
-        told: process ids of these runs.
-    """
-
-    def __init__(self, number: int, told: set[int]) -> None:
-        super().__init__(signal.Signals(number).name)
-        self.number, self.told = number, told
-
-
 @contextmanager
-def ending_runs(folder: Path) -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM end the runs below this process first, and then what is inside.
+def ending_runs() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM end the trainings below this process first, and then what is inside.
 
-    A launcher may kill its processes where it is interrupted, so they are waited for before.
-    Ctrl-C in a terminal is heard by the runs too, another signal may be told to this process
-    alone; a run that is told twice at once takes it as one, see ``Interruption``. A second signal
-    is passed on, and ends them at once.
-
-    Args:
-        folder: where the run folders lie.
+    A launcher may kill its processes where it is interrupted, so the trainings save before. Ctrl-C
+    in a terminal reaches them too, another signal may reach this process alone; a training takes
+    two signals at once as one. A second signal is passed on, and ends them at once.
 
     Raises:
-        Terminated: inside, when they have ended.
+        KeyboardInterrupt: inside, when they have ended.
     """
-    told: set[int] = set()
+    sent: set[int] = set()
     is_ending = False
 
-    def hear(number: int, frame: FrameType | None) -> None:
+    def pass_on(number: int, frame: FrameType | None) -> None:
         nonlocal is_ending
-        told.clear()  # the loop below, which this may have interrupted, tells everyone anew
+        sent.clear()  # the loop below, which this may have interrupted, signals all anew
         if is_ending:
             return
         is_ending = True
         name = signal.Signals(number).name
-        logger.warning("%s: waiting for what runs to save; a second signal ends it at once", name)
-        heard, end = set(), time.monotonic() + SAVE_SECONDS
-        while (below := _find_below(folder)) and time.monotonic() < end:
-            for process in below - told:
-                _tell(process, number)
-            told.update(below)
-            heard |= below
+        logger.warning("%s: waiting for the runs to save; a second one ends them at once", name)
+        end = time.monotonic() + SAVE_SECONDS
+        while (running := find_trainings()) and time.monotonic() < end:
+            for process in running - sent:
+                with suppress(ProcessLookupError):
+                    os.kill(process, number)
+            sent.update(running)
             time.sleep(_LOOK_SECONDS)
-        raise Terminated(number, heard)
+        raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, hear) for number in SIGNALS}
+    before = {number: signal.signal(number, pass_on) for number in SIGNALS}
     try:
         yield
     finally:
@@ -81,31 +63,31 @@ def ending_runs(folder: Path) -> Iterator[None]:
 
 
 def leave_ending_to_sweep() -> None:
-    """Let no signal end a process that joblib made for the jobs of a sweep.
+    """Ignore signals in a process that joblib made for the jobs of a sweep.
 
     joblib kills all of them, and the runs below, where one ends: the sweep has the runs save first.
-    In other processes nothing is changed.
     """
     if multiprocessing.parent_process() is not None:
         for number in SIGNALS:  # no SIG_IGN, which the runs would inherit
             signal.signal(number, lambda number, frame: None)
 
 
-def _tell(process: int, number: int) -> None:
-    with suppress(ProcessLookupError):
-        os.kill(process, number)
+def find_trainings() -> set[int]:
+    """Return the trainings that descend from this process; on Linux only."""
+    parents: dict[int, int] = {}
+    found = set()
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # it has ended
+            status = (folder / "stat").read_text(encoding="utf-8", errors="replace")
+            state, parent = status.rpartition(")")[2].split()[:2]  # behind the name
+            parents[int(folder.name)] = int(parent)
+            command = (folder / "cmdline").read_bytes()
+            if b"experiments.train" in command and b"resume=" in command and state != "Z":
+                found.add(int(folder.name))
 
+    def descends(process: int) -> bool:
+        while process in parents and process != os.getpid():
+            process = parents[process]
+        return process == os.getpid()
 
-def _find_below(folder: Path) -> set[int]:
-    """Return the processes that write a run in a folder and descend from this one."""
-    return {process for process in find_writers(folder) if _descends(process, os.getpid())}
-
-
-def _descends(process: int, ancestor: int) -> bool:
-    try:
-        while process > 1 and process != ancestor:
-            status = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")
-            process = int(status.rpartition(")")[2].split()[1])  # behind name and state: the parent
-    except OSError:  # it has ended
-        return False
-    return process == ancestor
+    return {process for process in found if descends(process) and process != os.getpid()}

@@ -49,10 +49,16 @@ class Group:
         """The runs that count in the tables."""
         return [run for run in self.seeds if run.status == "finished"]
 
+    def by_seed(self, name: str) -> dict[Any, float]:
+        """Return an entry of the summaries of the finished runs by seed, where it is a number."""
+        values: dict[Any, Any] = {
+            run.config.get("seed"): run.summary.get(name) for run in self.finished
+        }
+        return {seed: float(value) for seed, value in values.items() if _is_number(value)}
+
     def numbers(self, name: str) -> list[float]:
         """Return an entry of the summaries of the finished runs, where it is a number."""
-        values: list[Any] = [run.summary.get(name) for run in self.finished]
-        return [float(value) for value in values if _is_number(value)]
+        return list(self.by_seed(name).values())
 
 
 def group_runs(runs: Sequence[Run]) -> list[Group]:

@@ -1,6 +1,6 @@
 """The jobs of a sweep: each a run in a process of its own, in one sweep folder.
 
-What kills a job kills nothing else, whatever launches it, and a job is started exactly as it is
+A job that dies leaves the others alone, whatever launches it, and is started exactly as it is
 rerun alone: ``python -m experiments.train resume=<run folder>``.
 """
 
@@ -9,94 +9,116 @@ from __future__ import annotations
 import filecmp
 import hashlib
 import logging
+import os
 import re
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
-from itertools import product
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-from experiments.settings import ConfigError
-from experiments.sweeps.ending import (
-    TOLD_CODES,
-    Terminated,
-    ending_runs,
-    leave_ending_to_sweep,
-)
+import hydra
+from hydra import initialize_config_dir
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Quote, QuotedString
+from omegaconf import DictConfig
+
+from experiments.configuration import CONF, PRIMARY, parse, to_plain
+from experiments.program import set_up_logging, show_command
+from experiments.settings import TrainConfig
+from experiments.sweeps.ending import END_CODES, ending_runs, leave_ending_to_sweep
 from experiments.sweeps.runs import HARMLESS, Run, advise, count_frames, list_runs, read_run
+from experiments.train_settings import TRAINING, begin_run
 from fishrl.training.aliases import update_names
 from fishrl.training.progress import Progress
-from fishrl.training.run_folder import RunFolder
-
-if TYPE_CHECKING:
-    from omegaconf import DictConfig
-
-    from experiments.settings import TrainConfig
+from fishrl.training.run_folder import RunFolder, read_config
 
 logger = logging.getLogger(__name__)
 
-#: Longest name of a run folder before a number stands in for the rest.
+#: Longest name of a run folder before a hash stands in for the rest.
 LONGEST_NAME = 100
 _LOOK_SECONDS = 0.5
 
 
-def is_sweep(arguments: Sequence[str]) -> bool:
-    """Tell whether a command line asks for a sweep."""
-    return bool({"--multirun", "-m", "hydra.mode=MULTIRUN"} & set(arguments))
-
-
-def sweep_arguments(arguments: Sequence[str]) -> tuple[list[str], Path]:
-    """Complete the checked command line of a sweep.
+def sweep(arguments: Sequence[str]) -> None:
+    """Run a sweep, report on its runs, and end the program with 1 unless all are finished.
 
     Args:
-        arguments: of ``experiments.train``, checked.
-
-    Returns:
-        The command line, which names the sweep's folder and what its jobs have in common; and the
-        folder.
+        arguments: of ``experiments.train``, with ``--multirun``.
 
     Raises:
-        ConfigError: for settings that every run of a sweep needs for itself.
+        ValueError: for settings of any job that cannot be.
     """
-    from hydra.core.override_parser.overrides_parser import OverridesParser
+    overrides = TRAINING.prepare(arguments)
+    folder, same = read_common(overrides)
+    planned = [name_job(job, same=same) for job in list_jobs(overrides)]
+    own = [
+        f"++folder={quote(str(folder))}",
+        f"hydra.sweep.dir={quote(str(folder))}",
+        "hydra.sweep.subdir=.",
+        f"hydra.job.config.override_dirname.exclude_keys=[{','.join(same)}]",
+    ]
+    sys.argv[1:] = ["--multirun", *overrides, *own]
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # let hydra raise its errors
+    is_cut_off = False
+    try:
+        with ending_runs():
+            hydra.main(version_base="1.3", config_path=str(CONF), config_name=PRIMARY)(run_job)()
+    except KeyboardInterrupt:
+        is_cut_off = True
+        print("\ninterrupted; the same command with the same folder=... goes on", file=sys.stderr)
+    runs = [read_run(path) for path in list_runs(folder)]
+    if runs:
+        print(f"\n{folder}: {advise(runs, planned=planned)}")
+        print(f"table and curves: {show_command('experiments.summarize', str(folder))}")
+    sys.exit(is_cut_off or any(run.status != "finished" for run in runs))
 
-    from experiments.search_path import split_arguments
 
-    _, lines = split_arguments(arguments)
-    overrides = OverridesParser.create().parse_overrides(lines)
-    folder = f"runs/sweep-{time.strftime('%Y%m%d-%H%M%S')}"
+def read_common(overrides: Sequence[str]) -> tuple[Path, list[str]]:
+    """Return the folder of a sweep, and the settings that its jobs have in common.
+
+    Raises:
+        ValueError: for settings that every job needs for itself.
+    """
+    folder = Path("runs") / f"sweep-{time.strftime('%Y%m%d-%H%M%S')}"
     same = ["folder"]
-    for override in overrides:
+    for override in parse(line for line in overrides if not line.startswith("hydra")):
         key = override.key_or_group
-        if key in ("name", "resume"):
-            raise ConfigError(
-                f"{key}=...: the runs of a sweep are named after what differs, and go on when the "
-                "same command is given again; leave it away"
+        if key in ("name", "resume") or (key == "folder" and override.is_sweep_override()):
+            raise ValueError(
+                f"{key}: the runs of a sweep lie in one folder=..., are named after what differs, "
+                "and go on when the same command is given again"
             )
         if key == "folder":
-            if override.is_sweep_override():
-                raise ConfigError("folder=...: a sweep has one folder; give a single one")
-            folder = str(override.value())
+            folder = Path(str(override.value())).expanduser()
         elif not override.is_sweep_override():
             same.append(key)
-    result = [argument for argument in arguments if not argument.startswith("folder=")]
-    result.append(f"folder={quote(folder)}")
-    result.append(f"hydra.job.config.override_dirname.exclude_keys=[{','.join(same)}]")
-    return result, Path(folder)
+    return folder, same
 
 
-def quote(value: str) -> str:
-    """Write words as a value that hydra reads as they are."""
-    from hydra.core.override_parser.types import Quote, QuotedString
+def list_jobs(overrides: Sequence[str]) -> list[list[str]]:
+    """Return the overrides of each job, checked once for all seeds.
 
-    return QuotedString(value, Quote.single).with_quotes()
+    Raises:
+        ValueError: for settings of any job that cannot be.
+    """
+    options = [line for line in overrides if line.startswith("hydra")]
+    settings = [line for line in overrides if not line.startswith("hydra")]
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        loader = GlobalHydra.instance().config_loader()
+        parsed = OverridesParser.create(config_loader=loader).parse_overrides(settings)
+        (jobs,) = BasicSweeper.split_arguments(parsed, None)
+    for job in {tuple(line for line in job if not line.startswith("++seed=")) for job in jobs}:
+        TRAINING.read([*options, *job])
+    return [list(job) for job in jobs]
 
 
 def name_job(overrides: Sequence[str], *, same: Sequence[str] = ()) -> str:
-    """Name a run after what tells it from the others of its sweep.
+    """Name a run after what distinguishes it from the others of its sweep.
 
     Args:
         overrides: of the job, ``key=value`` each.
@@ -115,47 +137,29 @@ def name_job(overrides: Sequence[str], *, same: Sequence[str] = ()) -> str:
     return name
 
 
-def name_jobs(arguments: Sequence[str]) -> list[str]:
-    """Name the runs of a sweep in their order; none where hydra alone can list them (``glob(*)``).
-
-    Args:
-        arguments: as ``sweep_arguments`` completes them.
-    """
-    from hydra.core.override_parser.overrides_parser import OverridesParser
-    from hydra.core.override_parser.types import Glob
-
-    from experiments.search_path import split_arguments
-
-    _, lines = split_arguments(arguments)
-    overrides = OverridesParser.create().parse_overrides(lines)
-    swept = [override for override in overrides if override.is_sweep_override()]
-    if any(isinstance(o.value(), Glob) or not o.is_discrete_sweep() for o in swept):
-        return []
-    values = [[f"{o.get_key_element()}={v}" for v in o.sweep_string_iterator()] for o in swept]
-    return [name_job(job) for job in product(*values)]
+def quote(value: str) -> str:
+    """Write a value so that hydra reads it as it is."""
+    return QuotedString(value, Quote.single).with_quotes()
 
 
 def run_job(config: DictConfig) -> None:
     """Run one job of a sweep; hydra's launchers call this, maybe in other processes.
 
     A job that is over is left alone, an unfinished one goes on. A failure is written into the run's
-    folder, where ``experiments.summarize`` finds it, and is none of the other jobs' business.
+    folder, where ``experiments.summarize`` finds it, and leaves the other jobs alone.
     """
-    from hydra.core.hydra_config import HydraConfig
-
-    from experiments.command_line import set_up_logging, training_settings
-
     set_up_logging()
     leave_ending_to_sweep()
-    hydra = HydraConfig.get()
-    name = name_job(hydra.overrides.task, same=list(hydra.job.config.override_dirname.exclude_keys))
+    options = HydraConfig.get()
+    same = list(options.job.config.override_dirname.exclude_keys)
+    name = name_job(options.overrides.task, same=same)
     try:
-        settings = training_settings(config)
+        settings = TRAINING.make(TRAINING.check(config, options.overrides.task))
         folder = find_or_begin(settings, name=name)
     except ValueError as error:
         path = Path(str(config.folder)) / name
         path.mkdir(parents=True, exist_ok=True)
-        (path / "failure.txt").write_text(f"{error}\n", encoding="utf-8")
+        RunFolder(path).failure.write_text(f"{error}\n", encoding="utf-8")
         logger.info("%s: failed: %s", name, error)
         return
     run = read_run(folder.path)
@@ -174,52 +178,36 @@ def find_or_begin(config: TrainConfig, *, name: str) -> RunFolder:
     Raises:
         ValueError: if it cannot be written.
     """
-    from experiments.train import begin_run
-
     config.name = name
     number = 1
     while True:
         path = Path(config.folder).expanduser() / (name if number == 1 else f"{name}-{number}")
+        folder = RunFolder(path)
         if not path.exists():
             return begin_run(config, RunFolder.create(parent=config.folder, name=name))
-        if (path / "config.yaml").is_file():
-            if find_difference(config, path) is None:
-                return RunFolder(path).checked()
-        elif (path / "failure.txt").is_file():  # it never began
-            (path / "failure.txt").unlink()
-            return begin_run(config, RunFolder(path).checked())
+        if folder.config.is_file():
+            if is_same(config, folder):
+                return folder.checked()
+        elif folder.failure.is_file():  # it never began
+            folder.failure.unlink()
+            return begin_run(config, folder.checked())
         number += 1
 
 
-def find_difference(config: TrainConfig, path: Path) -> tuple[str, Any, Any] | None:
-    """Compare settings with those of the run in a folder, wherever its machine lies.
-
-    Args:
-        config: the settings.
-        path: of the folder.
-
-    Returns:
-        A setting that differs and is not among the harmless ones, its value there and here; None
-        if there is none.
-    """
-    from omegaconf import OmegaConf
-
-    from experiments.config import to_plain
-
-    stored = update_names(OmegaConf.to_container(OmegaConf.load(path / "config.yaml")))
+def is_same(config: TrainConfig, folder: RunFolder) -> bool:
+    """Tell whether a run has these settings; harmless ones and the classifier's place aside."""
+    stored = update_names(read_config(folder.config))
     wanted = update_names(to_plain(config))
-    own, given = RunFolder(path).classifier, Path(wanted["recognition"] or "").expanduser()
+    own, given = folder.classifier, Path(wanted["recognition"] or "").expanduser()
     if own.is_file() and given.is_file():
         is_equal = filecmp.cmp(own, given, shallow=False)
         stored["recognition"] = wanted["recognition"] if is_equal else str(own)
-    for name in wanted | stored:
-        if name not in HARMLESS and stored.get(name) != wanted.get(name):
-            return name, stored.get(name), wanted.get(name)
-    return None
+    names = (wanted | stored).keys() - set(HARMLESS)
+    return all(stored.get(name) == wanted.get(name) for name in names)
 
 
 def run_alone(path: Path, *, total_frames: int, progress: Progress | None = None) -> Run:
-    """Begin a run, or go on with it, in a process of its own; wait for it and say how it fared.
+    """Begin a run, or go on with it, in a process of its own, and wait for it.
 
     What it prints goes to ``output.log`` in its folder.
 
@@ -236,52 +224,15 @@ def run_alone(path: Path, *, total_frames: int, progress: Progress | None = None
     ):
         done = count_frames(path)
         bar.start(path.name, total=total_frames, done=done)
-        try:
-            while child.poll() is None:
-                time.sleep(_LOOK_SECONDS)
-                before, done = done, max(done, count_frames(path))
-                bar.advance(done - before)
-        except Terminated as end:
-            if child.pid not in end.told:  # it has hardly begun; else it saves, and is waited for
-                child.send_signal(end.number)
-            raise
+        while child.poll() is None:
+            time.sleep(_LOOK_SECONDS)
+            before, done = done, max(done, count_frames(path))
+            bar.advance(done - before)
         bar.advance(max(0, count_frames(path) - done))
     run = read_run(path)
-    if run.status == "stopped" and child.returncode not in TOLD_CODES:
-        (path / "failure.txt").write_text(f"{_say_end(child.returncode)}\n", encoding="utf-8")
+    if run.status == "stopped" and child.returncode not in END_CODES:
+        code = child.returncode
+        reason = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+        RunFolder(path).failure.write_text(f"{reason}; see output.log\n", encoding="utf-8")
         run = read_run(path)
     return run
-
-
-def sweep(launch: Callable[[], Any]) -> None:
-    """Run a sweep, say how its runs fared, and end the program with 1 unless all are finished.
-
-    Args:
-        launch: hydra's program around ``run_job``, which reads the command line.
-    """
-    from experiments.command_line import plain_errors, show_command
-
-    with plain_errors():
-        sys.argv[1:], folder = sweep_arguments(sys.argv[1:])
-    folder, planned = folder.expanduser(), name_jobs(sys.argv[1:])
-    runs: list[Run] = []
-    is_cut_off = False
-    try:
-        with ending_runs(folder):
-            launch()
-    except KeyboardInterrupt:
-        is_cut_off = True
-        print("\ninterrupted; the same command with the same folder=... goes on", file=sys.stderr)
-    finally:
-        runs = [read_run(path) for path in list_runs(folder)]
-        if runs:
-            print(f"\n{folder}: {advise(runs, planned=planned)}")
-            print(f"table and curves: {show_command('experiments.summarize', str(folder))}")
-    sys.exit(is_cut_off or any(run.status != "finished" for run in runs))
-
-
-def _say_end(code: int) -> str:
-    """Say what a process ended with that left no word."""
-    if code < 0:
-        return f"killed by {signal.Signals(-code).name}"
-    return f"ended with exit code {code}; see output.log"

@@ -5,9 +5,6 @@ from __future__ import annotations
 import csv
 import fcntl
 import json
-import os
-import struct
-import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -15,7 +12,7 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from experiments.command_line import show_command
+from experiments.program import show_command
 from experiments.settings import ViewerSettings
 from fishrl.training.aliases import update_names
 from fishrl.training.run_folder import RunFolder
@@ -27,8 +24,6 @@ HARMLESS = (
     *("folder", "name", "resume", "log_frames", "checkpoint_frames", "keep_checkpoints"),
     *("baselines", "picture_episodes"),
 )
-#: Linux' ``struct flock``: type, whence, start, length, process.
-_FLOCK = "hhqqi"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,27 +136,6 @@ def is_held(path: Path) -> bool:
         except OSError:  # a file system without locks
             return False
     return False
-
-
-def find_writers(folder: Path) -> set[int]:
-    """Return the processes that write the runs in a folder: on this machine, and on Linux only."""
-    return {writer for path in list_runs(folder) if (writer := _find_writer(path)) is not None}
-
-
-def _find_writer(path: Path) -> int | None:
-    """Return who holds a run; unlike ``is_held``, take no lock in its way."""
-    lock = RunFolder(path).lock
-    if sys.platform != "linux" or not lock.is_file():
-        return None
-    wanted = struct.pack(_FLOCK, fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0)
-    with lock.open() as file:
-        try:
-            answer = fcntl.fcntl(file, fcntl.F_GETLK, wanted)
-        except OSError:  # a file system without locks
-            return None
-    kind, _, _, _, process = struct.unpack(_FLOCK, answer)
-    # not above 0 where it is on another machine, or hidden from this one
-    return int(process) if kind != fcntl.F_UNLCK and process > 0 else None
 
 
 def advise(runs: Iterable[Run], *, planned: Iterable[str] = ()) -> str:

@@ -5,41 +5,93 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
+from experiments.pages import write_table
 from experiments.statistics import Statistic
 from experiments.sweeps.groups import Group, number_names
-from experiments.sweeps.runs import Run
 
-#: Of every group: heading, entry of summary.json, format.
+#: Heading, entry of a run's summary, format.
 COLUMNS = (
     ("success", "success_rate", ".1%"),
     ("return", "mean_return", ".2f"),
+    ("learning curve", "curve_mean", ".3f"),
     ("duration, T", "mean_length_T", ".1f"),
-    ("minutes", "wall_seconds", ".1f"),
 )
+#: What groups are compared by, seed by seed.
+COMPARED = COLUMNS[:3]
 
 
-def write_table(groups: Sequence[Group]) -> str:
-    """Return a Markdown table: a row per group, each number as mean ± 95 % CI and IQM."""
-    keys = list(groups[0].settings)
-    heads = [*(f"`{key}`" for key in keys), "seeds"]
-    for head, name, _ in COLUMNS:
-        heads += [head] if name == "wall_seconds" else [f"{head}: mean ± 95 % CI", "IQM"]
-    lines = [_row(heads), "|---" * len(heads) + "|"]
+def write_groups(groups: Sequence[Group]) -> str:
+    """Return a Markdown table with a row per group: mean ± 95 % interval, and interquartile mean.
+
+    ``learning curve`` is the mean success rate over all evaluations of a training: the earlier a
+    policy succeeds, the greater.
+    """
+    heads = [*(f"`{key}`" for key in groups[0].settings), "seeds"]
+    for head, _, _ in COLUMNS:
+        heads += [f"{head}: mean ± 95 % CI", "IQM"]
+    rows = []
     for group in groups:
         finished, begun = len(group.finished), len(group.seeds)
         count = str(finished) if finished == begun else f"{finished}/{begun}"
-        cells = [*group.settings.values(), count]
+        row = [*group.settings.values(), count]
         for _, name, form in COLUMNS:
             found = Statistic.of(group.numbers(name))
-            if name == "wall_seconds":
-                cells.append(_show(found.mean / 60.0, form))
-                continue
-            mean, half = _show(found.mean, form), _show(found.half_width, form)
-            cells += [mean if half == "–" else f"{mean} ± {half}", _show(found.iqm, form)]
-        lines.append(_row(cells))
-    return "\n".join(lines) + "\n"
+            row += [found.show(form), "–" if found.iqm != found.iqm else format(found.iqm, form)]
+        rows.append([*row, _minutes(group)])
+    return write_table([*heads, "minutes"], rows)
+
+
+def _minutes(group: Group) -> str:
+    return Statistic.of([seconds / 60.0 for seconds in group.numbers("wall_seconds")]).show(".0f")
+
+
+def write_differences(groups: Sequence[Group]) -> str:
+    """Return a Markdown table of the first group minus each other one, paired by seed."""
+    first, *others = groups
+    rows = []
+    for group in others:
+        row = [group.label]
+        for _, name, form in COMPARED:
+            ours, theirs = first.by_seed(name), group.by_seed(name)
+            both = [ours[seed] - theirs[seed] for seed in ours if seed in theirs]
+            found = Statistic.of(both)
+            is_clear = abs(found.mean) > found.half_width
+            row.append(f"**{found.show(form)}**" if is_clear else found.show(form))
+        rows.append(row)
+    return write_table([f"{first.label} minus", *(head for head, _, _ in COMPARED)], rows)
+
+
+def describe_effort(groups: Sequence[Group]) -> str:
+    """Say whether the finished runs had equally many frames and gradient steps."""
+    runs = [run.summary for group in groups for run in group.finished]
+    efforts = sorted({(run.get("frames", 0), run.get("updates", 0)) for run in runs})
+    if len(efforts) == 1:
+        return "{} frames and {} gradient steps each.".format(*efforts[0])
+    return f"Efforts differ, (frames, gradient steps): {efforts}."
+
+
+def write_each(groups: Sequence[Group]) -> str:
+    """Return a Markdown table with a row per finished run, its baselines beside it."""
+    runs = [run for group in groups for run in group.finished]
+    names = list(dict.fromkeys(name for run in runs for name in run.summary.get("baselines", ())))
+    rows = []
+    for run in runs:
+        keys = ["success_rate", *(f"{name}_success_rate" for name in names)]
+        rates = [run.summary.get(key) for key in keys]
+        row = [run.path.name, *("–" if rate is None else f"{rate:.1%}" for rate in rates)]
+        for key, form in (
+            ("mean_return", ".1f"),
+            ("mean_time_to_success_T", ".1f"),
+            ("frames", "d"),
+            ("train_diverged", "d"),
+            ("mlups", ".0f"),
+        ):
+            value = run.summary.get(key)
+            row.append("–" if value is None else format(value, form))
+        rows.append(row)
+    heads = ["run", "learned", *names, "return", "time to success, T", "frames", "diverged"]
+    return write_table([*heads, "MLUPS"], rows)
 
 
 def write_statistics(groups: Sequence[Group], path: Path) -> None:
@@ -58,28 +110,13 @@ def write_statistics(groups: Sequence[Group], path: Path) -> None:
 
 
 def write_runs(groups: Sequence[Group], path: Path) -> None:
-    """Write a CSV file with a row per run: what it is, how it fared, and its summary."""
+    """Write a CSV file with a row per run: its settings, status and summary."""
     keys, names = list(groups[0].settings), number_names(groups)
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["run", *keys, "seed", "status", "reason", *names])
         for group in groups:
             for run in group.runs:
-                told = [run.path.name, *group.settings.values(), *_fate(run)]
-                writer.writerow([*told, *(_blank(run.summary.get(name)) for name in names)])
-
-
-def _fate(run: Run) -> list[str]:
-    return [str(run.config.get("seed", "")), run.status, run.reason]
-
-
-def _blank(value: Any) -> Any:
-    return "" if value is None else value
-
-
-def _row(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
-
-
-def _show(value: float, form: str) -> str:
-    return "–" if value != value else format(value, form)
+                row = [run.path.name, *group.settings.values(), run.config.get("seed", "")]
+                row += [run.status, run.reason, *(run.summary.get(name) for name in names)]
+                writer.writerow(row)

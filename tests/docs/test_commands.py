@@ -16,14 +16,11 @@ from typing import Any
 
 import pytest
 import yaml
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from experiments import view
-from experiments.config import SCHEMAS, build, check_overrides, load_config, to_plain
+from experiments.configuration import build, to_plain
 from experiments.program import Program
-from experiments.search_path import split_arguments
-from experiments.sweeps.jobs import is_sweep
+from experiments.sweeps.jobs import list_jobs, read_common
+from experiments.train_settings import TRAINING
 from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import RunFolder, write_whole
@@ -88,7 +85,7 @@ def _write_runs() -> None:
     for name, settings in RUNS.items():
         run = RunFolder(Path(name))
         run.best.parent.mkdir(parents=True)
-        config = load_config("train", settings)
+        config = TRAINING.read(settings)
         plain = to_plain(config)
         write_whole(run.config, yaml.safe_dump(plain))
         spec = PolicySpec.for_task(build(plain["task"]))
@@ -102,21 +99,16 @@ def _split(line: str, home: Path) -> list[str]:
     return [word.replace("~", str(home)) for word in words]
 
 
-def _load(program: str, words: list[str]) -> None:
-    """Read settings as the programs of hydra do, all jobs of a sweep."""
-    if program == "view":
-        view.main.read(words)
+def _read(program: Program, words: list[str]) -> None:
+    """Read settings as the program does, those of all jobs of a sweep."""
+    if "--help" in words:
         return
-    checked = check_overrides(program, words)
-    if any(word.startswith("resume=") for word in words):
+    if "--multirun" not in words:
+        program.read(words)
         return
-    options, settings = split_arguments(checked)
-    overrides = OverridesParser.create().parse_overrides(settings)
-    assert is_sweep(options) or not any(o.is_sweep_override() for o in overrides)
-    kept = [option for option in options if option not in ("--multirun", "-m")]
-    for jobs in BasicSweeper.split_arguments(overrides, None):
-        for job in jobs:
-            load_config(program, [*kept, *job])
+    overrides = program.command_line.prepare(words)
+    read_common(overrides)
+    list_jobs(overrides)
 
 
 def _parse(main: Callable[[], None], words: list[str], patch: pytest.MonkeyPatch) -> Any:
@@ -142,22 +134,11 @@ def test_a_program_understands_what_the_pages_show(
     page: str, module: str, line: str, home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = _split(line, home)
-    program = module.removeprefix("experiments.")
-    if program in SCHEMAS:
-        _load(program, words)
-        return
     main = import_module(module.removesuffix(".py").replace("/", ".")).main
-    if "--help" in words:
-        return
     if isinstance(main, Program):
-        main.read(words)
-        return
-    options = vars(_parse(main, words, monkeypatch))
-    chosen = [f"preset={options['preset']}"] if "preset" in options else []
-    for name in ("set", "overrides", "settings"):
-        check_overrides("train", [*chosen, *(options.get(name) or [])], is_search=True)
-    if program == "compare":
-        _load("train", [word for word in words if "=" in word])
+        _read(main, words)
+    elif "--help" not in words:
+        _parse(main, words, monkeypatch)
 
 
 def test_there_are_commands_of_every_kind() -> None:

@@ -7,14 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from docs.reference import describe, make_reference
-from experiments.config import SCHEMAS
-from experiments.search_path import list_groups
+from docs.reference import describe, list_programs, make_reference
+from experiments.program import list_choices
 from fishrl import physics
 from fishrl.envs import KarmanGait, Predation
 from fishrl.training.loop import SELECTION_SEED
 from fishrl.training.summary import FINAL_SEED
 from tests.docs.pages import DOCS
+
+SCHEMAS = {name: made.command_line.schema for name, made in list_programs().items()}
 
 
 def test_every_argument_of_programs_and_tasks_has_its_row_with_words() -> None:
@@ -46,7 +47,7 @@ def test_seeds_of_looking_again_are_those_of_the_training() -> None:
 
 def test_every_choice_is_listed_and_the_page_is_not_kept_in_the_repository() -> None:
     page = make_reference()
-    for group, names in list_groups().items():
+    for group, names in list_choices().items():
         assert f"`{group}=` " + ", ".join(f"`{name}`" for name in names) in page
     assert "docs/configuration.md" in (DOCS.parent / ".gitignore").read_text(encoding="utf-8")
 

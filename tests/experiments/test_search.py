@@ -5,14 +5,15 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from experiments import search
 from experiments.config import load_config
-from experiments.search import Search
-from experiments.settings import ConfigError
+from experiments.search import SearchSettings
 from experiments.sweeps import jobs
 from experiments.sweeps.runs import is_held, read_run, read_runs
 from fishrl.training.checkpoint import read_metadata
@@ -22,8 +23,14 @@ optuna = pytest.importorskip("optuna", reason="pip install -e '.[sweep]'")
 pytestmark = pytest.mark.sweep
 
 
-def plan_of(folder: Path, *overrides: str, **arguments: object) -> Search:
-    return Search(folder=folder, overrides=overrides, **arguments)  # type: ignore[arg-type]
+def plan_of(folder: Path, *overrides: str, trials: int = 20, **others: Any) -> SearchSettings:
+    return SearchSettings(folder=str(folder), overrides=list(overrides), trials=trials, **others)
+
+
+def empty_study(plan: SearchSettings) -> Any:
+    """Begin a study of which no trial has run."""
+    plan.trials = 0
+    return search.search(plan)
 
 
 def test_every_kind_of_range_is_searched(tmp_path: Path) -> None:
@@ -41,57 +48,58 @@ def test_every_kind_of_range_is_searched(tmp_path: Path) -> None:
     from optuna.distributions import IntDistribution as Whole
 
     assert plan.space() == {
-        "gamma": Float(0.9, 1.0),
-        "learning_rate": Float(1e-5, 1e-2, log=True),
-        "batch_size": Whole(16, 128),
-        "hidden": Choice(["[64]", "[64,64]"]),
+        "++gamma": Float(0.9, 1.0),
+        "++learning_rate": Float(1e-5, 1e-2, log=True),
+        "++batch_size": Whole(16, 128),
+        "++hidden": Choice(["[64]", "[64,64]"]),
         "++task.time_limit": Choice(["10", "20"]),
     }
-    assert plan.fixed() == ["preset=paper"]
+    assert plan.fixed == ["preset=paper"]
 
 
 @pytest.mark.parametrize(
-    ("overrides", "said"),
+    ("arguments", "said"),
     [
-        (["preset=small"], "nothing to search: give one or more settings as key=interval"),
+        (["preset=small"], "nothing to search"),
         (["gama=interval(0,1)"], "Did you mean 'gamma'"),
-        (["gamma=interval(0,1)", "seed=1"], "seed=...: the search sets it itself"),
-        (["gamma=interval(1,0)"], r"gamma=interval\(1,0\): .*low"),
+        (["gamma=interval(0,1)", "task.time_limt=3"], "Did you mean 'task.time_limit'"),
+        (["gamma=interval(0,1)", "seed=1"], "seed: is set by the search"),
+        (["gamma=interval(1,0)"], "low"),
+        (["gamma=interval(0,1)", "trials=0"], "trials = 0"),
     ],
 )
-def test_what_cannot_be_searched_is_named(tmp_path: Path, overrides: list[str], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
-        plan_of(tmp_path, *overrides)
-    with pytest.raises(ConfigError, match="seeds = 0: must be at least 1"):
-        plan_of(tmp_path, "gamma=interval(0,1)", seeds=0)
+def test_what_cannot_be_searched_is_named(tmp_path: Path, arguments: list[str], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        search.main.read([f"folder={tmp_path / 'new'}", *arguments])
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_trial_that_was_cut_off_is_finished_before_new_ones(tmp_path: Path) -> None:
     line = [*SETTINGS, f"logger._target_={HERE}.Gliding", "gamma=interval(0.9,1)"]
     plan = plan_of(tmp_path, *line, metric="mean_length_T")
-    study = search.search(plan, trials=0)
+    study = empty_study(plan)
     cut_off = study.ask(plan.space())  # and then the process was killed
-    study = search.search(plan, trials=2)
+    study = search.search(replace(plan, trials=2))
     assert [trial.state.name for trial in study.trials] == ["COMPLETE", "COMPLETE"]
     assert study.trials[0].params == cut_off.params
     runs = read_runs(tmp_path)
     assert [run.path.name for run in runs] == ["trial_0000-seed_0", "trial_0001-seed_0"]
     for trial, run in zip(study.trials, runs, strict=True):
-        assert run.config["gamma"] == trial.params["gamma"]
+        assert run.config["gamma"] == trial.params["++gamma"]
         assert run.summary["mean_length_T"] == trial.value
-    assert len(search.search(plan, trials=2).trials) == 2  # nothing is left to do
-    with pytest.raises(ConfigError, match="holds another search"):
-        search.search(plan_of(tmp_path, *line, "batch_size=8", metric="mean_length_T"), trials=3)
+    assert len(search.search(replace(plan, trials=2)).trials) == 2  # nothing is left to do
+    with pytest.raises(ValueError, match="holds another search"):
+        search.search(plan_of(tmp_path, *line, "batch_size=8", metric="mean_length_T"))
     gamma = f"gamma={runs[0].config['gamma']}"
-    with pytest.raises(ConfigError, match=r"metric = mean_retrun: not in .*'mean_return'"):
-        search._run_seed(plan_of(tmp_path, *line, metric="mean_retrun"), 0, [gamma], 0)
+    with pytest.raises(ValueError, match=r"metric = mean_retrun: not in .*'mean_return'"):
+        search.run_seed(plan_of(tmp_path, *line, metric="mean_retrun"), 0, [gamma], 0)
 
 
 def test_a_search_that_is_told_to_end_has_its_trial_saved_and_leaves_it_unfinished(
     tmp_path: Path,
 ) -> None:
     line = [*SETTINGS, f"logger._target_={HERE}.Lingering", "gamma=interval(0.9,1)"]
-    command = [sys.executable, "-m", "experiments.search", str(tmp_path), *line]
+    command = [sys.executable, "-m", "experiments.search", f"folder={tmp_path}", *line]
     with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as started:
         run = tmp_path / "trial_0000-seed_0"
         while started.poll() is None and not (run / "mark").exists():
@@ -123,32 +131,25 @@ def test_a_run_that_outlived_its_search_is_waited_for(
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as other:
         assert other.stdout is not None
         assert other.stdout.readline() == b"held\n"
-        assert search._run_seed(plan, 0, ["gamma=0.95"], 0) == 2.5
-
-
-def test_a_search_has_at_least_one_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    line = ["search", str(tmp_path / "new"), "gamma=interval(0,1)", "--trials", "0"]
-    monkeypatch.setattr(sys, "argv", line)
-    with pytest.raises(SystemExit, match="error: trials = 0: must be at least 1"):
-        search.main()
-    assert not list(tmp_path.iterdir())
+        assert search.run_seed(plan, 0, ["gamma=0.95"], 0) == 2.5
 
 
 def test_failed_trials_are_told_and_others_follow(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    line = ["search", str(tmp_path), "gamma=interval(2,3)", "--trials", "3"]
-    monkeypatch.setattr(sys, "argv", line)
-    search.main()
+    monkeypatch.setattr(search, "run_seed", lambda *_: None)
+    line = [f"folder={tmp_path}", "gamma=interval(0,1)", "trials=3"]
+    search.main(line)
     assert "0 of 3 trials finished" in capsys.readouterr().out
-    study = search.search(plan_of(tmp_path, "gamma=interval(2,3)"), trials=3)
+    study = search.search(search.main.read(line))
     assert [trial.state.name for trial in study.trials] == ["FAIL"] * 3
-    assert len({trial.params["gamma"] for trial in study.trials}) == 3  # nothing is drawn twice
+    assert len({trial.params["++gamma"] for trial in study.trials}) == 3  # nothing is drawn twice
 
 
-def test_two_searches_share_a_study(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, "gamma=interval(2,3)")
-    study = search.search(plan, trials=0)
+def test_two_searches_share_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(search, "run_seed", lambda *_: None)
+    plan = plan_of(tmp_path, "gamma=interval(0,1)")
+    study = empty_study(plan)
     theirs = study.ask(plan.space())
     place = search.RunFolder(tmp_path / ".trials" / f"{theirs.number:04d}")
     place.path.mkdir(parents=True)
@@ -162,7 +163,7 @@ def test_two_searches_share_a_study(tmp_path: Path) -> None:
     ) as other:
         assert other.stdout is not None
         assert other.stdout.readline() == b"held\n"
-        study = search.search(plan, trials=2)
+        study = search.search(replace(plan, trials=2))
         other.kill()
     assert [trial.state.name for trial in study.trials] == ["RUNNING", "FAIL"]
 
@@ -171,41 +172,24 @@ def test_a_trial_that_another_search_has_finished_is_left_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan = plan_of(tmp_path, "gamma=interval(0.9,1)")
-    study = search.search(plan, trials=0)
+    study = empty_study(plan)
     for _ in range(2):
         study.ask(plan.space())  # and then the process was killed
 
-    def run_seed(_: Search, number: int, *__: object) -> float:
+    def run_seed(_: SearchSettings, number: int, *__: object) -> float:
         if number == 0:  # while the other search is at the other trial
             study.tell(1, 5.0)
         return 1.0
 
-    monkeypatch.setattr(search, "_run_seed", run_seed)
-    study = search.search(plan, trials=2)
+    monkeypatch.setattr(search, "run_seed", run_seed)
+    study = search.search(replace(plan, trials=2))
     assert [trial.value for trial in study.trials] == [1.0, 5.0]
-
-
-def test_a_search_whose_new_trial_another_one_gives_up_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plan = plan_of(tmp_path, "gamma=interval(0.9,1)")
-    suggest, started = search._suggest, []
-
-    def start_another_first(*arguments: object) -> None:
-        if not started:
-            started.append(search.search(plan, trials=0))  # which finds a trial without values
-        suggest(*arguments)
-
-    monkeypatch.setattr(search, "_suggest", start_another_first)
-    monkeypatch.setattr(search, "_run_seed", lambda *_: 1.0)
-    study = search.search(plan, trials=2)
-    assert [trial.state.name for trial in study.trials] == ["FAIL", "COMPLETE"]
 
 
 def test_without_optuna_the_error_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "optuna", None)
-    monkeypatch.setattr(sys, "argv", ["search", str(tmp_path), "gamma=interval(0,1)"])
+    monkeypatch.setitem(sys.modules, "optuna.distributions", None)
     with pytest.raises(SystemExit, match=r"pip install -e '\.\[sweep\]'"):
-        search.main()
+        search.main([f"folder={tmp_path}", "gamma=interval(0,1)"])

@@ -19,6 +19,7 @@ from experiments.statistics import Statistic, interquartile_mean
 from experiments.sweeps.curves import average, write_curves
 from experiments.sweeps.groups import group_runs
 from experiments.sweeps.runs import count_frames, read_run, read_runs
+from experiments.sweeps.tables import write_differences
 from fishrl.training.run_folder import HeldError, RunFolder
 
 
@@ -56,6 +57,7 @@ def summary_of(value: float) -> dict[str, Any]:
         "mean_length_T": 3.0,
         "mean_time_to_success_T": None,
         "wall_seconds": 90.0,
+        "baselines": [],
     }
 
 
@@ -156,7 +158,7 @@ def test_tasks_are_told_apart_by_name(tmp_path: Path) -> None:
 def test_the_table_has_mean_interval_and_iqm_and_says_what_to_rerun(sweep: Path) -> None:
     text = summarize.summarize(sweep)
     rows = [line for line in text.splitlines() if line.startswith("| 0.9")]
-    assert rows[0].startswith("| 0.9 | 4 | 40.0% ± 65.0% | 25.0% | 4.00 ± 6.50 | 2.50 | 3.0 ± 0.0")
+    assert rows[0].startswith("| 0.9 | 4 | 40.0% ± 65.0% | 25.0% | 4.00 ± 6.50 | 2.50 | 0.200")
     assert rows[1].startswith("| 0.99 | 2/4 |")
     assert "6 of 8 runs finished" in text
     assert "gamma_0.99-seed_2: failed at frame 0 (RuntimeError: out of memory)" in text
@@ -166,6 +168,51 @@ def test_the_table_has_mean_interval_and_iqm_and_says_what_to_rerun(sweep: Path)
     assert (sweep / "summary.md").read_text() in text
 
 
+def test_groups_are_compared_seed_by_seed(tmp_path: Path) -> None:
+    for algorithm, values in (("dqn", (1.0, 2.0, 3.0)), ("sac", (2.0, 4.1, 6.2))):
+        for seed, value in enumerate(values):
+            curve = {0: 0.0, 100: value}
+            summary = summary_of(value) | {"frames": 100, "updates": 400}
+            name = f"{algorithm}-{seed}"
+            write_run(tmp_path, name, seed=seed, curve=curve, summary=summary, algorithm=algorithm)
+    text = summarize.summarize(tmp_path)
+    assert "100 frames and 400 gradient steps each." in text
+    # Returns differ by -1, -2.1 and -3.2: deviation 1.1, t of 2 degrees of freedom 4.303. Rates of
+    # success are a tenth, their curves' means half of that.
+    half = 4.303 * 1.1 / 3**0.5
+    row = f"| algorithm sac | -21.0% ± {10 * half:.1f}% | -2.10 ± {half:.2f} | -0.105 ± "
+    assert row in text
+    path = tmp_path / "dqn-0" / "summary.json"
+    path.write_text(json.dumps(summary_of(1.0) | {"frames": 50, "updates": 400}))
+    assert "Efforts differ" in summarize.summarize(tmp_path)
+
+
+def test_a_difference_whose_interval_excludes_zero_is_bold(sweep: Path) -> None:
+    groups = group_runs(read_runs(sweep))
+    assert "| -4.50 ± 6.35 |" in write_differences(groups)  # -4 and -5: t of one degree is 12.7
+    for run in groups[1].runs:
+        if run.summary:
+            run.summary["mean_return"] += 10.0
+    assert "| **-14.50 ± 6.35** |" in write_differences(groups)
+
+
+def test_tables_and_pictures_go_into_a_page(sweep: Path, tmp_path: Path) -> None:
+    docs = tmp_path / "docs"
+    (docs / "figures").mkdir(parents=True)
+    page = docs / "results.md"
+    page.write_text("A\n<!-- summary: begin -->\nold\n<!-- summary: end -->\n![x](figures/x.png)\n")
+    for name in ("x.png", "y.png"):
+        (sweep / "gamma_0.9-seed_0" / name).write_bytes(b"picture")
+    summarize.main([str(sweep), f"page='{page}'"])
+    text = page.read_text()
+    assert text.startswith("A\n") and "old" not in text and "| gamma_0.9-seed_0 | 10.0% |" in text
+    figures = sorted(path.name for path in (docs / "figures").iterdir())
+    assert figures == ["results.png", "x.png"]
+    page.write_text("no mark")
+    with pytest.raises(ValueError, match="put one line <!-- summary: begin -->"):
+        summarize.summarize(sweep, page=page)
+
+
 def test_the_csv_files_hold_every_number_and_every_run(sweep: Path) -> None:
     summarize.summarize(sweep)
     with (sweep / "summary.csv").open(newline="") as file:
@@ -173,7 +220,8 @@ def test_the_csv_files_hold_every_number_and_every_run(sweep: Path) -> None:
     row = rows["0.9", "mean_return"]
     assert (row["seeds"], row["mean"], row["iqm"]) == ("4", "4", "2.5")
     assert float(row["ci95_high"]) - 4.0 == pytest.approx(4.0 - float(row["ci95_low"]))
-    assert {metric for _, metric in rows} == set(summary_of(0.0)) - {"mean_time_to_success_T"}
+    metrics = set(summary_of(0.0)) - {"mean_time_to_success_T", "baselines"} | {"curve_mean"}
+    assert {metric for _, metric in rows} == metrics
     with (sweep / "runs.csv").open(newline="") as file:
         runs = {row["run"]: row for row in csv.DictReader(file)}
     assert len(runs) == 8
@@ -213,18 +261,10 @@ def test_a_run_whose_settings_were_wrong_is_named(tmp_path: Path) -> None:
     assert "mend the setting" in summarize.summarize(tmp_path)
 
 
-def test_a_folder_without_runs_is_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_without_runs_is_an_error(tmp_path: Path) -> None:
     for folder in (tmp_path, tmp_path / "none"):
         with pytest.raises(ValueError, match="holds no runs; give the folder of a sweep"):
             read_runs(folder)
-    monkeypatch.setattr(sys, "argv", ["summarize", str(tmp_path)])
-    with pytest.raises(SystemExit, match=r"error: .* holds no runs"):
-        summarize.main()
-    write_run(tmp_path, "run", summary=summary_of(1.0))
-    summarize.main()
-    assert "1 of 1 runs finished" in capsys.readouterr().out
 
 
 def test_a_damaged_run_is_named(tmp_path: Path) -> None:

@@ -14,13 +14,14 @@ import pytest
 from omegaconf import OmegaConf
 
 from experiments import train
-from experiments.command_line import show_command
-from experiments.config import check_overrides, load_config, resumed_settings
-from experiments.settings import ConfigError, TrainConfig
+from experiments.config import load_config, resumed_settings
+from experiments.program import show_command
+from experiments.settings import TrainConfig
 from experiments.sweeps import ending, jobs
 from experiments.sweeps.groups import group_runs
-from experiments.sweeps.runs import find_writers, read_run, read_runs
-from experiments.train import begin_run, finish, note_settings, set_up
+from experiments.sweeps.runs import read_run, read_runs
+from experiments.train import finish, note_settings, set_up
+from experiments.train_settings import TRAINING, begin_run
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.run_folder import RunFolder
 from tests.training.toy_fish import make_toy_env
@@ -73,42 +74,44 @@ def test_jobs_are_named_after_what_differs() -> None:
     assert max(map(len, long)) <= jobs.LONGEST_NAME
 
 
-def test_a_sweep_has_one_folder_and_knows_what_its_jobs_share() -> None:
-    given = ["--multirun", "seed=0,1", "gamma=0.9", "folder=runs/my sweep", "hydra.verbose=true"]
-    assert jobs.is_sweep(given)
-    assert not jobs.is_sweep(["seed=0"])
-    line, folder = jobs.sweep_arguments(given)
-    assert folder == Path("runs/my sweep")
-    assert "folder='runs/my sweep'" in line
-    assert "hydra.job.config.override_dirname.exclude_keys=[folder,gamma]" in line
-    assert {"--multirun", "seed=0,1", "gamma=0.9", "hydra.verbose=true"} <= set(line)
-    _, folder = jobs.sweep_arguments(["-m", "seed=0,1"])
-    assert folder.parent == Path("runs")
-    assert folder.name.startswith("sweep-")
+def test_jobs_are_listed_and_named_before_they_run() -> None:
+    line = ["num_envs=2", "seed=0,1", "task.time_limit=range(3,5)", "folder=runs/my sweep"]
+    overrides = TRAINING.prepare(line)
+    folder, same = jobs.read_common(overrides)
+    assert (folder, same) == (Path("runs/my sweep"), ["folder", "num_envs"])
+    assert [jobs.name_job(job, same=same) for job in jobs.list_jobs(overrides)] == [
+        *("seed_0-time_limit_3", "seed_0-time_limit_4", "seed_1-time_limit_3"),
+        "seed_1-time_limit_4",
+    ]
+    assert len(jobs.list_jobs(TRAINING.prepare(["preset=glob(gait*)"]))) == 3
+    folder, _ = jobs.read_common(TRAINING.prepare(["seed=0,1"]))
+    assert folder.parent == Path("runs") and folder.name.startswith("sweep-")
+
+
+@pytest.mark.parametrize("argument", ["name=x", "resume=runs/x", "folder=a,b"])
+def test_what_every_run_of_a_sweep_needs_for_itself_is_refused(argument: str) -> None:
+    with pytest.raises(ValueError, match="named after what differs"):
+        jobs.read_common(TRAINING.prepare([argument]))
 
 
 @pytest.mark.parametrize(
-    ("argument", "said"),
+    ("arguments", "said"),
     [
-        ("name=x", "named after what differs"),
-        ("resume=runs/x", "go on when the same command is given again"),
-        ("folder=a,b", "a sweep has one folder"),
+        (["hydra/launcher=jobli"], "Did you mean 'joblib'"),
+        (
+            ["algorithm=dqn,discrete_sac", "algorithm.epsilon_frames=100"],
+            "algorithm.epsilon_frames",
+        ),
+        (["preset=small,gait_half", "task=predation"], "task.start_flows"),
+        (["gamma=0.9,2", "seed=0,1"], "gamma = 2"),
     ],
 )
-def test_what_every_run_of_a_sweep_needs_for_itself_is_refused(argument: str, said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
-        jobs.sweep_arguments(["--multirun", argument])
-
-
-def test_a_launcher_that_is_unknown_or_not_installed_is_named(
-    monkeypatch: pytest.MonkeyPatch,
+def test_a_mistake_in_any_job_ends_the_sweep_before_it_begins(
+    tmp_path: Path, arguments: list[str], said: str
 ) -> None:
-    assert check_overrides("train", ["hydra/launcher=basic"]) == ["hydra/launcher=basic"]
-    with pytest.raises(ConfigError, match="Did you mean 'joblib'"):
-        check_overrides("train", ["hydra/launcher=jobli"])
-    monkeypatch.setitem(sys.modules, "hydra_plugins.hydra_submitit_launcher", None)
-    with pytest.raises(ConfigError, match=r"pip install -e '\.\[sweep\]'"):
-        check_overrides("train", ["hydra/launcher=submitit_slurm"])
+    with pytest.raises(SystemExit, match=said):
+        train.main(["--multirun", f"folder={tmp_path}", *arguments])
+    assert not list(tmp_path.iterdir())
 
 
 def settings_in(folder: Path, **settings: object) -> TrainConfig:
@@ -201,7 +204,11 @@ def test_a_killed_job_leaves_the_others_and_goes_on_alone(
     killed, whole = (tmp_path / f"logger_{HERE}.{name}" for name in ("Killed", "Gliding"))
     assert read_run(whole).status == "finished"
     run = read_run(killed)
-    assert (run.status, run.reason, run.frames) == ("failed", "killed by SIGKILL", 8)
+    assert (run.status, run.reason, run.frames) == (
+        "failed",
+        "killed by SIGKILL; see output.log",
+        8,
+    )
     said = capfd.readouterr().out
     assert "1 of 2 runs finished" in said
     assert f"rerun: {run.command}" in said
@@ -234,37 +241,6 @@ def test_a_sweep_that_is_told_to_end_saves_what_runs(tmp_path: Path) -> None:
     assert "- not begun: seed_1\n" in done.stdout
 
 
-def test_the_jobs_of_a_sweep_are_named_before_they_run() -> None:
-    line, _ = jobs.sweep_arguments(["-m", "num_envs=2", "seed=0,1", "++task.time_limit=range(3,5)"])
-    assert jobs.name_jobs(line) == [
-        *("seed_0-time_limit_3", "seed_0-time_limit_4", "seed_1-time_limit_3"),
-        "seed_1-time_limit_4",
-    ]
-    assert jobs.name_jobs(jobs.sweep_arguments(["-m", "preset=glob(g*)"])[0]) == []
-
-
-@pytest.mark.parametrize("is_made", [False, True])
-def test_a_sweep_that_is_told_to_end_before_its_first_run_says_just_that(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    is_made: bool,
-) -> None:
-    folder = tmp_path / "sweep"
-    monkeypatch.setattr(sys, "argv", ["train", "--multirun", f"folder={folder}", "seed=0,1"])
-
-    def launch() -> None:
-        if is_made:
-            folder.mkdir()
-        os.kill(os.getpid(), signal.SIGTERM)
-
-    with pytest.raises(SystemExit) as end:
-        jobs.sweep(launch)
-    assert end.value.code == 1
-    said = capsys.readouterr()
-    assert (said.out, "interrupted; the same command" in said.err) == ("", True)
-
-
 def test_a_run_that_was_told_to_end_has_not_failed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -278,40 +254,29 @@ def test_a_run_that_was_told_to_end_has_not_failed(
             assert jobs.run_alone(folder.path, total_frames=8).status == status
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="Linux says who writes a run")
-def test_runs_below_a_process_are_told_to_end_before_it(tmp_path: Path) -> None:
-    folder = jobs.find_or_begin(settings_in(tmp_path), name="run")
-    assert find_writers(tmp_path) == set()
-    code = (
-        "import sys; from pathlib import Path; from fishrl.training.run_folder import RunFolder; "
-    )
-    code += "held = RunFolder(Path(sys.argv[1])).hold(); print('held', flush=True); "
-    code += "sys.stdin.read()"
-    with subprocess.Popen(
-        [sys.executable, "-c", code, str(folder.path)],
-        cwd=ROOT,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-    ) as run:
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_trainings_below_a_process_end_before_it() -> None:
+    code = "print('ready', flush=True); import sys; sys.stdin.read()"
+    command = [sys.executable, "-c", code, "experiments.train", "resume=x"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as run:
         assert run.stdout is not None
-        assert run.stdout.readline() == b"held\n"
-        assert find_writers(tmp_path) == {run.pid}
-        with pytest.raises(ending.Terminated) as end, ending.ending_runs(tmp_path):
+        assert run.stdout.readline() == b"ready\n"
+        assert ending.find_trainings() == {run.pid}
+        with pytest.raises(KeyboardInterrupt), ending.ending_runs():
             os.kill(os.getpid(), signal.SIGTERM)
-        assert (end.value.number, end.value.told) == (signal.SIGTERM, {run.pid})
         assert run.wait() == -signal.SIGTERM
-    assert find_writers(tmp_path) == set()
-    assert not ending._descends(os.getppid(), os.getpid())  # whatever writes a run elsewhere
+    assert ending.find_trainings() == set()
 
 
 def test_jobs_that_cannot_be_set_up_are_all_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    command = ["--multirun", f"folder={tmp_path}", "gamma=2", "seed=0,1"]
+    command = ["--multirun", f"folder={tmp_path}", "recognition=none.pt", "seed=0,1"]
+    command.append("preset=gait_small")
     assert run_program(monkeypatch, *command) == 1
-    assert [run.reason for run in read_runs(tmp_path)] == ["gamma = 2.0: must be at most 1"] * 2
+    assert all("none.pt" in run.reason for run in read_runs(tmp_path))
     said = capfd.readouterr()
-    assert "seed_1: failed at frame 0 (gamma = 2.0: must be at most 1)" in said.out
+    assert "seed_1: failed at frame 0" in said.out
     assert "Traceback" not in said.err
 
 

@@ -19,7 +19,7 @@ import torch
 
 import fishrl.envs.task
 import fishrl.viewer.files
-from experiments.search_path import list_groups
+from experiments.program import list_choices
 from fishrl.envs import Predation
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
@@ -31,7 +31,7 @@ from tests.envs.test_real_flow import TINY
 
 pytestmark = pytest.mark.smoke
 ROOT = Path(__file__).parents[2]
-GROUPS = list_groups()
+GROUPS = list_choices()
 
 #: Actions of a few steps, in flows that are hardly larger than the fish.
 BRIEF = {"control_interval_T": 0.1, "checks_per_action": 4}
@@ -173,7 +173,6 @@ def test_a_learned_policy_is_evaluated_shown_listed_and_exported(
     hunter: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _run("evaluate", f"checkpoint={hunter}", "episodes=1", "num_envs=1", "compile=false")
-    _run("table", hunter)
     _run("export_steering", f"run={hunter}", f"path={tmp_path / 'steering.pt'}")
     verified = []
 
@@ -206,14 +205,6 @@ def test_a_gait_is_tried_in_all_streams_and_its_page_is_written(
     assert (tmp_path / "figures" / "gait" / "drift.png").is_file()
 
 
-@pytest.mark.usefixtures("gliding")
-def test_algorithms_are_compared(tmp_path: Path) -> None:
-    few = [*FEW, "picture_episodes=0", *_set_task(GLIDING)]
-    chosen = ["--algorithms", "discrete_sac", "dqn", "--seeds", "0", "--folder", tmp_path]
-    _run("compare", *few, *chosen)
-    assert (tmp_path / "compare.md").is_file()
-
-
 def test_a_sweep_is_summed_up(hunter: Path) -> None:
     _run("summarize", hunter.parent)
     assert (hunter.parent / "summary.md").is_file()
@@ -221,7 +212,7 @@ def test_a_sweep_is_summed_up(hunter: Path) -> None:
 
 def test_a_setting_is_searched_for(tmp_path: Path) -> None:
     few = [*FEW, "picture_episodes=0", "baselines=[]", *_set_task(REAL["predation"])]
-    _run("search", tmp_path, "gamma=interval(0.9,0.99)", *few, "--trials", 1)
+    _run("search", f"folder={tmp_path}", "gamma=interval(0.9,0.99)", *few, "trials=1")
     assert (tmp_path / "study.db").is_file()
 
 

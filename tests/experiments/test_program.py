@@ -1,0 +1,103 @@
+"""Programs: their help, their errors, and the commands that they advise."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+from experiments import evaluate, summarize, train
+from experiments.program import plain_errors, show_command
+
+ROOT = Path(__file__).parents[2]
+
+
+def run_program(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", *arguments],
+        cwd=ROOT,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+
+
+def test_help_shows_choices_settings_and_what_they_mean(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    train.main(["--help", "preset=gait_small"])
+    said = capsys.readouterr().out
+    assert "preset: one of gait_half, gait_paper, gait_small" in said
+    assert "  num_envs=16  flows that advance together." in said
+    assert "    body_length: 32\n" in said
+    assert "    wall_margin_bl: 0.25\n" in said  # a default of the task, which no YAML names
+    summarize.main(["-h"])
+    assert "  folder=???  of a sweep" in capsys.readouterr().out
+
+
+def test_a_mistake_ends_a_program_with_one_line(tmp_path: Path) -> None:
+    done = run_program("experiments.train", "totl_frames=3", f"folder={tmp_path}")
+    assert (done.returncode, done.stderr) == (
+        1,
+        "error: there is no 'totl_frames'. Did you mean 'total_frames'?\n",
+    )
+    assert not list(tmp_path.iterdir())
+
+
+def test_only_trainings_are_swept() -> None:
+    with pytest.raises(SystemExit, match=r"only experiments.train runs sweeps"):
+        evaluate.main(["--multirun", "seed=0,1"])
+
+
+def test_an_interrupt_ends_a_program_with_its_code() -> None:
+    with pytest.raises(SystemExit) as end, plain_errors():
+        raise KeyboardInterrupt
+    assert end.value.code == 130
+
+
+def test_an_error_in_a_file_of_ones_own_is_named_with_its_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = """
+    from pathlib import Path
+    from fishrl.envs import Predation
+    def observe():
+        one, two = 3 * [0.0]
+    def read():
+        return Path("x.json").read_text()
+    def make():
+        return Predation(body_length=3)
+    """
+    (tmp_path / "buggy.py").write_text(dedent(code))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    buggy = import_module("buggy")
+    place = f"({tmp_path / 'buggy.py'}"
+    for function, end in ((buggy.observe, ":5, in observe)"), (buggy.read, ":7, in read)")):
+        with pytest.raises(SystemExit) as stop, plain_errors():
+            function()
+        assert str(stop.value).startswith("error: ")
+        assert str(stop.value).endswith(place + end)
+    with pytest.raises(SystemExit) as stop, plain_errors():
+        buggy.make()  # our own message needs no place
+    assert place not in str(stop.value)
+
+
+def test_commands_are_shown_as_typed_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place = tmp_path / "my clone" / ".venv" / "bin"
+    place.mkdir(parents=True)
+    for name in ("python", "python3"):
+        (place / name).symlink_to(sys.executable)
+    monkeypatch.setattr(sys, "executable", str(place / "python3"))
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.chdir(tmp_path / "my clone")
+    assert show_command("experiments.view", "a b") == (
+        ".venv/bin/python3 -m experiments.view 'a b'"
+    )
+    monkeypatch.setenv("PATH", f"{place}:{tmp_path}")
+    assert show_command("rerun") == "python -m rerun"
