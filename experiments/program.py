@@ -5,9 +5,7 @@
     @program(TransferSettings, groups={"task": "karman_gait", "preset": None})
     def main(settings: TransferSettings) -> None: ...
 
-    if __name__ == "__main__":
-        main()
-
+and ``main()`` where the module is run.
 ``python -m experiments.transfer runs=[a,b] episodes=34 task.reynolds=400`` then checks the settings
 and calls the function. ``groups`` are for programs that make a task, algorithm or logger, with
 ``build(settings.task)``; fields without a default have to be given. ``--help`` prints the

@@ -110,7 +110,7 @@ class RunFolder:
             refuse_many(folder.path, setting="resume")
             raise ValueError(
                 f"resume = {path}: no config.yaml there; give the folder of a run, such as "
-                "runs/predation-small-seed0"
+                "runs/predation-seed0"
             )
         return folder.checked()
 

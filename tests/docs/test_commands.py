@@ -36,10 +36,11 @@ EXTRA = re.compile(r"pip install [^\n`]*\[([\w-]+)\]")
 #: Runs that the pages speak of, and what is swum in them.
 RUNS = {
     "runs/name": [],
-    "runs/predation-small-seed0": [],
+    "runs/predation-seed0": [],
+    "runs/predation/seed_0": [],
     "runs/gait-run": ["preset=gait_small", "recognition=oracle"],
     "runs/gammas/gamma_0.99-seed_1": ["gamma=0.99", "seed=1"],
-    "runs/holdstation-small-seed0": ["--config-dir=my_fish/conf", "task=hold_station"],
+    "runs/holdstation-seed0": ["--config-dir=my_fish/conf", "task=hold_station"],
     "its-folder": [],
 }
 
