@@ -14,16 +14,16 @@ import pytest
 from omegaconf import OmegaConf
 
 from experiments import train
-from experiments.config import load_config, resumed_settings
+from experiments.configuration import to_plain
 from experiments.program import show_command
 from experiments.settings import TrainConfig
 from experiments.sweeps import ending, jobs
 from experiments.sweeps.groups import group_runs
 from experiments.sweeps.runs import read_run, read_runs
-from experiments.train import finish, note_settings, set_up
+from experiments.train import finish, set_up
 from experiments.train_settings import TRAINING, begin_run
 from fishrl.training.checkpoint import read_metadata
-from fishrl.training.run_folder import RunFolder
+from fishrl.training.run_folder import RunFolder, write_yaml
 from tests.training.toy_fish import make_toy_env
 
 ROOT = Path(__file__).parents[2]
@@ -115,7 +115,7 @@ def test_a_mistake_in_any_job_ends_the_sweep_before_it_begins(
 
 
 def settings_in(folder: Path, **settings: object) -> TrainConfig:
-    config: TrainConfig = load_config("train", [f"folder={folder}"])
+    config: TrainConfig = TRAINING.read([f"folder={folder}"])
     for name, value in settings.items():
         setattr(config, name, value)
     return config
@@ -133,18 +133,24 @@ def test_the_same_settings_find_their_run_and_others_make_a_new_one(tmp_path: Pa
     assert read_run(mended.path).status == "stopped"
 
 
+def go_on(folder: RunFolder, *changes: str) -> None:
+    """Store settings as a resume with other ones does."""
+    settings = TRAINING.read([f"resume='{folder.path}'", *changes])
+    write_yaml(folder.config, to_plain(settings) | {"resume": None})
+
+
 def test_a_run_that_was_resumed_stays_in_its_sweep_unless_it_learns_something_else(
     tmp_path: Path,
 ) -> None:
     folders = [jobs.find_or_begin(settings_in(tmp_path, seed=seed), name="run") for seed in (0, 1)]
     given = ["port=9900", "live_share=0.2", "flows=[0,1]", "log_frames=8", "checkpoint_frames=8"]
     given += ["keep_checkpoints=4", "picture_episodes=0", "baselines=[random]", "live=true"]
-    note_settings(resumed_settings(str(folders[0].path), given), folders[0])
+    go_on(folders[0], *given)
     assert OmegaConf.load(folders[0].config).log_frames == 8
     assert len(group_runs(read_runs(tmp_path))) == 1
     assert jobs.find_or_begin(settings_in(tmp_path), name="run") == folders[0]
     # which evaluation is the best one depends on when they are made
-    note_settings(resumed_settings(str(folders[1].path), ["eval_frames=8"]), folders[1])
+    go_on(folders[1], "eval_frames=8")
     assert len(group_runs(read_runs(tmp_path))) == 2
     assert jobs.find_or_begin(settings_in(tmp_path, seed=1), name="run").path.name == "run-3"
 
