@@ -182,14 +182,14 @@ def test_a_run_that_failed_says_why_and_goes_on(
 ) -> None:
     finish(set_up(toy_config(name="whole"), make_env=make_toy_env))
     training = set_up(toy_config(name="failed"), make_env=make_toy_env)
-    log = training.metrics_logger.log
+    log = training.plan.logger.log
 
     def fail(metrics: Mapping[str, float]) -> None:
         if metrics["frames"] == 120:
             raise RuntimeError("the disk is full")
         log(metrics)
 
-    monkeypatch.setattr(training.metrics_logger, "log", fail)
+    monkeypatch.setattr(training.plan.logger, "log", fail)
     with pytest.raises(RuntimeError):
         finish(training)
     run = read_run(tmp_path / "failed")
