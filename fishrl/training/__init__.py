@@ -1,5 +1,7 @@
 """Train a policy for any task, evaluate it, load it again.
 
+Example::
+
     from fishrl.envs import Predation
     from fishrl.training import DiscreteSAC, LearningSettings, RunSettings, evaluate, train
     from pathlib import Path
