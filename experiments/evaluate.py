@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,38 @@ from experiments.configuration import build, to_plain
 from experiments.program import program
 from experiments.settings import EvaluateConfig
 from experiments.stored_runs import read_task
+from fishrl import training
+from fishrl.envs import make_env as make_real_env
+from fishrl.training import Observer
 from fishrl.training.progress import Progress
+from fishrl.viewer import LiveView
+
+
+class LiveObserver(Observer):
+    """Streams flows to a viewer if ``live`` is set.
+
+    Args:
+        config: the settings.
+    """
+
+    def __init__(self, config: EvaluateConfig) -> None:
+        self._config = config
+        self._live: LiveView | None = None
+
+    def begin(self, env: Any) -> None:
+        """Start the live view."""
+        if self._config.live:
+            self._live = LiveView(env, self._config)
+
+    def settle(self, step: Any) -> None:
+        """Show a decision."""
+        if self._live is not None:
+            self._live.settle(step)
+
+    def close(self) -> None:
+        """End the live view."""
+        if self._live is not None:
+            self._live.close()
 
 
 def evaluate(
@@ -35,47 +65,20 @@ def evaluate(
     Raises:
         ValueError: for settings that cannot be, and checkpoints that do not fit.
     """
-    from experiments.settings import check_device
-    from fishrl.envs import make_env as make_real_env
-    from fishrl.training.baselines import make_policy
-    from fishrl.training.evaluation import Evaluator, fixed_starts
-    from fishrl.training.policies import load_policy
-    from fishrl.training.recognition import Recognition
-    from fishrl.viewer import LiveView
-
-    progress = progress or Progress(is_shown=False)
-    check_device(config.device)
-    recognition = Recognition(build(config.task), config.recognition)
-    task, policy = recognition.task, None
-    if config.checkpoint is not None:
-        policy = load_policy(
-            config.checkpoint, task=task, has_labels=recognition.is_told, device=config.device
-        )
-    else:
-        policy = make_policy(str(config.policy), task=task, seed=config.seed)
-    progress.rename("compilation" if config.compile else "set-up")
-    env = recognition.equip(make_env or make_real_env)(
+    task = build(config.task)
+    result = training.evaluate(
+        str(config.policy) if config.checkpoint is None else Path(config.checkpoint),
         task=task,
-        num_envs=min(config.num_envs, config.episodes),
+        recognition=config.recognition,
+        episodes=config.episodes,
+        num_envs=config.num_envs,
         seed=config.seed,
         device=config.device,
         compile=config.compile,
-        frames_per_action=task.checks_per_action if config.live else 1,
+        make_env=make_env or make_real_env,
+        observer=LiveObserver(config),
+        progress=progress,
     )
-    evaluator = Evaluator(env, decision_T=task.interval_T)
-    progress.start("evaluation", total=config.episodes)
-    with ExitStack() as stack:
-        stack.callback(env.close)
-        live = None
-        if config.live:
-            live = LiveView(env, config)
-            stack.callback(live.close)
-        result: dict[str, Any] = evaluator.run(
-            policy,
-            starts=fixed_starts(task, config.episodes, seed=config.seed),
-            on_episodes=progress.advance,
-            on_step=None if live is None else live.settle,
-        ).metrics()
     return {
         "fish": config.checkpoint or config.policy,
         "task": type(task).__name__,

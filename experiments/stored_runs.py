@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from fishrl.training.checkpoint import read_metadata
-from fishrl.training.recognition import find_machine
+from fishrl.training.classifier import find_classifier
 
 
 def read_task(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -25,7 +25,7 @@ def read_task(given: Mapping[str, Any]) -> dict[str, Any]:
         return {}
     path, metadata = read_metadata(str(source))
     trained = metadata["config"]
-    found = {"recognition": find_machine(trained.get("recognition"), path)}
+    found = {"recognition": find_classifier(trained.get("recognition"), path)}
     if not {"task", "preset"} & set(given):
         found |= {"task": trained["task"], "preset": trained["preset"]}
     return found

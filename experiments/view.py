@@ -19,11 +19,12 @@ from experiments.settings import ViewConfig
 from experiments.stored_runs import read_task
 from fishrl.envs import make_env
 from fishrl.envs.scene import Frame
+from fishrl.envs.transforms import equip
 from fishrl.training.baselines import make_policy
+from fishrl.training.classifier import load_recognition
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.policies import load_policy
 from fishrl.training.progress import Progress
-from fishrl.training.recognition import Recognition
 from fishrl.training.settings import check_device
 from fishrl.viewer import (
     Server,
@@ -59,12 +60,13 @@ def record(
     progress = progress or Progress(is_shown=False)
     check_folder(save)
     check_device(settings.device)
-    recognition = Recognition(build(settings.task), settings.recognition)
-    task, source = recognition.task, settings.run or settings.checkpoint
+    recognition = load_recognition(settings.recognition)
+    task, _ = equip(build(settings.task), recognition)
+    source = settings.run or settings.checkpoint
     flows = settings.choose_flows(settings.episodes, default=settings.episodes)
     if source is not None:
         policy = load_policy(
-            source, task=task, has_labels=recognition.is_told, device=settings.device
+            source, task=task, has_labels=recognition is not None, device=settings.device
         )
     else:
         policy = make_policy(str(settings.policy), task=task, seed=settings.seed)
@@ -75,8 +77,9 @@ def record(
     times: dict[int, list[float]] = {flow: [] for flow in flows}
     with ExitStack() as stack:
         progress.rename("compilation" if settings.compile else "set-up")
-        env = recognition.equip(make_env)(
+        env = make_env(
             task=task,
+            recognition=recognition,
             num_envs=len(flows),
             seed=settings.seed,
             device=settings.device,

@@ -31,10 +31,7 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/envs/", TENSORS | TASK_SIDE),
     ("fishrl/modules/", TENSORS | {"torchrl", "fishrl.modules"}),
     ("fishrl/objectives/", TENSORS | {"torchrl", "fishrl.objectives"}),
-    (
-        "fishrl/training/",
-        TENSORS | {"torchrl", "tqdm", "yaml", "wandb", "ray", "fishrl", "experiments", "omegaconf"},
-    ),
+    ("fishrl/training/", TENSORS | {"torchrl", "tqdm", "yaml", "wandb", "ray", "fishrl"}),
     (
         "fishrl/viewer/",
         TENSORS | {"torchrl", "rerun", "fishrl.viewer", "fishrl.bounds"} | TASK_SIDE,

@@ -25,9 +25,9 @@ from fishrl.modules import FixedFrequency, LateralLineClassifier
 from fishrl.physics.cache_key import hash_sources, make_key
 from fishrl.training.baselines import make_gait_policy, make_policy
 from fishrl.training.checkpoint import read_metadata
+from fishrl.training.classifier import find_classifier, load_recognition
 from fishrl.training.policies import load_policy
 from fishrl.training.progress import Progress
-from fishrl.training.recognition import find_machine
 
 #: Duration of a trial in T, whatever the length of the training episodes.
 PERIODS = 100.0
@@ -117,10 +117,8 @@ def load_trial(run: Path, *, periods: float = PERIODS) -> Trial:
     """
     path, metadata = read_metadata(str(run))
     config = metadata["config"]
-    choice = find_machine(config.get("recognition"), path)
-    recognition: LateralLineClassifier | str | None = choice
-    if choice is not None and choice != ORACLE:
-        recognition = LateralLineClassifier.load(choice)
+    choice = find_classifier(config.get("recognition"), path)
+    recognition = load_recognition(choice)
     task, _ = equip(build(config["task"]), recognition)
     if not isinstance(task, KarmanGait):
         raise ValueError(f"{run}: a policy of {type(task).__name__}; give runs of task=karman_gait")

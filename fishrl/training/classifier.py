@@ -26,9 +26,20 @@ def load_recognition(choice: Recognition, folder: Path = Path()) -> Recognition:
     """
     if not isinstance(choice, str) or choice == ORACLE:
         return choice
+    return LateralLineClassifier.load(Path(str(find_classifier(choice, folder))).expanduser())
+
+
+def find_classifier(choice: str | None, folder: Path) -> str | None:
+    """Return the setting of a run with its own classifier as a path, wherever the run lies now.
+
+    Args:
+        choice: as the configuration of the run has it.
+        folder: of the run, or of one of its checkpoints.
+    """
+    if choice != OWN:
+        return choice
     places = [place / OWN for place in (folder, *folder.resolve().parents[:2])]
-    own = next((path for path in places if path.is_file()), places[0])
-    return LateralLineClassifier.load(own if choice == OWN else Path(choice).expanduser())
+    return str(next((path for path in places if path.is_file()), places[0]))
 
 
 def keep_recognition(choice: Recognition, folder: Path) -> str | None:

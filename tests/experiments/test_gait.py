@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import sys
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +21,9 @@ from experiments.gait.trials import load_trial, make_trial
 from experiments.settings import EvaluateConfig
 from experiments.train import train
 from fishrl.envs import KarmanGait, Predation
+from fishrl.envs.transforms import equip
 from fishrl.modules import LateralLineClassifier
-from fishrl.training.recognition import Recognition, keep_machine
+from fishrl.training.classifier import keep_recognition, load_recognition
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 from tests.experiments.gait.tasks import BRIEF, make_task
 
@@ -146,18 +149,16 @@ def test_an_evaluation_takes_the_machine_of_the_run(
 
 def test_recognition_fits_the_task_or_says_why(tmp_path: Path) -> None:
     task = make_task()
-    assert Recognition(task, None).task is task
-    told = Recognition(task, "oracle")
-    assert (told.num_told, told.task.reads_flow_class) == (3, True)
+    assert equip(task, None) == (task, [])
+    assert equip(task, "oracle")[0] == replace(task, reads_flow_class=True)
     with pytest.raises(ValueError, match="Predation has no flows to tell apart"):
-        Recognition(Predation(**SMALL), "oracle")
-    with pytest.raises(ValueError, match="no such file; write one with"):
-        Recognition(task, str(tmp_path / "none.pt"))
-    with pytest.raises(ValueError, match="give oracle, or the machine"):
-        keep_machine(str(tmp_path / "none.pt"), tmp_path)
+        equip(Predation(**SMALL), "oracle")
+    for read in (load_recognition, partial(keep_recognition, folder=tmp_path)):
+        with pytest.raises(ValueError, match="no such file"):
+            read(str(tmp_path / "none.pt"))
     other = make_task(reynolds=400.0)
     with pytest.raises(ValueError, match="reynolds"):
-        Recognition(task, make_machine(tmp_path / "other.pt", other))
+        equip(task, load_recognition(make_machine(tmp_path / "other.pt", other)))
 
 
 def test_a_policy_of_predation_becomes_a_heading_controller(tmp_path: Path) -> None:
