@@ -15,7 +15,6 @@ from PIL import Image
 from experiments.settings import TrainConfig
 from experiments.train import main, set_up
 from fishrl.envs import make_env
-from fishrl.training.loop import Training
 from tests.envs.test_real_flow import TINY
 
 pytestmark = pytest.mark.learning
@@ -33,6 +32,7 @@ def config_of(folder: Path, **settings: object) -> TrainConfig:
         "log_frames": 2,
         "checkpoint_frames": 2,
         "eval_episodes": 1,
+        "picture_episodes": 0,
     }
     return TrainConfig(**{**defaults, **settings})  # type: ignore[arg-type]
 
@@ -40,7 +40,7 @@ def config_of(folder: Path, **settings: object) -> TrainConfig:
 def test_a_real_run_goes_on_exactly_in_the_middle_of_an_episode(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Training, "_compare", lambda self: {})
+    monkeypatch.setattr("fishrl.training.loop.summarize", lambda training: {})
     whole = set_up(config_of(tmp_path, name="whole", total_frames=4), make_env=make_env)
     whole.run()
     set_up(config_of(tmp_path, name="part", total_frames=2), make_env=make_env).run()
@@ -82,9 +82,9 @@ def test_the_program_trains_goes_on_and_leaves_summary_and_pictures(
     names = [f"folder={tmp_path}", "name=run", "total_frames=2"]
     run_program(monkeypatch, *task, *settings, *names)
     assert json.loads((folder / "summary.json").read_text())["frames"] == 2
-    with caplog.at_level(logging.INFO, logger="experiments"):
+    with caplog.at_level(logging.INFO, logger="fishrl"):
         run_program(monkeypatch, f"resume={folder}", "total_frames=4", "picture_episodes=1")
-    assert f"going on from frame 2 of {folder}" in caplog.text
+    assert f"continuing from frame 2 of {folder}" in caplog.text
     said = capsys.readouterr().out
     assert f"experiments.evaluate checkpoint={folder}\n" in said
     assert said.rstrip().endswith(f"experiments.view {folder}")

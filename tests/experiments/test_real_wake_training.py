@@ -14,8 +14,8 @@ from fishrl.envs import FlowEnv, make_env
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.loop import Training
 from tests.experiments.real_wake import gait_settings
+from tests.training.conftest import read_rows
 from tests.training.stops import run_and_stop
-from tests.training.test_loop import rows_of
 
 pytestmark = pytest.mark.learning
 
@@ -40,6 +40,7 @@ def begin(folder: Path, wakes: Path, **settings: Any) -> Training:
         checkpoint_frames=2,
         eval_frames=8,
         eval_episodes=1,
+        picture_episodes=0,
         **settings,
     )
     return set_up(config, make_env=make_env)
@@ -72,7 +73,7 @@ def list_leaves(state: Any, path: str = "") -> dict[str, Any]:
 def test_a_training_in_a_real_wake_that_is_interrupted_equals_one_that_is_not(
     tmp_path: Path, real_wake: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Training, "_compare", lambda self: {})
+    monkeypatch.setattr("fishrl.training.loop.summarize", lambda training: {})
     whole = begin(tmp_path, real_wake, name="whole")
     whole.run()
     part = begin(tmp_path, real_wake, name="part")
@@ -84,8 +85,8 @@ def test_a_training_in_a_real_wake_that_is_interrupted_equals_one_that_is_not(
     assert resumed.counters.frames == 10
     resumed.run()
     assert resumed.counters.episodes > 2
-    assert rows_of(tmp_path / "part") == rows_of(tmp_path / "whole")
-    assert len(rows_of(tmp_path / "part")) == FRAMES // 2
+    assert read_rows(tmp_path / "part") == read_rows(tmp_path / "whole")
+    assert len(read_rows(tmp_path / "part")) == FRAMES // 2
     theirs, ours = (list_leaves(read_states(tmp_path / name)) for name in ("whole", "part"))
     assert list(ours) == list(theirs)
     for path, value in theirs.items():
