@@ -1,5 +1,6 @@
 """The environment and its tasks."""
 
+from fishrl.envs.episodes import run_episodes
 from fishrl.envs.flow_env import FlowEnv, make_env
 from fishrl.envs.task import AbstractTask, Command
 from fishrl.envs.tasks import KarmanGait, Predation
@@ -15,4 +16,5 @@ __all__ = [
     "TrueFlowLabel",
     "make_env",
     "make_recognition",
+    "run_episodes",
 ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 import socket
 import subprocess
@@ -20,6 +19,7 @@ from fishrl.training.run_folder import write_yaml
 from fishrl.viewer import Drawing
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 from tests.experiments.test_gait import SETTINGS
+from tests.training.conftest import read_rows
 
 pytestmark = pytest.mark.usefixtures("gliding")
 
@@ -146,12 +146,6 @@ class Notes:
             draw(drawing, flow, frame)
 
         monkeypatch.setattr(Drawing, "draw", note)
-
-
-def read_rows(folder: Path) -> list[dict[str, str]]:
-    with (folder / "metrics.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    return [{k: v for k, v in row.items() if not k.startswith("time/")} for row in rows]
 
 
 def test_a_training_with_a_live_view_learns_the_same(
