@@ -1,1 +1,1 @@
-"""The lateral-line machine as a study: data, fits, what it can and cannot tell, and the report."""
+"""Study of the lateral line: data, fits of classifiers, questions, and the report."""

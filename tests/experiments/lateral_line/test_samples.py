@@ -1,4 +1,4 @@
-"""From episodes to windows: which samples a machine is fitted on."""
+"""From episodes to windows: the samples that a classifier is fitted on."""
 
 from __future__ import annotations
 
