@@ -1,1 +1,1 @@
-"""The Kármán gait, judged: who holds the station in which stream, how, and at what cost."""
+"""Study of the Kármán gait: trials in every stream, diagnostics, tables and figures."""
