@@ -15,6 +15,8 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
+from fishrl.bounds import bounded, check_bounds
+
 
 @dataclass(frozen=True, kw_only=True)
 class FitSettings:
@@ -32,22 +34,15 @@ class FitSettings:
         ValueError: for values out of range.
     """
 
-    learning_rate: float = 1e-3
-    batch_size: int = 64
-    num_epochs: int = 300
-    patience: int | None = 30
-    weight_decay: float = 0.0
+    learning_rate: float = bounded(1e-3, greater=0)
+    batch_size: int = bounded(64, least=1)
+    num_epochs: int = bounded(300, least=1)
+    patience: int | None = bounded(30, least=1)
+    weight_decay: float = bounded(0.0, least=0)
 
     def __post_init__(self) -> None:
-        """Refuse what cannot run."""
-        for name in ("batch_size", "num_epochs", "patience"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise ValueError(f"{name} = {value}: must be at least 1")
-        if self.learning_rate <= 0.0:
-            raise ValueError(f"learning_rate = {self.learning_rate}: must be positive")
-        if self.weight_decay < 0.0:
-            raise ValueError(f"weight_decay = {self.weight_decay}: must not be negative")
+        """Check the bounds."""
+        check_bounds(self)
 
     @classmethod
     def of_the_paper(cls) -> FitSettings:
