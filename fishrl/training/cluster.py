@@ -24,7 +24,7 @@ from torchrl.collectors.distributed import RayCollector
 from torchrl.envs import EnvBase
 from torchrl.modules import EGreedyModule
 
-from fishrl.training.collector import ResumableCollector
+from fishrl.training.resumable import ResumableCollector
 
 logger = logging.getLogger(__name__)
 

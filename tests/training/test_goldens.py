@@ -4,30 +4,19 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from experiments.settings import TrainConfig
-from experiments.train import train
-from tests.training.toy_fish import make_toy_env
+from fishrl.training import DQN, DRQN, Algorithm, DiscreteSAC
+from tests.training.conftest import Toy
 
 GOLDENS = Path(__file__).parents[1] / "goldens"
-ALGORITHMS: dict[str, dict[str, Any]] = {
-    "discrete_sac": {"_target_": "fishrl.training.algorithms.DiscreteSAC"},
-    "dqn": {"_target_": "fishrl.training.algorithms.DQN", "epsilon_frames": 60},
-    "double_dqn": {
-        "_target_": "fishrl.training.algorithms.DQN",
-        "is_double": True,
-        "epsilon_frames": 60,
-    },
-    "drqn": {
-        "_target_": "fishrl.training.algorithms.DRQN",
-        "sequence_length": 4,
-        "epsilon_frames": 60,
-    },
+ALGORITHMS: dict[str, Algorithm] = {
+    "discrete_sac": DiscreteSAC(),
+    "dqn": DQN(epsilon_frames=60),
+    "double_dqn": DQN(is_double=True, epsilon_frames=60),
+    "drqn": DRQN(sequence_length=4, epsilon_frames=60),
 }
 
 
@@ -41,11 +30,9 @@ def read(path: Path) -> list[dict[str, float]]:
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
-def test_a_seed_gives_the_learning_curve_it_always_gave(
-    name: str, toy_config: Callable[..., TrainConfig], tmp_path: Path
-) -> None:
-    train(toy_config(algorithm=ALGORITHMS[name], name=name), make_env=make_toy_env)
-    rows, expected = read(tmp_path / name / "metrics.csv"), read(GOLDENS / f"toy_{name}.csv")
+def test_a_seed_gives_the_learning_curve_it_always_gave(name: str, toy: Toy) -> None:
+    toy.begin(algorithm=ALGORITHMS[name], name=name).run()
+    rows, expected = read(toy.folder / name / "metrics.csv"), read(GOLDENS / f"toy_{name}.csv")
     assert len(rows) == len(expected)
     for row, golden in zip(rows, expected, strict=True):
         # 1e-5: float32 sums may be ordered differently on another processor
