@@ -1,7 +1,7 @@
-"""Write the configuration reference from what constructors say of themselves.
+"""Generate the configuration reference from constructors.
 
-For each program its settings; for each task and logger, and for each object that a YAML puts into
-one, its arguments: name, type, default, and what its docstring says. Nothing is written by hand.
+It lists the settings of each program and the arguments of each task, algorithm and logger, and of
+the objects inside them: name, type, default, and the description from the docstring.
 """
 
 import inspect
@@ -21,18 +21,17 @@ from experiments.program import Program, list_choices
 
 HEAD = """# Configuration reference
 
-Every setting is an argument of a constructor, and this page is made from the constructors when
-the pages are built. `key=value` on the command line sets it; a dot goes into an object
-(`task.body_length=64`). A key that does not exist is answered with the nearest that does, a value
-that cannot be with what is allowed.
+Every setting is an argument of a constructor. Set it on the command line by `key=value`; a dot
+selects an argument of an object (`task.body_length=64`). An unknown key is reported with the
+nearest existing one, an invalid value with the allowed range.
 
-Choices: {groups}. A folder of your own adds to them: `--config-dir <folder>`, see
+Choices: {groups}. Add your own by `--config-dir <folder>`; see
 [A task of your own](tutorials/new_task.md).
 """
 
 
 def write_reference(path: Path) -> None:
-    """Write the page, unless it is there already as it would be."""
+    """Write the page if it has changed."""
     text = make_reference()
     if not path.is_file() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")
@@ -69,10 +68,10 @@ def list_programs() -> dict[str, Program]:
 
 
 def describe(kind: type) -> str:
-    """Return what a class is and a table of its arguments."""
+    """Return the summary of a class and a table of its arguments."""
     summary = (inspect.getdoc(kind) or "").split("\n\n")[0].replace("\n", " ")
     texts = read_arguments(kind)
-    rows = ["| argument | type | default | what |", "|---|---|---|---|"]
+    rows = ["| argument | type | default | meaning |", "|---|---|---|---|"]
     for name, parameter in inspect.signature(kind).parameters.items():
         type_name = _show_type(parameter.annotation)
         rows.append(
