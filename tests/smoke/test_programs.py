@@ -20,10 +20,8 @@ import torch
 import fishrl.envs.task
 import fishrl.viewer.files
 from experiments.program import list_choices
-from fishrl.envs import Predation
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
-from fishrl.training.baselines import NAMES, list_baselines
 from tests.docs.pages import DOCS, read_blocks
 from tests.envs.conftest import SMALL
 from tests.envs.gliding import GlidingSolver
@@ -159,12 +157,16 @@ def test_every_preset_makes_its_task(preset: str, runs: Path) -> None:
 
 
 @pytest.mark.usefixtures("gliding")
-@pytest.mark.parametrize("policy", NAMES)
-def test_every_hand_written_fish_is_evaluated(policy: str) -> None:
-    is_hunter = policy in list_baselines(Predation(**SMALL))
-    task = "predation" if is_hunter else "karman_gait"
+@pytest.mark.parametrize(
+    ("task", "policy"),
+    [
+        *(("predation", name) for name in ("random", "pursuit", "intercept")),
+        *(("karman_gait", name) for name in ("pid", "passive", "bang_bang", "shedding")),
+    ],
+)
+def test_every_baseline_is_evaluated(task: str, policy: str) -> None:
     chosen = [f"policy={policy}", f"task={task}", *_set_task(GLIDING), "task.time_limit=2"]
-    if is_hunter:  # they decide once per T
+    if task == "predation":  # pursuers decide once per T
         chosen += ["task.control_interval_T=1", "task.checks_per_action=25"]
     _run("evaluate", *chosen, "episodes=2", "num_envs=2", "compile=false")
 
