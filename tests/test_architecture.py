@@ -158,3 +158,50 @@ def test_the_library_logs_and_never_prints(path: Path) -> None:
     calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
     lines = [call.lineno for call in calls if ast.unparse(call.func) == "print"]
     assert not lines, f"{_relative(path)} prints on lines {lines}: use logging"
+
+
+#: Imports of our own modules inside functions: for optional packages and what they bring.
+MAX_LATE_IMPORTS = 5
+OWN = {"fishrl", "experiments"}
+
+
+def _find_imports() -> tuple[dict[str, set[str]], list[str]]:
+    """Return which module of ours imports which, and the imports of ours inside functions."""
+    paths = {path: path.relative_to(ROOT).with_suffix("") for path in _sources(*OWN)}
+    modules = {".".join(p.parts).removesuffix(".__init__"): path for path, p in paths.items()}
+    edges: dict[str, set[str]] = {name: set() for name in modules}
+    late = []
+    for name, path in modules.items():
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        hidden = {id(n) for b in ast.walk(tree) if _is_type_checking(b) for n in ast.walk(b)}
+        for node in ast.walk(tree):
+            found = [] if id(node) in hidden else _imported_by(node, path)
+            found += [word.rpartition(".")[0] for word in found]
+            edges[name] |= set(found) & modules.keys() - {name}
+            if node not in tree.body and any(_is_within(word, OWN) for word in found):
+                late.append(f"{_relative(path)}:{node.lineno}")
+    return edges, late
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    """A package's ``__init__`` may re-export what imports the package."""
+    edges, _ = _find_imports()
+
+    def reach(start: str) -> set[str]:
+        found, front = set[str](), {start}
+        while front:
+            front = set().union(*(edges[name] for name in front)) - found
+            found |= front
+        return found
+
+    inits = {name for name in edges if (ROOT / name.replace(".", "/")).is_dir()}
+    ways = {name: reach(name) for name in edges}
+    circles = {
+        frozenset(other for other in ways[name] if name in ways[other]) - inits for name in edges
+    }
+    assert not [sorted(circle) for circle in circles if len(circle) > 1]
+
+
+def test_few_modules_are_imported_inside_functions() -> None:
+    _, late = _find_imports()
+    assert len(late) <= MAX_LATE_IMPORTS, f"{len(late)} imports inside functions: {late}"
