@@ -138,6 +138,7 @@ class CommandLine:
                     key, value = override.key_or_group, override.value()
                     OmegaConf.update(config, key, value, force_add=True)
         base = OmegaConf.structured(self.schema)
+        OmegaConf.set_readonly(base, False)  # as that of a frozen dataclass is
         for name in self.groups:
             node = config.get(name)
             if OmegaConf.is_dict(node) and name != "preset":

@@ -1,72 +1,89 @@
-"""See how well a fish does: ``python -m experiments.evaluate checkpoint=runs/<name> episodes=32``.
+"""Evaluate a policy: ``python -m experiments.evaluate checkpoint=runs/<name> episodes=32``.
 
-``policy=random|pursuit|intercept`` evaluates a hand-written fish instead.
+``policy=random|pursuit|intercept`` evaluates a baseline instead.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from omegaconf import MISSING
+
 from experiments.configuration import build, to_plain
+from experiments.live import LiveObserver
 from experiments.program import program
-from experiments.settings import EvaluateConfig
 from experiments.stored_runs import read_task
-from fishrl import training
-from fishrl.envs import make_env as make_real_env
-from fishrl.training import Observer
+from fishrl.bounds import bounded
+from fishrl.envs import make_env
+from fishrl.training import evaluate as run_evaluation
 from fishrl.training.progress import Progress
-from fishrl.viewer import LiveView
+from fishrl.training.run_folder import write_json
+from fishrl.viewer import ViewerSettings, check_folder
 
 
-class LiveObserver(Observer):
-    """Streams flows to a viewer if ``live`` is set.
+@dataclass(frozen=True, kw_only=True)
+class EvaluateConfig(ViewerSettings):
+    """Settings of an evaluation, beside those of ``ViewerSettings``.
 
     Args:
-        config: the settings.
+        task: ``_target_`` and arguments of the task; a checkpoint brings its own unless ``task``
+            or ``preset`` is given, and ``task.<argument>`` changes it.
+        preset: name of the preset.
+        checkpoint: run folder or checkpoint of the policy to evaluate.
+        policy: baseline to evaluate instead, see ``fishrl.training.baselines``.
+        recognition: as for training; a checkpoint brings its own.
+        episodes: fixed starts, one episode each.
+        num_envs: flows that advance together.
+        seed: of the starts and of random actions; 0 gives those of every run's last evaluation, 1
+            those that chose its checkpoint.
+        device: cpu or cuda.
+        compile: compile the flow solver.
+        save: file for the result and all these settings as JSON, or nothing.
     """
 
-    def __init__(self, config: EvaluateConfig) -> None:
-        self._config = config
-        self._live: LiveView | None = None
+    task: Any = MISSING
+    preset: str | None = None
+    checkpoint: str | None = None
+    policy: str | None = None
+    recognition: str | None = None
+    episodes: int = bounded(32, least=1)
+    num_envs: int = bounded(16, least=1)
+    seed: int = 0
+    device: str = "cpu"
+    compile: bool = True
+    save: str | None = None
 
-    def begin(self, env: Any) -> None:
-        """Start the live view."""
-        if self._config.live:
-            self._live = LiveView(env, self._config)
-
-    def settle(self, step: Any) -> None:
-        """Show a decision."""
-        if self._live is not None:
-            self._live.settle(step)
-
-    def close(self) -> None:
-        """End the live view."""
-        if self._live is not None:
-            self._live.close()
+    def __post_init__(self) -> None:
+        """Check the bounds, and that there is one policy."""
+        super().__post_init__()
+        if (self.checkpoint is None) == (self.policy is None):
+            raise ValueError(
+                "give one of checkpoint=<run folder> and policy=<baseline>, such as policy=random"
+            )
 
 
 def evaluate(
-    config: EvaluateConfig, *, make_env: Any = None, progress: Progress | None = None
+    config: EvaluateConfig, *, make_env: Any = make_env, progress: Progress | None = None
 ) -> dict[str, Any]:
     """Run one episode from each of the fixed starts.
 
     Args:
         config: the settings.
-        make_env: makes the env of a task; by default ``fishrl.envs.flow_env.make_env``.
+        make_env: makes the env of a task.
         progress: the bar, if there is one already.
 
     Returns:
-        ``success_rate``, ``mean_return``, ``mean_length_T``, ``mean_time_to_success_T``,
-        ``episodes``, ``diverged``, and which fish it was.
+        What ``fishrl.training.evaluate`` returns, and which policy it was.
 
     Raises:
         ValueError: for settings that cannot be, and checkpoints that do not fit.
     """
     task = build(config.task)
-    result = training.evaluate(
+    result = run_evaluation(
         str(config.policy) if config.checkpoint is None else Path(config.checkpoint),
         task=task,
         recognition=config.recognition,
@@ -75,12 +92,12 @@ def evaluate(
         seed=config.seed,
         device=config.device,
         compile=config.compile,
-        make_env=make_env or make_real_env,
-        observer=LiveObserver(config),
+        make_env=make_env,
+        observer=LiveObserver(config, num_flows=min(config.num_envs, config.episodes)),
         progress=progress,
     )
     return {
-        "fish": config.checkpoint or config.policy,
+        "policy": config.checkpoint or config.policy,
         "task": type(task).__name__,
         "preset": config.preset,
         "seed": config.seed,
@@ -95,8 +112,6 @@ def check_result(save: str) -> Path:
         ValueError: if not.
         FileNotFoundError: if there is no folder for it.
     """
-    from fishrl.viewer import check_folder
-
     path = check_folder(Path(save).expanduser())
     if path.is_dir():
         raise _unwritable(path, "it is a folder")
@@ -111,8 +126,6 @@ def write_result(path: Path, values: Mapping[str, Any]) -> None:
     Raises:
         ValueError: if it cannot be written.
     """
-    from fishrl.training.run_folder import write_json
-
     try:
         write_json(path, values)
     except OSError as error:

@@ -16,22 +16,20 @@ from typing import Any
 
 from experiments.configuration import to_plain
 from experiments.figures.run_pictures import record_run
+from experiments.live import LiveObserver
 from experiments.program import program, show_command
-from experiments.settings import TrainConfig
 from experiments.sweeps.jobs import sweep
 from experiments.sweeps.runs import read_run
-from experiments.train_settings import TRAINING, make_plan
+from experiments.train_settings import TRAINING, TrainConfig, make_plan
 from fishrl.envs import make_env as make_real_env
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.interruption import Interrupted
 from fishrl.training.loop import Training
-from fishrl.training.observer import Observer
 from fishrl.training.plan import LEARNING, PARTS, RUN
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, read_config
 from fishrl.training.runs import begin, complete, reopen
 from fishrl.training.summary import FINAL_SEED
-from fishrl.viewer import LiveView
 
 #: When the program started, but for its imports.
 BEGAN = time.perf_counter()
@@ -67,7 +65,7 @@ def train(
     return finish(training)
 
 
-class RunObserver(Observer):
+class RunObserver(LiveObserver):
     """The live view of a run, and its pictures at the end.
 
     Args:
@@ -75,35 +73,13 @@ class RunObserver(Observer):
     """
 
     def __init__(self, config: TrainConfig) -> None:
+        super().__init__(config, num_flows=config.num_envs)
         self.config = config
-        self.live: LiveView | None = None
-        if config.live:
-            config.choose_flows(config.num_envs, default=1)
-
-    def begin(self, env: Any) -> None:
-        """Start the live view."""
-        if self.config.live:
-            self.live = LiveView(env, self.config)
-
-    def settle(self, step: Any) -> None:
-        """Show a decision."""
-        if self.live is not None:
-            self.live.settle(step)
-
-    def restart(self) -> None:
-        """Expect other episodes."""
-        if self.live is not None:
-            self.live.restart()
 
     def finish(self, training: Training, summary: Mapping[str, Any]) -> None:
         """Draw the pictures."""
         if self.config.picture_episodes > 0:
             draw(training, self.config, summary)
-
-    def close(self) -> None:
-        """End the live view."""
-        if self.live is not None:
-            self.live.close()
 
 
 def set_up(

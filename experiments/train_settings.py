@@ -3,15 +3,60 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
+from omegaconf import MISSING
+
 from experiments.configuration import CommandLine, build, to_plain
-from experiments.settings import DEFAULT_ALGORITHM, TrainConfig
+from fishrl.bounds import bounded
 from fishrl.training.aliases import update_names
 from fishrl.training.plan import LEARNING, PARTS, RUN, Plan
 from fishrl.training.run_folder import RunFolder, read_config
 from fishrl.training.runs import make_folder
 from fishrl.training.settings import LearningSettings, RunSettings
+from fishrl.viewer import ViewerSettings
+
+#: Of runs that do not name one.
+DEFAULT_ALGORITHM = {"_target_": "fishrl.training.algorithms.discrete_sac.DiscreteSAC"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig(LearningSettings, RunSettings, ViewerSettings):
+    """Settings of a training run.
+
+    Args:
+        task: ``_target_`` and arguments of the task.
+        algorithm: ``_target_`` and arguments of the algorithm (``fishrl.training.algorithms``).
+        logger: ``_target_`` and arguments of the logger.
+        preset: name of the preset.
+        recognition: what labels the flows: ``oracle``, the file of a lateral-line classifier, or
+            nothing.
+        resume: run folder to go on with, from its last checkpoint.
+        picture_episodes: episodes of the last evaluation that are recorded and drawn; 0 for none.
+
+    Raises:
+        ValueError: for a value outside its bounds.
+    """
+
+    task: Any = MISSING
+    algorithm: Any = field(default_factory=DEFAULT_ALGORITHM.copy)
+    logger: Any = MISSING
+    preset: str | None = None
+    recognition: str | None = None
+    resume: str | None = None
+    picture_episodes: int = bounded(6, least=0)
+
+    def __post_init__(self) -> None:
+        """Check the bounds of all."""
+        LearningSettings.__post_init__(self)
+        RunSettings.__post_init__(self)
+        ViewerSettings.__post_init__(self)
+        if self.ray_collectors and (self.live or self.device != "cpu"):
+            raise ValueError(
+                f"ray_collectors = {self.ray_collectors}: the flows advance elsewhere and on CPUs; "
+                "take live=false and device=cpu"
+            )
 
 
 def read_resumed(given: Mapping[str, Any]) -> dict[str, Any]:

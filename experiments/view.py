@@ -10,13 +10,17 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
+
+from omegaconf import MISSING
 
 from experiments.configuration import build
 from experiments.program import program
-from experiments.settings import ViewConfig
 from experiments.stored_runs import read_task
+from fishrl.bounds import bounded
 from fishrl.envs import make_env
 from fishrl.envs.scene import Frame
 from fishrl.envs.transforms import equip
@@ -28,6 +32,7 @@ from fishrl.training.progress import Progress
 from fishrl.training.settings import check_device
 from fishrl.viewer import (
     Server,
+    ViewerSettings,
     check_folder,
     find_recording,
     has_screen,
@@ -38,6 +43,57 @@ from fishrl.viewer import (
     start_drawing,
     write_screenshot,
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewConfig(ViewerSettings):
+    """Settings of the program that shows flows, beside those of ``ViewerSettings``.
+
+    Args:
+        task: ``_target_`` and arguments of the task; a run brings its own unless ``task`` or
+            ``preset`` is given, and ``task.<argument>`` changes it.
+        preset: name of the preset.
+        recording: a ``.rrd`` file, or a run folder with one, to open as it is.
+        run: run folder of the policy to show.
+        checkpoint: checkpoint of the policy to show.
+        policy: baseline to show, see ``fishrl.training.baselines``.
+        recognition: as for training; a run brings its own.
+        episodes: fixed starts, one flow each, of which ``flows`` are shown; all by default.
+        periods: T after which episodes are left; nothing lets them end.
+        seed: of the starts; 0 gives those of every run's last evaluation, 1 those that chose its
+            checkpoint.
+        device: cpu or cuda.
+        compile: compile the flow solver.
+        save: ``.rrd`` file to write; by default one in the temporary folder.
+        screenshot: PNG to write instead of opening a window.
+        time: of the picture, in T; by default the middle of the recording.
+    """
+
+    task: Any = MISSING
+    preset: str | None = None
+    recording: str | None = None
+    run: str | None = None
+    checkpoint: str | None = None
+    policy: str | None = None
+    recognition: str | None = None
+    episodes: int = bounded(1, least=1)
+    periods: float | None = bounded(20.0, greater=0)
+    seed: int = 0
+    device: str = "cpu"
+    compile: bool = True
+    save: str | None = None
+    screenshot: str | None = None
+    time: float | None = bounded(None, least=0)
+
+    def __post_init__(self) -> None:
+        """Check the bounds, and that there is one thing to show."""
+        super().__post_init__()
+        sources = (self.recording, self.run, self.checkpoint, self.policy)
+        if sum(source is not None for source in sources) != 1:
+            raise ValueError(
+                "give one of run=<run folder>, checkpoint=<checkpoint>, policy=<baseline>, such as "
+                "policy=pid preset=gait_small, and the path of a .rrd file"
+            )
 
 
 def record(

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 import fishrl.envs.task
-from experiments.settings import TrainConfig
+from experiments.train_settings import TrainConfig
 from fishrl.envs import Predation
 from fishrl.envs.scene import Frame
 from fishrl.physics import InPlaceSolver

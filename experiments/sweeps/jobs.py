@@ -16,6 +16,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import hydra
@@ -29,10 +30,9 @@ from omegaconf import DictConfig
 
 from experiments.configuration import CONF, PRIMARY, parse, to_plain
 from experiments.program import set_up_logging, show_command
-from experiments.settings import TrainConfig
 from experiments.sweeps.ending import END_CODES, ending_runs, leave_ending_to_sweep
 from experiments.sweeps.runs import HARMLESS, Run, advise, count_frames, list_runs, read_run
-from experiments.train_settings import TRAINING, begin_run
+from experiments.train_settings import TRAINING, TrainConfig, begin_run
 from fishrl.training.aliases import update_names
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, read_config
@@ -172,13 +172,13 @@ def find_or_begin(config: TrainConfig, *, name: str) -> RunFolder:
     """Return the folder of the run with these settings, made if there is none.
 
     Args:
-        config: of the run; ``name`` is set.
+        config: of the run.
         name: of the folder; one with a number behind it if a run with other settings has it.
 
     Raises:
         ValueError: if it cannot be written.
     """
-    config.name = name
+    config = replace(config, name=name)
     number = 1
     while True:
         path = Path(config.folder).expanduser() / (name if number == 1 else f"{name}-{number}")

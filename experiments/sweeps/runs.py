@@ -13,9 +13,9 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from experiments.program import show_command
-from experiments.settings import ViewerSettings
 from fishrl.training.aliases import update_names
 from fishrl.training.run_folder import RunFolder
+from fishrl.viewer import ViewerSettings
 
 #: Settings that change neither what a run learns nor how that is judged: where it lies, and what is
 #: shown, logged, saved and compared with it.

@@ -6,7 +6,7 @@ from fishrl.bounds import bounded, check_bounds, suggest
 from fishrl.viewer.drawing import FieldFormat
 
 
-@dataclass(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class ViewerSettings:
     """Which flows are shown, how often and how.
 

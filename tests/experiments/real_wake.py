@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from experiments.config import build
+from experiments.configuration import build
 from fishrl.envs import KarmanGait
 from fishrl.envs import wakes as wakes_module
 

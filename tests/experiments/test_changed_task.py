@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,9 @@ import pytest
 import torch
 
 from experiments import evaluate, view
-from experiments.config import build, load_config, to_plain
+from experiments.configuration import build, to_plain
 from experiments.train import train
+from experiments.train_settings import TRAINING
 from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.policy_spec import PolicySpec
 from tests.envs.conftest import gliding  # noqa: F401 - a fixture
@@ -25,8 +27,8 @@ OWN = [*SETTINGS, "task.stream.speeds_bl=[1.0,1.2,1.4]", "task.observes_flow=tru
 
 def store(folder: Path, *overrides: str, recognition: str | None = None) -> str:
     """Make what an untrained fish of a gait leaves, as far as settings are concerned."""
-    config = load_config("train", [*OWN, *overrides])
-    config.recognition = recognition
+    config = TRAINING.read([*OWN, *overrides])
+    config = replace(config, recognition=recognition)
     task = build(config.task)
     save_checkpoint(
         folder / "checkpoints" / "last",
@@ -153,7 +155,7 @@ def test_the_number_of_actions_cannot_be_changed(
 
 
 def test_a_machine_knows_only_its_flows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    task = build(load_config("train", OWN).task)
+    task = build(TRAINING.read(OWN).task)
     make_machine(tmp_path / "machine.pt", task)
     checkpoint = store(tmp_path, recognition="machine.pt")
     said = refuse(monkeypatch, checkpoint, "task.reynolds=400.0")
@@ -164,8 +166,8 @@ def test_a_machine_knows_only_its_flows(tmp_path: Path, monkeypatch: pytest.Monk
 def test_a_learned_fish_swims_in_a_changed_task(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = load_config("train", [*OWN, f"folder={tmp_path}", "name=run", "total_frames=8"])
-    config.baselines, config.picture_episodes = [], 0
+    config = TRAINING.read([*OWN, f"folder={tmp_path}", "name=run", "total_frames=8"])
+    config = replace(config, baselines=(), picture_episodes=0)
     train(config)
     saved = tmp_path / "result.json"
     arguments = [f"checkpoint={tmp_path / 'run'}", "episodes=2", "compile=false", f"save={saved}"]

@@ -14,12 +14,11 @@ import pytest
 import torch
 
 from experiments import export_steering, transfer
-from experiments.config import load_config
-from experiments.evaluate import evaluate
+from experiments.evaluate import EvaluateConfig, evaluate
 from experiments.evaluate import main as evaluate_main
 from experiments.gait.trials import load_trial, make_trial
-from experiments.settings import EvaluateConfig
 from experiments.train import train
+from experiments.train_settings import TRAINING
 from fishrl.envs import KarmanGait, Predation
 from fishrl.envs.transforms import equip
 from fishrl.modules import LateralLineClassifier
@@ -59,10 +58,8 @@ def make_machine(path: Path, task: KarmanGait | None = None) -> str:
 
 
 def run(folder: Path, *overrides: str, **settings: object) -> dict[str, Any]:
-    config = load_config("train", [*SETTINGS, f"folder={folder}", *overrides])
-    for name, value in settings.items():
-        setattr(config, name, value)
-    return train(config)
+    config = TRAINING.read([*SETTINGS, f"folder={folder}", *overrides])
+    return train(replace(config, **settings))
 
 
 def read_rows(folder: Path) -> list[dict[str, str]]:
@@ -114,8 +111,8 @@ def test_a_run_with_a_lateral_line_goes_on_exactly(tmp_path: Path) -> None:
     run(tmp_path, "name=part", "total_frames=24", recognition=choice)
     (tmp_path / "m.pt").unlink()
     (tmp_path / "part").rename(tmp_path / "moved")
-    config = load_config("train", [*SETTINGS, f"folder={tmp_path}"])
-    config.recognition, config.resume = "machine.pt", str(tmp_path / "moved")
+    config = TRAINING.read([*SETTINGS, f"folder={tmp_path}"])
+    config = replace(config, recognition="machine.pt", resume=str(tmp_path / "moved"))
     resumed = train(config)
     # the shorter run was evaluated at its end too, and the best of all evaluations is what counts
     assert resumed["updates"] == whole["updates"] > 0
@@ -137,7 +134,7 @@ def test_an_evaluation_takes_the_machine_of_the_run(
     result = json.loads(saved.read_text())
     assert (result["episodes"], result["task"]) == (3, "KarmanGait")
     config = EvaluateConfig(
-        task=load_config("train", [*SETTINGS, seen]).task,
+        task=TRAINING.read([*SETTINGS, seen]).task,
         preset="x",
         checkpoint=str(tmp_path / "moved"),
         episodes=3,
@@ -162,11 +159,11 @@ def test_recognition_fits_the_task_or_says_why(tmp_path: Path) -> None:
 
 
 def test_a_policy_of_predation_becomes_a_heading_controller(tmp_path: Path) -> None:
-    config = load_config("train", ["preset=small", f"folder={tmp_path}", "name=run"])
+    config = TRAINING.read(["preset=small", f"folder={tmp_path}", "name=run"])
     config.task |= SMALL
-    config.compile, config.num_envs, config.total_frames, config.warmup_frames = False, 2, 2, 2
-    config.eval_episodes = config.final_episodes = 1
-    config.picture_episodes, config.baselines = 0, []
+    few = {"num_envs": 2, "total_frames": 2, "warmup_frames": 2}
+    config = replace(config, compile=False, eval_episodes=1, final_episodes=1, **few)
+    config = replace(config, picture_episodes=0, baselines=())
     train(config)
     path = tmp_path / "steering.pt"
     steering = export_steering.export_steering(tmp_path / "run", path)

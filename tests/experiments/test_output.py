@@ -14,9 +14,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from experiments.config import build
-from experiments.settings import TrainConfig
+from experiments.configuration import build
 from experiments.train import finish, set_up
+from experiments.train_settings import TrainConfig
 from fishrl.training.logger import CsvLogger, WandbLogger
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, write_json

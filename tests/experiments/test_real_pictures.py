@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from experiments.configuration import build
-from experiments.settings import ViewConfig
-from experiments.view import record
+from experiments.view import ViewConfig, record
 from fishrl.envs import make_env
 from fishrl.viewer import make_scene, photograph_views
 from tests.envs.test_real_flow import TINY

@@ -12,8 +12,8 @@ import pytest
 import torch
 from PIL import Image
 
-from experiments.settings import TrainConfig
 from experiments.train import main, set_up
+from experiments.train_settings import TrainConfig
 from fishrl.envs import make_env
 from tests.envs.test_real_flow import TINY
 

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 import torch
 
-from experiments.settings import TrainConfig
 from experiments.train import set_up
+from experiments.train_settings import TrainConfig
 from fishrl.envs import FlowEnv, make_env
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.loop import Training

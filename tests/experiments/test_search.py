@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 
 from experiments import search
-from experiments.config import load_config
 from experiments.search import SearchSettings
 from experiments.sweeps import jobs
 from experiments.sweeps.runs import is_held, read_run, read_runs
+from experiments.train_settings import TRAINING
 from fishrl.training.checkpoint import read_metadata
 from tests.experiments.test_sweep_jobs import HERE, ROOT, SETTINGS
 
@@ -122,7 +122,7 @@ def test_a_run_that_outlived_its_search_is_waited_for(
     monkeypatch.setattr(jobs, "run_alone", lambda *_, **__: pytest.fail("run again"))
     plan = plan_of(tmp_path, "gamma=interval(0.9,1)")
     settings = ["gamma=0.95", "seed=0", f"folder={tmp_path}"]
-    place = jobs.find_or_begin(load_config("train", settings), name="trial_0000-seed_0")
+    place = jobs.find_or_begin(TRAINING.read(settings), name="trial_0000-seed_0")
     code = "import sys, time; from pathlib import Path; "
     code += "from fishrl.training.run_folder import RunFolder, write_json; "
     code += "place = RunFolder(Path(sys.argv[1])); held = place.hold(); print('held', flush=True); "

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,12 +17,11 @@ from omegaconf import OmegaConf
 from experiments import train
 from experiments.configuration import to_plain
 from experiments.program import show_command
-from experiments.settings import TrainConfig
 from experiments.sweeps import ending, jobs
 from experiments.sweeps.groups import group_runs
 from experiments.sweeps.runs import read_run, read_runs
 from experiments.train import finish, set_up
-from experiments.train_settings import TRAINING, begin_run
+from experiments.train_settings import TRAINING, TrainConfig, begin_run
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.run_folder import RunFolder, write_yaml
 from tests.training.toy_fish import make_toy_env
@@ -116,9 +116,7 @@ def test_a_mistake_in_any_job_ends_the_sweep_before_it_begins(
 
 def settings_in(folder: Path, **settings: object) -> TrainConfig:
     config: TrainConfig = TRAINING.read([f"folder={folder}"])
-    for name, value in settings.items():
-        setattr(config, name, value)
-    return config
+    return replace(config, **settings)
 
 
 def test_the_same_settings_find_their_run_and_others_make_a_new_one(tmp_path: Path) -> None:
@@ -171,7 +169,7 @@ def test_a_run_that_never_began_begins_when_it_is_resumed(
     config = toy_config(name="later", total_frames=80)
     begin_run(config, RunFolder.create(parent=config.folder, name="later"))
     assert read_run(tmp_path / "later").status == "stopped"
-    config.resume = str(tmp_path / "later")
+    config = replace(config, resume=str(tmp_path / "later"))
     finish(set_up(config, make_env=make_toy_env))
     assert read_run(tmp_path / "later").status == "finished"
     assert rows_of(tmp_path / "later") == rows_of(tmp_path / "straight")

@@ -6,14 +6,17 @@ import re
 import socket
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from experiments import view
-from experiments.config import load_config, resumed_settings, to_plain
+from experiments.configuration import to_plain
 from experiments.evaluate import evaluate
+from experiments.evaluate import main as evaluate_main
 from experiments.train import train
+from experiments.train_settings import TRAINING
 from fishrl.envs.scene import Frame
 from fishrl.training.run_folder import write_yaml
 from fishrl.viewer import Drawing
@@ -53,9 +56,9 @@ def test_some_flows_of_a_batch_are_recorded_and_their_size_is_said(
 def test_the_learned_fish_of_a_run_is_shown_in_its_own_task(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = load_config("train", [*SETTINGS, f"folder={tmp_path}", "name=run"])
-    config.recognition, config.baselines, config.picture_episodes = "oracle", [], 2
-    config.total_frames = config.eval_frames = 16
+    config = TRAINING.read([*SETTINGS, f"folder={tmp_path}", "name=run"])
+    config = replace(config, recognition="oracle", baselines=(), picture_episodes=2)
+    config = replace(config, total_frames=16, eval_frames=16)
     train(config)
     assert "/flow_0/plots/class_probabilities" in list_entities(tmp_path / "run" / "capture.rrd")
     settings = view.main.read([f"run={tmp_path / 'run'}", "task.stream.speeds_bl=[1.0,1.2,1.4]"])
@@ -130,7 +133,7 @@ def test_errors_are_one_line(
 
 def test_a_training_that_cannot_be_shown_leaves_no_folder(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"flows = \[9\]: must be some of 0 to 3, each once"):
-        train(load_config("train", [*SETTINGS, f"folder={tmp_path}", "live=true", "flows=[9]"]))
+        train(TRAINING.read([*SETTINGS, f"folder={tmp_path}", "live=true", "flows=[9]"]))
     assert not list(tmp_path.iterdir())
 
 
@@ -154,10 +157,10 @@ def test_a_training_with_a_live_view_learns_the_same(
     settings = [*SETTINGS, "recognition=oracle", f"folder={tmp_path}", "picture_episodes=0"]
     settings += ["total_frames=32", "warmup_frames=8", "eval_frames=16", "eval_episodes=2"]
     settings += ["final_episodes=1", "baselines=[]", "task.time_limit=4"]
-    train(load_config("train", [*settings, "name=alone"]))
+    train(TRAINING.read([*settings, "name=alone"]))
     drawn = Notes(monkeypatch)
     seen = ["name=seen", "live=true", "flows=[1,2]", "port=29620", "live_share=1.0"]
-    summary = train(load_config("train", [*settings, *seen]))
+    summary = train(TRAINING.read([*settings, *seen]))
     assert read_rows(tmp_path / "seen") == read_rows(tmp_path / "alone")
     assert summary["frames"] == 32
     for flow in (1, 2):
@@ -174,17 +177,21 @@ def test_a_training_with_a_live_view_learns_the_same(
 def test_an_evaluation_with_a_live_view_is_the_same(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    config = load_config("evaluate", [*GAIT, "policy=bang_bang", "episodes=3", "num_envs=2"])
+    config = evaluate_main.read([*GAIT, "policy=bang_bang", "episodes=3", "num_envs=2"])
     config.task["time_limit"] = 4
     alone = evaluate(config)
     drawn = Notes(monkeypatch)
-    config.live, config.port, config.flows = True, 29640, [1]
+    config = replace(config, live=True, port=29640, flows=[1])
     assert evaluate(config) == alone
     assert {flow for flow, _ in drawn.frames} == {1}
 
 
 def test_a_resumed_run_is_live_only_on_request(tmp_path: Path) -> None:
-    config = load_config("train", ["live=true"])
+    config = TRAINING.read(["live=true"])
     write_yaml(tmp_path / "config.yaml", to_plain(config))
-    assert not resumed_settings(str(tmp_path), []).live
-    assert resumed_settings(str(tmp_path), ["live=true"]).live
+    assert not TRAINING.read(
+        [
+            f"resume='{tmp_path}'",
+        ]
+    ).live
+    assert TRAINING.read([f"resume='{tmp_path}'", "live=true"]).live

@@ -1,0 +1,47 @@
+"""The live view of a training or an evaluation."""
+
+from __future__ import annotations
+
+from tensordict import TensorDictBase
+from torchrl.envs import EnvBase
+
+from fishrl.training.observer import Observer
+from fishrl.viewer import LiveView, ViewerSettings
+
+
+class LiveObserver(Observer):
+    """Streams flows to the viewer if the settings say so.
+
+    Args:
+        settings: of the viewer.
+        num_flows: that there are.
+
+    Raises:
+        ValueError: if a flow that shall be shown is not there.
+    """
+
+    def __init__(self, settings: ViewerSettings, *, num_flows: int) -> None:
+        self.settings = settings
+        self.live: LiveView | None = None
+        if settings.live:
+            settings.choose_flows(num_flows, default=1)
+
+    def begin(self, env: EnvBase) -> None:
+        """Start the live view."""
+        if self.settings.live:
+            self.live = LiveView(env, self.settings)
+
+    def settle(self, step: TensorDictBase) -> None:
+        """Show a decision."""
+        if self.live is not None:
+            self.live.settle(step)
+
+    def restart(self) -> None:
+        """Expect other episodes."""
+        if self.live is not None:
+            self.live.restart()
+
+    def close(self) -> None:
+        """End the live view."""
+        if self.live is not None:
+            self.live.close()
