@@ -160,7 +160,7 @@ def test_recognition_fits_the_task_or_says_why(tmp_path: Path) -> None:
 
 def test_a_policy_of_predation_becomes_a_heading_controller(tmp_path: Path) -> None:
     config = TRAINING.read(["preset=small", f"folder={tmp_path}", "name=run"])
-    config.task |= SMALL
+    config.task.update(SMALL)
     few = {"num_envs": 2, "total_frames": 2, "warmup_frames": 2}
     config = replace(config, compile=False, eval_episodes=1, final_episodes=1, **few)
     config = replace(config, picture_episodes=0, baselines=())
