@@ -1,7 +1,8 @@
-"""Fish that learn to swim in a real flow.
+"""Reinforcement learning of swimming in a simulated flow.
 
-``fishrl.physics`` is the flow and the body, ``fishrl.envs`` the TorchRL environment and its tasks,
-``fishrl.modules`` and ``fishrl.objectives`` the brain, ``fishrl.viewer`` the way to rerun.
+``fishrl.physics``: flow solver and bodies. ``fishrl.envs``: the TorchRL environment and its tasks.
+``fishrl.modules`` and ``fishrl.objectives``: networks and losses. ``fishrl.training``: the training
+loop, algorithms and evaluation. ``fishrl.viewer``: scenes, recordings and live views in rerun.
 """
 
 __version__ = "0.1.0"

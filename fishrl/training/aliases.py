@@ -25,7 +25,7 @@ ALIASES: dict[str, str] = {
 
 
 def update_names(node: Any) -> Any:
-    """Return plain nested data with the names of today in every ``_target_``."""
+    """Return plain nested data with the current name in every ``_target_``."""
     if isinstance(node, list):
         return [update_names(item) for item in node]
     if not isinstance(node, dict):

@@ -1,6 +1,6 @@
-"""Baselines: the hand-crafted controllers that a task brings, by name.
+"""Baselines: hand-crafted controllers of each task, by name.
 
-Every task has ``random``. A task of one's own brings more by registering them:
+Every task has ``random``. Your own task registers further ones::
 
     @find_baselines.register
     def _(task: MyTask) -> dict[str, Baseline]:
@@ -119,7 +119,7 @@ def find_pursuers(task: Any) -> dict[str, Baseline]:
 
 @find_baselines.register
 def _(task: KarmanGait) -> dict[str, Baseline]:
-    """Return controllers that hold a station; they are given the true flow label."""
+    """Return station-holding controllers; they are given the true flow label."""
     known = {
         "pid": Baseline(lambda seed: make_pid(task)),
         "passive": Baseline(lambda seed: make_gait_policy(FixedFrequency(0.0), task), False),

@@ -1,4 +1,4 @@
-"""Save and load everything a run needs to continue, and say clearly why something does not load.
+"""Save and load everything a run needs to continue.
 
 A checkpoint is a folder that TorchRL's ``Checkpoint`` writes: ``manifest.json`` with metadata, and
 one ``state.pt`` per component. Loading runs no code from it: each state is read from that one file
@@ -34,7 +34,7 @@ def save_checkpoint(
     config: Mapping[str, Any],
     keep: int = 1,
 ) -> None:
-    """Write the components' states to a folder, replacing it only when all is on the disk.
+    """Write the components' states to a folder, replacing it only once they are on the disk.
 
     Args:
         path: the folder.
@@ -79,10 +79,10 @@ def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[
 
     Args:
         path: a checkpoint, or the folder of a run.
-        which: ``best`` (the last where there is none) or ``last``, for the folder of a run.
+        which: ``best`` (if missing, the last) or ``last``, for the folder of a run.
 
     Raises:
-        ValueError: if there is none or it is corrupt.
+        ValueError: if it is missing or corrupt.
     """
     folder = Path(path).expanduser()
     if (folder / "config.yaml").is_file() or (folder / "checkpoints").is_dir():
@@ -124,7 +124,7 @@ def load_checkpoint(
         components: what to load; others in the checkpoint are left alone.
         spec: task and sizes the checkpoint must be of.
         device: where tensors go.
-        which: ``best`` (the last where there is none) or ``last``, for the folder of a run.
+        which: ``best`` (if missing, the last) or ``last``, for the folder of a run.
 
     Raises:
         ValueError: if it is missing, corrupt, or of another task.

@@ -15,7 +15,7 @@ Recognition = LateralLineClassifier | str | None
 
 
 def load_recognition(choice: Recognition, folder: Path = Path()) -> Recognition:
-    """Return who labels flows, for ``make_env(recognition=...)``.
+    """Return the source of flow labels, for ``make_env(recognition=...)``.
 
     Args:
         choice: None, ``oracle``, a classifier, or the file of one.

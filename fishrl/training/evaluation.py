@@ -1,4 +1,4 @@
-"""How well a fish does: one episode from each of a set of fixed starts."""
+"""Evaluation of a policy: one episode from each of a set of fixed starts."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Evaluator:
     """Runs policies from fixed starts, all flows of the env together.
 
     Args:
-        env: of the task; what it does at the moment is given up.
+        env: of the task; its current episodes are abandoned.
         decision_T: duration of one decision in tail beats.
     """
 

@@ -18,7 +18,7 @@ TWICE_SECONDS = 1.0
 
 
 class Interrupted(Exception):
-    """The program was told to end, at a moment when nothing is half done.
+    """SIGINT or SIGTERM was received; raised between steps, where the run can be saved.
 
     Args:
         number: of the signal.
@@ -45,7 +45,7 @@ class Interruption:
         self._number = number
 
     def check(self) -> None:
-        """End here if an end was requested; to be called where nothing is half done.
+        """Raise if an end was requested; call it between steps, where the run can be saved.
 
         Raises:
             Interrupted: if so.

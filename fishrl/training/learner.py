@@ -1,4 +1,4 @@
-"""What learns: a policy, the transitions it remembers, and one gradient step."""
+"""The learner: policy, replay buffer and one gradient step."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from fishrl.training.settings import LearningSettings
 
 
 class Learner:
-    """What every algorithm has: a replay buffer, a loss with target networks, an optimiser.
+    """Replay buffer, loss with target networks, and optimiser; the same for every algorithm.
 
     Args:
         actor: the policy that is evaluated and saved; under ``ExplorationType.DETERMINISTIC`` it
             acts greedily.
-        explorer: the policy that collects, of the same weights; its state is the collector's.
+        explorer: the policy that collects, with the same weights; the collector saves its state.
         loss: the sum of its entries ``loss_...`` is minimised.
-        reports: entries of the loss that are logged as ``train/<name>``.
+        reports: entries of the loss to log as ``train/<name>``.
         settings: settings that all algorithms share.
         device: where networks and buffer live.
-        keys: entries of a transition beside the loss's own that the sampler reads.
+        keys: entries of a transition that the sampler reads besides those of the loss.
         sampler: draws from the buffer; by default uniformly.
         transforms: of the environment that collects.
     """
@@ -79,7 +79,7 @@ class Learner:
         return transitions.shape[0] - valid.shape[0]
 
     def update(self) -> TensorDict:
-        """Take one gradient step, and return the losses and what else the loss reports."""
+        """Take one gradient step and return all outputs of the loss."""
         losses = self.loss(self.buffer.sample())
         self.optimiser.zero_grad()
         sum(loss for name, loss in losses.items() if name.startswith("loss_")).backward()
@@ -88,7 +88,7 @@ class Learner:
         return losses.detach()
 
     def components(self) -> dict[str, Any]:
-        """Name what a checkpoint must hold of the learner."""
+        """Return by name what a checkpoint holds of the learner."""
         return {
             "actor": self.actor,
             "loss": self.loss,

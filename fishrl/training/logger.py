@@ -1,4 +1,4 @@
-"""Where the numbers of a run go: always a CSV file, and Weights & Biases if asked for."""
+"""Loggers of metrics: a CSV file, and optionally Weights & Biases."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class CsvLogger:
     def open(
         self, folder: Path, *, columns: Sequence[str], config: Mapping[str, Any], step: int = 0
     ) -> None:
-        """Start ``metrics.csv``, or go on with it after ``step``, forgetting later rows.
+        """Start ``metrics.csv``, or continue it after ``step`` and drop later rows.
 
         Args:
             folder: of the run.
@@ -118,7 +118,7 @@ class WandbLogger(CsvLogger):
     def open(
         self, folder: Path, *, columns: Sequence[str], config: Mapping[str, Any], step: int = 0
     ) -> None:
-        """Start the run at Weights & Biases as well; a resumed run goes on under its name."""
+        """Start the run at Weights & Biases as well; a resumed run keeps its identity."""
         super().open(folder, columns=columns, config=config, step=step)
         self._step_key = columns[0]
         self._run = self._wandb.init(

@@ -1,4 +1,4 @@
-"""The training loop: collect, remember, learn; now and then evaluate, log and save."""
+"""The training loop: collect, store, update; evaluate, log and save at intervals."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ TRAIN_SEED, SELECTION_SEED = 1000, 1
 
 
 class Training:
-    """One run: collect, learn, evaluate, save, until the frames are used up.
+    """One run: collect, update, evaluate and save until ``total_frames`` is reached.
 
     Args:
-        plan: what the run is made from.
-        recognition: labels flows, see ``fishrl.envs.make_env``.
+        plan: settings of the run.
+        recognition: source of flow labels, see ``fishrl.envs.make_env``.
         folder: where everything is written.
         make_env: makes the env of a task.
-        observer: looks on.
-        progress: the bar.
+        observer: called during the run.
+        progress: progress bar.
         began: ``time.perf_counter()`` when the program started.
     """
 
@@ -76,7 +76,7 @@ class Training:
         torch.manual_seed(learning.seed)
         self.learner = plan.algorithm.make_learner(self.spec, learning, device=plan.run.device)
         progress.rename("compilation" if plan.run.compile else "set-up")
-        with ignore_signals_in_children():  # a checkpoint needs what the flows' processes hold
+        with ignore_signals_in_children():  # a checkpoint needs the flows in these processes
             self.collector = make_collector(
                 self.task,
                 self.learner,
@@ -91,7 +91,7 @@ class Training:
         observer.begin(self.collector.env)
 
     def components(self) -> dict[str, Any]:
-        """Name everything that the next frame depends on."""
+        """Return by name everything that the next frame depends on, for a checkpoint."""
         return {
             **self.learner.components(),
             "collector": self.collector,
@@ -113,14 +113,14 @@ class Training:
         logger.info("continuing from frame %d of %s", self.counters.frames, self.folder.path)
 
     def wall_seconds(self) -> float:
-        """Seconds since the program started, those of the runs before a resume included."""
+        """Seconds since the program started, plus those before a resume."""
         return time.perf_counter() - self._began
 
     def run(self) -> dict[str, Any]:
         """Train, evaluate the best policy and the baselines, and return the summary.
 
         Raises:
-            Interrupted: if the program was told to end; everything is saved.
+            Interrupted: after SIGINT or SIGTERM; everything is saved.
             CheckpointNotWritten: if the first or the last checkpoint cannot be written.
         """
         counters = self.counters
@@ -155,7 +155,7 @@ class Training:
         self._lock.close()
 
     def _learn(self) -> None:
-        """Run the loop until the frames are used up."""
+        """Run the loop until ``total_frames`` is reached."""
         counters, run = self.counters, self.plan.run
         self.progress.start(self._phase(), total=run.total_frames, done=counters.frames)
         batches = iter(self.collector)
@@ -176,7 +176,7 @@ class Training:
             )
 
     def _collect_and_update(self, batches: Iterator[TensorDictBase]) -> dict[str, float]:
-        """Take a decision in every flow, learn from it, and return what was measured."""
+        """Step every flow once, take the gradient steps due, and return the metrics."""
         counters = self.counters
         start = time.perf_counter()
         batch = next(batches).reshape(-1)
@@ -195,7 +195,7 @@ class Training:
         }
 
     def _update(self) -> dict[str, float]:
-        """Take the gradient steps that are due since the warm-up, and return the last losses."""
+        """Take the gradient steps that are due and return the last losses."""
         learning, counters = self.plan.learning, self.counters
         learned_from = counters.frames - learning.warmup_frames
         due = math.floor(learning.updates_per_frame * learned_from) - counters.updates
@@ -208,7 +208,7 @@ class Training:
         return {name: float(losses[name]) for name in self.learner.reports}
 
     def _conclude(self) -> dict[str, float]:
-        """Complete the row of the newest frames: evaluate, log and save if it is time to."""
+        """Complete the metrics of the newest frames: evaluate, log and save if due."""
         run, counters, metrics = self.plan.run, self.counters, self.counters.pending
         is_over = counters.frames >= run.total_frames
         is_evaluated = is_over or self._has_crossed(run.eval_frames)
@@ -279,7 +279,7 @@ class Training:
             self.observer.restart()
 
     def watch(self, policy: Policy) -> Policy:
-        """Return a policy that raises ``Interrupted`` once the program was told to end."""
+        """Return a policy that raises ``Interrupted`` after SIGINT or SIGTERM."""
 
         def act(state: TensorDictBase) -> TensorDictBase:
             self.interruption.check()

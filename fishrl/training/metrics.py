@@ -1,4 +1,4 @@
-"""What a run has done so far, and what it measured on the way."""
+"""Counters and metrics of a run."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def list_metrics(losses: tuple[str, ...]) -> tuple[str, ...]:
     policy from fixed starts, ``time/`` of this machine. The seed fixes all but the last kind.
 
     Args:
-        losses: what a gradient step of the algorithm reports.
+        losses: names that a gradient step of the algorithm reports.
     """
     return (
         "frames",
@@ -50,11 +50,10 @@ def list_metrics(losses: tuple[str, ...]) -> tuple[str, ...]:
 
 @dataclass
 class Counters:
-    """What a run has done so far.
+    """Counters of a run.
 
     Args:
-        pending: the row of metrics of the newest frames, while it is not complete: a run that goes
-            on completes it first.
+        pending: metrics of the newest frames, not yet complete; a resumed run completes them first.
     """
 
     frames: int = 0
@@ -75,7 +74,7 @@ class Counters:
         """Restore what ``state_dict`` returned.
 
         Raises:
-            ValueError: if it is the state of something else.
+            ValueError: for the state of another object.
         """
         unknown = sorted(set(state) - set(vars(self)))
         if unknown:
@@ -100,7 +99,7 @@ class Counters:
             self.recent.append([float(number) for number in numbers])
 
     def metrics(self) -> dict[str, float]:
-        """Return what is known without a gradient step."""
+        """Return the metrics that need no gradient step."""
         recent = np.array(self.recent) if self.recent else np.full((1, 3), np.nan)
         return {
             "frames": self.frames,

@@ -1,4 +1,4 @@
-"""What may look on while policies are trained or evaluated."""
+"""Hooks into a training or an evaluation, such as for a live view."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ if TYPE_CHECKING:
 
 
 class Observer:
-    """Sees what a training or an evaluation does, and must change nothing; by default, idle.
+    """Base of observers, which must not change what they observe; every method does nothing.
 
     A live view and the pictures at the end of a run are observers.
     """
 
     def begin(self, env: EnvBase) -> None:
-        """Get the env before its first step; its ``base_env.on_frame`` may be set."""
+        """Receive the env before its first step; ``env.base_env.on_frame`` may be set here."""
 
     def settle(self, step: TensorDictBase) -> None:
-        """See a decision that is over, ``[B]`` as the env returns it."""
+        """Receive a completed step, ``[B]`` as the env returns it."""
 
     def restart(self) -> None:
-        """Expect other episodes: an evaluation has ended."""
+        """Expect new episodes: an evaluation has ended."""
 
     def finish(self, training: Training, summary: Mapping[str, Any]) -> None:
-        """Get a training whose summary is complete, before that is written."""
+        """Receive a finished training and its summary, before the summary is written."""
 
     def close(self) -> None:
-        """Release what is held; nothing follows."""
+        """Release resources; no other call follows."""

@@ -1,4 +1,4 @@
-"""All that a run is made from, as objects and as the ``config.yaml`` in its folder."""
+"""The complete settings of a run, as objects and as the ``config.yaml`` in its folder."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from fishrl.training.settings import LearningSettings, RunSettings
 
 LEARNING = tuple(entry.name for entry in fields(LearningSettings))
 RUN = tuple(entry.name for entry in fields(RunSettings))
-#: What a run is, besides its settings; fixed like those of learning.
+#: Fixed once a run has begun, like ``LEARNING``.
 PARTS = ("task", "algorithm", "logger", "preset", "recognition")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """A run before it runs.
+    """The complete settings of a run.
 
     Args:
-        task: what the fish does.
-        algorithm: how it learns.
-        learning: what makes the result.
-        run: where and how often.
-        logger: where numbers go.
+        task: the task.
+        algorithm: the learning algorithm.
+        learning: settings that determine the result.
+        run: where the run is written, and how often it evaluates, logs and saves.
+        logger: writes the metrics.
         preset: name of the preset, for the files of the run.
-        recognition: who labels the flows: None, ``oracle``, or the file of a classifier.
-        extra: further settings that ``config.yaml`` shall hold, of whoever trains.
+        recognition: source of flow labels: None, ``oracle``, or the file of a classifier.
+        extra: further settings of the caller, kept in ``config.yaml``.
     """
 
     task: AbstractTask
@@ -69,17 +69,17 @@ class Plan:
 
     @classmethod
     def from_config(cls, config: Mapping[str, Any], *, modules: Collection[str] = ()) -> Plan:
-        """Make a plan of what ``config.yaml`` or the metadata of a checkpoint says.
+        """Make a plan from ``config.yaml`` or the metadata of a checkpoint.
 
         Args:
-            config: see ``to_config``. What is missing is left at its default.
-            modules: of one's own that may be imported, see ``description.make``.
+            config: see ``to_config``; missing entries keep their defaults.
+            modules: modules outside fishrl that may be imported, see ``description.make``.
 
         Raises:
-            ValueError: for a class that is not allowed, and values that cannot be.
+            ValueError: for a class that is not allowed, and invalid values.
         """
         algorithm = dict(config.get("algorithm") or describe(DiscreteSAC()))
-        former = ("alpha_init", "target_entropy_weight")  # of runs before there was a choice
+        former = ("alpha_init", "target_entropy_weight")  # of runs before ``algorithm``
         algorithm |= {name: config[name] for name in former if name in config}
         known = {*LEARNING, *RUN, *PARTS, *former}
         try:
@@ -103,7 +103,7 @@ class Plan:
         """Return the plan with other settings of ``RunSettings`` or ``extra``.
 
         Raises:
-            ValueError: for a setting that a run has fixed, and for unknown ones.
+            ValueError: for a setting that is fixed in a run, and for unknown ones.
         """
         for name in changes:
             if name in (*LEARNING, *PARTS):

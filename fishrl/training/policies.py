@@ -1,4 +1,4 @@
-"""Learned policies from their checkpoints, and how well a policy does."""
+"""Load learned policies from checkpoints, and evaluate policies."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from fishrl.training.settings import check_device
 
 
 def load_plan(checkpoint: str | Path, *, modules: Collection[str] = ()) -> tuple[Path, Plan]:
-    """Return where a checkpoint lies, and the plan of its run.
+    """Return the path of a checkpoint and the plan of its run.
 
     Args:
         checkpoint: run folder or checkpoint.
-        modules: of one's own that may be imported, see ``description.make``.
+        modules: modules outside fishrl that may be imported, see ``description.make``.
 
     Raises:
-        ValueError: if there is none, or it names classes that are not allowed.
+        ValueError: if there is no checkpoint, or it names classes that are not allowed.
     """
     path, metadata = read_metadata(checkpoint)
     return path, Plan.from_config(metadata["config"], modules=modules)
@@ -49,11 +49,11 @@ def load_policy(
     """Load the learned policy of a run folder or a checkpoint.
 
     Args:
-        checkpoint: where it lies.
-        task: what it shall do; by default the task of its run.
+        checkpoint: run folder or checkpoint.
+        task: the task to act in; by default the task of its run.
         has_labels: whether transforms label the flows of the task; by default as in its run.
-        device: where it computes.
-        modules: of one's own that may be imported, see ``description.make``.
+        device: of the policy.
+        modules: modules outside fishrl that may be imported, see ``description.make``.
 
     Raises:
         ValueError: if the checkpoint is missing, corrupt, or of another task.
@@ -88,18 +88,18 @@ def evaluate(
     Args:
         policy: ``Path`` of a run folder or checkpoint, name of a baseline of the task, or a policy
             that writes ``action``.
-        task: what it shall do; a checkpoint brings its own.
-        recognition: labels flows, see ``make_env``, or the file of a classifier; a checkpoint
-            without a given task brings its own.
+        task: the task; by default that of the checkpoint.
+        recognition: source of flow labels, see ``make_env``, or the file of a classifier; with a
+            checkpoint and no ``task``, that of its run.
         episodes: number of starts.
         num_envs: flows that advance together.
-        seed: of the starts and of random actions; 0 gives those of every run's last evaluation, 1
-            those that chose its best checkpoint.
+        seed: of the starts and of random actions; 0 gives those of every run's final evaluation, 1
+            those that selected its best checkpoint.
         device: cpu or cuda.
         compile: compile the flow step.
         make_env: makes the env.
-        observer: looks on.
-        progress: the bar.
+        observer: called during the evaluation.
+        progress: progress bar.
         modules: see ``load_policy``.
 
     Returns:
@@ -107,7 +107,7 @@ def evaluate(
         ``episodes`` and ``diverged``.
 
     Raises:
-        ValueError: for settings that cannot be, and checkpoints that do not fit.
+        ValueError: for invalid settings, and checkpoints that do not fit the task.
     """
     check_device(device)
     progress, observer = progress or Progress(is_shown=False), observer or Observer()

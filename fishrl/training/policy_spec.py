@@ -12,7 +12,7 @@ from fishrl.envs import AbstractTask
 
 @dataclass(frozen=True, kw_only=True)
 class PolicySpec:
-    """What a policy is made for; it fits no other task and no other sizes.
+    """Task and sizes of a policy; it fits no others.
 
     Args:
         task: name of the task's class.
@@ -33,7 +33,7 @@ class PolicySpec:
 
     @classmethod
     def for_task(cls, task: AbstractTask, *, has_labels: bool = False) -> PolicySpec:
-        """Return the sizes that a task asks for.
+        """Return the sizes that a task requires.
 
         Args:
             task: the task.

@@ -1,4 +1,4 @@
-"""The progress bar: what a run is doing, from its first second to its last."""
+"""The progress bar of a run."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Progress:
         self.close()
 
     def close(self) -> None:
-        """Leave the bar as it is, so that what is printed next stands below it."""
+        """Leave the bar as it is; later output appears below it."""
         self._bar.close()
 
     def start(self, phase: str, *, total: int, done: int = 0) -> None:

@@ -1,4 +1,4 @@
-"""The folder a run writes: where everything lies, and whether it can be written at all."""
+"""The folder of a run: paths of its files, locking, and whether it can be written."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class RunFolder:
 
     @property
     def last(self) -> Path:
-        """The newest checkpoint, for going on."""
+        """The newest checkpoint, from which a run resumes."""
         return self.path / "checkpoints" / "last"
 
     @property
@@ -63,17 +63,17 @@ class RunFolder:
 
     @property
     def failure(self) -> Path:
-        """Why the run failed; its last line says it in short."""
+        """Why the run failed; the last line is the message."""
         return self.path / "failure.txt"
 
     @property
     def lock(self) -> Path:
-        """What the process that writes the run holds; see ``hold``."""
+        """Locked by the process that writes the run; see ``hold``."""
         return self.path / ".lock"
 
     @classmethod
     def create(cls, *, parent: str, name: str) -> RunFolder:
-        """Make a new folder; one that exists is left alone and a number is put behind the name.
+        """Make a new folder; if the name exists, a number is appended to it.
 
         Raises:
             ValueError: if it cannot be made or written, or would not lie in ``parent``.
@@ -100,7 +100,7 @@ class RunFolder:
 
     @classmethod
     def of_existing(cls, path: str | Path) -> RunFolder:
-        """Take a folder that a run has written.
+        """Return the folder of an existing run.
 
         Raises:
             ValueError: if there is no such folder, it holds no run, or cannot be written.
@@ -115,7 +115,7 @@ class RunFolder:
         return folder.checked()
 
     def checked(self) -> RunFolder:
-        """Give the folder back if files can be written into it.
+        """Return the folder if files can be written into it.
 
         Raises:
             ValueError: if not.
@@ -125,7 +125,7 @@ class RunFolder:
         return self
 
     def has_begun(self) -> bool:
-        """Tell whether there is anything to go on with: a checkpoint, or frames without one.
+        """Tell whether there is anything to resume: a checkpoint, or frames without one.
 
         ``..<name>`` is what a process left that was killed while writing a checkpoint.
         """
@@ -158,7 +158,7 @@ class RunFolder:
 
     @contextmanager
     def noting_failure(self) -> Iterator[None]:
-        """Write an error that occurs inside to ``failure.txt``; an interruption is none."""
+        """Write an error that occurs inside to ``failure.txt``; an interruption does not count."""
         self.failure.unlink(missing_ok=True)
         try:
             yield
@@ -210,7 +210,7 @@ def write_yaml(path: Path, values: Mapping[str, Any]) -> None:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a file, or leave it as it was.
+    """Write a file completely, or leave it unchanged.
 
     Raises:
         OSError: if it cannot be written.

@@ -1,4 +1,4 @@
-"""Begin a run, and go on with one."""
+"""Start training runs and resume them."""
 
 from __future__ import annotations
 
@@ -41,27 +41,27 @@ def train(
     progress: Progress | None = None,
     began: float | None = None,
 ) -> dict[str, Any]:
-    """Train a policy, and compare it with the baselines of the task.
+    """Train a policy and compare it with the baselines of the task.
 
     Args:
-        task: what the fish does.
-        algorithm: how it learns; by default ``DiscreteSAC()``.
-        learning: what makes the result.
-        run: where and how often.
-        recognition: labels flows, see ``fishrl.envs.make_env``, or the file of a classifier.
-        logger: where numbers go; by default a CSV file.
-        preset: a name for these settings, part of the run folder's.
+        task: the task.
+        algorithm: the learning algorithm; by default ``DiscreteSAC()``.
+        learning: settings that determine the result.
+        run: where the run is written, and how often it evaluates, logs and saves.
+        recognition: source of flow labels, see ``fishrl.envs.make_env``, or a classifier file.
+        logger: writes the metrics; by default to a CSV file.
+        preset: name for these settings; part of the name of the run folder.
         extra: further settings to keep in ``config.yaml``.
         make_env: makes the env of the task.
-        observer: looks on.
-        progress: the bar; by default none is shown.
+        observer: called during the run.
+        progress: progress bar; by default none is shown.
         began: ``time.perf_counter()`` when the program started.
 
     Returns:
         The summary, as in ``summary.json``.
 
     Raises:
-        ValueError: for settings that cannot be.
+        ValueError: for invalid settings.
         Interrupted: after SIGINT or SIGTERM; ``resume`` continues the run.
     """
     plan = Plan(
@@ -95,16 +95,16 @@ def resume(
     began: float | None = None,
     **changes: Any,
 ) -> dict[str, Any]:
-    """Go on with a run from its last checkpoint; one that is finished is left as it is.
+    """Resume a run from its last checkpoint; a finished run is left unchanged.
 
     Args:
         folder: of the run.
         make_env: see ``train``.
         observer: see ``train``.
         progress: see ``train``.
-        modules: of one's own that may be imported for it, see ``description.make``.
+        modules: modules outside fishrl that may be imported, see ``description.make``.
         began: see ``train``.
-        **changes: other values of ``RunSettings``, such as ``total_frames=8000``.
+        **changes: new values of ``RunSettings``, such as ``total_frames=8000``.
 
     Returns:
         The summary.
@@ -137,7 +137,7 @@ def begin(
     progress: Progress | None = None,
     began: float | None = None,
 ) -> Training:
-    """Set up a new run in a folder of its own; settings that cannot be are refused before that."""
+    """Set up a new run; invalid settings raise an error before its folder is made."""
     labels = load_recognition(recognition)
     _check(plan, labels)
     folder, plan = make_folder(plan, recognition=recognition)
@@ -156,7 +156,7 @@ def begin(
 def make_folder(
     plan: Plan, *, recognition: Recognition = None, folder: RunFolder | None = None
 ) -> tuple[RunFolder, Plan]:
-    """Write all that a run needs into a folder, from which ``resume`` starts it.
+    """Write everything a run needs into a folder, from which ``resume`` starts it.
 
     Args:
         plan: of the run.
@@ -164,7 +164,7 @@ def make_folder(
         folder: to write into; by default a new one.
 
     Returns:
-        The folder, and the plan as it stands there.
+        The folder, and the plan as written there.
 
     Raises:
         ValueError: if it cannot be written.
@@ -186,7 +186,7 @@ def reopen(
     began: float | None = None,
     **changes: Any,
 ) -> Training:
-    """Set up a run as its last checkpoint left it; see ``resume``."""
+    """Set up a run in the state of its last checkpoint; see ``resume``."""
     run = RunFolder.of_existing(folder)
     with run.noting_failure():
         stored = Plan.from_config(read_config(run.config), modules=modules)
@@ -208,14 +208,14 @@ def reopen(
             except ValueError:
                 training.close()
                 raise
-            run.summary.unlink(missing_ok=True)  # it will be another one
+            run.summary.unlink(missing_ok=True)  # it will be replaced
         if plan != stored:
             write_yaml(run.config, plan.to_config())
         return training
 
 
 def complete(training: Training) -> dict[str, Any]:
-    """Run what is set up to its end, and return the summary; SIGINT and SIGTERM save and end it."""
+    """Run a training to its end and return the summary; SIGINT and SIGTERM save and stop it."""
     with training.folder.noting_failure(), closing(training), training.interruption:
         return training.run()
 
@@ -223,12 +223,12 @@ def complete(training: Training) -> dict[str, Any]:
 def find_summary(
     folder: str | Path, /, *, modules: Collection[str] = (), **changes: Any
 ) -> dict[str, Any] | None:
-    """Return the summary of a run that is finished even with some changes, otherwise None.
+    """Return the summary of a run that is finished, also under some changes, or None.
 
     Args:
         folder: of the run.
         modules: see ``resume``.
-        **changes: see ``resume``; more frames, and another last evaluation, make it unfinished.
+        **changes: see ``resume``; more frames or another final evaluation make it unfinished.
     """
     run = RunFolder.of_existing(folder)
     if not run.summary.is_file() or run.failure.is_file():
@@ -249,7 +249,7 @@ def find_summary(
 
 
 def _check(plan: Plan, recognition: Recognition) -> None:
-    """Refuse what cannot run, before anything slow is made."""
+    """Raise for a plan that cannot run, before anything slow starts."""
     check_device(plan.run.device)
     if plan.learning.ray_collectors:
         if plan.run.device != "cpu":

@@ -1,4 +1,4 @@
-"""Settings that every training has: what makes its result, and where and how often it reports."""
+"""Settings of every training: what determines its result, and where and how often it reports."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fishrl.bounds import bounded, check_bounds
 
 @dataclass(frozen=True, kw_only=True)
 class LearningSettings:
-    """What makes the result of a training; fixed once a run has begun.
+    """Settings that determine the result of a training; fixed once a run has begun.
 
     Args:
         seed: of networks, starts and actions; one seed gives one learning curve.
@@ -24,7 +24,7 @@ class LearningSettings:
         buffer_size: transitions kept.
         gamma: discount per decision.
         learning_rate: Adam learning rate of all networks.
-        tau: share by which the target networks follow at each gradient step.
+        tau: rate of the soft update of target networks at each gradient step.
         hidden: widths of the hidden layers of every network.
 
     Raises:
@@ -73,9 +73,9 @@ class RunSettings:
         keep_checkpoints: how many of the newest checkpoints are kept.
         eval_frames: frames between evaluations of the greedy policy.
         eval_episodes: fixed starts of these evaluations, which choose the best checkpoint.
-        final_episodes: fixed starts of the evaluation at the end, other ones than those.
-        baselines: policies that go through the same evaluation at the end; by default those that
-            the task brings, see ``fishrl.training.baselines``.
+        final_episodes: fixed starts of the final evaluation, different from those.
+        baselines: policies in the same final evaluation; by default those of the task, see
+            ``fishrl.training.baselines``.
 
     Raises:
         ValueError: for a value outside its bounds.

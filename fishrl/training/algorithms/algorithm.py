@@ -1,4 +1,4 @@
-"""What an algorithm is to the training loop, and to whoever evaluates what it has learned."""
+"""The interface of an algorithm; read this before adding one."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from fishrl.training.settings import LearningSettings
 
 
 class Algorithm(ABC):
-    """A way to learn: a frozen dataclass of its own settings.
+    """Base of all algorithms: a frozen dataclass of the settings that only this algorithm has.
 
-    What all algorithms share is in ``LearningSettings``.
+    ``LearningSettings`` holds the settings that all algorithms share.
     """
 
     @property
@@ -32,10 +32,10 @@ class Algorithm(ABC):
         hidden: Sequence[int],
         generator: torch.Generator | None = None,
     ) -> TensorDictModuleBase:
-        """Make what is evaluated and saved: a policy that is greedy under ``DETERMINISTIC``.
+        """Make the policy that is evaluated and saved, greedy under ``DETERMINISTIC``.
 
         Args:
-            spec: the sizes it must have.
+            spec: sizes of the policy.
             hidden: widths of the hidden layers.
             generator: source of the initial weights.
         """
@@ -44,4 +44,4 @@ class Algorithm(ABC):
     def make_learner(
         self, spec: PolicySpec, settings: LearningSettings, *, device: str = "cpu"
     ) -> Learner:
-        """Make a new policy and what trains it; ``settings.seed`` gives the initial weights."""
+        """Make a new policy and its learner; ``settings.seed`` fixes the initial weights."""

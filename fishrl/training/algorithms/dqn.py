@@ -19,16 +19,16 @@ from fishrl.training.settings import LearningSettings
 
 @dataclass(frozen=True, kw_only=True)
 class DQN(Algorithm):
-    """One network of action values: the policy takes the legal action of the largest value.
+    """Network of action values; the policy takes the legal action with the largest value.
 
     Mnih et al. 2015; with ``is_double`` van Hasselt et al. 2016. Unlike there, the target network
-    follows softly, as those of SAC do.
+    is updated softly, as for SAC.
 
     Args:
-        is_double: let the network that learns choose the action whose value the target gives.
-        epsilon_start: share of random legal actions when the warm-up is over.
-        epsilon_end: share that remains.
-        epsilon_frames: env frames after the warm-up from the one to the other.
+        is_double: let the online network select the next action that the target network evaluates.
+        epsilon_start: share of random legal actions at the end of the warm-up.
+        epsilon_end: final share.
+        epsilon_frames: env frames after the warm-up over which the share falls.
 
     Raises:
         ValueError: for a value outside its bounds.
@@ -71,7 +71,7 @@ class DQN(Algorithm):
     def make_learner(
         self, spec: PolicySpec, settings: LearningSettings, *, device: str = "cpu"
     ) -> Learner:
-        """Make the network, and an explorer that takes random legal actions now and then."""
+        """Make the network and its epsilon-greedy explorer."""
         generator = torch.Generator().manual_seed(settings.seed)
         actor = self.make_policy(spec, hidden=settings.hidden, generator=generator).to(device)
         loss = MaskedDQNLoss(actor, is_double=self.is_double)
@@ -87,7 +87,7 @@ class DQN(Algorithm):
     def make_explorer(
         self, actor: TensorDictModuleBase, spec: PolicySpec, *, device: str
     ) -> TensorDictSequential:
-        """Make the policy that collects: the greedy one, with random legal actions mixed in."""
+        """Make the policy that collects, epsilon-greedy over the legal actions."""
         mixed_in = EpsilonGreedy(
             num_actions=spec.num_actions,
             start=self.epsilon_start,

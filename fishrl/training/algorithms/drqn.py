@@ -1,4 +1,4 @@
-"""DRQN: DQN with an LSTM in the place of the observation stack."""
+"""DRQN: DQN with an LSTM in place of the observation stack."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ TRAJECTORY, STEP = ("collector", "traj_ids"), "step_count"
 
 @dataclass(frozen=True, kw_only=True)
 class DRQN(DQN):
-    """DQN that reads the newest observation alone and remembers the others in an LSTM.
+    """DQN that reads only the newest observation and keeps the past in an LSTM.
 
     Hausknecht & Stone 2015, trained on sequences that begin with the LSTM state at the time of
     collection, as in Kapturowski et al. 2019 (R2D2). A gradient step reads ``batch_size /
-    sequence_length`` sequences: as many transitions as that of the other algorithms, or fewer where
+    sequence_length`` sequences: as many transitions as for the other algorithms, or fewer if
     sequences are short.
 
     Args:
-        sequence_length: decisions in a sequence; the rest of a shorter episode is one, too.
+        sequence_length: decisions in a sequence; what remains of an episode gives a shorter one.
         is_double: see ``DQN``.
         epsilon_start: see ``DQN``.
         epsilon_end: see ``DQN``.
@@ -66,7 +66,7 @@ class DRQN(DQN):
     def make_learner(
         self, spec: PolicySpec, settings: LearningSettings, *, device: str = "cpu"
     ) -> Learner:
-        """Make the network; while it collects, the environment carries the LSTM state.
+        """Make the network; during collection the environment carries the LSTM state.
 
         Raises:
             ValueError: if a batch is not a whole number of sequences.
