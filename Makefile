@@ -13,7 +13,7 @@ MARKERS ?= not slow and not smoke
 # One process per core; files keep their order, so that physics and environments come first.
 PARALLEL ?= -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup train test test-all smoke docs check bench bench-peers validate validate-quick format clean
+.PHONY: help setup train test test-gpu test-all smoke docs check bench bench-peers validate validate-quick format clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -36,6 +36,9 @@ train: $(STAMP) ## train a policy to catch moving food; ARGS="seed=1 ..." sets a
 
 test: $(STAMP) ## run the tests, including a short training; ARGS="tests/physics" selects some
 	$(BIN)/python -m pytest $(PARALLEL) -m "$(MARKERS)" $(ARGS)
+
+test-gpu: $(STAMP) ## run the tests for a GPU, on a pretended one where torch has no CUDA
+	PRETEND_CUDA=1 PYTHONPATH=tests/pretend $(BIN)/python -m pytest -m gpu $(ARGS) tests/gpu
 
 test-all: $(STAMP) ## run all tests, including the slow ones and those of make smoke
 	$(BIN)/python -m pytest $(ARGS)

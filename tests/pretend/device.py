@@ -3,7 +3,7 @@
 Import this module before torch and call ``install()`` before torchrl is imported. It compiles and
 loads ``device.cpp`` (about 20 s, once per version of torch; needs g++) and answers what
 ``torch.cuda`` is asked. ``sitecustomize.py`` does so in every Python process whose environment has
-``PRETEND_CUDA=1`` and this folder on ``PYTHONPATH``: see ``make test-gpu-proxy``.
+``PRETEND_CUDA=1`` and this folder on ``PYTHONPATH``: see ``make test-gpu``.
 
 What it shows: tensors of two devices that meet in one operator, memory that is read before it is
 written (fresh memory is NaN), a host that waits for the device (``Waits`` counts them by line), and

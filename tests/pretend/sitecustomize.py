@@ -1,10 +1,17 @@
-"""Give every Python process the pretended device, where ``PRETEND_CUDA=1`` asks for it."""
+"""Give every Python process the pretended device, where ``PRETEND_CUDA=1`` asks for it.
+
+A torch that was built with CUDA is left alone.
+"""
 
 import os
 import sys
+from importlib.util import find_spec
+from pathlib import Path
 
 if os.environ.get("PRETEND_CUDA") == "1":
-    sys.path.insert(0, os.path.dirname(__file__))
-    import device
+    spec = find_spec("torch")
+    if spec is not None and not (Path(str(spec.origin)).parent / "lib/libtorch_cuda.so").exists():
+        sys.path.insert(0, os.path.dirname(__file__))
+        import device
 
-    device.install()
+        device.install()

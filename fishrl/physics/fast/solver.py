@@ -142,22 +142,35 @@ class InPlaceSolver:
             num_steps: how many.
             rows: ``[B]`` bool, the flows that must advance, or None for all. Flows that share a
                 group with one of them advance too; all others keep their state. On a CPU each flow
-                is its own group by default, on a GPU all flows are one group.
+                is its own group by default. On a GPU all flows are one group, which always
+                advances, since the host would have to wait to see whether any row must.
+
+        Raises:
+            ValueError: for an odd number of steps, and for ``rows`` that are not ``[B]`` bool.
         """
         if num_steps < 0 or num_steps % 2:
             raise ValueError(f"num_steps = {num_steps}: must be even and not negative")
         if self._is_closed:
             raise RuntimeError("this solver is closed and cannot advance: make a new one")
         self.compile()
-        groups = self._batch.find_groups(self._choose(rows))
+        is_one_launch = self.device.type == "cuda" and self._group_size == self.num_envs
+        chosen = self._choose(rows)
+        groups = [0] if is_one_launch else self._batch.find_groups(chosen)
         if self._workers is not None:
             self._workers.advance_(num_steps, groups)
         else:
             self._batch.advance_(num_steps, groups)
 
     def _choose(self, rows: Tensor | None) -> Tensor:
-        everyone = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        return everyone if rows is None else rows
+        """Return ``rows`` ``[B]`` on the device of the flows, all of them for None."""
+        if rows is None:
+            return torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        if rows.shape != (self.num_envs,) or rows.dtype != torch.bool:
+            raise ValueError(
+                f"rows has shape {tuple(rows.shape)} and type {rows.dtype}: give a bool tensor of "
+                f"shape ({self.num_envs},)"
+            )
+        return rows.to(self.device)
 
     def reset_(
         self,
@@ -178,11 +191,7 @@ class InPlaceSolver:
             heading: direction that the nose faces, radians, ``[B]`` or ``[B, M]``; None is 0.
             velocity: of the fluid everywhere, in units of the stream speed.
         """
-        if rows.shape != (self.num_envs,) or rows.dtype != torch.bool:
-            raise ValueError(
-                f"rows has shape {tuple(rows.shape)} and type {rows.dtype}: give a bool tensor of "
-                f"shape ({self.num_envs},)"
-            )
+        rows = self._choose(rows)
         position, heading = _spread_starts(
             position, heading, self.config, self.num_envs, self.device
         )

@@ -1,0 +1,80 @@
+"""Environments on a GPU, or on the pretended one of ``tests/pretend``: ``make test-gpu``."""
+
+import pytest
+import torch
+from tensordict import TensorDictBase
+
+from fishrl.envs import AbstractTask, KarmanGait, Predation, make_env
+from fishrl.envs.streams import Stream
+from fishrl.envs.wakes import WakeBank
+from fishrl.physics import InPlaceSolver
+from fishrl.physics.fast.step import Stepper
+from tests.envs.test_real_flow import TINY as FLOW
+from tests.envs.test_real_wake import TINY as WAKE
+
+pytestmark = [
+    pytest.mark.gpu,
+    pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA"),
+]
+
+
+@pytest.fixture(autouse=True)
+def eager_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Launch each operator by itself: ``test_cuda`` records steps, which takes long unless real."""
+    monkeypatch.setattr(
+        Stepper, "_replay_", lambda self, group, num: self._advance_pairs_(group, num)
+    )
+
+
+def make_task(name: str, monkeypatch: pytest.MonkeyPatch) -> AbstractTask:
+    if name == "predation":
+        return Predation(**FLOW)
+    task = KarmanGait(**WAKE, stream=Stream(face_bl=1.0, num_travels=30.0, num_phases=2))
+    config = task.flow_config()
+    noise = torch.randn(
+        3, 2, 9, config.height, config.width, generator=torch.Generator().manual_seed(0)
+    )
+    bank = WakeBank(populations=1e-3 * noise, shedding_frequencies=torch.ones(3))
+    monkeypatch.setattr(Stream, "load_wakes", lambda *_: bank)
+    return task
+
+
+def first_legal(state: TensorDictBase) -> TensorDictBase:
+    return state.set("action", state["action_mask"].int().argmax(-1))
+
+
+@pytest.mark.parametrize("name", ["predation", "karman_gait"])
+def test_an_environment_on_a_gpu_does_what_it_does_on_a_cpu(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three decisions, a saved and restored state; single precision."""
+    task, rollouts = make_task(name, monkeypatch), []
+    for device in ("cuda", "cpu"):
+        env = make_env(task=task, num_envs=2, seed=0, device=device, compile=False)
+        rollouts.append(env.rollout(3, policy=first_legal, break_when_any_done=False))
+        env.base_env.load_state_dict(env.base_env.state_dict())
+        env.close()
+    there, here = rollouts
+    assert there.device.type == "cuda"
+    for key in ("observation_stack", "reward", "done", "action_mask"):
+        torch.testing.assert_close(
+            there["next", key].cpu(), here["next", key], rtol=1e-3, atol=1e-4
+        )
+
+
+@pytest.fixture
+def solver() -> InPlaceSolver:
+    config = Predation(**FLOW).flow_config()
+    return InPlaceSolver(config=config, num_envs=2, device="cuda", compile=False)
+
+
+def test_a_solver_on_a_gpu_takes_rows_and_fields_from_the_host(solver: InPlaceSolver) -> None:
+    rows = torch.tensor([True, False])
+    f = solver.populations().cpu() + 1e-3
+    solver.reset_(rows)
+    solver.set_populations_(f, rows)
+
+    torch.testing.assert_close(solver.populations().cpu()[0], f[0])
+    solver.advance_(2, rows)
+    assert solver.sample(torch.full((2, 3, 2), 9.0))[0].device.type == "cuda"
+    assert not solver.is_diverged().any()
