@@ -1,8 +1,8 @@
-"""Make a heading controller of a learned policy: ``python -m experiments.export_steering``.
+"""Export a learned policy as a heading controller: ``python -m experiments.export_steering``.
 
 Writes the actor's weights of a run of ``task=predation`` as ``PolicySteering`` reads them. The
 file that comes with the package was made by ``make train`` and ``python -m
-experiments.export_steering run=runs/predation-small-seed0 path=fishrl/envs/steering.pt``.
+experiments.export_steering run=runs/predation-seed0 path=fishrl/envs/steering.pt``.
 """
 
 from __future__ import annotations

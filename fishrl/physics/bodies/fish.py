@@ -68,7 +68,7 @@ class Fish(BodyConfig):
         return float(sum(self._lengths)) / self.num_markers
 
     def make_params(self, device: torch.device | str = "cpu") -> BodyParams:
-        """BodyGeometry the markers and integrate the gait's modes over the body, in float64.
+        """Place the markers and integrate the gait's modes over the body, in float64.
 
         Marker 0 is the nose, marker N / 2 the tail.
         """
