@@ -1,1 +1,1 @@
-"""Programs: train a fish, evaluate it, draw what it does. Nothing imports this package."""
+"""Programs: train a policy, evaluate it, draw its episodes. Nothing imports this package."""

@@ -1,8 +1,8 @@
-"""Settings of the programs: hydra composes them, constructors say what there is to set.
+"""Settings of the programs: hydra composes them, constructors are the schema.
 
 A program has a dataclass as its schema and may take groups of YAML files (``task``, ``preset``,
 ``algorithm``, ``logger``). What a YAML file or the command line sets below a ``_target_`` is
-checked against the signature of the constructor it names; every plain default is spelled out.
+checked against the signature of the constructor it names; every plain default is filled in.
 From weakest to strongest: defaults of constructors, files of a group such as ``task=<name>``, the
 preset that was asked for, the command line.
 """
@@ -37,15 +37,15 @@ Settings = Mapping[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class CommandLine:
-    """What a program takes: ``key=value`` and ``group=name``.
+    """The settings a program accepts, as ``key=value`` and ``group=name``.
 
     Args:
         schema: dataclass of the settings; its ``__post_init__`` checks their range.
-        groups: config groups and what is chosen in each by default, ``None`` for nothing.
+        groups: config groups and the default choice in each, ``None`` for nothing.
         is_training: take every setting of a preset; otherwise only its task.
-        stored: given the command line's settings, returns those of a run that lie between the
-            YAML files and the command line.
-        positional: setting that a word without ``=`` is the value of.
+        stored: given the command line's settings, returns those of a stored run; they override
+            the YAML files and are overridden by the command line.
+        positional: setting whose value is a word without ``=``.
     """
 
     schema: type
@@ -69,8 +69,8 @@ class CommandLine:
         """Compose a command line and check its keys and types.
 
         Args:
-            arguments: ``key=value`` each, and ``--config-dir <folder>`` for YAML files of one's
-                own, ``<folder>/task/<name>.yaml``.
+            arguments: ``key=value`` each, and ``--config-dir <folder>`` for your own YAML
+                files, ``<folder>/task/<name>.yaml``.
 
         Raises:
             ValueError: for an unknown key, choice or type.
@@ -115,7 +115,7 @@ class CommandLine:
         return self.schema(**cast(dict[str, Any], OmegaConf.to_container(config)))
 
     def check(self, config: DictConfig, overrides: Iterable[str]) -> DictConfig:
-        """Check keys and types of what hydra composed, and spell out the defaults.
+        """Check keys and types of a composed config, and fill in the defaults.
 
         Args:
             config: as hydra composed it.
@@ -164,7 +164,7 @@ class CommandLine:
 
 
 def describe(node: Any, path: str) -> Any:
-    """Return the schema of a ``_target_`` and of those below it.
+    """Return the schema of a ``_target_`` and of those nested in it.
 
     Args:
         node: ``_target_`` and the arguments that YAML files and command line name. Where the
@@ -243,7 +243,7 @@ def parse(overrides: Iterable[str]) -> list[Override]:
     """Parse overrides as hydra does.
 
     Raises:
-        ValueError: for what is not ``key=value``.
+        ValueError: for anything but ``key=value``.
     """
     try:
         return OverridesParser.create().parse_overrides(list(overrides))
@@ -269,7 +269,7 @@ def explain(
 
     Args:
         error: of composition or merge.
-        known: keys that there are.
+        known: existing keys.
         config: what was merged.
     """
     if isinstance(error.__cause__, MissingConfigException | OmegaConfBaseException):
@@ -288,7 +288,7 @@ def explain(
 
 
 def unknown(key: str, known: Iterable[str]) -> ValueError:
-    """Return the error for a key that there is not."""
+    """Return the error for an unknown key."""
     return ValueError(f"there is no {key!r}.{nearest(key, known)}")
 
 
@@ -329,6 +329,6 @@ def build(node: Settings) -> Any:
 
 
 def to_plain(settings: Any) -> dict[str, Any]:
-    """Turn settings into nested dicts, for a file."""
+    """Turn settings into nested dicts, to write to a file."""
     plain = OmegaConf.to_container(OmegaConf.structured(settings), resolve=True)
     return cast(dict[str, Any], plain)

@@ -1,4 +1,4 @@
-"""What docstrings say of arguments, for ``--help`` and the configuration reference."""
+"""Descriptions of arguments, read from docstrings for ``--help`` and the reference."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 
 
 def read_arguments(kind: type) -> dict[str, str]:
-    """Return what ``Args:`` of a class and of its bases says, by name of the argument."""
+    """Return the entries of ``Args:`` of a class and of its bases, by argument."""
     texts: dict[str, str] = {}
     for base in reversed(kind.__mro__):
         texts |= _parse(inspect.cleandoc(base.__doc__ or ""))

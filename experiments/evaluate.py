@@ -27,7 +27,7 @@ from fishrl.viewer import ViewerSettings, check_folder
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateConfig(ViewerSettings):
-    """Settings of an evaluation, beside those of ``ViewerSettings``.
+    """Settings of an evaluation, besides those of ``ViewerSettings``.
 
     Args:
         task: ``_target_`` and arguments of the task; a checkpoint brings its own unless ``task``
@@ -38,8 +38,8 @@ class EvaluateConfig(ViewerSettings):
         recognition: as for training; a checkpoint brings its own.
         episodes: fixed starts, one episode each.
         num_envs: flows that advance together.
-        seed: of the starts and of random actions; 0 gives those of every run's last evaluation, 1
-            those that chose its checkpoint.
+        seed: of the starts and of random actions; 0 gives those of every run's final evaluation, 1
+            those that selected its checkpoint.
         device: cpu or cuda.
         compile: compile the flow solver.
         save: file for the result and all these settings as JSON, or nothing.
@@ -74,13 +74,13 @@ def evaluate(
     Args:
         config: the settings.
         make_env: makes the env of a task.
-        progress: the bar, if there is one already.
+        progress: progress bar; by default none.
 
     Returns:
         What ``fishrl.training.evaluate`` returns, and which policy it was.
 
     Raises:
-        ValueError: for settings that cannot be, and checkpoints that do not fit.
+        ValueError: for invalid settings, and checkpoints that do not fit the task.
     """
     task = build(config.task)
     result = run_evaluation(

@@ -14,10 +14,10 @@ class LiveObserver(Observer):
 
     Args:
         settings: of the viewer.
-        num_flows: that there are.
+        num_flows: number of flows.
 
     Raises:
-        ValueError: if a flow that shall be shown is not there.
+        ValueError: if ``flows`` names one that does not exist.
     """
 
     def __init__(self, settings: ViewerSettings, *, num_flows: int) -> None:
@@ -32,12 +32,12 @@ class LiveObserver(Observer):
             self.live = LiveView(env, self.settings)
 
     def settle(self, step: TensorDictBase) -> None:
-        """Show a decision."""
+        """Show the frames of a completed step."""
         if self.live is not None:
             self.live.settle(step)
 
     def restart(self) -> None:
-        """Expect other episodes."""
+        """Expect new episodes."""
         if self.live is not None:
             self.live.restart()
 

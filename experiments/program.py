@@ -1,4 +1,4 @@
-"""A program: settings as ``key=value`` in, errors in one line out.
+"""Programs: a function run with settings given as ``key=value``; errors take one line.
 
 ``@program`` makes a program of a function and of a dataclass with its settings::
 
@@ -47,7 +47,7 @@ class Program:
 
     Args:
         run: the function.
-        command_line: what it takes.
+        command_line: the settings it accepts.
         sweep: runs ``--multirun``, given the command line; without it the program runs once.
     """
 
@@ -89,7 +89,7 @@ class Program:
                 lines += [f"  {name}:  ({name}.<key>=<value>)"]
                 lines += [f"    {entry}" for entry in OmegaConf.to_yaml(value).splitlines()]
             else:
-                lines.append(f"  {name}={value}  {texts.get(name, '')}")
+                lines.append(f"  {name}={value}  {texts.get(name, '').replace('``', '`')}")
         return "\n".join(lines)
 
 
@@ -140,7 +140,7 @@ def show_command(module: str, *arguments: str) -> str:
 
 @contextmanager
 def plain_errors() -> Iterator[None]:
-    """End the program with one line for an error of the user's, and with 130 for Ctrl-C.
+    """End the program with one line for a user error, and with status 130 for Ctrl-C.
 
     An error raised in a user's own file names its line. Other errors keep their traceback.
     """

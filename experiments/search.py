@@ -3,7 +3,7 @@
 What is searched is written ``gamma=interval(0.9,1)``, ``learning_rate=tag(log,interval(a,b))``,
 ``batch_size=int(interval(16,128))`` or ``hidden=choice([64],[64,64])``; other settings are those
 of every trial, as for ``experiments.train``. Each trial trains as a job of a sweep does. The study
-lies in ``study.db`` in the folder: the same command goes on with it, an interrupted or killed trial
+lies in ``study.db`` in the folder: the same command continues it, an interrupted or killed trial
 first; started several times at once, it searches with several processes.
 """
 

@@ -1,4 +1,4 @@
-"""What the settings of a stored run bring to a command line."""
+"""Settings that a stored run adds to a command line."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Teach a fish: ``python -m experiments.train task=predation preset=small seed=0``.
+"""Train a policy: ``python -m experiments.train task=predation preset=small seed=0``.
 
-``resume=<run folder>`` goes on where a run was stopped or killed; one that is finished stays as it
-is, unless ``total_frames`` makes it longer.
+``resume=<run folder>`` continues a run that was stopped or killed. A finished run is left unchanged
+unless ``total_frames`` extends it, or another final evaluation is asked for.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from fishrl.training.run_folder import RunFolder, read_config
 from fishrl.training.runs import begin, complete, reopen
 from fishrl.training.summary import FINAL_SEED
 
-#: When the program started, but for its imports.
+#: When the program started, apart from the imports above.
 BEGAN = time.perf_counter()
 
-#: Settings that a resume sets for itself alone: whether to look on, and where things lie.
+#: Settings that are not taken from the stored run on resume.
 _OF_THE_MOMENT = ("live", "recognition", "resume")
-#: Settings with which a finished run is evaluated or drawn anew.
+#: Settings that, if changed, evaluate or draw a finished run again.
 _OF_THE_END = ("final_episodes", "baselines", "picture_episodes")
 
 
@@ -47,19 +47,19 @@ def train(
     progress: Progress | None = None,
     began: float | None = None,
 ) -> dict[str, Any]:
-    """Train a fish, compare it with the hand-written ones, and draw what it does.
+    """Train a policy, compare it with the baselines, and draw its episodes.
 
     Args:
         config: the settings.
         make_env: makes the env of a task; by default ``fishrl.envs.flow_env.make_env``.
-        progress: the bar, if there is one already.
+        progress: progress bar; by default none.
         began: ``time.perf_counter()`` when the program started.
 
     Returns:
         The summary, as in ``summary.json``.
 
     Raises:
-        ValueError: for settings that cannot be, and checkpoints that do not fit.
+        ValueError: for invalid settings, and checkpoints that do not fit the task.
     """
     training = set_up(config, make_env=make_env, progress=progress, began=began)
     return finish(training)
@@ -77,7 +77,7 @@ class RunObserver(LiveObserver):
         self.config = config
 
     def finish(self, training: Training, summary: Mapping[str, Any]) -> None:
-        """Draw the pictures."""
+        """Draw the pictures of the run."""
         if self.config.picture_episodes > 0:
             draw(training, self.config, summary)
 
@@ -89,7 +89,7 @@ def set_up(
     progress: Progress | None = None,
     began: float | None = None,
 ) -> Training:
-    """Make everything a run needs; see ``train``. Wrong settings show here, not later."""
+    """Set up a run, new or resumed; see ``train``. Invalid settings raise here, not later."""
     given: dict[str, Any] = {
         "make_env": make_env or make_real_env,
         "progress": progress,
@@ -106,7 +106,7 @@ def set_up(
 
 
 def is_over(config: TrainConfig) -> bool:
-    """Tell whether a resumed run is finished, and nothing more is asked of it."""
+    """Tell whether a resumed run is finished and no setting asks for more."""
     run, asked = read_run(Path(str(config.resume)).expanduser()), to_plain(config)
     if run.status != "finished" or config.total_frames > run.summary.get("frames", 0):
         return False
@@ -114,7 +114,7 @@ def is_over(config: TrainConfig) -> bool:
 
 
 def finish(training: Training) -> dict[str, Any]:
-    """Run what is set up to its end, with its pictures, and print the table."""
+    """Run a training to its end, with its pictures, and print the table."""
     summary = complete(training)
     training.progress.close()
     report(summary, folder=training.folder.path)
@@ -130,7 +130,7 @@ def draw(training: Training, config: TrainConfig, summary: Mapping[str, Any]) ->
     record_run(
         training.folder.path,
         training.collector.env,
-        training.watch(training.learner.actor),  # stops where the program is told to end
+        training.watch(training.learner.actor),  # stops on SIGINT or SIGTERM
         starts,
         settings=config,
         baselines={name: summary[f"{name}_success_rate"] for name in summary["baselines"]},
@@ -139,9 +139,10 @@ def draw(training: Training, config: TrainConfig, summary: Mapping[str, Any]) ->
 
 
 def report(summary: dict[str, Any], *, folder: Path) -> None:
-    """Print the table of all fish, where the files lie, and how to look at it."""
+    """Print results of all policies, the files written, and commands to continue with."""
     word = summary["success"]
-    print(f"\n{'fish':<12}{word:>14}{'mean return':>14}{'mean duration':>16}{f'until {word}':>18}")
+    heads = f"{word:>14}{'mean return':>14}{'mean duration':>16}{f'until {word}':>18}"
+    print(f"\n{'policy':<12}{heads}")
     for name in ("learned", *summary["baselines"]):
         prefix = "" if name == "learned" else f"{name}_"
         duration = summary[f"{prefix}mean_time_to_success_T"]
@@ -156,14 +157,14 @@ def report(summary: dict[str, Any], *, folder: Path) -> None:
         if not path.name.startswith("."):
             print(f"  {path}")
     shown = str(folder) if (folder / "capture.rrd").is_file() else f"run={folder}"
-    print(f"\nlook again: {show_command('experiments.evaluate', f'checkpoint={folder}')}")
-    print(f"see it swim: {show_command('experiments.view', shown)}")
+    print(f"\nevaluate: {show_command('experiments.evaluate', f'checkpoint={folder}')}")
+    print(f"view: {show_command('experiments.view', shown)}")
 
 
 @contextmanager
 def resumable(training: Training) -> Iterator[None]:
-    """Save and print how to go on if the program is interrupted, or cannot write any more."""
-    hint = f"go on with: {show_command('experiments.train', f'resume={training.folder.path}')}"
+    """Print the command to resume if the run is interrupted or cannot write its files."""
+    hint = f"resume with: {show_command('experiments.train', f'resume={training.folder.path}')}"
     try:
         with training.interruption:
             yield
@@ -179,9 +180,9 @@ def resumable(training: Training) -> Iterator[None]:
 
 @program(TRAINING, sweep=sweep)
 def main(settings: TrainConfig) -> None:
-    """Train, or go on with a run."""
+    """Train, or resume a run."""
     if settings.resume and is_over(settings):
-        print(f"{settings.resume}: already finished; total_frames=... makes it longer")
+        print(f"{settings.resume}: already finished; total_frames=... extends it")
         return
     with Progress() as progress:
         training = set_up(settings, progress=progress, began=BEGAN)

@@ -41,7 +41,7 @@ class LateralLineSettings:
     """Settings of a study of the lateral line.
 
     Args:
-        task: task whose flows are told apart; all of them, whatever ``task.start_flows`` says.
+        task: task whose flows are classified; all of them, whatever ``task.start_flows`` is.
         preset: name of the preset whose task it is; nothing else is taken of a preset.
         seed: of data, splits and fits.
         device: cpu or cuda, for the flows.
@@ -109,10 +109,10 @@ def study_lateral_line(
 
     Args:
         settings: see there.
-        task: whose flows are told apart.
+        task: whose flows are classified.
         episodes: ``[E, D]`` as ``collect`` returns.
         folder: that takes the files.
-        progress: the bar.
+        progress: progress bar.
 
     Returns:
         The results, as in ``lateral_line.json``.

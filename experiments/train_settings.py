@@ -1,4 +1,4 @@
-"""The command line of a training, which sweeps and searches share."""
+"""Command line and settings of a training, shared by sweeps and searches."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fishrl.training.runs import make_folder
 from fishrl.training.settings import LearningSettings, RunSettings
 from fishrl.viewer import ViewerSettings
 
-#: Of runs that do not name one.
+#: Of stored runs that name none.
 DEFAULT_ALGORITHM = {"_target_": "fishrl.training.algorithms.discrete_sac.DiscreteSAC"}
 
 
@@ -30,10 +30,10 @@ class TrainConfig(LearningSettings, RunSettings, ViewerSettings):
         algorithm: ``_target_`` and arguments of the algorithm (``fishrl.training.algorithms``).
         logger: ``_target_`` and arguments of the logger.
         preset: name of the preset.
-        recognition: what labels the flows: ``oracle``, the file of a lateral-line classifier, or
+        recognition: source of flow labels: ``oracle``, the file of a lateral-line classifier, or
             nothing.
-        resume: run folder to go on with, from its last checkpoint.
-        picture_episodes: episodes of the last evaluation that are recorded and drawn; 0 for none.
+        resume: run folder to continue from its last checkpoint.
+        picture_episodes: episodes of the final evaluation to record and draw; 0 for none.
 
     Raises:
         ValueError: for a value outside its bounds.
@@ -75,7 +75,7 @@ def read_resumed(given: Mapping[str, Any]) -> dict[str, Any]:
         if key.split(".", 1)[0] in (*PARTS, *LEARNING):
             raise ValueError(f"{key}: is fixed in {folder.path}; leave it out, or start a new run")
     stored = read_config(folder.config)
-    former = ("alpha_init", "target_entropy_weight")  # of runs before there was a choice
+    former = ("alpha_init", "target_entropy_weight")  # of runs before ``algorithm``
     algorithm = {**(stored.get("algorithm") or DEFAULT_ALGORITHM)}
     algorithm |= {name: stored.pop(name) for name in former if name in stored}
     return update_names({**stored, "algorithm": algorithm, "live": False})
@@ -95,7 +95,7 @@ TRAINING = CommandLine(
 
 
 def make_plan(config: TrainConfig) -> Plan:
-    """Return what a run with these settings is made from."""
+    """Return the plan of a run with these settings."""
     plain = to_plain(config)
     return Plan(
         task=build(config.task),
@@ -109,5 +109,5 @@ def make_plan(config: TrainConfig) -> Plan:
 
 
 def begin_run(config: TrainConfig, folder: RunFolder) -> RunFolder:
-    """Write into a new folder all that its run needs; ``resume=<folder>`` then starts it."""
+    """Write a plan into a new run folder; ``resume=<folder>`` then starts the run."""
     return make_folder(make_plan(config), recognition=config.recognition, folder=folder)[0]

@@ -116,7 +116,7 @@ def transfer(
         episodes: in each flow.
         folder: for everything.
         samples_actions: sample the actions of learned policies; otherwise they act greedily.
-        progress: the bar.
+        progress: progress bar.
 
     Returns:
         ``arms``: diagnostics per arm and flow over its seeds; ``trials``: of each policy alone;

@@ -47,7 +47,7 @@ from fishrl.viewer import (
 
 @dataclass(frozen=True, kw_only=True)
 class ViewConfig(ViewerSettings):
-    """Settings of the program that shows flows, beside those of ``ViewerSettings``.
+    """Settings of the viewer program, besides those of ``ViewerSettings``.
 
     Args:
         task: ``_target_`` and arguments of the task; a run brings its own unless ``task`` or
@@ -59,9 +59,9 @@ class ViewConfig(ViewerSettings):
         policy: baseline to show, see ``fishrl.training.baselines``.
         recognition: as for training; a run brings its own.
         episodes: fixed starts, one flow each, of which ``flows`` are shown; all by default.
-        periods: T after which episodes are left; nothing lets them end.
-        seed: of the starts; 0 gives those of every run's last evaluation, 1 those that chose its
-            checkpoint.
+        periods: T after which an episode is cut; ``null`` runs it to its end.
+        seed: of the starts; 0 gives those of every run's final evaluation, 1 those that selected
+            its checkpoint.
         device: cpu or cuda.
         compile: compile the flow solver.
         save: ``.rrd`` file to write; by default one in the temporary folder.
@@ -105,13 +105,13 @@ def record(
         settings: of the program.
         save: ``.rrd`` file to write.
         url: of a viewer's server to stream to as well, or None.
-        progress: the bar, if there is one.
+        progress: progress bar; by default none.
 
     Returns:
         The size of the recording, in a line.
 
     Raises:
-        ValueError: for settings that cannot be, and checkpoints that do not fit.
+        ValueError: for invalid settings, and checkpoints that do not fit the task.
     """
     progress = progress or Progress(is_shown=False)
     check_folder(save)
@@ -197,11 +197,11 @@ def view(
 
     Args:
         settings: of the program.
-        progress: the bar, if there is one.
+        progress: progress bar; by default none.
         wait: called when a live view is over; returns when it may end.
 
     Raises:
-        ValueError: for settings that cannot be, or if the viewer does not start.
+        ValueError: for invalid settings, or if the viewer does not start.
         FileNotFoundError: if there is no such recording, or no folder for a file.
     """
     progress = progress or Progress(is_shown=False)
@@ -240,7 +240,7 @@ def view(
     positional="recording",
 )
 def main(settings: ViewConfig) -> None:
-    """Show what the settings say."""
+    """Open, record or stream."""
     with Progress() as progress:
         view(settings, progress=progress)
 

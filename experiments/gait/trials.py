@@ -227,7 +227,7 @@ def run_trial(
         folder: where histories are kept, a file for each trial.
         samples_actions: see ``record_histories``.
         seed: of the starts, the same for every policy, and of sampled actions.
-        progress: the bar.
+        progress: progress bar.
     """
     task, sources = trial.task, hash_sources(*_SOURCES)
     key = make_key(task, trial.identity, episodes, samples_actions, seed, FRAMES, sources)

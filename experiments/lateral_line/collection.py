@@ -91,7 +91,7 @@ def collect(
         folder: below which the pieces are kept, in a folder of their own for each collection.
         device: cpu or cuda.
         compile: compile the flow solver.
-        progress: the bar.
+        progress: progress bar.
 
     Returns:
         TensorDict ``[E, D]`` of E episodes and at most D decisions: ``lateral_line``

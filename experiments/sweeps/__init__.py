@@ -1,1 +1,1 @@
-"""Many runs at once: their jobs, how they fared, and what they say together."""
+"""Sweeps: jobs, status of runs, and statistics over seeds."""

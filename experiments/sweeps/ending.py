@@ -1,4 +1,4 @@
-"""Ending a sweep or a search: the runs below it save first, whoever launched them."""
+"""Ending a sweep or a search: its runs save first, whichever launcher started them."""
 
 from __future__ import annotations
 

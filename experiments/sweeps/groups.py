@@ -1,4 +1,4 @@
-"""Runs that differ in nothing but their seed, and what they say together."""
+"""Groups of runs that differ only in their seed."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Any
 from experiments.sweeps.runs import HARMLESS, Run
 from fishrl.training.run_folder import RunFolder
 
-#: Settings that make no other experiment.
+#: Settings that do not separate groups.
 _APART = ("seed", *HARMLESS)
-#: Settings that name several others at once, and so tell runs apart first.
+#: Settings that imply several others, and so distinguish groups first.
 _FIRST = ("preset", "task._target_")
 
 
@@ -36,7 +36,7 @@ class Group:
 
     @property
     def seeds(self) -> list[Run]:
-        """One run of each seed, the one that came farthest: the same again tells nothing new."""
+        """One run per seed, the one with the most frames; repetitions add no information."""
         chosen: dict[Any, Run] = {}
         for run in self.runs:
             known = chosen.setdefault(run.config.get("seed"), run)
@@ -64,8 +64,8 @@ class Group:
 def group_runs(runs: Sequence[Run]) -> list[Group]:
     """Put runs together that differ only in seed and harmless settings, in the order they come in.
 
-    Of the settings that differ, each group is told by the fewest that tell all groups apart: those
-    that follow from others, such as what a preset sets, are left out.
+    Each group is labelled by the fewest settings that distinguish all groups; those that follow
+    from others, such as what a preset sets, are left out.
 
     Args:
         runs: of a sweep; those that never began have no settings and are left out.
@@ -75,8 +75,8 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
     keys = _telling_keys(flat)
     groups: dict[tuple[str, ...], Group] = {}
     for run, settings in zip(begun, flat, strict=True):
-        told = {key: settings.get(key, "–") for key in keys}
-        groups.setdefault(tuple(told.values()), Group(settings=told, runs=[])).runs.append(run)
+        label = {key: settings.get(key, "–") for key in keys}
+        groups.setdefault(tuple(label.values()), Group(settings=label, runs=[])).runs.append(run)
     return list(groups.values())
 
 
@@ -111,10 +111,10 @@ def _count_parts(flat: Sequence[Mapping[str, str]], keys: Sequence[str]) -> int:
 
 
 def _settings_of(run: Run) -> dict[str, str]:
-    """Return the settings of a run, its machine by content, as every run calls its own the same."""
-    flat, machine = _flatten(run.config), RunFolder(run.path).classifier
-    if flat.get("recognition") == machine.name and machine.is_file():
-        flat["recognition"] = f"machine {hashlib.sha256(machine.read_bytes()).hexdigest()[:8]}"
+    """Return the settings of a run, with its classifier named by content instead of by file."""
+    flat, own = _flatten(run.config), RunFolder(run.path).classifier
+    if flat.get("recognition") == own.name and own.is_file():
+        flat["recognition"] = f"classifier {hashlib.sha256(own.read_bytes()).hexdigest()[:8]}"
     return flat
 
 

@@ -1,7 +1,7 @@
 """The jobs of a sweep: each a run in a process of its own, in one sweep folder.
 
-A job that dies leaves the others alone, whatever launches it, and is started exactly as it is
-rerun alone: ``python -m experiments.train resume=<run folder>``.
+A job that dies does not affect the others, whatever launches it. It is started by the command that
+also reruns it alone: ``python -m experiments.train resume=<run folder>``.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def sweep(arguments: Sequence[str]) -> None:
         arguments: of ``experiments.train``, with ``--multirun``.
 
     Raises:
-        ValueError: for settings of any job that cannot be.
+        ValueError: for invalid settings of any job.
     """
     overrides = TRAINING.prepare(arguments)
     folder, same = read_common(overrides)
@@ -104,7 +104,7 @@ def list_jobs(overrides: Sequence[str]) -> list[list[str]]:
     """Return the overrides of each job, checked once for all seeds.
 
     Raises:
-        ValueError: for settings of any job that cannot be.
+        ValueError: for invalid settings of any job.
     """
     options = [line for line in overrides if line.startswith("hydra")]
     settings = [line for line in overrides if not line.startswith("hydra")]
@@ -143,10 +143,10 @@ def quote(value: str) -> str:
 
 
 def run_job(config: DictConfig) -> None:
-    """Run one job of a sweep; hydra's launchers call this, maybe in other processes.
+    """Run one job of a sweep; hydra's launchers call this, possibly in other processes.
 
-    A job that is over is left alone, an unfinished one goes on. A failure is written into the run's
-    folder, where ``experiments.summarize`` finds it, and leaves the other jobs alone.
+    A finished job is skipped, an unfinished one is resumed. A failure is written to the run's
+    folder, where ``experiments.summarize`` finds it, and does not affect other jobs.
     """
     set_up_logging()
     leave_ending_to_sweep()
@@ -195,7 +195,7 @@ def find_or_begin(config: TrainConfig, *, name: str) -> RunFolder:
 
 
 def is_same(config: TrainConfig, folder: RunFolder) -> bool:
-    """Tell whether a run has these settings; harmless ones and the classifier's place aside."""
+    """Tell whether a run has these settings, except harmless ones and the classifier's path."""
     stored = update_names(read_config(folder.config))
     wanted = update_names(to_plain(config))
     own, given = folder.classifier, Path(wanted["recognition"] or "").expanduser()
@@ -207,14 +207,14 @@ def is_same(config: TrainConfig, folder: RunFolder) -> bool:
 
 
 def run_alone(path: Path, *, total_frames: int, progress: Progress | None = None) -> Run:
-    """Begin a run, or go on with it, in a process of its own, and wait for it.
+    """Start or resume a run in a process of its own, and wait for it.
 
-    What it prints goes to ``output.log`` in its folder.
+    Its output goes to ``output.log`` in its folder.
 
     Args:
         path: of its folder.
-        total_frames: that it trains for.
-        progress: the bar; by default one of its own.
+        total_frames: of the run.
+        progress: progress bar; by default a new one.
     """
     command = [sys.executable, "-m", "experiments.train", f"resume={quote(str(path))}"]
     with (

@@ -1,4 +1,4 @@
-"""How runs fared: finished, running, failed or stopped, and how to go on with them."""
+"""Status of runs: finished, running, failed or stopped, and the command to resume them."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from fishrl.training.aliases import update_names
 from fishrl.training.run_folder import RunFolder
 from fishrl.viewer import ViewerSettings
 
-#: Settings that change neither what a run learns nor how that is judged: where it lies, and what is
-#: shown, logged, saved and compared with it.
+#: Settings that change neither what a run learns nor how it is judged: where it lies, and what is
+#: shown, logged, saved and compared.
 HARMLESS = (
     *(entry.name for entry in fields(ViewerSettings)),
     *("folder", "name", "resume", "log_frames", "checkpoint_frames", "keep_checkpoints"),
@@ -28,7 +28,7 @@ HARMLESS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """One run, as its folder tells.
+    """One run, as read from its folder.
 
     Attributes:
         path: its folder.
@@ -48,9 +48,9 @@ class Run:
 
     @property
     def command(self) -> str:
-        """What goes on with it, alone."""
+        """Command that resumes the run alone."""
         if not self.config:
-            return "mend the setting and give the command of the sweep again"
+            return "fix the setting and repeat the command of the sweep"
         return show_command("experiments.train", f"resume={self.path}")
 
 
@@ -139,11 +139,11 @@ def is_held(path: Path) -> bool:
 
 
 def advise(runs: Iterable[Run], *, planned: Iterable[str] = ()) -> str:
-    """Say how many runs are finished, and of each other one why not and how to go on.
+    """Report how many runs are finished, and for each other run why not and how to resume it.
 
     Args:
         runs: that have a folder.
-        planned: names of all that there shall be.
+        planned: names of all planned runs.
     """
     runs = list(runs)
     names = {run.path.name for run in runs}

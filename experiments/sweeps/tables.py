@@ -1,4 +1,4 @@
-"""A sweep in tables: Markdown to read, CSV to go on with."""
+"""Tables of a sweep, in Markdown and CSV."""
 
 from __future__ import annotations
 

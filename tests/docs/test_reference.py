@@ -38,9 +38,9 @@ def test_types_defaults_and_inherited_words_are_shown() -> None:
     assert "| `name` | `str \\| None` | `none` |" in describe(SCHEMAS["train"])
 
 
-def test_seeds_of_looking_again_are_those_of_the_training() -> None:
-    said = f"{FINAL_SEED} gives those of every run's last evaluation, "
-    said += f"{SELECTION_SEED} those that chose its checkpoint."
+def test_the_seeds_of_evaluations_are_those_of_the_training() -> None:
+    said = f"{FINAL_SEED} gives those of every run's final evaluation, "
+    said += f"{SELECTION_SEED} those that selected its checkpoint."
     for program in ("evaluate", "view"):
         assert said in describe(SCHEMAS[program])
 
@@ -52,7 +52,9 @@ def test_every_choice_is_listed_and_the_page_is_not_kept_in_the_repository() -> 
     assert "docs/configuration.md" in (DOCS.parent / ".gitignore").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("package", ["physics", "envs", "modules", "objectives", "viewer"])
+@pytest.mark.parametrize(
+    "package", ["physics", "envs", "modules", "objectives", "training", "viewer"]
+)
 def test_every_public_name_has_its_place_in_the_api_pages(package: str) -> None:
     module = importlib.import_module(f"fishrl.{package}")
     page = (DOCS / "api" / f"{package}.md").read_text(encoding="utf-8")

@@ -100,7 +100,7 @@ def test_runs_that_differ_in_their_seed_alone_are_one_group(sweep: Path) -> None
     assert groups[1].numbers("mean_time_to_success_T") == []
 
 
-def test_runs_of_different_machines_are_different_groups(tmp_path: Path) -> None:
+def test_runs_of_different_classifiers_are_different_groups(tmp_path: Path) -> None:
     for name, content in (("a", b"1"), ("b", b"2"), ("c", b"1")):
         path = write_run(tmp_path, name, recognition="machine.pt")
         (path / "machine.pt").write_bytes(content)
@@ -112,7 +112,7 @@ def test_runs_of_different_machines_are_different_groups(tmp_path: Path) -> None
     ]
     # sha256sum of the one byte
     assert [group.label for group in groups] == [
-        *("recognition machine 6b86b273", "recognition machine d4735e3a"),
+        *("recognition classifier 6b86b273", "recognition classifier d4735e3a"),
         *("recognition oracle", "recognition machine.pt"),
     ]
 
@@ -258,7 +258,7 @@ def test_a_run_whose_settings_were_wrong_is_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"no run has begun\n.*\n.*gamma_2: .* must be at most 1"):
         summarize.summarize(tmp_path)
     write_run(tmp_path, "run", summary=summary_of(1.0))
-    assert "mend the setting" in summarize.summarize(tmp_path)
+    assert "fix the setting" in summarize.summarize(tmp_path)
 
 
 def test_a_folder_without_runs_is_an_error(tmp_path: Path) -> None:

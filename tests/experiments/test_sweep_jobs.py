@@ -153,7 +153,7 @@ def test_a_run_that_was_resumed_stays_in_its_sweep_unless_it_learns_something_el
     assert jobs.find_or_begin(settings_in(tmp_path, seed=1), name="run").path.name == "run-3"
 
 
-def test_a_run_with_another_machine_is_another_run(tmp_path: Path) -> None:
+def test_a_run_with_another_classifier_is_another_run(tmp_path: Path) -> None:
     folders = []
     for name, content in (("a", b"1"), ("b", b"1"), ("c", b"2")):
         (tmp_path / name).write_bytes(content)
@@ -239,7 +239,7 @@ def test_a_sweep_that_is_told_to_end_saves_what_runs(tmp_path: Path) -> None:
     assert read_metadata(run.path, which="last")[1]["frames"] == 8
     said = (run.path / "output.log").read_text(encoding="utf-8")
     command = show_command("experiments.train", "resume=")
-    assert f"SIGTERM: saved at frame 8; go on with: {command}" in said
+    assert f"SIGTERM: saved at frame 8; resume with: {command}" in said
     assert f"rerun: {run.command}" in done.stdout
     assert "0 of 2 runs finished" in done.stdout
     assert "- not begun: seed_1\n" in done.stdout
