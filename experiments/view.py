@@ -24,7 +24,7 @@ from fishrl.bounds import bounded
 from fishrl.envs import make_env
 from fishrl.envs.scene import Frame
 from fishrl.envs.transforms import equip
-from fishrl.training.baselines import make_policy
+from fishrl.training.baselines import make_baseline
 from fishrl.training.classifier import load_recognition
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.policies import load_policy
@@ -125,7 +125,7 @@ def record(
             source, task=task, has_labels=recognition is not None, device=settings.device
         )
     else:
-        policy = make_policy(str(settings.policy), task=task, seed=settings.seed)
+        policy = make_baseline(str(settings.policy), task=task, seed=settings.seed)
     starts = fixed_starts(task, settings.episodes, seed=settings.seed)
     max_decisions = task.time_limit
     if settings.periods is not None:

@@ -23,7 +23,7 @@ from fishrl.envs.transforms import ORACLE, equip
 from fishrl.files import load_tensors, staged
 from fishrl.modules import FixedFrequency, LateralLineClassifier
 from fishrl.physics.cache_key import hash_sources, make_key
-from fishrl.training.baselines import make_gait_policy, make_policy
+from fishrl.training.baselines import make_baseline, make_gait_policy
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.classifier import find_classifier, load_recognition
 from fishrl.training.policies import load_policy
@@ -148,7 +148,7 @@ def make_trial(name: str, task: KarmanGait, *, periods: float = PERIODS) -> Tria
     """Return the trial of a baseline, which is given the true flow label.
 
     Args:
-        name: as for ``make_policy``; or ``passive``, ``shedding`` (the shedding frequency of each
+        name: as for ``make_baseline``; or ``passive``, ``shedding`` (the shedding frequency of each
             flow) or ``fixed-0.6`` (0.6 beats per T), whatever the rows of the task; with
             ``+policy`` appended, the learned heading controller steers.
         task: of the others.
@@ -170,7 +170,7 @@ def make_trial(name: str, task: KarmanGait, *, periods: float = PERIODS) -> Tria
             name=name,
             arm=name,
             trained=task,
-            make_policy=lambda: make_policy(kind, task=task, seed=0),
+            make_policy=lambda: make_baseline(kind, task=task, seed=0),
             identity=name,
             periods=periods,
         )

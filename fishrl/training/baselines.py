@@ -64,17 +64,17 @@ def make_baselines(
 
     Args:
         names: of them; by default those of ``list_baselines``.
-        task: see ``make_policy``.
-        seed: see ``make_policy``.
+        task: see ``make_baseline``.
+        seed: see ``make_baseline``.
 
     Raises:
         ValueError: if the task has none of a name.
     """
     names = list_baselines(task) if names is None else names
-    return {name: make_policy(name, task=task, seed=seed) for name in names}
+    return {name: make_baseline(name, task=task, seed=seed) for name in names}
 
 
-def make_policy(name: str, *, task: Any, seed: int) -> TensorDictModuleBase:
+def make_baseline(name: str, *, task: Any, seed: int) -> TensorDictModuleBase:
     """Make a baseline of a task.
 
     Args:

@@ -22,7 +22,7 @@ from fishrl.training.run_folder import refuse_many
 
 
 class CheckpointNotWritten(OSError):
-    """A checkpoint could not be written; the one before it is as it was."""
+    """A checkpoint could not be written; the previous one is unchanged."""
 
 
 def save_checkpoint(
@@ -152,14 +152,14 @@ class _StateFile(StateDictCheckpointAdapter):
         self.name, self.sums = name, sums
 
     def save(self, component: Any, path: Path, **options: Any) -> Any:
-        """Write the state and note its sum."""
+        """Write the state and record its hash."""
         state = super().save(component, path, **options)
         if self.sums is not None:
             self.sums[self.name] = _sum(path / self.state_torch)
         return state
 
     def load(self, component: Any, path: Path, *, map_location: Any, **options: Any) -> None:
-        """Compare the sum, then read the state, and nothing else that lies there."""
+        """Compare the hash, then read the state file and no other."""
         file = path / self.state_torch
         if self.sums is not None and self.sums.get(self.name) != _sum(file):
             raise CheckpointError(

@@ -1,4 +1,4 @@
-"""Flows on several machines: TorchRL's Ray collector in the place of the ordinary one.
+"""Flows on several machines: TorchRL's Ray collector in place of the local one.
 
 All collectors take one decision in each of their flows with the newest weights, then the loop
 learns: the same order as in one process. Evaluations and recordings use flows of this process and
@@ -33,7 +33,7 @@ SEED_STRIDE = 1_000_000
 
 
 class RemoteCollector(ResumableCollector):
-    """The collector of one process of the cluster, whose state holds its random numbers too."""
+    """The collector of one process of the cluster; its state includes the random generator."""
 
     def state_dict(self) -> OrderedDict:
         """Return everything its next batch depends on."""
@@ -47,7 +47,7 @@ class RemoteCollector(ResumableCollector):
 
 
 class ClusterCollector:
-    """Collects in processes of a Ray cluster, and evaluates here.
+    """Collects in processes of a Ray cluster; evaluations run in this process.
 
     It joins the cluster that ``RAY_ADDRESS`` names, or starts one on this machine.
 
@@ -56,8 +56,8 @@ class ClusterCollector:
         make_env: makes the env of a collector from ``num_envs`` and ``seed``; picklable.
         explorer: the policy that collects.
         num_collectors: how many processes.
-        num_envs: flows of all of them together.
-        warmup_frames: frames with random legal actions, of all of them together.
+        num_envs: flows of all processes together.
+        warmup_frames: frames with random legal actions, of all processes together.
         seed: of the first collector.
 
     Raises:
@@ -107,9 +107,9 @@ class ClusterCollector:
             yield batch
 
     def _send_weights(self) -> None:
-        """Give all collectors the weights of now, through Ray.
+        """Send the current weights to all collectors, through Ray.
 
-        TorchRL's own scheme opens connections beside Ray's, which hang when a machine is lost.
+        TorchRL's own scheme opens further connections, which hang when a machine is lost.
         """
         import ray
 
@@ -118,7 +118,7 @@ class ClusterCollector:
         ray.get([collector.update_policy_weights_.remote(weights) for collector in remote])
 
     def _count_exploration(self, num_frames: int) -> None:
-        """Let exploration fade here as it does there: what is here goes out with the weights."""
+        """Advance the exploration schedule here too, because it is sent with the weights."""
         for module in self._explorer.modules():
             if isinstance(module, EGreedyModule):
                 module.step(num_frames)
@@ -143,16 +143,16 @@ class ClusterCollector:
         self._flows.load_state_dict([OrderedDict(state) for state in state_dict["collectors"]])
 
     def shutdown(self) -> None:
-        """End the flows here and there, and the cluster if it was started here."""
+        """End all flows, and the cluster if it was started here."""
         self.env.close()
         self._flows.shutdown(shutdown_ray=self._has_joined)
 
 
 def join_cluster(num_collectors: int) -> bool:
-    """Connect to the cluster that ``RAY_ADDRESS`` names, or start one here with room for all.
+    """Connect to the cluster that ``RAY_ADDRESS`` names, or start a local one of sufficient size.
 
     Args:
-        num_collectors: that need room.
+        num_collectors: number of processes to place.
 
     Returns:
         Whether this process was not connected before.
@@ -183,7 +183,7 @@ def join_cluster(num_collectors: int) -> bool:
 
 
 def _make_seeded(make_env: Callable[..., EnvBase], *, num_envs: int, seed: int) -> EnvBase:
-    """Make the env of a collector, in its process, and seed what acts there."""
+    """Make the env of a collector, in its process, and seed its policy."""
     torch.manual_seed(seed)
     torch.set_num_threads(1)
     return make_env(num_envs=num_envs, seed=seed)

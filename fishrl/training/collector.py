@@ -28,15 +28,15 @@ def make_collector(
     compile: bool,
     seed: int,
 ) -> Any:
-    """Make what collects for a run, in this process or in those of a cluster.
+    """Make the collector of a run, in this process or in those of a cluster.
 
     Args:
-        task: what the fish does.
-        learner: whose explorer acts.
+        task: the task.
+        learner: its explorer acts.
         settings: number of flows, of processes, and of warm-up frames.
         make_env: makes the env of a task, such as ``fishrl.envs.make_env``.
-        recognition: labels flows, see there.
-        device: where flows live.
+        recognition: source of flow labels, see there.
+        device: of the flows.
         compile: compile the flow step.
         seed: of the flows.
     """
@@ -50,7 +50,7 @@ def make_collector(
         compile=compile,
         **given,
     )
-    # an observer may look at every moment at which the task looks for the end of an episode
+    # observers may read the flows at every check for termination
     env = make(num_envs=settings.num_envs, seed=seed, frames_per_action=task.checks_per_action)
     if not settings.ray_collectors:
         return ResumableCollector(
@@ -75,7 +75,7 @@ def make_collector(
 
 
 def _make_equipped(make_env: MakeEnv, transforms: Sequence[Transform], **arguments: Any) -> EnvBase:
-    """Make an env with transforms of its own."""
+    """Make an env with its own copies of transforms."""
     env = make_env(**arguments)
     for transform in transforms:
         env.append_transform(transform.clone())

@@ -63,18 +63,18 @@ def to_plain(value: Any) -> Any:
 
 
 def make(node: Any, *, kind: type[T] | tuple[type[T], ...], modules: Collection[str] = ()) -> T:
-    """Make the object that a description stands for.
+    """Make the object of a description.
 
     Args:
         node: the description.
         kind: class that the object must be an instance of. Objects among its arguments must be of
             the kind that the annotation of the argument names.
-        modules: modules outside fishrl that may be imported for it, as the user has named them;
-            modules that are imported already need no naming.
+        modules: modules outside fishrl, named by the user, that may be imported for it; modules
+            that are already imported need not be named.
 
     Raises:
-        ValueError: if there is no such class, it is of another kind or from a module that nobody
-            named, or it does not take the arguments.
+        ValueError: if there is no such class, it is of another kind or from a module that is
+            not allowed, or it does not take the arguments.
     """
     if not isinstance(node, Mapping) or not isinstance(node.get(TARGET), str):
         raise ValueError(f"{node!r}: give a {TARGET} and its arguments")
@@ -119,7 +119,7 @@ def find_class(
     """Return the class of a dotted name, which may be a former one; see ``make``.
 
     Raises:
-        ValueError: if there is none, or it is not allowed.
+        ValueError: if there is no such class, or it is not allowed.
     """
     module, _, last = ALIASES.get(name, name).rpartition(".")
     loaded = sys.modules.get(module)

@@ -12,7 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from fishrl.envs import AbstractTask, make_env
 from fishrl.envs.episodes import Policy
 from fishrl.envs.transforms import equip
-from fishrl.training.baselines import make_policy
+from fishrl.training.baselines import make_baseline
 from fishrl.training.checkpoint import load_checkpoint, read_metadata
 from fishrl.training.classifier import Recognition, load_recognition
 from fishrl.training.collector import MakeEnv
@@ -123,7 +123,7 @@ def evaluate(
     if isinstance(policy, Path):
         act = load_policy(policy, task=task, has_labels=has_labels, device=device, modules=modules)
     elif isinstance(policy, str):
-        act = make_policy(policy, task=task, seed=seed)
+        act = make_baseline(policy, task=task, seed=seed)
     else:
         act = policy
     progress.rename("compilation" if compile else "set-up")

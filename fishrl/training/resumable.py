@@ -46,7 +46,7 @@ class ResumableCollector(Collector):
 
     @contextmanager
     def lend_env(self) -> Iterator[EnvBase]:
-        """Lend the env, and leave everything as it was before."""
+        """Lend the env, and restore everything afterwards."""
         state = copy_state(self.state_dict())
         try:
             yield self.env

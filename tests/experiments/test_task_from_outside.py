@@ -11,7 +11,7 @@ import pytest
 
 from experiments import evaluate, search, train, view
 from experiments.configuration import build
-from fishrl.training.baselines import make_policy
+from fishrl.training.baselines import make_baseline
 from tests.docs.pages import read_blocks
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 
@@ -130,4 +130,4 @@ def test_a_baseline_for_other_tasks_is_refused(outside: Path) -> None:
     task = build(settings.task)
     for name in ("intercept", "pid"):
         with pytest.raises(ValueError, match="HoldStation"):
-            make_policy(name, task=task, seed=0)
+            make_baseline(name, task=task, seed=0)

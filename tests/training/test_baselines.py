@@ -7,7 +7,7 @@ import pytest
 from fishrl.envs import KarmanGait, Predation
 from fishrl.envs.streams import Stream
 from fishrl.modules import RandomPolicy
-from fishrl.training.baselines import Baseline, find_baselines, list_baselines, make_policy
+from fishrl.training.baselines import Baseline, find_baselines, list_baselines, make_baseline
 
 
 class Drift:
@@ -33,11 +33,11 @@ def test_a_new_task_has_random_actions_and_what_is_registered_for_it() -> None:
         return {"steady": Baseline(lambda seed: RandomPolicy(seed=seed)), **find_baselines(None)}
 
     assert list_baselines(Station()) == ["steady", "random"]
-    assert isinstance(make_policy("steady", task=Station(), seed=3), RandomPolicy)
+    assert isinstance(make_baseline("steady", task=Station(), seed=3), RandomPolicy)
 
 
 def test_an_unknown_baseline_is_refused_with_those_there_are() -> None:
     with pytest.raises(ValueError, match=r"has intercept, pursuit, random; did you mean 'pursuit'"):
-        make_policy("pursiut", task=Predation(), seed=0)
+        make_baseline("pursiut", task=Predation(), seed=0)
     with pytest.raises(ValueError, match="has random"):
-        make_policy("intercept", task=Predation(control_interval_T=0.5), seed=0)
+        make_baseline("intercept", task=Predation(control_interval_T=0.5), seed=0)

@@ -59,7 +59,7 @@ class DiscreteSAC(Algorithm):
     def make_learner(
         self, spec: PolicySpec, settings: LearningSettings, *, device: str = "cpu"
     ) -> Learner:
-        """Make the actor, which explores by itself, and its critics."""
+        """Make the actor, which is also the explorer, and its critics."""
         generator = torch.Generator().manual_seed(settings.seed)
         actor = self.make_policy(spec, hidden=settings.hidden, generator=generator).to(device)
         critics = make_twin_critics(
