@@ -10,7 +10,7 @@ from omegaconf import MISSING
 
 from experiments.configuration import CommandLine, build, to_plain
 from fishrl.bounds import bounded
-from fishrl.training.aliases import update_names
+from fishrl.training.aliases import FORMER_SETTINGS, update_names
 from fishrl.training.plan import LEARNING, PARTS, RUN, Plan
 from fishrl.training.run_folder import RunFolder, read_config
 from fishrl.training.runs import make_folder
@@ -75,9 +75,8 @@ def read_resumed(given: Mapping[str, Any]) -> dict[str, Any]:
         if key.split(".", 1)[0] in (*PARTS, *LEARNING):
             raise ValueError(f"{key}: is fixed in {folder.path}; leave it out, or start a new run")
     stored = read_config(folder.config)
-    former = ("alpha_init", "target_entropy_weight")  # of runs before ``algorithm``
     algorithm = {**(stored.get("algorithm") or DEFAULT_ALGORITHM)}
-    algorithm |= {name: stored.pop(name) for name in former if name in stored}
+    algorithm |= {name: stored.pop(name) for name in FORMER_SETTINGS if name in stored}
     return update_names({**stored, "algorithm": algorithm, "live": False})
 
 

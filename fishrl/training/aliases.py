@@ -1,4 +1,4 @@
-"""Former names of classes that files of earlier runs may contain."""
+"""Former names of classes and settings that files of earlier runs may contain."""
 
 from __future__ import annotations
 
@@ -22,6 +22,9 @@ ALIASES: dict[str, str] = {
     "experiments.logger.CsvLogger": "fishrl.training.logger.CsvLogger",
     "experiments.logger.WandbLogger": "fishrl.training.logger.WandbLogger",
 }
+
+#: Settings of the only algorithm, before ``algorithm`` existed.
+FORMER_SETTINGS = ("alpha_init", "target_entropy_weight")
 
 
 def update_names(node: Any) -> Any:

@@ -9,6 +9,7 @@ from typing import Any
 from fishrl.bounds import suggest
 from fishrl.envs import AbstractTask
 from fishrl.training.algorithms import Algorithm, DiscreteSAC
+from fishrl.training.aliases import FORMER_SETTINGS
 from fishrl.training.description import describe, make, to_plain
 from fishrl.training.logger import CsvLogger
 from fishrl.training.settings import LearningSettings, RunSettings
@@ -79,9 +80,8 @@ class Plan:
             ValueError: for a class that is not allowed, and invalid values.
         """
         algorithm = dict(config.get("algorithm") or describe(DiscreteSAC()))
-        former = ("alpha_init", "target_entropy_weight")  # of runs before ``algorithm``
-        algorithm |= {name: config[name] for name in former if name in config}
-        known = {*LEARNING, *RUN, *PARTS, *former}
+        algorithm |= {name: config[name] for name in FORMER_SETTINGS if name in config}
+        known = {*LEARNING, *RUN, *PARTS, *FORMER_SETTINGS}
         try:
             learning = LearningSettings(**{n: config[n] for n in LEARNING if n in config})
             run = RunSettings(**{n: config[n] for n in RUN if n in config})

@@ -89,8 +89,8 @@ def test_a_gait_is_trained_evaluated_and_tried_in_every_flow(tmp_path: Path, who
     assert list(results["arms"]) == [arm, "pid"]
     flows = results["arms"][arm]
     assert [flow["episodes"] for flow in flows] == [2, 2, 2]
-    told = {"oracle": 1.0}.get(who)
-    assert told is None or all(flow["named_right"] == told for flow in flows)
+    share = {"oracle": 1.0}.get(who)
+    assert share is None or all(flow["named_right"] == share for flow in flows)
     written = {path.name for path in (tmp_path / "transfer").iterdir()}
     assert {"transfer.md", "transfer.json", "survival.png", "paths.png", "work.png"} <= written
     for file in (tmp_path / "run").rglob("*-actor/*"):

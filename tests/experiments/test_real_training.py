@@ -1,4 +1,4 @@
-"""A very short training on the real flow: small, eager and not honest physics, but all of it."""
+"""A very short training on the real flow: coarse, eager, not physically accurate, but complete."""
 
 from __future__ import annotations
 

@@ -100,20 +100,20 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def hunter(runs: Path) -> Path:
-    """Train a fish that hunts in a real flow, with its pictures."""
+def predation_run(runs: Path) -> Path:
+    """Train on predation in a real flow, with pictures."""
     task = _set_task(REAL["predation"])
-    return _train(runs, "hunter", "task=predation", *task, pictures=1)
+    return _train(runs, "predation_run", "task=predation", *task, pictures=1)
 
 
 @pytest.fixture(scope="module")
-def holder(runs: Path) -> Path:
-    """Train a fish that holds a station and is told its flow; it glides."""
+def gait_run(runs: Path) -> Path:
+    """Train on the Kármán gait with the true flow label; the fish glides."""
     with pytest.MonkeyPatch.context() as patch:
         _glide(patch)
         chosen = ["task=karman_gait", "preset=gait_small", "recognition=oracle"]
         task = [*_set_task(GLIDING), "task.start_flows=[0,1,2]"]
-        return _train(runs, "holder", *chosen, *task)
+        return _train(runs, "gait_run", *chosen, *task)
 
 
 def test_every_program_is_here() -> None:
@@ -172,10 +172,10 @@ def test_every_baseline_is_evaluated(task: str, policy: str) -> None:
 
 
 def test_a_learned_policy_is_evaluated_shown_listed_and_exported(
-    hunter: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    predation_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _run("evaluate", f"checkpoint={hunter}", "episodes=1", "num_envs=1", "compile=false")
-    _run("export_steering", f"run={hunter}", f"path={tmp_path / 'steering.pt'}")
+    _run("evaluate", f"checkpoint={predation_run}", "episodes=1", "num_envs=1", "compile=false")
+    _run("export_steering", f"run={predation_run}", f"path={tmp_path / 'steering.pt'}")
     verified = []
 
     def verify(command: list[str], **options: Any) -> None:
@@ -187,17 +187,17 @@ def test_a_learned_policy_is_evaluated_shown_listed_and_exported(
         fishrl.viewer.files, "subprocess", type("", (), {"run": staticmethod(verify)})
     )
     monkeypatch.setenv("DISPLAY", ":0")  # as if there were a screen
-    _run("view", hunter)
-    assert verified == [str(hunter / "capture.rrd")]
+    _run("view", predation_run)
+    assert verified == [str(predation_run / "capture.rrd")]
 
 
 @pytest.mark.usefixtures("gliding")
 def test_a_gait_is_tried_in_all_streams_and_its_page_is_written(
-    holder: Path, tmp_path: Path
+    gait_run: Path, tmp_path: Path
 ) -> None:
     trial, sweep = tmp_path / "transfer", tmp_path / "sweep"
     own = _set_task(GLIDING)
-    given = [f"runs=[{holder}]", "baselines=[pid]", "episodes=1", "periods=0.2"]
+    given = [f"runs=[{gait_run}]", "baselines=[pid]", "episodes=1", "periods=0.2"]
     _run("transfer", *own, *given, f"folder={trial}")
     _run("drift_sweep", *own, "starts=1", "periods=1", "frequencies=[0.9,1.8]", f"folder={sweep}")
     few = ["episodes=1", "periods=2", "max_frequency=2", "frequency=1"]
@@ -207,9 +207,9 @@ def test_a_gait_is_tried_in_all_streams_and_its_page_is_written(
     assert (tmp_path / "figures" / "gait" / "drift.png").is_file()
 
 
-def test_a_sweep_is_summed_up(hunter: Path) -> None:
-    _run("summarize", hunter.parent)
-    assert (hunter.parent / "summary.md").is_file()
+def test_a_sweep_is_summed_up(predation_run: Path) -> None:
+    _run("summarize", predation_run.parent)
+    assert (predation_run.parent / "summary.md").is_file()
 
 
 def test_a_setting_is_searched_for(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ class Gliding(CsvLogger):
 
 
 class Ending(CsvLogger):
-    """At frame 8 the sweep is told to end, and this run hears of it."""
+    """At frame 8 the sweep receives SIGTERM and passes it on to this run."""
 
     def log(self, metrics: Mapping[str, float]) -> None:
         super().log(metrics)

@@ -1,4 +1,4 @@
-"""Trainings that are told to end in the middle of something."""
+"""Trainings that receive SIGTERM in the middle of a step."""
 
 from __future__ import annotations
 
