@@ -1,6 +1,6 @@
-"""How fast everything is: ``python -m experiments.benchmark`` (``make bench``).
+"""Benchmark solver, environment and training: ``python -m experiments.benchmark`` (``make bench``).
 
-Every code runs in a process of its own, and all take turns in short bursts. Tables, goals and
+Each code runs in its own process; the processes take turns in short bursts. Tables, goals and
 figures show medians and quartiles over the rounds, and ratios of the same round. Codes that are not
 installed are left out; ``pip install -e '.[bench]'`` installs lbmpy and numba.
 
@@ -53,9 +53,9 @@ class BenchmarkSettings(Settings):
     """What to measure, and where to write it.
 
     Args:
-        groups: of measurements; all by default.
+        groups: groups of measurements; by default all.
         folder: of results and figures.
-        docs: measure nothing; put the results of the folder into the pages in this one.
+        docs: folder of pages to write stored results of ``folder`` into; nothing is measured.
     """
 
     body_length: int = bounded(100, least=80)  # a fish has at least 16 nodes, also in a small case
@@ -96,7 +96,7 @@ def measure(teams: Sequence[Team], settings: Settings) -> Results:
 
 @program(BenchmarkSettings)
 def main(settings: BenchmarkSettings) -> None:
-    """Measure, print tables, write JSON and figures; or put what was measured into the page."""
+    """Measure, print tables and write JSON and figures; or write stored results into the page."""
     folder = Path(settings.folder)
     if settings.docs is not None:
         for file in write_page(Results.load(folder / "results.json"), Path(settings.docs)):

@@ -2,8 +2,7 @@
 
 In free streams of the same speeds, PID control of the distance with any frequency holds a station.
 It beats several times faster than in a wake, so the steps per T follow from the Mach number of that
-beat. The work per T is that of the second half of the episodes. Histories are kept, so that nothing
-is run twice.
+beat. The work per T is that of the second half of the episodes. Histories are cached.
 """
 
 from __future__ import annotations

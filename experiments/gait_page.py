@@ -1,4 +1,4 @@
-"""Write the measured parts of docs/karman_gait.md: ``python -m experiments.gait_page``."""
+"""Write the generated parts of docs/karman_gait.md: ``python -m experiments.gait_page``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FIGURES = ("survival", "paths", "places", "decisions", "lean", "work")
 
 @dataclass(kw_only=True)
 class GaitPageSettings:
-    """Settings of the page; parts without a folder stay as they are.
+    """Settings of the page; parts without a folder are left unchanged.
 
     Args:
         docs: folder of the documentation.
@@ -29,8 +29,8 @@ class GaitPageSettings:
         drift: folder of ``experiments.drift_sweep``.
         line: run folder of ``experiments.train_lateral_line``.
         transfer: folder of ``experiments.transfer``.
-        runs: its run folders.
-        beside: folder of another transfer test, whose policies stand below in the tables.
+        runs: run folders of ``transfer``.
+        beside: folder of another transfer test, whose policies are appended to the tables.
         free_stream: folder of ``experiments.free_stream``; it needs ``transfer``.
         arm: policy whose work is compared.
     """

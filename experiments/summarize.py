@@ -1,8 +1,8 @@
-"""Turn a sweep folder into tables and curves: ``python -m experiments.summarize runs/sweep-...``.
+"""Write tables and curves of a sweep: ``python -m experiments.summarize runs/sweep-...``.
 
-Runs that differ only in their seed are put together. Written into the folder: ``summary.md`` (mean,
+Runs that differ only in their seed form a group. Written into the folder: ``summary.md`` (mean,
 95 % confidence interval and interquartile mean of each group, differences between groups paired by
-seed, each run beside its baselines, and what is to be rerun), ``summary.csv`` (the same for every
+seed, each run beside its baselines, and runs to repeat), ``summary.csv`` (the same for every
 number of the summaries), ``runs.csv`` (each run) and ``curves.png``.
 """
 
@@ -34,8 +34,8 @@ class SummarizeSettings:
 
     Args:
         folder: of a sweep, which holds the run folders.
-        page: Markdown file whose marked place ``summary`` takes the tables; pictures go into the
-            folder ``figures`` beside it: the curves under the name of the page, and those of the
+        page: Markdown file to write the tables into, between the marks ``summary``. Pictures go to
+            ``figures`` beside it: the curves under the name of the page, and those pictures of the
             first run that the page shows.
     """
 

@@ -1,8 +1,8 @@
 """Train a lateral-line classifier: ``python -m experiments.train_lateral_line seed=0``.
 
-Collects labelled signals in every flow of a task, under actions of which half are random and half
-hold a station, fits the classifier, and measures what the signal tells: ``lateral_line.md`` with
-figures, ``lateral_line.json``, and ``machine.pt``, the file for ``recognition=``.
+Collects labelled signals in every flow of a task, half under random actions and half under station
+holding, and fits the classifier. Writes ``lateral_line.md`` with its accuracies and figures,
+``lateral_line.json``, and ``machine.pt``, the classifier for ``recognition=``.
 ``preset=gait_small`` trains one for the task of that preset. Collected data are kept: the same
 command continues after an interruption, and other fits reuse them.
 """
@@ -42,7 +42,7 @@ class LateralLineSettings:
 
     Args:
         task: task whose flows are classified; all of them, whatever ``task.start_flows`` is.
-        preset: name of the preset whose task it is; nothing else is taken of a preset.
+        preset: name of a preset; only its task is used.
         seed: of data, splits and fits.
         device: cpu or cuda, for the flows.
         compile: compile the flow solver.

@@ -1,8 +1,8 @@
-"""Try frozen policies in streams they were not trained in: ``python -m experiments.transfer``.
+"""Evaluate frozen policies in streams they were not trained in: ``python -m experiments.transfer``.
 
 Runs the learned policies of run folders (``runs=[runs/a,runs/b]``, of ``task=karman_gait``) and
 baselines from the same fixed starts in every flow. Writes tables, figures and ``transfer.json``;
-histories are kept, so that nothing is run twice.
+histories are cached.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ class TransferSettings(GaitSettings):
     """Settings of a transfer test.
 
     Args:
-        runs: run folders of ``task=karman_gait``; runs of one kind are its seeds. The first one
-            with macro actions brings the task of the baselines.
+        runs: run folders of ``task=karman_gait``; runs of one kind are its seeds. The
+            baselines use the task of the first run with macro-actions.
         episodes: in each flow.
         periods: duration of a trial in T.
-        baselines: to put beside the runs; see ``trials.make_trial``.
+        baselines: policies to compare with; see ``trials.make_trial``.
         samples_actions: sample the actions of learned policies, as in training.
         folder: for tables, figures and histories.
     """
@@ -109,7 +109,7 @@ def transfer(
     samples_actions: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Run every trial and write tables and figures.
+    """Run all trials and write tables and figures.
 
     Args:
         trials: the policies; those of one arm are its seeds.
@@ -176,7 +176,7 @@ def transfer(
 
 @program(TransferSettings, groups={"task": "karman_gait", "preset": "gait_small"})
 def main(settings: TransferSettings) -> None:
-    """Load the policies, try them, print the tables."""
+    """Load and evaluate the policies, and print the tables."""
     torch.set_num_threads(1)
     folder, periods = Path(settings.folder), settings.periods
     with Progress() as progress:

@@ -1,10 +1,9 @@
-"""Judge the flow solver by the literature: ``python -m experiments.validate``.
+"""Validate the flow solver against the literature: ``python -m experiments.validate``.
 
-Runs the cases' jobs side by side, one core each, and writes ``docs/validation.md`` with a figure
-per case; with ``quick=true`` or a choice of ``cases`` the page goes into the folder instead. What
-is finished stays in the folder: the same command continues after an interruption, and runs only
-what a change to the physics or to a case has made stale. Exits with status 1 if a criterion is
-missed.
+Runs the jobs of all cases in parallel, one core each, and writes ``docs/validation.md`` with a
+figure per case; with ``quick=true`` or a choice of ``cases`` the page goes into the folder instead.
+Results are cached in the folder: the same command continues after an interruption, and repeats only
+jobs that a change to the physics or to a case affects. Exits with status 1 if a criterion fails.
 """
 
 from __future__ import annotations
@@ -25,15 +24,15 @@ from experiments.validation.runner import run_cases
 
 @dataclass(frozen=True, kw_only=True)
 class ValidateSettings:
-    """What to validate, and where the results go.
+    """Settings of a validation.
 
     Args:
-        cases: names of cases; none for all.
-        quick: coarse runs only, a minute or so.
-        fresh: also run again what is known.
-        jobs: processes at a time.
-        folder: of the results, and of the page unless all is run.
-        docs: takes validation.md and figures/validation of a full run.
+        cases: names of cases; by default all.
+        quick: coarse runs only, about a minute.
+        fresh: repeat cached jobs too.
+        jobs: parallel processes.
+        folder: of the results, and of the page unless all cases run.
+        docs: folder for validation.md and figures/validation of a full run.
     """
 
     cases: list[str] = field(default_factory=list)

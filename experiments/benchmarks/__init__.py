@@ -1,1 +1,1 @@
-"""What the benchmark measures, a file per group, and how: ``contest.py`` is the protocol."""
+"""Measurements of the benchmark, one file per group; ``contest.py`` is the protocol."""

@@ -1,8 +1,8 @@
-"""The contest: a process per code, and short bursts in turn, every case once a round.
+"""Protocol of the benchmark: one process per code, short bursts in turn, each case once per round.
 
-Other load on the machine then slows every case of a round, so speeds are compared round by round.
-While one process measures, the others wait. A burst begins after the threads of the one before have
-gone to sleep, with some steps that are not timed: they fill the caches and wake its own threads.
+Other load on the machine slows all cases of a round, so speeds are compared round by round. While
+one process measures, the others wait. A burst starts after the threads of the previous one sleep,
+with untimed steps that fill the caches and wake its own threads.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ PROBE = "memory"  # no flow: the speed of the memory
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What all measurements share.
+    """Settings of all measurements.
 
     Args:
         body_length: L of the large case, whose tank is 10 L x 5 L; others have L / 2 and L / 4.
@@ -57,7 +57,7 @@ class Settings:
 
     @property
     def how(self) -> str:
-        """How a code runs, in words."""
+        """Number of threads, in words."""
         return f"{self.threads} threads" if self.threads > 1 else "one core"
 
 

@@ -45,11 +45,11 @@ _SOURCES = (
 
 @dataclass(kw_only=True)
 class GaitSettings:
-    """Settings that the programs of the study share.
+    """Settings shared by the programs of the Kármán gait study.
 
     Args:
-        task: with streams, body and safe area.
-        preset: name of the preset whose task it is.
+        task: the task, with streams, body and safe area.
+        preset: name of a preset; only its task is used.
     """
 
     task: Any = MISSING

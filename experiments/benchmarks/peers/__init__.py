@@ -1,1 +1,1 @@
-"""Other codes, timed beside this one; each is left out with a word where it is not installed."""
+"""Other codes to compare with; those that are not installed are skipped and listed."""
