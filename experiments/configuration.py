@@ -142,7 +142,7 @@ class CommandLine:
         for name in self.groups:
             node = config.get(name)
             if OmegaConf.is_dict(node) and name != "preset":
-                base[name] = describe(node, name)
+                base[name] = make_schema(node, name)
         try:
             merged = OmegaConf.merge(base, config)
             OmegaConf.resolve(merged)
@@ -163,7 +163,7 @@ class CommandLine:
         return f"++{word.lstrip('+')}"
 
 
-def describe(node: Any, path: str) -> Any:
+def make_schema(node: Any, path: str) -> Any:
     """Return the schema of a ``_target_`` and of those nested in it.
 
     Args:
@@ -195,7 +195,7 @@ def describe(node: Any, path: str) -> Any:
         if is_object and "_target_" not in value and inspect.isclass(hint) and hint is not dict:
             value["_target_"] = f"{hint.__module__}.{hint.__qualname__}"
         if is_object and "_target_" in value:
-            below[name] = describe(value, f"{path}.{name}")
+            below[name] = make_schema(value, f"{path}.{name}")
             entries.append((name, Any, field(default=None)))
         elif is_plain(parameter.default):
             _check_length(value, hint, f"{path}.{name}")

@@ -39,10 +39,10 @@ class SearchSettings:
 
     Args:
         folder: of the study and its runs.
-        trials: of the whole study, failed ones and those of other processes too.
+        trials: number of trials in the study, including failed ones and those of other processes.
         seeds: runs per trial, over which the metric is averaged.
-        metric: entry of summary.json.
-        minimize: the smaller the metric, the better.
+        metric: entry of ``summary.json`` to optimise.
+        minimize: minimise the metric instead of maximising it.
         overrides: settings of the trainings; on the command line, whatever is none of the above.
     """
 

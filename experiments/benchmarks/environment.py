@@ -1,4 +1,4 @@
-"""What surrounds the flow: the environment, a training run, a live view, and a profile.
+"""Cost beyond the flow: the environment, a training run, a live view, and a profile.
 
 One action lasts a tail beat. The same flows are advanced by the bare solver, by the environment,
 and by the environment with its transforms, resets and a policy. No episode ends meanwhile, so the

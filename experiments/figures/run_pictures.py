@@ -1,4 +1,4 @@
-"""The pictures of a run: what its policy does from some fixed starts, and how it learned."""
+"""The pictures of a run: episodes of its policy and its learning curve."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -22,9 +22,9 @@ from fishrl.viewer import (
     start_drawing,
 )
 
-#: Of a run's starts, so many are kept in ``capture.rrd``.
+#: Number of flows kept in ``capture.rrd``.
 _MAX_FLOWS = 3
-#: Episodes that have no end of their own are recorded for so long, T.
+#: Recorded duration of episodes of tasks without a goal, T.
 _MAX_PERIODS = 20.0
 
 

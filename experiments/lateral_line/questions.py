@@ -1,4 +1,4 @@
-"""What a study asks: each question is a fit and the accuracies read from it."""
+"""Questions of the study: each is a fit and the accuracies read from it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Question:
     """A fit for each division of the episodes, and what is read from it.
 
     Args:
-        table: that takes the accuracies.
+        table: name of the table for the accuracies.
         data: the classifier's input.
         read: returns the accuracies of a fit.
         noise: see ``Study.fit``.

@@ -1,4 +1,4 @@
-"""What a validation case is: runs, checks that judge their results, and a figure."""
+"""The interface of a validation case: runs, checks of their results, and a figure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a task may ask of a solver: the only door from tasks, sensors and views to the flow.
+"""The interface of a solver to tasks: their sensors and views reach the flow only through it.
 
 ``InPlaceSolver`` fulfils it; so does any stand-in with these methods, such as one without a flow
 that tests run in milliseconds. All quantities are in lattice units, with a leading batch axis B.

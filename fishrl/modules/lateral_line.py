@@ -31,10 +31,10 @@ class LateralLineClassifier(nn.Module):
     W samples (oldest first, equally spaced in time), P neuromasts, F features, n flows.
 
     Args:
-        flows: what tells the n flows apart, one mapping per class in the order of ``flow_index``,
+        flows: parameters that distinguish the n flows, one mapping per class, by ``flow_index``,
             each with a ``name`` and numbers such as ``stream_speed_bl``.
         sensors: description of the lateral line: ``num_neuromasts``, the names of its
-            ``features``, ``num_samples`` per control interval, and whatever else it depends on.
+            ``features``, ``num_samples`` per control interval, and other parameters it depends on.
         features: names of those that are read; by default all but time and position.
         num_samples: how many of the newest samples are read; by default those of one control
             interval. More need the concatenated signals of several intervals.
