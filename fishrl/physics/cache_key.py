@@ -1,17 +1,21 @@
 """Keys of what is kept on disk: compiled steps, wakes, results of studies.
 
-A key changes when any input does: settings (by their ``repr``) or source code.
+A key changes when any input does: settings (by their ``repr``) or code. Comments, docstrings and
+layout of the code do not count.
 """
 
+import ast
 import hashlib
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
+_DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef)
+
 
 @cache
 def hash_sources(*names: str) -> str:
-    """Return a hash of the sources of ``fishrl.physics`` and of further packages or modules.
+    """Return a hash of the code of ``fishrl.physics`` and of further packages or modules.
 
     Args:
         *names: dotted names, such as ``"fishrl.envs"``. Of a package, every ``.py`` and ``.pt``
@@ -27,8 +31,19 @@ def hash_sources(*names: str) -> str:
         if spec.submodule_search_locations:
             files = [path for path in folder.rglob("*") if path.suffix in (".py", ".pt")]
         for path in sorted(files):
-            digest.update(f"{name}/{path.relative_to(folder)}\0".encode() + path.read_bytes())
+            digest.update(f"{name}/{path.relative_to(folder)}\0".encode() + read_code(path))
     return digest.hexdigest()
+
+
+def read_code(path: Path) -> bytes:
+    """Return the code of a Python file without comments, docstrings and layout; others whole."""
+    if path.suffix != ".py":
+        return path.read_bytes()
+    tree = ast.parse(path.read_bytes())
+    for node in ast.walk(tree):
+        if isinstance(node, _DOCUMENTED) and ast.get_docstring(node, clean=False) is not None:
+            del node.body[0]
+    return ast.dump(tree).encode()
 
 
 def make_key(*parts: object) -> str:
