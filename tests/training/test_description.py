@@ -61,9 +61,10 @@ def test_a_plain_class_is_described_by_its_constructor() -> None:
         "",
     ],
 )
-def test_a_file_can_name_classes_of_the_expected_kind_only(target: str) -> None:
+def test_a_file_can_name_classes_of_the_expected_kind_only(target: str, tmp_path: Path) -> None:
+    ran = tmp_path / "ran"
     for node in (
-        {"_target_": target, "command": "touch /tmp/ran"},
+        {"_target_": target, "command": f"touch {ran}"},
         {"_target_": "fishrl.envs.KarmanGait", "stream": {"_target_": "os.system"}},
         {
             "_target_": "fishrl.envs.KarmanGait",
@@ -74,6 +75,7 @@ def test_a_file_can_name_classes_of_the_expected_kind_only(target: str) -> None:
         with pytest.raises(ValueError, match="_target_"):
             make(node, kind=Plain if "size" in node else AbstractTask)
     assert "antigravity" not in sys.modules
+    assert not ran.exists()
 
 
 def test_a_module_of_ones_own_is_imported_if_the_user_names_it(
