@@ -10,7 +10,6 @@ from torchrl.envs import TransformedEnv
 
 from experiments.figures.learning_curve import write_learning_curve
 from experiments.figures.trajectories import write_trajectories
-from experiments.figures.vorticity import write_animation, write_flow, write_snapshots
 from fishrl.envs.episodes import Policy
 from fishrl.envs.scene import Frame
 from fishrl.viewer import (
@@ -21,6 +20,7 @@ from fishrl.viewer import (
     record_episodes,
     start_drawing,
 )
+from fishrl.viewer.film import write_animation, write_flow, write_snapshots
 
 #: Number of flows kept in ``capture.rrd``.
 _MAX_FLOWS = 3

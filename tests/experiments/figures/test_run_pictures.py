@@ -9,9 +9,8 @@ import pytest
 import torch
 from PIL import Image
 
-from experiments.figures import vorticity
 from experiments.figures.run_pictures import write_run_pictures
-from fishrl.viewer import Recording
+from fishrl.viewer import Recording, film
 from tests.experiments.figures.test_learning_curve import METRICS
 
 Maker = Callable[..., Recording]
@@ -56,27 +55,27 @@ def test_a_task_without_a_goal_gets_the_learning_curve(
 
 def test_the_animation_shrinks_until_it_fits(make_recording: Maker, tmp_path: Path) -> None:
     recording = make_recording(num_frames=5)
-    vorticity.write_animation(recording, tmp_path / "large.gif")
+    film.write_animation(recording, tmp_path / "large.gif")
     limit = (tmp_path / "large.gif").stat().st_size // 2
-    vorticity.write_animation(recording, tmp_path / "small.gif", max_bytes=limit)
+    film.write_animation(recording, tmp_path / "small.gif", max_bytes=limit)
     assert (tmp_path / "small.gif").stat().st_size <= limit
     with pytest.raises(ValueError, match="max_bytes = 10: "):
-        vorticity.write_animation(recording, tmp_path / "x.gif", max_bytes=10)
+        film.write_animation(recording, tmp_path / "x.gif", max_bytes=10)
 
 
 def test_colours_are_symmetric_about_zero_and_saturate_at_a_round_number(
     make_recording: Maker,
 ) -> None:
     recording = make_recording()
-    limit = vorticity.choose_vorticity_limit(recording)
-    assert limit == vorticity.choose_vorticity_limit(scale_vorticity(recording, -1.0))
+    limit = film.choose_vorticity_limit(recording)
+    assert limit == film.choose_vorticity_limit(scale_vorticity(recording, -1.0))
     assert limit in (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
-    assert vorticity.choose_vorticity_limit(scale_vorticity(recording, 0.0)) == 1.0
+    assert film.choose_vorticity_limit(scale_vorticity(recording, 0.0)) == 1.0
 
 
 def test_flows_are_drawn_in_body_lengths(make_recording: Maker) -> None:
     recording = make_recording(num_frames=5)
-    figure, flow = vorticity.make_single(recording)
+    figure, flow = film.make_single(recording)
     flow.show(4)
     x, y = flow.paths["head"].get_data()
     assert np.allclose([x[-1], y[-1]], recording.stack_bl("head")[-1].numpy())
@@ -86,6 +85,6 @@ def test_flows_are_drawn_in_body_lengths(make_recording: Maker) -> None:
 
 def test_snapshots_are_spread_over_the_episode(make_recording: Maker) -> None:
     recording = make_recording()
-    frames = vorticity.find_frames(recording, 4)
+    frames = film.find_frames(recording, 4)
     assert frames == [4, 8, 12, 16]
     assert torch.equal(recording.time[frames], torch.tensor([1.0, 2.0, 3.0, 4.0]).double())

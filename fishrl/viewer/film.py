@@ -1,9 +1,10 @@
-"""Pictures of the flow around one fish: vorticity snapshots and the animation of a capture."""
+"""Pictures and films of a recorded flow: vorticity, bodies, goal and path (matplotlib)."""
 
 import io
 from math import floor, log10
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -15,14 +16,34 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from PIL import Image
 
-from experiments.figures.style import FISH, FOOD, STYLE, VORTICITY_LABEL, label_axes
-from fishrl.viewer import Recording
+from fishrl.viewer.recording import Recording
+
+#: Settings of matplotlib for all figures.
+STYLE: Any = {
+    "font.size": 10,
+    "axes.titlesize": 10,
+    "axes.labelsize": 10,
+    "axes.linewidth": 0.8,
+    "axes.edgecolor": "#444444",
+    "legend.frameon": False,
+    "figure.facecolor": "white",
+    "savefig.dpi": 150,
+}
+FISH = "#20252b"
+FOOD = "#f2b134"
+VORTICITY_LABEL = "vorticity  [1/T]   (red: counter-clockwise)"
 
 _NICE_STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0)
 _NUM_SNAPSHOTS = 6
 _GIF_LEVELS = 49
 _FRAME_MS = 71  # 14 frames per second
 _GIF_WIDTH_INCHES = 8.0
+
+
+def label_axes(axes: Axes, *, x: bool = True, y: bool = True) -> None:
+    """Name the axes in body lengths, or hide the tick labels of one that a neighbour names."""
+    axes.set(xlabel="x / L" if x else "", ylabel="y / L" if y else "")
+    axes.tick_params(labelbottom=x, labelleft=y)
 
 
 def choose_vorticity_limit(recording: Recording) -> float:
