@@ -34,7 +34,9 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/training/", TENSORS | {"torchrl", "tqdm", "yaml", "wandb", "ray", "fishrl"}),
     (
         "fishrl/viewer/",
-        TENSORS | {"torchrl", "rerun", "fishrl.viewer", "fishrl.bounds"} | TASK_SIDE,
+        TENSORS
+        | {"torchrl", "rerun", "matplotlib", "PIL", "fishrl.viewer", "fishrl.bounds"}
+        | TASK_SIDE,
     ),
 )
 TORCHRL_SIDE = {"fishrl.envs.flow_env", "fishrl.envs.transforms", "fishrl.envs.episodes"}
