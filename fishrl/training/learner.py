@@ -24,8 +24,7 @@ class Learner:
         actor: the policy that is evaluated and saved; under ``ExplorationType.DETERMINISTIC`` it
             acts greedily.
         explorer: the policy that collects, with the same weights; the collector saves its state.
-        loss: the sum of its entries ``loss_...`` is minimised.
-        reports: entries of the loss to log as ``train/<name>``.
+        loss: the sum of its entries ``loss_...`` is minimised; all are logged as ``train/<name>``.
         settings: settings that all algorithms share.
         device: where networks and buffer live.
         keys: entries of a transition that the sampler reads besides those of the loss.
@@ -39,7 +38,6 @@ class Learner:
         actor: TensorDictModuleBase,
         explorer: TensorDictModuleBase,
         loss: LossModule,
-        reports: Sequence[str],
         settings: LearningSettings,
         device: str = "cpu",
         keys: Sequence[Any] = (),
@@ -47,7 +45,7 @@ class Learner:
         transforms: Sequence[Transform] = (),
     ) -> None:
         self.actor, self.explorer, self.loss = actor, explorer, loss
-        self.reports, self.transforms = tuple(reports), tuple(transforms)
+        self.reports, self.transforms = tuple(loss.out_keys), tuple(transforms)
         self.loss.make_value_estimator(gamma=settings.gamma)
         self.targets = SoftUpdate(self.loss, tau=settings.tau)
         self.optimiser = torch.optim.Adam(

@@ -27,6 +27,11 @@ class PolicySpec:
     num_stacked: int = 1
 
     @property
+    def sizes(self) -> dict[str, int]:
+        """Arguments of the networks."""
+        return {"num_inputs": self.num_inputs, "num_actions": self.num_actions}
+
+    @property
     def num_observed(self) -> int:
         """Length of one observation."""
         return self.num_inputs // self.num_stacked

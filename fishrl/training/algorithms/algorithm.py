@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from tensordict.nn import TensorDictModuleBase
+from torchrl.objectives import LossModule
 
 from fishrl.training.learner import Learner
 from fishrl.training.policy_spec import PolicySpec
@@ -16,7 +18,8 @@ from fishrl.training.settings import LearningSettings
 class Algorithm(ABC):
     """Base of all algorithms: a frozen dataclass of the settings that only this algorithm has.
 
-    ``LearningSettings`` holds the settings that all algorithms share.
+    An algorithm gives the policy and the loss. ``LearningSettings`` holds the settings that all
+    algorithms share.
     """
 
     @property
@@ -26,12 +29,8 @@ class Algorithm(ABC):
 
     @abstractmethod
     def make_policy(
-        self,
-        spec: PolicySpec,
-        *,
-        hidden: Sequence[int],
-        generator: torch.Generator | None = None,
-    ) -> TensorDictModuleBase:
+        self, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator | None = None
+    ) -> Any:
         """Make the policy that is evaluated and saved, greedy under ``DETERMINISTIC``.
 
         Args:
@@ -41,7 +40,35 @@ class Algorithm(ABC):
         """
 
     @abstractmethod
+    def make_loss(
+        self, policy: Any, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator
+    ) -> LossModule:
+        """Make the loss that trains the policy, its further networks on the policy's device."""
+
+    def make_explorer(self, policy: Any, spec: PolicySpec, *, device: str) -> TensorDictModuleBase:
+        """Make the policy that collects, with the same weights; by default the policy itself."""
+        return policy
+
+    def choose_sampling(self, policy: Any, settings: LearningSettings) -> dict[str, Any]:
+        """Return arguments of ``Learner`` about transitions; by default none, uniform sampling."""
+        return {}
+
     def make_learner(
         self, spec: PolicySpec, settings: LearningSettings, *, device: str = "cpu"
     ) -> Learner:
-        """Make a new policy and its learner; ``settings.seed`` fixes the initial weights."""
+        """Make a new policy and its learner; ``settings.seed`` fixes the initial weights.
+
+        Raises:
+            ValueError: for settings that do not fit the algorithm.
+        """
+        generator = torch.Generator().manual_seed(settings.seed)
+        policy = self.make_policy(spec, hidden=settings.hidden, generator=generator).to(device)
+        loss = self.make_loss(policy, spec, hidden=settings.hidden, generator=generator)
+        return Learner(
+            actor=policy,
+            explorer=self.make_explorer(policy, spec, device=device),
+            loss=loss,
+            settings=settings,
+            device=device,
+            **self.choose_sampling(policy, settings),
+        )

@@ -12,9 +12,7 @@ from fishrl.bounds import bounded, check_bounds
 from fishrl.modules import make_actor, make_twin_critics
 from fishrl.objectives import MaskedDiscreteSACLoss
 from fishrl.training.algorithms.algorithm import Algorithm
-from fishrl.training.learner import Learner
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.settings import LearningSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,44 +40,26 @@ class DiscreteSAC(Algorithm):
         return ""
 
     def make_policy(
+        self, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator | None = None
+    ) -> ProbabilisticActor:
+        """Make the softmax actor, which also explores."""
+        return make_actor(**spec.sizes, hidden=hidden, generator=generator)
+
+    def make_loss(
         self,
+        policy: ProbabilisticActor,
         spec: PolicySpec,
         *,
         hidden: Sequence[int],
-        generator: torch.Generator | None = None,
-    ) -> ProbabilisticActor:
-        """Make the softmax actor."""
-        return make_actor(
-            num_inputs=spec.num_inputs,
-            num_actions=spec.num_actions,
-            hidden=hidden,
-            generator=generator,
-        )
-
-    def make_learner(
-        self, spec: PolicySpec, settings: LearningSettings, *, device: str = "cpu"
-    ) -> Learner:
-        """Make the actor, which is also the explorer, and its critics."""
-        generator = torch.Generator().manual_seed(settings.seed)
-        actor = self.make_policy(spec, hidden=settings.hidden, generator=generator).to(device)
-        critics = make_twin_critics(
-            num_inputs=spec.num_inputs,
-            num_actions=spec.num_actions,
-            hidden=settings.hidden,
-            generator=generator,
-        )
-        loss = MaskedDiscreteSACLoss(
-            actor,
+        generator: torch.Generator,
+    ) -> MaskedDiscreteSACLoss:
+        """Make the loss with twin critics."""
+        device = next(policy.parameters()).device
+        critics = make_twin_critics(**spec.sizes, hidden=hidden, generator=generator)
+        return MaskedDiscreteSACLoss(
+            policy,
             [critic.to(device) for critic in critics],
             num_actions=spec.num_actions,
             alpha_init=self.alpha_init,
             target_entropy_weight=self.target_entropy_weight,
-        )
-        return Learner(
-            actor=actor,
-            explorer=actor,
-            loss=loss,
-            reports=loss.out_keys,
-            settings=settings,
-            device=device,
         )

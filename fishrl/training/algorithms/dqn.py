@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
@@ -12,9 +13,7 @@ from fishrl.bounds import bounded, check_bounds
 from fishrl.modules import EpsilonGreedy, make_value_actor
 from fishrl.objectives import MaskedDQNLoss
 from fishrl.training.algorithms.algorithm import Algorithm
-from fishrl.training.learner import Learner
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.settings import LearningSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,39 +53,18 @@ class DQN(Algorithm):
         return "double_dqn" if self.is_double else "dqn"
 
     def make_policy(
-        self,
-        spec: PolicySpec,
-        *,
-        hidden: Sequence[int],
-        generator: torch.Generator | None = None,
+        self, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator | None = None
     ) -> TensorDictModuleBase:
         """Make the greedy policy."""
-        return make_value_actor(
-            num_inputs=spec.num_inputs,
-            num_actions=spec.num_actions,
-            hidden=hidden,
-            generator=generator,
-        )
+        return make_value_actor(**spec.sizes, hidden=hidden, generator=generator)
 
-    def make_learner(
-        self, spec: PolicySpec, settings: LearningSettings, *, device: str = "cpu"
-    ) -> Learner:
-        """Make the network and its epsilon-greedy explorer."""
-        generator = torch.Generator().manual_seed(settings.seed)
-        actor = self.make_policy(spec, hidden=settings.hidden, generator=generator).to(device)
-        loss = MaskedDQNLoss(actor, is_double=self.is_double)
-        return Learner(
-            actor=actor,
-            explorer=self.make_explorer(actor, spec, device=device),
-            loss=loss,
-            reports=loss.out_keys,
-            settings=settings,
-            device=device,
-        )
+    def make_loss(
+        self, policy: Any, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator
+    ) -> MaskedDQNLoss:
+        """Make the loss, which needs no further network."""
+        return MaskedDQNLoss(policy, is_double=self.is_double)
 
-    def make_explorer(
-        self, actor: TensorDictModuleBase, spec: PolicySpec, *, device: str
-    ) -> TensorDictSequential:
+    def make_explorer(self, policy: Any, spec: PolicySpec, *, device: str) -> TensorDictSequential:
         """Make the policy that collects, epsilon-greedy over the legal actions."""
         mixed_in = EpsilonGreedy(
             num_actions=spec.num_actions,
@@ -95,4 +73,4 @@ class DQN(Algorithm):
             num_frames=self.epsilon_frames,
             device=device,
         )
-        return TensorDictSequential(actor, mixed_in)
+        return TensorDictSequential(policy, mixed_in)

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
+from tensordict.nn import TensorDictSequential
 from torchrl.data import SliceSampler
 
 from fishrl.bounds import bounded
 from fishrl.modules import RecurrentPolicy, make_recurrent_value_actor
 from fishrl.objectives import RecurrentDQNLoss
 from fishrl.training.algorithms.dqn import DQN
-from fishrl.training.learner import Learner
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.settings import LearningSettings
 
@@ -47,26 +48,28 @@ class DRQN(DQN):
         return "double_drqn" if self.is_double else "drqn"
 
     def make_policy(
-        self,
-        spec: PolicySpec,
-        *,
-        hidden: Sequence[int],
-        generator: torch.Generator | None = None,
+        self, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator | None = None
     ) -> RecurrentPolicy:
         """Make the greedy policy, which carries the LSTM state by itself."""
+        sizes = spec.sizes | {"num_inputs": spec.num_observed}
         return RecurrentPolicy(
-            make_recurrent_value_actor(
-                num_inputs=spec.num_observed,
-                num_actions=spec.num_actions,
-                hidden=hidden,
-                generator=generator,
-            )
+            make_recurrent_value_actor(**sizes, hidden=hidden, generator=generator)
         )
 
-    def make_learner(
-        self, spec: PolicySpec, settings: LearningSettings, *, device: str = "cpu"
-    ) -> Learner:
-        """Make the network; during collection the environment carries the LSTM state.
+    def make_loss(
+        self, policy: Any, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator
+    ) -> RecurrentDQNLoss:
+        """Make the loss of sequences."""
+        return RecurrentDQNLoss(
+            policy.network, sequence_length=self.sequence_length, is_double=self.is_double
+        )
+
+    def make_explorer(self, policy: Any, spec: PolicySpec, *, device: str) -> TensorDictSequential:
+        """Make the policy that collects; the environment carries its LSTM state."""
+        return super().make_explorer(policy.network, spec, device=device)
+
+    def choose_sampling(self, policy: Any, settings: LearningSettings) -> dict[str, Any]:
+        """Sample sequences.
 
         Raises:
             ValueError: if a batch is not a whole number of sequences.
@@ -76,29 +79,16 @@ class DRQN(DQN):
                 f"batch_size = {settings.batch_size}: must be a multiple of "
                 f"algorithm.sequence_length = {self.sequence_length}"
             )
-        generator = torch.Generator().manual_seed(settings.seed)
-        actor = self.make_policy(spec, hidden=settings.hidden, generator=generator).to(device)
-        loss = RecurrentDQNLoss(
-            actor.network, sequence_length=self.sequence_length, is_double=self.is_double
+        # Episodes lie in pieces between those of other flows, diverged decisions are missing.
+        sampler = SliceSampler(
+            slice_len=self.sequence_length,
+            traj_key=TRAJECTORY,
+            step_key=STEP,
+            fragmented=True,
+            strict_length=False,
+            pad_output=True,
+            init_key=None,
+            truncated_key=None,
         )
-        return Learner(
-            actor=actor,
-            explorer=self.make_explorer(actor.network, spec, device=device),
-            loss=loss,
-            reports=loss.out_keys,
-            settings=settings,
-            device=device,
-            keys=(TRAJECTORY, STEP),
-            # Episodes lie in pieces between those of other flows, diverged decisions are missing.
-            sampler=SliceSampler(
-                slice_len=self.sequence_length,
-                traj_key=TRAJECTORY,
-                step_key=STEP,
-                fragmented=True,
-                strict_length=False,
-                pad_output=True,
-                init_key=None,
-                truncated_key=None,
-            ),
-            transforms=[actor.make_primer()],
-        )
+        primer = policy.make_primer()
+        return {"keys": (TRAJECTORY, STEP), "sampler": sampler, "transforms": [primer]}
