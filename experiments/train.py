@@ -24,12 +24,11 @@ from experiments.train_settings import TRAINING, TrainConfig, make_plan
 from fishrl.envs import make_env as make_real_env
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.interruption import Interrupted
-from fishrl.training.loop import Training
+from fishrl.training.loop import FINAL_SEED, Training
 from fishrl.training.plan import LEARNING, PARTS, RUN
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, read_config
 from fishrl.training.runs import begin, complete, reopen
-from fishrl.training.summary import FINAL_SEED
 
 #: When the program started, apart from the imports above.
 BEGAN = time.perf_counter()

@@ -8,19 +8,21 @@ import random
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torchrl.checkpoint import GlobalRNGState
 
+from fishrl.envs import make_env as make_flow_env
 from fishrl.envs.episodes import Policy
 from fishrl.envs.transforms import equip
 from fishrl.training.baselines import make_baselines
 from fishrl.training.checkpoint import CheckpointNotWritten, load_checkpoint, save_checkpoint
 from fishrl.training.classifier import Recognition
 from fishrl.training.collector import MakeEnv, make_collector
+from fishrl.training.description import describe
 from fishrl.training.evaluation import Evaluation, Evaluator, fixed_starts
 from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children
 from fishrl.training.learner import one_thread
@@ -30,12 +32,28 @@ from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, write_json
-from fishrl.training.summary import FINAL_SEED, summarize
 
 logger = logging.getLogger(__name__)
 
-#: Training draws its starts from generators far from those of the fixed starts.
-TRAIN_SEED, SELECTION_SEED = 1000, 1
+#: Seeds of the fixed starts that choose the best checkpoint, and of those of the last evaluation;
+#: training draws its starts from generators far from both.
+TRAIN_SEED, SELECTION_SEED, FINAL_SEED = 1000, 1, 0
+
+
+class Hooks(TypedDict, total=False):
+    """What a caller may add to a run.
+
+    Args:
+        make_env: makes the env of a task; by default ``fishrl.envs.make_env``.
+        observer: called during the run.
+        progress: progress bar; by default none is shown.
+        began: ``time.perf_counter()`` when the program started.
+    """
+
+    make_env: MakeEnv | None
+    observer: Observer | None
+    progress: Progress | None
+    began: float | None
 
 
 class Training:
@@ -45,10 +63,10 @@ class Training:
         plan: settings of the run.
         recognition: source of flow labels, see ``fishrl.envs.make_env``.
         folder: where everything is written.
-        make_env: makes the env of a task.
-        observer: called during the run.
-        progress: progress bar.
-        began: ``time.perf_counter()`` when the program started.
+        make_env: see ``Hooks``, like the others.
+        observer: see there.
+        progress: see there.
+        began: see there.
     """
 
     def __init__(
@@ -57,14 +75,16 @@ class Training:
         *,
         recognition: Recognition,
         folder: RunFolder,
-        make_env: MakeEnv,
-        observer: Observer,
-        progress: Progress,
-        began: float,
+        make_env: MakeEnv | None = None,
+        observer: Observer | None = None,
+        progress: Progress | None = None,
+        began: float | None = None,
     ) -> None:
         self._lock = folder.hold()
         self.plan, self.folder, self.config = plan, folder, plan.to_config()
-        self.observer, self.progress, self._began = observer, progress, began
+        self.observer = observer or Observer()
+        self.progress = progress or Progress(is_shown=False)
+        self._began = time.perf_counter() if began is None else began
         self.task, _ = equip(plan.task, recognition)
         self.spec = PolicySpec.for_task(self.task, has_labels=recognition is not None)
         self.baselines = make_baselines(plan.run.baselines, task=self.task, seed=FINAL_SEED)
@@ -75,20 +95,20 @@ class Training:
         np.random.seed(learning.seed)  # noqa: NPY002 - for whatever uses the global generator
         torch.manual_seed(learning.seed)
         self.learner = plan.algorithm.make_learner(self.spec, learning, device=plan.run.device)
-        progress.rename("compilation" if plan.run.compile else "set-up")
+        self.progress.rename("compilation" if plan.run.compile else "set-up")
         with ignore_signals_in_children():  # a checkpoint needs the flows in these processes
             self.collector = make_collector(
                 self.task,
                 self.learner,
                 learning,
-                make_env=make_env,
+                make_env=make_env or make_flow_env,
                 recognition=recognition,
                 device=plan.run.device,
                 compile=plan.run.compile,
                 seed=TRAIN_SEED + learning.seed,
             )
         self.evaluator = Evaluator(self.collector.env, decision_T=self.task.interval_T)
-        observer.begin(self.collector.env)
+        self.observer.begin(self.collector.env)
 
     def components(self) -> dict[str, Any]:
         """Return by name everything that the next frame depends on, for a checkpoint."""
@@ -135,7 +155,7 @@ class Training:
         except Interrupted:
             self._save(self.folder.last)
             raise
-        summary = summarize(self)
+        summary = self._summarize()
         try:
             self.observer.finish(self, summary)
         except Interrupted:  # unfinished, so that a resume does it
@@ -249,6 +269,44 @@ class Training:
             if not self._try_to_save(self.folder.best):
                 self.counters.best = best
         return {f"eval/{name}": value for name, value in metrics.items()}
+
+    def _summarize(self) -> dict[str, Any]:
+        """Evaluate the best policy and the baselines; return what ``summary.json`` holds.
+
+        Metrics of the learned policy have no prefix, those of a baseline ``<name>_``.
+        """
+        run, counters, actor = self.plan.run, self.counters, self.learner.actor
+        best = load_checkpoint(
+            self.folder.path, {"actor": actor}, spec=self.spec, device=run.device
+        )
+        summary: dict[str, Any] = {}
+        policies: dict[str, Policy] = {"": actor, **self.baselines}
+        self.progress.start("evaluation", total=run.final_episodes * len(policies))
+        for name, policy in policies.items():
+            self.progress.rename(f"evaluation: {name or 'learned'}")
+            result = self.evaluate(
+                policy,
+                num_starts=run.final_episodes,
+                seed=FINAL_SEED,
+                on_episodes=self.progress.advance,
+            )
+            prefix = f"{name}_" if name else ""
+            summary |= {f"{prefix}{key}": value for key, value in result.metrics().items()}
+        return summary | {
+            "task": self.spec.task,
+            "success": self.task.success,
+            "baselines": list(self.baselines),
+            "preset": self.plan.preset,
+            "algorithm": describe(self.plan.algorithm),
+            "seed": self.plan.learning.seed,
+            "frames": counters.frames,
+            "best_checkpoint_frames": best["frames"],
+            "updates": counters.updates,
+            "train_episodes": counters.episodes,
+            "train_diverged": counters.diverged,
+            "wall_seconds": self.wall_seconds(),
+            "mlups": self.mlups(counters.frames, counters.collect_seconds),
+        }
 
     def evaluate(
         self,

@@ -27,7 +27,7 @@ class PolicySpec:
     num_stacked: int = 1
 
     @property
-    def sizes(self) -> dict[str, int]:
+    def sizes(self) -> dict[str, Any]:
         """Arguments of the networks."""
         return {"num_inputs": self.num_inputs, "num_actions": self.num_actions}
 

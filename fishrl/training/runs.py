@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Collection, Mapping
 from contextlib import closing
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
-from fishrl.envs import AbstractTask, make_env
+from fishrl.envs import AbstractTask
 from fishrl.envs.transforms import equip
 from fishrl.training.algorithms import Algorithm, DiscreteSAC
 from fishrl.training.baselines import make_baselines
 from fishrl.training.classifier import Recognition, keep_recognition, load_recognition
-from fishrl.training.collector import MakeEnv
 from fishrl.training.logger import CsvLogger
-from fishrl.training.loop import Training
-from fishrl.training.observer import Observer
+from fishrl.training.loop import Hooks, Training
 from fishrl.training.plan import Plan
-from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, read_config, write_yaml
 from fishrl.training.settings import LearningSettings, RunSettings, check_device
 
@@ -36,10 +32,7 @@ def train(
     logger: CsvLogger | None = None,
     preset: str | None = None,
     extra: Mapping[str, Any] | None = None,
-    make_env: MakeEnv = make_env,
-    observer: Observer | None = None,
-    progress: Progress | None = None,
-    began: float | None = None,
+    **hooks: Unpack[Hooks],
 ) -> dict[str, Any]:
     """Train a policy and compare it with the baselines of the task.
 
@@ -52,10 +45,7 @@ def train(
         logger: writes the metrics; by default to a CSV file.
         preset: name for these settings; part of the name of the run folder.
         extra: further settings to keep in ``config.yaml``.
-        make_env: makes the env of the task.
-        observer: called during the run.
-        progress: progress bar; by default none is shown.
-        began: ``time.perf_counter()`` when the program started.
+        **hooks: ``make_env``, ``observer``, ``progress`` and ``began``, see ``loop.Hooks``.
 
     Returns:
         The summary, as in ``summary.json``.
@@ -73,38 +63,19 @@ def train(
         preset=preset,
         extra=extra or {},
     )
-    training = begin(
-        plan,
-        recognition=recognition,
-        make_env=make_env,
-        observer=observer,
-        progress=progress,
-        began=began,
-    )
-    return complete(training)
+    return complete(begin(plan, recognition=recognition, **hooks))
 
 
 def resume(
-    folder: str | Path,
-    /,
-    *,
-    make_env: MakeEnv = make_env,
-    observer: Observer | None = None,
-    progress: Progress | None = None,
-    modules: Collection[str] = (),
-    began: float | None = None,
-    **changes: Any,
+    folder: str | Path, /, *, modules: Collection[str] = (), **changes: Any
 ) -> dict[str, Any]:
     """Resume a run from its last checkpoint; a finished run is left unchanged.
 
     Args:
         folder: of the run.
-        make_env: see ``train``.
-        observer: see ``train``.
-        progress: see ``train``.
         modules: modules outside fishrl that may be imported, see ``description.make``.
-        began: see ``train``.
-        **changes: new values of ``RunSettings``, such as ``total_frames=8000``.
+        **changes: new values of ``RunSettings``, such as ``total_frames=8000``, and hooks, see
+            ``train``.
 
     Returns:
         The summary.
@@ -113,44 +84,20 @@ def resume(
         ValueError: if there is no run, its files do not load, or a change is not possible.
         Interrupted: see ``train``.
     """
-    summary = find_summary(folder, modules=modules, **changes)
+    settings = {name: changes[name] for name in changes if name not in Hooks.__annotations__}
+    summary = find_summary(folder, modules=modules, **settings)
     if summary is not None:
         return summary
-    training = reopen(
-        folder,
-        make_env=make_env,
-        observer=observer,
-        progress=progress,
-        modules=modules,
-        began=began,
-        **changes,
-    )
-    return complete(training)
+    return complete(reopen(folder, modules=modules, **changes))
 
 
-def begin(
-    plan: Plan,
-    *,
-    recognition: Recognition = None,
-    make_env: MakeEnv = make_env,
-    observer: Observer | None = None,
-    progress: Progress | None = None,
-    began: float | None = None,
-) -> Training:
+def begin(plan: Plan, *, recognition: Recognition = None, **hooks: Unpack[Hooks]) -> Training:
     """Set up a new run; invalid settings raise an error before its folder is made."""
     labels = load_recognition(recognition)
     _check(plan, labels)
     folder, plan = make_folder(plan, recognition=recognition)
     with folder.noting_failure():
-        return Training(
-            plan,
-            recognition=labels,
-            folder=folder,
-            make_env=make_env,
-            observer=observer or Observer(),
-            progress=progress or Progress(is_shown=False),
-            began=time.perf_counter() if began is None else began,
-        )
+        return Training(plan, recognition=labels, folder=folder, **hooks)
 
 
 def make_folder(
@@ -175,33 +122,16 @@ def make_folder(
     return folder, plan
 
 
-def reopen(
-    folder: str | Path,
-    /,
-    *,
-    make_env: MakeEnv = make_env,
-    observer: Observer | None = None,
-    progress: Progress | None = None,
-    modules: Collection[str] = (),
-    began: float | None = None,
-    **changes: Any,
-) -> Training:
+def reopen(folder: str | Path, /, *, modules: Collection[str] = (), **changes: Any) -> Training:
     """Set up a run in the state of its last checkpoint; see ``resume``."""
+    hooks: Any = {name: changes.pop(name) for name in Hooks.__annotations__ if name in changes}
     run = RunFolder.of_existing(folder)
     with run.noting_failure():
         stored = Plan.from_config(read_config(run.config), modules=modules)
         plan = stored.change(**changes)
         labels = load_recognition(plan.recognition, run.path)
         _check(plan, labels)
-        training = Training(
-            plan,
-            recognition=labels,
-            folder=run,
-            make_env=make_env,
-            observer=observer or Observer(),
-            progress=progress or Progress(is_shown=False),
-            began=time.perf_counter() if began is None else began,
-        )
+        training = Training(plan, recognition=labels, folder=run, **hooks)
         if run.has_begun():
             try:
                 training.restore()
