@@ -1,8 +1,9 @@
 """Save and load everything a run needs to continue.
 
-A checkpoint is a folder that TorchRL's ``Checkpoint`` writes: ``manifest.json`` with metadata, and
-one ``state.pt`` per component. Loading runs no code from it: each state is read from that one file
-with ``weights_only=True``, after its SHA-256 was compared with the manifest's.
+A checkpoint is a folder that TorchRL's ``Checkpoint`` writes, ``manifest.json`` with metadata and
+one ``state.pt`` per component, and ``SHA256SUMS`` of all these files (``sha256sum -c`` reads it).
+Loading runs no code from it: each state is read from that one file with ``weights_only=True``,
+after its checksum and that of the manifest were compared.
 """
 
 from __future__ import annotations
@@ -10,15 +11,20 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
 from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointAdapter
 
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import refuse_many
+
+SUMS = "SHA256SUMS"
+#: What may go wrong while a damaged checkpoint is read.
+_DAMAGE = (CheckpointError, OSError, RuntimeError, ValueError, LookupError, TypeError)
+#: Entries of the metadata; ``sha256``: of the states, in checkpoints from before ``SHA256SUMS``.
+_METADATA = {"task", "num_inputs", "num_actions", "preset", "frames", "config", "sums", "sha256"}
 
 
 class CheckpointNotWritten(OSError):
@@ -49,21 +55,22 @@ def save_checkpoint(
         CheckpointNotWritten: if the disk is full or the folder cannot be written.
     """
     fresh = path.with_name(f".{path.name}.new")
-    sums: dict[str, str] = {}  # filled while the states are written, before the manifest
     metadata = {
         "task": spec.task,
-        "num_inputs": spec.num_inputs,
-        "num_actions": spec.num_actions,
+        **spec.sizes,
         "preset": config.get("preset"),
         "frames": frames,
         "config": config,
-        "sha256": sums,
+        "sums": SUMS,
     }
     try:
         if fresh.exists() and not path.exists():  # killed between the renames: it is the newest
             os.replace(fresh, path)
         _clear(path)
-        _register(components, sums).save(fresh, metadata=metadata)
+        _register(components).save(fresh, metadata=metadata)
+        files = [file for file in sorted(fresh.rglob("*")) if file.is_file()]
+        lines = [f"{_sum(file)}  {file.relative_to(fresh).as_posix()}\n" for file in files]
+        (fresh / SUMS).write_text("".join(lines), encoding="utf-8")
         for file in fresh.rglob("*"):
             _flush(file)
         _put_in_place(fresh, path, keep=keep)
@@ -101,11 +108,12 @@ def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[
             "checkpoints/best and checkpoints/last"
         )
     try:
-        metadata = Checkpoint.manifest(found).get("metadata")
-    except (CheckpointError, OSError, ValueError, TypeError, AttributeError) as error:
+        metadata = Checkpoint.manifest(found)["metadata"]
+        if not isinstance(metadata, dict) or not {"task", "config"} <= set(metadata) <= _METADATA:
+            raise CheckpointError("its metadata are not those of a run")
+        _check_files(found, metadata, ["manifest.json"])
+    except (*_DAMAGE, AttributeError) as error:
         raise _corrupt(found, error) from error
-    if not isinstance(metadata, dict) or not {"task", "config"} <= set(metadata):
-        raise _corrupt(found, "it does not name its task")
     return found, metadata
 
 
@@ -132,47 +140,37 @@ def load_checkpoint(
     found, metadata = read_metadata(path, which=which)
     spec.check(metadata, path=found)
     try:
-        _register(components, metadata.get("sha256")).load(found, map_location=device)
-    except (CheckpointError, OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
+        stored = Checkpoint.manifest(found)["components"]
+        _check_files(found, metadata, [f"{stored[name]['path']}/state.pt" for name in components])
+        _register(components).load(found, map_location=device)
+    except _DAMAGE as error:
         raise _corrupt(found, error) from error
     return metadata
 
 
-class _StateFile(StateDictCheckpointAdapter):
-    """Keeps a state in ``state.pt`` alone, and its SHA-256 in the metadata of the checkpoint.
-
-    Args:
-        name: of the component.
-        sums: SHA-256 by component, filled by ``save`` and compared by ``load``; None for a
-            checkpoint that was written without.
-    """
-
-    def __init__(self, name: str, sums: dict[str, str] | None) -> None:
-        super().__init__("torch")
-        self.name, self.sums = name, sums
-
-    def save(self, component: Any, path: Path, **options: Any) -> Any:
-        """Write the state and record its hash."""
-        state = super().save(component, path, **options)
-        if self.sums is not None:
-            self.sums[self.name] = _sum(path / self.state_torch)
-        return state
-
-    def load(self, component: Any, path: Path, *, map_location: Any, **options: Any) -> None:
-        """Compare the hash, then read the state file and no other."""
-        file = path / self.state_torch
-        if self.sums is not None and self.sums.get(self.name) != _sum(file):
-            raise CheckpointError(
-                f"{file.parent.name}/{file.name} has changed since it was written"
-            )
-        component.load_state_dict(torch.load(file, map_location=map_location, weights_only=True))
-
-
-def _register(components: Mapping[str, Any], sums: dict[str, str] | None) -> Checkpoint:
+def _register(components: Mapping[str, Any]) -> Checkpoint:
     checkpoint = Checkpoint()
     for name, component in components.items():
-        checkpoint.register(name, component, adapter=_StateFile(name, sums))
+        checkpoint.register(name, component, adapter=StateDictCheckpointAdapter("torch"))
     return checkpoint
+
+
+def _check_files(folder: Path, metadata: Mapping[str, Any], names: Collection[str]) -> None:
+    """Compare files with their checksums, if the checkpoint was written with any.
+
+    Raises:
+        CheckpointError: if one has changed, or is missing: TorchRL would then read other formats.
+    """
+    sums: dict[str, str] | None = None
+    if "sums" in metadata or (folder / SUMS).exists():
+        lines = (folder / SUMS).read_text(encoding="utf-8").split("\n")
+        sums = {name: value for value, _, name in (line.partition("  ") for line in lines)}
+    for name in names:
+        file = folder / name
+        if not file.is_file():
+            raise CheckpointError(f"{name} is missing")
+        if sums is not None and sums.get(name) != _sum(file):
+            raise CheckpointError(f"{name} has changed since it was written")
 
 
 def _sum(file: Path) -> str:
@@ -213,7 +211,7 @@ def _read_frames(path: Path) -> int | None:
     """Return the frames of a checkpoint, or None if it does not say."""
     try:
         return int(Checkpoint.manifest(path)["metadata"]["frames"])
-    except (CheckpointError, OSError, ValueError, TypeError, KeyError):
+    except _DAMAGE:
         return None
 
 
@@ -233,9 +231,8 @@ def _is_of_the_disk(error: Exception) -> bool:
 
 
 def _not_written(path: Path, error: Exception) -> CheckpointNotWritten:
-    known = isinstance(error, OSError) and error.strerror
-    reason = error.strerror if known else "writing failed"  # type: ignore[attr-defined]
-    if not known and path.parent.is_dir():
+    reason = error.strerror if isinstance(error, OSError) else None
+    if reason is None:
         reason = f"writing failed with {shutil.disk_usage(path.parent).free / 1e6:.1f} MB free"
     frames = _read_frames(path) if path.exists() else None
     kept = "there is none yet" if frames is None else f"the one of frame {frames} is still there"

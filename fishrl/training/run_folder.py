@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import fcntl
+import itertools
 import json
 import logging
 import os
 import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -25,51 +25,26 @@ class HeldError(ValueError):
     """Another process writes the run."""
 
 
-@dataclass(frozen=True)
 class RunFolder:
-    """Paths of one run below ``path``."""
+    """Paths of one run below ``path``.
 
-    path: Path
+    Attributes:
+        config: the whole configuration, resolved.
+        metrics: one row per log step.
+        summary: the result of the run.
+        last: the newest checkpoint, from which a run resumes.
+        best: the checkpoint with the best evaluation.
+        classifier: the lateral-line classifier that labels its flows, if one does.
+        failure: why the run failed; the last line is the message.
+        lock: locked by the process that writes the run; see ``hold``.
+    """
 
-    @property
-    def config(self) -> Path:
-        """The whole configuration, resolved."""
-        return self.path / "config.yaml"
-
-    @property
-    def metrics(self) -> Path:
-        """One row per log step."""
-        return self.path / "metrics.csv"
-
-    @property
-    def summary(self) -> Path:
-        """The result of the run."""
-        return self.path / "summary.json"
-
-    @property
-    def last(self) -> Path:
-        """The newest checkpoint, from which a run resumes."""
-        return self.path / "checkpoints" / "last"
-
-    @property
-    def best(self) -> Path:
-        """The checkpoint with the best evaluation."""
-        return self.path / "checkpoints" / "best"
-
-    @property
-    def classifier(self) -> Path:
-        """The lateral-line classifier that labels its flows, if one does."""
-        return self.path / "machine.pt"
-
-    @property
-    def failure(self) -> Path:
-        """Why the run failed; the last line is the message."""
-        return self.path / "failure.txt"
-
-    @property
-    def lock(self) -> Path:
-        """Locked by the process that writes the run; see ``hold``."""
-        return self.path / ".lock"
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.config, self.summary = path / "config.yaml", path / "summary.json"
+        self.metrics, self.classifier = path / "metrics.csv", path / "machine.pt"
+        self.last, self.best = (path / "checkpoints" / name for name in ("last", "best"))
+        self.failure, self.lock = path / "failure.txt", path / ".lock"
 
     @classmethod
     def create(cls, *, parent: str, name: str) -> RunFolder:
@@ -81,19 +56,16 @@ class RunFolder:
         base = Path(parent).expanduser()
         if Path(name).name != name or name == "..":
             raise ValueError(f"name = {name}: is the name of a folder in {base}, without slashes")
-        number = 1
-        while True:
+        for number in itertools.count(1):
             path = base / (name if number == 1 else f"{name}-{number}")
             try:
                 path.mkdir(parents=True)
+                break
             except FileExistsError:
                 if not path.is_dir():
                     raise _unwritable(path, "a file is in the way") from None
-                number += 1
-                continue
             except OSError as error:
                 raise _unwritable(path, error.strerror or str(error)) from error
-            break
         if number > 1:
             logger.info("%s exists and is left as it is: this run writes %s", base / name, path)
         return cls(path).checked()
@@ -129,10 +101,7 @@ class RunFolder:
 
         ``..<name>`` is what a process left that was killed while writing a checkpoint.
         """
-        checkpoints = self.last.parent
-        if checkpoints.is_dir() and any(
-            not path.name.startswith("..") for path in checkpoints.iterdir()
-        ):
+        if any(not path.name.startswith("..") for path in self.last.parent.glob("*")):
             return True
         if not self.metrics.is_file():
             return False
@@ -170,11 +139,7 @@ class RunFolder:
 
 
 def refuse_many(folder: Path, *, setting: str) -> None:
-    """Refuse a folder of runs where a single run is meant.
-
-    Raises:
-        ValueError: naming one of them.
-    """
+    """Raise ValueError for a folder of runs where a single run is meant, naming one of them."""
     held = sorted(folder.glob("*/config.yaml"))
     if held and not RunFolder(folder).config.is_file():
         raise ValueError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import resource
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -99,6 +100,16 @@ def read_rows(folder: Path) -> list[dict[str, str]]:
     with (folder / "metrics.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     return [{k: v for k, v in row.items() if not k.startswith("time/")} for row in rows]
+
+
+def change_manifest(checkpoint: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    """Change the metadata and leave no checksums, as someone who means harm would."""
+    manifest = checkpoint / "manifest.json"
+    content = json.loads(manifest.read_text())
+    del content["metadata"]["sums"]
+    change(content["metadata"])
+    manifest.write_text(json.dumps(content))
+    (checkpoint / "SHA256SUMS").unlink()
 
 
 def weights_of(training: Training) -> dict[str, torch.Tensor]:

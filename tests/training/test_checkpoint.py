@@ -22,7 +22,7 @@ from fishrl.training.checkpoint import (
 )
 from fishrl.training.loop import Training
 from fishrl.training.policy_spec import PolicySpec
-from tests.training.conftest import QUICK, Toy
+from tests.training.conftest import QUICK, Toy, change_manifest
 
 SPEC = PolicySpec(task="Predation", num_inputs=16, num_actions=3)
 Limit = Callable[[int], AbstractContextManager[None]]
@@ -104,16 +104,27 @@ def test_a_corrupt_checkpoint_is_an_error(tmp_path: Path, damage: str) -> None:
         load(path)
 
 
-def test_a_single_flipped_bit_is_noticed(tmp_path: Path) -> None:
+def test_a_flipped_bit_in_any_file_is_noticed(tmp_path: Path) -> None:
     save(tmp_path / "last")
-    payload = next(tmp_path.rglob("state.pt"))
-    content = bytearray(payload.read_bytes())
-    for place in range(0, len(content), 97):
-        content[place] ^= 1
-        payload.write_bytes(content)
-        with pytest.raises(ValueError, match="has changed since it was written"):
-            load(tmp_path / "last")
-        content[place] ^= 1
+    files = [path for path in (tmp_path / "last").rglob("*") if path.is_file()]
+    assert sorted(path.name for path in files) == ["SHA256SUMS", "manifest.json", "state.pt"]
+    for file in files:
+        before = file.read_bytes()
+        for place in (*range(0, len(before), max(1, len(before) // 12)), len(before) - 1):
+            content = bytearray(before)
+            content[place] ^= 1 << place % 8
+            file.write_bytes(content)
+            with pytest.raises(ValueError, match="corrupt or not a checkpoint"):
+                load(tmp_path / "last")
+        file.write_bytes(before)
+    load(tmp_path / "last")
+
+
+def test_metadata_of_something_else_are_refused(tmp_path: Path) -> None:
+    save(tmp_path / "last")
+    change_manifest(tmp_path / "last", lambda metadata: metadata.update(command="rm"))
+    with pytest.raises(ValueError, match="metadata are not those of a run"):
+        load(tmp_path / "last")
 
 
 class Evil:
@@ -127,10 +138,7 @@ class Evil:
 @pytest.mark.parametrize("way", ["state.pt", "state", "state.tdz"])
 def test_a_checkpoint_cannot_run_code(tmp_path: Path, way: str) -> None:
     save(tmp_path / "last")
-    manifest = tmp_path / "last" / "manifest.json"
-    content = json.loads(manifest.read_text())
-    del content["metadata"]["sha256"]  # as in older checkpoints, or by whoever changed the file
-    manifest.write_text(json.dumps(content))
+    change_manifest(tmp_path / "last", lambda metadata: None)
     file = next((tmp_path / "last").rglob("state.pt"))
     evil = Evil(tmp_path / "ran")
     if way == "state.pt":
@@ -170,9 +178,12 @@ def test_every_part_of_a_run_is_saved_without_pickled_code_or_left_over_memory(t
     folder = toy.folder / "run" / "checkpoints" / "last"
     manifest = json.loads((folder / "manifest.json").read_text())
     parts = {"actor", "loss", "optimiser", "buffer", "collector", "rng", "counters"}
-    assert set(manifest["components"]) == parts == set(manifest["metadata"]["sha256"])
-    files = [path for path in folder.rglob("*") if path.is_file() and path.name != "manifest.json"]
-    assert len(files) == len(parts)
+    assert set(manifest["components"]) == parts
+    files = list(folder.rglob("state.pt"))
+    names = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+    sums = [line.split("  ")[1] for line in (folder / "SHA256SUMS").read_text().splitlines()]
+    assert (len(files), len(names)) == (len(parts), len(parts) + 2)
+    assert names == {*sums, "SHA256SUMS"}
     states = {path.parent.name[5:]: torch.load(path, weights_only=True) for path in files}
     stored = states["buffer"]["_storage"]["_storage"]
     rows = [value for value in stored.values() if isinstance(value, torch.Tensor)]

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 
 from fishrl.training import evaluate, load_policy
 from fishrl.training.checkpoint import read_metadata
-from tests.training.conftest import QUICK, Toy
+from tests.training.conftest import QUICK, Toy, change_manifest
 from tests.training.toy_fish import ToyPredation, make_toy_env
 
 
@@ -63,11 +61,12 @@ def test_a_policy_of_another_task_is_refused(toy: Toy, task: ToyPredation, said:
 @pytest.mark.parametrize("part", ["task", "algorithm"])
 def test_the_metadata_of_a_checkpoint_cannot_run_code(toy: Toy, part: str) -> None:
     toy.begin(name="run", total_frames=8, **QUICK).run()
-    manifest = read_metadata(toy.folder / "run")[0] / "manifest.json"
-    content = json.loads(manifest.read_text())
     ran = toy.folder / "ran"
-    content["metadata"]["config"][part] = {"_target_": "os.system", "command": f"touch {ran}"}
-    manifest.write_text(json.dumps(content))
+    evil = {"_target_": "os.system", "command": f"touch {ran}"}
+    change_manifest(
+        read_metadata(toy.folder / "run")[0],
+        lambda metadata: metadata["config"].update({part: evil}),
+    )
     for read in (evaluate, load_policy):
         with pytest.raises(ValueError, match=r"os\.system: is no"):
             read(toy.folder / "run")
