@@ -25,9 +25,9 @@ from fishrl.envs import Predation, make_env
 from fishrl.modules import make_actor
 from fishrl.physics import InPlaceSolver
 from fishrl.training.algorithms import DiscreteSAC
+from fishrl.training.collector import ResumableCollector
 from fishrl.training.learner import one_thread
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.resumable import ResumableCollector
 from fishrl.training.settings import LearningSettings
 from fishrl.viewer import LiveView, ViewerSettings
 

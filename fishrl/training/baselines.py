@@ -60,27 +60,13 @@ def list_baselines(task: Any) -> list[str]:
 def make_baselines(
     names: Sequence[str] | None, *, task: Any, seed: int
 ) -> dict[str, TensorDictModuleBase]:
-    """Make the baselines that a learned policy is compared with.
-
-    Args:
-        names: of them; by default those of ``list_baselines``.
-        task: see ``make_baseline``.
-        seed: see ``make_baseline``.
-
-    Raises:
-        ValueError: if the task has none of a name.
-    """
+    """Make baselines by name, by default those of ``list_baselines``; see ``make_baseline``."""
     names = list_baselines(task) if names is None else names
     return {name: make_baseline(name, task=task, seed=seed) for name in names}
 
 
 def make_baseline(name: str, *, task: Any, seed: int) -> TensorDictModuleBase:
-    """Make a baseline of a task.
-
-    Args:
-        name: of the baseline.
-        task: the task.
-        seed: of random actions.
+    """Make a baseline of a task; ``seed`` is of random actions.
 
     Raises:
         ValueError: if the task has none of that name.
@@ -120,20 +106,19 @@ def find_pursuers(task: Any) -> dict[str, Baseline]:
 @find_baselines.register
 def _(task: KarmanGait) -> dict[str, Baseline]:
     """Return station-holding controllers; they are given the true flow label."""
+
+    def follow(controller: FrequencyController) -> Baseline:
+        return Baseline(lambda seed: make_gait_policy(controller, task), is_default=False)
+
     known = {
         "pid": Baseline(lambda seed: make_pid(task)),
-        "passive": Baseline(lambda seed: make_gait_policy(FixedFrequency(0.0), task), False),
-        "bang_bang": Baseline(lambda seed: make_gait_policy(BangBang(), task), False),
+        "passive": follow(FixedFrequency(0.0)),
+        "bang_bang": follow(BangBang()),
         **find_baselines(None),
     }
-    wakes = task.wakes
-    if wakes is not None:  # in a free stream no vortices are shed
-        known["shedding"] = Baseline(
-            lambda seed: make_gait_policy(
-                FixedFrequency((wakes.shedding_frequencies * task.scales.period).tolist()), task
-            ),
-            is_default=False,
-        )
+    if task.wakes is not None:  # in a free stream no vortices are shed
+        frequencies = task.wakes.shedding_frequencies * task.scales.period
+        known["shedding"] = follow(FixedFrequency(frequencies.tolist()))
     return known
 
 

@@ -20,30 +20,15 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torchrl.collectors import Collector
 from torchrl.collectors.distributed import RayCollector
 from torchrl.envs import EnvBase
 from torchrl.modules import EGreedyModule
-
-from fishrl.training.resumable import ResumableCollector
 
 logger = logging.getLogger(__name__)
 
 #: Between the seeds of two collectors, so that no other run's lie between them.
 SEED_STRIDE = 1_000_000
-
-
-class RemoteCollector(ResumableCollector):
-    """The collector of one process of the cluster; its state includes the random generator."""
-
-    def state_dict(self) -> OrderedDict:
-        """Return everything its next batch depends on."""
-        return OrderedDict(super().state_dict(), rng=torch.get_rng_state())
-
-    def load_state_dict(self, state_dict: Any, **kwargs: Any) -> None:
-        """Restore what ``state_dict`` returned."""
-        state = dict(state_dict)
-        torch.set_rng_state(state.pop("rng"))
-        super().load_state_dict(state, **kwargs)
 
 
 class ClusterCollector:
@@ -52,6 +37,7 @@ class ClusterCollector:
     It joins the cluster that ``RAY_ADDRESS`` names, or starts one on this machine.
 
     Args:
+        collector_class: of the collector of each process.
         env: of this process, for evaluations.
         make_env: makes the env of a collector from ``num_envs`` and ``seed``; picklable.
         explorer: the policy that collects.
@@ -66,6 +52,7 @@ class ClusterCollector:
 
     def __init__(
         self,
+        collector_class: type[Collector],
         *,
         env: EnvBase,
         make_env: Callable[..., EnvBase],
@@ -83,7 +70,7 @@ class ClusterCollector:
         self._flows = RayCollector(
             [partial(make, seed=seed + SEED_STRIDE * i) for i in range(num_collectors)],
             explorer,
-            collector_class=RemoteCollector,
+            collector_class=collector_class,
             frames_per_batch=num_envs,
             total_frames=sys.maxsize,
             init_random_frames=self._warmup_frames,
@@ -151,26 +138,19 @@ class ClusterCollector:
 def join_cluster(num_collectors: int) -> bool:
     """Connect to the cluster that ``RAY_ADDRESS`` names, or start a local one of sufficient size.
 
-    Args:
-        num_collectors: number of processes to place.
-
     Returns:
         Whether this process was not connected before.
 
     Raises:
-        ValueError: if the cluster has fewer CPUs.
+        ValueError: if the cluster has fewer CPUs than ``num_collectors``.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # report nothing to anybody
     import ray
 
     is_new = not ray.is_initialized()
     if is_new:
-        own: dict[str, Any] = {
-            "address": "local",
-            "num_cpus": num_collectors,
-            "include_dashboard": False,
-        }
-        given = {} if "RAY_ADDRESS" in os.environ else own
+        local = {"address": "local", "num_cpus": num_collectors, "include_dashboard": False}
+        given: dict[str, Any] = {} if "RAY_ADDRESS" in os.environ else local
         ray.init(log_to_driver=False, logging_level=logging.WARNING, **given)
     num_cpus = int(ray.cluster_resources().get("CPU", 0))
     if num_cpus < num_collectors:

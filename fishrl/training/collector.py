@@ -2,19 +2,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
+import torch
+from tensordict import TensorDict
 from torch import nn
-from torchrl.envs import EnvBase, Transform
+from torchrl.collectors import Collector
+from torchrl.envs import ActionMask, EnvBase, Transform
 
 from fishrl.envs import AbstractTask
+from fishrl.training.evaluation import copy_state
 from fishrl.training.learner import Learner
-from fishrl.training.resumable import ResumableCollector
 from fishrl.training.settings import LearningSettings
 
 MakeEnv = Callable[..., EnvBase]
+
+
+class ResumableCollector(Collector):
+    """TorchRL's collector, whose state also holds the flows and the state they are about to act in.
+
+    The parent saves the buffers of the transforms and its counters, but neither the base env nor
+    the TensorDict that it carries from step to step: after loading, episodes would start anew on
+    the frame stacks of the old ones.
+    """
+
+    def state_dict(self) -> OrderedDict:
+        """Return everything the next batch depends on, apart from the global generators."""
+        state = super().state_dict()
+        state["base_env"] = self.env.base_env.state_dict()
+        state["carrier"] = self._carrier.clone().to_dict()
+        return state
+
+    def load_state_dict(self, state_dict: Any, **kwargs: Any) -> None:
+        """Restore what ``state_dict`` returned into a collector of an equal env."""
+        state = dict(state_dict)
+        base_env, carrier = state.pop("base_env"), state.pop("carrier")
+        super().load_state_dict(OrderedDict(state), **kwargs)
+        if self.track_traj_ids:  # the parent counted on fresh trajectories
+            self._traj_pool.load_state_dict(state["traj_pool"])
+        self.env.base_env.load_state_dict(base_env)
+        self._carrier: TensorDict = TensorDict.from_dict(
+            carrier, batch_size=self.env.batch_size, device=self.env.device
+        )
+        for transform in self.env.transform:
+            if isinstance(transform, ActionMask):  # it keeps the mask inside the action spec
+                transform._call(self._carrier)
+
+    @contextmanager
+    def lend_env(self) -> Iterator[EnvBase]:
+        """Lend the env, and restore everything afterwards."""
+        state = copy_state(self.state_dict())
+        try:
+            yield self.env
+        finally:
+            self.load_state_dict(state)
+
+
+class RemoteCollector(ResumableCollector):
+    """The collector of one process of a cluster; its state includes the random generator."""
+
+    def state_dict(self) -> OrderedDict:
+        """Return everything its next batch depends on."""
+        return OrderedDict(super().state_dict(), rng=torch.get_rng_state())
+
+    def load_state_dict(self, state_dict: Any, **kwargs: Any) -> None:
+        """Restore what ``state_dict`` returned."""
+        state = dict(state_dict)
+        torch.set_rng_state(state.pop("rng"))
+        super().load_state_dict(state, **kwargs)
 
 
 def make_collector(
@@ -40,16 +99,9 @@ def make_collector(
         compile: compile the flow step.
         seed: of the flows.
     """
-    given = {} if recognition is None else {"recognition": recognition}
-    make = partial(
-        _make_equipped,
-        make_env,
-        learner.transforms,
-        task=task,
-        device=device,
-        compile=compile,
-        **given,
-    )
+    given: dict[str, Any] = {} if recognition is None else {"recognition": recognition}
+    given |= {"task": task, "device": device, "compile": compile}
+    make = partial(_make_equipped, make_env, learner.transforms, **given)
     # observers may read the flows at every check for termination
     env = make(num_envs=settings.num_envs, seed=seed, frames_per_action=task.checks_per_action)
     if not settings.ray_collectors:
@@ -64,6 +116,7 @@ def make_collector(
     from fishrl.training.cluster import ClusterCollector
 
     return ClusterCollector(
+        RemoteCollector,
         env=env,
         make_env=make,
         explorer=learner.explorer,

@@ -80,15 +80,12 @@ def make(node: Any, *, kind: type[T] | tuple[type[T], ...], modules: Collection[
         raise ValueError(f"{node!r}: give a {TARGET} and its arguments")
     made = find_class(node[TARGET], kind=kind, modules=modules)
     known = inspect.signature(made).parameters
-    arguments = {}
-    for name, value in node.items():
-        if name == TARGET:
-            continue
+    given = {name: value for name, value in node.items() if name != TARGET}
+    for name in given:
         if name not in known:
             raise ValueError(f"{node[TARGET]}: there is no {name!r}{suggest(name, known)}")
-        arguments[name] = _make_parts(value, made, name, modules=modules)
     try:
-        return made(**arguments)
+        return made(**{n: _make_parts(v, made, n, modules=modules) for n, v in given.items()})
     except TypeError as error:
         raise ValueError(f"{node[TARGET]}: {error}") from error
 
@@ -100,8 +97,7 @@ def _make_parts(value: Any, owner: type, name: str, *, modules: Collection[str])
     if not isinstance(value, Mapping) or TARGET not in value:
         return value
     hints = typing.get_type_hints(owner if is_dataclass(owner) else owner.__init__)  # type: ignore[misc]
-    kinds = tuple(_list_classes(hints.get(name)))
-    return make(value, kind=kinds, modules=modules)
+    return make(value, kind=tuple(_list_classes(hints.get(name))), modules=modules)
 
 
 def _list_classes(hint: Any) -> Iterator[type]:

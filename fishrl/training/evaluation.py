@@ -23,8 +23,7 @@ class Evaluation:
         succeeded: ``[E]`` bool, whether the task was accomplished, see ``has_succeeded``.
         returns: ``[E]`` sum of rewards.
         lengths_T: ``[E]`` duration in tail beats.
-        diverged: ``[E]`` bool, whether the flow diverged; such an episode counts as no
-            success.
+        diverged: ``[E]`` bool, whether the flow diverged; such an episode is no success.
     """
 
     succeeded: Tensor
@@ -71,19 +70,15 @@ class Evaluator:
         Args:
             policy: writes ``action``; a learned one acts greedily.
             starts: ``[E]``, as ``fixed_starts`` gives.
-            on_episodes: called with the number of episodes that have just ended.
+            on_episodes: called after each decision with the number of episodes that it ended.
             on_step: called after each decision with what the env returned.
-
-        Returns:
-            The outcome of each start.
         """
 
         def follow(start_of: Tensor, step: TensorDictBase) -> None:
             if on_step is not None:
                 on_step(step)
-            num_ended = int(((start_of >= 0) & step["next", "done"].squeeze(-1)).sum())
-            if on_episodes is not None and num_ended:
-                on_episodes(num_ended)
+            if on_episodes is not None:
+                on_episodes(int(((start_of >= 0) & step["next", "done"].squeeze(-1)).sum()))
 
         self.env.base_env.load_state_dict(copy_state(self._initial))
         episodes = run_episodes(self.env, policy, starts, on_step=follow)

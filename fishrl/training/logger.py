@@ -39,14 +39,15 @@ class CsvLogger:
             config: the whole configuration.
             step: the last step that counts; 0 starts anew.
         """
-        self._path = folder / "metrics.csv"
-        self._columns = list(columns)
-        kept: list[dict[str, str]] = []
+        self._path, self._columns = folder / "metrics.csv", list(columns)
+        rows: list[Mapping[str, Any]] = [{name: name for name in columns}]
         if step > 0 and self._path.is_file():
             with self._path.open(newline="", encoding="utf-8") as file:
-                kept = [row for row in csv.DictReader(file) if _is_upto(row, columns[0], step)]
-        header = {name: name for name in self._columns}
-        write_whole(self._path, self._render([header, *kept]))
+                for row in csv.DictReader(file):  # a kill may cut the last one
+                    number = row[columns[0]]
+                    if None not in row.values() and number.isdigit() and int(number) <= step:
+                        rows.append(row)
+        write_whole(self._path, self._render(rows))
 
     def log(self, metrics: Mapping[str, float]) -> None:
         """Add a row.
@@ -59,18 +60,17 @@ class CsvLogger:
         unknown = sorted(set(metrics) - set(self._columns))
         if unknown:
             raise ValueError(f"metrics {unknown}: not among the columns {self._columns}")
-        row = {name: "" if math.isnan(value) else value for name, value in metrics.items()}
-        self._unwritten.append(row)
+        self._unwritten.append({n: v for n, v in metrics.items() if not math.isnan(v)})
         self._write()
 
     def close(self) -> None:
         """End the log; rows are on disk already, but for those that could not be written."""
-        if self._unwritten:
-            self._write()
+        self._write()
 
     def _write(self) -> None:
         """Append the rows that are not written yet, all of them or none."""
-        assert self._path is not None  # rows come after open
+        if self._path is None or not self._unwritten:
+            return
         size = self._path.stat().st_size
         try:
             with self._path.open("ab", buffering=0) as file:
@@ -108,8 +108,7 @@ class WandbLogger(CsvLogger):
             import wandb
         except ImportError as error:
             raise ImportError(
-                "logger=wandb needs the package wandb: pip install 'wandb>=0.25', "
-                "or take logger=csv"
+                "logger=wandb needs the package wandb: pip install 'wandb>=0.25'; or logger=csv"
             ) from error
         self._wandb = wandb
         self.project, self.is_offline = project, is_offline
@@ -120,18 +119,18 @@ class WandbLogger(CsvLogger):
     ) -> None:
         """Start the run at Weights & Biases as well; a resumed run keeps its identity."""
         super().open(folder, columns=columns, config=config, step=step)
-        self._step_key = columns[0]
+        self._step_key, identity = columns[0], folder / "wandb_id"
         self._run = self._wandb.init(
             project=self.project,
             name=folder.name,
-            id=_run_id(folder),
+            id=identity.read_text("utf-8") if identity.is_file() else uuid.uuid4().hex[:12],
             dir=str(folder),
             config=dict(config),
             mode="offline" if self.is_offline else "online",
             resume="allow",
             settings=self._wandb.Settings(console="off"),  # or it would log the bar's every move
         )
-        write_whole(folder / "wandb_id", self._run.id)  # an agent has its own
+        write_whole(identity, self._run.id)  # an agent has its own
 
     def log(self, metrics: Mapping[str, float]) -> None:
         """Add a row here and there."""
@@ -144,16 +143,3 @@ class WandbLogger(CsvLogger):
         super().close()
         if self._run is not None:
             self._run.finish()
-
-
-def _run_id(folder: Path) -> str:
-    """Give the run's identity at Weights & Biases, the same one after a resume."""
-    path = folder / "wandb_id"
-    if not path.is_file():
-        path.write_text(uuid.uuid4().hex[:12], encoding="utf-8")
-    return path.read_text(encoding="utf-8")
-
-
-def _is_upto(row: Mapping[str, str], key: str, step: int) -> bool:
-    """Tell whether a row is whole and not later than ``step``; a kill may cut the last one."""
-    return None not in row.values() and row[key].isdigit() and int(row[key]) <= step

@@ -8,7 +8,7 @@ import random
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 import torch
@@ -40,22 +40,6 @@ logger = logging.getLogger(__name__)
 TRAIN_SEED, SELECTION_SEED, FINAL_SEED = 1000, 1, 0
 
 
-class Hooks(TypedDict, total=False):
-    """What a caller may add to a run.
-
-    Args:
-        make_env: makes the env of a task; by default ``fishrl.envs.make_env``.
-        observer: called during the run.
-        progress: progress bar; by default none is shown.
-        began: ``time.perf_counter()`` when the program started.
-    """
-
-    make_env: MakeEnv | None
-    observer: Observer | None
-    progress: Progress | None
-    began: float | None
-
-
 class Training:
     """One run: collect, update, evaluate and save until ``total_frames`` is reached.
 
@@ -63,7 +47,7 @@ class Training:
         plan: settings of the run.
         recognition: source of flow labels, see ``fishrl.envs.make_env``.
         folder: where everything is written.
-        make_env: see ``Hooks``, like the others.
+        make_env: see ``observer.Hooks``, like the others.
         observer: see there.
         progress: see there.
         began: see there.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,33 +19,18 @@ WINDOW = 32
 
 
 def list_metrics(losses: tuple[str, ...]) -> tuple[str, ...]:
-    """List the columns of metrics.csv.
+    """List the columns of metrics.csv, given the names of the losses of the algorithm.
 
     ``train/`` is over the last episodes or of the last gradient step, ``eval/`` of the greedy
     policy from fixed starts, ``time/`` of this machine. The seed fixes all but the last kind.
-
-    Args:
-        losses: names that a gradient step of the algorithm reports.
     """
+    of_eval = ("success_rate", "mean_return", "mean_length_T", "mean_time_to_success_T")
+    of_time = ("wall_seconds", "frames_per_second", "mlups", "memory_mb")
     return (
-        "frames",
-        "train/episodes",
-        "train/return",
-        "train/success_rate",
-        "train/episode_length",
-        "train/diverged",
-        "train/updates",
+        *Counters().metrics(),
         *(f"train/{name}" for name in losses),
-        "eval/success_rate",
-        "eval/mean_return",
-        "eval/mean_length_T",
-        "eval/mean_time_to_success_T",
-        "eval/episodes",
-        "eval/diverged",
-        "time/wall_seconds",
-        "time/frames_per_second",
-        "time/mlups",
-        "time/memory_mb",
+        *(f"eval/{name}" for name in (*of_eval, "episodes", "diverged")),
+        *(f"time/{name}" for name in of_time),
     )
 
 
@@ -71,11 +57,7 @@ class Counters:
         return {**vars(self), "recent": list(self.recent), "pending": dict(self.pending)}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned.
-
-        Raises:
-            ValueError: for the state of another object.
-        """
+        """Restore what ``state_dict`` returned, or raise ValueError for what something else did."""
         unknown = sorted(set(state) - set(vars(self)))
         if unknown:
             raise ValueError(f"counters: {unknown} are not among {sorted(vars(self))}")
@@ -84,12 +66,7 @@ class Counters:
         self.recent = deque(state["recent"], maxlen=WINDOW)
 
     def count(self, transitions: TensorDictBase, *, success: str) -> None:
-        """Count the episodes that end in transitions ``[N]``; diverged ones are no episodes.
-
-        Args:
-            transitions: ``[N]``.
-            success: see ``has_succeeded``.
-        """
+        """Count the episodes that end in transitions ``[N]``; diverged ones are no episodes."""
         after = transitions["next"]
         has_ended = (after["done"] & ~after["diverged"]).reshape(-1)
         ended = after[has_ended]
@@ -117,18 +94,14 @@ def measure_memory_mb() -> float:
 
     What several of them share counts once (proportional set size).
     """
+    total_kb = 0.0
     try:
         tasks = Path("/proc/self/task").iterdir()
         children = [pid for task in tasks for pid in (task / "children").read_text().split()]
-        return sum(_read_share(pid) for pid in ("self", *children)) / 1e3
+        for pid in ("self", *children):
+            with suppress(FileNotFoundError, ProcessLookupError):  # it has just ended
+                text = Path(f"/proc/{pid}/smaps_rollup").read_text()
+                total_kb += float(text.partition("\nPss:")[2].split()[0])
     except OSError:
         return float("nan")
-
-
-def _read_share(pid: str) -> float:
-    """Return a process's share of memory, kB; 0 if it has just ended."""
-    try:
-        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
-    except (FileNotFoundError, ProcessLookupError):
-        return 0.0
-    return next((float(line.split()[1]) for line in lines if line.startswith("Pss:")), 0.0)
+    return total_kb / 1e3

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, TypedDict
 
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
+
+from fishrl.training.progress import Progress
 
 if TYPE_CHECKING:
     from fishrl.training.loop import Training
@@ -32,3 +34,19 @@ class Observer:
 
     def close(self) -> None:
         """Release resources; no other call follows."""
+
+
+class Hooks(TypedDict, total=False):
+    """What a caller may add to a run.
+
+    Args:
+        make_env: makes the env of a task; by default ``fishrl.envs.make_env``.
+        observer: called during the run.
+        progress: progress bar; by default none is shown.
+        began: ``time.perf_counter()`` when the program started.
+    """
+
+    make_env: Callable[..., EnvBase] | None
+    observer: Observer | None
+    progress: Progress | None
+    began: float | None

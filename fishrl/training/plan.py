@@ -81,13 +81,13 @@ class Plan:
         """
         algorithm = dict(config.get("algorithm") or describe(DiscreteSAC()))
         algorithm |= {name: config[name] for name in FORMER_SETTINGS if name in config}
+        logger = config.get("logger") or describe(CsvLogger())
         known = {*LEARNING, *RUN, *PARTS, *FORMER_SETTINGS}
         try:
             learning = LearningSettings(**{n: config[n] for n in LEARNING if n in config})
             run = RunSettings(**{n: config[n] for n in RUN if n in config})
         except TypeError as error:
             raise ValueError(f"settings of the run: {error}") from error
-        logger = config.get("logger") or describe(CsvLogger())
         return cls(
             task=make(config.get("task"), kind=AbstractTask, modules=modules),
             algorithm=make(algorithm, kind=Algorithm, modules=modules),

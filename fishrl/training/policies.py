@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from contextlib import ExitStack, closing
+from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 from tensordict.nn import TensorDictModuleBase
 
@@ -15,9 +15,8 @@ from fishrl.envs.transforms import equip
 from fishrl.training.baselines import make_baseline
 from fishrl.training.checkpoint import load_checkpoint, read_metadata
 from fishrl.training.classifier import Recognition, load_recognition
-from fishrl.training.collector import MakeEnv
 from fishrl.training.evaluation import Evaluator, fixed_starts
-from fishrl.training.observer import Observer
+from fishrl.training.observer import Hooks, Observer
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.progress import Progress
@@ -53,7 +52,7 @@ def load_policy(
         task: the task to act in; by default the task of its run.
         has_labels: whether transforms label the flows of the task; by default as in its run.
         device: of the policy.
-        modules: modules outside fishrl that may be imported, see ``description.make``.
+        modules: see ``load_plan``.
 
     Raises:
         ValueError: if the checkpoint is missing, corrupt, or of another task.
@@ -78,10 +77,8 @@ def evaluate(
     seed: int = 0,
     device: str = "cpu",
     compile: bool = True,
-    make_env: MakeEnv = make_env,
-    observer: Observer | None = None,
-    progress: Progress | None = None,
     modules: Collection[str] = (),
+    **hooks: Unpack[Hooks],
 ) -> dict[str, Any]:
     """Run one episode from each of the fixed starts.
 
@@ -97,10 +94,8 @@ def evaluate(
             those that selected its best checkpoint.
         device: cpu or cuda.
         compile: compile the flow step.
-        make_env: makes the env.
-        observer: called during the evaluation.
-        progress: progress bar.
-        modules: see ``load_policy``.
+        modules: see ``load_plan``.
+        **hooks: ``make_env``, ``observer`` and ``progress``, see ``observer.Hooks``.
 
     Returns:
         ``success_rate``, ``mean_return``, ``mean_length_T``, ``mean_time_to_success_T``,
@@ -110,7 +105,8 @@ def evaluate(
         ValueError: for invalid settings, and checkpoints that do not fit the task.
     """
     check_device(device)
-    progress, observer = progress or Progress(is_shown=False), observer or Observer()
+    observer = hooks.get("observer") or Observer()
+    progress = hooks.get("progress") or Progress(is_shown=False)
     if isinstance(policy, Path) and task is None:
         path, plan = load_plan(policy, modules=modules)
         task, recognition = plan.task, load_recognition(plan.recognition, path)
@@ -118,16 +114,14 @@ def evaluate(
         raise ValueError("evaluate: give a task, or the Path of a checkpoint, which brings its own")
     recognition = load_recognition(recognition)
     task, _ = equip(task, recognition)
-    has_labels = recognition is not None
-    act: Policy
+    has_labels, act = recognition is not None, policy
     if isinstance(policy, Path):
         act = load_policy(policy, task=task, has_labels=has_labels, device=device, modules=modules)
     elif isinstance(policy, str):
         act = make_baseline(policy, task=task, seed=seed)
-    else:
-        act = policy
     progress.rename("compilation" if compile else "set-up")
-    env = make_env(
+    make: Any = hooks.get("make_env") or make_env
+    env = make(
         task=task,
         num_envs=min(num_envs, episodes),
         seed=seed,
@@ -136,13 +130,11 @@ def evaluate(
         frames_per_action=task.checks_per_action,
         **({"recognition": recognition} if has_labels else {}),
     )
-    with ExitStack() as stack:
-        stack.callback(env.close)
-        stack.enter_context(closing(observer))
+    with closing(env), closing(observer):
         observer.begin(env)
         progress.start("evaluation", total=episodes)
         result = Evaluator(env, decision_T=task.interval_T).run(
-            act,
+            act,  # type: ignore[arg-type]
             starts=fixed_starts(task, episodes, seed=seed),
             on_episodes=progress.advance,
             on_step=observer.settle,

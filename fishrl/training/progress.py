@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from types import TracebackType
 from typing import TextIO
 
 from tqdm import tqdm
@@ -23,7 +22,7 @@ class Progress:
         stream = stream or sys.stderr
         self._bar = tqdm(
             total=1,
-            desc=_label("set-up"),
+            desc=f"{'set-up':<12}",
             file=stream,
             disable=not is_shown,
             mininterval=0.2 if stream.isatty() else 10.0,
@@ -35,12 +34,7 @@ class Progress:
     def __enter__(self) -> Progress:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -60,22 +54,15 @@ class Progress:
         """Go over to another phase on the same bar."""
         if phase != self.phase:
             self.phase = phase
-            self._bar.set_description_str(_label(phase))
+            self._bar.set_description_str(f"{phase:<12}")
 
     def advance(self, amount: int, **shown: float) -> None:
         """Count ``amount`` more and show some numbers beside the bar."""
         if shown:
-            words = [f"{name.replace('_', ' ')} {_show(value)}" for name, value in shown.items()]
-            self._bar.set_postfix_str(", ".join(words), refresh=False)
+            # a dash where there is no number yet, as before the first episode ends
+            words = {n.replace("_", " "): "-" if v != v else f"{v:.3g}" for n, v in shown.items()}
+            text = ", ".join(f"{name} {value}" for name, value in words.items())
+            self._bar.set_postfix_str(text, refresh=False)
         self._bar.update(amount)
         if amount and self._bar.n == self._bar.total:
             self._bar.refresh()
-
-
-def _show(value: float) -> str:
-    """Write a number; a dash where there is none yet, as before the first episode ends."""
-    return "-" if value != value else f"{value:.3g}"
-
-
-def _label(phase: str) -> str:
-    return f"{phase:<12}"

@@ -16,7 +16,8 @@ from fishrl.training.algorithms import Algorithm, DiscreteSAC
 from fishrl.training.baselines import make_baselines
 from fishrl.training.classifier import Recognition, keep_recognition, load_recognition
 from fishrl.training.logger import CsvLogger
-from fishrl.training.loop import Hooks, Training
+from fishrl.training.loop import Training
+from fishrl.training.observer import Hooks
 from fishrl.training.plan import Plan
 from fishrl.training.run_folder import RunFolder, read_config, write_yaml
 from fishrl.training.settings import LearningSettings, RunSettings, check_device
@@ -45,7 +46,7 @@ def train(
         logger: writes the metrics; by default to a CSV file.
         preset: name for these settings; part of the name of the run folder.
         extra: further settings to keep in ``config.yaml``.
-        **hooks: ``make_env``, ``observer``, ``progress`` and ``began``, see ``loop.Hooks``.
+        **hooks: ``make_env``, ``observer``, ``progress`` and ``began``, see ``observer.Hooks``.
 
     Returns:
         The summary, as in ``summary.json``.

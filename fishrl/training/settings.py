@@ -102,22 +102,12 @@ class RunSettings:
 
 
 def check_device(device: str) -> None:
-    """Check that a device exists on this machine.
-
-    Raises:
-        ValueError: if it is neither cpu nor cuda, or torch sees no such CUDA device.
-    """
-    try:
-        kind, index = torch.device(device).type, torch.device(device).index
-    except RuntimeError as error:
-        raise ValueError(f"device = {device!r}: must be cpu, cuda or cuda:<number>") from error
-    if (kind, index or 0) == ("cpu", 0):
-        return
-    if kind != "cuda":
-        raise ValueError(f"device = {device!r}: must be cpu, cuda or cuda:<number>")
+    """Raise ValueError unless this machine has a device: ``cpu``, ``cuda``, ``cuda:<number>``."""
     num_devices = torch.cuda.device_count()
-    if (index or 0) >= num_devices:
+    known = ["cpu", *["cuda"][:num_devices], *(f"cuda:{i}" for i in range(num_devices))]
+    if device not in known:
         raise ValueError(
-            f"device = {device!r}: torch sees {num_devices} CUDA devices here; take device=cpu, or "
-            "install a CUDA build of torch and its driver"
+            f"device = {device!r}: must be cpu, cuda or cuda:<number>, and torch sees "
+            f"{num_devices} CUDA devices here; take device=cpu, or install a CUDA build of torch "
+            "and its driver"
         )

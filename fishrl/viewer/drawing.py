@@ -8,7 +8,7 @@ import logging
 from collections import deque
 from collections.abc import Mapping
 from enum import StrEnum
-from types import ModuleType, TracebackType
+from types import ModuleType
 from typing import Any, Self
 
 import numpy as np
@@ -96,16 +96,9 @@ class Drawing:
             self._draw_constants(name_flow(flow), title)
 
     def __enter__(self) -> Self:
-        """Draw within a ``with``."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        """End the stream."""
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:

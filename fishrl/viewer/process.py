@@ -9,7 +9,6 @@ import socket
 import subprocess
 import sys
 import time
-from types import TracebackType
 from typing import Self
 
 from fishrl.viewer.drawing import import_rerun
@@ -49,16 +48,9 @@ class Viewer:
         raise ValueError(self.explain_failure())
 
     def __enter__(self) -> Self:
-        """Return the running program."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        """End it."""
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def explain_failure(self) -> str:
