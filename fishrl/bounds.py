@@ -39,8 +39,12 @@ def check_bounds(settings: Any) -> None:
     """
     for entry in fields(settings):
         value = getattr(settings, entry.name)
+        bounds: dict[str, float] = {}  # a subclass that changes a default keeps the bounds
+        for kind in reversed(type(settings).__mro__):
+            inherited = getattr(kind, "__dataclass_fields__", {}).get(entry.name)
+            bounds |= inherited.metadata if inherited else {}
         for number in value if isinstance(value, list | tuple) else (value,):
-            allowed = _find_violation(number, kind=str(entry.type), bounds=entry.metadata)
+            allowed = _find_violation(number, kind=str(entry.type), bounds=bounds)
             if allowed:
                 raise ValueError(f"{entry.name} = {value}: must be {allowed}")
 

@@ -1,12 +1,12 @@
 """The lateral line: neuromasts along the body that sample the flow beside the skin."""
 
-import difflib
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from fishrl.bounds import bounded, check_bounds, suggest
 from fishrl.envs.draws import draw_uniform
 from fishrl.envs.protocol import Solver
 
@@ -42,27 +42,23 @@ class LateralLine:
         delay: delay of the signals in samples; at most W.
     """
 
-    num_neuromasts: int = 5
+    num_neuromasts: int = bounded(5, least=1)
     features: tuple[str, ...] = LOCAL
-    num_samples: int = 2
-    first_bl: float = 0.2
+    num_samples: int = bounded(2, least=1)
+    first_bl: float = bounded(0.2, greater=0)
     last_bl: float = 0.7
-    distance: float = 2.0
+    distance: float = bounded(2.0, greater=0)
     is_averaged: bool = False
-    noise: float = 0.0
-    silence: float = 0.0
-    delay: int = 0
+    noise: float = bounded(0.0, least=0)
+    silence: float = bounded(0.0, least=0, largest=1)
+    delay: int = bounded(0, least=0)
 
     def __post_init__(self) -> None:
-        """Validate the arguments."""
         object.__setattr__(self, "features", tuple(self.features))
-        for name in ("num_neuromasts", "num_samples"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} = {getattr(self, name)}: must be at least 1")
+        check_bounds(self)
         unknown = [name for name in self.features if name not in KNOWN]
         if unknown or not self.features:
-            near = difflib.get_close_matches(unknown[0] if unknown else "", KNOWN, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
+            hint = suggest(unknown[0], KNOWN) if unknown else ""
             raise ValueError(f"features = {self.features}: allowed are {KNOWN}{hint}")
         if "pressure" in self.features and (self.is_averaged or self.num_neuromasts == 1):
             raise ValueError(
@@ -70,19 +66,12 @@ class LateralLine:
                 f"= {self.is_averaged}: pressure is the deviation from the mean over the "
                 "neuromasts, whose mean is always 0; remove pressure, or use p"
             )
-        if not 0.0 < self.first_bl <= self.last_bl < 1.0:
+        if not self.first_bl <= self.last_bl < 1.0:
             raise ValueError(
                 f"first_bl = {self.first_bl}, last_bl = {self.last_bl}: allowed is "
                 "0 < first_bl <= last_bl < 1"
             )
-        if self.distance <= 0.0 or self.noise < 0.0:
-            raise ValueError(
-                f"distance = {self.distance}, noise = {self.noise}: give a positive distance and "
-                "no negative noise"
-            )
-        if not 0.0 <= self.silence <= 1.0:
-            raise ValueError(f"silence = {self.silence}: must lie in [0, 1]")
-        if not 0 <= self.delay <= self.num_samples:
+        if self.delay > self.num_samples:
             raise ValueError(f"delay = {self.delay}: allowed is 0 to {self.num_samples} samples")
 
     @property

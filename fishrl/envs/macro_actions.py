@@ -34,7 +34,6 @@ class FrequencyBank:
     rows: tuple[tuple[float, ...], ...] = DEFAULT_ROWS
 
     def __post_init__(self) -> None:
-        """Validate the rows, and turn sequences from files into tuples."""
         rows = tuple(_as_row(row) for row in self.rows)
         object.__setattr__(self, "rows", rows)
         if not rows:
@@ -44,52 +43,66 @@ class FrequencyBank:
                 f"bank.rows have {[len(row) for row in rows]} frequencies: give all the same number"
             )
 
+
+@dataclass(frozen=True, kw_only=True)
+class FrequencyControl(ABC):
+    """Map actions to tail-beat frequencies.
+
+    Args:
+        first_gear: initial gear, counted from 0; by default the middle one.
+    """
+
+    first_gear: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.first_gear is not None and not 0 <= self.first_gear < self.num_gears:
+            raise ValueError(
+                f"first_gear = {self.first_gear}: allowed is 0 to {self.num_gears - 1}"
+            )
+
+    @property
+    @abstractmethod
+    def rows(self) -> tuple[tuple[float, ...], ...]:
+        """Frequencies by gear, tail beats per T: a row per flow, or one for all flows."""
+
+    @property
+    @abstractmethod
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the actions, in their order."""
+
+    @property
+    def num_flows(self) -> int | None:
+        """Number of rows; None if the frequency does not depend on the flow."""
+        return len(self.rows)
+
     @property
     def num_gears(self) -> int:
         """Number of frequencies in each row."""
         return len(self.rows[0])
 
-
-class FrequencyControl(ABC):
-    """Map actions to tail-beat frequencies."""
-
     @property
-    @abstractmethod
-    def num_flows(self) -> int | None:
-        """Number of rows; None if the frequency does not depend on the flow."""
-
-    @property
-    @abstractmethod
     def num_actions(self) -> int:
         """Number of actions."""
+        return len(self.action_names)
 
     @property
-    def action_names(self) -> tuple[str, ...]:
-        """Names of the actions, in their order."""
-        return tuple(f"action {index}" for index in range(self.num_actions))
-
-    @property
-    @abstractmethod
     def max_frequency(self) -> float:
-        """Highest frequency, tail beats per T."""
+        """Highest frequency of all rows, tail beats per T."""
+        return max(row[-1] for row in self.rows)
 
     @property
-    @abstractmethod
     def start_gear(self) -> int:
         """Initial gear."""
+        return (self.num_gears - 1) // 2 if self.first_gear is None else self.first_gear
+
+    def select(self, gear: Tensor, flow: Tensor) -> Tensor:
+        """Return tail beats per T ``[B]``, float64, at gears ``[B]`` and flow labels ``[B]``."""
+        rows = torch.tensor(self.rows, dtype=torch.float64, device=gear.device)
+        return rows[0, gear] if self.num_flows is None else rows[flow, gear]
 
     @abstractmethod
     def shift(self, gear: Tensor, action: Tensor) -> Tensor:
         """Return the gear ``[B]`` after legal actions ``[B]``, int64."""
-
-    @abstractmethod
-    def select(self, gear: Tensor, flow: Tensor) -> Tensor:
-        """Return tail beats per T ``[B]``, float64.
-
-        Args:
-            gear: ``[B]``.
-            flow: ``[B]`` flow label, an index.
-        """
 
     @abstractmethod
     def mask(self, gear: Tensor) -> Tensor:
@@ -103,55 +116,29 @@ class MacroActions(FrequencyControl):
     Decelerating is illegal in the first gear, accelerating in the last.
 
     Args:
+        first_gear: see ``FrequencyControl``.
         bank: the frequencies.
-        first_gear: initial gear, counted from 0; by default the middle one.
     """
 
     bank: FrequencyBank = field(default_factory=FrequencyBank)
-    first_gear: int | None = None
-
-    def __post_init__(self) -> None:
-        """Validate the initial gear."""
-        if self.first_gear is not None:
-            _check_gear(self.first_gear, self.bank.num_gears)
 
     @property
-    def num_flows(self) -> int:
-        """Number of rows."""
-        return len(self.bank.rows)
-
-    @property
-    def num_actions(self) -> int:
-        """Three."""
-        return 3
+    def rows(self) -> tuple[tuple[float, ...], ...]:
+        """Those of the bank."""
+        return self.bank.rows
 
     @property
     def action_names(self) -> tuple[str, ...]:
         """What they do to the tail beat."""
         return "decelerate", "cruise", "accelerate"
 
-    @property
-    def max_frequency(self) -> float:
-        """Highest frequency of all rows."""
-        return max(row[-1] for row in self.bank.rows)
-
-    @property
-    def start_gear(self) -> int:
-        """Initial gear."""
-        return (self.bank.num_gears - 1) // 2 if self.first_gear is None else self.first_gear
-
     def shift(self, gear: Tensor, action: Tensor) -> Tensor:
         """Return the gear ``[B]`` after legal actions ``[B]``."""
         return gear + action - 1
 
-    def select(self, gear: Tensor, flow: Tensor) -> Tensor:
-        """Return tail beats per T ``[B]``."""
-        rows = torch.tensor(self.bank.rows, dtype=torch.float64, device=gear.device)
-        return rows[flow, gear]
-
     def mask(self, gear: Tensor) -> Tensor:
         """Return ``[B, 3]`` bool."""
-        can_slow, can_speed = gear > 0, gear < self.bank.num_gears - 1
+        can_slow, can_speed = gear > 0, gear < self.num_gears - 1
         return torch.stack((can_slow, torch.ones_like(can_slow), can_speed), -1)
 
 
@@ -160,18 +147,20 @@ class DirectFrequencies(FrequencyControl):
     """Choose one of n frequencies directly, independent of the flow (the ablation).
 
     Args:
+        first_gear: see ``FrequencyControl``.
         frequencies: tail beats per T, rising; 0 is a passive fish.
-        first_gear: index of the initial frequency; by default the middle one.
     """
 
     frequencies: tuple[float, ...]
-    first_gear: int | None = None
 
     def __post_init__(self) -> None:
-        """Validate the frequencies."""
         object.__setattr__(self, "frequencies", _as_row(self.frequencies))
-        if self.first_gear is not None:
-            _check_gear(self.first_gear, len(self.frequencies))
+        super().__post_init__()
+
+    @property
+    def rows(self) -> tuple[tuple[float, ...], ...]:
+        """The only row."""
+        return (self.frequencies,)
 
     @property
     def num_flows(self) -> None:
@@ -179,32 +168,13 @@ class DirectFrequencies(FrequencyControl):
         return None
 
     @property
-    def num_actions(self) -> int:
-        """One per frequency."""
-        return len(self.frequencies)
-
-    @property
     def action_names(self) -> tuple[str, ...]:
         """The frequencies."""
         return tuple(f"{frequency:g} beats/T" for frequency in self.frequencies)
 
-    @property
-    def max_frequency(self) -> float:
-        """Highest frequency."""
-        return self.frequencies[-1]
-
-    @property
-    def start_gear(self) -> int:
-        """Index of the initial frequency."""
-        return (len(self.frequencies) - 1) // 2 if self.first_gear is None else self.first_gear
-
     def shift(self, gear: Tensor, action: Tensor) -> Tensor:
         """Return the action itself."""
         return action
-
-    def select(self, gear: Tensor, flow: Tensor) -> Tensor:
-        """Return tail beats per T ``[B]``."""
-        return torch.tensor(self.frequencies, dtype=torch.float64, device=gear.device)[gear]
 
     def mask(self, gear: Tensor) -> Tensor:
         """Return ``[B, n]``, all true."""
@@ -221,8 +191,3 @@ def _as_row(values: object) -> tuple[float, ...]:
     if not row[-1] < float("inf"):
         raise ValueError(f"frequencies = {values}: must be finite")
     return row
-
-
-def _check_gear(gear: int, num_gears: int) -> None:
-    if not 0 <= gear < num_gears:
-        raise ValueError(f"first_gear = {gear}: allowed is 0 to {num_gears - 1}")

@@ -32,7 +32,6 @@ class Field:
     note: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse colours without a range."""
         if not self.limit > 0.0:
             raise ValueError(f"the limit of {self.name} is {self.limit}: must be positive")
 

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from fishrl.bounds import bounded, check_bounds
+
 
 @dataclass(frozen=True, kw_only=True)
 class SafeArea:
@@ -21,16 +23,13 @@ class SafeArea:
 
     near_bl: float = 0.4
     far_bl: float = 4.0
-    aside_bl: float = 1.0
-    rim_bl: float = 0.25
+    aside_bl: float = bounded(1.0, greater=0)
+    rim_bl: float = bounded(0.25, least=0)
 
     def __post_init__(self) -> None:
-        """Check that the area is not empty."""
-        if not self.near_bl < self.far_bl or self.aside_bl <= 0.0 or self.rim_bl < 0.0:
-            raise ValueError(
-                f"near_bl = {self.near_bl}, far_bl = {self.far_bl}, aside_bl = {self.aside_bl}, "
-                f"rim_bl = {self.rim_bl}: allowed is near < far, aside > 0, rim >= 0"
-            )
+        check_bounds(self)
+        if not self.near_bl < self.far_bl:
+            raise ValueError(f"near_bl = {self.near_bl}: must be less than far_bl = {self.far_bl}")
 
     def measure_margin(self, place: Tensor) -> Tensor:
         """Return the distance ``[B]`` of positions ``[B, 2]`` from the danger area, in L."""
@@ -56,14 +55,12 @@ class StationReward:
 
     drift_limit_bl: float = 0.05
     work_weight: float = 0.1
-    work_reference: float = 0.1
+    work_reference: float = bounded(0.1, greater=0)
     danger_penalty: float = 5.0
     rim_weight: float = 10.0
 
     def __post_init__(self) -> None:
-        """Validate the reference."""
-        if self.work_reference <= 0.0:
-            raise ValueError(f"work_reference = {self.work_reference}: must be positive")
+        check_bounds(self)
 
     def compute(
         self, *, drift: Tensor, work: Tensor, depth: Tensor, is_in_danger: Tensor

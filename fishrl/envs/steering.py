@@ -79,7 +79,6 @@ class PIDSteering(Steering):
     max_turn_degrees: float = bounded(15.0, greater=0, largest=90)
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         check_bounds(self)
 
     def observe(self, nose: Tensor, middle: Tensor, heading: Tensor) -> Tensor:
@@ -119,7 +118,6 @@ class PolicySteering(Steering):
     decisions_per_T: int = bounded(4, least=1)
 
     def __post_init__(self) -> None:
-        """Check the bounds and the weights."""
         check_bounds(self)
         widths = [self.layers[0][0].shape[1], *(len(bias) for _, bias in self.layers)]
         if widths[0] != 16 or widths[-1] != 3:

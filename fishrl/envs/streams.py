@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import inf, pi
+from math import pi
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from fishrl.bounds import bounded, check_bounds
 from fishrl.envs.protocol import Solver
 from fishrl.envs.wakes import WakeBank, WakeRecipe, load_wakes
 from fishrl.physics.bodies.fish import Fish
@@ -34,7 +35,7 @@ class Stream:
         wake_folder: cache of developed wakes.
     """
 
-    speeds_bl: tuple[float, ...] = (1.0, 1.25, 1.5)
+    speeds_bl: tuple[float, ...] = bounded((1.0, 1.25, 1.5), greater=0)
     has_disc: bool = True
     diameter_bl: float = 0.4
     face_bl: float = 2.5
@@ -43,11 +44,11 @@ class Stream:
     wake_folder: str = "runs/wakes"
 
     def __post_init__(self) -> None:
-        """Validate the speeds, and turn sequences from files into tuples."""
         speeds = tuple(float(speed) for speed in self.speeds_bl)
         object.__setattr__(self, "speeds_bl", speeds)
-        if not speeds or not all(0.0 < speed < inf for speed in speeds):
-            raise ValueError(f"speeds_bl = {speeds}: give at least one, all positive")
+        check_bounds(self)
+        if not speeds:
+            raise ValueError("speeds_bl = (): give at least one")
 
     @property
     def labels(self) -> list[dict[str, Any]]:

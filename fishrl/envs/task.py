@@ -18,6 +18,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from fishrl.bounds import bounded, check_bounds
 from fishrl.envs.protocol import Solver
 from fishrl.envs.scene import Scene
 from fishrl.envs.schedule import make_schedule
@@ -75,24 +76,17 @@ class AbstractTask(ABC):
     max_wall_speed: float = DEFAULT_WALL_SPEED
     domain_bl: tuple[float, float] = (10.0, 5.0)
     wall_margin_bl: float = 0.1
-    num_stacked: int = 4
-    time_limit: int = 30
-    control_interval_T: float = 1.0
+    num_stacked: int = bounded(4, least=1)
+    time_limit: int = bounded(30, least=1)
+    control_interval_T: float = bounded(1.0, greater=0, largest=10)
     checks_per_action: int = 25
 
     def __post_init__(self) -> None:
-        """Validate, and turn sequences from files into tuples."""
         for name in ("n_obs", "num_actions", "num_draws"):
             if not hasattr(type(self), name):
                 raise ValueError(f"{type(self).__name__} has no {name}: give it as a ClassVar[int]")
         object.__setattr__(self, "domain_bl", as_pair("domain_bl", self.domain_bl))
-        for name in ("num_stacked", "time_limit"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} = {getattr(self, name)}: must be at least 1")
-        if not 0.0 < self.control_interval_T <= 10.0:
-            raise ValueError(
-                f"control_interval_T = {self.control_interval_T}: allowed is above 0, up to 10"
-            )
+        check_bounds(self)
         stretches = make_schedule(
             self.n_substeps, checks=self.checks_per_action, samples=self.num_samples
         )

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from fishrl.bounds import bounded, check_bounds
 from fishrl.files import load_tensors, staged
 from fishrl.physics.bodies.motion import Fixed
 from fishrl.physics.cache_key import hash_sources, make_key
@@ -46,24 +47,19 @@ class WakeRecipe:
     config: FlowConfig
     position: tuple[float, float]
     heading: float
-    speeds: tuple[float, ...]
-    num_phases: int = 8
-    num_travels: float = 100.0
+    speeds: tuple[float, ...] = bounded(greater=0)
+    num_phases: int = bounded(8, least=1)
+    num_travels: float = bounded(100.0, greater=0)
 
     def __post_init__(self) -> None:
-        """Validate obstacle, speeds and snapshots."""
+        check_bounds(self)
         if len(self.config.bodies) != 1:
             raise ValueError(
                 f"a wake recipe has {len(self.config.bodies)} bodies: give the obstacle alone; a "
                 "free stream needs no bank"
             )
-        if not self.speeds or min(self.speeds) <= 0.0:
-            raise ValueError(f"speeds = {self.speeds}: give at least one, all positive")
-        if self.num_phases < 1 or self.num_travels <= 0.0:
-            raise ValueError(
-                f"num_phases = {self.num_phases}, num_travels = {self.num_travels}: give at least "
-                "one snapshot, and a positive time"
-            )
+        if not self.speeds:
+            raise ValueError("speeds = (): give at least one")
 
     @property
     def key(self) -> str:

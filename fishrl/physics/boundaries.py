@@ -116,7 +116,6 @@ class NonEquilibrium(Boundary):
     profile: Profile = Profile.UNIFORM
 
     def __post_init__(self) -> None:
-        """Refuse a boundary that prescribes nothing."""
         if self.velocity is None and self.density is None:
             raise ValueError("NonEquilibrium prescribes nothing: give velocity, density or both")
 
@@ -225,7 +224,6 @@ class Boundaries:
     top: Boundary = NonEquilibrium(velocity=(0.0, 0.0))
 
     def __post_init__(self) -> None:
-        """Refuse half a period."""
         for a, b in (("left", "right"), ("bottom", "top")):
             if isinstance(getattr(self, a), Periodic) != isinstance(getattr(self, b), Periodic):
                 raise ValueError(f"{a} and {b} must both be Periodic or neither")

@@ -36,7 +36,6 @@ class Rates:
     flux: float = 1.7
 
     def __post_init__(self) -> None:
-        """Refuse rates outside the stable range (0, 2)."""
         for name, value in (("energy", self.energy), ("flux", self.flux)):
             if not 0.0 < value < 2.0:
                 raise ValueError(f"rates.{name} = {value}: a relaxation rate must lie in (0, 2)")

@@ -24,9 +24,12 @@ class Kernel(ABC):
     support: int
     spectrum: float
 
-    @abstractmethod
     def __call__(self, r: Tensor) -> Tensor:
         """Return phi at the distances ``r`` (nodes), of the same shape."""
+        return self._evaluate(r.abs())
+
+    @abstractmethod
+    def _evaluate(self, a: Tensor) -> Tensor: ...
 
 
 @dataclass(frozen=True)
@@ -36,9 +39,8 @@ class Hat(Kernel):
     support = 2
     spectrum = 1.3
 
-    def __call__(self, r: Tensor) -> Tensor:
-        """Return phi at the distances ``r``."""
-        return (1.0 - r.abs()).clamp_min(0.0)
+    def _evaluate(self, a: Tensor) -> Tensor:
+        return (1.0 - a).clamp_min(0.0)
 
 
 @dataclass(frozen=True)
@@ -48,9 +50,7 @@ class Roma3(Kernel):
     support = 3
     spectrum = 0.9
 
-    def __call__(self, r: Tensor) -> Tensor:
-        """Return phi at the distances ``r``."""
-        a = r.abs()
+    def _evaluate(self, a: Tensor) -> Tensor:
         inner = (1.0 + (1.0 - 3.0 * a * a).clamp_min(0.0).sqrt()) * (1 / 3)
         b = 1.0 - a
         outer = (5.0 - 3.0 * a - (1.0 - 3.0 * b * b).clamp_min(0.0).sqrt()) * (1 / 6)
@@ -64,9 +64,7 @@ class Peskin4(Kernel):
     support = 4
     spectrum = 0.7
 
-    def __call__(self, r: Tensor) -> Tensor:
-        """Return phi at the distances ``r``."""
-        a = r.abs()
+    def _evaluate(self, a: Tensor) -> Tensor:
         inner = (3.0 - 2.0 * a + (1.0 + 4.0 * a - 4.0 * a * a).clamp_min(0.0).sqrt()) * 0.125
         outer = (5.0 - 2.0 * a - (-7.0 + 12.0 * a - 4.0 * a * a).clamp_min(0.0).sqrt()) * 0.125
         return torch.where(a <= 1.0, inner, torch.where(a <= 2.0, outer, torch.zeros_like(a)))

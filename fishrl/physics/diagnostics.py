@@ -144,10 +144,7 @@ def compute_spectral_frequency(signal: Tensor, interval: float) -> float:
     window = torch.hann_window(len(values), periodic=True, dtype=torch.float64)
     power = torch.fft.rfft(values * window.to(values.device)).abs().clamp_min(1e-300).log()
     at = int(power[1:-1].argmax()) + 1
-    before, here, after = power[at - 1 : at + 2].tolist()
-    bend = before - 2.0 * here + after
-    shift = 0.5 * (before - after) / bend if bend else 0.0
-    return (at + shift) / (len(values) * interval)
+    return (at + _fit_peak(power, at)[0]) / (len(values) * interval)
 
 
 def _integrate(values: Tensor, start: Tensor, end: Tensor) -> Tensor:
@@ -165,8 +162,13 @@ def _integrate(values: Tensor, start: Tensor, end: Tensor) -> Tensor:
 def _find_peak(values: Tensor) -> float:
     """Return the largest value, between samples if it is not the first or last."""
     at = int(values.argmax())
-    if at in (0, len(values) - 1):
-        return float(values[at])
+    return float(values[at]) if at in (0, len(values) - 1) else _fit_peak(values, at)[1]
+
+
+def _fit_peak(values: Tensor, at: int) -> tuple[float, float]:
+    """Return place (from ``at``) and height of the parabola through a sample and its neighbours."""
     before, here, after = values[at - 1 : at + 2].tolist()
     bend = before - 2.0 * here + after
-    return float(here - (after - before) ** 2 / (8.0 * bend)) if bend else float(here)
+    if not bend:
+        return 0.0, here
+    return 0.5 * (before - after) / bend, here - (after - before) ** 2 / (8.0 * bend)

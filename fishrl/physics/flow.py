@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from math import inf, isfinite, pi
+from math import pi
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
+from fishrl.bounds import bounded, check_bounds
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
@@ -39,15 +40,13 @@ class Sponge:
         side: which edge.
     """
 
-    length: int
+    length: int = bounded(least=1)
     tau: float = 1.0
     side: Side = Side.RIGHT
 
     def __post_init__(self) -> None:
-        """Refuse a strip without length."""
+        check_bounds(self)
         check_tau(self.tau)
-        if self.length < 1:
-            raise ValueError(f"sponge.length = {self.length}: give at least one node")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,11 +73,11 @@ class FlowConfig:
             traffic, for GPUs (a CPU gains nothing).
     """
 
-    width: int
-    height: int
+    width: int = bounded(least=4)
+    height: int = bounded(least=4)
     tau: float
     stream_speed: float = 1.0
-    ramp_steps: int = 0
+    ramp_steps: int = bounded(0, least=0)
     bodies: tuple[BodyConfig, ...] = ()
     rates: Rates = field(default_factory=Rates)
     boundaries: Boundaries = field(default_factory=Boundaries)
@@ -89,19 +88,9 @@ class FlowConfig:
     storage: Storage = Storage.FLOAT32
 
     def __post_init__(self) -> None:
-        """Refuse a grid too small for its edges or its bodies, and unstable parameters."""
+        check_bounds(self)
         check_tau(self.tau)
         self.force_solve.check(self.kernel)
-        for name, size in (("width", self.width), ("height", self.height)):
-            if not 4 <= size < inf or size != int(size):
-                raise ValueError(
-                    f"{name} = {size}: a flow needs a whole number of nodes, at least 4, along "
-                    "each axis"
-                )
-        if not 0 <= self.ramp_steps < inf:
-            raise ValueError(f"ramp_steps = {self.ramp_steps}: give 0 or more")
-        if not isfinite(self.stream_speed):
-            raise ValueError(f"stream_speed = {self.stream_speed}: give a finite number")
         if self.fish is None and any(isinstance(body, Fish) for body in self.bodies):
             names = [type(body).__name__ for body in self.bodies]
             raise ValueError(f"bodies = {names}: a fish comes first")
@@ -127,11 +116,6 @@ class FlowConfig:
         """The first body, if it is a fish."""
         first = self.bodies[0] if self.bodies else None
         return first if isinstance(first, Fish) else None
-
-    @property
-    def num_markers(self) -> int:
-        """Markers of all bodies together."""
-        return sum(body.num_markers for body in self.bodies)
 
     @property
     def is_still(self) -> bool:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from fishrl.bounds import bounded, check_bounds
 from fishrl.physics.delta import Kernel
 
 
@@ -143,16 +144,11 @@ class IterativeForcing(ForceSolve):
         relaxation: w; stable below 2 / ``kernel.spectrum``.
     """
 
-    num_iterations: int = 4
-    relaxation: float = 1.7
+    num_iterations: int = bounded(4, least=1)
+    relaxation: float = bounded(1.7, greater=0)
 
     def __post_init__(self) -> None:
-        """Refuse an iteration without effect."""
-        if self.num_iterations < 1 or self.relaxation <= 0:
-            raise ValueError(
-                f"num_iterations = {self.num_iterations}, relaxation = {self.relaxation}: give at "
-                "least 1 iteration and a positive relaxation"
-            )
+        check_bounds(self)
 
     @classmethod
     def zhang(cls, num_iterations: int = 10) -> "IterativeForcing":

@@ -7,6 +7,7 @@ the tail, 2 pi a(1) f L, or of the stream, so the budget limits these. nu = L^2 
 
 from dataclasses import dataclass
 
+from fishrl.bounds import bounded, check_bounds
 from fishrl.physics.bodies.gait import CARLING, Gait
 
 # Validated range. Below MIN_TAU the collision is no longer stable for vortices shed in a turn;
@@ -63,26 +64,17 @@ class Scales:
         stream_speed_bl: fastest stream, L / T.
     """
 
-    body_length: int
-    reynolds: float
-    period: int
+    body_length: int = bounded(least=16)
+    reynolds: float = bounded(greater=0)
+    period: int = bounded(least=2)
     gait: Gait = CARLING
-    max_frequency: float = 1.0
-    stream_speed_bl: float = 0.0
+    max_frequency: float = bounded(1.0, greater=0)
+    stream_speed_bl: float = bounded(0.0, least=0)
 
     def __post_init__(self) -> None:
-        """Refuse settings outside the validated range."""
-        if self.body_length < 16:
-            raise ValueError(f"body_length = {self.body_length}: a fish needs at least 16 nodes")
-        if self.reynolds <= 0:
-            raise ValueError(f"reynolds = {self.reynolds}: must be positive")
-        if self.period < 2 or self.period % 2:
-            raise ValueError(f"period = {self.period}: must be an even number of steps, at least 2")
-        if self.max_frequency <= 0 or self.stream_speed_bl < 0:
-            raise ValueError(
-                f"max_frequency = {self.max_frequency}, stream_speed_bl = {self.stream_speed_bl}: "
-                "give a positive frequency and no negative speed"
-            )
+        check_bounds(self)
+        if self.period % 2:
+            raise ValueError(f"period = {self.period}: must be an even number of steps")
         fastest, name = max((self.tail_speed, "tail speed"), (self.stream_speed, "stream speed"))
         if fastest > MAX_WALL_SPEED * (1.0 + 1e-9):  # a budget at its limit may round up
             raise ValueError(
@@ -104,14 +96,8 @@ class Scales:
     ) -> "Scales":
         """Choose the shortest even period that keeps tail and stream within ``max_wall_speed``.
 
-        Args:
-            body_length: L in nodes.
-            reynolds: Re_f = L^2 / (T nu).
-            max_wall_speed: largest speed of tail and stream, nodes per step; times sqrt(3) it is a
-                Mach number.
-            gait: sets the tail's speed.
-            max_frequency: fastest beat that will be commanded, tail beats per T.
-            stream_speed_bl: fastest stream, L / T.
+        ``max_wall_speed`` is in nodes per step; times sqrt(3) it is a Mach number. The other
+        arguments are those of the class.
         """
         if not 0.0 < max_wall_speed <= MAX_WALL_SPEED:
             raise ValueError(

@@ -134,7 +134,7 @@ def test_a_shorter_interval_takes_fewer_steps_and_is_timed_in_periods() -> None:
     assert after["observation"][0, 0] - first[0] == pytest.approx(-0.2, abs=0.01)
     time = after["lateral_line"][0, :, 0, 0]
     torch.testing.assert_close(time, torch.tensor([0.25, 0.5]), rtol=0, atol=0.01)
-    with pytest.raises(ValueError, match=r"control_interval_T = 0\.0: allowed is above 0"):
+    with pytest.raises(ValueError, match=r"control_interval_T = 0\.0: must be greater than 0"):
         make_task(control_interval_T=0.0)
 
 
@@ -279,7 +279,7 @@ def test_starts_that_cannot_be_are_refused(key: str, value: float, message: str)
 
 @pytest.mark.parametrize("speeds", [(), (0.0, 1.0)])
 def test_streams_that_stand_still_are_refused(speeds: tuple[float, ...]) -> None:
-    with pytest.raises(ValueError, match="give at least one, all positive"):
+    with pytest.raises(ValueError, match="speeds_bl = "):
         Stream(speeds_bl=speeds)
 
 

@@ -196,7 +196,7 @@ def test_a_capture_just_before_a_wall_is_a_capture() -> None:
 
 BAD_ARGUMENTS: dict[str, tuple[dict[str, Any], str]] = {
     "direction": ({"food_direction": "upp"}, r"food_direction = 'upp'.*did you mean 'up'"),
-    "radius": ({"capture_radius_bl": 0.0}, r"capture_radius_bl = 0.0: must be positive"),
+    "radius": ({"capture_radius_bl": 0.0}, r"capture_radius_bl = 0.0: must be greater than 0"),
     "limits": ({"food_limits_bl": (3.5, 1.5)}, r"lower limit <= food_y_bl <= upper limit"),
     "starts": ({"start_x_bl": (9.5, 9.9)}, r"does not fit; widen the ranges"),
     "in reach": ({"start_x_bl": (2.0, 7.5)}, r"may start with its food in reach"),

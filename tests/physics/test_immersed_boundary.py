@@ -112,7 +112,7 @@ def test_direct_solve_is_the_limit_of_the_iteration() -> None:
 
 @pytest.mark.parametrize("bad", [{"num_iterations": 0}, {"relaxation": -1.0}])
 def test_an_iteration_that_does_nothing_is_refused(bad: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match="at least 1 iteration and a positive relaxation"):
+    with pytest.raises(ValueError, match=next(iter(bad))):
         IterativeForcing(**bad)
 
 

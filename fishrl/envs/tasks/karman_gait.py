@@ -83,7 +83,6 @@ class KarmanGait(AbstractTask):
     repeats_frequency: bool = False
 
     def __post_init__(self) -> None:
-        """Check that flows, rows and starts are consistent."""
         for name in ("start_x_bl", "start_y_bl"):
             object.__setattr__(self, name, as_pair(name, getattr(self, name)))
         object.__setattr__(self, "start_flows", tuple(self.start_flows))

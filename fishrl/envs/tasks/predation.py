@@ -1,6 +1,5 @@
 """Predation, the paper's first task: catch moving food without touching a wall."""
 
-import difflib
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
@@ -11,6 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from fishrl.bounds import bounded, suggest
 from fishrl.envs.protocol import Solver
 from fishrl.envs.rewards import reward_approach
 from fishrl.envs.scene import Marks, Panel, Scene, Series
@@ -30,8 +30,7 @@ class FoodDirection(Enum):
         """Find a direction by its name in lower case."""
         known = [direction.name.lower() for direction in cls]
         if name not in known:
-            near = difflib.get_close_matches(str(name).lower(), known, n=1, cutoff=0.3)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
+            hint = suggest(str(name).lower(), known)
             raise ValueError(f"food_direction = {name!r}: allowed is one of {known}{hint}")
         return cls[name.upper()]
 
@@ -74,22 +73,16 @@ class Predation(AbstractTask):
     food_x_bl: float = 2.5
     food_y_bl: float = 2.5
     food_limits_bl: tuple[float, float] = (1.5, 3.5)
-    food_still_T: float = 5.0
-    food_speed_bl: float = 0.3
+    food_still_T: float = bounded(5.0, least=0)
+    food_speed_bl: float = bounded(0.3, least=0)
     food_direction: str = "up"
-    capture_radius_bl: float = 0.25
+    capture_radius_bl: float = bounded(0.25, greater=0)
 
     def __post_init__(self) -> None:
-        """Validate food, starts and capture radius."""
         for name in ("start_x_bl", "start_y_bl", "food_limits_bl"):
             object.__setattr__(self, name, as_pair(name, getattr(self, name)))
         super().__post_init__()
         FoodDirection.parse(self.food_direction)
-        if self.capture_radius_bl <= 0.0:
-            raise ValueError(f"capture_radius_bl = {self.capture_radius_bl}: must be positive")
-        for name in ("food_still_T", "food_speed_bl"):
-            if getattr(self, name) < 0.0:
-                raise ValueError(f"{name} = {getattr(self, name)}: must not be negative")
         low, high = self.food_limits_bl
         width, height = self.domain_bl
         if not 0.0 < low <= self.food_y_bl <= high < height or low == high:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
+from fishrl.bounds import bounded
 from fishrl.physics.bodies.gait import CARLING, Gait
 from fishrl.physics.bodies.midline import MidlineParams
 from fishrl.physics.bodies.motion import Commanded, Motion
@@ -32,7 +33,7 @@ class Fish(BodyConfig):
         motion: commanded heading by default.
     """
 
-    body_length: float
+    body_length: float = bounded(least=16)
     section: Section = Section.NACA
     thickness: float = 0.12
     gait: Gait = CARLING
@@ -41,11 +42,6 @@ class Fish(BodyConfig):
     motion: Motion = field(default_factory=Commanded)
 
     def __post_init__(self) -> None:
-        """Refuse a fish that the nodes cannot resolve."""
-        if self.body_length < 16:
-            raise ValueError(
-                f"body_length = {self.body_length} nodes: a fish needs at least 16 nodes"
-            )
         slope = float(np.hypot(*self.gait.evaluate_modes(_COARSE, 1)[:2]).max())
         if self.keeps_length and slope > 0.95:
             raise ValueError(
@@ -84,19 +80,20 @@ class Fish(BodyConfig):
         x = axial / self.body_length
         modes = self.body_length * self.gait.evaluate_modes(x)
         waves = [wave - integrate(2.0 * h * wave) / area for wave in modes]
-        values = to_tensors(
-            device,
-            axial=places[:, 0] - centre,
-            lateral=places[:, 1],
-            spacing=spacing,
-            modes=np.stack([np.interp(places[:, 0], axial, wave) for wave in waves]),
-            moments=np.array([integrate(2.0 * h * (axial - centre) * wave) for wave in waves]),
-            gram=np.array([[integrate(2.0 * h * a * b) for b in waves] for a in waves]),
-            area=area,
-            inertia=integrate(2.0 * h * (axial - centre) ** 2 + 2.0 / 3.0 * h**3),
-            density_ratio=self.density_ratio,
+        return ShearParams(
+            **to_tensors(
+                device,
+                axial=places[:, 0] - centre,
+                lateral=places[:, 1],
+                spacing=spacing,
+                modes=np.stack([np.interp(places[:, 0], axial, wave) for wave in waves]),
+                moments=np.array([integrate(2.0 * h * (axial - centre) * wave) for wave in waves]),
+                gram=np.array([[integrate(2.0 * h * a * b) for b in waves] for a in waves]),
+                area=area,
+                inertia=integrate(2.0 * h * (axial - centre) ** 2 + 2.0 / 3.0 * h**3),
+                density_ratio=self.density_ratio,
+            )
         )
-        return ShearParams(**values)
 
     def _make_midline(self, device: torch.device | str) -> MidlineParams:
         """Put points on the midline, four between neighbouring markers of one side."""
@@ -114,16 +111,17 @@ class Fish(BodyConfig):
         modes = [
             s * self.gait.evaluate_modes(fine / self.body_length, k) for k, s in enumerate(scales)
         ]
-        values = to_tensors(
-            device,
-            spacing=spacing,
-            lateral=places[:, 1],
-            station=np.concatenate((own, own[-2:0:-1])),
-            step=step,
-            weight=0.5 * (step + np.append(step[1:], 0.0)),
-            half=self.body_length * half_thickness,
-            modes=np.stack(modes, 1),
-            area=self.area,
-            density_ratio=self.density_ratio,
+        return MidlineParams(
+            **to_tensors(
+                device,
+                spacing=spacing,
+                lateral=places[:, 1],
+                station=np.concatenate((own, own[-2:0:-1])),
+                step=step,
+                weight=0.5 * (step + np.append(step[1:], 0.0)),
+                half=self.body_length * half_thickness,
+                modes=np.stack(modes, 1),
+                area=self.area,
+                density_ratio=self.density_ratio,
+            )
         )
-        return MidlineParams(**values)

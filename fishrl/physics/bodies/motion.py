@@ -7,6 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from fishrl.bounds import bounded, check_bounds
 from fishrl.physics.bodies.state import BodyState
 
 
@@ -52,12 +53,10 @@ class Fixed(Motion):
     is_still: ClassVar[bool] = True
 
     kick_speed: float = 0.0
-    kick_steps: int = 1
+    kick_steps: int = bounded(1, least=1)
 
     def __post_init__(self) -> None:
-        """Refuse a kick without length."""
-        if self.kick_steps < 1:
-            raise ValueError(f"kick_steps = {self.kick_steps}: a kick takes at least one step")
+        check_bounds(self)
 
     def prescribe(self, body: BodyState) -> tuple[Tensor, Tensor]:
         """Return zero, apart from the initial kick."""

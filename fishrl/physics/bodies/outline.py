@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from fishrl.bounds import bounded, check_bounds
 from fishrl.physics.bodies.midline import MidlineParams
 from fishrl.physics.bodies.motion import Fixed, Motion
 from fishrl.physics.bodies.sections import Section
@@ -41,24 +42,14 @@ class BodyConfig(ABC):
         motion: what moves the body.
     """
 
-    density_ratio: float = 1.0
-    marker_spacing: float = 1.0
-    inset: float = 0.45
+    density_ratio: float = bounded(1.0, least=1)
+    marker_spacing: float = bounded(1.0, least=0.5, largest=2)
+    inset: float = bounded(0.45, least=0, largest=1)
     num_markers: int = 0
     motion: Motion = field(default_factory=Fixed)
 
     def __post_init__(self) -> None:
-        """Refuse a body that the markers cannot resolve, and choose their number."""
-        if self.density_ratio < 1.0:
-            raise ValueError(
-                f"density_ratio = {self.density_ratio}: allowed is 1 (neutrally buoyant) and above"
-            )
-        if not 0.5 <= self.marker_spacing <= 2.0:
-            raise ValueError(
-                f"marker_spacing = {self.marker_spacing}: allowed is 0.5 to 2 nodes, 1 is usual"
-            )
-        if not 0.0 <= self.inset <= 1.0:
-            raise ValueError(f"inset = {self.inset}: allowed is 0 to 1 node")
+        check_bounds(self)
         perimeter = float(sum(self._lengths))
         if self.num_markers == 0:
             counts = [max(8, round(s / self.marker_spacing)) for s in self._lengths]
@@ -147,19 +138,20 @@ class BodyConfig(ABC):
         area, centre, inertia = self._moments
         axial, lateral = (places - centre).T
         zeros = np.zeros((1, len(axial)))
-        values = to_tensors(
-            device,
-            axial=axial,
-            lateral=lateral,
-            spacing=spacing,
-            modes=zeros,
-            moments=zeros[:, 0],
-            gram=zeros[:, :1],
-            area=area,
-            inertia=inertia,
-            density_ratio=self.density_ratio,
+        return ShearParams(
+            **to_tensors(
+                device,
+                axial=axial,
+                lateral=lateral,
+                spacing=spacing,
+                modes=zeros,
+                moments=zeros[:, 0],
+                gram=zeros[:, :1],
+                area=area,
+                inertia=inertia,
+                density_ratio=self.density_ratio,
+            )
         )
-        return ShearParams(**values)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,13 +163,11 @@ class Ellipse(BodyConfig):
         width: axis across it, nodes.
     """
 
-    length: float
-    width: float
+    length: float = bounded(least=8)
+    width: float = bounded(least=8)
 
     def draw(self) -> list[Points]:
         """Return one piece, from the nose round."""
-        _check_size("length", self.length)
-        _check_size("width", self.width)
         angle = np.pi - np.linspace(0.0, 2.0 * np.pi, _STATIONS)
         x, y = 0.5 * self.length * np.cos(angle), 0.5 * self.width * np.sin(angle)
         return [np.stack([x, y], -1)]
@@ -191,7 +181,7 @@ class Cylinder(BodyConfig):
         diameter: D in nodes.
     """
 
-    diameter: float
+    diameter: float = bounded(least=8)
 
     def draw(self) -> list[Points]:
         """Return one piece, from the nose round."""
@@ -209,11 +199,10 @@ class DCylinder(BodyConfig):
         diameter: D in nodes, the length of the flat side.
     """
 
-    diameter: float
+    diameter: float = bounded(least=8)
 
     def draw(self) -> list[Points]:
         """Return the two quarters of the round side and the flat side between them."""
-        _check_size("diameter", self.diameter)
         angle = np.pi - np.linspace(0.0, 0.5 * np.pi, _STATIONS)
         radius = 0.5 * self.diameter
         upper = radius * np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -230,12 +219,11 @@ class Foil(BodyConfig):
         thickness: largest thickness in chords (0.12 for NACA0012).
     """
 
-    chord: float
+    chord: float = bounded(least=8)
     thickness: float = 0.12
 
     def draw(self) -> list[Points]:
         """Return the upper side to the trailing edge and the lower side back."""
-        _check_size("chord", self.chord)
         return draw_section(Section.NACA, self.chord, self.thickness)
 
 
@@ -257,8 +245,3 @@ def to_tensors(device: torch.device | str, **values: NDArray[Any] | float) -> di
 def _measure_arc(piece: Points) -> Points:
     """Return the arc length from the first point to each, ``[n]``."""
     return np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(piece, axis=0).T))))
-
-
-def _check_size(name: str, value: float) -> None:
-    if value < 8.0:
-        raise ValueError(f"{name} = {value} nodes: a body needs at least 8 nodes along each axis")

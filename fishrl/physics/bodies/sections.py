@@ -8,48 +8,35 @@ from numpy.typing import NDArray
 _Values = NDArray[np.float64]
 
 
-def compute_naca_half_thickness(x: _Values, thickness: float) -> _Values:
-    """Return the half-thickness of a symmetric NACA 4-digit section, closed trailing edge.
-
-    Args:
-        x: distance from the nose in body lengths.
-        thickness: largest thickness in body lengths (0.12 for NACA0012).
-
-    Source: Jacobs, Ward & Pinkerton 1933, with -0.1036 x^4 for a closed trailing edge.
-    """
-    poly = 0.2969 * np.sqrt(x) - 0.1260 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1036 * x**4
-    return np.asarray(5.0 * thickness * poly, dtype=np.float64)
-
-
-def compute_eel_half_thickness(x: _Values, thickness: float) -> _Values:
-    """Return the half-thickness of the two-dimensional eel of Kern & Koumoutsakos 2006.
-
-    A round head of radius w = thickness / 2, a body that thins linearly from w at x = w to w / 4 at
-    0.95, and a pointed tail.
-
-    Args:
-        x: distance from the nose in body lengths.
-        thickness: largest thickness in body lengths (0.08 in the source).
-
-    Source: as in the open-source CubismUP 2D, ``CarlingFish``: w = 0.04, 0.01 at the tail.
-    """
-    head, tail, tail_at = 0.5 * thickness, 0.125 * thickness, 0.95
-    body = head - (head - tail) * (x - head) / (tail_at - head)
-    values = np.where(x < head, np.sqrt(np.maximum(2.0 * head * x - x * x, 0.0)), body)
-    values = np.where(x > tail_at, tail * (1.0 - x) / (1.0 - tail_at), values)
-    return np.asarray(values, dtype=np.float64)
-
-
 class Section(Enum):
-    """A family of half-thicknesses."""
+    """A family of half-thicknesses.
+
+    ``NACA``: symmetric NACA 4-digit section (Jacobs, Ward & Pinkerton 1933), with -0.1036 x^4 for a
+    closed trailing edge; thickness 0.12 for NACA0012.
+
+    ``EEL``: the two-dimensional eel of Kern & Koumoutsakos 2006, as in the open-source CubismUP 2D
+    (``CarlingFish``, thickness 0.08): a round head of radius w = thickness / 2, a body that thins
+    linearly from w at x = w to w / 4 at 0.95, and a pointed tail.
+    """
 
     NACA = "naca"
     EEL = "eel"
 
     def compute_half_thickness(self, x: _Values, thickness: float) -> _Values:
-        """Return the half-thickness at ``x``, both in body lengths."""
+        """Return the half-thickness at ``x`` from the nose; both in body lengths."""
         if not 0.0 < thickness <= 0.4:
             raise ValueError(f"thickness = {thickness}: allowed is (0, 0.4] body lengths")
-        if self is Section.EEL:
-            return compute_eel_half_thickness(x, thickness)
-        return np.maximum(compute_naca_half_thickness(x, thickness), 0.0)
+        values = _draw_eel(x, thickness) if self is Section.EEL else _draw_naca(x, thickness)
+        return np.maximum(values, 0.0)
+
+
+def _draw_naca(x: _Values, thickness: float) -> _Values:
+    poly = 0.2969 * np.sqrt(x) - 0.1260 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1036 * x**4
+    return np.asarray(5.0 * thickness * poly, dtype=np.float64)
+
+
+def _draw_eel(x: _Values, thickness: float) -> _Values:
+    head, tail, tail_at = 0.5 * thickness, 0.125 * thickness, 0.95
+    body = head - (head - tail) * (x - head) / (tail_at - head)
+    values = np.where(x < head, np.sqrt(np.maximum(2.0 * head * x - x * x, 0.0)), body)
+    return np.where(x > tail_at, tail * (1.0 - x) / (1.0 - tail_at), values)

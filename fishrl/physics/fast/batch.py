@@ -8,9 +8,7 @@ from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.collision import compute_macroscopic
-from fishrl.physics.fast.compiled import Kernel
 from fishrl.physics.fast.layout import FlowData, FlowMemory, InPlaceLayout
-from fishrl.physics.fast.probes import sample_flow
 from fishrl.physics.fast.step import FlowGroup, Scratch, Stepper
 from fishrl.physics.flow import FlowConfig, make_params
 
@@ -58,7 +56,7 @@ class FlowBatch:
         self.stepper = Stepper(config, self.layout, self.first)
 
     def _make_group(self, number: int) -> FlowGroup:
-        own = self._rows(number)
+        own = self.rows_of(number)
         return FlowGroup(
             config=self._config,
             layout=self.layout,
@@ -68,7 +66,7 @@ class FlowBatch:
             flow=pytree.tree_map(lambda t: t[own], self.flow),
         )
 
-    def _rows(self, number: int) -> slice:
+    def rows_of(self, number: int) -> slice:
         """Return which flows of the batch are in a group."""
         return slice(number * self._size, (number + 1) * self._size)
 
@@ -84,46 +82,41 @@ class FlowBatch:
             self._omega.fill_(1.0)
             self.layout.strip_rings(self._omega).copy_(omega)
 
-    def find_groups(self, rows: Tensor) -> list[int]:
-        """Return the groups of the flows in ``rows`` ``[B]``."""
-        return rows.view(-1, self._size).any(-1).nonzero()[:, 0].tolist()
-
     def advance_(self, num_steps: int, wanted: Collection[int]) -> None:
         """Advance those of this process's groups that are wanted."""
         for number, group in self.groups.items():
             if number in wanted:
                 self.stepper.advance_(group, num_steps)
 
-    def fill_(self, rows: Tensor, f: Sequence[Tensor]) -> None:
-        """Set the flows in ``rows`` ``[B]`` to uniform populations, nine of ``[B]``."""
-        for number, group in self.groups.items():
-            own = self._rows(number)
-            if self._size > 1 or rows[own].item():
-                group.fill_(rows[own], [value[own] for value in f])
-
-    def write_(self, rows: Tensor, f: Tensor) -> None:
-        """Set the flows in ``rows`` ``[B]`` to populations ``[B, Q, Y, X]``."""
-        for number, group in self.groups.items():
-            own = self._rows(number)
-            group.write_(rows[own], f[own].unbind(1))
-
-    def read(self) -> Tensor:
-        """Return a copy of the incoming populations ``[B, Q, Y, X]``."""
-        return torch.cat([torch.stack(group.read(), 1) for group in self.groups.values()])
-
-    def read_macroscopic(self) -> tuple[Tensor, Tensor]:
-        """Return density ``[B, Y, X]`` and velocity ``[B, 2, Y, X]``."""
-        fluids = [compute_macroscopic(group.read()) for group in self.groups.values()]
-        velocities = [torch.stack((fluid.ux, fluid.uy), 1) for fluid in fluids]
-        return torch.cat([fluid.rho for fluid in fluids]), torch.cat(velocities)
-
     def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Return density ``[B, P]`` and velocity ``[B, P, 2]`` at points ``[B, P, 2]``."""
-        return sample_flow(self._data, self.layout, self._config.storage, points)
+        """Read density and velocity between the nodes, bilinearly, before an even step.
 
-    def is_fine(self) -> Tensor:
-        """Return ``[B]``: whether everything is finite and slower than ``MAX_SPEED``."""
-        return torch.cat([self.stepper.is_fine(group) for group in self.groups.values()])
+        Args:
+            points: ``[B, P, 2]`` (x, y) in nodes; those outside the grid are moved to its edge.
+
+        Returns:
+            Density ``[B, P]`` and velocity ``[B, P, 2]``, float32.
+        """
+        layout, decode, device = self.layout, self._config.storage.decode, points.device
+        last = torch.tensor([layout.width - 1.0, layout.height - 1.0], device=device)
+        place = torch.minimum(points.nan_to_num().clamp_min(0.0), last.to(points))
+        first = torch.minimum(place.floor(), last.to(points) - 1.0)
+        right, up = (place - first).float().unbind(-1)
+        x, y = first.long().unbind(-1)
+        node = y * layout.row_length + x
+        above = node + layout.row_length
+        corners = torch.stack((node, node + 1, above, above + 1), 1)
+        weights = torch.stack(
+            ((1 - up) * (1 - right), (1 - up) * right, up * (1 - right), up * right), 1
+        )
+        flow = torch.arange(len(points), device=device)[:, None, None]
+        group, own = flow // layout.num_envs, flow % layout.num_envs
+        cells = corners + own * layout.flow_length + layout.first_cell
+        f = [decode(self._data[group, cells + offset]) for offset in layout.offsets(0, False)]
+        fluid = compute_macroscopic(f)
+        values = torch.stack((fluid.rho, fluid.ux, fluid.uy), -1)
+        mean = (weights[..., None] * values).sum(1)
+        return mean[..., 0], mean[..., 1:]
 
     def name_state(self) -> list[tuple[str, Tensor]]:
         """Return everything that the future depends on, by name."""
@@ -132,17 +125,6 @@ class FlowBatch:
         # states saved so far call the bodies' parameters "shapes"
         named = [(n.replace("params.bodies", "params.shapes"), leaf) for n, leaf in named]
         return [("data", self._data), ("omega", self._omega), *named]
-
-    def list_calls(self) -> dict[str, list[tuple[Kernel, Sequence[Tensor]]]]:
-        """Return each part of a step of the first group: its calls in an even and an odd step."""
-        kernels, arguments = self.stepper.kernels, self.first.arguments
-        names = [name for name in kernels if name not in ("locate", "check")]
-        return {name: [(kernels[name], given) for given in arguments[name]] for name in names}
-
-    def wrap_kernels_(self, wrap: Callable[[str, Kernel], Kernel]) -> None:
-        """Replace each part of the step by ``wrap(name, part)``, to measure it."""
-        for name in self.list_calls():
-            self.stepper.kernels[name] = wrap(name, self.stepper.kernels[name])
 
 
 def _make_fresh(configs: Sequence[FlowConfig], device: torch.device) -> FlowData:

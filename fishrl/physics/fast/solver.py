@@ -11,7 +11,7 @@ from torch.utils import _pytree as pytree
 from fishrl.physics.bodies.geometry import Markers, deform_body, locate_markers, place_markers
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState, make_body
-from fishrl.physics.collision import compute_equilibrium
+from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
 from fishrl.physics.fast.batch import FlowBatch
 from fishrl.physics.fast.compiled import Kernel, find_compiler_problem
 from fishrl.physics.fast.workers import Job, SharedMemory, Workers, count_cores
@@ -154,8 +154,8 @@ class InPlaceSolver:
             raise RuntimeError("this solver is closed and cannot advance: make a new one")
         self.compile()
         is_one_launch = self.device.type == "cuda" and self._group_size == self.num_envs
-        chosen = self._choose(rows)
-        groups = [0] if is_one_launch else self._batch.find_groups(chosen)
+        chosen = self._choose(rows).view(-1, self._group_size).any(-1)
+        groups = [0] if is_one_launch else chosen.nonzero()[:, 0].tolist()
         if self._workers is not None:
             self._workers.advance_(num_steps, groups)
         else:
@@ -205,9 +205,11 @@ class InPlaceSolver:
             own.copy_(torch.where(rows.view(-1, *(1,) * (own.dim() - 1)), value, own))
         speed = self.stream_speed.float()
         still = torch.zeros_like(speed)
-        self._batch.fill_(
-            rows, compute_equilibrium(still, velocity[0] * speed, velocity[1] * speed)
-        )
+        f = compute_equilibrium(still, velocity[0] * speed, velocity[1] * speed)
+        for number, group in self._batch.groups.items():
+            own = self._batch.rows_of(number)
+            if self._group_size > 1 or rows[own].item():
+                group.fill_(rows[own], [value[own] for value in f])
 
     @property
     def stream_speed(self) -> Tensor:
@@ -221,7 +223,10 @@ class InPlaceSolver:
 
     def set_populations_(self, f: Tensor, rows: Tensor | None = None) -> None:
         """Set all flows, or those of ``rows`` ``[B]``, to shifted populations ``[B, Q, Y, X]``."""
-        self._batch.write_(self._choose(rows), f)
+        rows = self._choose(rows)
+        for number, group in self._batch.groups.items():
+            own = self._batch.rows_of(number)
+            group.write_(rows[own], f[own].unbind(1))
 
     def command_(self, turn: Tensor, num_steps: int, frequency: Tensor | None = None) -> None:
         """Order the first body to turn and, optionally, to beat at a new frequency.
@@ -242,11 +247,13 @@ class InPlaceSolver:
 
     def populations(self) -> Tensor:
         """Return a copy of the incoming populations ``[B, Q, Y, X]`` (shifted)."""
-        return self._batch.read()
+        return torch.cat([torch.stack(g.read(), 1) for g in self._batch.groups.values()])
 
     def macroscopic(self) -> tuple[Tensor, Tensor]:
         """Return density ``[B, Y, X]`` and velocity ``[B, 2, Y, X]``."""
-        return self._batch.read_macroscopic()
+        fluids = [compute_macroscopic(group.read()) for group in self._batch.groups.values()]
+        velocities = [torch.stack((fluid.ux, fluid.uy), 1) for fluid in fluids]
+        return torch.cat([fluid.rho for fluid in fluids]), torch.cat(velocities)
 
     def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Return density ``[B, P]`` and velocity ``[B, P, 2]`` at points ``[B, P, 2]`` (x, y)."""
@@ -258,19 +265,11 @@ class InPlaceSolver:
         return self._batch.sample(points.to(self.device))
 
     def markers(self, index: int = 0) -> Tensor:
-        """Return the closed outline ``[B, N, 2]`` of a body in nodes, nose first.
-
-        Args:
-            index: of the body.
-        """
+        """Return the closed outline ``[B, N, 2]`` of a body in nodes, nose first."""
         return locate_markers(*self._get_body(index))
 
     def surface(self, index: int = 0) -> Markers:
-        """Return the markers of a body with their arms and deformation velocities.
-
-        Args:
-            index: of the body.
-        """
+        """Return the markers of a body with their arms and deformation velocities."""
         config, params, state = self._get_body(index)
         return place_markers(state, deform_body(config, params, state))
 
@@ -288,7 +287,8 @@ class InPlaceSolver:
 
     def is_diverged(self) -> Tensor:
         """Return ``[B]``: not finite, too fast for the method, or a body outside the grid."""
-        fine = self._batch.is_fine()
+        batch = self._batch
+        fine = torch.cat([batch.stepper.is_fine(group) for group in batch.groups.values()])
         size = torch.tensor([self.config.width, self.config.height], device=self.device)
         for index in range(len(self.bodies)):
             markers = self.markers(index)
@@ -316,11 +316,14 @@ class InPlaceSolver:
 
     def list_calls(self) -> dict[str, list[tuple[Kernel, Sequence[Tensor]]]]:
         """Return the calls that an even and an odd step of the first group make, by part."""
-        return self._batch.list_calls()
+        kernels, arguments = self._batch.stepper.kernels, self._batch.first.arguments
+        names = [name for name in kernels if name not in ("locate", "check")]
+        return {name: [(kernels[name], given) for given in arguments[name]] for name in names}
 
     def wrap_kernels_(self, wrap: Callable[[str, Kernel], Kernel]) -> None:
         """Replace each part of the step in this process by ``wrap(name, part)``, to measure it."""
-        self._batch.wrap_kernels_(wrap)
+        kernels = self._batch.stepper.kernels
+        kernels |= {name: wrap(name, kernels[name]) for name in self.list_calls()}
 
 
 def _spread_starts(
@@ -336,10 +339,9 @@ def _spread_starts(
         ValueError: if there is not one for each body of each flow.
     """
     shape = num_envs, max(1, len(config.bodies))
-    if position is None:
-        position = torch.tensor([0.5 * config.width, 0.5 * config.height]).expand(*shape, 2)
-    if heading is None:
-        heading = torch.zeros(shape)
+    middle = torch.tensor([0.5 * config.width, 0.5 * config.height]).expand(*shape, 2)
+    position = middle if position is None else position
+    heading = torch.zeros(shape) if heading is None else heading
     got = tuple(position.shape), tuple(heading.shape)
     position, heading = position.to(device, torch.float64), heading.to(device, torch.float64)
     if shape[1] == 1:

@@ -10,7 +10,7 @@ from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.geometry import deform_body, place_markers
 from fishrl.physics.bodies.motion import Driven, Fixed, Free, Oscillating
 from fishrl.physics.bodies.outline import BodyConfig, Cylinder, DCylinder, Ellipse, Foil
-from fishrl.physics.bodies.sections import Section, compute_eel_half_thickness
+from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.shear import ShearParams
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.diagnostics import compute_area
@@ -99,7 +99,7 @@ def test_an_inset_moves_every_marker_inwards_and_keeps_the_mass() -> None:
 
 
 def test_the_eel_has_the_thickness_of_its_source() -> None:
-    at = compute_eel_half_thickness(np.array([0.0, 0.04, 0.95, 1.0]), 0.08)
+    at = Section.EEL.compute_half_thickness(np.array([0.0, 0.04, 0.95, 1.0]), 0.08)
     assert at.tolist() == pytest.approx([0.0, 0.04, 0.01, 0.0])
     fish = Fish(body_length=100, section=Section.EEL, thickness=0.08)
     assert float(fish.draw()[0][:, 1].max()) == pytest.approx(4.0, abs=1e-3)
@@ -139,14 +139,14 @@ def test_a_driven_body_keeps_its_velocity_and_a_free_one_has_no_prescription() -
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Ellipse(length=20, width=3), "width = 3 nodes"),
+        (lambda: Ellipse(length=20, width=3), "width = 3: must be at least 8"),
         (lambda: Foil(chord=50, thickness=0.6), "thickness = 0.6"),
         (lambda: Fixed(kick_steps=0), "kick_steps = 0"),
         (lambda: Cylinder(diameter=40, num_markers=500), "0.25 nodes apart"),
         (lambda: Cylinder(diameter=40, density_ratio=0.5), "density_ratio = 0.5"),
         (lambda: Cylinder(diameter=40, marker_spacing=3.0), "marker_spacing = 3.0"),
         (lambda: Cylinder(diameter=40, inset=1.5), "inset = 1.5"),
-        (lambda: Fish(body_length=10), "at least 16 nodes"),
+        (lambda: Fish(body_length=10), "body_length = 10: must be at least 16"),
     ],
 )
 def test_bodies_that_cannot_be_are_refused(make: object, message: str) -> None:
