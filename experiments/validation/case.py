@@ -1,18 +1,17 @@
-"""The interface of a validation case: runs, checks of their results, and a figure."""
+"""A validation case: its runs, checks of their results, and a figure."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+import inspect
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field
 from math import inf, isfinite
-from typing import Any, TypeVar
+from typing import Any
 
 from matplotlib.figure import Figure
 
 Result = dict[str, Any]
-Results = Mapping[str, Result]  # by the label of the job
-Reference = float | tuple[float, float] | None
-Key = TypeVar("Key", bound=Hashable)
+Range = tuple[float, float]
 
 PASS, MISSED, RECORDED = "pass", "MISSED", "recorded"
 
@@ -22,19 +21,57 @@ class Job:
     """One run of a case, in a process of its own, on one thread.
 
     Args:
-        label: unique within the case, such as "D = 40".
         function: at the top of a module, so that another process finds it; returns JSON types.
-        arguments: keywords of ``function``, JSON types likewise.
+        arguments: keywords of ``function``, JSON types likewise; unique within the case.
         cost: node-steps, roughly; the most expensive jobs start first.
+        is_quick: whether it belongs to the quick runs.
     """
 
-    label: str
     function: Callable[..., Result]
-    arguments: Mapping[str, Any] = field(default_factory=dict)
+    arguments: dict[str, Any] = field(default_factory=dict)
     cost: float = 1.0
+    is_quick: bool = False
+
+    @property
+    def label(self) -> str:
+        """The call, such as ``drive_cavity(size=64)``."""
+        return (
+            f"{self.function.__name__}({', '.join(f'{k}={v}' for k, v in self.arguments.items())})"
+        )
+
+    @property
+    def defaults(self) -> dict[str, Any]:
+        """Defaults of the function's arguments."""
+        parameters = inspect.signature(self.function).parameters
+        return {name: parameter.default for name, parameter in parameters.items()}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
+class Runs:
+    """Finished runs of a case, found by their arguments; what is not given has its default."""
+
+    finished: Sequence[tuple[Job, Result]]
+
+    def by(self, name: str, **arguments: Any) -> dict[Any, Result]:
+        """Return the runs with these other arguments, by the value of the argument ``name``."""
+        found = {}
+        for job, result in self.finished:
+            given = job.defaults | job.arguments
+            if name in given and given == job.defaults | arguments | {name: given[name]}:
+                found[given[name]] = result
+        return found
+
+    def read(self, key: str, name: str, **arguments: Any) -> dict[Any, Any]:
+        """Return one entry of the results of ``by``."""
+        return {value: run[key] for value, run in self.by(name, **arguments).items()}
+
+    def get(self, **arguments: Any) -> Result | None:
+        """Return the run with these arguments, or None."""
+        name, value = next(iter(arguments.items()))
+        return self.by(name, **arguments).get(value)
+
+
+@dataclass(frozen=True)
 class Check:
     """One number beside its reference.
 
@@ -44,8 +81,8 @@ class Check:
         reference: a number, or a range (low, high) with ``inf`` where it is open; None for what
             is measured for the record.
         source: where the reference comes from.
-        tolerance: largest accepted distance from the reference. None with a number: the two stand
-            beside each other and nothing is judged. A range needs none: inside is right.
+        tolerance: largest accepted distance from the reference. None with a number: there is no
+            criterion. A range needs none: inside passes.
         is_absolute: whether error and tolerance are differences, not shares of the reference.
         resolution: of the run that ``ours`` comes from.
         refinement: the same quantity at every resolution, by its name.
@@ -54,9 +91,10 @@ class Check:
 
     quantity: str
     ours: float
-    reference: Reference = None
+    reference: float | Range | None = None
     source: str = ""
     tolerance: float | None = None
+    _: KW_ONLY
     is_absolute: bool = False
     resolution: str = ""
     refinement: Mapping[str, float] = field(default_factory=dict)
@@ -85,37 +123,26 @@ class Check:
         return PASS if self.error <= (self.tolerance or 0.0) else MISSED
 
 
-def as_range(reference: float | tuple[float, float]) -> tuple[float, float]:
+def as_range(reference: float | Range) -> Range:
     """Return both ends of a reference; a number is both."""
     return reference if isinstance(reference, tuple) else (reference, reference)
 
 
 def check_finest(
-    quantity: str,
-    values: Mapping[int, float],
-    reference: Reference = None,
-    source: str = "",
-    tolerance: float | None = None,
-    *,
-    symbol: str,
-    is_absolute: bool = False,
-    note: str = "",
+    symbol: str, quantity: str, values: Mapping[int, float], *criterion: Any, **options: Any
 ) -> Check:
     """Return the check of a quantity at its finest resolution, with the others beside it.
 
-    ``values`` are by number of nodes, which ``symbol`` stands for; the rest is that of ``Check``.
+    Args:
+        symbol: of the resolution.
+        quantity: see ``Check``.
+        values: by resolution.
+        *criterion: reference, source and tolerance of ``Check``.
+        **options: other fields of ``Check``.
     """
-    return Check(
-        quantity=quantity,
-        ours=values[max(values)],
-        reference=reference,
-        source=source,
-        tolerance=tolerance,
-        is_absolute=is_absolute,
-        resolution=f"{symbol} = {max(values)}",
-        refinement={f"{symbol} = {n}": value for n, value in values.items()},
-        note=note,
-    )
+    options["refinement"] = {f"{symbol} = {n}": value for n, value in values.items()}
+    finest = max(values)
+    return Check(quantity, values[finest], *criterion, resolution=f"{symbol} = {finest}", **options)
 
 
 @dataclass(frozen=True)
@@ -127,17 +154,19 @@ class Case:
         text: docstring of the module: the title, then in one paragraph the set-up (domain,
             boundaries, scales, duration, what is measured); both go into the report.
         source: of the reference values.
-        make_jobs: returns the runs; if its argument is true, the quick ones among them, or none.
-        judge: returns the checks of the results by label; quick runs give fewer results.
-        draw: draws the results beside the reference.
+        jobs: the runs.
+        judge: yields the checks of the finished runs, perhaps the quick ones alone.
+        draw: draws the results beside the reference into an empty figure.
+        size: of the figure, width and height in inches.
     """
 
     name: str
     text: str | None
     source: str
-    make_jobs: Callable[[bool], Sequence[Job]]
-    judge: Callable[[Results], Sequence[Check]]
-    draw: Callable[[Results], Figure]
+    jobs: Sequence[Job]
+    judge: Callable[[Runs], Iterable[Check]]
+    draw: Callable[[Figure, Runs], None]
+    size: tuple[float, float] = (5.6, 3.8)
 
     @property
     def title(self) -> str:
@@ -148,8 +177,3 @@ class Case:
     def setup(self) -> str:
         """Set-up, as one line."""
         return " ".join((self.text or "").partition("\n")[2].split())
-
-
-def select(results: Results, labels: Mapping[Key, str]) -> dict[Key, Result]:
-    """Return the results that are known among ``labels``, by its keys."""
-    return {key: results[label] for key, label in labels.items() if label in results}

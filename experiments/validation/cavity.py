@@ -9,19 +9,16 @@ line, which should be nothing. The references are Chebyshev solutions of incompr
 is left of the error at Re = 100 is compressibility, and falls as U².
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 
 from matplotlib.figure import Figure
 
-from experiments.figures import COLOURS
-from experiments.validation import ghia
-from experiments.validation.case import Case, Check, Job, Result, Results, check_finest, select
-from experiments.validation.convergence import GREY, find_extreme
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_finest
+from experiments.validation.plots import GREY, draw_reference, find_extreme
 from fishrl.physics import Boundaries, FlowConfig, InPlaceSolver, NonEquilibrium, NoSlip
 
 LID_SPEED = 0.1
 SIZES = (64, 128, 256)
-QUICK_SIZES = (64, 128)
 STEADY = 1e-5  # largest change of velocity / lid speed while the lid travels the cavity's width
 MAX_TRAVELS = 200
 TOLERANCE = 0.01
@@ -31,7 +28,38 @@ SPECTRAL = {
     100: {"u_min": -0.2140424, "v_max": 0.1795728, "v_min": -0.2538030},
     1000: {"u_min": -0.3885698, "v_max": 0.3769447, "v_min": -0.5270771},
 }
-SOURCE = "Botella & Peyret 1998, spectral"
+# Ghia, Ghia & Shin, J. Comput. Phys. 48 (1982) 387, tables I and II, from 129 x 129 points:
+# velocity / lid speed from the resting wall, by Reynolds number; u along x = 1/2 at Y, v along
+# y = 1/2 at X.
+Y = (
+    0.0000, 0.0547, 0.0625, 0.0703, 0.1016, 0.1719, 0.2813, 0.4531, 0.5000, 0.6172, 0.7344, 0.8516,
+    0.9531, 0.9609, 0.9688, 0.9766, 1.0000,
+)  # fmt: skip
+X = (
+    0.0000, 0.0625, 0.0703, 0.0781, 0.0938, 0.1563, 0.2266, 0.2344, 0.5000, 0.8047, 0.8594, 0.9063,
+    0.9453, 0.9531, 0.9609, 0.9688, 1.0000,
+)  # fmt: skip
+U = {
+    100: (
+        0.00000, -0.03717, -0.04192, -0.04775, -0.06434, -0.10150, -0.15662, -0.21090, -0.20581,
+        -0.13641, 0.00332, 0.23151, 0.68717, 0.73722, 0.78871, 0.84123, 1.00000,
+    ),
+    1000: (
+        0.00000, -0.18109, -0.20196, -0.22220, -0.29730, -0.38289, -0.27805, -0.10648, -0.06080,
+        0.05702, 0.18719, 0.33304, 0.46604, 0.51117, 0.57492, 0.65928, 1.00000,
+    ),
+}  # fmt: skip
+V = {
+    100: (
+        0.00000, 0.09233, 0.10091, 0.10890, 0.12317, 0.16077, 0.17507, 0.17527, 0.05454, -0.24533,
+        -0.22445, -0.16914, -0.10313, -0.08864, -0.07391, -0.05906, 0.00000,
+    ),
+    1000: (
+        0.00000, 0.27485, 0.29012, 0.30353, 0.32627, 0.37095, 0.33075, 0.32235, 0.02526, -0.31966,
+        -0.42665, -0.51550, -0.39188, -0.33714, -0.27669, -0.21388, 0.00000,
+    ),
+}  # fmt: skip
+
 WALLS = {True: "bounce-back", False: "extrapolation"}  # by whether they are half-way
 # what the figure shows: size, whether bounce-back, line
 LINES = ((256, True, "-"), (256, False, "--"), (64, True, ":"))
@@ -83,84 +111,59 @@ def drive_cavity(*, size: int, reynolds: float, is_half_way: bool) -> Result:
     }
 
 
-def _label(size: int, reynolds: int, is_half_way: bool) -> str:
-    return f"Re = {reynolds}, {WALLS[is_half_way]}, N = {size}"
+JOBS = [
+    Job(
+        drive_cavity,
+        {"size": size, "reynolds": reynolds, "is_half_way": is_half_way},
+        cost=(20 if reynolds == 100 else 80) * size**3 / LID_SPEED,
+        is_quick=is_half_way and size < 256,
+    )
+    for reynolds in SPECTRAL
+    for is_half_way in WALLS
+    for size in SIZES
+]
 
 
-def make_jobs(quick: bool) -> list[Job]:
-    """Return a run for each Reynolds number, kind of wall and size."""
-    return [
-        Job(
-            _label(size, reynolds, is_half_way),
-            drive_cavity,
-            {"size": size, "reynolds": reynolds, "is_half_way": is_half_way},
-            cost=(20 if reynolds == 100 else 80) * size**3 / LID_SPEED,
-        )
-        for reynolds in SPECTRAL
-        for is_half_way in ((True,) if quick else WALLS)
-        for size in (QUICK_SIZES if quick else SIZES)
-    ]
-
-
-def judge(results: Results) -> Sequence[Check]:
-    """Judge the extremes along the centre lines."""
-    checks = []
+def judge(runs: Runs) -> Iterator[Check]:
+    """Check the extremes along the centre lines."""
     for is_half_way, walls in WALLS.items():
+        tolerance, note = (TOLERANCE, "") if is_half_way else (None, LEAK)
         for reynolds, references in SPECTRAL.items():
-            runs = select(results, {n: _label(n, reynolds, is_half_way) for n in SIZES})
-            if not runs:
+            flow = runs.read("flow", "size", reynolds=reynolds, is_half_way=is_half_way)
+            if not flow:
                 continue
             where = f"Re = {reynolds}, {walls}"
-            tolerance, note = (TOLERANCE, "") if is_half_way else (None, LEAK)
             for key, reference in references.items():
-                values = {n: run[key] for n, run in runs.items()}
-                checks.append(
-                    check_finest(
-                        f"{key} / U, {where}", values, reference, SOURCE, tolerance, symbol="N"
-                    )
-                )
-            checks.append(
-                check_finest(
-                    f"flow / (U × node distance), {where}",
-                    {n: run["flow"] for n, run in runs.items()},
-                    reference=0.0,
-                    source="mass",
-                    is_absolute=True,
-                    symbol="N",
-                    note=note,
-                )
-            )
-    return checks
+                values = runs.read(key, "size", reynolds=reynolds, is_half_way=is_half_way)
+                criterion = (reference, "Botella & Peyret 1998, spectral", tolerance)
+                yield check_finest("N", f"{key} / U, {where}", values, *criterion)
+            name = f"flow / (U × node distance), {where}"
+            yield check_finest("N", name, flow, 0.0, "mass", is_absolute=True, note=note)
 
 
-def draw(results: Results) -> Figure:
+def draw(figure: Figure, runs: Runs) -> None:
     """Draw both centre lines at each Reynolds number."""
-    figure = Figure(figsize=(9.0, 7.0), layout="constrained")
     panels = figure.subplots(2, 2)
     for row, reynolds in zip(panels, SPECTRAL, strict=True):
-        tables = (
-            ("u", ghia.Y, ghia.U[reynolds], "y / L", "u / U on the vertical centre line"),
-            ("v", ghia.X, ghia.V[reynolds], "x / L", "v / U on the horizontal centre line"),
-        )
-        for axes, (key, places, values, along, title) in zip(row, tables, strict=True):
-            for (size, is_half_way, style), colour in zip(LINES, COLOURS, strict=False):
-                if line := results.get(_label(size, reynolds, is_half_way)):
+        for axes, key, along, line, places, values in (
+            (row[0], "u", "y / L", "vertical", Y, U[reynolds]),
+            (row[1], "v", "x / L", "horizontal", X, V[reynolds]),
+        ):
+            for size, is_half_way, style in LINES:
+                if run := runs.get(size=size, reynolds=reynolds, is_half_way=is_half_way):
                     name = f"{WALLS[is_half_way]}, N = {size}"
-                    axes.plot(line["position"], line[key], style, color=colour, label=name)
-            axes.plot(
-                places, values, "o", color="black", markerfacecolor="none", markersize=5,
-                label="Ghia et al. 1982",
-            )  # fmt: skip
+                    axes.plot(run["position"], run[key], style, label=name)
+            draw_reference(axes, zip(places, values, strict=True), "Ghia et al. 1982")
             for name, value in SPECTRAL[reynolds].items():
                 if name.startswith(key):
                     axes.axhline(value, color=GREY, linewidth=0.8, zorder=0)
-            axes.set(xlabel=along, ylabel=f"{key} / U", title=f"{title}, Re = {reynolds}")
-    panels[0, 0].legend(title="grey: spectral extremes", fontsize=9, title_fontsize=9)
-    return figure
+            axes.set(xlabel=along, ylabel=f"{key} / U")
+            axes.set_title(f"{key} / U on the {line} centre line, Re = {reynolds}")
+    panels[0, 0].legend(title="grey: spectral extremes")
 
 
-SOURCES = (
+SOURCE = (
     "Botella & Peyret 1998 (Marchi, Suero & Araki 2009 agree to four digits); circles in the "
     "figure: Ghia, Ghia & Shin 1982, on 129 × 129 points"
 )
-CASE = Case("cavity", __doc__, SOURCES, make_jobs, judge, draw)
+CASE = Case("cavity", __doc__, SOURCE, JOBS, judge, draw, size=(9.0, 7.0))

@@ -7,33 +7,25 @@ the length of a step follow. Swimming speed over beat 8; drag over 40 D of trave
 square.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 
 import torch
 from matplotlib.figure import Figure
 
-from experiments.figures import COLOURS
-from experiments.validation.case import Case, Check, Job, Result, Results
+from experiments.validation.case import Case, Check, Job, Result, Runs
 from experiments.validation.swimming import make_swim
-from experiments.validation.wake import start_flow
-from fishrl.physics import Boundaries, Cylinder, Fixed, FlowConfig, NonEquilibrium, OpenEdge
-from fishrl.physics.immersed_boundary import DirectSolve
+from experiments.validation.wake import start_stream
+from fishrl.physics import Cylinder, Fixed
 from fishrl.physics.units import DEFAULT_WALL_SPEED
 
 BODY_LENGTHS = (70, 100, 140)
 JUDGED_LENGTH = 100
 NUM_BEATS = 8
-FACTORS = (2.0, 1.0, 0.5)  # of the default wall speed
+SPEEDS = tuple(factor * DEFAULT_WALL_SPEED for factor in (2.0, 1.0, 0.5))
 DIAMETER = 20
 REYNOLDS = 100.0
 TRAVELS = 120  # diameters that the stream travels; the last third is measured
 TOLERANCE = 0.02
-# Name, flow, and what is read of it.
-SERIES = (
-    *((f"swimming speed, L = {n}", f"swimmer, L = {n}", "speed") for n in BODY_LENGTHS),
-    ("mean drag of the cylinder", "cylinder", "drag"),
-    ("lift of the cylinder", "cylinder", "lift"),
-)
 SWIMMER_NOTE = (
     " It falls with the resolution, so it is the body's resolution that depends on the time step "
     "here; at L = 50 tau leaves no room to halve the speed."
@@ -45,20 +37,16 @@ def hold_cylinder(*, speed: float) -> Result:
 
     Returns the mean drag coefficient and the root mean square of the lift coefficient.
     """
-    stream, side = NonEquilibrium(velocity=(1.0, 0.0)), OpenEdge(is_plane=False)
     travel = round(DIAMETER / speed)
-    kick = Fixed(kick_speed=0.2 * speed, kick_steps=4 * travel)
-    config = FlowConfig(
-        width=20 * DIAMETER,
-        height=10 * DIAMETER,
-        tau=3.0 * speed * DIAMETER / REYNOLDS + 0.5,
-        stream_speed=speed,
-        bodies=(Cylinder(diameter=DIAMETER, motion=kick),),
-        # let sound out: between pinned edges it rings, and more so the faster the stream
-        boundaries=Boundaries(left=stream, right=OpenEdge(), bottom=side, top=side),
-        force_solve=DirectSolve(regularisation=0.0),
+    motion = Fixed(kick_speed=0.2 * speed, kick_steps=4 * travel)
+    # edges that let sound out: between pinned edges it rings, and more so the faster the stream
+    solver = start_stream(
+        Cylinder(diameter=DIAMETER, motion=motion),
+        (6.0 * DIAMETER, 5.0 * DIAMETER),
+        size=(20 * DIAMETER, 10 * DIAMETER),
+        nu=speed * DIAMETER / REYNOLDS,
+        speed=speed,
     )
-    solver = start_flow(config, (6.0 * DIAMETER, 5.0 * DIAMETER), stream=(1.0, 0.0))
     samples_per_travel = 20
     gap = max(2, 2 * (travel // (2 * samples_per_travel)))
     solver.advance_(2 * (TRAVELS * travel // 3))
@@ -73,75 +61,57 @@ def hold_cylinder(*, speed: float) -> Result:
     return {"drag": float(mean[0]) / unit, "lift": float((lift - lift.mean()).std()) / unit}
 
 
-def _label(flow: str, factor: float) -> str:
-    return f"{flow}, {factor * DEFAULT_WALL_SPEED:g} nodes per step"
+JOBS = [
+    *(make_swim(n, NUM_BEATS, max_wall_speed=speed) for speed in SPEEDS for n in BODY_LENGTHS),
+    *(Job(hold_cylinder, {"speed": u}, cost=200.0 * DIAMETER**3 * TRAVELS / u) for u in SPEEDS),
+]
 
 
-def make_jobs(quick: bool) -> list[Job]:
-    """Return both flows at three speeds; none is quick."""
-    jobs = []
-    for factor in () if quick else FACTORS:
-        speed = factor * DEFAULT_WALL_SPEED
-        jobs += [
-            make_swim(_label(f"swimmer, L = {n}", factor), n, NUM_BEATS, max_wall_speed=speed)
-            for n in BODY_LENGTHS
-        ]
-        cost = 200.0 * DIAMETER**3 * TRAVELS / speed
-        jobs.append(Job(_label("cylinder", factor), hold_cylinder, {"speed": speed}, cost))
-    return jobs
+def _read(runs: Runs) -> dict[tuple[str, str], dict[float, float]]:
+    """Return each quantity, by its name and the resolution, and by speed."""
+    table = {}
+    for n in BODY_LENGTHS:
+        speeds = runs.read("speed", "max_wall_speed", body_length=n, num_beats=NUM_BEATS)
+        last = {speed: values[-1] for speed, values in speeds.items()}
+        table[f"swimming speed, L = {n}", f"L = {n}"] = last
+    for name, key in (("mean drag", "drag"), ("lift", "lift")):
+        table[f"{name} of the cylinder", f"D = {DIAMETER}"] = runs.read(key, "speed")
+    return table
 
 
-def _read(results: Results, flow: str, key: str) -> dict[float, float]:
-    values = {f: results[_label(flow, f)][key] for f in FACTORS}
-    return {f: v[-1] if isinstance(v, list) else v for f, v in values.items()}
-
-
-def judge(results: Results) -> Sequence[Check]:
-    """Judge what halving the default speed changes."""
-    checks = []
-    for name, flow, key in SERIES:
-        values = _read(results, flow, key)
-        length = flow.removeprefix("swimmer, ")
-        is_judged = flow in ("cylinder", f"swimmer, L = {JUDGED_LENGTH}")
-        first, second = values[2.0] - values[1.0], values[1.0] - values[0.5]
+def judge(runs: Runs) -> Iterator[Check]:
+    """Check what halving the default speed changes."""
+    for (name, resolution), values in _read(runs).items():
+        fast, default, slow = values.values()
         note = (
-            f"The first halving changes it {first / second:.2g} times as much as the second; an "
-            "effect of the Mach number, which goes with its square, makes that 4, an error of "
-            "first order in the time step 2."
+            f"The first halving changes it {(fast - default) / (default - slow):.2g} times as much "
+            "as the second; an effect of the Mach number, which goes with its square, makes that "
+            "4, an error of first order in the time step 2."
         )
-        checks.append(
-            Check(
-                quantity=f"{name}: default speed / half of it",
-                ours=values[1.0] / values[0.5],
-                reference=1.0,
-                source="incompressible flow",
-                tolerance=TOLERANCE if is_judged else None,
-                resolution=f"D = {DIAMETER}" if flow == "cylinder" else length,
-                refinement={_label("", f).removeprefix(", "): v for f, v in values.items()},
-                note=note + ("" if flow == "cylinder" else SWIMMER_NOTE),
-            )
+        is_judged = resolution in (f"D = {DIAMETER}", f"L = {JUDGED_LENGTH}")
+        yield Check(
+            f"{name}: default speed / half of it",
+            default / slow,
+            1.0,
+            "incompressible flow",
+            TOLERANCE if is_judged else None,
+            resolution=resolution,
+            refinement={f"{speed:g} nodes per step": value for speed, value in values.items()},
+            note=note + ("" if resolution.startswith("D") else SWIMMER_NOTE),
         )
-    return checks
 
 
-def draw(results: Results) -> Figure:
+def draw(figure: Figure, runs: Runs) -> None:
     """Draw everything against the speed, relative to its value at the lowest."""
-    figure = Figure(figsize=(5.5, 3.8), layout="constrained")
     axes = figure.subplots()
-    for (name, flow, key), colour in zip(SERIES, COLOURS, strict=False):
-        values = _read(results, flow, key)
-        speeds = [f * DEFAULT_WALL_SPEED for f in values]
-        change = [100.0 * (v / values[min(values)] - 1.0) for v in values.values()]
-        axes.plot(speeds, change, "o-", color=colour, label=name)
+    for (name, _), values in _read(runs).items():
+        change = [100.0 * (value / values[SPEEDS[-1]] - 1.0) for value in values.values()]
+        axes.plot([*values], change, "o-", label=name)
     axes.axhspan(-100.0 * TOLERANCE, 100.0 * TOLERANCE, color="#eeeeee", zorder=0)
-    axes.set(
-        xlabel="fastest wall or stream, nodes per step",
-        ylabel="change from the lowest speed, %",
-        xlim=(0.0, None),
-    )
-    axes.legend(fontsize=9)
-    return figure
+    axes.set(xlabel="fastest wall or stream, nodes per step", xlim=(0.0, None))
+    axes.set_ylabel("change from the lowest speed, %")
+    axes.legend()
 
 
 SOURCE = "own criterion: halving the speed changes forces and swimming speed by less than 2 %"
-CASE = Case("compressibility", __doc__, SOURCE, make_jobs, judge, draw)
+CASE = Case("compressibility", __doc__, SOURCE, JOBS, judge, draw)

@@ -10,16 +10,24 @@ well, no-slip walls, half the speed at the same Re, the flat side upstream, and 
 the outflow.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from math import pi
 
 from matplotlib.figure import Figure
 
-from experiments.figures import COLOURS
-from experiments.validation.case import Case, Check, Job, Result, Results, select
-from experiments.validation.wake import draw_vorticity, make_even, measure_wake, start_flow
-from fishrl.physics import DCylinder, Fixed, FlowConfig
-from fishrl.physics.boundaries import Boundaries, NonEquilibrium, NoSlip, OpenEdge
+from experiments.validation.case import Case, Check, Job, Result, Runs
+from experiments.validation.wake import (
+    OPEN,
+    OPEN_SIDE,
+    PINNED,
+    STREAM,
+    draw_series,
+    draw_vorticity,
+    kick,
+    measure_wake,
+    start_stream,
+)
+from fishrl.physics import DCylinder, NoSlip
 from fishrl.physics.immersed_boundary import DirectSolve
 
 WIDTH_D, HEIGHT_D, FACE_D = 25.0, 12.5, 6.25  # 1000 x 500 nodes, face at x = 250, with D = 40
@@ -28,9 +36,7 @@ SPEEDS = {200: 0.1, 250: 0.125, 300: 0.15}  # conditions I, II, III
 PAPER = {200: 0.267, 250: 0.256, 300: 0.267}
 SIZES = (20, 40)
 TRAVELS = 120.0
-STREAM = NonEquilibrium(velocity=(1.0, 0.0))
-SIDES = {"moving sides": STREAM, "open sides": OpenEdge(is_plane=False), "walls": NoSlip()}
-# beside the plain run of every condition and size
+SIDES = {"moving sides": STREAM, "open sides": OPEN_SIDE, "walls": NoSlip()}
 VARIANTS: Mapping[str, dict[str, str | bool | float]] = {
     "open sides": {"sides": "open sides"},
     "walls": {"sides": "walls"},
@@ -38,6 +44,9 @@ VARIANTS: Mapping[str, dict[str, str | bool | float]] = {
     "half the speed, open sides": {"slowing": 2.0, "sides": "open sides"},
     "flat side upstream": {"is_flat_downstream": False},
     "pinned outlet": {"is_pinned": True},
+}
+RUNS = {f"D = {size}": {"diameter": size} for size in SIZES} | {
+    f"D = 20, {name}": {"diameter": 20, **variant} for name, variant in VARIANTS.items()
 }
 QUANTITIES = {
     "strouhal": "St by zero crossings",
@@ -73,99 +82,75 @@ def run_half_disc(
         is_pinned: an outlet with pinned density instead of one that lets sound out.
     """
     speed = SPEEDS[reynolds] / slowing
-    nu = speed * diameter / reynolds
-    kick = Fixed(kick_speed=0.3 * speed, kick_steps=round(3 * diameter / speed))
-    config = FlowConfig(
-        width=round(WIDTH_D * diameter),
-        height=round(HEIGHT_D * diameter),
-        tau=3.0 * nu + 0.5,
-        stream_speed=speed,
-        bodies=(DCylinder(diameter=diameter, motion=kick),),
-        boundaries=Boundaries(
-            left=STREAM,
-            right=NonEquilibrium(density=1.0) if is_pinned else OpenEdge(),
-            bottom=SIDES[sides],
-            top=SIDES[sides],
-        ),
-        force_solve=DirectSolve(),
-    )
+    width, height = round(WIDTH_D * diameter), round(HEIGHT_D * diameter)
     centre = -1.0 if is_flat_downstream else 1.0  # 2 D / (3 pi) from the flat side
     x = FACE_D * diameter + centre * 2.0 * diameter / (3.0 * pi)
-    place = (x, 0.5 * (config.height - 1))
-    solver = start_flow(config, place, pi if is_flat_downstream else 0.0, stream=(1.0, 0.0))
-    num_steps = 0.5 * TRAVELS * diameter / speed
+    solver = start_stream(
+        DCylinder(diameter=diameter, motion=kick(speed, diameter)),
+        (x, 0.5 * (height - 1)),
+        pi if is_flat_downstream else 0.0,
+        size=(width, height),
+        nu=speed * diameter / reynolds,
+        speed=speed,
+        outflow=PINNED if is_pinned else OPEN,
+        sides=SIDES[sides],
+        solve=DirectSolve(),
+    )
     return measure_wake(
         solver,
         diameter=diameter,
         speed=speed,
-        num_steps=(num_steps, num_steps),
-        interval=make_even(diameter / speed / 30.0),
-        window=[side * diameter for side in WINDOW_D],
+        travels=(0.5 * TRAVELS, 0.5 * TRAVELS),
+        window=WINDOW_D,
         is_shedding=True,
     )
 
 
-def _label(reynolds: int, size: int, variant: str = "") -> str:
-    return f"Re = {reynolds}, D = {size}" + (f", {variant}" if variant else "")
+JOBS = [
+    Job(
+        run_half_disc,
+        {"reynolds": reynolds, **run},
+        cost=WIDTH_D * HEIGHT_D * TRAVELS * size**3 / SPEEDS[reynolds],
+        is_quick=(reynolds, run) == (200, {"diameter": 20}),
+    )
+    for reynolds in SPEEDS
+    for run in RUNS.values()
+    for size in [int(run["diameter"])]
+]
 
 
-def make_jobs(quick: bool) -> list[Job]:
-    """Return a run per condition, size and variant."""
-    runs = [(re, 20, variant) for re in SPEEDS for variant in ("", *VARIANTS)]
-    runs += [(re, 40, "") for re in SPEEDS]
-    return [
-        Job(
-            _label(re, size, variant),
-            run_half_disc,
-            {"diameter": size, "reynolds": re} | VARIANTS.get(variant, {}),
-            cost=WIDTH_D * HEIGHT_D * TRAVELS * size**3 / SPEEDS[re],
-        )
-        for re, size, variant in ([(200, 20, "")] if quick else runs)
-    ]
-
-
-def judge(results: Results) -> Sequence[Check]:
-    """Show what was measured beside the paper; nothing is judged."""
-    checks = []
+def judge(runs: Runs) -> Iterator[Check]:
+    """Show what was measured beside the paper, without a criterion."""
     for reynolds in SPEEDS:
-        labels = {f"D = {size}": _label(reynolds, size) for size in SIZES}
-        known = select(results, labels)
-        labels |= {f"D = 20, {v}": _label(reynolds, 20, v) for v in VARIANTS}
-        for key, name in QUANTITIES.items() if known else ():
-            finest, is_beside_paper = list(known)[-1], key == "strouhal"
-            checks.append(
-                Check(
-                    quantity=f"{name}, Re = {reynolds}",
-                    ours=known[finest][key],
-                    reference=PAPER[reynolds] if is_beside_paper else None,
-                    source="the paper's table" if is_beside_paper else "",
-                    resolution=finest,
-                    refinement={n: run[key] for n, run in select(results, labels).items()},
-                    note=NOTE if is_beside_paper else "",
-                )
+        sizes = runs.by("diameter", reynolds=reynolds)
+        known = {n: run for n, a in RUNS.items() if (run := runs.get(reynolds=reynolds, **a))}
+        for key, name in QUANTITIES.items() if sizes else ():
+            paper = (PAPER[reynolds], "the paper's table") if key == "strouhal" else (None, "")
+            yield Check(
+                f"{name}, Re = {reynolds}",
+                sizes[max(sizes)][key],
+                *paper,
+                resolution=f"D = {max(sizes)}",
+                refinement={n: run[key] for n, run in known.items()},
+                note=NOTE if key == "strouhal" else "",
             )
-    return checks
 
 
-def draw(results: Results) -> Figure:
+def draw(figure: Figure, runs: Runs) -> None:
     """Draw the wakes and the lift."""
-    figure = Figure(figsize=(7.6, 8.2), layout="constrained")
-    finest: dict[int, tuple[int, Result]] = {}
-    for reynolds in SPEEDS:
-        if runs := select(results, {n: _label(reynolds, n) for n in SIZES}):
-            finest[reynolds] = max(runs), runs[max(runs)]
-    *wakes, lift = figure.subplots(len(finest) + 1, 1)
+    found = {reynolds: runs.by("diameter", reynolds=reynolds) for reynolds in SPEEDS}
+    found = {reynolds: sizes for reynolds, sizes in found.items() if sizes}
+    *wakes, lift = figure.subplots(len(found) + 1, 1)
     left, right, low, high = WINDOW_D
     reach = (left - FACE_D, right - FACE_D, low - 0.5 * HEIGHT_D, high - 0.5 * HEIGHT_D)
-    for axes, colour, (reynolds, (size, run)) in zip(wakes, COLOURS, finest.items(), strict=False):
-        draw_vorticity(axes, run["vorticity"], reach, limit=5.0)
-        axes.set_title(f"Re = {reynolds}, D = {size} nodes", loc="left")
-        time = [i * run["interval"] for i in range(len(run["lift_series"]))]
-        lift.plot(time, run["lift_series"], color=colour, label=f"Re = {reynolds}")
+    for axes, (reynolds, sizes) in zip(wakes, found.items(), strict=True):
+        run = sizes[max(sizes)]
+        draw_vorticity(axes, run, reach, limit=5.0)
+        axes.set_title(f"Re = {reynolds}, D = {max(sizes)} nodes")
+        draw_series(lift, run, "lift", f"Re = {reynolds}")
     lift.set(xlabel="time  [D / U]", ylabel="lift coefficient")
-    lift.legend(fontsize=9, ncols=3, loc="upper right")
-    return figure
+    lift.legend(ncols=3, loc="upper right")
 
 
 SOURCE = "recorded; beside it the shedding frequencies in the paper's table"
-CASE = Case("d-cylinder", __doc__, SOURCE, make_jobs, judge, draw)
+CASE = Case("d-cylinder", __doc__, SOURCE, JOBS, judge, draw, size=(7.6, 8.2))

@@ -9,16 +9,16 @@ both U and U / 2. The wake length L_w runs from the rear stagnation point to whe
 axis stops returning.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from math import prod
+from typing import Any
 
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from experiments.validation.case import Case, Check, Job, Result, Results, select
-from experiments.validation.wake import draw_vorticity, make_even, measure_wake, start_flow
-from fishrl.physics import Boundaries, Cylinder, Fixed, FlowConfig, NonEquilibrium, OpenEdge
-from fishrl.physics.immersed_boundary import DirectSolve
+from experiments.validation.case import Case, Check, Job, Result, Runs
+from experiments.validation.wake import draw_vorticity, kick, measure_wake, start_stream
+from fishrl.physics import Cylinder, Fixed
 
 Setup = tuple[int, int, float]
 
@@ -49,14 +49,14 @@ REFERENCES = (
     (200, "lift_amplitude", "C_l amplitude", (0.65, 0.75), ROUND_200),
     (200, "strouhal", "St", (0.19, 0.20), ROUND_200),
 )
-NOTES: Mapping[tuple[int, str], str] = {
+NOTES = {
     (20, "wake_length"): (
         "the wake is 15 to 30 nodes long here and begins at a surface that markers 0.45 nodes "
         "inside place to about a tenth of a node, which is about what is missing; D = 32, a third "
         "height and half the speed were tried and left it there."
     ),
 }
-VIEW_D = (-3, 15, -4, 4)  # left, right, low, high
+VIEW_D = (-3.0, 15.0, -4.0, 4.0)  # left, right, low, high
 
 
 def run_cylinder(*, diameter: int, height: int, reynolds: int, speed: float) -> Result:
@@ -65,35 +65,24 @@ def run_cylinder(*, diameter: int, height: int, reynolds: int, speed: float) -> 
     The cylinder stands half the height behind the inflow of ``speed`` nodes per step. Returns those
     of ``measure_wake``, and the length of a steady wake / D.
     """
-    nu = speed * diameter / reynolds
     is_shedding = reynolds in SHEDDING
-    kick = Fixed(kick_speed=0.3 * speed, kick_steps=round(3 * diameter / speed))
     upstream, downstream = height // 2, max(20, height // 2)
-    side = OpenEdge(is_plane=False)
-    config = FlowConfig(
-        width=(upstream + downstream) * diameter + 1,
-        height=height * diameter + 1,
-        tau=3.0 * nu + 0.5,
-        stream_speed=speed,
-        bodies=(Cylinder(diameter=diameter, motion=kick if is_shedding else Fixed()),),
-        boundaries=Boundaries(
-            left=NonEquilibrium(velocity=(1.0, 0.0)), right=OpenEdge(), bottom=side, top=side
-        ),
-        force_solve=DirectSolve(regularisation=0.0),
-    )
     x, y = upstream * diameter, height * diameter // 2
-    solver = start_flow(config, (x, y), stream=(1.0, 0.0))
-    left, right, low, high = (side * diameter for side in VIEW_D)
+    motion = kick(speed, diameter) if is_shedding else Fixed()
+    solver = start_stream(
+        Cylinder(diameter=diameter, motion=motion),
+        (x, y),
+        size=((upstream + downstream) * diameter + 1, height * diameter + 1),
+        nu=speed * diameter / reynolds,
+        speed=speed,
+    )
+    left, right, low, high = VIEW_D
     result = measure_wake(
         solver,
         diameter=diameter,
         speed=speed,
-        num_steps=(
-            0.6 * TRAVELS[reynolds] * diameter / speed,
-            0.4 * TRAVELS[reynolds] * diameter / speed,
-        ),
-        interval=make_even(diameter / speed / 30.0),
-        window=(x + left, x + right, y + low, y + high),
+        travels=(0.6 * TRAVELS[reynolds], 0.4 * TRAVELS[reynolds]),
+        window=(upstream + left, upstream + right, 0.5 * height + low, 0.5 * height + high),
         is_shedding=is_shedding,
     )
     if not is_shedding:
@@ -110,57 +99,44 @@ def _measure_wake_length(u: Tensor, rear: float) -> float:
     return at - values[at] / (values[at] - values[at - 1]) - rear
 
 
-def _name(setup: Setup) -> str:
+JOBS = [
+    Job(
+        run_cylinder,
+        {"diameter": diameter, "height": height, "reynolds": reynolds, "speed": speed},
+        cost=1.5 * height**2 * TRAVELS[reynolds] * diameter**3 / speed,
+        is_quick=reynolds in (40, 100) and (diameter, height, speed) == BASE,
+    )
+    for reynolds in TRAVELS
+    for diameter, height, speed in SETUPS
+]
+
+
+def _get(runs: Runs, reynolds: int, setup: Setup) -> Result | None:
     diameter, height, speed = setup
-    return f"D = {diameter}, H = {height} D, U = {speed}"
+    return runs.get(diameter=diameter, height=height, reynolds=reynolds, speed=speed)
 
 
-def _label(reynolds: int, setup: Setup) -> str:
-    return f"Re = {reynolds}, {_name(setup)}"
-
-
-def make_jobs(quick: bool) -> list[Job]:
-    """Return a run per Reynolds number, and what resolution, height and speed change."""
-    runs = [(re, setup) for re in TRAVELS for setup in SETUPS]
-    return [
-        Job(
-            _label(re, (diameter, height, speed)),
-            run_cylinder,
-            {"diameter": diameter, "height": height, "reynolds": re, "speed": speed},
-            cost=1.5 * height**2 * TRAVELS[re] * diameter**3 / speed,
-        )
-        for re, (diameter, height, speed) in ([(40, BASE), (100, BASE)] if quick else runs)
-    ]
-
-
-def judge(results: Results) -> Sequence[Check]:
-    """Judge what is left without walls; a quick run shows its numbers without judging."""
-    checks = []
+def judge(runs: Runs) -> Iterator[Check]:
+    """Check what is left without walls; a quick run shows its numbers without a criterion."""
     for reynolds, key, name, reference, source in REFERENCES:
-        runs = select(results, {setup: _label(reynolds, setup) for setup in SETUPS})
-        values = {setup: run[key] for setup, run in runs.items()}
-        shown = {_name(setup): value for setup, value in values.items()}
+        values = {s: run[key] for s in SETUPS if (run := _get(runs, reynolds, s))}
+        shown = {f"D = {d}, H = {h} D, U = {u}": value for (d, h, u), value in values.items()}
+        quantity = f"{name}, Re = {reynolds}"
         if len(values) == len(SETUPS):
             ours = extrapolate(values)
-            checks.append(
-                Check(
-                    quantity=f"{name}, Re = {reynolds}",
-                    ours=ours,
-                    reference=reference,
-                    source=source,
-                    resolution="extrapolated",
-                    refinement=shown | {"extrapolated": ours},
-                    note=NOTES.get((reynolds, key), ""),
-                )
+            yield Check(
+                quantity,
+                ours,
+                reference,
+                source,
+                resolution="extrapolated",
+                refinement=shown | {"extrapolated": ours},
+                note=NOTES.get((reynolds, key), ""),
             )
         elif values:
-            checks.append(
-                Check(
-                    quantity=f"{name}, Re = {reynolds}, with walls", ours=values[BASE],
-                    source=source, resolution=_name(BASE), refinement=shown,
-                )
-            )  # fmt: skip
-    return checks
+            where = next(iter(shown))
+            options: Any = {"source": source, "resolution": where, "refinement": shown}
+            yield Check(f"{quantity}, with walls", values[BASE], **options)
 
 
 def extrapolate(values: Mapping[Setup, float]) -> float:
@@ -187,19 +163,16 @@ def extrapolate(values: Mapping[Setup, float]) -> float:
     return wide * exact / values[BASE]
 
 
-def draw(results: Results) -> Figure:
+def draw(figure: Figure, runs: Runs) -> None:
     """Draw the wakes."""
-    setup = TALL if any(_label(re, TALL) in results for re in TRAVELS) else BASE
-    runs = select(results, {re: _label(re, setup) for re in TRAVELS})
-    figure = Figure(figsize=(9.6, 4.6), layout="constrained")
-    panels = list(figure.subplots(2, 2).flat)
-    for axes, (reynolds, run) in zip(panels, runs.items(), strict=False):
-        draw_vorticity(axes, run["vorticity"], VIEW_D, limit=3.0)
-        axes.set_title(f"Re = {reynolds}, D = {setup[0]} nodes, H = {setup[1]} D", loc="left")
-    for axes in panels[len(runs) :]:
-        axes.set_visible(False)
-    return figure
+    setup = TALL if any(_get(runs, reynolds, TALL) for reynolds in TRAVELS) else BASE
+    for axes, reynolds in zip(figure.subplots(2, 2).flat, TRAVELS, strict=True):
+        if run := _get(runs, reynolds, setup):
+            draw_vorticity(axes, run, VIEW_D, limit=3.0)
+            axes.set_title(f"Re = {reynolds}, D = {setup[0]} nodes, H = {setup[1]} D")
+        else:
+            axes.set_visible(False)
 
 
 SOURCE = "what others found, as third parties quote them: the range of each number"
-CASE = Case("free-cylinder", __doc__, SOURCE, make_jobs, judge, draw)
+CASE = Case("free-cylinder", __doc__, SOURCE, JOBS, judge, draw, size=(9.6, 4.6))

@@ -7,16 +7,15 @@ moves through fluid at rest; the fish swims against a stream of 0.02 with all ed
 speed relative to it. Compared is the force as a vector, and the size of the fish's velocity.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from math import hypot, pi
 
 import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from experiments.figures import COLOURS
-from experiments.validation.case import Case, Check, Job, Result, Results
-from experiments.validation.convergence import GREY
+from experiments.validation.case import Case, Check, Job, Result, Runs
+from experiments.validation.plots import GREY
 from fishrl.physics import BodyConfig, Cylinder, DCylinder, Fish, FlowConfig, InPlaceSolver, Scales
 from fishrl.physics.bodies.motion import Driven, Free
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium
@@ -47,7 +46,6 @@ BODY_LENGTH = 50
 FISH_REYNOLDS = 1000.0
 NUM_BEATS = 4  # the last two are averaged
 FISH_STREAM = 0.02
-CYLINDER, HALF_DISC, FISH = "cylinder: force", "half disc: force", "fish: speed"
 
 
 def push_cylinders(*, is_half: bool, is_turned: bool) -> Result:
@@ -152,73 +150,78 @@ def _turn_back(vectors: Tensor, is_turned: bool) -> Tensor:
     return torch.stack((vectors[:, 1], -vectors[:, 0]), -1) if is_turned else vectors
 
 
-def make_jobs(quick: bool) -> list[Job]:
-    """Return one job for each body, and one with everything turned."""
-    jobs = [
-        Job(FISH, swim_invariantly, {"is_turned": False}),
-        Job(f"{FISH}, {TURNED}", swim_invariantly, {"is_turned": True}),
-        Job(CYLINDER, push_cylinders, {"is_half": False, "is_turned": False}),
-        Job(HALF_DISC, push_cylinders, {"is_half": True, "is_turned": False}),
-        Job(f"{HALF_DISC}, {TURNED}", push_cylinders, {"is_half": True, "is_turned": True}),
-    ]
-    return jobs[:1] if quick else jobs
+# the body and what is compared, arguments of its run
+QUANTITIES: dict[str, tuple[Callable[..., Result], dict[str, bool]]] = {
+    "fish: speed": (swim_invariantly, {}),
+    "cylinder: force": (push_cylinders, {"is_half": False}),
+    "half disc: force": (push_cylinders, {"is_half": True}),
+}
+JOBS = [
+    Job(function, {**arguments, "is_turned": is_turned}, is_quick=not (arguments or is_turned))
+    for name, (function, arguments) in QUANTITIES.items()
+    for is_turned in ((False,) if name == "cylinder: force" else (False, True))
+]
 
 
-def compare(results: Results) -> dict[str, dict[str, float]]:
-    """Return by quantity and by change how far the vector is from that of the flow as it is."""
-    table: dict[str, dict[str, float]] = {}
-    for label, result in results.items():
-        quantity = label.removesuffix(f", {TURNED}")
-        base = results.get(quantity, result)[BASE]
-        size = hypot(*base)
-        for name, (x, y) in result.items():
-            vector = (x, -y) if name == MIRRORED else (x, y)
-            change = name if label == quantity else TURNED if name == BASE else f"{TURNED}, {name}"
-            if label.startswith(FISH):
-                difference = abs(hypot(*vector) - size)
-            else:
-                difference = hypot(vector[0] - base[0], vector[1] - base[1])
-            if change != BASE:
-                table.setdefault(quantity, {})[change] = difference / size
+def compare(run: Result, turned: Result | None, *, is_speed: bool) -> dict[str, float]:
+    """Return by change how far the vector is from that of the flow as it is, by its size.
+
+    Args:
+        run: vectors (x, y) by change.
+        turned: those where all is turned.
+        is_speed: whether to compare the lengths of the vectors alone.
+    """
+    vectors = {name: vector for name, vector in run.items() if name != BASE}
+    for name, vector in (turned or {}).items():
+        vectors[TURNED if name == BASE else f"{TURNED}, {name}"] = vector
+    base, size = run[BASE], hypot(*run[BASE])
+    table = {}
+    for change, (x, y) in vectors.items():
+        y = -y if change.endswith(MIRRORED) else y
+        difference = abs(hypot(x, y) - size) if is_speed else hypot(x - base[0], y - base[1])
+        table[change] = difference / size
     return table
 
 
-def judge(results: Results) -> Sequence[Check]:
-    """Judge the largest difference of each kind."""
-    checks = []
-    for quantity, table in compare(results).items():
+def _compare_all(runs: Runs) -> dict[str, dict[str, float]]:
+    table = {}
+    for quantity, (_, arguments) in QUANTITIES.items():
+        by_turn = runs.by("is_turned", **arguments)
+        if run := by_turn.get(False):
+            is_speed = quantity == "fish: speed"
+            table[quantity] = compare(run, by_turn.get(True), is_speed=is_speed)
+    return table
+
+
+def judge(runs: Runs) -> Iterator[Check]:
+    """Check the largest difference of each kind."""
+    for quantity, table in _compare_all(runs).items():
         for kind, names in KINDS.items():
             if known := {name: table[name] for name in names if name in table}:
-                checks.append(
-                    Check(
-                        quantity=f"{quantity}, {kind}: largest difference",
-                        ours=max(known.values()),
-                        reference=(0.0, LIMIT),
-                        source="own criterion",
-                        refinement=known if len(known) > 1 else {},
-                    )
+                yield Check(
+                    f"{quantity}, {kind}: largest difference",
+                    max(known.values()),
+                    (0.0, LIMIT),
+                    "own criterion",
+                    refinement=known if len(known) > 1 else {},
                 )
-    return checks
 
 
-def draw(results: Results) -> Figure:
+def draw(figure: Figure, runs: Runs) -> None:
     """Draw all differences."""
-    table = compare(results)
-    num_rows = sum(map(len, table.values()))
-    figure = Figure(figsize=(8.0, 1.2 + 0.24 * num_rows), layout="constrained")
-    axes = figure.subplots()
     names: list[str] = []
-    for (quantity, changes), colour in zip(table.items(), COLOURS, strict=False):
-        for change, value in changes.items():
-            axes.plot(max(value, 1e-10), -len(names), "o", color=colour)
-            names.append(f"{quantity}, {change}")
+    axes = figure.subplots()
+    for quantity, changes in _compare_all(runs).items():
+        rows = [-len(names) - i for i in range(len(changes))]
+        axes.plot([max(value, 1e-10) for value in changes.values()], rows, "o")
+        names += [f"{quantity}, {change}" for change in changes]
     axes.axvline(LIMIT, color=GREY, linestyle="--", label="criterion")
-    axes.set_yticks([-i for i in range(num_rows)], names, fontsize=8)
+    axes.set_yticks([-i for i in range(len(names))], names, fontsize=8)
     axes.set(xscale="log", xlabel="difference from the flow as it is / its size")
-    axes.set_title("The same flow shifted, mirrored, turned and moving", loc="left")
-    axes.legend(fontsize=9, loc="center")
-    return figure
+    axes.set_title("The same flow shifted, mirrored, turned and moving")
+    axes.legend(loc="center")
+    figure.set_figheight(1.2 + 0.24 * len(names))
 
 
 SOURCE = "symmetries of the Navier–Stokes equations"
-CASE = Case("invariance", __doc__, SOURCE, make_jobs, judge, draw)
+CASE = Case("invariance", __doc__, SOURCE, JOBS, judge, draw, size=(8.0, 6.0))

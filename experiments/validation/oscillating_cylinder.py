@@ -8,30 +8,32 @@ fitted by least squares over the period (a fit of the first harmonic gives a c_d
 with the same c_i). Two series: markers on the surface, and 0.45 nodes inside it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from math import pi
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from experiments.figures import COLOURS
-from experiments.validation.case import Case, Check, Job, Result, Results, check_finest, select
-from experiments.validation.wake import start_flow
-from fishrl.physics import Boundaries, Cylinder, FlowConfig, NonEquilibrium, Oscillating
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_finest
+from experiments.validation.plots import draw_reference
+from experiments.validation.wake import PINNED, make_even, start_flow
+from fishrl.physics import Boundaries, Cylinder, FlowConfig, Oscillating
 
 KC = 5.0  # U T / D
 REYNOLDS = 100.0  # U D / nu
-C_D, C_I = 2.10, 1.45
+COEFFICIENTS = {
+    "c_d": ("drag coefficient c_d", 2.10),
+    "c_i": ("added-mass coefficient c_i", 1.45),
+}
 TOLERANCE = 0.04
 SPEED = 0.05
 NUM_PERIODS = 5
 NUM_SAMPLES = 100  # per period
-USUAL, LARGE = (20, 15), (30, 22)  # length and height of the domain, D
+LARGE = {"length": 30, "height": 22}  # of the larger domain, D
 LARGE_DOMAIN_DIAMETER = 20
 DIAMETERS = (20, 30, 40)
-INSET = 0.45  # nodes, the bodies' default
-OPEN = NonEquilibrium(density=1.0)
+INSETS = {0.0: "markers on the surface", 0.45: "markers 0.45 nodes inside"}  # the bodies' default
 # Force on the cylinder / (rho U^2 D) at t / T, fig. 10 of Duetsch et al. 1998: every other point of
 # PacIFiC's src/Octree/MovingCutCell/test-navier-stokes/data/Dutsch1998/Dutsch1998-fig10.csv.
 CURVE = (
@@ -54,8 +56,8 @@ INERTIA_NOTE = (
 def oscillate(
     *,
     diameter: int,
-    length: int = USUAL[0],
-    height: int = USUAL[1],
+    length: int = 20,
+    height: int = 15,
     speed: float = SPEED,
     inset: float = 0.0,
     num_periods: int = NUM_PERIODS,
@@ -67,7 +69,7 @@ def oscillate(
     the outer fluid over the last period, least-squares ``c_d`` and ``c_i``, and ``c_i_before`` of
     the period before.
     """
-    samples = 2 * round(KC * diameter / speed / NUM_SAMPLES / 2)  # steps between samples
+    samples = make_even(KC * diameter / speed / NUM_SAMPLES)  # steps between samples
     period = samples * NUM_SAMPLES
     speed = KC * diameter / period
     amplitude = speed * period / (2.0 * pi)
@@ -77,7 +79,7 @@ def oscillate(
         height=height * diameter,
         tau=3.0 * speed * diameter / REYNOLDS + 0.5,
         bodies=(Cylinder(diameter=diameter, inset=inset, motion=motion),),
-        boundaries=Boundaries(left=OPEN, right=OPEN, bottom=OPEN, top=OPEN),
+        boundaries=Boundaries(left=PINNED, right=PINNED, bottom=PINNED, top=PINNED),
     )
     centre = (0.5 * config.width + amplitude + 0.3, 0.5 * config.height + 0.2)
     solver = start_flow(config, centre, frequency=1.0 / period)
@@ -115,84 +117,55 @@ def fit_force(
     return float(drag), float(inertia)
 
 
-def _label(diameter: int, inset: float, size: tuple[int, int] = USUAL) -> str:
-    name = f"D = {diameter}" + (f", inset {inset}" if inset else "")
-    return name if size == USUAL else f"{name}, {size[0]} D long"
+JOBS = [
+    Job(
+        oscillate,
+        {"diameter": d, "inset": inset, **domain},
+        cost=domain.get("length", 20) ** 2 * 0.75 * d**3 * KC * NUM_PERIODS / SPEED,
+    )
+    for inset in INSETS
+    for d in DIAMETERS
+    for domain in ([{}, LARGE] if inset and d == LARGE_DOMAIN_DIAMETER else [{}])
+]
 
 
-def make_jobs(quick: bool) -> list[Job]:
-    """Return a run for each diameter and inset, and one in a larger domain; none is quick."""
-    runs = [(d, inset, USUAL) for inset in (0.0, INSET) for d in DIAMETERS]
-    runs.append((LARGE_DOMAIN_DIAMETER, INSET, LARGE))
-    return [
-        Job(
-            _label(diameter, inset, (length, height)),
-            oscillate,
-            {"diameter": diameter, "inset": inset, "length": length, "height": height},
-            cost=length**2 * 0.75 * diameter**3 * KC * NUM_PERIODS / SPEED,
-        )
-        for diameter, inset, (length, height) in ([] if quick else runs)
-    ]
-
-
-def judge(results: Results) -> Sequence[Check]:
-    """Judge both coefficients with markers inside, as bodies have them; else record them."""
-    checks = []
-    for inset in (0.0, INSET):
-        runs = select(results, {d: _label(d, inset) for d in DIAMETERS})
-        finest = runs[max(runs)]
-        where = f"markers {inset} nodes inside" if inset else "markers on the surface"
-        checks += [
-            check_finest(
-                f"{name}, {where}",
-                {d: run[key] for d, run in runs.items()},
-                reference,
-                "Dütsch et al. 1998",
-                TOLERANCE if inset else None,
-                symbol="D",
-                note=INERTIA_NOTE if key == "c_i" and not inset else "",
-            )
-            for name, key, reference in (
-                ("drag coefficient c_d", "c_d", C_D),
-                ("added-mass coefficient c_i", "c_i", C_I),
-            )
-        ]
+def judge(runs: Runs) -> Iterator[Check]:
+    """Check both coefficients with markers inside, as bodies have them; else record them."""
+    for inset, where in INSETS.items():
+        by_size = runs.by("diameter", inset=inset)
+        finest = by_size[max(by_size)]
+        for key, (name, reference) in COEFFICIENTS.items():
+            values = {d: run[key] for d, run in by_size.items()}
+            criterion = (reference, "Dütsch et al. 1998", TOLERANCE if inset else None)
+            note = INERTIA_NOTE if key == "c_i" and not inset else ""
+            yield check_finest("D", f"{name}, {where}", values, *criterion, note=note)
         time, theirs = np.array(CURVE).T
         ours = np.interp(time, finest["time"], finest["force"], period=1.0)
         rms = float(np.sqrt(np.mean((ours - theirs) ** 2)) / np.abs(theirs).max())
-        checks += [
-            Check(quantity=f"{quantity}, {where}", ours=value, resolution=f"D = {max(runs)}")
-            for quantity, value in (
-                ("rms difference from the reference curve / its peak", rms),
-                ("change of c_i from the period before", finest["c_i"] / finest["c_i_before"] - 1),
-            )
-        ]
-    small, large = (results[_label(LARGE_DOMAIN_DIAMETER, INSET, size)] for size in (USUAL, LARGE))
-    return checks + [
-        Check(
-            quantity=f"{key} in the larger domain / in the usual one",
-            ours=large[key] / small[key],
-            resolution=f"D = {LARGE_DOMAIN_DIAMETER}",
-        )
-        for key in ("c_d", "c_i")
-    ]
+        change = finest["c_i"] / finest["c_i_before"] - 1
+        for quantity, value in (
+            ("rms difference from the reference curve / its peak", rms),
+            ("change of c_i from the period before", change),
+        ):
+            yield Check(f"{quantity}, {where}", value, resolution=f"D = {max(by_size)}")
+    for key in COEFFICIENTS:
+        small = runs.read(key, "diameter", inset=0.45)[LARGE_DOMAIN_DIAMETER]
+        large = runs.read(key, "diameter", inset=0.45, **LARGE)[LARGE_DOMAIN_DIAMETER]
+        name = f"{key} in the larger domain / in the usual one"
+        yield Check(name, large / small, resolution=f"D = {LARGE_DOMAIN_DIAMETER}")
 
 
-def draw(results: Results) -> Figure:
+def draw(figure: Figure, runs: Runs) -> None:
     """Draw the force over a period."""
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axes = figure.subplots()
-    shown = [_label(d, inset) for inset in (0.0, INSET) for d in DIAMETERS[::2]]
-    for name, colour in zip(shown, COLOURS, strict=False):
-        axes.plot(results[name]["time"], results[name]["force"], color=colour, label=name)
-    axes.plot(
-        *zip(*CURVE, strict=True), "o", color="black", markerfacecolor="none", markersize=5,
-        label="Dütsch et al. 1998",
-    )  # fmt: skip
+    for inset in INSETS:
+        for d, run in list(runs.by("diameter", inset=inset).items())[::2]:
+            name = f"D = {d}" + (f", inset {inset}" if inset else "")
+            axes.plot(run["time"], run["force"], label=name)
+    draw_reference(axes, CURVE, "Dütsch et al. 1998")
     axes.set(xlabel="time t / T", ylabel="force on the cylinder / ρU²D", xlim=(0.0, 1.0))
-    axes.set_title("Oscillating cylinder, KC = 5, Re = 100", loc="left")
-    axes.legend(fontsize=9)
-    return figure
+    axes.set_title("Oscillating cylinder, KC = 5, Re = 100")
+    axes.legend()
 
 
 SOURCE = (
@@ -200,4 +173,4 @@ SOURCE = (
     "quoted by OpenAccel's validation page (c_d 2.10, c_i 1.45), the force curve of their "
     "fig. 10 as digitised in PacIFiC, whose least-squares fit gives 2.114 and 1.452"
 )
-CASE = Case("oscillating-cylinder", __doc__, SOURCE, make_jobs, judge, draw)
+CASE = Case("oscillating-cylinder", __doc__, SOURCE, JOBS, judge, draw, size=(6.4, 4.0))

@@ -11,31 +11,30 @@ extrapolation, also behind sponges in which τ rises to 1; open to plane waves, 
 waves out by the means along the edge; and the same at each node by itself.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from experiments.figures import COLOURS
-from experiments.validation.case import Case, Check, Job, Result, Results, select
+from experiments.validation.case import Case, Check, Job, Result, Runs
+from experiments.validation.wake import OPEN, OPEN_SIDE, PINNED, STREAM
 from fishrl.physics import FlowConfig, InPlaceSolver, Sponge
-from fishrl.physics.boundaries import Boundaries, Boundary, NonEquilibrium, OpenEdge, Periodic
+from fishrl.physics.boundaries import Boundaries, Boundary, Periodic
 from fishrl.physics.collision import compute_equilibrium
 
 WIDTH, HEIGHT, AHEAD = 240, 320, 80  # nodes; the disturbance starts so far ahead of the outflow
 RADIUS, SPEED, TAU = 10.0, 0.1, 0.53
 VORTEX_SPEED, PULSE = 0.03, 0.01
 SOUND = 3.0**-0.5
-STREAM, PINNED = NonEquilibrium(velocity=(1.0, 0.0)), NonEquilibrium(density=1.0)
 OUTFLOWS: Mapping[str, tuple[Boundary, int]] = {  # with the length of the sponge
     "pinned density": (PINNED, 0),
     "pinned, sponge 20": (PINNED, 20),
     "pinned, sponge 40": (PINNED, 40),
     "pinned, sponge 80": (PINNED, 80),
-    "open to plane waves": (OpenEdge(), 0),
-    "open to plane waves, sponge 40": (OpenEdge(), 40),
-    "open at each node": (OpenEdge(is_plane=False), 0),
+    "open to plane waves": (OPEN, 0),
+    "open to plane waves, sponge 40": (OPEN, 40),
+    "open at each node": (OPEN_SIDE, 0),
 }
 QUICK_OUTFLOWS = ("pinned density", "pinned, sponge 40")
 
@@ -123,57 +122,37 @@ def _start(boundary: Boundary, sponge: int, kind: str, width: int) -> InPlaceSol
     return solver
 
 
-def _label(outflow: str, kind: str) -> str:
-    return f"{kind}, {outflow}"
-
-
-def make_jobs(quick: bool) -> list[Job]:
-    """Return a run per outflow and disturbance."""
-    return [
-        Job(
-            _label(outflow, kind),
-            disturb_outflow,
-            {"outflow": outflow, "kind": kind},
-            cost=1e8 if kind == "vortex" else 3e7,
-        )
-        for kind in KINDS
-        for outflow in (QUICK_OUTFLOWS if quick else OUTFLOWS)
-    ]
-
-
-def _select(results: Results, kind: str) -> dict[str, Result]:
-    return select(results, {outflow: _label(outflow, kind) for outflow in OUTFLOWS})
-
-
-def judge(results: Results) -> Sequence[Check]:
-    """Show what each outflow reflects; nothing is judged."""
-    rows = {kind: {o: r["worst"] for o, r in _select(results, kind).items()} for kind in KINDS}
-    return [
-        Check(
-            quantity=f"reflected share of a {kind}",
-            ours=row["pinned density"],
-            resolution="pinned density",
-            refinement=row,
-        )
-        for kind, row in rows.items()
-    ]
-
-
-def draw(results: Results) -> Figure:
-    """Draw the error over time behind each outflow."""
-    figure = Figure(figsize=(10.0, 3.9), layout="constrained")
-    grid = figure.subplots(1, len(KINDS), sharey=True)
-    for axes, kind in zip(grid, KINDS, strict=True):
-        for (outflow, run), colour in zip(_select(results, kind).items(), COLOURS, strict=False):
-            axes.semilogy(run["time"], run["error"], color=colour, label=outflow)
-        axes.set_title(kind, loc="left")
-        axes.set(xlabel="time  [steps]")
-    grid[0].set(ylabel="error / height of the disturbance")
-    figure.legend(
-        *grid[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=9
+JOBS = [
+    Job(
+        disturb_outflow,
+        {"outflow": outflow, "kind": kind},
+        cost=1e8 if kind == "vortex" else 3e7,
+        is_quick=outflow in QUICK_OUTFLOWS,
     )
-    return figure
+    for kind in KINDS
+    for outflow in OUTFLOWS
+]
+
+
+def judge(runs: Runs) -> Iterator[Check]:
+    """Show what each outflow reflects, without a criterion."""
+    for kind in KINDS:
+        row = runs.read("worst", "outflow", kind=kind)
+        pinned, name = row["pinned density"], f"reflected share of a {kind}"
+        yield Check(name, pinned, resolution="pinned density", refinement=row)
+
+
+def draw(figure: Figure, runs: Runs) -> None:
+    """Draw the error over time behind each outflow."""
+    panels = figure.subplots(1, len(KINDS), sharey=True)
+    for axes, kind in zip(panels, KINDS, strict=True):
+        for outflow, run in runs.by("outflow", kind=kind).items():
+            axes.semilogy(run["time"], run["error"], label=outflow)
+        axes.set(xlabel="time  [steps]", title=kind)
+    panels[0].set_ylabel("error / height of the disturbance")
+    lines = panels[0].get_legend_handles_labels()
+    figure.legend(*lines, loc="outside lower center", ncols=4)
 
 
 SOURCE = "the same flow in a domain twice as long"
-CASE = Case("outflow", __doc__, SOURCE, make_jobs, judge, draw)
+CASE = Case("outflow", __doc__, SOURCE, JOBS, judge, draw, size=(10.0, 3.9))

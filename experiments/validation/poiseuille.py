@@ -8,19 +8,18 @@ peak. The order is taken over the width between the walls: H node distances with
 1 with the second.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 
 from matplotlib.figure import Figure
 
-from experiments.validation.case import Case, Check, Job, Result, Results, select
-from experiments.validation.convergence import draw_convergence, fit_order
+from experiments.validation.case import Case, Check, Job, Result, Runs
+from experiments.validation.plots import draw_convergence, fit_order
 from fishrl.physics import Boundaries, NonEquilibrium, NoSlip, Periodic
 from fishrl.physics.cases import measure_poiseuille_error
 
 HALF_WAY = "half-way bounce-back"
 WALLS = {HALF_WAY: NoSlip(), "non-equilibrium extrapolation": NonEquilibrium(velocity=(0.0, 0.0))}
 HEIGHTS = (8, 16, 32, 64)
-QUICK_HEIGHTS = (8, 16, 32)
 JUDGED_HEIGHT = 32
 
 
@@ -31,65 +30,43 @@ def run_channel(*, walls: str, height: int) -> Result:
     return {"error": measure_poiseuille_error(height, boundaries)}
 
 
-def _label(walls: str, height: int) -> str:
-    return f"{walls}, H = {height}"
+JOBS = [
+    # steps grow as H²; a few nodes, so a step costs the same
+    Job(run_channel, {"walls": walls, "height": n}, cost=2e4 * n**2, is_quick=n < 64)
+    for walls in WALLS
+    for n in HEIGHTS
+]
 
 
-def make_jobs(quick: bool) -> list[Job]:
-    """Return a run for each kind of wall and height."""
-    return [
-        Job(
-            _label(walls, height),
-            run_channel,
-            {"walls": walls, "height": height},
-            cost=2e4 * height**2,  # steps grow as H²; a few nodes, so a step costs the same
-        )
-        for walls in WALLS
-        for height in (QUICK_HEIGHTS if quick else HEIGHTS)
-    ]
-
-
-def _read(results: Results, walls: str) -> dict[int, float]:
-    runs = select(results, {height: _label(walls, height) for height in HEIGHTS})
-    return {height: run["error"] for height, run in runs.items()}
-
-
-def judge(results: Results) -> Sequence[Check]:
-    """Judge order and error for each kind of wall."""
-    checks = []
+def judge(runs: Runs) -> Iterator[Check]:
+    """Check order and error for each kind of wall."""
     for walls in WALLS:
-        errors, lost = _read(results, walls), 0 if walls == HALF_WAY else 1
-        checks += [
-            Check(
-                quantity=f"order of the profile error, {walls}",
-                ours=fit_order({n - lost: e for n, e in errors.items()}),
-                reference=2.0,
-                source="second-order method",
-                tolerance=0.1,
-                is_absolute=True,
-                resolution=f"H = {min(errors)}–{max(errors)}",
-            ),
-            Check(
-                quantity=f"largest profile error / peak, {walls}",
-                ours=errors[JUDGED_HEIGHT],
-                reference=(0.0, 1e-3),
-                source="own criterion",
-                resolution=f"H = {JUDGED_HEIGHT}",
-                refinement={f"H = {n}": e for n, e in errors.items()},
-            ),
-        ]
-    return checks
+        errors, lost = runs.read("error", "height", walls=walls), 0 if walls == HALF_WAY else 1
+        yield Check(
+            f"order of the profile error, {walls}",
+            fit_order({n - lost: e for n, e in errors.items()}),
+            2.0,
+            "second-order method",
+            tolerance=0.1,
+            is_absolute=True,
+            resolution=f"H = {min(errors)}–{max(errors)}",
+        )
+        yield Check(
+            f"largest profile error / peak, {walls}",
+            errors[JUDGED_HEIGHT],
+            (0.0, 1e-3),
+            "own criterion",
+            resolution=f"H = {JUDGED_HEIGHT}",
+            refinement={f"H = {n}": e for n, e in errors.items()},
+        )
 
 
-def draw(results: Results) -> Figure:
+def draw(figure: Figure, runs: Runs) -> None:
     """Draw the error against resolution."""
-    figure = Figure(figsize=(5.6, 3.8), layout="constrained")
     axes = figure.subplots()
-    draw_convergence(axes, {walls: _read(results, walls) for walls in WALLS})
+    draw_convergence(axes, {walls: runs.read("error", "height", walls=walls) for walls in WALLS})
     axes.set(xlabel="nodes H across the channel", ylabel="largest error / peak speed")
-    axes.set_title("Poiseuille flow driven by a body force, τ = 0.9", loc="left")
-    return figure
+    axes.set_title("Poiseuille flow driven by a body force, τ = 0.9")
 
 
-SOURCE = "exact parabola"
-CASE = Case("poiseuille", __doc__, SOURCE, make_jobs, judge, draw)
+CASE = Case("poiseuille", __doc__, "exact parabola", JOBS, judge, draw)

@@ -1,4 +1,4 @@
-"""What came out, as one page of Markdown with figures, and as JSON."""
+"""The report: one page of Markdown with figures, and all checks as JSON."""
 
 from __future__ import annotations
 
@@ -7,14 +7,12 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from math import inf, isfinite
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 
-from experiments.figures import STYLE
 from experiments.pages import write_table
 from experiments.validation.case import MISSED, PASS, RECORDED, Check, as_range
-from experiments.validation.runner import Outcome
+from experiments.validation.runner import FIGURE_STYLE, Outcome
 
 HEADS = ("case", "quantity", "ours", "reference", "error", "tolerance", "verdict", "resolution")
 
@@ -23,34 +21,31 @@ def write_report(outcomes: Sequence[Outcome], *, page: Path, json_path: Path, co
     """Write the page, a figure per case beside it and all checks as JSON.
 
     Args:
-        outcomes: judged cases.
+        outcomes: checked cases.
         page: Markdown file; the figures go into ``figures/validation`` beside it.
         json_path: the checks in a form that programs read.
         command: that the page was made by.
     """
     figures = page.parent / "figures" / "validation"
     figures.mkdir(parents=True, exist_ok=True)
+    rows = []
     for outcome in outcomes:
         if outcome.figure is not None:
-            with mpl.rc_context(STYLE):
+            with mpl.rc_context(FIGURE_STYLE):
                 outcome.figure.savefig(figures / f"{outcome.case.name}.png")
+        for check in outcome.checks:
+            row = {"case": outcome.case.name, **asdict(check)}
+            row |= {"error": check.error, "verdict": check.verdict}
+            rows.append(json.loads(json.dumps(row), parse_constant=lambda _: None))
     page.write_text(render(outcomes, command), encoding="utf-8")
-    rows = [_to_row(outcome, check) for outcome in outcomes for check in outcome.checks]
     json_path.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-
-
-def _to_row(outcome: Outcome, check: Check) -> dict[str, Any]:
-    row = {"case": outcome.case.name, **asdict(check)}
-    row |= {"error": check.error, "verdict": check.verdict}
-    plain: dict[str, Any] = json.loads(json.dumps(row), parse_constant=lambda _: None)
-    return plain
 
 
 def render(outcomes: Sequence[Outcome], command: str) -> str:
     """Return the page.
 
     Args:
-        outcomes: judged cases.
+        outcomes: checked cases.
         command: that the page was made by.
     """
     machines = {
@@ -87,21 +82,20 @@ def summarise(outcomes: Sequence[Outcome]) -> str:
 
 def render_table(outcomes: Sequence[Outcome]) -> str:
     """Return the summary table, a row per check."""
-    rows = [
-        (
-            outcome.case.name,
-            check.quantity,
-            format_number(check.ours),
-            _format_reference(check),
-            _format_error(check),
-            _format_tolerance(check),
-            f"**{MISSED}**" if check.verdict == MISSED else check.verdict,
-            check.resolution or "–",
-        )
-        for outcome in outcomes
-        for check in outcome.checks
-    ]
-    return write_table(HEADS, rows)
+    return write_table(
+        HEADS, [_make_row(outcome.case.name, c) for outcome in outcomes for c in outcome.checks]
+    )
+
+
+def _make_row(case: str, check: Check) -> Sequence[str]:
+    is_range = isinstance(check.reference, tuple)
+    error = "inside" if is_range and check.error == 0.0 else _format_share(check, check.error)
+    tolerance = _format_share(check, check.tolerance)
+    if is_range and check.tolerance is None:
+        tolerance = "inside"
+    numbers = (format_number(check.ours), _format_reference(check), error, tolerance)
+    verdict = f"**{MISSED}**" if check.verdict == MISSED else check.verdict
+    return (case, check.quantity, *numbers, verdict, check.resolution or "–")
 
 
 def _render_case(outcome: Outcome) -> list[str]:
@@ -119,13 +113,10 @@ def _render_case(outcome: Outcome) -> list[str]:
         parts.append(f"![{case.title}](figures/validation/{case.name}.png)")
     notes: dict[tuple[str, str], list[str]] = {}
     for check in outcome.checks:
-        if check.note or check.verdict == MISSED:
-            key = check.verdict, check.note or "reason not known."
-            notes.setdefault(key, []).append(check.quantity)
-    for (verdict, note), quantities in notes.items():
-        mark = f"**{MISSED}**: " if verdict == MISSED else ""
-        parts.append(f"{mark}{'; '.join(quantities)}: {note}")
-    return parts
+        mark = f"**{MISSED}**: " if check.verdict == MISSED else ""
+        if note := check.note or (mark and "reason not known."):
+            notes.setdefault((mark, note), []).append(check.quantity)
+    return parts + [f"{mark}{'; '.join(names)}: {note}" for (mark, note), names in notes.items()]
 
 
 def format_number(value: float) -> str:
@@ -139,32 +130,17 @@ def _format_reference(check: Check) -> str:
     if check.reference is None:
         return "–"
     low, high = as_range(check.reference)
+    text = f"{format_number(low)} to {format_number(high)}"
     if low == high:
         text = format_number(low)
     elif high == inf:
         text = f"≥ {format_number(low)}"
     elif low in (0.0, -inf):
         text = f"≤ {format_number(high)}"
-    else:
-        text = f"{format_number(low)} to {format_number(high)}"
     return f"{text} ({check.source})" if check.source else text
 
 
-def _format_share(value: float, is_absolute: bool) -> str:
-    if not isfinite(value):
+def _format_share(check: Check, value: float | None) -> str:
+    if value is None or not isfinite(value):
         return "–"
-    return f"± {value:.2g}" if is_absolute else f"{100 * value:.2g} %"
-
-
-def _format_error(check: Check) -> str:
-    if check.error is None:
-        return "–"
-    if check.error == 0.0 and isinstance(check.reference, tuple):
-        return "inside"
-    return _format_share(check.error, check.is_absolute)
-
-
-def _format_tolerance(check: Check) -> str:
-    if check.tolerance is not None:
-        return _format_share(check.tolerance, check.is_absolute)
-    return "inside" if isinstance(check.reference, tuple) else "–"
+    return f"± {value:.2g}" if check.is_absolute else f"{100 * value:.2g} %"

@@ -1,33 +1,42 @@
-"""From cases to outcomes: known results are read, missing ones computed, all are judged."""
+"""Run the jobs of cases whose results are not cached, and check all results."""
 
 from __future__ import annotations
 
+import inspect
 import json
 import logging
 import multiprocessing
 import signal
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import CodeType, FunctionType
 from typing import Any
 
 import matplotlib as mpl
 import torch
+from cycler import cycler
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from experiments.benchmarks.machine import describe_machine
-from experiments.figures import STYLE
+from experiments.figures import COLOURS, STYLE
 from experiments.figures.style import tidy
-from experiments.validation.case import Case, Check, Job, Result
-from experiments.validation.fingerprint import fingerprint
+from experiments.validation.case import Case, Check, Job, Runs
 from fishrl.files import staged
+from fishrl.physics.cache_key import hash_sources, make_key
 
+FIGURE_STYLE: Any = STYLE | {
+    "axes.prop_cycle": cycler(color=COLOURS),
+    "axes.titlelocation": "left",
+    "figure.constrained_layout.use": True,
+    "legend.fontsize": 8,
+}
 logger = logging.getLogger(__name__)
 
 
@@ -38,8 +47,8 @@ class Outcome:
     Attributes:
         case: the case.
         jobs: its runs.
-        records: by label, what each finished job left: result, seconds and machine.
-        checks: the judged numbers, failures among them.
+        records: by label, result, seconds and machine of each finished job.
+        checks: the checked numbers, failures among them.
         figure: None where there is nothing to draw.
     """
 
@@ -50,21 +59,20 @@ class Outcome:
     figure: Figure | None = None
 
     @property
-    def results(self) -> dict[str, Result]:
-        """Results by label, in the order of the jobs."""
-        labels = [job.label for job in self.jobs if job.label in self.records]
-        return {label: self.records[label]["result"] for label in labels}
+    def runs(self) -> Runs:
+        """Finished runs, in the order of the jobs."""
+        labels = [(job, job.label) for job in self.jobs]
+        return Runs([(j, self.records[n]["result"]) for j, n in labels if n in self.records])
 
     @property
     def seconds(self) -> float:
         """Time that the jobs took, one after the other."""
         return sum(record["seconds"] for record in self.records.values())
 
-    def fail(self, what: str, how: str, error: BaseException) -> None:
+    def fail(self, what: str, error: BaseException) -> None:
         """Add a check that is missed because of an error."""
-        logger.error("%s, %s: %s", self.case.name, what, how, exc_info=error)
-        note = f"{how}: {type(error).__name__}: {error}"
-        self.checks.append(Check(quantity=what, ours=float("nan"), note=note))
+        logger.error("%s, %s failed", self.case.name, what, exc_info=error)
+        self.checks.append(Check(what, float("nan"), note=f"{type(error).__name__}: {error}"))
 
 
 def run_cases(
@@ -75,7 +83,7 @@ def run_cases(
     num_workers: int = 1,
     is_fresh: bool = False,
 ) -> list[Outcome]:
-    """Run what is not known yet of some cases, and judge them.
+    """Run the jobs without a cached result, and check the results of all.
 
     Each job's result is written to ``folder/<case>/<fingerprint>.json`` as soon as it is there, so
     that an interrupted run continues where it was.
@@ -83,27 +91,21 @@ def run_cases(
     Args:
         cases: to run; those without jobs are left out.
         folder: of the results.
-        quick: run each case's quick jobs only.
+        quick: run the quick jobs only.
         num_workers: processes at a time.
-        is_fresh: forget what is known of these jobs.
+        is_fresh: ignore cached results.
     """
-    outcomes = [Outcome(case, jobs) for case in cases if (jobs := case.make_jobs(quick))]
+    outcomes = [Outcome(case, [j for j in case.jobs if j.is_quick or not quick]) for case in cases]
+    outcomes = [outcome for outcome in outcomes if outcome.jobs]
     todo: list[tuple[Outcome, Job, Path]] = []
     for outcome in outcomes:
-        (folder / outcome.case.name).mkdir(parents=True, exist_ok=True)
         for job in outcome.jobs:
             path = folder / outcome.case.name / f"{fingerprint(job)}.json"
             if path.is_file() and not is_fresh:
                 outcome.records[job.label] = json.loads(path.read_text(encoding="utf-8"))
             else:
+                path.parent.mkdir(parents=True, exist_ok=True)
                 todo.append((outcome, job, path))
-    _run(todo, num_workers)
-    for outcome in outcomes:
-        _judge(outcome)
-    return outcomes
-
-
-def _run(todo: list[tuple[Outcome, Job, Path]], num_workers: int) -> None:
     todo.sort(key=lambda item: -item[1].cost)
     machine = describe_machine() | {"threads": 1}
     futures = _run_jobs([job for _, job, _ in todo], num_workers)
@@ -112,20 +114,33 @@ def _run(todo: list[tuple[Outcome, Job, Path]], num_workers: int) -> None:
     for i, future in tqdm(futures, "validation", len(todo), unit="run", disable=is_silent):
         outcome, job, path = todo[i]
         if error := future.exception():
-            outcome.fail(f"run {job.label}", "the run failed", error)
+            outcome.fail(f"run {job.label}", error)
             continue
         result, seconds = future.result()
         logger.info("%s %s: %.1f s", outcome.case.name, job.label, seconds)
-        outcome.records[job.label] = {
-            "label": job.label,
-            "function": f"{job.function.__module__}.{job.function.__qualname__}",
-            "arguments": job.arguments,
-            "seconds": seconds,
-            "machine": machine,
-            "result": json.loads(result),
-        }
+        record = {"label": job.label, "seconds": seconds, "machine": machine}
+        outcome.records[job.label] = record | {"result": json.loads(result)}
         with staged(path) as stage:
             stage.write_text(json.dumps(outcome.records[job.label], indent=1) + "\n")
+    for outcome in outcomes:
+        _judge(outcome)
+    return outcomes
+
+
+def _judge(outcome: Outcome) -> None:
+    """Fill in checks and figure; a case with a failed job has only its misses."""
+    if outcome.checks:
+        return
+    try:
+        outcome.checks.extend(outcome.case.judge(outcome.runs))
+        with mpl.rc_context(FIGURE_STYLE):
+            outcome.figure = Figure(figsize=outcome.case.size)
+            outcome.case.draw(outcome.figure, outcome.runs)
+            for axes in outcome.figure.axes:
+                if not axes.images and axes.get_label() != "<colorbar>":
+                    tidy(axes)
+    except Exception as error:  # noqa: BLE001 - one case must not cost the report of the others
+        outcome.fail("checks", error)
 
 
 def _run_jobs(
@@ -134,7 +149,7 @@ def _run_jobs(
     """Yield each job's index and its future when it has ended.
 
     A process that dies breaks its pool: then the jobs without a result run again, each in a pool
-    of its own, so that only the one to blame fails.
+    of its own, so that only the one that died fails.
     """
     broken = []
     with _open_pool(num_workers) as pool:
@@ -178,16 +193,41 @@ def _call(job: Job) -> tuple[str, float]:
     return text, time.perf_counter() - start
 
 
-def _judge(outcome: Outcome) -> None:
-    """Fill in checks and figure; a case with a failed job has nothing but misses."""
-    if outcome.checks:
-        return
-    try:
-        outcome.checks.extend(outcome.case.judge(outcome.results))
-        with mpl.rc_context(STYLE):
-            outcome.figure = outcome.case.draw(outcome.results)
-            for axes in outcome.figure.axes:
-                if not axes.images and axes.get_label() != "<colorbar>":
-                    tidy(axes)
-    except Exception as error:  # noqa: BLE001 - one case must not cost the report of the others
-        outcome.fail("judging", "judging failed", error)
+def fingerprint(job: Job) -> str:
+    """Return a word that changes when the job's result may.
+
+    It covers the arguments, the function with all it calls and the constants it reads in this
+    package (not the rest of its file: a new tolerance or figure runs nothing again), every source
+    file of ``fishrl.physics`` and the version of torch. Imports inside functions are not seen.
+    """
+    name = f"{job.function.__module__}.{job.function.__qualname__}"
+    arguments = json.dumps(job.arguments, sort_keys=True)
+    sources: set[str] = set()
+    _read_sources(name, job.function, sources)
+    return make_key(name, arguments, sorted(sources), hash_sources(), torch.__version__)
+
+
+def _read_sources(name: str, thing: Any, seen: set[str]) -> None:
+    """Add the value of a constant, or the source of a function or type and of all it uses."""
+    if isinstance(thing, Mapping | tuple | list):
+        items = thing.items() if isinstance(thing, Mapping) else enumerate(thing)
+        for key, value in items:
+            _read_sources(f"{name}[{key!r}]", value, seen)
+    elif isinstance(thing, FunctionType | type):
+        own = thing.__module__.startswith(("experiments.", "tests."))
+        if not own or (source := inspect.getsource(thing)) in seen:
+            return
+        seen.add(source)
+        if isinstance(thing, FunctionType):
+            for word in _find_names(thing.__code__):
+                if word in thing.__globals__:
+                    _read_sources(word, thing.__globals__[word], seen)
+    elif not callable(thing) and not inspect.ismodule(thing):
+        seen.add(f"{name} = {thing!r}")
+
+
+def _find_names(code: CodeType) -> Iterator[str]:
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _find_names(constant)

@@ -10,16 +10,16 @@ the record: refinement and τ at Re = 0.5, τ = 1.1 unless said, and the slowest
 Ding & Aidun's channel (H = 10 b, length 50 b, τ = 0.6); they find that rotation ends at Re ≈ 29.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping
 from math import pi
+from typing import Any
 
 import numpy as np
 import torch
 from matplotlib.figure import Figure
 
-from experiments.figures import COLOURS
-from experiments.validation.case import Case, Check, Job, Result, Results, check_finest, select
-from experiments.validation.wake import start_flow
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_finest
+from experiments.validation.wake import make_even, start_flow
 from fishrl.physics import Boundaries, Ellipse, FlowConfig, Free, NoSlip, Periodic
 from fishrl.physics.flow import make_uniform
 
@@ -27,17 +27,15 @@ ASPECT_RATIO = 2.0
 NUM_SAMPLES = 400  # per 5 pi / G, Jeffery's period
 JEFFERY = 2.0 * pi * (ASPECT_RATIO + 1.0 / ASPECT_RATIO)  # period times shear rate
 START = 0.5  # angle before the first passage of the gradient's direction, rad; not measured
+INSET = 0.45  # nodes, the bodies' default
 GAPS = (5.0, 10.0)
-LENGTHS = (16, 24)
-SLOW = {"length": 16, "reynolds": 0.1, "tau": 1.4}  # at Re = 0.05 the period is 0.01 % shorter
-USUAL = {"length": 24, "reynolds": 0.5, "gap": 5.0}
+# at Re = 0.05 the period is 0.01 % shorter
+SLOW: dict[str, Any] = {"length": 16, "reynolds": 0.1, "tau": 1.4, "inset": INSET}
+USUAL: dict[str, Any] = {"length": 24, "reynolds": 0.5}
+TAUS = (0.8, 1.4)
 # slowest rate / G by Reynolds number: Ding & Aidun 2000, fig. 9, read to 0.001
 SLOWEST = {15.0: 0.055, 20.0: 0.032, 24.0: 0.017}
-INERTIAL = {"length": 32, "gap": 5.0, "period_length": 25.0, "tau": 0.6}
-TAUS = (0.8, 1.4)
-INSET = 0.45  # nodes, the bodies' default
-WITH_INSET = f"inset {INSET}"
-SLOW_RUN = f"τ = {SLOW['tau']}, {WITH_INSET}"
+INERTIAL: dict[str, Any] = {"length": 32, "period_length": 25.0, "tau": 0.6}
 SLOW_NOTE = (
     "one resolution only. At Re = 0.5, H = 5 (2b) markers 0.45 nodes inside lengthen the period by "
     "an amount of first order in 1 / 2b, 3.6 % here, more than the error: this flow does better "
@@ -93,7 +91,7 @@ def tumble(
     solver.set_populations_(make_uniform(rest, rest + shear * y[:, None], rest))
     body = solver.body
     body.angular_velocity.fill_(-0.5 * shear)
-    stride = 2 * max(1, round(5.0 * pi / shear / NUM_SAMPLES / 2))
+    stride = make_even(5.0 * pi / shear / NUM_SAMPLES)
     angles = [-START]
     while angles[-1] < pi + 0.1 and len(angles) < 12 * NUM_SAMPLES:
         solver.advance_(stride)
@@ -112,102 +110,70 @@ def tumble(
     }
 
 
-def label(length: float, reynolds: float, gap: float, extra: str = "") -> str:
-    """Return the label of a run."""
-    return f"2b = {length}, Re = {reynolds:g}, H = {gap:g} (2b)" + (f", {extra}" if extra else "")
+RUNS: list[dict[str, Any]] = [
+    *({"length": n, "reynolds": 0.5, "inset": inset} for inset in (0.0, INSET) for n in (16, 24)),
+    *(SLOW | {"gap": gap} for gap in GAPS),
+    *(USUAL | {"tau": tau} for tau in TAUS),
+    *(INERTIAL | {"reynolds": reynolds} for reynolds in SLOWEST),
+]
+JOBS = [
+    Job(tumble, a, cost=1e3 * a["length"] ** 4 * a.get("gap", 5.0) / a["reynolds"]) for a in RUNS
+]
 
 
-def make_jobs(quick: bool) -> list[Job]:
-    """Return runs for each resolution, Reynolds number and gap; none is quick."""
-    runs: list[tuple[str, dict[str, float]]] = [
-        (extra, {"length": length, "reynolds": 0.5, "gap": 5.0} | more)
-        for extra, more in (("", {}), (WITH_INSET, {"inset": INSET}))
-        for length in LENGTHS
-    ]
-    runs += [(SLOW_RUN, SLOW | {"gap": gap, "inset": INSET}) for gap in GAPS]
-    runs += [(f"τ = {tau}", USUAL | {"tau": tau}) for tau in TAUS]
-    runs += [("", INERTIAL | {"reynolds": reynolds}) for reynolds in SLOWEST]
-    return [
-        Job(
-            label(run["length"], run["reynolds"], run["gap"], extra),
-            tumble,
-            run,
-            cost=1e3 * run["length"] ** 4 * run["gap"] / run["reynolds"],
-        )
-        for extra, run in ([] if quick else runs)
-    ]
-
-
-def judge(results: Results) -> Sequence[Check]:
-    """Judge the period; record what inertia, tau and the markers' place do."""
-    checks = [
-        Check(
-            quantity=f"period × G at Re = 0.1 without walls, {WITH_INSET}",
-            ours=extrapolate(results),
-            reference=JEFFERY,
-            source="Jeffery 1922",
-            tolerance=0.04,
-            resolution="2b = 16",
-            note=SLOW_NOTE,
-        )
-    ]
-    for extra in ("", WITH_INSET):
-        runs = select(results, {n: label(n, 0.5, 5.0, extra) for n in LENGTHS})
-        name = f"period × G, Re = 0.5, H = 5 (2b), {extra or 'no inset'}"
-        checks.append(
-            check_finest(name, {n: run["period"] for n, run in runs.items()}, symbol="2b")
-        )
+def judge(runs: Runs) -> Iterator[Check]:
+    """Check the period; record what inertia, tau and the markers' place do."""
+    yield Check(
+        f"period × G at Re = 0.1 without walls, inset {INSET}",
+        extrapolate(runs.read("period", "gap", **SLOW)),
+        JEFFERY,
+        "Jeffery 1922",
+        tolerance=0.04,
+        resolution="2b = 16",
+        note=SLOW_NOTE,
+    )
+    for inset, where in ((0.0, "no inset"), (INSET, f"inset {INSET}")):
+        values = runs.read("period", "length", reynolds=0.5, inset=inset)
+        yield check_finest("2b", f"period × G, Re = 0.5, H = 5 (2b), {where}", values)
+    periods = runs.read("period", "tau", **USUAL)
     for tau in TAUS:
-        name = label(**USUAL, extra=f"τ = {tau}")
-        checks.append(
-            Check(
-                quantity=f"period × G, {name}",
-                ours=results[name]["period"],
-                resolution=f"2b = {USUAL['length']}",
-            )
-        )
-    return checks + [
-        Check(
-            quantity=f"slowest rate / G at Re = {reynolds:g}",
-            ours=results[label(32, reynolds, 5.0)]["slowest"],
-            reference=reference,
-            source="Ding & Aidun 2000, read off fig. 9",
+        name = f"period × G, 2b = 24, Re = 0.5, H = 5 (2b), τ = {tau}"
+        yield Check(name, periods[tau], resolution="2b = 24")
+    for reynolds, rate in runs.read("slowest", "reynolds", **INERTIAL).items():
+        yield Check(
+            f"slowest rate / G at Re = {reynolds:g}",
+            rate,
+            SLOWEST[reynolds],
+            "Ding & Aidun 2000, read off fig. 9",
             resolution="2b = 32",
             is_absolute=True,
             note=INERTIA_NOTE,
         )
-        for reynolds, reference in SLOWEST.items()
-    ]
 
 
-def extrapolate(results: Results) -> float:
-    """Return the slow period without walls: their effect is quadratic in 2b / H."""
-    near, far = (results[label(16, 0.1, gap, SLOW_RUN)]["period"] for gap in GAPS)
-    return float(far + (far - near) / ((GAPS[1] / GAPS[0]) ** 2 - 1.0))
+def extrapolate(periods: Mapping[float, float]) -> float:
+    """Return the period without walls of those by gap: their effect is quadratic in 2b / H."""
+    near, far = (periods[gap] for gap in GAPS)
+    return far + (far - near) / ((GAPS[1] / GAPS[0]) ** 2 - 1.0)
 
 
-def draw(results: Results) -> Figure:
+def draw(figure: Figure, runs: Runs) -> None:
     """Draw the angular velocity against the angle."""
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axes = figure.subplots()
     angle = np.linspace(0.0, pi, 200)
     square = ASPECT_RATIO**2
     jeffery = (square * np.cos(angle) ** 2 + np.sin(angle) ** 2) / (square + 1.0)
     axes.plot(angle / pi, jeffery, color="black", linewidth=2.5, alpha=0.35, label="Jeffery")
-    shown = [label(16, 0.1, gap, SLOW_RUN) for gap in reversed(GAPS)]
-    shown += [label(32, reynolds, 5.0) for reynolds in SLOWEST]
-    for name, colour in zip(shown, COLOURS, strict=False):
-        result = results[name]
-        axes.plot(np.array(result["angle"]) / pi, result["rate"], color=colour, label=name)
-    axes.set(
-        xlabel="angle χ of the long axis from the gradient's direction / π",
-        ylabel="angular velocity / shear rate G",
-        xlim=(0.0, 1.0),
-        ylim=(0.0, None),
-    )
-    axes.set_title("Ellipse, b = 2c, in Couette flow", loc="left")
-    axes.legend(fontsize=8)
-    return figure
+    slow = reversed(runs.by("gap", **SLOW).items())
+    shown = {f"2b = 16, Re = 0.1, H = {gap:g} (2b), τ = 1.4": run for gap, run in slow}
+    for reynolds, run in runs.by("reynolds", **INERTIAL).items():
+        shown[f"2b = 32, Re = {reynolds:g}, H = 5 (2b)"] = run
+    for name, run in shown.items():
+        axes.plot(np.array(run["angle"]) / pi, run["rate"], label=name)
+    axes.set(ylabel="angular velocity / shear rate G", xlim=(0.0, 1.0), ylim=(0.0, None))
+    axes.set_xlabel("angle χ of the long axis from the gradient's direction / π")
+    axes.set_title("Ellipse, b = 2c, in Couette flow")
+    axes.legend()
 
 
 SOURCE = (
@@ -215,4 +181,4 @@ SOURCE = (
     "G at Re = 0 without walls; Ding & Aidun 2000, J. Fluid Mech. 423, 317, for what inertia "
     "does, as a digest of the paper quotes them"
 )
-CASE = Case("sheared-ellipse", __doc__, SOURCE, make_jobs, judge, draw)
+CASE = Case("sheared-ellipse", __doc__, SOURCE, JOBS, judge, draw, size=(6.4, 4.0))

@@ -7,7 +7,7 @@ the nodes, force included, and the body's, averaged over the second half, as a s
 or the stream's speed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from math import pi
 
@@ -15,11 +15,13 @@ import torch
 from matplotlib.figure import Figure
 
 from experiments.figures import COLOURS
-from experiments.validation.case import Case, Check, Job, Result, Results
+from experiments.validation.case import Case, Check, Job, Result, Runs
+from experiments.validation.plots import name_ticks
+from experiments.validation.wake import PINNED, STREAM
 from fishrl.physics import Cylinder, Fish, FlowConfig, FlowState, Free, Scales
 from fishrl.physics.bodies.geometry import locate_bodies
 from fishrl.physics.bodies.state import make_body
-from fishrl.physics.boundaries import Boundaries, NonEquilibrium
+from fishrl.physics.boundaries import Boundaries
 from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.flow import FlowParams, make_params, make_rest
 from fishrl.physics.immersed_boundary import DirectSolve, ForceSolve, IterativeForcing, interpolate
@@ -37,33 +39,30 @@ BODIES = {"fish": "o", "cylinder": "s"}  # with the marks of the figure
 def make_fish_flow() -> tuple[FlowConfig, FlowState, float, int]:
     """Return a flow at rest, the speed to compare with and the steps until it is measured."""
     scales = Scales.from_budget(body_length=50, reynolds=7000.0)
-    config = FlowConfig(
-        width=240, height=120, tau=scales.tau, bodies=(Fish(body_length=50, motion=Free()),)
-    )
+    fish = Fish(body_length=50, motion=Free())
+    config = FlowConfig(width=240, height=120, tau=scales.tau, bodies=(fish,))
     state = _make_state(config, (140.3, 60.2), 1.0 / scales.period)
     return config, state, scales.tail_speed, round(0.7 * scales.period)
 
 
 def _make_cylinder_flow() -> tuple[FlowConfig, FlowState, float, int]:
-    edge, speed = NonEquilibrium(velocity=(1.0, 0.0)), 0.05
     config = FlowConfig(
         width=200,
         height=120,
         tau=0.53,
-        stream_speed=speed,
+        stream_speed=0.05,
         ramp_steps=200,
         bodies=(Cylinder(diameter=20),),
-        boundaries=Boundaries(left=edge, right=NonEquilibrium(density=1.0), bottom=edge, top=edge),
+        boundaries=Boundaries(left=STREAM, right=PINNED, bottom=STREAM, top=STREAM),
     )
-    return config, _make_state(config, (60.3, 60.2), 0.0), speed, 600
+    return config, _make_state(config, (60.3, 60.2), 0.0), 0.05, 600
 
 
 def _make_state(config: FlowConfig, place: tuple[float, float], frequency: float) -> FlowState:
     zero = torch.zeros(1, dtype=torch.float64)
     position = torch.tensor([place], dtype=torch.float64)
-    return FlowState(
-        make_rest(config, 1), (make_body(position, zero + pi, zero + frequency),), zero
-    )
+    body = make_body(position, zero + pi, zero + frequency)
+    return FlowState(make_rest(config, 1), (body,), zero)
 
 
 def measure_slip(state: FlowState, config: FlowConfig, params: FlowParams) -> float:
@@ -117,58 +116,42 @@ def compare_solves(*, body: str) -> Result:
     return result
 
 
-def make_jobs(quick: bool) -> list[Job]:
-    """Return a run for each body."""
-    bodies = ["cylinder"] if quick else list(BODIES)
-    return [Job(body, compare_solves, {"body": body}, cost=1e9) for body in bodies]
+JOBS = [Job(compare_solves, {"body": b}, cost=1e9, is_quick=b == "cylinder") for b in BODIES]
 
 
-def judge(results: Results) -> Sequence[Check]:
-    """Judge the direct solve; record the iterations."""
-    checks = []
-    for body, result in results.items():
-        checks += [
-            Check(
-                quantity=f"slip / speed of the direct solve, {body}, {precision}",
-                ours=result[key],
-                reference=(0.0, limit),
-                source="round-off",
-            )
-            for key, precision, limit in (
-                ("direct", "float64", 1e-12),
-                ("direct, float32", "float32", 1e-6),
-            )
-        ]
+def judge(runs: Runs) -> Iterator[Check]:
+    """Check the direct solve; record the iterations."""
+    for body, run in runs.by("body").items():
+        for key, precision, limit in (
+            ("direct", "float64", 1e-12),
+            ("direct, float32", "float32", 1e-6),
+        ):
+            name = f"slip / speed of the direct solve, {body}, {precision}"
+            yield Check(name, run[key], (0.0, limit), "round-off")
         for w in RELAXATIONS:
-            slips = dict(zip(COUNTS, result[f"relaxation {w}"], strict=True))
-            checks.append(
-                Check(
-                    quantity=f"slip / speed, {body}, relaxation {w}",
-                    ours=slips[DEFAULT.num_iterations],
-                    resolution=f"{DEFAULT.num_iterations} iterations",
-                    refinement={f"K = {k}": slip for k, slip in slips.items()},
-                )
+            slips = dict(zip(COUNTS, run[f"relaxation {w}"], strict=True))
+            yield Check(
+                f"slip / speed, {body}, relaxation {w}",
+                slips[DEFAULT.num_iterations],
+                resolution=f"{DEFAULT.num_iterations} iterations",
+                refinement={f"K = {k}": slip for k, slip in slips.items()},
             )
-    return checks
 
 
-def draw(results: Results) -> Figure:
+def draw(figure: Figure, runs: Runs) -> None:
     """Draw the slip against the number of iterations."""
-    figure = Figure(figsize=(6.0, 4.0), layout="constrained")
     axes = figure.subplots()
-    for body, result in results.items():
+    for body, run in runs.by("body").items():
         for (w, line), colour in zip(RELAXATIONS.items(), COLOURS, strict=False):
             axes.loglog(
-                COUNTS, result[f"relaxation {w}"], BODIES[body] + line, color=colour,
+                COUNTS, run[f"relaxation {w}"], BODIES[body] + line, color=colour,
                 markerfacecolor="none", label=f"{body}, relaxation {w}",
             )  # fmt: skip
-    axes.set_xticks(COUNTS, [str(k) for k in COUNTS])
-    axes.minorticks_off()
+    name_ticks(axes, COUNTS)
     axes.set(xlabel="iterations per step", ylabel="largest slip / speed of tail or stream")
-    axes.set_title("Slip against the number of force iterations", loc="left")
-    axes.legend(fontsize=9)
-    return figure
+    axes.set_title("Slip against the number of force iterations")
+    axes.legend()
 
 
 SOURCE = "no slip; relaxation 1 is the paper's iteration (Zhang et al. 2016)"
-CASE = Case("slip", __doc__, SOURCE, make_jobs, judge, draw)
+CASE = Case("slip", __doc__, SOURCE, JOBS, judge, draw, size=(6.0, 4.0))

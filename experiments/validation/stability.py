@@ -8,21 +8,21 @@ starts at once, 12 D × 8 D with pinned edges, which reflect the sound of the st
 for 6 D of travel. Refused is a tau too near to one half.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from itertools import product
 from math import pi, radians
+from typing import Any
 
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.validation.case import Case, Check, Job, Result, Results
-from experiments.validation.wake import start_flow
-from fishrl.physics import Cylinder, Fixed, FlowConfig, InPlaceSolver, Scales
-from fishrl.physics.boundaries import Boundaries, NonEquilibrium
+from experiments.validation.case import Case, Check, Job, Result, Runs
+from experiments.validation.plots import name_ticks
+from experiments.validation.wake import PINNED, STREAM, start_stream
+from fishrl.physics import Cylinder, Fixed, InPlaceSolver, Scales
 from fishrl.physics.cases import make_swimmer_config
 from fishrl.physics.collision import Rates
-from fishrl.physics.immersed_boundary import DirectSolve
 
 REYNOLDS = 7000.0
 NUM_BEATS = 14
@@ -97,121 +97,117 @@ def start_cylinder(*, diameter: int, speed: float, reynolds: float) -> Result:
 
     Returns what became of it after ``TRAVELS`` diameters: one of ``RAN, DIVERGED, REFUSED``.
     """
-    stream = NonEquilibrium(velocity=(1.0, 0.0))
-    boundaries = Boundaries(
-        left=stream, right=NonEquilibrium(density=1.0), bottom=stream, top=stream
-    )
     try:
-        config = FlowConfig(
-            width=12 * diameter,
-            height=8 * diameter,
-            tau=3.0 * speed * diameter / reynolds + 0.5,
-            stream_speed=speed,
-            bodies=(Cylinder(diameter=diameter, motion=Fixed()),),
-            boundaries=boundaries,
-            force_solve=DirectSolve(regularisation=0.0),
+        solver = start_stream(
+            Cylinder(diameter=diameter, motion=Fixed()),
+            (4.0 * diameter, 4.0 * diameter),
+            size=(12 * diameter, 8 * diameter),
+            nu=speed * diameter / reynolds,
+            speed=speed,
+            outflow=PINNED,
+            sides=STREAM,
         )
     except ValueError:
         return {"fate": REFUSED}
-    solver = start_flow(config, (4.0 * diameter, 4.0 * diameter), stream=(1.0, 0.0))
     solver.advance_(2 * round(0.5 * TRAVELS * diameter / speed))
     return {"fate": DIVERGED if solver.is_diverged().any() else RAN}
 
 
-def _rates_label(energy: float, flux: float) -> str:
-    return f"turning fish, energy {energy:g}, flux {flux:g}"
-
-
-def _cylinder_label(diameter: int, speed: float, reynolds: float) -> str:
-    return f"cylinder, D = {diameter}, U = {speed:g}, Re = {reynolds:g}"
-
-
-def make_jobs(quick: bool) -> list[Job]:
-    """Return the maps; nothing if quick."""
-    if quick:
-        return []
-    fish = {
-        _rates_label(e, f): (50, PAPER_SPEED, e, f, NUM_EPISODES)
-        for e, f in product(ENERGIES, FLUXES)
+def _turn(length: int, speed: float, energy: float, flux: float, num_episodes: int) -> Job:
+    arguments = {
+        "body_length": length,
+        "max_wall_speed": speed,
+        "energy": energy,
+        "flux": flux,
+        "num_episodes": num_episodes,
     }
-    for name, (length, speed, num) in PRESETS.items():
-        fish[name] = (length, speed, DEFAULT.energy, DEFAULT.flux, num)
-    names = ("body_length", "max_wall_speed", "energy", "flux", "num_episodes")
-    jobs = [
+    cost = 50.0 * length**3 * 0.785 / speed * NUM_BEATS * num_episodes
+    return Job(turn_at_random, arguments, cost)
+
+
+JOBS = [
+    *(_turn(50, PAPER_SPEED, e, f, NUM_EPISODES) for e, f in product(ENERGIES, FLUXES)),
+    *(_turn(n, u, DEFAULT.energy, DEFAULT.flux, num) for n, u, num in PRESETS.values()),
+    *(
         Job(
-            label,
-            turn_at_random,
-            dict(zip(names, values, strict=True)),
-            cost=50.0 * values[0] ** 3 * 0.785 / values[1] * NUM_BEATS * values[-1],
-        )
-        for label, values in fish.items()
-    ]
-    return jobs + [
-        Job(
-            _cylinder_label(d, u, re),
             start_cylinder,
             {"diameter": d, "speed": u, "reynolds": re},
             cost=96.0 * d**3 * TRAVELS / u,
         )
         for d, u, re in product(DIAMETERS, SPEEDS, CYLINDER_REYNOLDS)
-    ]
+    ),
+]
 
 
-def _read_share(results: Results, energy: float, flux: float) -> float:
-    return results[_rates_label(energy, flux)]["diverged"] / NUM_EPISODES
+def _read_shares(runs: Runs) -> dict[tuple[float, float], float]:
+    """Return the share of diverged episodes at the paper's speed by energy and flux."""
+    found: dict[tuple[float, float], float] = {}
+    fixed: Any = {"body_length": 50, "max_wall_speed": PAPER_SPEED, "num_episodes": NUM_EPISODES}
+    for e in ENERGIES:
+        for f, run in runs.by("flux", energy=e, **fixed).items():
+            found[e, f] = run["diverged"] / NUM_EPISODES
+    return found
 
 
-def judge(results: Results) -> Sequence[Check]:
-    """Judge the presets; record the maps."""
-    checks = [
-        Check(
-            quantity=f"share of diverged episodes, {name}",
-            ours=results[name]["diverged"] / num,
-            reference=(0.0, MAX_SHARE) if speed < PAPER_SPEED else None,
-            source="own criterion",
+def judge(runs: Runs) -> Iterator[Check]:
+    """Check the presets; record the maps."""
+    for name, (length, speed, num) in PRESETS.items():
+        rates: Any = {"energy": DEFAULT.energy, "flux": DEFAULT.flux, "num_episodes": num}
+        run = runs.by("body_length", max_wall_speed=speed, **rates)[length]
+        yield Check(
+            f"share of diverged episodes, {name}",
+            run["diverged"] / num,
+            (0.0, MAX_SHARE) if speed < PAPER_SPEED else None,
+            "own criterion",
             resolution=f"{num} episodes",
             note=(
-                f"Largest speed seen {results[name]['fastest']:.2f} nodes per step. With none of "
+                f"Largest speed seen {run['fastest']:.2f} nodes per step. With none of "
                 f"{num} diverged the share lies below {3.0 / num:.3f} at 95 % confidence."
             ),
         )
-        for name, (_, speed, num) in PRESETS.items()
+    shares = _read_shares(runs)
+    yield Check(
+        "share of diverged episodes at the paper's speed, by collision rates",
+        shares[DEFAULT.energy, DEFAULT.flux],
+        resolution="L = 50",
+        refinement={f"energy {e:g}, flux {f:g}": share for (e, f), share in shares.items()},
+    )
+    fates = [
+        fate
+        for d, u in product(DIAMETERS, SPEEDS)
+        for fate in runs.read("fate", "reynolds", diameter=d, speed=u).values()
     ]
-    flows = product(DIAMETERS, SPEEDS, CYLINDER_REYNOLDS)
-    fates = [results[_cylinder_label(*flow)]["fate"] for flow in flows]
-    return [
-        *checks,
-        Check(
-            quantity="share of diverged episodes at the paper's speed, by collision rates",
-            ours=_read_share(results, DEFAULT.energy, DEFAULT.flux),
-            resolution="L = 50",
-            refinement={
-                f"energy {e:g}, flux {f:g}": _read_share(results, e, f)
-                for e, f in product(ENERGIES, FLUXES)
-            },
-        ),
-        Check(
-            quantity="cylinders started at once that diverge, of those that are not refused",
-            ours=float(fates.count(DIVERGED)),
-            resolution=f"of {len(fates) - fates.count(REFUSED)}",
-        ),
-    ]
+    yield Check(
+        "cylinders started at once that diverge, of those that are not refused",
+        float(fates.count(DIVERGED)),
+        resolution=f"of {len(fates) - fates.count(REFUSED)}",
+    )
 
 
-def draw(results: Results) -> Figure:
+def draw(figure: Figure, runs: Runs) -> None:
     """Draw both maps."""
-    figure = Figure(figsize=(11.0, 6.4), layout="constrained")
     grid = figure.add_gridspec(2, len(DIAMETERS))
-    _draw_rates(figure.add_subplot(grid[0, :]), results)
+    _draw_rates(figure.add_subplot(grid[0, :]), _read_shares(runs))
     for i, diameter in enumerate(DIAMETERS):
         axes = figure.add_subplot(grid[1, i])
-        _draw_cylinders(axes, results, diameter)
+        for fate, (colour, marker) in MARKS.items():
+            found = [
+                (reynolds, speed)
+                for speed in SPEEDS
+                for reynolds, run in runs.by("reynolds", diameter=diameter, speed=speed).items()
+                if run["fate"] == fate
+            ]
+            places = [re for re, _ in found], [u for _, u in found]
+            axes.scatter(*places, s=150, color=colour, marker=marker, label=fate)
+        axes.set_xscale("log")
+        name_ticks(axes, CYLINDER_REYNOLDS)
+        axes.set(xlabel="U D / ν", ylim=(0.02, 0.22), xlim=(60, 11000))
+        axes.set(title=f"cylinder, D = {diameter}", ylabel="" if i else "stream  U, nodes per step")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    return figure
 
 
-def _draw_rates(axes: Axes, results: Results) -> None:
-    shares = [[_read_share(results, e, f) for e in ENERGIES] for f in FLUXES]
+def _draw_rates(axes: Axes, table: Mapping[tuple[float, float], float]) -> None:
+    shares = [[table[e, f] for e in ENERGIES] for f in FLUXES]
     axes.imshow(shares, cmap="Reds", vmin=0.0, vmax=1.0, origin="lower", aspect="auto")
     for i, row in enumerate(shares):
         for j, share in enumerate(row):
@@ -226,24 +222,5 @@ def _draw_rates(axes: Axes, results: Results) -> None:
     )
 
 
-def _draw_cylinders(axes: Axes, results: Results, diameter: int) -> None:
-    for fate, (colour, marker) in MARKS.items():
-        found = [
-            (re, u)
-            for u, re in product(SPEEDS, CYLINDER_REYNOLDS)
-            if results[_cylinder_label(diameter, u, re)]["fate"] == fate
-        ]
-        places = [re for re, _ in found], [u for _, u in found]
-        axes.scatter(*places, s=150, color=colour, marker=marker, label=fate)
-    axes.set_xscale("log")
-    axes.set_xticks(CYLINDER_REYNOLDS, [str(re) for re in CYLINDER_REYNOLDS])
-    axes.minorticks_off()
-    axes.set(
-        xlabel="U D / ν", title=f"cylinder, D = {diameter}", ylim=(0.02, 0.22), xlim=(60, 11000)
-    )
-    if diameter == DIAMETERS[0]:
-        axes.set_ylabel("stream  U, nodes per step")
-
-
 SOURCE = "own criterion: fewer than one episode in a thousand diverges in a shipped preset"
-CASE = Case("stability", __doc__, SOURCE, make_jobs, judge, draw)
+CASE = Case("stability", __doc__, SOURCE, JOBS, judge, draw, size=(11.0, 6.4))

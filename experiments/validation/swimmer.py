@@ -8,19 +8,18 @@ of the centre of mass along the tank over each beat, power what the muscles give
 over the beat.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator
+from typing import Any
 
 from matplotlib.figure import Figure
 
-from experiments.figures import COLOURS
-from experiments.validation.case import Case, Check, Job, Results, check_finest, select
-from experiments.validation.swimming import make_swim
+from experiments.validation.case import Case, Check, Result, Runs, check_finest
+from experiments.validation.swimming import draw_speed, make_swim
 
 LENGTHS = (50, 70, 100, 140, 200)
-QUICK_LENGTHS = (50,)
 NUM_BEATS = 10
 VARIANT_LENGTH = 100
-VARIANTS: dict[str, dict[str, float | str | bool]] = {
+VARIANTS: dict[str, dict[str, Any]] = {
     "tank twice as high": {"height_bl": 10.0},
     "markers 0.45 nodes inside": {"inset": 0.45},
     "heading held": {"is_free": False},
@@ -41,90 +40,66 @@ NO_SOURCE = (
 )
 
 
-def _label(body_length: int, variant: str = "") -> str:
-    return f"L = {body_length}" + (f", {variant}" if variant else "")
+JOBS = [
+    *(make_swim(n, NUM_BEATS, is_quick=n == LENGTHS[0]) for n in LENGTHS),
+    *(make_swim(VARIANT_LENGTH, NUM_BEATS, **changes) for changes in VARIANTS.values()),
+]
 
 
-def make_jobs(quick: bool) -> list[Job]:
-    """Return a swim at each resolution, and the variants at one."""
-    if quick:
-        return [make_swim(_label(length), length, NUM_BEATS) for length in QUICK_LENGTHS]
-    jobs = [make_swim(_label(length), length, NUM_BEATS) for length in LENGTHS]
-    return jobs + [
-        make_swim(_label(VARIANT_LENGTH, name), VARIANT_LENGTH, NUM_BEATS, **changes)
-        for name, changes in VARIANTS.items()
-    ]
-
-
-def judge(results: Results) -> Sequence[Check]:
-    """Judge the convergence of the speed and set the rest beside what there is."""
-    runs = select(results, {n: _label(n) for n in LENGTHS})
-    final = {n: run["speed"][-1] for n, run in runs.items()}
-    checks = [
-        check_finest(
-            f"speed in beat {NUM_BEATS}, L / T", final, 0.77 * WAVE_SPEED, CARLING,
-            symbol="L", note=NO_SOURCE,
-        ),
-        check_finest(
-            "power of the muscles, ρ L⁴ / T³",
-            {n: run["power"][-1] for n, run in runs.items()},
-            symbol="L",
-        ),
-        check_finest(
-            "slip at the skin / tail speed",
-            {n: run["slip"] / run["tail_speed"] for n, run in runs.items()},
-            symbol="L",
-        ),
-    ]  # fmt: skip
-    if len(runs) < len(LENGTHS):
-        return checks
+def judge(runs: Runs) -> Iterator[Check]:
+    """Check the convergence of the speed and set the rest beside what there is."""
+    found = runs.by("body_length", num_beats=NUM_BEATS)
+    final = {n: run["speed"][-1] for n, run in found.items()}
+    power = {n: run["power"][-1] for n, run in found.items()}
+    slip = {n: run["slip"] / run["tail_speed"] for n, run in found.items()}
+    speed = f"speed in beat {NUM_BEATS}"
+    carling = (0.77 * WAVE_SPEED, CARLING)
+    yield check_finest("L", f"{speed}, L / T", final, *carling, note=NO_SOURCE)
+    yield check_finest("L", "power of the muscles, ρ L⁴ / T³", power)
+    yield check_finest("L", "slip at the skin / tail speed", slip)
+    if len(found) < len(LENGTHS):
+        return
     coarse, middle, fine = (final[n] for n in LENGTHS[::2])
     ratio = (middle - coarse) / (fine - middle)
-    checks.append(
-        Check(
-            quantity="change of the speed from L = 140 to 200",
-            ours=abs(final[200] / final[140] - 1.0),
-            reference=(0.0, GRID_CHANGE),
-            source="own criterion",
-            resolution="L = 140–200",
-            note=(
-                f"Doubling L from 50 and from 100 changes the speed by {middle - coarse:.3f} "
-                f"and {fine - middle:.3f} L / T, a ratio of {ratio:.2f}; carried on, it would "
-                f"end at {fine + (fine - middle) / (ratio - 1.0):.3f} L / T. A coarse fish "
-                "swims more slowly: its boundary layer is a few nodes thick."
-            ),
-        )
+    yield Check(
+        "change of the speed from L = 140 to 200",
+        abs(final[200] / final[140] - 1.0),
+        (0.0, GRID_CHANGE),
+        "own criterion",
+        resolution="L = 140–200",
+        note=(
+            f"Doubling L from 50 and from 100 changes the speed by {middle - coarse:.3f} "
+            f"and {fine - middle:.3f} L / T, a ratio of {ratio:.2f}; carried on, it would "
+            f"end at {fine + (fine - middle) / (ratio - 1.0):.3f} L / T. A coarse fish "
+            "swims more slowly: its boundary layer is a few nodes thick."
+        ),
     )
-    return checks + [
-        Check(
-            quantity=f"speed in beat {NUM_BEATS}, {name}",
-            ours=results[_label(VARIANT_LENGTH, name)]["speed"][-1],
-            resolution=_label(VARIANT_LENGTH),
+    for name, run in _get_variants(runs).items():
+        yield Check(
+            f"{speed}, {name}",
+            run["speed"][-1],
+            resolution=f"L = {VARIANT_LENGTH}",
             note=f"{final[VARIANT_LENGTH]:.3f} L / T without this change.",
         )
-        for name in VARIANTS
-    ]
 
 
-def draw(results: Results) -> Figure:
+def _get_variants(runs: Runs) -> dict[str, Result]:
+    fixed: Any = {"body_length": VARIANT_LENGTH, "num_beats": NUM_BEATS}
+    return {name: run for name, a in VARIANTS.items() if (run := runs.get(**fixed, **a))}
+
+
+def draw(figure: Figure, runs: Runs) -> None:
     """Draw speed against time."""
-    figure = Figure(figsize=(9.0, 4.0), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
-    variants = [_label(VARIANT_LENGTH, variant) for variant in ("", *VARIANTS)]
-    for axes, wanted, title in (
-        (left, [_label(n) for n in LENGTHS], "resolution"),
-        (right, variants, f"variants, L = {VARIANT_LENGTH}"),
-    ):
-        shown = [name for name in wanted if name in results]
-        for name, colour in zip(shown, COLOURS, strict=False):
-            speeds = results[name]["speed"]
-            middles = [beat + 0.5 for beat in range(len(speeds))]
-            axes.plot(middles, speeds, color=colour, marker="o", ms=3, label=name)
-        axes.set(xlabel="time  t / T", title=title, ylim=(0.0, None))
-        if shown:
-            axes.legend(fontsize=8)
-    left.set_ylabel("speed over each beat  U T / L")
-    return figure
+    found = runs.by("body_length", num_beats=NUM_BEATS)
+    for n, run in found.items():
+        draw_speed(left, run, "o-", label=f"L = {n}")
+    if VARIANT_LENGTH in found:
+        draw_speed(right, found[VARIANT_LENGTH], "o-", label="unchanged")
+    for name, run in _get_variants(runs).items():
+        draw_speed(right, run, "o-", label=name)
+    left.set(title="resolution", ylim=(0.0, None), ylabel="speed over each beat  U T / L")
+    right.set_title(f"variants, L = {VARIANT_LENGTH}")
 
 
-CASE = Case("swimmer", __doc__, CARLING, make_jobs, judge, draw)
+CASE = Case("swimmer", __doc__, CARLING, JOBS, judge, draw, size=(9.0, 4.0))

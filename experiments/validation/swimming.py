@@ -1,6 +1,9 @@
 """A fish that swims straight from rest, measured beat by beat; jobs of several cases."""
 
 from math import pi
+from typing import Any
+
+from matplotlib.axes import Axes
 
 from experiments.validation.case import Job, Result
 from experiments.validation.wake import start_flow
@@ -74,18 +77,24 @@ def swim(
         slips.append(float(body.slip_error[0]) / scales.reference_speed)
     if solver.is_diverged().any():
         raise RuntimeError(f"the flow diverged at L = {body_length}: lower max_wall_speed")
-    return {
-        "speed": speeds,
-        "power": powers,
-        "slip": max(slips),
-        "tail_speed": scales.gait.tail_speed,
-    }
+    tail_speed = scales.gait.tail_speed
+    return {"speed": speeds, "power": powers, "slip": max(slips), "tail_speed": tail_speed}
 
 
-def make_swim(label: str, body_length: int, num_beats: int, **changes: float | str | bool) -> Job:
+def make_swim(
+    body_length: int, num_beats: int, *, is_quick: bool = False, **changes: float | str | bool
+) -> Job:
     """Return a job of ``swim``; ``changes`` are its other arguments."""
     speed = float(changes.get("max_wall_speed", DEFAULT_WALL_SPEED))
     tail_speed = GAITS[str(changes.get("gait", "carling"))].tail_speed
     num_steps = num_beats * tail_speed * body_length / speed
     arguments = {"body_length": body_length, "num_beats": num_beats, **changes}
-    return Job(label, swim, arguments, cost=50.0 * body_length**2 * num_steps)
+    return Job(swim, arguments, cost=50.0 * body_length**2 * num_steps, is_quick=is_quick)
+
+
+def draw_speed(axes: Axes, run: Result, *style: Any, **options: Any) -> None:
+    """Draw the speed over each beat against time."""
+    beats = [beat + 0.5 for beat in range(len(run["speed"]))]
+    axes.plot(beats, run["speed"], *style, markersize=3, **options)
+    axes.set_xlabel("time  t / T")
+    axes.legend()

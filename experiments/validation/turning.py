@@ -6,15 +6,14 @@ bending, its midline bends and the flow turns it. The rate is the mean turn of t
 the last two of the commanded beats.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from itertools import pairwise
 from math import degrees, hypot, pi, radians
 
 import torch
 from matplotlib.figure import Figure
 
-from experiments.figures import COLOURS
-from experiments.validation.case import Case, Check, Job, Result, Results
+from experiments.validation.case import Case, Check, Job, Result, Runs
 from experiments.validation.wake import start_flow
 from fishrl.physics import Bending, Commanded, Scales
 from fishrl.physics.cases import make_swimmer_config
@@ -24,12 +23,7 @@ REYNOLDS = 7000.0
 TURN = 15.0  # degrees per beat
 NUM_BEFORE, NUM_TURNS, NUM_AFTER = 4, 4, 2
 START_BL = (8.0, 3.5)
-MODES: dict[str, float | None] = {
-    "heading commanded": None,
-    "bending, gain 0.5": 0.5,
-    "bending, gain 1": 1.0,
-    "bending, gain 2": 2.0,
-}
+GAINS = (None, 0.5, 1.0, 2.0)
 
 
 def turn(*, gain: float | None) -> Result:
@@ -61,39 +55,31 @@ def turn(*, gain: float | None) -> Result:
     }
 
 
-def make_jobs(quick: bool) -> list[Job]:
-    """Return a swim for each mode; none is quick."""
-    modes = {} if quick else MODES
-    return [Job(name, turn, {"gain": gain}, cost=7e8) for name, gain in modes.items()]
+JOBS = [Job(turn, {"gain": gain}, cost=7e8) for gain in GAINS]
 
 
-def judge(results: Results) -> Sequence[Check]:
+def _select(runs: Runs) -> dict[str, Result]:
+    found = runs.by("gain")
+    return {f"bending, gain {g:g}" if g else "heading commanded": r for g, r in found.items()}
+
+
+def judge(runs: Runs) -> Iterator[Check]:
     """Record turn rate and radius."""
-    checks = []
     last = slice(NUM_BEFORE + NUM_TURNS - 2, NUM_BEFORE + NUM_TURNS)
-    for name, result in results.items():
-        rate, speed = (sum(result[key][last]) / 2.0 for key in ("turned", "speed"))
-        checks.append(
-            Check(
-                quantity=f"turn of the body axis, degrees per beat, {name}",
-                ours=rate,
-                resolution=f"L = {BODY_LENGTH}",
-                note=f"Speed {speed:.2f} L / T, turning radius {speed / radians(rate):.1f} L.",
-            )
-        )
-    return checks
+    for mode, run in _select(runs).items():
+        rate, speed = (sum(run[key][last]) / 2.0 for key in ("turned", "speed"))
+        name = f"turn of the body axis, degrees per beat, {mode}"
+        note = f"Speed {speed:.2f} L / T, turning radius {speed / radians(rate):.1f} L."
+        yield Check(name, rate, resolution=f"L = {BODY_LENGTH}", note=note)
 
 
-def draw(results: Results) -> Figure:
+def draw(figure: Figure, runs: Runs) -> None:
     """Draw the paths."""
-    figure = Figure(figsize=(6.5, 3.8), layout="constrained")
     axes = figure.subplots()
-    for (name, result), colour in zip(results.items(), COLOURS, strict=False):
-        axes.plot(result["x"], result["y"], "o-", ms=3, color=colour, label=name)
+    for mode, run in _select(runs).items():
+        axes.plot(run["x"], run["y"], "o-", ms=3, label=mode)
     axes.set(xlabel="x / L", ylabel="y / L", aspect="equal", title="centre of mass, every beat")
-    axes.legend(fontsize=8)
-    return figure
+    axes.legend()
 
 
-SOURCE = "none: measured for the record"
-CASE = Case("turning", __doc__, SOURCE, make_jobs, judge, draw)
+CASE = Case("turning", __doc__, "none: measured for the record", JOBS, judge, draw, (6.5, 3.8))

@@ -7,8 +7,22 @@ from matplotlib.axes import Axes
 from torch import Tensor
 
 from experiments.validation.case import Result
-from fishrl.physics import FlowConfig, InPlaceSolver, compute_coefficient, compute_vorticity
+from fishrl.physics import (
+    Cylinder,
+    DCylinder,
+    Fixed,
+    FlowConfig,
+    InPlaceSolver,
+    compute_coefficient,
+    compute_vorticity,
+)
+from fishrl.physics.boundaries import Boundaries, Boundary, NonEquilibrium, OpenEdge
 from fishrl.physics.diagnostics import compute_spectral_frequency, measure_cycles
+from fishrl.physics.immersed_boundary import DirectSolve
+
+STREAM, PINNED = NonEquilibrium(velocity=(1.0, 0.0)), NonEquilibrium(density=1.0)
+EXACT = DirectSolve(regularisation=0.0)
+OPEN, OPEN_SIDE = OpenEdge(), OpenEdge(is_plane=False)  # let sound out: plane waves, any waves
 
 
 def start_flow(
@@ -29,13 +43,53 @@ def start_flow(
         frequency: of the body's motion, per step.
     """
     solver = InPlaceSolver(config=config, num_envs=1, frequency=frequency, num_workers=0)
-    solver.reset_(
-        torch.ones(1, dtype=torch.bool),
-        torch.tensor([place]),
-        torch.tensor([heading]),
-        velocity=stream,
-    )
+    rows, position = torch.ones(1, dtype=torch.bool), torch.tensor([place])
+    solver.reset_(rows, position, torch.tensor([heading]), velocity=stream)
     return solver
+
+
+def start_stream(
+    body: Cylinder | DCylinder,
+    place: Sequence[float],
+    heading: float = 0.0,
+    *,
+    size: tuple[int, int],
+    nu: float,
+    speed: float,
+    inflow: Boundary = STREAM,
+    outflow: Boundary = OPEN,
+    sides: Boundary = OPEN_SIDE,
+    solve: DirectSolve = EXACT,
+) -> InPlaceSolver:
+    """Return a body in a stream along x that fills the domain, no slip solved directly.
+
+    Args:
+        body: that stands in it.
+        place: its centre (x, y), nodes.
+        heading: of the body, rad.
+        size: of the domain, nodes.
+        nu: viscosity.
+        speed: of the stream, nodes per step.
+        inflow: left edge.
+        outflow: right edge.
+        sides: bottom and top.
+        solve: for the force.
+    """
+    config = FlowConfig(
+        width=size[0],
+        height=size[1],
+        tau=3.0 * nu + 0.5,
+        stream_speed=speed,
+        bodies=(body,),
+        boundaries=Boundaries(left=inflow, right=outflow, bottom=sides, top=sides),
+        force_solve=solve,
+    )
+    return start_flow(config, place, heading, stream=(1.0, 0.0))
+
+
+def kick(speed: float, diameter: float, travels: float = 3.0) -> Fixed:
+    """Return a fixed body that is shaken at first, so that its wake sheds early."""
+    return Fixed(kick_speed=0.3 * speed, kick_steps=round(travels * diameter / speed))
 
 
 def make_even(number: float) -> int:
@@ -48,10 +102,10 @@ def measure_wake(
     *,
     diameter: float,
     speed: float,
-    num_steps: tuple[float, float],
-    interval: int,
+    travels: tuple[float, float],
     window: Sequence[float],
     is_shedding: bool,
+    per_travel: float = 30.0,
 ) -> Result:
     """Advance, and measure the force on the first body over the later of two spans.
 
@@ -59,27 +113,33 @@ def measure_wake(
         solver: of one flow.
         diameter: D, nodes.
         speed: U of the coefficients, nodes per step; their density is that of the second column.
-        num_steps: before and while measuring, roughly.
-        interval: even number of steps, over which force is averaged.
-        window: of the picture: first column, end column, first row, end row.
+        travels: D / U before and while measuring, roughly.
+        window: of the picture: left, right, low, high, in D from the lower left corner.
         is_shedding: whether to measure whole periods; else the last quarter of the span.
+        per_travel: means of the force per D / U.
 
     Returns:
         ``drag`` and ``lift`` coefficients, or of periods ``strouhal`` by zero crossings of the
-        lift, ``spectral`` by its spectrum, mean ``drag`` and the extremes and amplitudes of both;
-        the last of the series, with their ``interval`` / (D / U), and ``vorticity`` / (U / D).
+        lift, ``spectral`` by its spectrum, mean ``drag``, and extremes, crest to trough ``_swing``
+        and ``lift_amplitude``; the last of the series, with their ``interval`` / (D / U), and
+        ``vorticity`` / (U / D).
     """
-    _record_force(solver, num_steps[0], interval)
-    force = _record_force(solver, num_steps[1], interval)
-    density = float(solver.macroscopic()[0][0, :, 1].double().mean())
+    interval = make_even(diameter / speed / per_travel)
+    _record_force(solver, travels[0] * diameter / speed, interval)
+    force = _record_force(solver, travels[1] * diameter / speed, interval)
+    rho, u = solver.macroscopic()
+    density = float(rho[0, :, 1].double().mean())
     drag, lift = compute_coefficient(force, length=diameter, speed=speed, rho=density).unbind(-1)
+    left, right, low, high = (round(side * diameter) for side in window)
+    stride = max(1, (right - left) // 240)  # at most 480 columns
+    field = compute_vorticity(u)[0, low:high:stride, left:right:stride] * (diameter / speed)
     unit = interval * speed / diameter
     result: Result = {
         "inflow_density": density,
         "drag_series": [round(v, 5) for v in drag[-300:].tolist()],
         "lift_series": [round(v, 5) for v in lift[-300:].tolist()],
         "interval": unit,
-        "vorticity": _take_vorticity(solver, [round(w) for w in window], scale=diameter / speed),
+        "vorticity": [[round(value, 2) for value in row] for row in field.double().tolist()],
     }
     if not is_shedding:
         late = -len(drag) // 4
@@ -92,8 +152,10 @@ def measure_wake(
         "drag": swing.mean,
         "drag_max": swing.high,
         "drag_min": swing.low,
+        "drag_swing": swing.high - swing.low,
         "lift_max": beat.high,
         "lift_min": beat.low,
+        "lift_swing": beat.high - beat.low,
         "lift_amplitude": beat.amplitude,
     }
 
@@ -107,30 +169,20 @@ def _record_force(solver: InPlaceSolver, num_steps: float, interval: int) -> Ten
     return torch.stack(impulses).diff(dim=0) / interval
 
 
-def _take_vorticity(
-    solver: InPlaceSolver, window: Sequence[int], *, scale: float
-) -> list[list[float]]:
-    """Return vorticity times ``scale`` in a window, on fewer than 480 columns."""
-    _, u = solver.macroscopic()
-    left, right, low, high = window
-    stride = max(1, (right - left) // 240)
-    field = compute_vorticity(u)[0, low:high:stride, left:right:stride] * scale
-    return [[round(value, 2) for value in row] for row in field.double().tolist()]
-
-
-def draw_vorticity(
-    axes: Axes,
-    field: Sequence[Sequence[float]],
-    extent: tuple[float, float, float, float],
-    *,
-    limit: float,
-) -> None:
+def draw_vorticity(axes: Axes, run: Result, extent: Sequence[float], limit: float) -> None:
     """Draw vorticity in units of U / D around a body at the origin; lengths in D."""
+    left, right, low, high = extent
     image = axes.imshow(
-        field, extent=extent, origin="lower", cmap="RdBu_r", vmin=-limit, vmax=limit,
-        interpolation="bilinear",
+        run["vorticity"], extent=(left, right, low, high), origin="lower", cmap="RdBu_r",
+        vmin=-limit, vmax=limit, interpolation="bilinear",
     )  # fmt: skip
     axes.set(xlabel="x / D", ylabel="y / D", aspect="equal")
     figure = axes.get_figure()
     assert figure is not None
     figure.colorbar(image, ax=axes, label="vorticity  [U / D]", shrink=0.8)
+
+
+def draw_series(axes: Axes, run: Result, key: str, name: str, shift: float = 0.0) -> None:
+    """Draw a force coefficient over time."""
+    values = [value + shift for value in run[f"{key}_series"]]
+    axes.plot([i * run["interval"] for i in range(len(values))], values, label=name)

@@ -3,17 +3,17 @@
 import os
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
 
-from experiments.validation.case import Case, Check, Job, Result, Results
+from experiments.validation.case import Case, Check, Job, Result, Runs
 
 
-def square(*, value: float, diary: str) -> Result:
-    with Path(diary).open("a", encoding="utf-8") as lines:
+def square(*, value: float, log: str) -> Result:
+    with Path(log).open("a", encoding="utf-8") as lines:
         lines.write(f"{value:g}\n")
     return {"square": value * value}
 
@@ -34,9 +34,9 @@ def square_nothing() -> Result:
     return {}
 
 
-def stop_parent(*, number: int, diary: str) -> Result:
-    """Signal the process that runs the cases once the runs before are written down."""
-    done = Path(diary).parent / "results"
+def stop_parent(*, number: int, log: str) -> Result:
+    """Signal the process that runs the cases once the runs before are written."""
+    done = Path(log).parent / "results"
     while len(list(done.rglob("*.json"))) < 2:
         time.sleep(0.02)
     os.kill(os.getppid(), signal.Signals(number))
@@ -46,42 +46,37 @@ def stop_parent(*, number: int, diary: str) -> Result:
 
 def make_squares(
     *,
-    diary: Path,
+    log: Path,
     values: Sequence[float] = (2.0, 3.0),
     reference: float = 9.0,
     note: str = "",
     others: Sequence[tuple[Callable[..., Result], dict[str, Any]]] = (),
 ) -> Case:
-    """Return a case that judges the square of the last value; quick is the first value alone."""
+    """Return a case that checks the square of the last value; quick is the first value alone."""
+    jobs = [
+        Job(square, {"value": v, "log": str(log)}, cost=10.0 * v, is_quick=v == values[0])
+        for v in values
+    ]
 
-    def make_jobs(quick: bool) -> list[Job]:
-        squares = [
-            Job(f"x = {v:g}", square, {"value": v, "diary": str(diary)}, cost=10.0 * v)
-            for v in (values[:1] if quick else values)
-        ]
-        return squares + [Job(f.__name__, f, arguments) for f, arguments in others]
+    def judge(runs: Runs) -> Iterator[Check]:
+        by_value = runs.read("square", "value", log=str(log))
+        squares = {f"x = {v:g}": square for v, square in by_value.items()}
+        *_, last = squares
+        yield Check(
+            "square of the last",
+            squares[last],
+            reference,
+            "arithmetic",
+            tolerance=0.01,
+            resolution=last,
+            refinement=squares,
+            note=note,
+        )
+        yield Check("square of the first", next(iter(squares.values())))
 
-    def judge(results: Results) -> list[Check]:
-        squares = {name: r["square"] for name, r in results.items() if "square" in r}
-        last = list(squares)[-1]
-        return [
-            Check(
-                quantity="square of the last",
-                ours=squares[last],
-                reference=reference,
-                source="arithmetic",
-                tolerance=0.01,
-                resolution=last,
-                refinement=squares,
-                note=note,
-            ),
-            Check(quantity="square of the first", ours=next(iter(squares.values()))),
-        ]
-
-    def draw(results: Results) -> Figure:
-        figure = Figure(figsize=(2.0, 2.0))
-        figure.subplots().plot([r.get("square", 0.0) for r in results.values()])
-        return figure
+    def draw(figure: Figure, runs: Runs) -> None:
+        figure.subplots().plot([run.get("square", 0.0) for _, run in runs.finished])
 
     text = "Squares.\n\nNumbers are multiplied\nby themselves.\n"
-    return Case("squares", text, "arithmetic", make_jobs, judge, draw)
+    jobs += [Job(function, arguments) for function, arguments in others]
+    return Case("squares", text, "arithmetic", jobs, judge, draw, size=(2.0, 2.0))

@@ -1,0 +1,54 @@
+"""What figures of several cases share; order and extreme of a curve."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from math import log
+from statistics import linear_regression
+from typing import Any
+
+from matplotlib.axes import Axes
+
+GREY = "#777777"
+
+
+def draw_reference(axes: Axes, points: Iterable[Sequence[float]], name: str) -> None:
+    """Draw published points (x, y) as black circles."""
+    marks: Any = {"color": "black", "markerfacecolor": "none", "markersize": 5}
+    axes.plot(*zip(*points, strict=True), "o", label=name, **marks)
+
+
+def draw_convergence(axes: Axes, series: Mapping[str, Mapping[int, float]]) -> None:
+    """Draw errors against resolution on logarithmic axes, beside a line of second order."""
+    for (name, errors), mark in zip(series.items(), "os^DvP", strict=False):
+        points = [*errors], [*errors.values()]
+        axes.loglog(*points, marker=mark, label=name, markerfacecolor="none")
+    sizes = sorted({n for errors in series.values() for n in errors})
+    start = 0.5 * min(errors[min(errors)] for errors in series.values())
+    slope = [start * (sizes[0] / n) ** 2 for n in sizes]
+    axes.loglog(sizes, slope, color=GREY, linestyle="--", label="order 2")
+    name_ticks(axes, sizes)
+    axes.legend()
+
+
+def name_ticks(axes: Axes, values: Sequence[float]) -> None:
+    """Name these values, and no others, on a logarithmic x axis."""
+    axes.set_xticks(values, [f"{value:.0f}" for value in values])
+    axes.minorticks_off()
+
+
+def fit_order(errors: Mapping[int, float]) -> float:
+    """Return p of the least-squares fit error = a n^-p over two or more resolutions n."""
+    return -linear_regression([log(n) for n in errors], [log(e) for e in errors.values()]).slope
+
+
+def find_extreme(values: Sequence[float], *, sign: int) -> float:
+    """Return the maximum (``sign`` 1) or minimum (-1) of a curve of evenly spaced points.
+
+    It is that of the parabola through the extreme point and its two neighbours; at an end of the
+    curve, the value there.
+    """
+    at = max(range(len(values)), key=lambda i: sign * values[i])
+    if at in (0, len(values) - 1):
+        return values[at]
+    before, here, after = values[at - 1], values[at], values[at + 1]
+    bend = before - 2.0 * here + after
+    return here if bend == 0.0 else here - (after - before) ** 2 / (8.0 * bend)
