@@ -2,7 +2,7 @@
 
 One action lasts a tail beat. The same flows are advanced by the bare solver, by the environment,
 and by the environment with its transforms, resets and a policy. No episode ends meanwhile, so the
-steps are the same.
+steps are the same. Each group takes another task and options of ``make_env`` for tests.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from tensordict import TensorDictBase
 from torch.profiler import ProfilerActivity, profile, record_function
 from torchrl.envs import ExplorationType, set_exploration_type
 
-from experiments.benchmarks.contest import FISH, Entry, Settings
-from experiments.benchmarks.flows import wrap_parts
+from experiments.benchmarks.comparison import FISH, BenchmarkSettings, Case
 from fishrl.envs import Predation, make_env
 from fishrl.modules import make_actor
 from fishrl.physics import InPlaceSolver
@@ -35,7 +34,7 @@ NUM_ENVS = 16
 NUM_ACTIONS = 5  # until the flows are reset, outside the time: no fish has reached a wall by then
 
 
-def make_task(settings: Settings) -> Predation:
+def make_task(settings: BenchmarkSettings) -> Predation:
     """Return the task of preset ``small``, at its relaxation time also where L / 2 is not 50."""
     length = settings.body_length // 2
     return Predation(body_length=length, reynolds=140.0 * length)
@@ -48,58 +47,33 @@ class Stage:
         self.task = task
         middle = task.starts_from(torch.full((1, task.num_draws), 0.5, dtype=torch.float64))
         self.env = make_env(task=task, num_envs=num_envs, starts=middle, **options)
-        self.base = self.env.base_env
+        self.base: Any = self.env.base_env
         self.policy: Any = make_actor(
             num_inputs=task.num_stacked * task.n_obs,
             num_actions=task.num_actions,
             generator=torch.Generator().manual_seed(0),
         )
-        self._in_flow, self._num_actions = 0.0, NUM_ACTIONS
-        solver: Any = self.base.solver
-        self._advance_, solver.advance_ = solver.advance_, self._time_flow
+        self.num_actions = NUM_ACTIONS
         self.prepare()
 
     def prepare(self) -> None:
         """Begin new episodes where the old ones could soon end."""
-        if self._num_actions >= NUM_ACTIONS:
+        if self.num_actions >= NUM_ACTIONS:
             self.state: TensorDictBase = self.env.reset()
-            self._num_actions = 0
-        self._num_actions += 1
-
-    def run_solver(self, num_actions: int) -> None:
-        """Advance the flows by an action, and nothing else."""
-        self.base.solver.advance_(self.task.n_substeps)
-
-    def run_env(self, num_actions: int) -> dict[str, float]:
-        """Step the bare environment by an action; every fish keeps its heading."""
-        keep = torch.ones(self.base.batch_size, dtype=torch.int64)
-        return self._time(lambda: self.base.step(self.state.clone().set("action", keep)))
-
-    def run_policy(self, num_actions: int) -> dict[str, float]:
-        """Step the whole environment as a collector does, with an action of a policy."""
-        return self._time(self.act)
+            self.num_actions = 0
+        self.num_actions += 1
 
     def act(self) -> TensorDictBase:
-        """Take one action of the policy, and return the step."""
+        """Step the whole environment as a collector does, with an action of the policy."""
         with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
             step, self.state = self.env.step_and_maybe_reset(self.policy(self.state))
         return step
 
-    def _time(self, act: Callable[[], object]) -> dict[str, float]:
-        self._in_flow, start = 0.0, time.perf_counter()
-        act()
-        return {"outside_flow": 1.0 - self._in_flow / (time.perf_counter() - start)}
 
-    def _time_flow(self, *arguments: Any, **keywords: Any) -> None:
-        start = time.perf_counter()
-        self._advance_(*arguments, **keywords)
-        self._in_flow += time.perf_counter() - start
-
-
-def make_action_entry(base: Any, label: str, what: str, advance: Any, **options: Any) -> Entry:
+def make_action_case(base: Any, label: str, what: str, advance: Any, **options: Any) -> Case:
     """Return bursts of one action of all flows of an environment."""
     config, num_envs = base.solver.config, base.batch_size[0]
-    return Entry(
+    return Case(
         label=label,
         name=f"{num_envs} × {config.width} × {config.height}, {what}",
         scope=FISH,
@@ -110,35 +84,58 @@ def make_action_entry(base: Any, label: str, what: str, advance: Any, **options:
     )
 
 
-def make_stage(settings: Settings) -> list[Entry]:
+def make_overhead(
+    settings: BenchmarkSettings, *, task: Any = None, num_envs: int = NUM_ENVS, **options: Any
+) -> list[Case]:
     """Make the flows once, and the three ways to advance them by one action."""
-    stage = Stage(make_task(settings), NUM_ENVS)
+    stage = Stage(task or make_task(settings), num_envs, **options)
+    base, advance_, spent = stage.base, stage.base.solver.advance_, [0.0]  # seconds in the flow
+    keep_heading = torch.ones(base.batch_size, dtype=torch.int64)
+
+    def time_flow(*arguments: Any, **keywords: Any) -> None:
+        start = time.perf_counter()
+        advance_(*arguments, **keywords)
+        spent[0] += time.perf_counter() - start
+
+    def run_solver(num_actions: int) -> None:
+        advance_(stage.task.n_substeps)
+
+    def run_env(num_actions: int, act: Callable[[], object]) -> dict[str, float]:
+        spent[0], start = 0.0, time.perf_counter()
+        act()
+        return {"outside_flow": 1.0 - spent[0] / (time.perf_counter() - start)}
+
+    def step() -> None:
+        base.step(stage.state.clone().set("action", keep_heading))
+
+    base.solver.advance_ = time_flow
+    make = partial(make_action_case, base, prepare=stage.prepare)
+    whole = "environment, transforms and policy"
     return [
-        make_action_entry(stage.base, f"env/{label}", what, advance, prepare=stage.prepare)
-        for label, what, advance in (
-            ("solver", "bare solver", stage.run_solver),
-            ("env", "environment", stage.run_env),
-            ("policy", "environment, transforms and policy", stage.run_policy),
-        )
+        make("env/solver", "bare solver", run_solver),
+        make("env/env", "environment", partial(run_env, act=step)),
+        make("env/policy", whole, partial(run_env, act=stage.act)),
     ]
 
 
-def make_training(settings: Settings) -> list[Entry]:
-    """Make a training run at the default settings."""
-    return list_training(LearningSettings(num_envs=NUM_ENVS), make_task(settings))
-
-
-def list_training(settings: LearningSettings, task: Any, **options: Any) -> list[Entry]:
-    """Return a gradient step, and a frame of all flows with the gradient steps it brings."""
-    learner = DiscreteSAC().make_learner(PolicySpec.for_task(task), settings)
-    env = make_env(task=task, num_envs=settings.num_envs, **options)
+def make_training(
+    settings: BenchmarkSettings,
+    *,
+    task: Any = None,
+    learning: LearningSettings | None = None,
+    **options: Any,
+) -> list[Case]:
+    """Make a gradient step, and a frame of all flows with the gradient steps it brings."""
+    task, learning = task or make_task(settings), learning or LearningSettings(num_envs=NUM_ENVS)
+    learner = DiscreteSAC().make_learner(PolicySpec.for_task(task), learning)
+    env = make_env(task=task, num_envs=learning.num_envs, **options)
     batches = iter(
         ResumableCollector(
-            env, learner.explorer, frames_per_batch=settings.num_envs, total_frames=-1,
-            init_random_frames=settings.warmup_frames,
+            env, learner.explorer, frames_per_batch=learning.num_envs, total_frames=-1,
+            init_random_frames=learning.warmup_frames,
         )
     )  # fmt: skip
-    num_updates = round(settings.updates_per_frame * settings.num_envs)
+    num_updates = round(learning.updates_per_frame * learning.num_envs)
 
     def collect() -> None:
         learner.remember(next(batches).reshape(-1))
@@ -153,60 +150,51 @@ def list_training(settings: LearningSettings, task: Any, **options: Any) -> list
         collect()
         middle = time.perf_counter()
         learn(num_updates)
-        end = time.perf_counter()
-        return {"learning": (end - middle) / (end - start)}
+        return {"learning": 1.0 - (middle - start) / (time.perf_counter() - start)}
 
-    while len(learner.buffer) < settings.batch_size:
+    while len(learner.buffer) < learning.batch_size:
         collect()
-    name = f"gradient step, {settings.batch_size} transitions"
+    name = f"gradient step, {learning.batch_size} transitions"
     what = f"frame of all flows, {num_updates} gradient steps"
-    return [
-        Entry(label="train/gradient", name=name, advance=learn),
-        make_action_entry(env.base_env, "train/frame", what, run),
-    ]
+    gradient = Case(label="train/gradient", name=name, advance=learn)
+    return [gradient, make_action_case(env.base_env, "train/frame", what, run)]
 
 
-def make_live(settings: Settings) -> list[Entry]:
-    """Make actions of four flows of preset ``small`` without and with a live view of flow 0."""
-    return list_views(make_task(settings), num_envs=4)
-
-
-def list_views(task: Any, *, num_envs: int, port: int = 9876, **options: Any) -> list[Entry]:
-    """Return actions of the same flows without and with a live view that leaves out no frame.
+def make_live(
+    settings: BenchmarkSettings, *, task: Any = None, port: int = 9876, **options: Any
+) -> list[Case]:
+    """Make actions of the same four flows without and with a live view that leaves out no frame.
 
     Other load changes the time of an action, and hardly the processor time of this process; the
     flows have processes of their own.
     """
-    stage = Stage(task, num_envs, frames_per_action=task.checks_per_action, **options)
+    task = task or make_task(settings)
+    stage = Stage(task, 4, frames_per_action=task.checks_per_action, **options)
     live = LiveView(stage.env, ViewerSettings(port=port, live_share=1.0))
     atexit.register(live.close)
-    look = stage.base.on_frame
+    on_frame = stage.base.on_frame
 
     def decide(num_actions: int, *, is_live: bool) -> dict[str, float]:
-        stage.base.on_frame = look if is_live else None
+        stage.base.on_frame = on_frame if is_live else None
         start, busy = time.perf_counter(), time.process_time()
         step = stage.act()
         if is_live:
             live.settle(step)
         return {"processor": (time.process_time() - busy) / (time.perf_counter() - start)}
 
+    make = partial(make_action_case, stage.base)
     return [
-        make_action_entry(stage.base, f"live/{word}", what, partial(decide, is_live=is_live))
-        for word, what, is_live in (
-            ("without", "no view", False),
-            ("with", "live view of one flow", True),
-        )
+        make("live/without", "no view", partial(decide, is_live=False)),
+        make("live/with", "live view of one flow", partial(decide, is_live=True)),
     ]
 
 
-def make_profile(settings: Settings) -> list[Entry]:
-    """Profile three actions of four flows on one core, all in this process."""
+def make_profile(
+    settings: BenchmarkSettings, *, task: Any = None, num_actions: int = 3, compile: bool = True
+) -> list[Case]:
+    """Profile the parts of an environment step of four flows on one core, in this process."""
     torch.set_num_threads(1)
-    return list_parts(make_task(settings), num_envs=4, num_actions=3)
-
-
-def list_parts(task: Any, *, num_envs: int, num_actions: int, compile: bool = True) -> list[Entry]:
-    """Return the parts of an environment step and their seconds per action."""
+    task, num_envs = task or make_task(settings), 4
     stage = Stage(task, num_envs, compile=False)
     solver: Any = InPlaceSolver(
         config=task.flow_config(), num_envs=num_envs, frequency=1.0 / task.scales.period,
@@ -226,7 +214,8 @@ def list_parts(task: Any, *, num_envs: int, num_actions: int, compile: bool = Tr
 
         return named
 
-    wrap_parts(solver, partial(name, "flow"))
+    names = {"collide": "collision", "bodies": "bodies: markers, force, motion, spreading"}
+    solver.wrap_kernels_(lambda key, kernel: name("flow", names.get(key, "edges"), kernel))
     for owner, attribute, place, part in (
         (solver, "advance_", "flow", "calls, and what is in no part"),
         (solver, "is_diverged", "environment", "check for divergence"),
@@ -250,7 +239,7 @@ def list_parts(task: Any, *, num_envs: int, num_actions: int, compile: bool = Tr
     size = f"{num_envs} × {solver.config.width} × {solver.config.height}, {task.n_substeps} steps"
     total = sum(seconds.values())
     return [
-        Entry(
+        Case(
             label=f"profile/{part}", name=part, num_steps=0,
             facts={"place": places[part], "seconds": s, "share": s / total, "size": size},
         )

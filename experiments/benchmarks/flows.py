@@ -1,4 +1,4 @@
-"""What a step of the flow costs: without and with fish, by size, force solve and device."""
+"""What a step of the flow costs: without and with fish, by size, batch and device."""
 
 from __future__ import annotations
 
@@ -6,36 +6,38 @@ import gc
 import os
 import tempfile
 import time
-from collections.abc import Callable
 from functools import partial
 from math import pi
 from typing import Any
 
 import torch
 
-from experiments.benchmarks.contest import (
+from experiments.benchmarks.comparison import (
     FISH,
     KERNEL,
     PERIODIC,
     PROBE,
     WALLS,
-    Entry,
-    Settings,
+    BenchmarkSettings,
+    Case,
     start_process,
 )
-from experiments.benchmarks.peers.shear_wave import ShearWave
+from experiments.benchmarks.peers.shear_wave import ShearWave, make_wave
 from fishrl.physics import FlowConfig, InPlaceSolver, Scales
 from fishrl.physics.cases import PERIODIC as PERIODIC_EDGES
 from fishrl.physics.cases import make_swimmer_config
-from fishrl.physics.fast.compiled import Kernel
 from fishrl.physics.flow import make_uniform
 from fishrl.physics.storage import Storage
 
-BATCHES = (1, 2, 4, 8, 16, 32)
-
 
 def make_solver(
-    body_length: int, *, has_fish: bool, num_envs: int = 1, **options: Any
+    body_length: int,
+    *,
+    has_fish: bool,
+    num_envs: int = 1,
+    num_workers: int = 0,
+    storage: Storage = Storage.FLOAT32,
+    **options: Any,
 ) -> InPlaceSolver:
     """Return compiled flows in the paper's tank, a swimming fish in the middle of each or none.
 
@@ -43,14 +45,16 @@ def make_solver(
         body_length: L; the tank is 10 L x 5 L, and Re = 70 L, so that the relaxation time is one.
         has_fish: whether a fish swims in it.
         num_envs: number of flows.
-        **options: of ``InPlaceSolver``, or ``storage``.
+        num_workers: see ``InPlaceSolver``.
+        storage: see ``FlowConfig``.
+        **options: of ``InPlaceSolver``.
     """
     scales = make_scales(body_length)
-    changes = {"storage": options.pop("storage", Storage.FLOAT32)}
-    options.setdefault("num_workers", 0)
+    bodies: Any = {} if has_fish else {"bodies": ()}
     solver = InPlaceSolver(
-        config=make_swimmer_config(scales, **changes | ({} if has_fish else {"bodies": ()})),
+        config=make_swimmer_config(scales, storage=storage, **bodies),
         num_envs=num_envs,
+        num_workers=num_workers,
         frequency=1.0 / scales.period,
         **options,
     )
@@ -65,19 +69,19 @@ def make_scales(body_length: int) -> Scales:
     return Scales.from_budget(body_length=body_length, reynolds=70.0 * body_length)
 
 
-def make_entry(
+def make_case(
     solver: InPlaceSolver, label: str, how: str, *, num_flows: int | None = None, **facts: Any
-) -> Entry:
+) -> Case:
     """Return the whole step of a solver's flows, by default of all of them."""
     config, num_flows = solver.config, num_flows or solver.num_envs
     is_first = torch.arange(solver.num_envs) < num_flows
     rows = None if num_flows == solver.num_envs else is_first
     populations = sum(tensor.nbytes for tensor in solver.state_dict().values())
-    return Entry(
+    return Case(
         label=label,
         name=f"{num_flows} × {config.width} × {config.height}, {how}",
         scope=FISH if config.bodies else WALLS,
-        advance=_wait(solver.device, partial(solver.advance_, rows=rows)),
+        advance=partial(solver.advance_, rows=rows),
         num_nodes=num_flows * config.width * config.height,
         working_set=round(populations * num_flows / solver.num_envs),
         bytes_per_update=18 * config.storage.dtype.itemsize,
@@ -86,35 +90,20 @@ def make_entry(
     )
 
 
-def make_kernel_entry(solver: InPlaceSolver, label: str, how: str) -> Entry:
+def make_kernel_case(solver: InPlaceSolver, label: str, how: str) -> Case:
     """Return the collision alone: the calls of an even and an odd step, over and over."""
-    entry, calls = make_entry(solver, label, how), solver.list_calls()["collide"]
+    case, calls = make_case(solver, label, how), solver.list_calls()["collide"]
 
     def advance(num_steps: int) -> None:
         for _ in range(num_steps // 2):
             for function, arguments in calls:
                 function(*arguments)
 
-    entry.scope, entry.advance = KERNEL, _wait(solver.device, advance)
-    return entry
+    case.scope, case.advance = KERNEL, advance
+    return case
 
 
-def _wait(device: torch.device, advance: Callable[[int], object]) -> Callable[[int], None]:
-    def advance_and_wait(num_steps: int) -> None:
-        advance(num_steps)
-        if device.type == "cuda":
-            torch.cuda.synchronize(device)
-
-    return advance_and_wait
-
-
-def wrap_parts(solver: InPlaceSolver, wrap: Callable[[str, Kernel], Kernel]) -> None:
-    """Replace each part of the solver's step by ``wrap(name, part)``."""
-    names = {"collide": "collision", "bodies": "bodies: markers, force, motion, spreading"}
-    solver.wrap_kernels_(lambda name, kernel: wrap(names.get(name, "edges"), kernel))
-
-
-def make_probes(settings: Settings) -> list[Entry]:
+def make_probes(settings: BenchmarkSettings) -> list[Case]:
     """Make the ceilings at the size of the large case.
 
     A copy moves as many bytes as a step in two buffers, nine arrays scaled in place as many as a
@@ -128,14 +117,14 @@ def make_probes(settings: Settings) -> list[Entry]:
             for array in arrays:
                 array.mul_(0.8 if step % 2 else 1.25)
 
-    in_place = Entry(
+    in_place = Case(
         label="probe/in place", name=f"nine arrays of {arrays.nbytes / 9e6:.1f} MB scaled in place",
         scope=PROBE, advance=scale, num_nodes=num_nodes, working_set=arrays.nbytes, multiple=2,
     )  # fmt: skip
     return [make_copy("probe/copy", num_nodes, "cpu"), in_place]
 
 
-def make_copy(label: str, num_nodes: int, device: str) -> Entry:
+def make_copy(label: str, num_nodes: int, device: str) -> Case:
     """Return the copy of nine populations."""
     source = torch.ones(9 * num_nodes, device=device)
     target = torch.empty_like(source)
@@ -144,58 +133,56 @@ def make_copy(label: str, num_nodes: int, device: str) -> Entry:
         for _ in range(num_steps):
             target.copy_(source)
 
-    return Entry(
+    return Case(
         label=label, name=f"copy of {source.nbytes / 1e6:.0f} MB", scope=PROBE,
-        advance=_wait(source.device, copy), num_nodes=num_nodes, working_set=2 * source.nbytes,
+        advance=copy, num_nodes=num_nodes, working_set=2 * source.nbytes,
     )  # fmt: skip
 
 
-def make_sizes(settings: Settings, *, has_fish: bool) -> list[Entry]:
+def make_sizes(settings: BenchmarkSettings, *, has_fish: bool) -> list[Case]:
     """Make one flow from L / 4 to 2 L, one on a single core, and batches at L / 2."""
-    length, what, alone = settings.body_length, "fish" if has_fish else "walls", "one core"
-    cases: dict[str, tuple[int, str, tuple[int, ...], int]] = {
-        size: (factor * length // 4, settings.how, (1,), 0)
-        for size, factor in (("small", 1), ("middle", 2), ("large", 4), ("huge", 8))
-    }
-    cases["single"] = length, alone, (1,), 1
-    cases["batch"] = length // 2, f"{alone} each", BATCHES, settings.threads
-    entries = []
-    for size, (length, how, batches, num_workers) in cases.items():
+    large, what, cases = settings.body_length, "fish" if has_fish else "walls", []
+    for size, length, how, batches, num_workers in (
+        ("small", large // 4, settings.cores, (1,), 0),
+        ("middle", large // 2, settings.cores, (1,), 0),
+        ("large", large, settings.cores, (1,), 0),
+        ("huge", 2 * large, settings.cores, (1,), 0),
+        ("single", large, "one core", (1,), 1),
+        ("batch", large // 2, "one core each", (1, 2, 4, 8, 16, 32), min(settings.threads, 32)),
+    ):
         before, num_envs = count_tensor_bytes(), max(batches)
-        solver = make_solver(
-            length, has_fish=has_fish, num_envs=num_envs, num_workers=min(num_workers, num_envs)
-        )
-        num_nodes = num_envs * solver.config.width * solver.config.height
-        per_node = (count_tensor_bytes() - before) / num_nodes
+        solver = make_solver(length, has_fish=has_fish, num_envs=num_envs, num_workers=num_workers)
+        per_node = (count_tensor_bytes() - before) / (50 * length**2 * num_envs)
         facts = {"bytes": per_node, "body_length": length, "period": make_scales(length).period}
         for n in batches:
             label = f"{size}{n if size == 'batch' else ''}/{what}"
-            entries.append(make_entry(solver, label, how, num_flows=n, **facts))
-    return entries
+            cases.append(make_case(solver, label, how, num_flows=n, **facts))
+    return cases
 
 
-def make_flows(settings: Settings) -> list[Entry]:
+def make_flows(settings: BenchmarkSettings) -> list[Case]:
     """Make the flow alone: its kernel, a periodic step, steps with walls."""
-    periodic = make_periodic(10 * settings.body_length, 5 * settings.body_length)
-    step = make_entry(periodic, "large/periodic", settings.how)
+    periodic = make_periodic(make_wave(settings))
+    step = make_case(periodic, "large/periodic", settings.cores)
     step.scope = PERIODIC
-    kernel = make_kernel_entry(periodic, "large/kernel", settings.how)
+    kernel = make_kernel_case(periodic, "large/kernel", settings.cores)
     return [kernel, step, *make_sizes(settings, has_fish=False)]
 
 
-def make_swimmers(settings: Settings) -> list[Entry]:
+def make_swimmers(settings: BenchmarkSettings) -> list[Case]:
     """Make the same flows with a swimming fish in each."""
     return make_sizes(settings, has_fish=True)
 
 
-def make_periodic(width: int, height: int, *, compile: bool = True) -> InPlaceSolver:
+def make_periodic(wave: ShearWave, *, compile: bool = True) -> InPlaceSolver:
     """Return a periodic flow that has damped a shear wave as it should.
 
     Raises:
         RuntimeError: if it has not.
     """
-    wave = ShearWave(width, height)
-    config = FlowConfig(width=width, height=height, tau=wave.tau, boundaries=PERIODIC_EDGES)
+    config = FlowConfig(
+        width=wave.width, height=wave.height, tau=wave.tau, boundaries=PERIODIC_EDGES
+    )
     solver = InPlaceSolver(config=config, num_workers=0, compile=compile)
     velocity = torch.as_tensor(wave.velocity())[None]
     solver.set_populations_(make_uniform(torch.zeros_like(velocity), velocity, 0.0 * velocity))
@@ -203,7 +190,7 @@ def make_periodic(width: int, height: int, *, compile: bool = True) -> InPlaceSo
     return solver
 
 
-def make_gpu(settings: Settings) -> list[Entry]:
+def make_gpu(settings: BenchmarkSettings) -> list[Case]:
     """Make a batch that fills the card, with and without a fish in each, and a copy of its size.
 
     Raises:
@@ -216,23 +203,23 @@ def make_gpu(settings: Settings) -> list[Entry]:
     half = make(has_fish=True, storage=Storage.FLOAT16)
     return [
         make_copy("gpu/copy", 64 * empty.config.width * empty.config.height, "cuda"),
-        make_kernel_entry(empty, "gpu/kernel", how),
-        make_entry(empty, "gpu/walls", how),
-        make_entry(make(has_fish=True), "gpu/fish", how),
-        make_entry(half, "gpu/fish, half", f"{how}, half precision"),
+        make_kernel_case(empty, "gpu/kernel", how),
+        make_case(empty, "gpu/walls", how),
+        make_case(make(has_fish=True), "gpu/fish", how),
+        make_case(half, "gpu/fish, half", f"{how}, half precision"),
     ]
 
 
-def make_compilation(settings: Settings) -> list[Entry]:
+def make_compilation(settings: BenchmarkSettings) -> list[Case]:
     """Measure the time until the first step with nothing kept, then with everything kept."""
-    entries = []
+    cases = []
     with tempfile.TemporaryDirectory(prefix="fishrl-compile-") as folder:
         for label, name in (("cold", "nothing is kept"), ("warm", "everything is kept")):
             with start_process() as process:
                 seconds = process.submit(time_compilation, settings.body_length // 2, folder)
                 facts = {"seconds": seconds.result()}
-            entries.append(Entry(label=f"compile/{label}", name=name, num_steps=0, facts=facts))
-    return entries
+            cases.append(Case(label=f"compile/{label}", name=name, num_steps=0, facts=facts))
+    return cases
 
 
 def time_compilation(body_length: int, folder: str) -> float:

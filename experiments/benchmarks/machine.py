@@ -1,4 +1,4 @@
-"""What the figures were measured on."""
+"""Description of the machine that something was measured on."""
 
 from __future__ import annotations
 
@@ -14,13 +14,11 @@ PACKAGES = ("torchrl", "tensordict", "numpy", "lbmpy", "pystencils", "numba", "l
 
 def describe_machine() -> dict[str, object]:
     """Name processor, threads and versions."""
-    model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
-    if info.exists():
-        lines = [line for line in info.read_text().splitlines() if line.startswith("model name")]
-        model = lines[0].split(":", 1)[1].strip() if lines else model
+    lines = info.read_text().splitlines() if info.exists() else []
+    models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
     return {
-        "cpu": model,
+        "cpu": (models or [platform.processor() or platform.machine()])[0],
         "cores": os.cpu_count(),
         "threads": torch.get_num_threads(),
         "torch": torch.__version__,

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from experiments.benchmarks.contest import Row, Skipped
+from experiments.benchmarks.comparison import Row, Skipped
 
 
 class Spread(NamedTuple):
@@ -35,15 +35,18 @@ def measure_speed(row: Row) -> Spread:
     return spread([row.num_nodes / seconds / 1e6 for seconds in row.seconds])
 
 
-def measure_bandwidth(row: Row) -> Spread:
-    """Return the GB/s that the updates move if each population is read and written once."""
-    return Spread(*(1e-3 * row.bytes_per_update * speed for speed in measure_speed(row)))
-
-
 def compare(ours: Row, theirs: Row) -> Spread:
     """Return how many times faster one row is per node update, round by round."""
     pairs = zip(ours.seconds, theirs.seconds, strict=True)
     return spread([b / a * ours.num_nodes / theirs.num_nodes for a, b in pairs])
+
+
+def read(row: Row, name: str) -> Spread | None:
+    """Return a fact, the seconds of a step or another number of each burst; None without any."""
+    if name in row.facts:
+        return Spread(*[row.facts[name]] * 3)
+    values = row.seconds if name == "seconds" else row.extras.get(name)
+    return spread(values) if values else None
 
 
 @dataclass(kw_only=True)

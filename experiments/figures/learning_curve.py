@@ -5,13 +5,11 @@ from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from experiments.figures.style import COLOURS, STYLE
+from experiments.figures.style import COLOURS, panels, tidy
 
 FRAMES = "frames"
 # Panels of the learning curve: title, and the columns of metrics.csv that it shows.
@@ -30,14 +28,10 @@ Series = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 def read_metrics(path: str | PathLike[str]) -> dict[str, Series]:
     """Return the frames and values of each column of numbers; blank cells are left out."""
-    file = Path(path)
-    if not file.is_file():
-        raise FileNotFoundError(f"no metrics at {file}: give the metrics.csv of a run folder")
-    with file.open(newline="", encoding="utf-8") as lines:
+    with Path(path).open(newline="", encoding="utf-8") as lines:
         rows = list(csv.DictReader(lines))
     if not rows or FRAMES not in rows[0]:
-        columns = sorted(rows[0]) if rows else []
-        raise ValueError(f"{file} has {len(rows)} rows and columns {columns}: needs '{FRAMES}'")
+        raise ValueError(f"{path} has {len(rows)} rows: needs some, with a column '{FRAMES}'")
     series: dict[str, Series] = {}
     for name in rows[0]:
         points = [(row[FRAMES], row[name]) for row in rows if row[name] and row[FRAMES]]
@@ -64,42 +58,38 @@ def write_learning_curve(
         baselines: success rates by name, drawn as lines.
     """
     series = read_metrics(metrics)
-    panels = [
+    shown = [
         (title, known)
         for title, columns in PANELS
         if (known := [(c, label) for c, label in columns if c in series and series[c][0].size])
     ]
-    if not panels:
+    if not shown:
         wanted = [column for _, columns in PANELS for column, _ in columns]
         raise ValueError(f"{metrics} has columns {sorted(series)}: needs one or more of {wanted}")
-    rows = -(-len(panels) // 2)
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(10, 0.5 + 2.3 * rows), layout="constrained")
-        grid = figure.subplots(rows, 2, squeeze=False, sharex=True)
-        for axes in list(grid.flat)[len(panels) :]:
-            axes.set_visible(False)
-        for axes, (title, columns) in zip(grid.flat, panels, strict=False):
+    rows = -(-len(shown) // 2)
+    with panels(path, size=(10, 0.5 + 2.3 * rows), rows=rows, columns=2, sharex=True) as grid:
+        for i, axes in enumerate(grid.flat):
+            if i >= len(shown):
+                axes.set_visible(False)
+                continue
+            title, columns = shown[i]
             for (column, label), colour in zip(columns, COLOURS, strict=False):
                 _draw_series(axes, *series[column], label, colour)
-            axes.set_title(title, loc="left")
-            axes.grid(color="#e6e6e6", linewidth=0.7)
-            axes.spines[["top", "right"]].set_visible(False)
+            frame_curves(axes, title, is_rate=title == "success rate")
             if title == "success rate":
                 _draw_baselines(axes, baselines or {})
             if len(columns) > 1:
                 axes.legend(loc="best", fontsize=9)
-        for axes in list(grid.flat)[max(0, len(panels) - 2) : len(panels)]:
-            axes.tick_params(labelbottom=True)
-            axes.set_xlabel("env frames (decisions of all fish)")
-        figure.savefig(path)
+            is_lowest = i >= len(shown) - 2
+            axes.tick_params(labelbottom=is_lowest)
+            axes.xaxis.label.set_visible(is_lowest)
 
 
 def frame_curves(axes: Axes, title: str, *, is_rate: bool) -> None:
     """Give axes of learning curves their title, label and grid; rates go from 0 to 100 %."""
     axes.set_title(title, loc="left")
     axes.set_xlabel("env frames (decisions of all fish)")
-    axes.grid(color="#e6e6e6", linewidth=0.7)
-    axes.spines[["top", "right"]].set_visible(False)
+    tidy(axes)
     if is_rate:
         axes.set_ylim(-0.03, 1.05)
         axes.yaxis.set_major_formatter("{x:.0%}")
@@ -113,17 +103,12 @@ def _draw_series(
         axes.plot(x, y, color=colour, label=label, marker="o", markersize=3.5, linewidth=1.6)
         return
     axes.plot(x, y, color=colour, alpha=0.22, linewidth=0.8)
-    reach = max(1, y.size // 40)
-    at = np.arange(y.size)
-    start, stop = np.maximum(at - reach, 0), np.minimum(at + reach + 1, y.size)
-    sums = np.concatenate(([0.0], np.cumsum(y)))
-    mean = (sums[stop] - sums[start]) / (stop - start)
+    window = np.ones(2 * max(1, y.size // 40) + 1)
+    mean = np.convolve(y, window, "same") / np.convolve(np.ones_like(y), window, "same")
     axes.plot(x, mean, color=colour, label=label, linewidth=1.8)
 
 
 def _draw_baselines(axes: Axes, baselines: Mapping[str, float]) -> None:
-    axes.set_ylim(-0.03, 1.05)
-    axes.yaxis.set_major_formatter("{x:.0%}")
     height = -1.0
     for name, rate in sorted(baselines.items(), key=lambda item: item[1]):
         height = max(rate, height + 0.075)  # names of near rates stand above each other

@@ -38,19 +38,16 @@ def record_run(
     baselines: Mapping[str, float],
     on_episodes: Callable[[int], None],
 ) -> list[Path]:
-    """Record the policy of a run and draw its pictures.
+    """Record the policy of a run from ``starts`` ``[E]``, draw its pictures and return the files.
 
     Args:
         folder: of the run; ``capture.rrd`` holds the first flows.
         env: of the training.
         policy: that it learned.
-        starts: ``[E]``, one episode each.
+        starts: one episode each.
         settings: of the drawing.
         baselines: see ``write_learning_curve``.
         on_episodes: called with the number of episodes that have just ended.
-
-    Returns:
-        The files, in the order written.
     """
     task, scene = env.base_env.task, make_scene(env, vorticity_limit=settings.vorticity_limit)
     flows, max_decisions = list(range(min(_MAX_FLOWS, len(starts)))), None
@@ -94,14 +91,8 @@ def write_run_pictures(
 ) -> list[Path]:
     """Write the learning curve and, if the task has a goal, pictures of the episodes.
 
-    Args:
-        folder: of the run.
-        recordings: episodes; all go into ``trajectories.png``, and the first one that succeeded
-            (else the first one) into the flow pictures and the animation.
-        baselines: success rates by name, drawn as lines.
-
-    Returns:
-        The files, in the order written.
+    All ``recordings`` go into ``trajectories.png``; the first one that succeeded (else the first
+    one) into the flow pictures and the animation. Returns the files in the order written.
     """
     written = []
     if (folder / "metrics.csv").is_file():

@@ -3,12 +3,10 @@
 from collections.abc import Sequence
 from os import PathLike
 
-import matplotlib as mpl
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
-from experiments.figures.style import COLOURS, FOOD, STYLE, label_axes
+from experiments.figures.style import COLOURS, FOOD, label_axes, panels
 from fishrl.viewer import Recording
 
 
@@ -21,9 +19,7 @@ def write_trajectories(recordings: Sequence[Recording], path: str | PathLike[str
     """
     scene = recordings[0].scene
     x, y = scene.width / scene.body_length, scene.height / scene.body_length
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(9, 0.5 + 6.6 * y / x), layout="constrained")
-        axes = figure.subplots()
+    with panels(path, size=(9, 0.5 + 6.6 * y / x)) as [[axes]]:
         for number, recording in enumerate(recordings):
             _draw_trajectory(axes, recording, COLOURS[number % len(COLOURS)])
         axes.set(xlim=(0, x), ylim=(0, y), aspect="equal")
@@ -33,7 +29,6 @@ def write_trajectories(recordings: Sequence[Recording], path: str | PathLike[str
             title="filled: at the start\nline: head · dots: food\ncircle: capture radius",
             title_fontsize=8.5, alignment="left", labelspacing=0.55,
         )  # fmt: skip
-        figure.savefig(path)
 
 
 def _draw_trajectory(axes: Axes, recording: Recording, colour: str) -> None:

@@ -6,31 +6,31 @@ from pathlib import Path
 import pytest
 
 from experiments import benchmark
-from experiments.benchmark import TEAMS, main
-from experiments.benchmarks.contest import Team
+from experiments.benchmark import JOBS, choose_jobs, main
+from experiments.benchmarks.comparison import Job
 from experiments.benchmarks.machine import read_caches
-from tests.experiments.benchmarks import toy_teams
+from tests.experiments.benchmarks import toy_jobs
 
 
 def test_groups_are_chosen_by_name_and_all_by_default() -> None:
-    groups = [team.group for team in main.read(["groups=[coupled,solver]"]).choose_teams()]
+    groups = [job.group for job in choose_jobs(main.read(["groups=[coupled,solver]"]).groups)]
     assert groups == ["probe", "solver", "coupled"]
-    assert main.read([]).choose_teams() == list(TEAMS)
+    assert choose_jobs(main.read([]).groups) == list(JOBS)
     with pytest.raises(ValueError, match="Did you mean 'coupled'"):
-        main.read(["groups=[copled]"]).choose_teams()
+        choose_jobs(["copled"])
 
 
 @pytest.mark.parametrize(("make", "status"), [("make_pair", 0), ("fail_at_once", 1)])
-def test_a_run_prints_tables_keeps_every_time_and_fails_with_a_team(
+def test_a_run_prints_tables_keeps_every_time_and_fails_with_a_job(
     make: str, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    monkeypatch.setenv("TOY_DIARY", str(tmp_path / "diary"))
-    teams = (
-        Team("solver", getattr(toy_teams, make)),
-        Team("compile", toy_teams.make_number, is_long=True),
+    monkeypatch.setenv("TOY_LOG", str(tmp_path / "log"))
+    jobs = (
+        Job("solver", getattr(toy_jobs, make)),
+        Job("compile", toy_jobs.make_number, is_long=True),
     )
-    monkeypatch.setattr(benchmark, "TEAMS", teams)
+    monkeypatch.setattr(benchmark, "JOBS", jobs)
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     arguments = [f"folder={tmp_path}", "threads=1", "rounds=2"]
     if status:

@@ -7,13 +7,13 @@ lbmpy's own exchange of the periodic halo.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from experiments.benchmarks.contest import KERNEL, Entry, Settings
-from experiments.benchmarks.peers.shear_wave import Field, ShearWave, make_peer_entries, make_wave
+from experiments.benchmarks.comparison import KERNEL, BenchmarkSettings, Case
+from experiments.benchmarks.peers.shear_wave import Field, ShearWave, make_peer_cases, make_wave
 from fishrl.physics.collision import Rates
 
 PATTERNS = {
@@ -79,39 +79,31 @@ class LbmpyFlow:
         self._data.run_kernel(self._get)
         return np.array(self._data.cpu_arrays["u"][1:-1, 1:-1, 0].T)
 
-    def advance(self, num_steps: int) -> None:
-        """Advance by an even number of whole steps, halo included."""
+    def advance(self, num_steps: int, *, has_halo: bool = True) -> None:
+        """Advance by an even number of steps, or run the kernels alone."""
         for _ in range(num_steps // len(self._steps)):
             for before, kernel in zip(self._steps[-1:] + self._steps, self._kernels, strict=False):
-                self._wrap(before)
-                self._run(kernel)
+                if has_halo:
+                    self._wrap(before)
+                self._data.run_kernel(kernel)
+                if not self._is_in_place:
+                    self._data.swap("f", "g")
 
-    def advance_kernel(self, num_steps: int) -> None:
-        """Run the kernels alone; the halo stays as it is."""
-        for _ in range(num_steps // len(self._steps)):
-            for kernel in self._kernels:
-                self._run(kernel)
-
-    def _run(self, kernel: Any) -> None:
-        self._data.run_kernel(kernel)
-        if not self._is_in_place:
-            self._data.swap("f", "g")
-
-    def copy(self, num_flows: int) -> list[Any]:
-        """Return the populations of so many flows in the state of this one; in place only."""
+    def make_batch(self, num_flows: int) -> Callable[[int], None]:
+        """Return the kernels on copies of this flow, one after the other; in place only."""
         arrays = []
         for i in range(num_flows):
             self._add(f"f{i}", 9)
             arrays.append(self._data.cpu_arrays[f"f{i}"])
             arrays[-1][...] = self._data.cpu_arrays["f"]
-        return arrays
 
-    def advance_arrays(self, arrays: Sequence[Any], num_steps: int) -> None:
-        """Run the kernels on the copies, one flow after the other."""
-        for array in arrays:
-            for _ in range(num_steps // len(self._steps)):
-                for kernel in self._kernels:
-                    kernel(f=array)
+        def advance(num_steps: int) -> None:
+            for array in arrays:
+                for _ in range(num_steps // len(self._steps)):
+                    for kernel in self._kernels:
+                        kernel(f=array)
+
+        return advance
 
 
 def make_kernel_config(*, has_threads: bool) -> Any:
@@ -153,22 +145,21 @@ def make_rule(fields: Sequence[Any], stencil: Any, tau: float, pattern: str, ste
     )
 
 
-def make_entries(settings: Settings, *, num_flows: int = 16) -> list[Entry]:
+def make_cases(settings: BenchmarkSettings, *, num_flows: int = 16) -> list[Case]:
     """Make every pattern for one large flow, and the fastest for a batch of half its size."""
-    wave, threads, entries = make_wave(settings), settings.threads, []
+    wave, cases = make_wave(settings), []
     for pattern, words in PATTERNS.items():
-        flow, how = LbmpyFlow(wave, pattern, threads), f"{words}, {settings.how}"
-        entries += make_peer_entries(flow, wave, f"lbmpy/{pattern}", how, flow.advance_kernel)
+        flow, how = LbmpyFlow(wave, pattern, settings.threads), f"{words}, {settings.cores}"
+        cases += make_peer_cases(flow, wave, f"lbmpy/{pattern}", how, has_kernel=True)
     small = ShearWave(wave.width // 2, wave.height // 2)
-    flow = LbmpyFlow(small, "esotwist", threads)
-    arrays = flow.copy(num_flows)
-    batch = Entry(
+    flow = LbmpyFlow(small, "esotwist", settings.threads)
+    batch = Case(
         label=f"lbmpy/batch{num_flows}",
         name=f"{num_flows} × {small.width} × {small.height}, {how}",
         scope=KERNEL,
-        advance=lambda num_steps: flow.advance_arrays(arrays, num_steps),
+        advance=flow.make_batch(num_flows),
         num_nodes=num_flows * small.width * small.height,
         working_set=num_flows * flow.num_bytes,
         multiple=2,
     )
-    return [*entries, batch]
+    return [*cases, batch]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from experiments.benchmarks.contest import Entry, Settings
-from experiments.benchmarks.peers.shear_wave import Field, ShearWave, make_peer_entries, make_wave
+from experiments.benchmarks.comparison import BenchmarkSettings, Case
+from experiments.benchmarks.peers.shear_wave import Field, ShearWave, make_peer_cases, make_wave
 
 
 class LettuceFlow:
@@ -42,11 +42,10 @@ class LettuceFlow:
         return self._flow.u()[0].T.double().numpy()
 
 
-def make_entries(settings: Settings) -> list[Entry]:
+def make_cases(settings: BenchmarkSettings) -> list[Case]:
     """Make the step, eager and compiled."""
-    entries, wave = [], make_wave(settings, num_steps=20)
+    cases, wave = [], make_wave(settings, num_steps=20)
     for name in ("eager", "compiled"):
         flow = LettuceFlow(wave, is_compiled=name == "compiled")
-        how = f"{name}, {settings.how}"
-        entries += make_peer_entries(flow, wave, f"lettuce/{name}", how)
-    return entries
+        cases += make_peer_cases(flow, wave, f"lettuce/{name}", f"{name}, {settings.cores}")
+    return cases

@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from experiments.benchmarks.contest import Entry, Settings
-from experiments.benchmarks.peers.shear_wave import Field, ShearWave, make_peer_entries, make_wave
+from experiments.benchmarks.comparison import BenchmarkSettings, Case
+from experiments.benchmarks.peers.shear_wave import Field, ShearWave, make_peer_cases, make_wave
 from fishrl.physics.collision import Rates
 from fishrl.physics.lattice import CX, CY, W
 
@@ -38,38 +38,27 @@ class NumbaFlow:
         f = self._source[self._inside].astype(np.float64)
         return np.tensordot(CX, f, 1) / (1.0 + f.sum(0))
 
-    def advance(self, num_steps: int) -> None:
-        """Advance by whole steps, halo included."""
+    def advance(self, num_steps: int, *, has_halo: bool = True) -> None:
+        """Advance by whole steps, or run the kernel alone."""
         for _ in range(num_steps):
-            self._wrap(self._source.reshape(-1))
-            self.advance_kernel(1)
-
-    def advance_kernel(self, num_steps: int) -> None:
-        """Run the kernel alone; the halo stays as it is."""
-        for _ in range(num_steps):
+            if has_halo:
+                self._wrap(self._source.reshape(-1))
             self._pull(self._source.reshape(-1), self._target.reshape(-1))
             self._source, self._target = self._target, self._source
 
 
-def make_entries(settings: Settings) -> list[Entry]:
+def make_cases(settings: BenchmarkSettings) -> list[Case]:
     """Make the kernel and the whole step."""
     import numba
 
     numba.set_num_threads(settings.threads)
     wave = make_wave(settings)
-    flow, how = NumbaFlow(wave), f"two buffers, {settings.how}"
-    return make_peer_entries(flow, wave, "numba/step", how, flow.advance_kernel)
+    flow, how = NumbaFlow(wave), f"two buffers, {settings.cores}"
+    return make_peer_cases(flow, wave, "numba/step", how, has_kernel=True)
 
 
 def make_kernels(width: int, height: int, pitch: int, omega: float) -> tuple[Kernel, Kernel]:
-    """Compile the pulling collision and the halo of one grid.
-
-    Args:
-        width: nodes along x.
-        height: nodes along y.
-        pitch: of the rows, halo included.
-        omega: 1 / tau.
-    """
+    """Compile the pulling collision and the halo; ``pitch`` is that of rows with their halo."""
     import numba
 
     plane = (height + 2) * pitch

@@ -6,13 +6,14 @@ u_x = U sin(k y) decays as exp(-nu k^2 t) in a periodic box, whatever U.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from math import log, pi
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.benchmarks.contest import KERNEL, PERIODIC, Entry, Settings
+from experiments.benchmarks.comparison import KERNEL, PERIODIC, BenchmarkSettings, Case
 
 Field = NDArray[np.floating]
 SPEED = 0.02  # U, nodes per step
@@ -59,7 +60,7 @@ class ShearWave:
         if not abs(error) <= TOLERANCE:
             raise RuntimeError(
                 f"the shear wave decays as if the viscosity were {100 * error:+.1f} % off, allowed "
-                f"is {100 * TOLERANCE:.0f} %: the flow is another, so its time means nothing"
+                f"is {100 * TOLERANCE:.0f} %: another flow, whose speed cannot be compared"
             )
         return error
 
@@ -67,39 +68,33 @@ class ShearWave:
         return float(2.0 * (self._shape[:, None] * velocity).mean() / SPEED)
 
 
-class PeerFlow(Protocol):
-    """A periodic flow of another code."""
-
-    num_bytes: int  # of the populations
-
-    def advance(self, num_steps: int) -> None:
-        """Advance by whole steps."""
-
-    def velocity(self) -> Field:
-        """Return the velocity ``[Y, X]`` along x."""
-
-
-def make_wave(settings: Settings, num_steps: int = 100) -> ShearWave:
+def make_wave(settings: BenchmarkSettings, num_steps: int = 100) -> ShearWave:
     """Return the wave in a box of the large case's size."""
     return ShearWave(10 * settings.body_length, 5 * settings.body_length, num_steps)
 
 
-def make_peer_entries(
-    flow: PeerFlow,
-    wave: ShearWave,
-    label: str,
-    how: str,
-    advance_kernel: Callable[[int], None] | None = None,
-) -> list[Entry]:
-    """Check a flow that has started from the wave, and return its step, and its kernel if given."""
+def make_peer_cases(
+    flow: Any, wave: ShearWave, label: str, how: str, *, has_kernel: bool = False
+) -> list[Case]:
+    """Check a flow that has started from the wave, and return its step and, before it, its kernel.
+
+    Args:
+        flow: offers ``advance(num_steps)``, ``velocity()`` ``[Y, X]`` along x and ``num_bytes``.
+        wave: from which it has started.
+        label: of the step.
+        how: in words.
+        has_kernel: whether ``advance(num_steps, has_halo=False)`` runs the kernel alone.
+    """
     error = wave.check(flow.advance, flow.velocity)
-    cases = {f"{label}, kernel": (KERNEL, advance_kernel), label: (PERIODIC, flow.advance)}
+    scopes = {PERIODIC: (label, flow.advance)}
+    if has_kernel:
+        kernel = partial(flow.advance, has_halo=False)
+        scopes = {KERNEL: (f"{label}, kernel", kernel)} | scopes
     return [
-        Entry(
+        Case(
             label=case, name=f"1 × {wave.width} × {wave.height}, {how}", scope=scope,
             advance=advance, num_nodes=wave.width * wave.height, working_set=flow.num_bytes,
             multiple=2, facts={"viscosity_error": error},
         )
-        for case, (scope, advance) in cases.items()
-        if advance is not None
+        for scope, (case, advance) in scopes.items()
     ]  # fmt: skip

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.benchmarks.contest import Entry, Settings
-from experiments.benchmarks.peers.shear_wave import Field, ShearWave, make_peer_entries, make_wave
+from experiments.benchmarks.comparison import BenchmarkSettings, Case
+from experiments.benchmarks.peers.shear_wave import Field, ShearWave, make_peer_cases, make_wave
 
 
 class XLBFlow:
@@ -58,7 +58,7 @@ class XLBFlow:
         return np.asarray(self._u.numpy()[0, :, :, 0].T, dtype=np.float64)
 
 
-def make_entries(settings: Settings) -> list[Entry]:
+def make_cases(settings: BenchmarkSettings) -> list[Case]:
     """Make the step."""
     wave = make_wave(settings, num_steps=20)
-    return make_peer_entries(XLBFlow(wave), wave, "xlb/warp", "Warp, one core")
+    return make_peer_cases(XLBFlow(wave), wave, "xlb/warp", "Warp, one core")

@@ -2,12 +2,14 @@
 
 import pytest
 
+from experiments.benchmarks.comparison import BenchmarkSettings
 from experiments.benchmarks.environment import (
     NUM_ACTIONS,
     Stage,
-    list_parts,
-    list_training,
-    list_views,
+    make_live,
+    make_overhead,
+    make_profile,
+    make_training,
 )
 from fishrl.envs import Predation
 from fishrl.envs.scene import Frame
@@ -19,30 +21,35 @@ from tests.envs.test_real_flow import TINY
 SHORT = TINY | {"control_interval_T": 0.1, "checks_per_action": 2}  # few steps per action
 
 
-@pytest.fixture(scope="module")
-def stage() -> Stage:
-    """Return an environment of two tiny eager flows."""
-    return Stage(Predation(**SHORT), 2, compile=False)
+SETTINGS = BenchmarkSettings()
 
 
-def test_solver_environment_and_policy_advance_the_same_steps(stage: Stage) -> None:
-    for run in (stage.run_solver, stage.run_env, stage.run_policy):
-        stage.state = stage.env.reset()
-        extras = run(1)
-        assert stage.base.solver.body.age.tolist() == [stage.task.n_substeps] * 2
-        assert extras is None or 0.0 < extras["outside_flow"] < 1.0
+def test_the_environment_takes_longer_than_its_flow() -> None:
+    solver, env, policy = make_overhead(
+        SETTINGS, task=Predation(**SHORT), num_envs=2, compile=False
+    )
+    assert solver.num_nodes == env.num_nodes == policy.num_nodes
+    for case in (solver, env, policy):
+        case.prepare()
+        extras = case.advance(1)
+        assert case is solver or 0.0 < extras["outside_flow"] < 1.0
 
 
-def test_flows_begin_anew_before_an_episode_can_end(stage: Stage) -> None:
-    stage._num_actions = NUM_ACTIONS
-    stage.base.solver.advance_(2)
-    stage.prepare()
+def test_flows_begin_anew_before_an_episode_can_end() -> None:
+    stage = Stage(Predation(**SHORT), 2, compile=False)
+    ages = []
+    for _ in range(NUM_ACTIONS):
+        stage.act()
+        ages.append(stage.base.solver.body.age.tolist())
+        stage.prepare()
+    assert ages == [[stage.task.n_substeps * (i + 1.0)] * 2 for i in range(NUM_ACTIONS)]
     assert stage.base.solver.body.age.tolist() == [0.0, 0.0]
 
 
 def test_a_training_loop_collects_and_learns() -> None:
-    settings = LearningSettings(num_envs=2, batch_size=2, updates_per_frame=2.0)
-    gradient, frame = list_training(settings, Predation(**SHORT), compile=False)
+    learning = LearningSettings(num_envs=2, batch_size=2, updates_per_frame=2.0)
+    task = Predation(**SHORT)
+    gradient, frame = make_training(SETTINGS, task=task, learning=learning, compile=False)
     assert gradient.advance(2) is None
     extras = frame.advance(1)
     assert extras is not None
@@ -50,13 +57,14 @@ def test_a_training_loop_collects_and_learns() -> None:
 
 
 def test_a_profile_has_the_parts_of_the_flow_and_of_the_environment() -> None:
-    parts = list_parts(Predation(**SHORT), num_envs=1, num_actions=1, compile=False)
-    places = {entry.name: entry.facts["place"] for entry in parts}
+    task = Predation(**SHORT | {"control_interval_T": 0.05})
+    parts = make_profile(SETTINGS, task=task, num_actions=1, compile=False)
+    places = {case.name: case.facts["place"] for case in parts}
     assert places["collision"] == places["edges"] == "flow"
     assert places["sensors and measurement"] == "environment"
     assert places["policy"] == "TorchRL and policy"
-    assert all(entry.facts["seconds"] >= 0.0 for entry in parts)
-    assert sum(entry.facts["share"] for entry in parts) == pytest.approx(1.0)
+    assert all(case.facts["seconds"] >= 0.0 for case in parts)
+    assert sum(case.facts["share"] for case in parts) == pytest.approx(1.0)
 
 
 @pytest.mark.usefixtures("gliding")
@@ -69,10 +77,10 @@ def test_only_decisions_with_a_live_view_are_drawn(monkeypatch: pytest.MonkeyPat
         draw(drawing, flow, frame)
 
     monkeypatch.setattr(Drawing, "draw", note)
-    without, live = list_views(Predation(**SMALL), num_envs=2, compile=False, port=29680)
+    without, live = make_live(SETTINGS, task=Predation(**SMALL), compile=False, port=29680)
     for _ in range(2):
-        for entry in (without, live):
-            extras = entry.advance(1)
+        for case in (without, live):
+            extras = case.advance(1)
             assert extras is not None
             assert extras["processor"] > 0.0
     assert {int(time - 1e-6) for time in times} == {1, 3}  # every other decision

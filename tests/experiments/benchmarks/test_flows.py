@@ -3,15 +3,16 @@
 import pytest
 import torch
 
-from experiments.benchmarks.contest import FISH, KERNEL, WALLS, Settings
+from experiments.benchmarks.comparison import FISH, KERNEL, WALLS, BenchmarkSettings
 from experiments.benchmarks.flows import (
     count_tensor_bytes,
-    make_entry,
-    make_kernel_entry,
+    make_case,
+    make_kernel_case,
     make_periodic,
     make_probes,
     make_solver,
 )
+from experiments.benchmarks.peers.shear_wave import ShearWave
 from fishrl.physics import InPlaceSolver
 
 
@@ -22,36 +23,36 @@ def solver() -> InPlaceSolver:
 
 
 def test_a_step_of_a_batch_updates_all_nodes_of_all_flows(solver: InPlaceSolver) -> None:
-    entry = make_entry(solver, "x", "one core", slip=0.1)
-    assert (entry.scope, entry.num_nodes) == (FISH, 2 * 160 * 80)
-    assert entry.facts == {"flows": 2, "slip": 0.1}
-    assert entry.working_set / entry.num_nodes == pytest.approx(36, rel=0.3)
+    case = make_case(solver, "x", "one core", slip=0.1)
+    assert (case.scope, case.num_nodes) == (FISH, 2 * 160 * 80)
+    assert case.facts == {"flows": 2, "slip": 0.1}
+    assert case.working_set / case.num_nodes == pytest.approx(36, rel=0.3)
 
 
 def test_the_first_flows_of_a_batch_advance_alone(solver: InPlaceSolver) -> None:
-    entry = make_entry(solver, "x", "one core", num_flows=1)
+    case = make_case(solver, "x", "one core", num_flows=1)
     before = solver.body.age.clone()
-    entry.advance(4)
+    case.advance(4)
     assert (solver.body.age - before).tolist() == [4.0, 0.0]
-    assert entry.num_nodes == 160 * 80
+    assert case.num_nodes == 160 * 80
 
 
 def test_a_flow_without_fish_is_a_flow_with_walls_little_larger_than_its_populations() -> None:
     before = count_tensor_bytes()
     empty = make_solver(16, has_fish=False, compile=False)
     per_node = (count_tensor_bytes() - before) / (160 * 80)
-    entry = make_entry(empty, "x", "one core")
-    assert entry.scope == WALLS
-    assert 36.0 < entry.working_set / entry.num_nodes <= per_node < 45.0
+    case = make_case(empty, "x", "one core")
+    assert case.scope == WALLS
+    assert 36.0 < case.working_set / case.num_nodes <= per_node < 45.0
 
 
 def test_the_kernel_alone_collides_and_moves_no_fish() -> None:
     flow = make_solver(16, has_fish=True, compile=False)
-    entry = make_kernel_entry(flow, "x", "one core")
+    case = make_kernel_case(flow, "x", "one core")
     flow.advance_(2)
     age, before = flow.body.age.clone(), flow.populations()
-    entry.advance(2)
-    assert entry.scope == KERNEL
+    case.advance(2)
+    assert case.scope == KERNEL
     assert torch.equal(flow.body.age, age)
     assert not torch.equal(flow.populations(), before)
 
@@ -67,14 +68,14 @@ def test_the_calls_of_two_steps_are_those_of_the_solver() -> None:
 
 
 def test_probes_leave_finite_numbers_however_long_they_run() -> None:
-    copy, in_place = make_probes(Settings(body_length=16))
-    for entry in (copy, in_place):
-        entry.advance(200)
+    copy, in_place = make_probes(BenchmarkSettings(body_length=80))
+    for case in (copy, in_place):
+        case.advance(200)
     assert copy.working_set == 2 * in_place.working_set == 2 * 36 * copy.num_nodes
 
 
 def test_this_flow_damps_a_shear_wave_as_it_should() -> None:
-    flow = make_periodic(16, 100, compile=False)  # raises otherwise
+    flow = make_periodic(ShearWave(16, 100), compile=False)  # raises otherwise
     assert float(flow.macroscopic()[1].abs().max()) < 0.02
 
 

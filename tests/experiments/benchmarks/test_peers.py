@@ -6,16 +6,16 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from experiments.benchmarks.contest import Entry, Settings
+from experiments.benchmarks.comparison import BenchmarkSettings, Case
 from experiments.benchmarks.peers import lbmpy_kernels, lettuce_step, numba_kernel, xlb_step
 from experiments.benchmarks.peers.shear_wave import ShearWave
 
-SETTINGS = Settings(body_length=20, threads=1)  # a box of 200 x 100
+SETTINGS = BenchmarkSettings(body_length=80, threads=1)
 PEERS = [
-    ("lbmpy", lbmpy_kernels.make_entries, 7),
-    ("numba", numba_kernel.make_entries, 2),
-    ("lettuce", lettuce_step.make_entries, 2),
-    ("xlb", xlb_step.make_entries, 1),
+    ("lbmpy", lbmpy_kernels.make_cases, 7),
+    ("numba", numba_kernel.make_cases, 2),
+    ("lettuce", lettuce_step.make_cases, 2),
+    ("xlb", xlb_step.make_cases, 1),
 ]
 
 
@@ -29,23 +29,23 @@ def test_a_wave_that_decays_otherwise_is_refused(value: float | None) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("package", "make", "num_entries"), PEERS)
+@pytest.mark.parametrize(("package", "make", "num_cases"), PEERS)
 def test_an_installed_peer_damps_a_shear_wave_as_it_should(
-    package: str, make: Callable[[Settings], Sequence[Entry]], num_entries: int
+    package: str, make: Callable[[BenchmarkSettings], Sequence[Case]], num_cases: int
 ) -> None:
     pytest.importorskip(package)
-    entries = make(SETTINGS)  # checks its own viscosity
-    assert len(entries) == num_entries
-    for entry in entries:
-        entry.advance(2)
-        assert entry.working_set > 36 * entry.num_nodes
+    cases = make(SETTINGS)  # checks its own viscosity
+    assert len(cases) == num_cases
+    for case in cases:
+        case.advance(2)
+        assert case.working_set > 36 * case.num_nodes
 
 
-@pytest.mark.parametrize(("package", "make", "num_entries"), PEERS)
+@pytest.mark.parametrize(("package", "make", "num_cases"), PEERS)
 def test_an_absent_peer_is_missed_as_a_module(
     package: str,
-    make: Callable[[Settings], Sequence[Entry]],
-    num_entries: int,
+    make: Callable[[BenchmarkSettings], Sequence[Case]],
+    num_cases: int,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed

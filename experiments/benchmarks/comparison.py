@@ -1,4 +1,4 @@
-"""Protocol of the benchmark: one process per code, short bursts in turn, each case once per round.
+"""Protocol of the comparison: one process per code, short bursts in turn, each case once per round.
 
 Other load on the machine slows all cases of a round, so speeds are compared round by round. While
 one process measures, the others wait. A burst starts after the threads of the previous one sleep,
@@ -11,9 +11,8 @@ import logging
 import multiprocessing
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -34,20 +33,26 @@ PROBE = "memory"  # no flow: the speed of the memory
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
-    """Settings of all measurements.
+class BenchmarkSettings:
+    """What to measure, and where to write it.
 
     Args:
         body_length: L of the large case, whose tank is 10 L x 5 L; others have L / 2 and L / 4.
         threads: cores that each code may use.
         rounds: bursts of every case.
         burst: seconds that a burst should take.
+        groups: groups of measurements; by default all.
+        folder: of results and figures.
+        docs: folder of pages to write stored results of ``folder`` into; nothing is measured.
     """
 
-    body_length: int = bounded(100, least=16)
+    body_length: int = bounded(100, least=80)  # a fish has at least 16 nodes, also in a small case
     threads: int = bounded(os.cpu_count() or 1, least=1)
     rounds: int = bounded(15, least=2)
     burst: float = bounded(0.1, greater=0.0)
+    groups: tuple[str, ...] = ()
+    folder: str = "runs/benchmark"
+    docs: str | None = None
 
     def __post_init__(self) -> None:
         """Check the bounds."""
@@ -56,7 +61,7 @@ class Settings:
             raise ValueError(f"body_length = {self.body_length}: must be a multiple of 4")
 
     @property
-    def how(self) -> str:
+    def cores(self) -> str:
         """Number of threads, in words."""
         return f"{self.threads} threads" if self.threads > 1 else "one core"
 
@@ -66,7 +71,7 @@ class Row:
     """A case and its times.
 
     Attributes:
-        label: by which goals and figures find it, such as "large/walls".
+        label: by which targets and figures find it, such as "large/walls".
         name: the case in words.
         scope: how much of a step it is: kernel, periodic, with walls, with fish.
         num_nodes: node updates of one step, all flows together.
@@ -74,7 +79,7 @@ class Row:
         bytes_per_update: that a node update moves if each population is read and written once.
         num_steps: of each burst. None: as many as fill one. 0: no bursts, ``facts`` hold all.
         facts: numbers known before the bursts.
-        code, group: of the team.
+        code, group: of the job.
         seconds: that one step took, by round.
         extras: further numbers of each burst, by round.
     """
@@ -94,7 +99,7 @@ class Row:
 
 
 @dataclass(kw_only=True)
-class Entry(Row):
+class Case(Row):
     """A case and how to run it.
 
     Attributes:
@@ -109,7 +114,7 @@ class Entry(Row):
 
 
 @dataclass(frozen=True)
-class Team:
+class Job:
     """The cases of one process.
 
     Args:
@@ -117,19 +122,19 @@ class Team:
         make: a function at the top of a module, run in that process; an ImportError means that the
             code is not installed.
         code: whose code it is.
-        is_long: whether bursts take seconds, or everything is measured once. Such teams have
-            rounds of their own, and are prepared one after the other.
+        is_long: whether bursts take seconds, or everything is measured once. Such jobs have rounds
+            of their own, and are prepared one after the other.
     """
 
     group: str
-    make: Callable[[Settings], Sequence[Entry]]
+    make: Callable[[BenchmarkSettings], Sequence[Case]]
     code: str = "fishrl"
     is_long: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class Skipped:
-    """A team without rows: its code is not installed, or has failed."""
+    """A job without results: its code is not installed, or has failed."""
 
     code: str
     group: str
@@ -142,106 +147,113 @@ def start_process() -> ProcessPoolExecutor:
     return ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
 
 
-class _Player:
-    """The process of a team, as seen from outside."""
+class _Process:
+    """The process of a job, as seen from outside."""
 
-    def __init__(self, team: Team) -> None:
-        self.team, self.process = team, start_process()
+    def __init__(self, job: Job) -> None:
+        self.job, self.pool = job, start_process()
         self.rows: list[Row] = []
         self.skipped: Skipped | None = None
 
-    def prepare(self, settings: Settings) -> None:
-        logger.info("%s: preparing %s ...", self.team.group, self.team.code)
-        with self._leaving_if_it_fails():
-            self.rows = self.process.submit(_prepare, self.team, settings).result()
+    def prepare(self, settings: BenchmarkSettings) -> None:
+        logger.info("%s: preparing %s ...", self.job.group, self.job.code)
+        self.rows = self._call(_prepare, self.job, settings) or []
 
-    def play(self) -> None:
-        with self._leaving_if_it_fails():
-            for index, row in enumerate(self.rows):
-                if row.num_steps:
-                    time.sleep(_PAUSE)
-                    seconds, extras = self.process.submit(_play, index, row.num_steps).result()
+    def measure(self) -> None:
+        for index, row in enumerate(self.rows):
+            if row.num_steps and self.skipped is None:
+                time.sleep(_PAUSE)
+                if burst := self._call(_measure, index, row.num_steps):
+                    seconds, extras = burst
                     row.seconds.append(seconds)
                     for name, value in extras.items():
                         row.extras.setdefault(name, []).append(value)
 
-    @contextmanager
-    def _leaving_if_it_fails(self) -> Iterator[None]:
+    def _call(self, function: Callable[..., Any], *arguments: object) -> Any:
+        """Return what the process answers; if it fails, drop its rows and return None."""
         try:
-            yield
-        except Exception as problem:  # whatever it is, the other teams go on
+            return self.pool.submit(function, *arguments).result()
+        except Exception as problem:  # whatever it is, the other jobs go on
             is_absent = isinstance(problem, ImportError)
             why = str(problem) if is_absent else f"{type(problem).__name__}: {problem}"
-            code, group = self.team.code, self.team.group
+            code, group = self.job.code, self.job.group
             logger.warning("%s: %s is left out: %s", group, code, why, exc_info=not is_absent)
             self.rows = []
             self.skipped = Skipped(code=code, group=group, why=why, has_failed=not is_absent)
+            return None
 
 
-def run_contest(
-    teams: Sequence[Team], settings: Settings, *, num_parallel: int = 1
+def compare_codes(
+    jobs: Sequence[Job], settings: BenchmarkSettings, *, num_parallel: int = 1
 ) -> tuple[list[Row], list[Skipped]]:
-    """Time all cases of all teams in turn.
+    """Time all cases of all jobs in turn.
 
     Args:
-        teams: one process each.
+        jobs: one process each.
         settings: rounds and length of the bursts.
-        num_parallel: teams that are prepared at the same time, as they may compile.
+        num_parallel: jobs that are prepared at the same time, as they may compile.
 
     Returns:
-        A row per case, and the teams that could not take part.
+        A row per case, and the jobs that could not take part.
     """
-    players = [_Player(team) for team in teams]
+    processes = [_Process(job) for job in jobs]
     try:
         with ThreadPoolExecutor(num_parallel) as threads:
-            list(threads.map(lambda player: player.prepare(settings), players))
+            list(threads.map(lambda process: process.prepare(settings), processes))
         for _ in tqdm(range(settings.rounds), desc="rounds", disable=None):
-            for player in players:
-                player.play()
+            for process in processes:
+                process.measure()
     finally:
-        for player in players:
-            player.process.shutdown()
-    rows = [row for player in players for row in player.rows]
-    return rows, [player.skipped for player in players if player.skipped]
+        for process in processes:
+            process.pool.shutdown()
+    rows = [row for process in processes for row in process.rows]
+    return rows, [process.skipped for process in processes if process.skipped]
 
 
-_entries: list[Entry] = []  # of this process
+_cases: list[Case] = []  # of this process
 
 
-def _prepare(team: Team, settings: Settings) -> list[Row]:
+def _prepare(job: Job, settings: BenchmarkSettings) -> list[Row]:
     torch.set_num_threads(settings.threads)
-    _entries.extend(team.make(settings))
+    _cases.extend(job.make(settings))
     rows = []
-    for entry in _entries:
-        known = {each.name: getattr(entry, each.name) for each in fields(Row)}
-        if entry.num_steps is None:
-            known["num_steps"] = find_length(entry, settings.burst)
-        elif entry.num_steps:
-            time_burst(entry, entry.num_steps)  # the first may compile
-        rows.append(Row(**known | {"code": team.code, "group": team.group}))
+    for case in _cases:
+        known = {each.name: getattr(case, each.name) for each in fields(Row)}
+        if case.num_steps is None:
+            known["num_steps"] = find_length(case, settings.burst)
+        elif case.num_steps:
+            time_burst(case, case.num_steps)  # the first may compile
+        rows.append(Row(**known | {"code": job.code, "group": job.group}))
     return rows
 
 
-def _play(index: int, num_steps: int) -> tuple[float, dict[str, float]]:
-    return time_burst(_entries[index], num_steps)
+def _measure(index: int, num_steps: int) -> tuple[float, dict[str, float]]:
+    return time_burst(_cases[index], num_steps)
 
 
-def time_burst(entry: Entry, num_steps: int) -> tuple[float, dict[str, float]]:
+def time_burst(case: Case, num_steps: int) -> tuple[float, dict[str, float]]:
     """Return the seconds of one step, and further numbers of the burst."""
-    entry.prepare()
-    if entry.num_steps is None:
-        entry.advance(max(1, num_steps // _WARM_UP // entry.multiple) * entry.multiple)
+    case.prepare()
+    if case.num_steps is None:
+        case.advance(max(1, num_steps // _WARM_UP // case.multiple) * case.multiple)
+        _synchronize()
     start = time.perf_counter()
-    extras = entry.advance(num_steps)
+    extras = case.advance(num_steps)
+    _synchronize()
     return (time.perf_counter() - start) / num_steps, extras or {}
 
 
-def find_length(entry: Entry, burst: float) -> int:
+def _synchronize() -> None:
+    if torch.cuda.is_initialized():
+        torch.cuda.synchronize()
+
+
+def find_length(case: Case, burst: float) -> int:
     """Return how many steps fill a burst of some seconds."""
-    num_steps = entry.multiple
-    time_burst(entry, num_steps)  # the first run may compile, or touch memory for the first time
+    num_steps = case.multiple
+    time_burst(case, num_steps)  # the first run may compile, or touch memory for the first time
     while True:
-        spent = time_burst(entry, num_steps)[0] * num_steps
+        spent = time_burst(case, num_steps)[0] * num_steps
         if spent >= 0.5 * burst or num_steps >= 1_000_000:
-            return max(1, round(num_steps * burst / spent / entry.multiple)) * entry.multiple
+            return max(1, round(num_steps * burst / spent / case.multiple)) * case.multiple
         num_steps = 2 * num_steps
