@@ -1,8 +1,7 @@
 """Policies, critics, hand-crafted controllers and the lateral-line classifier."""
 
-from fishrl.modules.actors import make_actor, make_mlp
+from fishrl.modules.actors import make_actor, make_mlp, make_twin_critics
 from fishrl.modules.controllers import InterceptPolicy, PursuitPolicy, RandomPolicy
-from fishrl.modules.critics import make_twin_critics
 from fishrl.modules.gait_controllers import PID, BangBang, FixedFrequency, GaitPolicy
 from fishrl.modules.lateral_line import LateralLineClassifier
 from fishrl.modules.value_actors import (

@@ -1,4 +1,4 @@
-"""The softmax actor, and the fully connected networks that all policies and critics use."""
+"""The softmax actor, the twin critics, and the fully connected networks that all of them use."""
 
 from __future__ import annotations
 
@@ -17,30 +17,21 @@ from torchrl.modules import MaskedCategorical, ProbabilisticActor
 ILLEGAL_LOGIT = -1e9
 
 
-def make_mlp(
-    *,
-    num_inputs: int,
-    num_outputs: int,
-    hidden: Sequence[int],
-    generator: torch.Generator | None = None,
-) -> nn.Sequential:
+def make_mlp(widths: Sequence[int], *, generator: torch.Generator | None = None) -> nn.Sequential:
     """Build a fully connected network with ReLU between its layers.
 
     Weights and biases have the distribution of ``nn.Linear`` but come from ``generator``, so that
     the same seed gives the same network however the global generator was used.
 
     Args:
-        num_inputs: length of the input vector.
-        num_outputs: length of the output vector.
-        hidden: widths of the hidden layers.
+        widths: of the layers, from the input to the output.
         generator: source of the initial weights; by default the global one.
 
     Raises:
         ValueError: if a width is smaller than 1.
     """
-    widths = [num_inputs, *hidden, num_outputs]
     if min(widths) < 1:
-        raise ValueError(f"layer widths = {widths}: every width must be at least 1")
+        raise ValueError(f"layer widths = {list(widths)}: every width must be at least 1")
     layers: list[nn.Module] = []
     for fan_in, fan_out in itertools.pairwise(widths):
         linear = nn.Linear(fan_in, fan_out)
@@ -49,22 +40,6 @@ def make_mlp(
         nn.init.uniform_(linear.bias, -bound, bound, generator=generator)
         layers += [linear, nn.ReLU()]
     return nn.Sequential(*layers[:-1])
-
-
-def make_mlp_module(
-    *,
-    num_inputs: int,
-    num_outputs: int,
-    hidden: Sequence[int],
-    in_key: str,
-    out_key: str,
-    generator: torch.Generator | None = None,
-) -> TensorDictModule:
-    """Build the network of ``make_mlp`` as a module from ``in_key`` to ``out_key``."""
-    network = make_mlp(
-        num_inputs=num_inputs, num_outputs=num_outputs, hidden=hidden, generator=generator
-    )
-    return TensorDictModule(network, in_keys=[in_key], out_keys=[out_key])
 
 
 def make_actor(
@@ -93,15 +68,9 @@ def make_actor(
     Raises:
         ValueError: if a width is smaller than 1.
     """
+    network = make_mlp([num_inputs, *hidden, num_actions], generator=generator)
     return ProbabilisticActor(
-        module=make_mlp_module(
-            num_inputs=num_inputs,
-            num_outputs=num_actions,
-            hidden=hidden,
-            in_key=in_key,
-            out_key="logits",
-            generator=generator,
-        ),
+        module=TensorDictModule(network, in_keys=[in_key], out_keys=["logits"]),
         in_keys={"logits": "logits", "mask": mask_key},
         out_keys=["action"],
         spec=Categorical(num_actions),
@@ -109,3 +78,29 @@ def make_actor(
         distribution_kwargs={"neg_inf": ILLEGAL_LOGIT},
         default_interaction_type=InteractionType.RANDOM,
     )
+
+
+def make_twin_critics(
+    *,
+    num_inputs: int,
+    num_actions: int,
+    hidden: Sequence[int] = (256, 256),
+    in_key: str = "observation_stack",
+    generator: torch.Generator | None = None,
+) -> list[TensorDictModule]:
+    """Build two independent critics.
+
+    Each reads ``in_key`` ``[..., num_inputs]`` and writes ``action_value`` ``[..., num_actions]``.
+    They come as a list because TorchRL's loss resamples the weights of a single critic that it
+    duplicates. Values of illegal actions are not masked: the policy gives them probability 0.
+
+    Args and errors are those of ``make_actor``.
+    """
+    return [
+        TensorDictModule(
+            make_mlp([num_inputs, *hidden, num_actions], generator=generator),
+            in_keys=[in_key],
+            out_keys=["action_value"],
+        )
+        for _ in range(2)
+    ]

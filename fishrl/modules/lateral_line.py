@@ -64,8 +64,7 @@ class LateralLineClassifier(nn.Module):
         generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
-        missing = [key for key in _SENSOR_KEYS if key not in sensors]
-        if missing:
+        if missing := [key for key in _SENSOR_KEYS if key not in sensors]:
             raise ValueError(f"sensors = {dict(sensors)}: lacks {missing}")
         names = [flow.get("name") for flow in flows]
         if len(names) < 2 or None in names or len(set(names)) < len(names):
@@ -86,12 +85,8 @@ class LateralLineClassifier(nn.Module):
         shape = (int(sensors["num_neuromasts"]), len(self.features))
         self.register_buffer("mean", torch.zeros(shape))
         self.register_buffer("scale", torch.ones(shape))
-        self.network = make_mlp(
-            num_inputs=self.num_samples * self.mean.numel(),
-            num_outputs=len(self.flows),
-            hidden=hidden,
-            generator=generator,
-        )
+        widths = [self.num_samples * self.mean.numel(), *hidden, len(self.flows)]
+        self.network = make_mlp(widths, generator=generator)
 
     @property
     def num_flows(self) -> int:

@@ -14,7 +14,7 @@ from torchrl.envs import TensorDictPrimer
 from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import EGreedyModule, LSTMModule, QValueModule
 
-from fishrl.modules.actors import make_mlp, make_mlp_module
+from fishrl.modules.actors import make_mlp
 
 #: Keys of the LSTM state. The network writes the new state under ``("next", key)``.
 MEMORY = ("recurrent_state_h", "recurrent_state_c")
@@ -37,15 +37,9 @@ def make_value_actor(
 
     Args and errors are those of ``fishrl.modules.make_actor``.
     """
+    network = make_mlp([num_inputs, *hidden, num_actions], generator=generator)
     return TensorDictSequential(
-        make_mlp_module(
-            num_inputs=num_inputs,
-            num_outputs=num_actions,
-            hidden=hidden,
-            in_key=in_key,
-            out_key="action_value",
-            generator=generator,
-        ),
+        TensorDictModule(network, in_keys=[in_key], out_keys=["action_value"]),
         QValueModule("categorical", action_mask_key=mask_key),
     )
 
@@ -81,9 +75,7 @@ def make_recurrent_value_actor(
     *before, size = hidden
     layers: list[TensorDictModuleBase] = []
     if before:
-        encoder = make_mlp(
-            num_inputs=num_inputs, num_outputs=before[-1], hidden=before[:-1], generator=generator
-        )
+        encoder = make_mlp([num_inputs, *before], generator=generator)
         layers.append(
             TensorDictModule(nn.Sequential(encoder, nn.ReLU()), in_keys=[in_key], out_keys=["seen"])
         )
@@ -96,7 +88,7 @@ def make_recurrent_value_actor(
     with torch.no_grad():
         for weight in memory.parameters():  # the distribution of nn.LSTM
             weight.uniform_(-1.0 / math.sqrt(size), 1.0 / math.sqrt(size), generator=generator)
-    head = make_mlp(num_inputs=size, num_outputs=num_actions, hidden=(), generator=generator)
+    head = make_mlp([size, num_actions], generator=generator)
     return TensorDictSequential(
         *layers,
         memory,

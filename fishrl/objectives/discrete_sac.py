@@ -8,7 +8,7 @@ Christodoulou 2019, "Soft Actor-Critic for Discrete Action Settings", eqs. 10-12
 * The target entropy of a state is a share of log(number of *legal* actions), not of log(number of
   actions). The latter is out of reach where actions are masked, and the temperature would grow
   without bound.
-* ``skip_done_states`` raises an error, because it treats truncated states as terminal with value 0.
+* There is no ``skip_done_states``: it treats truncated states as terminal with value 0.
 """
 
 from __future__ import annotations
@@ -48,11 +48,9 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
         target_entropy_weight: target entropy as a share of the maximum entropy.
         loss_function: distance between values and targets: smooth_l1, l2 or l1.
         reduction: mean or sum over the batch.
-        skip_done_states: only ``False`` is allowed.
 
     Raises:
-        ValueError: if ``skip_done_states`` is true, ``reduction`` is neither mean nor sum, or
-            fewer than two critics are given.
+        ValueError: if ``reduction`` is neither mean nor sum, or fewer than two critics are given.
     """
 
     out_keys = [*DiscreteSACLoss.out_keys, "entropy_fraction"]
@@ -73,13 +71,7 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
         target_entropy_weight: float = 0.98,
         loss_function: str = "smooth_l1",
         reduction: str = "mean",
-        skip_done_states: bool = False,
     ) -> None:
-        if skip_done_states:
-            raise ValueError(
-                "skip_done_states = True: truncated states would count as terminal; leave it "
-                "False, terminated states are not bootstrapped anyway"
-            )
         if reduction not in ("mean", "sum"):
             raise ValueError(f"reduction = {reduction!r}: must be 'mean' or 'sum'")
         if not isinstance(qvalue_network, (list, tuple)) or len(qvalue_network) < 2:
@@ -105,15 +97,11 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
         self.mask_key = mask_key
         largest = [math.log(max(count, 1)) for count in range(num_actions + 1)]
         self.register_buffer("_largest_entropy", self.log_alpha.detach().new_tensor(largest))
-        self.register_buffer(
-            "target_entropy_by_count",
-            self.log_alpha.detach().new_tensor(
-                [
-                    target_entropy_weight * entropy if target_entropy == "auto" else target_entropy
-                    for entropy in largest
-                ]
-            ),
-        )
+        wanted = [
+            target_entropy_weight * entropy if target_entropy == "auto" else target_entropy
+            for entropy in largest
+        ]
+        self.register_buffer("target_entropy_by_count", self.log_alpha.detach().new_tensor(wanted))
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:

@@ -72,10 +72,8 @@ class RecurrentDQNLoss(MaskedDQNLoss):
         sequence_length: transitions L of a sequence. A batch ``[N * L]`` holds N consecutive
             sequences; shorter ones are padded, and ``("collector", "mask")`` ``[N * L]`` is true
             for real transitions.
-        is_double: see ``MaskedDQNLoss``.
-        loss_function: see ``MaskedDQNLoss``.
+        is_double, loss_function, mask_key: see ``MaskedDQNLoss``.
         in_key: key of the observation.
-        mask_key: see ``MaskedDQNLoss``.
     """
 
     _MEMORY = ("recurrent_state_h", "recurrent_state_c")

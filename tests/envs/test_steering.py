@@ -77,9 +77,7 @@ def linear_layers(network: torch.nn.Sequential) -> list[tuple[Tensor, Tensor]]:
 
 
 def test_the_networks_likeliest_action_turns_the_fish(tmp_path: Path) -> None:
-    network = make_mlp(
-        num_inputs=16, num_outputs=3, hidden=(256, 256), generator=torch.Generator().manual_seed(3)
-    )
+    network = make_mlp((16, 256, 256, 3), generator=torch.Generator().manual_seed(3))
     save_weights(linear_layers(network), tmp_path / "steer.pt")
     seen = torch.randn(40, 12, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     expected = network(seen[:, [2, 5, 8, 11]].flatten(1).float()).argmax(-1)
@@ -91,7 +89,7 @@ def test_the_networks_likeliest_action_turns_the_fish(tmp_path: Path) -> None:
 
 def test_the_network_sees_a_point_upstream_as_it_saw_food(tmp_path: Path) -> None:
     """x and y of the point from the nose, its distance, and how far to the left it lies."""
-    save_weights(linear_layers(make_mlp(num_inputs=16, num_outputs=3, hidden=(8,))), tmp_path / "w")
+    save_weights(linear_layers(make_mlp((16, 8, 3))), tmp_path / "w")
     steering = PolicySteering(path=str(tmp_path / "w"), ahead_bl=2.0)
     nose, middle = torch.tensor([[1.5, 0.5]]).double(), torch.tensor([[2.0, 0.0]]).double()
     (seen,) = steering.observe(nose, middle, torch.tensor([pi]).double())
@@ -101,7 +99,7 @@ def test_the_network_sees_a_point_upstream_as_it_saw_food(tmp_path: Path) -> Non
 
 def test_weights_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "weights.pt"
-    save_weights(linear_layers(make_mlp(num_inputs=8, num_outputs=3, hidden=(4,))), path)
+    save_weights(linear_layers(make_mlp((8, 4, 3))), path)
     with pytest.raises(ValueError, match=r"layers of widths \[8, 4, 3\], expected 16"):
         PolicySteering(path=str(path))
     save_weights([(torch.zeros(4, 16), torch.zeros(4)), (torch.zeros(3, 5), torch.zeros(3))], path)

@@ -19,17 +19,17 @@ def states(num: int, *, num_actions: int = 3) -> TensorDict:
 
 
 def test_network_of_the_paper_is_16_256_256_3() -> None:
-    network = make_mlp(num_inputs=16, num_outputs=3, hidden=(256, 256))
+    network = make_mlp((16, 256, 256, 3))
     shapes = [
         tuple(weight.shape) for name, weight in network.named_parameters() if "weight" in name
     ]
     assert shapes == [(256, 16), (256, 256), (3, 256)]
 
 
-@pytest.mark.parametrize("widths", [(0, 3, (8,)), (4, 0, (8,)), (4, 3, (8, 0))])
-def test_a_width_below_one_is_refused(widths: tuple[int, int, tuple[int, ...]]) -> None:
+@pytest.mark.parametrize("widths", [(0, 8, 3), (4, 8, 0), (4, 8, 0, 3)])
+def test_a_width_below_one_is_refused(widths: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match="every width must be at least 1"):
-        make_mlp(num_inputs=widths[0], num_outputs=widths[1], hidden=widths[2])
+        make_mlp(widths)
 
 
 def test_sampled_and_greedy_actions_are_legal() -> None:

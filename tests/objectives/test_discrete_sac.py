@@ -53,12 +53,7 @@ def transitions(num: int = 64, *, is_all_legal: bool = False) -> TensorDict:
 
 
 def actor_with(neg_inf: float) -> ProbabilisticActor:
-    network = make_mlp(
-        num_inputs=NUM_INPUTS,
-        num_outputs=NUM_ACTIONS,
-        hidden=(32,),
-        generator=torch.Generator().manual_seed(0),
-    )
+    network = make_mlp([NUM_INPUTS, 32, NUM_ACTIONS], generator=torch.Generator().manual_seed(0))
     return ProbabilisticActor(
         TensorDictModule(network, in_keys=["observation_stack"], out_keys=["logits"]),
         in_keys={"logits": "logits", "mask": "action_mask"},
@@ -140,11 +135,6 @@ def test_actor_gradients_equal_the_parents_with_finite_illegal_logits() -> None:
     for name in ours:
         if "alpha" not in name:
             assert torch.allclose(ours[name], theirs[name], atol=1e-6), name
-
-
-def test_d2_d3_skipping_done_states_is_refused() -> None:
-    with pytest.raises(ValueError, match="truncated states would count"):
-        make_loss(skip_done_states=True)
 
 
 def reference_target(loss: DiscreteSACLoss, data: TensorDict) -> torch.Tensor:
