@@ -11,13 +11,15 @@ import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import torch
 
 from experiments.configuration import build
-from experiments.figures.style import COLOURS, panels, tidy
+from experiments.figures.style import COLOURS
 from experiments.gait.histories import Histories, record_histories
+from experiments.gait.pictures import flow_panels
 from experiments.gait.trials import START_Y_BL, GaitSettings, list_shedding
 from experiments.program import program
 from fishrl.bounds import bounded
@@ -51,27 +53,20 @@ class DriftSettings(GaitSettings):
     folder: str = "runs/drift_sweep"
 
 
-def sweep(
-    task: KarmanGait, *, num_starts: int, num_periods: int, progress: Progress | None = None
-) -> Histories:
-    """Record ``num_starts`` episodes of ``num_periods`` T in each flow at each frequency."""
-    flows, num = len(task.stream.speeds_bl), task.num_actions
-    starts = task.sample_starts(flows * num * num_starts, torch.Generator().manual_seed(0))
-    starts["flow_index"] = torch.arange(flows).repeat_interleave(num * num_starts)
-    index = torch.arange(num).repeat_interleave(num_starts).repeat(flows)
-    env = make_env(task=task, num_envs=len(index), starts=starts)
-    num_decisions = round(num_periods / task.interval_T)
-    progress = progress or Progress(is_shown=False)
-    progress.start("drift", total=num_decisions)
-    histories = record_histories(
-        env,
+def sweep(task: KarmanGait, settings: DriftSettings, progress: Progress) -> Histories:
+    """Record the episodes of each flow and frequency."""
+    flows, num = len(task.stream.speeds_bl), len(settings.frequencies)
+    starts = task.sample_starts(flows * num * settings.starts, torch.Generator().manual_seed(0))
+    starts["flow_index"] = torch.arange(flows).repeat_interleave(num * settings.starts)
+    index = torch.arange(num).repeat_interleave(settings.starts).repeat(flows)
+    return record_histories(
+        make_env(task=task, num_envs=len(index), starts=starts),
         lambda state: state.set("action", index),
         starts,
-        num_decisions=num_decisions,
-        on_decision=lambda: progress.advance(1),
+        num_decisions=round(settings.periods / task.interval_T),
+        progress=progress,
+        label="drift",
     )
-    env.close()
-    return histories
 
 
 def tabulate(task: KarmanGait, histories: Histories) -> list[Row]:
@@ -79,32 +74,31 @@ def tabulate(task: KarmanGait, histories: Histories) -> list[Row]:
 
     The first T of each episode is left out, in which the beat begins.
     """
-    interval_T = task.interval_T
-    x = histories.place[..., 0]
-    steps = x.diff(dim=1) / interval_T
+    interval_T, x = task.interval_T, histories.place[..., 0]
+    steps, work = (values.diff(dim=1) / interval_T for values in (x, histories.work))
     ends = interval_T * torch.arange(1, x.shape[1])
     counted = (ends > 1.0 + 1e-6) & (ends <= histories.lengths_T[:, None] + 1e-6)  # uncut ones
-    work = histories.work.diff(dim=1) / interval_T
     middle = 0.5 * (x[:, 1:] + x[:, :-1])
+    beats = histories.frequency[:, 0]
     table = []
-    for flow, speed in enumerate(task.stream.speeds_bl):
-        for frequency in histories.frequency[:, 0].unique().tolist():
-            mine = (histories.flow == flow) & (histories.frequency[:, 0] == frequency)
-            for low, high in BANDS:
-                counts = (middle >= low) & (middle < high) & mine[:, None] & counted
-                drift, num = steps[counts], int(counts.sum())
-                table.append(
-                    {
-                        "stream_speed_bl": speed,
-                        "frequency": frequency,
-                        "from_bl": low,
-                        "to_bl": high,
-                        "drift": float(drift.mean()),
-                        "error": float(drift.std() / num**0.5) if num > 1 else math.nan,
-                        "work": float(work[counts].mean()),
-                        "samples": num,
-                    }
-                )
+    for (flow, speed), frequency, (low, high) in product(
+        enumerate(task.stream.speeds_bl), beats.unique().tolist(), BANDS
+    ):
+        mine = (histories.flow == flow) & (beats == frequency)
+        counts = (middle >= low) & (middle < high) & mine[:, None] & counted
+        drift, num = steps[counts], int(counts.sum())
+        table.append(
+            {
+                "stream_speed_bl": speed,
+                "frequency": frequency,
+                "from_bl": low,
+                "to_bl": high,
+                "drift": float(drift.mean()),
+                "error": float(drift.std() / num**0.5) if num > 1 else math.nan,
+                "work": float(work[counts].mean()),
+                "samples": num,
+            }
+        )
     return table
 
 
@@ -112,15 +106,11 @@ def draw(
     path: Path, table: Sequence[Row], speeds: Sequence[float], shedding: Sequence[float]
 ) -> None:
     """Draw drift against frequency, one panel per flow, one line per band of distances."""
-    num = len(speeds)
-    with panels(path, columns=num, size=(3.4 * num + 0.6, 3.6), sharey=True) as grid:
+    with flow_panels(path, speeds, height=3.6, width=3.4 * len(speeds) + 0.6) as grid:
         for axes, speed, shed in zip(grid[0], speeds, shedding, strict=True):
+            mine = [row for row in table if row["stream_speed_bl"] == speed and row["samples"] >= 3]
             for colour, (low, high) in zip(COLOURS, BANDS, strict=False):
-                rows = [
-                    row for row in table
-                    if (row["stream_speed_bl"], row["from_bl"]) == (speed, low)
-                    and row["samples"] >= 3
-                ]  # fmt: skip
+                rows = [row for row in mine if row["from_bl"] == low]
                 axes.errorbar(
                     *([row[name] for row in rows] for name in ("frequency", "drift", "error")),
                     color=colour, marker="o", markersize=3.5, capsize=2, linewidth=1.4,
@@ -128,8 +118,7 @@ def draw(
                 )  # fmt: skip
             axes.axhline(0.0, color="#555555", linewidth=0.8)
             axes.axvline(shed, color="#999999", linewidth=0.8, linestyle=":")
-            axes.set(title=f"stream {speed:g} L/T", xlabel="tail beats per T")
-            tidy(axes)
+            axes.set_xlabel("tail beats per T")
         grid[0, 0].set_ylabel("drift  [L/T]   (up: swept downstream)")
         figure, (handles, labels) = grid[0, 0].figure, grid[0, -1].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(BANDS), fontsize=8)
@@ -175,9 +164,7 @@ def main(settings: DriftSettings) -> None:
     folder = Path(settings.folder)
     folder.mkdir(parents=True, exist_ok=True)
     with Progress() as progress:
-        histories = sweep(
-            task, num_starts=settings.starts, num_periods=settings.periods, progress=progress
-        )
+        histories = sweep(task, settings, progress)
     write(folder, task, histories)
     print(f"written to {folder}: drift.csv, drift.json, drift.png")
 

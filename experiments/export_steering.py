@@ -13,11 +13,9 @@ from pathlib import Path
 from omegaconf import MISSING
 from torch import Tensor, nn
 
-from experiments.configuration import build
 from experiments.program import program
 from fishrl.envs.steering import PolicySteering, save_weights
-from fishrl.training.checkpoint import read_metadata
-from fishrl.training.policies import load_policy
+from fishrl.training.policies import load_plan, load_policy
 
 
 @dataclass(kw_only=True)
@@ -34,24 +32,20 @@ class ExportSettings:
 
 
 def export_steering(run: Path, path: Path) -> PolicySteering:
-    """Write the weights of a run's best actor, and return the controller.
-
-    Args:
-        run: folder of a run of ``task=predation``, or a checkpoint.
-        path: of the file.
+    """Write the weights of a run's best actor to a file, and return the controller.
 
     Raises:
         ValueError: if there is no such run, or its policy cannot steer.
     """
-    _, metadata = read_metadata(str(run))
-    task = build(metadata["config"]["task"])
-    actor = load_policy(str(run), task=task, device="cpu")
+    checkpoint, plan = load_plan(run)
     layers: list[tuple[Tensor, Tensor]] = [
-        (module.weight, module.bias) for module in actor.modules() if isinstance(module, nn.Linear)
+        (module.weight, module.bias)
+        for module in load_policy(checkpoint).modules()
+        if isinstance(module, nn.Linear)
     ]
     save_weights(layers, path)
     try:
-        return PolicySteering(path=str(path), turn_degrees=getattr(task, "turn_degrees", 15.0))
+        return PolicySteering(path=str(path), turn_degrees=getattr(plan.task, "turn_degrees", 15.0))
     except ValueError:
         path.unlink()
         raise

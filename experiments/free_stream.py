@@ -7,21 +7,18 @@ beat. The work per T is that of the second half of the episodes. Histories are c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
 from experiments.configuration import build
 from experiments.gait.diagnostics import WORKS, measure_lean, trace_work
-from experiments.gait.histories import Histories, pick
+from experiments.gait.histories import Histories, pick, split_flows
 from experiments.gait.trials import GaitSettings, Trial, run_trial
 from experiments.program import program
 from experiments.statistics import half_width
-from experiments.transfer import split_flows
 from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait
 from fishrl.envs.macro_actions import DirectFrequencies
@@ -86,47 +83,21 @@ def make_free_trial(task: KarmanGait, settings: FreeStreamSettings) -> Trial:
     )
 
 
-def summarise(
-    flows: Sequence[Histories], *, periods: float, interval_T: float = 1.0
-) -> list[dict[str, float]]:
-    """Return work per T, frequency and remaining drift in the second half, for each flow.
-
-    Args:
-        flows: episodes in each.
-        periods: T that an episode has to last; shorter ones are counted and left out.
-        interval_T: duration of a control interval in T.
-
-    Raises:
-        ValueError: if in some flow no episode lasted.
-    """
-    rows = []
-    for number, episodes in enumerate(flows):
-        holds = find_holding(episodes, periods)
-        if not holds.any():
-            raise ValueError(
-                f"flow {number}: no episode lasted {periods} T; raise max_frequency or frequency"
-            )
-        histories = pick(episodes, holds)
-        half = histories.frequency.shape[1] // 2
-        time_T = interval_T * (histories.frequency.shape[1] - half)
-        row: dict[str, float] = {"episodes": len(holds), "held": int(holds.sum())}
-        for name in WORKS:
-            series = getattr(histories, name)
-            per_T = (series[:, -1] - series[:, half]) / time_T
-            row[name] = float(per_T.mean())
-            row[f"{name}_error"] = half_width(per_T.tolist())
-        drift = histories.place[:, -1, 0] - histories.place[:, half, 0]
-        _, leans = measure_lean(histories, interval_T=interval_T)
-        row["frequency"] = float(histories.frequency[:, half:].mean())
-        row["drift"] = float(drift.mean()) / time_T
-        row["lean"] = float(leans.mean())
-        rows.append(row)
-    return rows
-
-
-def find_holding(flow: Histories, periods: float) -> Tensor:
-    """Return ``[E]`` which episodes lasted so many T."""
-    return flow.lengths_T >= periods - 1e-6
+def summarise(held: Histories, *, interval_T: float = 1.0) -> dict[str, float]:
+    """Return work per T, frequency and remaining drift in the second half of episodes."""
+    num_intervals = held.frequency.shape[1]
+    half = num_intervals // 2
+    time_T = interval_T * (num_intervals - half)
+    row: dict[str, float] = {}
+    for name in WORKS:
+        series = getattr(held, name)
+        per_T = (series[:, -1] - series[:, half]) / time_T
+        row[name] = float(per_T.mean())
+        row[f"{name}_error"] = half_width(per_T.tolist())
+    row["frequency"] = float(held.frequency[:, half:].mean())
+    row["drift"] = float((held.place[:, -1, 0] - held.place[:, half, 0]).mean()) / time_T
+    row["lean"] = float(measure_lean(held, interval_T=interval_T)[1].mean())
+    return row
 
 
 @program(FreeStreamSettings, groups={"task": "karman_gait", "preset": "gait_small"})
@@ -140,17 +111,25 @@ def main(settings: FreeStreamSettings) -> None:
         )
     task = trial.task
     scales, speeds, interval_T = task.scales, task.stream.speeds_bl, task.interval_T
-    periods = task.time_limit * interval_T
-    flows = split_flows(histories, len(speeds))
-    rows = summarise(flows, periods=periods, interval_T=interval_T)
-    holding = [pick(flow, find_holding(flow, periods)) for flow in flows]
+    rows, work = [], []
+    for speed, flow in zip(speeds, split_flows(histories, len(speeds)), strict=True):
+        holds = flow.lengths_T >= task.time_limit * interval_T - 1e-6
+        if not holds.any():
+            raise ValueError(
+                f"stream {speed:g} L/T: no episode lasted {settings.periods} T; raise "
+                "max_frequency or frequency"
+            )
+        held = pick(flow, holds)
+        count = {"episodes": len(holds), "held": len(held.flow)}
+        rows.append(count | summarise(held, interval_T=interval_T))
+        work.append(trace_work(held, interval_T=interval_T))
     result = {
         "speeds_bl": list(speeds),
         "steps_per_T": scales.period,
         "mach": scales.mach,
         "tau": scales.tau,
         "flows": rows,
-        "work": [trace_work(flow, interval_T=interval_T) for flow in holding],
+        "work": work,
     }
     write_json(folder / "free_stream.json", result)
     for speed, row in zip(speeds, rows, strict=True):

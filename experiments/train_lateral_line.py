@@ -18,13 +18,12 @@ from omegaconf import MISSING
 from tensordict import TensorDict
 
 from experiments.configuration import build, to_plain
-from experiments.lateral_line import pictures
 from experiments.lateral_line.collection import Collection, collect
-from experiments.lateral_line.questions import answer, list_questions, list_training_data
-from experiments.lateral_line.report import describe, write_page
+from experiments.lateral_line.questions import answer, list_training_data
+from experiments.lateral_line.report import describe, write_figures, write_page
 from experiments.lateral_line.study import Study, TrainingData
 from experiments.program import program
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import bounded
 from fishrl.modules.lateral_line import BOOKKEEPING
 from fishrl.objectives import FitSettings
 from fishrl.training.progress import Progress
@@ -36,9 +35,9 @@ logger = logging.getLogger(__name__)
 NUM_INTERVALS = 8
 
 
-@dataclass(kw_only=True)
-class LateralLineSettings:
-    """Settings of a study of the lateral line.
+@dataclass(frozen=True, kw_only=True)
+class LateralLineSettings(FitSettings):
+    """Settings of a study of the lateral line, besides those of its fits (``FitSettings``).
 
     Args:
         task: task whose flows are classified; all of them, whatever ``task.start_flows`` is.
@@ -54,11 +53,6 @@ class LateralLineSettings:
         max_decisions: after which an episode is truncated.
         window: samples that the classifier reads, the newest; by default those of eight intervals.
         hidden: widths of its hidden layers.
-        learning_rate: of the fits.
-        batch_size: of the fits.
-        num_epochs: of the fits, at most.
-        patience: epochs without a lower validation loss that end a fit.
-        weight_decay: of the fits.
         noise: added to the training signals, as a share of each feature's standard deviation.
         paper_epochs: epochs of the paper's classifier, which is fitted with its settings.
         num_splits: divisions of the episodes over which accuracies are averaged.
@@ -80,10 +74,8 @@ class LateralLineSettings:
     max_decisions: int = bounded(60, least=1)
     window: int | None = bounded(None, least=1)
     hidden: tuple[int, ...] = bounded((128, 128), least=1)
-    learning_rate: float = bounded(1e-3, greater=0)
     batch_size: int = bounded(256, least=1)
-    num_epochs: int = bounded(300, least=1)
-    patience: int = bounded(15, least=1)
+    patience: int | None = bounded(15, least=1)
     weight_decay: float = bounded(1e-3, least=0)
     noise: float = bounded(0.5, least=0)
     paper_epochs: int = bounded(1000, least=1)
@@ -91,10 +83,6 @@ class LateralLineSettings:
     windows: tuple[int, ...] = bounded((1, 2, 4, 8, 16), least=1)
     noises: tuple[float, ...] = bounded((0.0, 0.1, 0.2, 0.5, 1.0), least=0)
     memories: tuple[float, ...] = bounded((0.0, 0.7, 1.0), least=0)
-
-    def __post_init__(self) -> None:
-        """Check the bounds."""
-        check_bounds(self)
 
 
 def study_lateral_line(
@@ -124,28 +112,16 @@ def study_lateral_line(
         flows=task.flow_labels,
         layout=Collection(task=task).task.lateral_line_layout,
         hidden=settings.hidden,
-        settings=FitSettings(
-            learning_rate=settings.learning_rate,
-            batch_size=settings.batch_size,
-            num_epochs=settings.num_epochs,
-            patience=settings.patience,
-            weight_decay=settings.weight_decay,
-        ),
+        settings=settings,
         seed=settings.seed,
     )
-    questions = list_questions(
-        window=window,
-        windows=settings.windows,
-        noises=settings.noises,
-        memories=settings.memories,
-    )
-    progress.start("fits", total=2 + settings.num_splits * len(questions))
     own = TrainingData(
         features=tuple(name for name in line.features if name not in BOOKKEEPING),
         num_samples=window,
         is_averaged=line.is_averaged,
         sensed=line.features,
     )
+    progress.start("fits", total=2)
     fit = study.fit(own, noise=settings.noise)
     fit.classifier.save(folder / "machine.pt")
     progress.advance(1)
@@ -158,14 +134,17 @@ def study_lateral_line(
     progress.advance(1)
     tables = answer(
         study,
-        questions,
+        window=window,
+        windows=settings.windows,
+        noises=settings.noises,
+        memories=settings.memories,
         num_splits=settings.num_splits,
-        on_answer=lambda: progress.advance(1),
+        progress=progress,
     )
     findings = describe(study, fit, paper, tables, num_splits=settings.num_splits)
     write_json(folder / "lateral_line.json", findings)
     (folder / "lateral_line.md").write_text(write_page(findings), encoding="utf-8")
-    pictures.write_figures(findings, {"this classifier": fit, "as in the paper": paper}, folder)
+    write_figures(findings, {"this classifier": fit, "as in the paper": paper}, folder)
     return findings
 
 

@@ -17,7 +17,7 @@ import torch
 from experiments.configuration import build
 from experiments.gait import pictures, tables
 from experiments.gait.diagnostics import combine_seeds, diagnose, measure_lean, trace_work
-from experiments.gait.histories import Histories, pick, stack
+from experiments.gait.histories import Histories, split_flows, stack
 from experiments.gait.trials import (
     PERIODS,
     GaitSettings,
@@ -67,11 +67,6 @@ class TransferSettings(GaitSettings):
     folder: str = "runs/transfer"
 
 
-def split_flows(histories: Histories, num_flows: int) -> list[Histories]:
-    """Return the episodes of each flow."""
-    return [pick(histories, histories.flow == flow) for flow in range(num_flows)]
-
-
 def diagnose_flows(task: KarmanGait, flows: Sequence[Histories]) -> list[dict[str, float]]:
     """Return the diagnostics of one policy in each flow."""
     return [
@@ -87,11 +82,13 @@ def diagnose_flows(task: KarmanGait, flows: Sequence[Histories]) -> list[dict[st
 
 
 def check_trials(trials: Sequence[Trial]) -> None:
-    """Check that policies have different names and comparable tasks.
+    """Check that there are policies, with different names and comparable tasks.
 
     Raises:
         ValueError: naming what is the same, or differs.
     """
+    if not trials:
+        raise ValueError("there is nothing to try: give runs=[...] or baselines=[...]")
     names = [trial.name for trial in trials]
     if len(set(names)) < len(names):
         raise ValueError(f"policies are called {sorted(names)}: rename run folders of equal names")
@@ -123,19 +120,13 @@ def transfer(
         ``work``: per arm and flow as it adds up in time.
     """
     check_trials(trials)
-    folder.mkdir(parents=True, exist_ok=True)
-    task = trials[0].task
+    task, best = trials[0].task, trials[0].arm
     speeds, interval_T = task.stream.speeds_bl, task.interval_T
     arms: dict[str, list[list[Histories]]] = {}
     alone: dict[str, list[dict[str, float]]] = {}
+    kept: Any = {"folder": folder / "histories", "samples_actions": samples_actions}
     for trial in trials:
-        histories = run_trial(
-            trial,
-            episodes=episodes,
-            folder=folder / "histories",
-            samples_actions=samples_actions,
-            progress=progress,
-        )
+        histories = run_trial(trial, episodes=episodes, progress=progress, **kept)
         flows = split_flows(histories, len(speeds))
         arms.setdefault(trial.arm, []).append(flows)
         alone[trial.name] = diagnose_flows(trial.task, flows)
@@ -159,8 +150,6 @@ def transfer(
     text = tables.write_results(combined, speeds)
     (folder / "transfer.md").write_text(text, encoding="utf-8")
     first = {arm: seeds[0] for arm, seeds in arms.items()}
-    best = first[trials[0].arm]
-    shedding = list_shedding(task)
     everything = [flows for seeds in arms.values() for flows in seeds]
     leans = [
         measure_lean(stack(flow), interval_T=interval_T) for flow in zip(*everything, strict=True)
@@ -168,9 +157,11 @@ def transfer(
     pictures.write_survival(folder / "survival.png", arms, speeds=speeds)
     pictures.write_paths(folder / "paths.png", first, task=task)
     pictures.write_places(folder / "places.png", first, task=task)
-    pictures.write_decisions(folder / "decisions.png", best, task=task, shedding=shedding)
+    pictures.write_decisions(
+        folder / "decisions.png", first[best], task=task, shedding=list_shedding(task)
+    )
     pictures.write_lean(folder / "lean.png", leans, speeds=speeds)
-    pictures.write_work(folder / "work.png", work[trials[0].arm], None, speeds=speeds)
+    pictures.write_work(folder / "work.png", work[best], None, speeds=speeds)
     return results
 
 
@@ -184,8 +175,6 @@ def main(settings: TransferSettings) -> None:
         banked = [trial.task for trial in trials if trial.task.control.num_flows is not None]
         task = banked[0] if banked else build(settings.task)
         trials += [make_trial(name, task, periods=periods) for name in settings.baselines]
-        if not trials:
-            raise ValueError("there is nothing to try: give runs=[...] or baselines=[...]")
         transfer(
             trials,
             episodes=settings.episodes,

@@ -31,29 +31,23 @@ def diagnose(
 ) -> dict[str, float]:
     """Reduce the episodes of one policy in one flow to numbers; NaN where there is no data.
 
+    ``survival_T`` is the mean over all episodes, a diverged one counting until then, with the
+    half-width ``survival_error_T`` of its 95 % interval; ``survivors`` lasted and did not diverge.
+    Shares are of all episodes (``survivors``, ``ended_...``), of the intervals (``in_street``:
+    nose in ``STREET``; ``in_gait``: and beating within ``GAIT_BAND`` of the shedding frequency;
+    ``accelerations``, ``decelerations``), or of the decisions (``named_right``: correct flow
+    label). Lengths are in L, angles in degrees, frequencies per T, work per T in rho L^2 (L / T)^2.
+
     Args:
         histories: of episodes in that flow alone.
         shedding_frequency: per T, of the wake without a fish; NaN in a free stream.
         safe_area: of the task.
         time_limit_T: duration of an episode that nothing ends.
         interval_T: duration of a control interval.
-
-    Returns:
-        ``survival_T`` (mean over all episodes, a diverged one until then, with the half-width
-        ``survival_error_T`` of its 95 % interval) and ``survivors`` (share that lasted and did
-        not diverge); ``ended_near``, ``ended_far``, ``ended_aside`` (shares of all episodes);
-        ``x_mean``, ``x_deviation``, ``y_deviation`` in L; ``frequency`` per T
-        and ``frequency_over_shedding``; ``in_street`` and ``in_gait`` (shares of the intervals:
-        nose in ``STREET``, and there beating within ``GAIT_BAND`` of the shedding frequency);
-        ``accelerations`` and ``decelerations`` per interval; ``angle_mean`` and ``angle_max`` in
-        degrees; ``sway``, see ``measure_sway``; ``phase_lock``, see ``lock_phases``; ``work``,
-        ``positive_work`` and ``lateral_work`` per T in rho L^2 (L / T)^2; ``named_right``, share
-        of decisions with the correct flow label; and ``episodes``, ``diverged``.
     """
     h, lengths = histories, histories.lengths_T.double()
-    ends = [
-        _name_end(place[~place[:, 0].isnan()][-1], safe_area) for place in h.place[h.terminated]
-    ]
+    last_places = (place[~place[:, 0].isnan()][-1] for place in h.place[h.terminated])
+    ends = [_name_end(place, safe_area) for place in last_places]
     x, y = h.place[:, 1:, 0], h.place[:, 1:, 1]
     (near, far), aside = STREET
     is_known = ~h.frequency.isnan()
@@ -61,7 +55,6 @@ def diagnose(
     ratio, change = h.frequency / shedding_frequency, h.frequency.diff(dim=1)
     in_gait = in_street & ((ratio - 1.0).abs() <= GAIT_BAND)
     frames_per_T = max(1, h.beat.shape[1] // max(1, h.frequency.shape[1])) / interval_T
-    is_labelled = ~h.named.isnan() & is_known
     angle = h.angle_of_attack.abs() * 180.0 / math.pi
     total_T = max(float(h.lengths_T.sum()), 1e-9)
     return {
@@ -85,20 +78,15 @@ def diagnose(
         "sway": measure_sway(h.aside, frames_per_T=frames_per_T),
         "phase_lock": lock_phases(h, shedding_frequency, frames_per_T=frames_per_T),
         **{name: float(_last_values(getattr(h, name)).nansum()) / total_T for name in WORKS},
-        "named_right": _share(h.named == h.flow[:, None], is_labelled),
+        "named_right": _share(h.named == h.flow[:, None], ~h.named.isnan() & is_known),
     }
 
 
 def trace_work(histories: Histories, *, interval_T: float) -> dict[str, list[float]]:
     """Return the work since the start about once per T, mean over the episodes that still run.
 
-    Args:
-        histories: of episodes in one flow.
-        interval_T: duration of an interval.
-
-    Returns:
-        ``time_T``, and ``work`` and ``lateral_work`` in rho L^2 (L / T)^2, up to the longest
-        episode's end.
+    ``time_T``, and ``work`` and ``lateral_work`` in rho L^2 (L / T)^2, up to the longest episode's
+    end, for histories of one flow.
     """
     every = max(1, round(1.0 / interval_T))
     names = ("work", "lateral_work")
@@ -162,10 +150,8 @@ def lock_phases(histories: Histories, shedding_frequency: float, *, frames_per_T
 def find_phase(signal: NDArray[np.float64], frequency: float, rate: float) -> NDArray[np.float64]:
     """Return the phase of a signal's part near a frequency, by its analytic signal.
 
-    Args:
-        signal: ``[n]`` equally spaced.
-        frequency: of interest; what lies outside 0.5 to 1.5 times it is left out.
-        rate: samples per unit of time.
+    ``signal`` ``[n]`` has ``rate`` samples per unit of time; what lies outside 0.5 to 1.5 times
+    the frequency is left out.
     """
     spectrum = np.fft.fft(signal - signal.mean())
     at = np.fft.fftfreq(len(signal), 1.0 / rate)

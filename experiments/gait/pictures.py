@@ -1,44 +1,60 @@
-"""Figures of the Kármán gait study: survival, paths, positions, decisions, lean and work."""
+"""Figures of the Kármán gait study."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from math import pi
+from math import ceil, pi
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle, Wedge
 from torch import Tensor
 
 from experiments.figures.learning_curve import read_metrics
-from experiments.figures.style import COLOURS, panels, tidy
+from experiments.figures.style import COLOURS, FISH, VORTICITY_LABEL, panels, tidy
 from experiments.gait.histories import Histories
+from experiments.gait.trials import FRAMES, Trial
 from fishrl.envs import KarmanGait
+from fishrl.envs.episodes import run_episodes
+from fishrl.physics.diagnostics import compute_vorticity
 
 _MOST_PATHS = 40
 #: Width of the bins of mean lean, beats, and how many windows a bin holds at least.
 _LEAN_BIN, _LEAST = 0.25, 10
+_NUM_MOMENTS = 4
+_VORTICITY = 15.0  # at which colours saturate, 1/T
 
 #: Of one policy: its episodes in each flow.
 Recorded = Mapping[str, Sequence[Histories]]
+#: Work in each flow, see ``diagnostics.trace_work``.
+Traces = Sequence[Mapping[str, Sequence[float]]]
+
+
+@contextmanager
+def flow_panels(
+    path: Path, speeds: Sequence[float], *, height: float, width: float = 11, **options: Any
+) -> Iterator[Any]:
+    """Yield a grid with a column per flow, named by the speed of its stream in L / T."""
+    size = (width, height)
+    with panels(path, columns=len(speeds), size=size, **{"sharey": True, **options}) as grid:
+        yield grid
+        for axes, speed in zip(grid[0], speeds, strict=True):
+            axes.set_title(f"stream {speed:g} L/T")
+        for axes in grid.flat:
+            tidy(axes)
 
 
 def write_survival(
     path: Path, arms: Mapping[str, Sequence[Sequence[Histories]]], *, speeds: Sequence[float]
 ) -> None:
-    """Draw survival in each flow: a point per episode, a line per seed at its mean.
-
-    Args:
-        path: of the PNG.
-        arms: of each arm, per seed, per flow.
-        speeds: of the flows, L / T.
-    """
-    with panels(path, columns=len(speeds), size=(11, 3.6), sharey=True) as grid:
-        generator = np.random.default_rng(0)
-        for flow, (axes, speed) in enumerate(zip(grid[0], speeds, strict=True)):
+    """Draw survival of each arm, per seed, per flow: a point per episode, a line per seed."""
+    generator = np.random.default_rng(0)
+    with flow_panels(path, speeds, height=3.6) as grid:
+        for flow, axes in enumerate(grid[0]):
             for at, seeds in enumerate(arms.values()):
                 colour = COLOURS[at % len(COLOURS)]
                 for flows in seeds:
@@ -46,20 +62,14 @@ def write_survival(
                     spread = at + generator.uniform(-0.28, 0.28, len(values))
                     axes.plot(spread, values, ".", color=colour, markersize=3, alpha=0.35)
                     axes.hlines(np.mean(values), at - 0.36, at + 0.36, color=colour, linewidth=1.8)
-            axes.set(title=f"stream {speed:g} L/T", ylim=(0, None))
+            axes.set_ylim(0, None)
             axes.set_xticks(range(len(arms)), list(arms), rotation=40, ha="right")
-            tidy(axes)
         grid[0, 0].set_ylabel("survival  [T]")
         grid[0, 0].figure.suptitle("point: an episode; line: mean of a seed", fontsize=9)
 
 
 def write_training(path: Path, runs: Mapping[str, Sequence[Path]]) -> None:
-    """Draw survival and return during training: a line per run, a colour per arm.
-
-    Args:
-        path: of the PNG.
-        runs: folders of each arm's seeds.
-    """
+    """Draw survival and return during training: a line per run folder, a colour per arm."""
     shown = (
         ("train/episode_length", "survival, mean of 32 episodes  [decisions]"),
         ("train/return", "return, mean of 32 episodes"),
@@ -75,7 +85,7 @@ def write_training(path: Path, runs: Mapping[str, Sequence[Path]]) -> None:
                         axes.plot(*series, color=colour, linewidth=1.2, alpha=0.8, label=name)
             axes.set(xlabel="env frames (decisions of all fish)", ylabel=label)
             tidy(axes)
-        grid[0, 0].legend(fontsize=8, frameon=False)
+        grid[0, 0].legend(fontsize=8)
 
 
 @contextmanager
@@ -97,6 +107,20 @@ def _arenas(
             axes.set_xlabel("x behind the disc  [L]")
 
 
+def _draw_arena(axes: Axes, task: KarmanGait) -> None:
+    """Draw half disc and safe area."""
+    area = task.safe_area
+    corner = (area.near_bl, -area.aside_bl)
+    size = (area.far_bl - area.near_bl, 2.0 * area.aside_bl)
+    border: Any = {"edgecolor": "#999999", "linestyle": "--", "linewidth": 0.8}
+    axes.add_patch(Rectangle(corner, *size, fill=False, **border))
+    if task.stream.has_disc:
+        radius = 0.5 * task.stream.diameter_bl
+        axes.add_patch(Wedge((0.0, 0.0), radius, 90.0, 270.0, color="#444444"))
+    axes.set(xlim=(-0.3, area.far_bl + 0.2), ylim=(-area.aside_bl - 0.15, area.aside_bl + 0.15))
+    axes.set_aspect("equal")
+
+
 def write_paths(path: Path, recorded: Recorded, *, task: KarmanGait) -> None:
     """Draw the noses' paths, a row per policy, a panel per flow; a cross where an episode ended."""
     with _arenas(path, recorded, task) as shown:
@@ -111,94 +135,14 @@ def write_paths(path: Path, recorded: Recorded, *, task: KarmanGait) -> None:
 def write_places(path: Path, recorded: Recorded, *, task: KarmanGait) -> None:
     """Draw the density of the nose's position per L^2, all episodes together."""
     area = task.safe_area
-    edges = (
-        np.linspace(0.0, area.far_bl + 0.2, 43),
-        np.linspace(-area.aside_bl, area.aside_bl, 31),
-    )
+    x = np.linspace(0.0, area.far_bl + 0.2, 43)
+    y = np.linspace(-area.aside_bl, area.aside_bl, 31)
     with _arenas(path, recorded, task) as shown:
         for axes, histories in shown:
             place = _known(histories.place.reshape(-1, 2))
-            density, *_ = np.histogram2d(place[:, 0], place[:, 1], bins=edges, density=True)
-            mesh = axes.pcolormesh(*edges, density.T, cmap="magma_r", vmin=0.0)
+            density, *_ = np.histogram2d(place[:, 0], place[:, 1], bins=(x, y), density=True)
+            mesh = axes.pcolormesh(x, y, density.T, cmap="magma_r", vmin=0.0)
             axes.figure.colorbar(mesh, ax=axes, label="[1/L²]", pad=0.01)
-
-
-def write_decisions(
-    path: Path, flows: Sequence[Histories], *, task: KarmanGait, shedding: Sequence[float]
-) -> None:
-    """Draw frequency and angle of attack in time, of the first episodes in each flow."""
-    speeds, num = task.stream.speeds_bl, len(flows)
-    with panels(path, rows=2, columns=num, size=(11, 5.2), sharex=True, sharey="row") as grid:
-        for (upper, lower), histories, speed, shed in zip(
-            grid.T, flows, speeds, shedding, strict=True
-        ):
-            times = task.interval_T * np.arange(histories.frequency.shape[1])
-            angles = histories.angle_of_attack.numpy() * 180.0 / pi
-            for frequency, angle, colour in zip(
-                histories.frequency.numpy()[:3], angles, COLOURS, strict=False
-            ):
-                upper.step(times, frequency, where="post", color=colour, linewidth=1.0)
-                lower.plot(times + task.interval_T, angle, color=colour, linewidth=1.0)
-            upper.axhline(shed, color="#777777", linestyle=":", label="shedding frequency")
-            upper.set_title(f"stream {speed:g} L/T")
-            lower.set_xlabel("time  [T]")
-            tidy(upper)
-            tidy(lower)
-        grid[0, 0].set_ylabel("tail beats per T")
-        grid[0, 0].legend(fontsize=8, frameon=False)
-        grid[1, 0].set_ylabel("angle of attack  [°]")
-
-
-def write_work(
-    path: Path,
-    in_wake: Sequence[Mapping[str, Sequence[float]]],
-    free: Sequence[Mapping[str, Sequence[float]]] | None,
-    *,
-    speeds: Sequence[float],
-) -> None:
-    """Draw the work done since the start, in each flow; see ``diagnostics.trace_work``."""
-    names = (("work", "all forces"), ("lateral_work", "lateral, the paper's form"))
-    with panels(path, columns=len(speeds), size=(11, 3.4), sharey=True) as grid:
-        for at, (axes, speed) in enumerate(zip(grid[0], speeds, strict=True)):
-            for where, traces, style in (("wake", in_wake, "-"), ("free stream", free, "--")):
-                for (field, label), colour in zip(names, COLOURS, strict=False):
-                    if traces is not None:
-                        axes.plot(
-                            traces[at]["time_T"], traces[at][field], style, color=colour,
-                            linewidth=1.4, label=f"{where}: {label}",
-                        )  # fmt: skip
-            axes.set(title=f"stream {speed:g} L/T", xlabel="time  [T]", yscale="symlog")
-            tidy(axes)
-        grid[0, 0].set_ylabel("work  [ρL²(L/T)²]")
-        grid[0, 0].legend(fontsize=8, frameon=False)
-
-
-def write_lean(
-    path: Path, leans: Sequence[tuple[Tensor, Tensor]], *, speeds: Sequence[float]
-) -> None:
-    """Draw lean against tail beats, per time and per length of stream.
-
-    Args:
-        path: of the PNG.
-        leans: of each flow, see ``diagnostics.measure_lean``.
-        speeds: of the flows, L / T.
-    """
-    with panels(path, columns=2, size=(9, 3.6), sharey=True) as grid:
-        for (rates, lean), speed, colour in zip(leans, speeds, COLOURS, strict=False):
-            for axes, at in zip(grid[0], (rates.numpy(), rates.numpy() / speed), strict=True):
-                axes.plot(at, lean.numpy(), ".", color=colour, markersize=2, alpha=0.25)
-                bins = np.round(at / _LEAN_BIN)
-                wanted = [value for value in np.unique(bins) if (bins == value).sum() >= _LEAST]
-                middle = [lean.numpy()[bins == value].mean() for value in wanted]
-                axes.plot(
-                    _LEAN_BIN * np.array(wanted), middle, "o-", color=colour, markersize=4,
-                    linewidth=1.4, label=f"stream {speed:g} L/T",
-                )  # fmt: skip
-        for axes, unit in zip(grid[0], ("[1/T]", "[1/L of stream]"), strict=True):
-            axes.set(xlabel=f"tail beats  {unit}", ylim=(0.0, None))
-            tidy(axes)
-        grid[0, 0].set_ylabel("lean, mean of 8 T  [°]")
-        grid[0, 0].legend(fontsize=8, frameon=False)
 
 
 def _known(place: Tensor) -> Any:
@@ -206,15 +150,123 @@ def _known(place: Tensor) -> Any:
     return place[~place[:, 0].isnan()].numpy()
 
 
-def _draw_arena(axes: Axes, task: KarmanGait) -> None:
-    """Draw half disc and safe area."""
-    area, radius = task.safe_area, 0.5 * task.stream.diameter_bl
-    corner = (area.near_bl, -area.aside_bl)
-    size = (area.far_bl - area.near_bl, 2.0 * area.aside_bl)
-    axes.add_patch(
-        Rectangle(corner, *size, fill=False, edgecolor="#999999", linestyle="--", linewidth=0.8)
-    )
-    if task.stream.has_disc:
-        axes.add_patch(Wedge((0.0, 0.0), radius, 90.0, 270.0, color="#444444"))
-    axes.set(xlim=(-0.3, area.far_bl + 0.2), ylim=(-area.aside_bl - 0.15, area.aside_bl + 0.15))
-    axes.set_aspect("equal")
+def write_decisions(
+    path: Path, flows: Sequence[Histories], *, task: KarmanGait, shedding: Sequence[float]
+) -> None:
+    """Draw frequency and angle of attack in time, of the first episodes in each flow."""
+    shared: Any = {"sharex": True, "sharey": "row"}
+    with flow_panels(path, task.stream.speeds_bl, height=5.2, rows=2, **shared) as grid:
+        for (upper, lower), histories, shed in zip(grid.T, flows, shedding, strict=True):
+            times = task.interval_T * np.arange(histories.frequency.shape[1])
+            frequencies = histories.frequency.numpy()[:3]
+            angles = histories.angle_of_attack.numpy() * 180.0 / pi
+            for frequency, angle, colour in zip(frequencies, angles, COLOURS, strict=False):
+                upper.step(times, frequency, where="post", color=colour, linewidth=1.0)
+                lower.plot(times + task.interval_T, angle, color=colour, linewidth=1.0)
+            upper.axhline(shed, color="#777777", linestyle=":", label="shedding frequency")
+            lower.set_xlabel("time  [T]")
+        grid[0, 0].set_ylabel("tail beats per T")
+        grid[0, 0].legend(fontsize=8)
+        grid[1, 0].set_ylabel("angle of attack  [°]")
+
+
+def write_work(
+    path: Path, in_wake: Traces, free: Traces | None, *, speeds: Sequence[float]
+) -> None:
+    """Draw the work done since the start, in each flow."""
+    names = (("work", "all forces"), ("lateral_work", "lateral, the paper's form"))
+    with flow_panels(path, speeds, height=3.4) as grid:
+        for at, axes in enumerate(grid[0]):
+            for where, traces, style in (("wake", in_wake, "-"), ("free stream", free, "--")):
+                for (field, label), colour in zip(names, COLOURS, strict=False):
+                    if traces is not None:
+                        line = (traces[at]["time_T"], traces[at][field], style)
+                        axes.plot(*line, color=colour, linewidth=1.4, label=f"{where}: {label}")
+            axes.set(xlabel="time  [T]", yscale="symlog")
+        grid[0, 0].set_ylabel("work  [ρL²(L/T)²]")
+        grid[0, 0].legend(fontsize=8)
+
+
+def write_lean(
+    path: Path, leans: Sequence[tuple[Tensor, Tensor]], *, speeds: Sequence[float]
+) -> None:
+    """Draw lean of each flow (``measure_lean``) against tail beats, per time and per length."""
+    with panels(path, columns=2, size=(9, 3.6), sharey=True) as grid:
+        for (rates, lean), speed, colour in zip(leans, speeds, COLOURS, strict=False):
+            for axes, at in zip(grid[0], (rates.numpy(), rates.numpy() / speed), strict=True):
+                axes.plot(at, lean.numpy(), ".", color=colour, markersize=2, alpha=0.25)
+                bins = np.round(at / _LEAN_BIN)
+                wanted = [value for value in np.unique(bins) if (bins == value).sum() >= _LEAST]
+                middle = [lean.numpy()[bins == value].mean() for value in wanted]
+                style = {"color": colour, "markersize": 4, "linewidth": 1.4}
+                beats = _LEAN_BIN * np.array(wanted)
+                axes.plot(beats, middle, "o-", **style, label=f"stream {speed:g} L/T")
+        for axes, unit in zip(grid[0], ("[1/T]", "[1/L of stream]"), strict=True):
+            axes.set(xlabel=f"tail beats  {unit}", ylim=(0.0, None))
+            tidy(axes)
+        grid[0, 0].set_ylabel("lean, mean of 8 T  [°]")
+        grid[0, 0].legend(fontsize=8)
+
+
+def write_period(
+    path: Path, trial: Trial, *, num_decisions: int, periods_T: list[float], seed: int = 0
+) -> None:
+    """Draw the flow around a fish at four moments of one shedding period in each flow.
+
+    Args:
+        path: of the PNG.
+        trial: the policy.
+        num_decisions: before the first moment; its episodes must last that long.
+        periods_T: shedding period of each flow, T.
+        seed: of the starts.
+
+    Raises:
+        ValueError: if they do not.
+    """
+    task, num = trial.task, len(periods_T)
+    length, (x, y) = task.body_length, task.origin.tolist()
+    shape: Any = {"rows": num, "columns": _NUM_MOMENTS, "size": (12, 2.1 * num + 0.6)}
+    num_shown = ceil(max(periods_T) / task.interval_T)
+    frames = _record_frames(trial, num_decisions + num_shown, seed=seed)[num_decisions * FRAMES :]
+    if len(frames) < num_shown * FRAMES:
+        raise ValueError(f"{trial.name}: all episodes end before {num_decisions} decisions")
+    with panels(path, **shape, sharex=True, sharey=True) as grid:
+        for flow, (row, speed) in enumerate(zip(grid, task.stream.speeds_bl, strict=True)):
+            for number, axes in enumerate(row):
+                at = round(number * FRAMES * periods_T[flow] / task.interval_T / _NUM_MOMENTS)
+                vorticity, outlines, time = (value[flow] for value in frames[at])
+                height, width = vorticity.shape
+                edges = (-0.5 - x, width - 0.5 - x, -0.5 - y, height - 0.5 - y)
+                image = axes.imshow(
+                    vorticity.numpy(), extent=[edge / length for edge in edges], origin="lower",
+                    cmap="RdBu_r", vmin=-_VORTICITY, vmax=_VORTICITY, interpolation="bilinear",
+                )  # fmt: skip
+                for outline in outlines:
+                    axes.fill(*((outline - task.origin) / length).numpy().T, color=FISH)
+                axes.set(xlim=(-0.6, 4.4), ylim=(-1.2, 1.2))
+                part = f"{number}/{_NUM_MOMENTS} of the period, t = {float(time):.1f} T"
+                axes.set_title(f"{speed:g} L/T, {part}", fontsize=8.5)
+            row[0].set_ylabel("y  [L]")
+        for axes in grid[-1]:
+            axes.set_xlabel("x behind the disc  [L]")
+        grid[0, 0].figure.colorbar(image, ax=grid, label=VORTICITY_LABEL, shrink=0.8, pad=0.01)
+
+
+def _record_frames(trial: Trial, num_decisions: int, *, seed: int) -> list[tuple[Any, Any, Tensor]]:
+    """Return of each frame, per flow: vorticity ``[Y, X]`` in 1/T, outlines in nodes, time in T."""
+    task = trial.task
+    flows, period = len(task.stream.speeds_bl), task.scales.period
+    starts = task.sample_starts(1, torch.Generator().manual_seed(seed))[[0] * flows]
+    starts["flow_index"] = torch.arange(flows)
+    frames: list[tuple[Any, Any, Tensor]] = []
+
+    def keep(start_of: Tensor, base: Any) -> None:
+        solver = base.solver
+        vorticity = compute_vorticity(solver.macroscopic()[1]) * period
+        outlines = [solver.markers(index).clone() for index in range(len(solver.bodies))]
+        frames.append((vorticity, list(zip(*outlines, strict=True)), solver.body.age / period))
+
+    env = trial.make_env(num_envs=flows, seed=seed)
+    run_episodes(env, trial.make_policy(), starts, max_decisions=num_decisions, on_frame=keep)
+    env.close()
+    return frames

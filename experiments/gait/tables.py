@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from experiments.gait.diagnostics import WORKS
 from experiments.pages import write_table
 
 #: Work in a free stream over that in the wake, conditions I to III: Zhang et al. 2023, Table 4.
@@ -43,9 +44,7 @@ Results = Mapping[str, Sequence[Mapping[str, float]]]
 def write_results(results: Results, speeds: Sequence[float]) -> str:
     """Return two Markdown tables, a row per arm and flow: all diagnostics, and how episodes ended.
 
-    Args:
-        results: see ``Results``.
-        speeds: of the flows, L / T.
+    ``speeds`` are those of the flows, L / T.
     """
     return "\n".join(_tabulate(results, speeds, columns) for columns in (COLUMNS, ENDS))
 
@@ -89,27 +88,20 @@ def write_work_table(
     has_paper = len(speeds) == len(PAPER_WORK_RATIO)
     rows = []
     for number, (speed, wake, still) in enumerate(zip(speeds, in_wake, free, strict=True)):
-        ratio = {
-            name: still[name] / wake[name] if min(still[name], wake[name]) > 0.0 else float("nan")
-            for name in ("work", "positive_work", "lateral_work")
-        }
-        rows.append(
-            [
-                f"{speed:g}",
-                f"{wake['work']:.3f}",
-                f"{still['work']:.2f}",
-                show(ratio["work"], ".1f"),
-                show(1.0 - 1.0 / ratio["work"], ".1%"),
-                show(ratio["positive_work"], ".1f"),
-                f"{wake['lateral_work']:.3f}",
-                f"{still['lateral_work']:.2f}",
-                show(ratio["lateral_work"], ".1f"),
-                f"{PAPER_WORK_RATIO[number]:.2f}" if has_paper else "–",
-            ]
+        work, pushing, lateral = (
+            still[name] / wake[name] if min(still[name], wake[name]) > 0.0 else float("nan")
+            for name in WORKS
         )
+        cells = (
+            (wake["work"], ".3f"), (still["work"], ".2f"), (work, ".1f"), (1.0 - 1.0 / work, ".1%"),
+            (pushing, ".1f"),
+            (wake["lateral_work"], ".3f"), (still["lateral_work"], ".2f"), (lateral, ".1f"),
+            (PAPER_WORK_RATIO[number] if has_paper else float("nan"), ".2f"),
+        )  # fmt: skip
+        rows.append([f"{speed:g}", *(show(value, form) for value, form in cells)])
     heads = ("stream, L/T", "work, wake", "free", "ratio", "saved", "pushing: ratio")
-    lateral = ("lateral (paper's form), wake", "free", "ratio", "paper's ratio")
-    return write_table([*heads, *lateral], rows)
+    lateral_heads = ("lateral (paper's form), wake", "free", "ratio", "paper's ratio")
+    return write_table([*heads, *lateral_heads], rows)
 
 
 def show(value: float, form: str) -> str:

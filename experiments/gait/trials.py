@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,6 @@ from omegaconf import MISSING
 from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 
-from experiments.configuration import build
 from experiments.gait.histories import Histories, record_histories
 from fishrl.bounds import check_bounds
 from fishrl.envs import KarmanGait, make_env
@@ -24,9 +24,8 @@ from fishrl.files import load_tensors, staged
 from fishrl.modules import FixedFrequency, LateralLineClassifier
 from fishrl.physics.cache_key import hash_sources, make_key
 from fishrl.training.baselines import make_baseline, make_gait_policy
-from fishrl.training.checkpoint import read_metadata
 from fishrl.training.classifier import find_classifier, load_recognition
-from fishrl.training.policies import load_policy
+from fishrl.training.policies import load_plan, load_policy
 from fishrl.training.progress import Progress
 
 #: Duration of a trial in T, whatever the length of the training episodes.
@@ -106,32 +105,26 @@ class Trial:
 
 
 def load_trial(run: Path, *, periods: float = PERIODS) -> Trial:
-    """Return the trial of a learned policy.
-
-    Args:
-        run: its run folder.
-        periods: see ``Trial``.
+    """Return the trial of the learned policy of a run folder.
 
     Raises:
         ValueError: if there is none, or it has another task.
     """
-    path, metadata = read_metadata(str(run))
-    config = metadata["config"]
-    choice = find_classifier(config.get("recognition"), path)
+    path, plan = load_plan(run)
+    choice = find_classifier(plan.recognition, path)
     recognition = load_recognition(choice)
-    task, _ = equip(build(config["task"]), recognition)
+    task, _ = equip(plan.task, recognition)
     if not isinstance(task, KarmanGait):
         raise ValueError(f"{run}: a policy of {type(task).__name__}; give runs of task=karman_gait")
     files = sorted(path.rglob("*-actor/*"))
     if isinstance(recognition, LateralLineClassifier):
         files.append(Path(str(choice)))
-    has_labels = recognition is not None
     return Trial(
         name=run.name,
-        arm=name_arm(task, config.get("recognition")),
+        arm=name_arm(task, plan.recognition),
         trained=task,
         recognition=recognition,
-        make_policy=lambda: load_policy(str(path), task=task, has_labels=has_labels, device="cpu"),
+        make_policy=partial(load_policy, path, task=task, has_labels=recognition is not None),
         identity=make_key(*(file.read_bytes() for file in files)),
         periods=periods,
     )
@@ -164,29 +157,17 @@ def make_trial(name: str, task: KarmanGait, *, periods: float = PERIODS) -> Tria
     if steering:
         per_T = max(1, round(1.0 / task.interval_T))
         task = replace(task, steering=PolicySteering(decisions_per_T=per_T))
-    rates = _find_rates(kind, task)
-    if rates is None:
-        return Trial(
-            name=name,
-            arm=name,
-            trained=task,
-            make_policy=lambda: make_baseline(kind, task=task, seed=0),
-            identity=name,
-            periods=periods,
-        )
-    # the highest frequency stays in the row: it determines T, and so the flow
-    row = tuple(sorted({0.0, *rates, task.control.max_frequency}))
-    if row[-1] > task.control.max_frequency:
-        raise ValueError(f"baseline {name!r}: at most {task.control.max_frequency} beats per T")
-    direct = replace(task, control=DirectFrequencies(frequencies=row, first_gear=0))
-    controller = FixedFrequency(rates if len(rates) > 1 else rates[0])
+    rates, make_policy = _find_rates(kind, task), partial(make_baseline, kind, task=task, seed=0)
+    if rates is not None:
+        # the highest frequency stays in the row: it determines T, and so the flow
+        row = tuple(sorted({0.0, *rates, task.control.max_frequency}))
+        if row[-1] > task.control.max_frequency:
+            raise ValueError(f"baseline {name!r}: at most {task.control.max_frequency} beats per T")
+        task = replace(task, control=DirectFrequencies(frequencies=row, first_gear=0))
+        controller = FixedFrequency(rates if len(rates) > 1 else rates[0])
+        make_policy = partial(make_gait_policy, controller, task)
     return Trial(
-        name=name,
-        arm=name,
-        trained=direct,
-        make_policy=lambda: make_gait_policy(controller, direct),
-        identity=name,
-        periods=periods,
+        name=name, arm=name, trained=task, make_policy=make_policy, identity=name, periods=periods
     )
 
 
@@ -241,17 +222,15 @@ def run_trial(
     starts["flow_index"] = torch.arange(flows).repeat_interleave(episodes)
     env = trial.make_env(num_envs=len(starts), seed=seed)
     torch.manual_seed(seed)
-    progress = progress or Progress(is_shown=False)
-    progress.start(trial.name, total=task.time_limit)
     histories = record_histories(
         env,
         trial.make_policy(),
         starts,
         num_decisions=task.time_limit,
         samples_actions=samples_actions,
-        on_decision=lambda: progress.advance(1),
+        progress=progress,
+        label=trial.name,
     )
-    env.close()
     folder.mkdir(parents=True, exist_ok=True)
     with staged(path) as stage:
         torch.save(histories._asdict(), stage)

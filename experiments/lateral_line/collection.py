@@ -83,15 +83,9 @@ def collect(
     compile: bool = True,
     progress: Progress | None = None,
 ) -> TensorDict:
-    """Collect episodes until they hold enough decisions; pieces in ``folder`` are reused.
+    """Collect episodes until they hold ``num_samples`` decisions, one signal each.
 
-    Args:
-        collection: what to collect.
-        num_samples: decisions, one signal each.
-        folder: below which the pieces are kept, in a folder of their own for each collection.
-        device: cpu or cuda.
-        compile: compile the flow solver.
-        progress: progress bar.
+    Pieces are kept below ``folder``, in a folder of their own for each collection, and reused.
 
     Returns:
         TensorDict ``[E, D]`` of E episodes and at most D decisions: ``lateral_line``

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -24,89 +24,96 @@ from experiments.lateral_line.study import (
 from fishrl.envs.lateral_line import LOCAL, PAPER
 from fishrl.modules.lateral_line import BOOKKEEPING
 from fishrl.objectives import score_classifier
+from fishrl.training.progress import Progress
 
-#: Column, row and values of a table of accuracies.
-Reading = tuple[str, str, list[float]]
 #: Accuracies by column and row, one value per division of the episodes.
 Answers = dict[str, dict[str, list[float]]]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Question:
-    """A fit for each division of the episodes, and what is read from it.
+class Question(NamedTuple):
+    """A fit of the study; see ``Study.fit``."""
 
-    Args:
-        table: name of the table for the accuracies.
-        data: the classifier's input.
-        read: returns the accuracies of a fit.
-        noise: see ``Study.fit``.
-        split: see ``Study.fit``.
-    """
-
-    table: str
     data: TrainingData
-    read: Callable[[Fit], Iterator[Reading]]
     noise: float = 0.0
     split: Split = split_by_episode
 
 
 def answer(
-    study: Study, questions: Sequence[Question], *, num_splits: int, on_answer: Callable[[], None]
-) -> dict[str, Answers]:
-    """Return the accuracies of each table by column and row; equal fits are made once."""
-    tables: dict[str, Answers] = {question.table: {} for question in questions}
-    for number in range(num_splits):
-        fits: dict[Any, Fit] = {}
-        for question in questions:
-            data, noise, split = key = (question.data, question.noise, question.split)
-            if key not in fits:
-                fits[key] = study.fit(data, number=number, noise=noise, split=split)
-            for column, row, values in question.read(fits[key]):
-                rows = tables[question.table].setdefault(column, {})
-                rows.setdefault(row, []).extend(values)
-            on_answer()
-    return tables
-
-
-def list_questions(
+    study: Study,
     *,
     window: int,
     windows: Sequence[int],
     noises: Sequence[float],
     memories: Sequence[float],
-) -> list[Question]:
-    """Return the questions of a study.
+    num_splits: int,
+    progress: Progress,
+) -> dict[str, Answers]:
+    """Return tables of held-out accuracies by name; equal fits are made once.
 
     Args:
+        study: what is fitted.
         window: number of samples in the longest window.
         windows: lengths of window to compare.
         noises: levels to compare, as shares of each feature's standard deviation.
         memories: of earlier predictions to compare, see ``PredictedFlowLabel``.
+        num_splits: divisions of the episodes.
+        progress: progress bar.
     """
     local = TrainingData(features=LOCAL, num_samples=window)
-    questions = [
-        Question(table="memory", data=local, read=partial(read_memory, memories=memories)),
-        Question(table="by_decision", data=local, read=partial(read_decisions, memories=memories)),
-    ]
-    for length in windows:
-        data = TrainingData(features=LOCAL, num_samples=length)
-        read = partial(read_held_out, column="accuracy", row=str(length))
-        questions.append(Question(table="windows", data=data, read=read))
-    without = partial(read_noise, column="fitted without noise", levels=noises)
-    questions.append(Question(table="noise", data=local, read=without))
-    for level in noises:
-        trained = partial(read_noise, column="fitted with this noise", levels=[level])
-        questions.append(Question(table="noise", data=local, read=trained, noise=level))
-    for name, data in list_training_data(window).items():
-        questions.append(Question(table="leaks", data=data, read=partial(read_fit, row=name)))
-        for column, split in (("new starts", split_by_start), ("later times", split_by_time)):
-            read = partial(read_held_out, column=column, row=name)
-            questions.append(Question(table="leaks", data=data, read=read, split=split))
-    for name, is_right_only in (("any row", False), ("the right row", True)):
-        read = partial(read_rows, row=f"fitted on fish in {name}")
-        division = partial(split_by_row, is_right_only=is_right_only)
-        questions.append(Question(table="rows", data=local, read=read, split=division))
-    return questions
+    plain, inputs = Question(local), list_training_data(window)
+    by_length = {n: Question(replace(local, num_samples=n)) for n in windows}
+    by_noise = {level: Question(local, noise=level) for level in noises}
+    splits = {
+        "new episodes": split_by_episode,
+        "new starts": split_by_start,
+        "later times": split_by_time,
+    }
+    by_input = {
+        (name, column): Question(data, split=split)
+        for name, data in inputs.items()
+        for column, split in splits.items()
+    }
+    by_row = {
+        name: Question(local, split=partial(split_by_row, is_right_only=is_right_only))
+        for name, is_right_only in (("any row", False), ("the right row", True))
+    }
+    groups = (by_length, by_noise, by_input, by_row)
+    questions = dict.fromkeys([plain, *(q for group in groups for q in group.values())])
+    progress.start("comparisons", total=num_splits * len(questions))
+    tables: dict[str, Answers] = {}
+
+    def note(table: str, column: str, row: str, *values: float) -> None:
+        rows = tables.setdefault(table, {}).setdefault(column, {})
+        rows.setdefault(row, []).extend(values)
+
+    for number in range(num_splits):
+        fits: dict[Question, Fit] = {}
+        for question in questions:
+            fits[question] = study.fit(number=number, **question._asdict())
+            progress.advance(1)
+        test = fits[plain].test
+        for memory in memories:
+            is_correct = predict(fits[plain], memory=memory)
+            note("memory", "accuracy", f"{memory:g}", _mean(is_correct))
+            for decision in test["decision"].unique().tolist():
+                values = is_correct[test["decision"] == decision].double().tolist()
+                note("by_decision", f"{memory:g}", str(decision), *values)
+        for length, question in by_length.items():
+            note("windows", "accuracy", str(length), fits[question].held_out.accuracy)
+        for level, question in by_noise.items():
+            for column, fit in (("without", fits[plain]), ("with this", fits[question])):
+                accuracy = score_with_noise(fit, level)
+                note("noise", f"fitted {column} noise", f"{level:g}", accuracy)
+        for name, data in inputs.items():
+            note("leaks", "fitted", name, fits[Question(data)].fitted.accuracy)
+        for (name, column), question in by_input.items():
+            note("leaks", column, name, fits[question].held_out.accuracy)
+        for name, question in by_row.items():
+            fit, is_correct = fits[question], predict(fits[question])
+            is_right = fit.test["named_flow"] == fit.test["flow_index"]
+            for column, mask in (("in the right row", is_right), ("in a wrong row", ~is_right)):
+                note("rows", column, f"fitted on fish in {name}", _mean(is_correct[mask]))
+    return tables
 
 
 def list_training_data(window: int) -> dict[str, TrainingData]:
@@ -125,67 +132,32 @@ def list_training_data(window: int) -> dict[str, TrainingData]:
     }
 
 
-def read_held_out(fit: Fit, *, column: str, row: str) -> Iterator[Reading]:
-    """Read the accuracy on held-out episodes."""
-    yield column, row, [fit.held_out.accuracy]
-
-
-def read_fit(fit: Fit, *, row: str) -> Iterator[Reading]:
-    """Read the accuracies on what was fitted and on held-out episodes."""
-    yield "fitted", row, [fit.fitted.accuracy]
-    yield "new episodes", row, [fit.held_out.accuracy]
-
-
-def read_noise(fit: Fit, *, column: str, levels: Sequence[float]) -> Iterator[Reading]:
-    """Read held-out accuracies with noise, in shares of the features' standard deviations."""
+def score_with_noise(fit: Fit, level: float) -> float:
+    """Return the held-out accuracy with noise, in shares of the features' standard deviations."""
     signal = fit.test["lateral_line"]
-    for level in levels:
-        drawn = torch.randn(signal.shape, generator=torch.Generator().manual_seed(0))
-        noisy = signal + level * measure_deviation(signal) * drawn
-        score = score_classifier(fit.classifier, fit.test.copy().set("lateral_line", noisy))
-        yield column, f"{level:g}", [score.accuracy]
-
-
-def read_rows(fit: Fit, *, row: str) -> Iterator[Reading]:
-    """Read held-out accuracies of fish in the right flow's row of frequencies and in another's."""
-    is_correct = predict(fit)
-    is_right = fit.test["named_flow"] == fit.test["flow_index"]
-    for column, mask in (("in the right row", is_right), ("in a wrong row", ~is_right)):
-        yield column, row, [float(is_correct[mask].double().mean())]
-
-
-def read_memory(fit: Fit, *, memories: Sequence[float]) -> Iterator[Reading]:
-    """Read held-out accuracies by memory of earlier predictions."""
-    for memory in memories:
-        yield "accuracy", f"{memory:g}", [float(predict(fit, memory=memory).double().mean())]
-
-
-def read_decisions(fit: Fit, *, memories: Sequence[float]) -> Iterator[Reading]:
-    """Read for each memory and decision since the start which held-out samples are correct."""
-    decision = fit.test["decision"]
-    for memory in memories:
-        is_correct = predict(fit, memory=memory)
-        for number in decision.unique().tolist():
-            yield f"{memory:g}", str(number), is_correct[decision == number].double().tolist()
+    drawn = torch.randn(signal.shape, generator=torch.Generator().manual_seed(0))
+    noisy = signal + level * measure_deviation(signal) * drawn
+    return score_classifier(fit.classifier, fit.test.copy().set("lateral_line", noisy)).accuracy
 
 
 @torch.no_grad()
 def predict(fit: Fit, *, memory: float = 0.0) -> Tensor:
     """Return ``[N]`` whether each held-out prediction is correct.
 
-    Args:
-        fit: whose classifier predicts.
-        memory: weight of the evidence at the decision before, see ``PredictedFlowLabel``.
+    ``memory`` is the weight of the evidence at the decision before, see ``PredictedFlowLabel``.
     """
     log_probabilities = fit.classifier(fit.test["lateral_line"]).log_softmax(-1)
     ids, episode = fit.test["episode"].unique(return_inverse=True)
     decision = fit.test["decision"]
-    evidence = log_probabilities.new_zeros(
-        len(ids), int(decision.max()) + 1, log_probabilities.shape[-1]
-    )
+    shape = (len(ids), int(decision.max()) + 1, log_probabilities.shape[-1])
+    evidence = log_probabilities.new_zeros(shape)
     evidence[episode, decision] = log_probabilities
     for i in range(1, evidence.shape[1]):
         evidence[:, i] += memory * evidence[:, i - 1]
     label = evidence[episode, decision].argmax(-1)
     is_correct: Tensor = label == fit.test["flow_index"]
     return is_correct
+
+
+def _mean(is_correct: Tensor) -> float:
+    return float(is_correct.double().mean())

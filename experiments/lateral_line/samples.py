@@ -17,12 +17,9 @@ _ODD = ("u_y", "left", "shear")
 def select_features(
     episodes: TensorDict, *, features: Sequence[str], is_averaged: bool
 ) -> TensorDict:
-    """Return episodes with some features of the signal only.
+    """Return episodes as ``collect`` does, with some features (of ``KNOWN``) of the signal only.
 
-    Args:
-        episodes: ``[E, D]`` as ``collect`` returns.
-        features: names from ``KNOWN``.
-        is_averaged: keep only the mean over the neuromasts.
+    If ``is_averaged``, only the mean over the neuromasts is kept.
     """
     signal = episodes["lateral_line"][..., [KNOWN.index(name) for name in features]]
     if is_averaged:

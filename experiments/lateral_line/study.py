@@ -49,19 +49,13 @@ class TrainingData:
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """A classifier, its learning curves and its scores.
-
-    Attributes:
-        fitted: score on the samples that it was fitted on, which end at any time.
-        held_out: score on episodes that had no part in the fit, at the decisions.
-        test: the samples of those.
-    """
+    """A classifier, its learning curves and its scores."""
 
     classifier: LateralLineClassifier
     curves: Curves
-    fitted: Score
-    held_out: Score
-    test: TensorDict
+    fitted: Score  #: on the samples that it was fitted on, which end at any time
+    held_out: Score  #: on episodes that had no part in the fit, at the decisions
+    test: TensorDict  #: the samples of those
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,9 +84,8 @@ class Study:
 
     def cut(self, data: TrainingData) -> TensorDict:
         """Return the samples ``[N]`` of some training data."""
-        selected = select_features(
-            self.episodes, features=data.columns, is_averaged=data.is_averaged
-        )
+        features, is_averaged = data.columns, data.is_averaged
+        selected = select_features(self.episodes, features=features, is_averaged=is_averaged)
         return cut_windows(selected, num_samples=data.num_samples)
 
     def fit(
@@ -148,12 +141,9 @@ class Study:
             generator=generator,
             noise=noise * measure_deviation(training["lateral_line"]),
         )
+        fitted, held_out = (score_classifier(classifier, part) for part in (training, test))
         return Fit(
-            classifier=classifier,
-            curves=curves,
-            fitted=score_classifier(classifier, training),
-            held_out=score_classifier(classifier, test),
-            test=test,
+            classifier=classifier, curves=curves, fitted=fitted, held_out=held_out, test=test
         )
 
     def _mirror(self, samples: TensorDict, data: TrainingData) -> TensorDict:

@@ -20,12 +20,17 @@ SMALL: dict[str, Any] = {
 }
 
 
+def glide(patch: pytest.MonkeyPatch) -> None:
+    """Replace the flow by fish that glide, and developed wakes by nothing."""
+    patch.setattr(fishrl.envs.task, "InPlaceSolver", GlidingSolver)
+    bank = WakeBank(populations=torch.zeros(3, 1, 1, 1, 1), shedding_frequencies=torch.ones(3))
+    patch.setattr(Stream, "load_wakes", lambda *_: bank)
+
+
 @pytest.fixture
 def gliding(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replace the flow by fish that glide, and developed wakes by nothing."""
-    monkeypatch.setattr(fishrl.envs.task, "InPlaceSolver", GlidingSolver)
-    bank = WakeBank(populations=torch.zeros(3, 1, 1, 1, 1), shedding_frequencies=torch.ones(3))
-    monkeypatch.setattr(Stream, "load_wakes", lambda *_: bank)
+    """Let fish glide."""
+    glide(monkeypatch)
 
 
 @pytest.fixture

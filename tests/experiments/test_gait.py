@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-import sys
+import shutil
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,25 +13,23 @@ from typing import Any
 import pytest
 import torch
 
-from experiments import export_steering, transfer
-from experiments.evaluate import EvaluateConfig, evaluate
-from experiments.evaluate import main as evaluate_main
-from experiments.gait.trials import load_trial, make_trial
+from experiments import evaluate, export_steering, transfer
+from experiments.gait.trials import load_trial, make_trial, name_arm
 from experiments.train import train
 from experiments.train_settings import TRAINING
 from fishrl.envs import KarmanGait, Predation
 from fishrl.envs.transforms import equip
 from fishrl.modules import LateralLineClassifier
 from fishrl.training.classifier import keep_recognition, load_recognition
-from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
-from tests.experiments.gait.tasks import BRIEF, make_task
+from tests.envs.conftest import SMALL, glide, gliding  # noqa: F401 - a fixture
+from tests.experiments.gait.tasks import BRIEF, OVERRIDES, make_task
 
 pytestmark = pytest.mark.usefixtures("gliding")
 
 SETTINGS = [
     "task=karman_gait",
     "preset=gait_small",
-    *(f"task.{name}={value}" for name, value in {**SMALL, "wall_margin_bl": 0.25}.items()),
+    *OVERRIDES,
     "task.time_limit=12",
     "compile=false",
     "num_envs=4",
@@ -43,6 +41,7 @@ SETTINGS = [
     "eval_episodes=4",
     "final_episodes=4",
     "hidden=[16]",
+    "picture_episodes=0",
 ]
 
 
@@ -68,46 +67,65 @@ def read_rows(folder: Path) -> list[dict[str, str]]:
     return [{k: v for k, v in row.items() if not k.startswith("time/")} for row in rows]
 
 
-@pytest.mark.parametrize("who", ["machine", "oracle", "nobody"])
-def test_a_gait_is_trained_evaluated_and_tried_in_every_flow(tmp_path: Path, who: str) -> None:
-    choice = {"machine": make_machine(tmp_path / "m.pt"), "oracle": "oracle", "nobody": None}[who]
-    summary = run(tmp_path, "name=run", f"seed={len(who)}", recognition=choice)
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a run whose flows a classifier labels, and one with true labels."""
+    folder = tmp_path_factory.mktemp("runs")
+    choice = make_machine(folder / "m.pt")
+    with pytest.MonkeyPatch.context() as patch:
+        glide(patch)
+        summary = run(folder, "name=machine", "picture_episodes=1", recognition=choice)
+        run(folder, "name=oracle", "seed=1", "baselines=[]", recognition="oracle")
     assert summary["success"] == "survived"
     assert summary["baselines"] == ["pid", "random"]
     assert 0.0 < summary["mean_length_T"] <= 6.0
     assert summary["train_diverged"] == 0
-    assert (tmp_path / "run" / "learning_curve.png").is_file()
-    assert (tmp_path / "run" / "machine.pt").is_file() == (who == "machine")
-    trial = load_trial(tmp_path / "run", periods=BRIEF)
-    arm = {"machine": "both modules", "oracle": "oracle", "nobody": "true row, unlabelled"}[who]
-    assert trial.arm == arm
-    results = transfer.transfer(
-        [trial, make_trial("pid", trial.task, periods=BRIEF)],
-        episodes=2,
-        folder=tmp_path / "transfer",
-    )
-    assert list(results["arms"]) == [arm, "pid"]
-    flows = results["arms"][arm]
-    assert [flow["episodes"] for flow in flows] == [2, 2, 2]
-    share = {"oracle": 1.0}.get(who)
-    assert share is None or all(flow["named_right"] == share for flow in flows)
-    written = {path.name for path in (tmp_path / "transfer").iterdir()}
-    assert {"transfer.md", "transfer.json", "survival.png", "paths.png", "work.png"} <= written
-    for file in (tmp_path / "run").rglob("*-actor/*"):
+    return folder
+
+
+def test_trained_gaits_are_tried_in_every_flow(trained: Path, tmp_path: Path) -> None:
+    assert (trained / "machine" / "learning_curve.png").is_file()
+    assert (trained / "machine" / "machine.pt").is_file()
+    assert not (trained / "oracle" / "machine.pt").exists()
+    trials = [load_trial(trained / name, periods=BRIEF) for name in ("machine", "oracle")]
+    trials.append(make_trial("pid", trials[0].trained, periods=BRIEF))
+    results = transfer.transfer(trials, episodes=2, folder=tmp_path)
+    arms = results["arms"]
+    assert list(arms) == ["both modules", "oracle", "pid"]
+    assert [flow["episodes"] for flows in arms.values() for flow in flows] == [2] * 9
+    assert all(flow["named_right"] == 1.0 for flow in arms["oracle"])
+    written = {path.name for path in tmp_path.iterdir()}
+    figures = ("survival", "paths", "places", "decisions", "lean", "work")
+    assert {"transfer.md", "transfer.json", *(f"{name}.png" for name in figures)} <= written
+    assert name_arm(make_task(), None) == "true row, unlabelled"
+    shutil.copytree(trained / "oracle", tmp_path / "oracle")
+    for file in (tmp_path / "oracle").rglob("*-actor/*"):
         file.write_bytes(b"other weights")
-    assert load_trial(tmp_path / "run", periods=BRIEF).identity != trial.identity
+    assert load_trial(tmp_path / "oracle", periods=BRIEF).identity != trials[1].identity
+
+
+def test_a_run_that_names_other_code_is_refused(trained: Path, tmp_path: Path) -> None:
+    shutil.copytree(trained / "oracle", tmp_path / "run")
+    trace = tmp_path / "trace"
+    for manifest in (tmp_path / "run").rglob("manifest.json"):
+        content = json.loads(manifest.read_text())
+        touch = {"_target_": "os.system", "command": f"touch {trace}"}
+        content["metadata"]["config"]["task"] = touch
+        manifest.write_text(json.dumps(content))
+    for load in (load_trial, partial(export_steering.export_steering, path=tmp_path / "no.pt")):
+        with pytest.raises(ValueError, match="system: is no AbstractTask"):
+            load(tmp_path / "run")
+    assert not trace.exists()
 
 
 def list_learned(folder: Path) -> dict[str, str]:
     """Return what the last row of a run says of its learning."""
-    with (folder / "metrics.csv").open(newline="") as file:
-        *_, last = csv.DictReader(file)
+    *_, last = read_rows(folder)
     return {name: value for name, value in last.items() if name.startswith(("frames", "train/"))}
 
 
-def test_a_run_with_a_lateral_line_goes_on_exactly(tmp_path: Path) -> None:
+def test_a_run_with_a_lateral_line_goes_on_exactly(trained: Path, tmp_path: Path) -> None:
     choice = make_machine(tmp_path / "m.pt")
-    whole = run(tmp_path, "name=whole", recognition=choice)
     run(tmp_path, "name=part", "total_frames=24", recognition=choice)
     (tmp_path / "m.pt").unlink()
     (tmp_path / "part").rename(tmp_path / "moved")
@@ -115,33 +133,23 @@ def test_a_run_with_a_lateral_line_goes_on_exactly(tmp_path: Path) -> None:
     config = replace(config, recognition="machine.pt", resume=str(tmp_path / "moved"))
     resumed = train(config)
     # the shorter run was evaluated at its end too, and the best of all evaluations is what counts
+    whole = json.loads((trained / "machine" / "summary.json").read_text())
     assert resumed["updates"] == whole["updates"] > 0
-    assert list_learned(tmp_path / "moved") == list_learned(tmp_path / "whole")
-    assert read_rows(tmp_path / "moved")[-1] == read_rows(tmp_path / "whole")[-1]
+    assert list_learned(tmp_path / "moved") == list_learned(trained / "machine")
+    assert read_rows(tmp_path / "moved")[-1] == read_rows(trained / "machine")[-1]
 
 
-def test_an_evaluation_takes_the_machine_of_the_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen = "task.observes_flow=true"
-    run(tmp_path, "name=run", seen, recognition=make_machine(tmp_path / "m.pt"))
-    (tmp_path / "m.pt").unlink()
-    (tmp_path / "run").rename(tmp_path / "moved")
+def test_an_evaluation_takes_the_machine_of_the_run(trained: Path, tmp_path: Path) -> None:
+    shutil.copytree(trained / "machine", tmp_path / "moved")
     saved = tmp_path / "result.json"
-    arguments = [f"checkpoint={tmp_path / 'moved'}", "episodes=3", "compile=false", f"save={saved}"]
-    monkeypatch.setattr(sys, "argv", ["evaluate", *arguments])
-    evaluate_main()
+    arguments = [f"checkpoint={tmp_path / 'moved'}", "episodes=3", "compile=false"]
+    evaluate.main([*arguments, f"save={saved}"])
     result = json.loads(saved.read_text())
     assert (result["episodes"], result["task"]) == (3, "KarmanGait")
-    config = EvaluateConfig(
-        task=TRAINING.read([*SETTINGS, seen]).task,
-        preset="x",
-        checkpoint=str(tmp_path / "moved"),
-        episodes=3,
-        compile=False,
-    )
-    with pytest.raises(ValueError, match="num_inputs = 40, here it is 28"):
-        evaluate(config)
+    other = TRAINING.read([*SETTINGS, "task.observes_flow=true"]).task
+    config = replace(evaluate.main.read(arguments), task=other, recognition="oracle")
+    with pytest.raises(ValueError, match="num_inputs = 28, here it is 40"):
+        evaluate.evaluate(config)
 
 
 def test_recognition_fits_the_task_or_says_why(tmp_path: Path) -> None:
@@ -158,7 +166,7 @@ def test_recognition_fits_the_task_or_says_why(tmp_path: Path) -> None:
         equip(task, load_recognition(make_machine(tmp_path / "other.pt", other)))
 
 
-def test_a_policy_of_predation_becomes_a_heading_controller(tmp_path: Path) -> None:
+def test_a_policy_of_predation_becomes_a_heading_controller(trained: Path, tmp_path: Path) -> None:
     config = TRAINING.read(["preset=small", f"folder={tmp_path}", "name=run"])
     config.task.update(SMALL)
     few = {"num_envs": 2, "total_frames": 2, "warmup_frames": 2}
@@ -169,7 +177,6 @@ def test_a_policy_of_predation_becomes_a_heading_controller(tmp_path: Path) -> N
     steering = export_steering.export_steering(tmp_path / "run", path)
     observations = torch.zeros(3, steering.num_stacked, 4, dtype=torch.float64)
     assert steering.turn(observations).shape == (3,)
-    run(tmp_path, "name=gait")
     with pytest.raises(ValueError, match="those of a policy trained on Predation"):
-        export_steering.export_steering(tmp_path / "gait", tmp_path / "no.pt")
+        export_steering.export_steering(trained / "oracle", tmp_path / "no.pt")
     assert not (tmp_path / "no.pt").exists()

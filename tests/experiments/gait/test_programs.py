@@ -70,14 +70,10 @@ def test_policies_of_another_test_stand_below_in_the_tables(
         trial = make_trial(name, task, periods=BRIEF)
         transfer.transfer([trial], episodes=2, folder=tmp_path / name)
     monkeypatch.setattr(gait_page, "load_trial", lambda run: make_trial("pid", task))
-    for name in ("write_period", "list_shedding"):
-        monkeypatch.setattr(gait_page, name, lambda *_, **__: [0.5])
-    monkeypatch.setattr(gait_page.pictures, "write_training", lambda *_: None)
-    page = tmp_path / "page.md"
-    page.write_text("<!-- transfer: begin -->\n<!-- transfer: end -->\n")
-    gait_page.write_transfer(
-        page, tmp_path, str(tmp_path / "pid"), ["a run"], beside=str(tmp_path / "fixed-0.6")
-    )
-    rows = [line.split(" | ")[0] for line in page.read_text().splitlines()]
+    for name in ("write_period", "write_training"):
+        monkeypatch.setattr(gait_page.pictures, name, lambda *_, **__: None)
+    beside = str(tmp_path / "fixed-0.6")
+    text = gait_page.write_transfer(str(tmp_path / "pid"), tmp_path, ["a run"], beside)
+    rows = [line.split(" | ")[0] for line in text.splitlines()]
     assert [rows.count(f"| {name}") for name in ("pid", "fixed-0.6")] == [6, 6]
     assert rows.index("| pid") < rows.index("| fixed-0.6")

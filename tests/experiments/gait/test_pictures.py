@@ -1,4 +1,4 @@
-"""Pictures of a shedding period, in a wake that really sheds."""
+"""The figure of a shedding period, in a real flow."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ import pytest
 
 from experiments.configuration import build
 from experiments.gait import trials
-from experiments.gait.snapshots import write_period
-from experiments.gait.trials import make_trial
+from experiments.gait.pictures import write_period
 from fishrl.envs import make_env
 from tests.experiments.real_wake import gait_settings
 
 
 def test_a_period_is_drawn_as_long_as_an_episode_lasts(
-    tmp_path: Path, real_wake: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(trials, "make_env", partial(make_env, compile=False))
     monkeypatch.setattr(trials, "START_X_BL", (0.8, 0.9))
-    trial = make_trial("bang_bang", build(gait_settings(real_wake)), periods=4.0)
+    settings = gait_settings(tmp_path)
+    settings["stream"]["has_disc"] = False  # no wake to develop
+    trial = trials.make_trial("bang_bang", build(settings), periods=4.0)
     write_period(tmp_path / "period.png", trial, num_decisions=1, periods_T=[0.2])
     assert (tmp_path / "period.png").stat().st_size > 20000
     with pytest.raises(ValueError, match="all episodes end before"):
