@@ -25,6 +25,8 @@ from torchrl.collectors.distributed import RayCollector
 from torchrl.envs import EnvBase
 from torchrl.modules import EGreedyModule
 
+from fishrl.training.settings import LearningSettings
+
 logger = logging.getLogger(__name__)
 
 #: Between the seeds of two collectors, so that no other run's lie between them.
@@ -41,9 +43,7 @@ class ClusterCollector:
         env: of this process, for evaluations.
         make_env: makes the env of a collector from ``num_envs`` and ``seed``; picklable.
         explorer: the policy that collects.
-        num_collectors: how many processes.
-        num_envs: flows of all processes together.
-        warmup_frames: frames with random legal actions, of all processes together.
+        settings: numbers of processes, of flows and of warm-up frames of all of them together.
         seed: of the first collector.
 
     Raises:
@@ -57,13 +57,12 @@ class ClusterCollector:
         env: EnvBase,
         make_env: Callable[..., EnvBase],
         explorer: TensorDictModuleBase,
-        num_collectors: int,
-        num_envs: int,
-        warmup_frames: int,
+        settings: LearningSettings,
         seed: int,
     ) -> None:
         self.env, self._explorer, self._frames = env, explorer, 0
-        self._warmup_frames = -(-warmup_frames // num_envs) * num_envs  # whole batches
+        num_collectors, num_envs = settings.ray_collectors, settings.num_envs
+        self._warmup_frames = -(-settings.warmup_frames // num_envs) * num_envs  # whole batches
         self._has_joined = join_cluster(num_collectors)
         warnings.filterwarnings("ignore", "RayCollector iteration started before weight")
         make = partial(_make_seeded, make_env, num_envs=num_envs // num_collectors)

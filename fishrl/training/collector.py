@@ -17,7 +17,7 @@ from torchrl.envs import ActionMask, EnvBase, Transform
 from fishrl.envs import AbstractTask
 from fishrl.training.evaluation import copy_state
 from fishrl.training.learner import Learner
-from fishrl.training.settings import LearningSettings
+from fishrl.training.plan import Plan
 
 MakeEnv = Callable[..., EnvBase]
 
@@ -77,30 +77,27 @@ class RemoteCollector(ResumableCollector):
 
 
 def make_collector(
+    plan: Plan,
     task: AbstractTask,
     learner: Learner,
-    settings: LearningSettings,
     *,
     make_env: MakeEnv,
     recognition: nn.Module | str | None,
-    device: str,
-    compile: bool,
     seed: int,
 ) -> Any:
     """Make the collector of a run, in this process or in those of a cluster.
 
     Args:
-        task: the task.
+        plan: settings of the run.
+        task: its task, as ``recognition`` equips it.
         learner: its explorer acts.
-        settings: number of flows, of processes, and of warm-up frames.
         make_env: makes the env of a task, such as ``fishrl.envs.make_env``.
         recognition: source of flow labels, see there.
-        device: of the flows.
-        compile: compile the flow step.
         seed: of the flows.
     """
+    settings, device = plan.learning, plan.run.device
     given: dict[str, Any] = {} if recognition is None else {"recognition": recognition}
-    given |= {"task": task, "device": device, "compile": compile}
+    given |= {"task": task, "device": device, "compile": plan.run.compile}
     make = partial(_make_equipped, make_env, learner.transforms, **given)
     # observers may read the flows at every check for termination
     env = make(num_envs=settings.num_envs, seed=seed, frames_per_action=task.checks_per_action)
@@ -120,9 +117,7 @@ def make_collector(
         env=env,
         make_env=make,
         explorer=learner.explorer,
-        num_collectors=settings.ray_collectors,
-        num_envs=settings.num_envs,
-        warmup_frames=settings.warmup_frames,
+        settings=settings,
         seed=seed,
     )
 

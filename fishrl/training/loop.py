@@ -82,13 +82,11 @@ class Training:
         self.progress.rename("compilation" if plan.run.compile else "set-up")
         with ignore_signals_in_children():  # a checkpoint needs the flows in these processes
             self.collector = make_collector(
+                plan,
                 self.task,
                 self.learner,
-                learning,
                 make_env=make_env or make_flow_env,
                 recognition=recognition,
-                device=plan.run.device,
-                compile=plan.run.compile,
                 seed=TRAIN_SEED + learning.seed,
             )
         self.evaluator = Evaluator(self.collector.env, decision_T=self.task.interval_T)
@@ -104,11 +102,7 @@ class Training:
         }
 
     def restore(self) -> None:
-        """Continue from the last checkpoint in the folder.
-
-        Raises:
-            ValueError: if it is missing, corrupt, or of another task.
-        """
+        """Continue from the last checkpoint in the folder; see ``load_checkpoint``."""
         device = self.plan.run.device
         load_checkpoint(
             self.folder.path, self.components(), spec=self.spec, device=device, which="last"
@@ -169,15 +163,13 @@ class Training:
                 counters.pending = self._collect_and_update(batches)
             metrics = self._conclude()
             self.progress.rename(self._phase())
-            self.progress.advance(
-                self.plan.learning.num_envs,
-                frames_per_s=metrics["time/frames_per_second"],
-                MLUPS=metrics["time/mlups"],
-                **{
-                    "return": metrics["train/return"],
-                    self.task.success: metrics["train/success_rate"],
-                },
-            )
+            shown = {
+                "frames per s": metrics["time/frames_per_second"],
+                "MLUPS": metrics["time/mlups"],
+                "return": metrics["train/return"],
+                self.task.success: metrics["train/success_rate"],
+            }
+            self.progress.advance(self.plan.learning.num_envs, **shown)
 
     def _collect_and_update(self, batches: Iterator[TensorDictBase]) -> dict[str, float]:
         """Step every flow once, take the gradient steps due, and return the metrics."""
@@ -222,10 +214,8 @@ class Training:
         if is_evaluated or self._has_crossed(run.log_frames):
             self.plan.logger.log(metrics | {"time/memory_mb": measure_memory_mb()})
         counters.pending = {}
-        if is_over:
-            self._save(self.folder.last)
-        elif self._has_crossed(run.checkpoint_frames):
-            self._try_to_save(self.folder.last)
+        if is_over or self._has_crossed(run.checkpoint_frames):
+            self._save(self.folder.last, is_needed=is_over)
         return metrics
 
     def _has_crossed(self, interval: int) -> bool:
@@ -250,7 +240,7 @@ class Training:
         score = [metrics["success_rate"], metrics["mean_return"]]
         if score >= best:
             self.counters.best = score
-            if not self._try_to_save(self.folder.best):
+            if not self._save(self.folder.best, is_needed=False):
                 self.counters.best = best
         return {f"eval/{name}": value for name, value in metrics.items()}
 
@@ -300,14 +290,7 @@ class Training:
         seed: int,
         on_episodes: Callable[[int], None] | None = None,
     ) -> Evaluation:
-        """Evaluate in the flows that training uses, and leave them as they were.
-
-        Args:
-            policy: to evaluate.
-            num_starts: number of fixed starts, one episode each.
-            seed: of the starts.
-            on_episodes: called with the number of episodes that have just ended.
-        """
+        """Evaluate from fixed starts in the flows of training, and leave these as they were."""
         starts = fixed_starts(self.task, num_starts, seed=seed)
         try:
             with self.collector.lend_env():
@@ -329,21 +312,20 @@ class Training:
 
         return act
 
-    def _try_to_save(self, path: Path) -> bool:
-        """Save if possible; a run does not end because its disk is full for a while."""
+    def _save(self, path: Path, *, is_needed: bool = True) -> bool:
+        """Save, if not needed then if possible: a run outlives a disk that is full for a while."""
         try:
-            self._save(path)
+            save_checkpoint(
+                path,
+                self.components(),
+                spec=self.spec,
+                frames=self.counters.frames,
+                config=self.config,
+                keep=self.plan.run.keep_checkpoints if path == self.folder.last else 1,
+            )
         except CheckpointNotWritten as error:
+            if is_needed:
+                raise
             logger.error("%s; continuing without", error)
             return False
         return True
-
-    def _save(self, path: Path) -> None:
-        save_checkpoint(
-            path,
-            self.components(),
-            spec=self.spec,
-            frames=self.counters.frames,
-            config=self.config,
-            keep=self.plan.run.keep_checkpoints if path == self.folder.last else 1,
-        )
