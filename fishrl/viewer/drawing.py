@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fishrl.envs.scene import Area, Choice, Curve, Frame, Marks, Panel, Scene
+from fishrl.envs.scene import Area, Choice, Curve, Frame, Marks, Panel, Scene, Trail
 from fishrl.viewer.colours import LINES, PURPLE_GREEN, RED_BLUE, paint, quantise
 
 logger = logging.getLogger(__name__)
@@ -31,10 +31,9 @@ Points = NDArray[np.float32]
 
 
 class FieldFormat(StrEnum):
-    """How the field is stored.
+    """How the field is stored: ``JPEG`` small, colours fixed; ``U8`` larger, values and colour map.
 
-    ``JPEG``: red to blue, small, colours fixed. ``U8``: 255 levels, larger; values under the mouse,
-    and the colour map is chosen in the viewer.
+    ``U8`` has 255 levels; the viewer shows values under the mouse and chooses the colour map.
     """
 
     JPEG = "jpeg"
@@ -42,11 +41,7 @@ class FieldFormat(StrEnum):
 
 
 def import_rerun() -> ModuleType:
-    """Return rerun.
-
-    Raises:
-        ImportError: saying what to install.
-    """
+    """Return rerun, or raise ImportError saying what to install."""
     try:
         import rerun
     except ImportError as error:
@@ -88,7 +83,7 @@ class Drawing:
         is_live: bool = False,
     ) -> None:
         self.stream, self.scene, self.field_format = stream, scene, field_format
-        self._rerun, self._is_live = import_rerun(), is_live
+        self._rerun, self._is_live, self._log = import_rerun(), is_live, stream.log
         self._trails: dict[tuple[int, str], deque[tuple[float, Points]]] = {}
         self._before: dict[int, Frame] = {}
         self._draw_legends()
@@ -112,12 +107,7 @@ class Drawing:
         self.stream.disconnect()
 
     def draw(self, flow: int, frame: Frame) -> None:
-        """Draw a moment of a flow.
-
-        Args:
-            flow: its index.
-            frame: its tensors.
-        """
+        """Draw a moment of a flow, given its index."""
         rr, scene, root = self._rerun, self.scene, name_flow(flow)
         self.stream.set_time(TIMELINE, duration=frame.time)
         field = frame.values.get(scene.field.key)
@@ -126,7 +116,7 @@ class Drawing:
             self._log(f"{root}/world/{scene.field.key}", _encode(rr, levels, self.field_format))
         for trail in scene.trails:
             if trail.key in frame.values:
-                self._draw_trail(flow, frame, trail.key, trail.length_T, trail.colour)
+                self._draw_trail(flow, frame, trail)
         for curve in scene.curves:
             if curve.key in frame.values:
                 self._draw_curve(root, curve, frame.values[curve.key])
@@ -134,14 +124,12 @@ class Drawing:
             if marks.key in frame.values:
                 self._draw_marks(root, marks, frame.values)
         for panel in scene.panels:
+            path = f"{root}/{name_panel(panel)}"
             if isinstance(panel, Choice):
-                self._draw_choice(f"{root}/{name_panel(panel)}", panel, frame)
+                self._draw_choice(path, panel, frame)
             else:
-                self._draw_panel(f"{root}/{name_panel(panel)}", panel, frame, flow)
+                self._draw_panel(path, panel, frame, self._before.get(flow))
         self._before[flow] = frame
-
-    def _log(self, path: str, what: Any, *, static: bool = False) -> None:
-        self.stream.log(path, what, static=static)
 
     def _place(self, points: Tensor) -> Points:
         return place(points, self.scene.height)
@@ -157,9 +145,8 @@ class Drawing:
             # so wide that neighbouring ribs touch
             gaps = np.linalg.norm(np.diff(placed, axis=0), axis=1)
             width = max(width, 30.0 * float(np.median(gaps)) / self.scene.body_length)
-        self._log(
-            f"{root}/world/{curve.key}", self._make_lines(lines, curve.colour, width, curve.order)
-        )
+        shape = self._make_lines(lines, curve.colour, width, curve.order)
+        self._log(f"{root}/world/{curve.key}", shape)
 
     def _draw_marks(self, root: str, marks: Marks, values: Mapping[str, Tensor]) -> None:
         points = self._place(values[marks.key].reshape(-1, 2))
@@ -168,38 +155,30 @@ class Drawing:
             levels = quantise(_to_numpy(values[marks.value].reshape(-1)), marks.limit)
             colours = paint(levels, PURPLE_GREEN)
         rims = np.tile(np.array(_RIM, np.uint8), (len(points), 1))
-        self._log(
-            f"{root}/world/{marks.key}",
-            self._rerun.Points2D(
-                np.concatenate((points, points)),
-                radii=[1.25 * marks.radius] * len(points) + [marks.radius] * len(points),
-                colors=np.concatenate((rims, colours)),
-                draw_order=6.0,
-            ),
+        discs = self._rerun.Points2D(
+            np.concatenate((points, points)),
+            radii=[1.25 * marks.radius] * len(points) + [marks.radius] * len(points),
+            colors=np.concatenate((rims, colours)),
+            draw_order=6.0,
         )
+        self._log(f"{root}/world/{marks.key}", discs)
         if marks.reach > 0.0:
             angle = np.linspace(0.0, 2.0 * np.pi, 49)
             circle = marks.reach * np.stack((np.cos(angle), np.sin(angle)), 1)
             circles = [(point + circle).astype(np.float32) for point in points]
-            self._log(
-                f"{root}/world/{marks.key}_reach",
-                self._make_lines(circles, marks.colour, 0.6, 2.0),
-            )
+            shape = self._make_lines(circles, marks.colour, 0.6, 2.0)
+            self._log(f"{root}/world/{marks.key}_reach", shape)
 
-    def _draw_trail(
-        self, flow: int, frame: Frame, key: str, length_T: float, colour: tuple[int, ...]
-    ) -> None:
-        trail = self._trails.setdefault((flow, key), deque())
+    def _draw_trail(self, flow: int, frame: Frame, trail: Trail) -> None:
+        points = self._trails.setdefault((flow, trail.key), deque())
         if frame.begins:
-            trail.clear()
-        trail.append((frame.time, self._place(frame.values[key])))
-        while trail[0][0] < frame.time - length_T:
-            trail.popleft()
-        path = np.stack([point for _, point in trail])
-        self._log(
-            f"{name_flow(flow)}/world/trajectory_{key}",
-            self._make_lines([path], colour, 0.5, 1.0),
-        )
+            points.clear()
+        points.append((frame.time, self._place(frame.values[trail.key])))
+        while points[0][0] < frame.time - trail.length_T:
+            points.popleft()
+        path = np.stack([point for _, point in points])
+        shape = self._make_lines([path], trail.colour, 0.5, 1.0)
+        self._log(f"{name_flow(flow)}/world/trajectory_{trail.key}", shape)
 
     def _draw_choice(self, path: str, choice: Choice, frame: Frame) -> None:
         if choice.key in frame.values:
@@ -209,15 +188,15 @@ class Drawing:
                 if is_legal:
                     self._plot(f"{path}/legal_{index}", float(index))
 
-    def _draw_panel(self, path: str, panel: Panel, frame: Frame, flow: int) -> None:
-        before = None if frame.begins else self._before.get(flow)
+    def _draw_panel(self, path: str, panel: Panel, frame: Frame, before: Frame | None) -> None:
         for number, series in enumerate(panel.series):
             value = _pick(frame, series.key, series.column)
             if series.is_rate:
-                old = None if before is None else _pick(before, series.key, series.column)
-                span = 0.0 if before is None else frame.time - before.time
-                value = None if value is None or old is None or span <= 0 else (value - old) / span
-            if value is not None and np.isfinite(value):
+                if frame.begins or before is None or frame.time <= before.time:
+                    continue
+                change = value - _pick(before, series.key, series.column)
+                value = change / (frame.time - before.time)
+            if np.isfinite(value):
                 self._plot(f"{path}/{number}", value)
 
     def _plot(self, path: str, value: float) -> None:
@@ -227,11 +206,8 @@ class Drawing:
         """Draw what does not change: areas, styles of the plots, the text."""
         rr, scene = self._rerun, self.scene
         for area in scene.areas:
-            self._log(
-                f"{root}/world/{area.key}",
-                self._make_lines(self._hatch(area), area.colour, 0.4, 1.5),
-                static=True,
-            )
+            shape = self._make_lines(self._hatch(area), area.colour, 0.4, 1.5)
+            self._log(f"{root}/world/{area.key}", shape, static=True)
         for panel in scene.panels:
             path = f"{root}/{name_panel(panel)}"
             if isinstance(panel, Choice):
@@ -252,19 +228,17 @@ class Drawing:
                     names=series.label, widths=1.6, colors=[colour], interpolation_mode=mode
                 )
                 self._log(f"{path}/{number}", style, static=True)
+        levels = f"A stored value v means (v - 128) / 127 × {scene.field.limit:g}."
+        if self.field_format is FieldFormat.JPEG:
+            levels = "The colours are stored."
         about = (
             f"**{title}**\n\nOne second of `{TIMELINE}` is one period T. Body length "
             f"L = {scene.body_length:g} nodes; the picture is in nodes.\n\n"
             f"{scene.field.name}: {scene.field.note}; colours saturate at ±{scene.field.limit:g} "
-            f"{scene.field.unit}. {self._explain_levels()}\n\n{scene.note}"
+            f"{scene.field.unit}. {levels}\n\n{scene.note}"
         )
         document = rr.TextDocument(about, media_type="text/markdown")
         self._log(f"{root}/about", document, static=True)
-
-    def _explain_levels(self) -> str:
-        if self.field_format is FieldFormat.JPEG:
-            return "The colours are stored."
-        return f"A stored value v means (v - 128) / 127 × {self.scene.field.limit:g}."
 
     def _hatch(self, area: Area) -> list[Points]:
         """Return a rectangle's border and short strokes on its outer side."""
@@ -272,18 +246,11 @@ class Drawing:
         length = self.scene.body_length
         step, stroke = 0.125 * length, 0.08 * length
         corners = torch.tensor([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
-        lines = [self._place(corners)]
-        for x in np.arange(x0, x1, step).tolist():
-            lines += [
-                self._place(torch.tensor([(x, y), (x - sign * stroke, y + sign * stroke)]))
-                for y, sign in ((y0, -1.0), (y1, 1.0))
-            ]
-        for y in np.arange(y0, y1, step).tolist():
-            lines += [
-                self._place(torch.tensor([(x, y), (x + sign * stroke, y - sign * stroke)]))
-                for x, sign in ((x0, -1.0), (x1, 1.0))
-            ]
-        return lines
+        xs, ys = np.arange(x0, x1, step).tolist(), np.arange(y0, y1, step).tolist()
+        strokes = [(x, y, -sign * stroke) for x in xs for y, sign in ((y0, -1.0), (y1, 1.0))]
+        strokes += [(x, y, sign * stroke) for y in ys for x, sign in ((x0, -1.0), (x1, 1.0))]
+        lines = [torch.tensor([(x, y), (x + dx, y - dx)]) for x, y, dx in strokes]
+        return [self._place(line) for line in (corners, *lines)]
 
     def _draw_legends(self) -> None:
         """Draw a ramp of colours with ticks for the field, and for each coloured set of points."""
@@ -313,11 +280,9 @@ class Drawing:
 
 
 def place(points: Tensor, height: int) -> Points:
-    """Turn node coordinates (y up) into picture coordinates (y down, pixel centres at one half).
+    """Turn node coordinates ``[..., 2]`` (y up) into picture coordinates (y down).
 
-    Args:
-        points: ``[..., 2]``.
-        height: of the grid, nodes.
+    Pixel centres are at one half; ``height`` is that of the grid in nodes.
     """
     x, y = points.float().unbind(-1)
     return torch.stack((x + 0.5, height - 0.5 - y), -1).cpu().numpy()
@@ -334,8 +299,8 @@ def _to_numpy(values: Tensor) -> NDArray[np.float32]:
     return values.detach().float().cpu().numpy()
 
 
-def _pick(frame: Frame, key: str, column: int | None) -> float | None:
-    """Return a number of a frame, None if it is not there."""
+def _pick(frame: Frame, key: str, column: int | None) -> float:
+    """Return a number of a frame, NaN if it is not there."""
     if key not in frame.values:
-        return None
+        return float("nan")
     return float(frame.values[key].reshape(-1)[0 if column is None else column])

@@ -59,15 +59,14 @@ def start_drawing(
         name = f"{name}-{time.time_ns()}"
     # a chunk has an overhead of kilobytes: only a live viewer needs many small ones
     batches = rr.ChunkBatcherConfig(flush_tick=_FLUSH_S, flush_num_bytes=_FLUSH_BYTES)
+    is_live = url is not None
     stream = rr.RecordingStream(
         _APPLICATION,
         recording_id=f"{_APPLICATION}-{name}",
-        batcher_config=batches if url is None else None,
+        batcher_config=None if is_live else batches,
     )
-    stream.set_sinks(
-        *sinks, default_blueprint=make_blueprint(scene, flows, is_live=url is not None)
-    )
-    return Drawing(stream, scene, flows=flows, field_format=chosen, is_live=url is not None)
+    stream.set_sinks(*sinks, default_blueprint=make_blueprint(scene, flows, is_live=is_live))
+    return Drawing(stream, scene, flows=flows, field_format=chosen, is_live=is_live)
 
 
 def open_recording(path: str | os.PathLike[str]) -> None:
@@ -78,14 +77,7 @@ def open_recording(path: str | os.PathLike[str]) -> None:
 
 
 class Picture(NamedTuple):
-    """What one view shows.
-
-    Attributes:
-        name: of the view.
-        origin: the entity that it shows.
-        png: the picture.
-        reports: errors of the viewer.
-    """
+    """What one view shows: its name, the entity, the picture, and errors of the viewer."""
 
     name: str
     origin: str
@@ -94,10 +86,7 @@ class Picture(NamedTuple):
 
 
 def write_screenshot(
-    path: str | os.PathLike[str],
-    picture: str | os.PathLike[str],
-    *,
-    time_T: float | None = None,
+    path: str | os.PathLike[str], picture: str | os.PathLike[str], *, time_T: float | None = None
 ) -> None:
     """Write what the viewer shows at a time as a PNG, without a window (needs a Vulkan driver).
 
@@ -145,18 +134,14 @@ def _headless(path: str | os.PathLike[str], time_T: float | None) -> Iterator[An
             deadline = time.monotonic() + _PATIENCE_S
             while viewer.get_state().loading and time.monotonic() < deadline:
                 time.sleep(0.2)
-            moment = _find_middle(viewer) if time_T is None else time_T
-            viewer.set_time(TIMELINE, duration=moment, play_state="paused")
+            if time_T is None:  # the middle of what has been loaded
+                (loaded, *_) = viewer.get_state().recordings
+                times: Any = next(line for line in loaded.timelines if line.name == TIMELINE)
+                time_T = 0.5e-9 * (times.start + times.end)
+            viewer.set_time(TIMELINE, duration=time_T, play_state="paused")
             yield viewer
         except ConnectionError as error:  # without a driver it listens first, and then ends
             raise ValueError(process.explain_failure()) from error
-
-
-def _find_middle(viewer: Any) -> float:
-    """Return the middle of what has been loaded, in T."""
-    (recording, *_) = viewer.get_state().recordings
-    spans = [(line.start, line.end) for line in recording.timelines if line.name == TIMELINE]
-    return 0.5e-9 * sum(sum(span) for span in spans)
 
 
 def _settle(viewer: Any) -> bytes:
@@ -172,11 +157,7 @@ def _settle(viewer: Any) -> bytes:
 
 
 def check_folder(path: str | os.PathLike[str]) -> Path:
-    """Return the path of a file to write.
-
-    Raises:
-        FileNotFoundError: if there is no folder for it.
-    """
+    """Return the path of a file to write; raise FileNotFoundError if there is no folder for it."""
     target = Path(path)
     if not target.absolute().parent.is_dir():
         raise FileNotFoundError(f"no folder {target.parent}: make it first")
@@ -184,11 +165,7 @@ def check_folder(path: str | os.PathLike[str]) -> Path:
 
 
 def find_recording(path: str | os.PathLike[str]) -> Path:
-    """Return the ``.rrd`` file at a path, or in the run folder at it.
-
-    Raises:
-        FileNotFoundError: if there is none.
-    """
+    """Return the ``.rrd`` file at a path or in a run folder; raise FileNotFoundError for none."""
     file = Path(path)
     file = file / "capture.rrd" if file.is_dir() else file
     if not file.is_file() or file.suffix != ".rrd":

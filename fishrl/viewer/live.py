@@ -4,6 +4,7 @@ import logging
 import os
 import sys
 import time
+from dataclasses import replace
 
 from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
@@ -19,7 +20,7 @@ logger = logging.getLogger(__name__)
 
 
 class Server(Viewer):
-    """Takes in a stream and passes it to windows and browsers on this machine.
+    """Takes in a stream and passes it to windows and, at ``page``, browsers on this machine.
 
     It keeps the newest frames that fit into its memory, for those that join late. Closing a window
     does not end it, and an open window keeps its frames when the server ends.
@@ -28,9 +29,6 @@ class Server(Viewer):
         port: where streams arrive; the next free one if it is taken.
         memory: limit of what it keeps.
         opens_window: open a window; by default where there is a screen.
-
-    Attributes:
-        page: for browsers.
 
     Raises:
         ValueError: if no port is free, or it does not start.
@@ -47,11 +45,8 @@ class Server(Viewer):
         self.page = f"http://{HOST}:{web_port}?url={escaped}"
         if has_screen() if opens_window is None else opens_window:
             start_rerun("--bind", HOST, "--port", "auto", "--connect", self.url)
-        logger.info(
-            "live on this machine: a window by `python -m rerun --connect %s`, a browser by %s",
-            self.url,
-            self.page,
-        )
+        words = "live on this machine: a window by `python -m rerun --connect %s`, a browser by %s"
+        logger.info(words, self.url, self.page)
 
 
 class LiveView:
@@ -110,10 +105,7 @@ class LiveView:
         if frame.begins:
             self._offset_T[flow] += self._last_T[flow]
         self._last_T[flow] = frame.time
-        shifted = Frame(
-            time=self._offset_T[flow] + frame.time, values=frame.values, begins=frame.begins
-        )
-        self._drawing.draw(flow, shifted)
+        self._drawing.draw(flow, replace(frame, time=self._offset_T[flow] + frame.time))
 
     def close(self) -> None:
         """End the stream and the server; an open window keeps its frames."""

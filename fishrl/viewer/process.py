@@ -19,15 +19,11 @@ _MAX_PORT = 65535
 
 
 class Viewer:
-    """A running rerun program.
+    """A running rerun program; ``url`` is that of its gRPC server.
 
     Args:
         *options: of the program, beside the port.
         port: where it listens; the next free one if it is taken.
-
-    Attributes:
-        port: where it listens.
-        url: of its gRPC server.
 
     Raises:
         ValueError: if no port is free, or it does not start.
@@ -89,11 +85,7 @@ def start_rerun(*options: str) -> subprocess.Popen[bytes]:
 
 
 def find_port(first: int) -> int:
-    """Return the first free port from ``first`` on.
-
-    Raises:
-        ValueError: if a hundred are taken.
-    """
+    """Return the first free port from ``first`` on; raise ValueError if a hundred are taken."""
     for port in range(first, min(first + 100, _MAX_PORT)):
         with socket.socket() as trial:
             trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -20,21 +20,18 @@ from fishrl.envs.task import AbstractTask
 def make_scene(env: TransformedEnv, *, vorticity_limit: float = 15.0) -> Scene:
     """Return the scene of an env's task, with the plots of those outputs that the env has.
 
-    Args:
-        env: of a ``FlowEnv``.
-        vorticity_limit: at which the field's colours saturate, 1/T.
+    The field's colours saturate at ``vorticity_limit``, 1/T.
     """
     scene: Scene = env.base_env.task.make_scene()
     outputs = {*env.observation_spec.keys(), "reward"}
-    panels = [
+    panels = tuple(
         panel
         for panel in scene.panels
         if isinstance(panel, Choice)
         or not panel.is_output
         or all(series.key in outputs for series in panel.series)
-    ]
-    limited = replace(scene.field, limit=vorticity_limit)
-    return replace(scene, panels=tuple(panels), field=limited)
+    )
+    return replace(scene, panels=panels, field=replace(scene.field, limit=vorticity_limit))
 
 
 def name_flows(
@@ -142,26 +139,22 @@ def record_episodes(
 
     Args:
         env: made with ``frames_per_action=task.checks_per_action``.
-        policy: see ``run_episodes``.
+        policy: see ``run_episodes``, like ``starts``, ``max_decisions`` and ``on_step``.
         starts: ``[E]``.
-        scene: see ``Recorder``.
+        scene: see ``Recorder``, like ``frames_per_T``.
         give: called with the number of the start and a frame, in the order of time.
-        frames_per_T: see ``Recorder``.
-        max_decisions: see ``run_episodes``.
-        on_step: likewise.
-
-    Returns:
-        The outcome of each start.
+        frames_per_T: frames per period T.
+        max_decisions: of an episode.
+        on_step: called after each decision.
     """
     base = env.base_env
     start_of: dict[int, int] = {}
     ended = set[int]()  # rows whose episode ended within the decision under way
-    recorder = Recorder(
-        base.task,
-        scene,
-        frames_per_T=frames_per_T,
-        give=lambda row, frame: give(start_of[row], frame),
-    )
+
+    def pass_on(row: int, frame: Frame) -> None:
+        give(start_of[row], frame)
+
+    recorder = Recorder(base.task, scene, frames_per_T=frames_per_T, give=pass_on)
 
     def begin(begun: Tensor, state: TensorDictBase) -> None:
         rows = _list_rows(begun)

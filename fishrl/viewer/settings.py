@@ -42,11 +42,7 @@ class ViewerSettings:
             )
 
     def choose_flows(self, num: int, *, default: int) -> list[int]:
-        """Return the indices of the flows to show.
-
-        Args:
-            num: of flows that there are.
-            default: how many of them are shown if ``flows`` does not say.
+        """Return which of ``num`` flows to show, the first ``default`` if ``flows`` does not say.
 
         Raises:
             ValueError: if one is not there, or is named twice, or none is.

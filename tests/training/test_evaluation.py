@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -37,12 +38,17 @@ def test_the_result_of_each_start_does_not_depend_on_the_batch(num_envs: int) ->
 
 
 def test_an_evaluation_repeats_even_on_an_env_that_was_used() -> None:
-    evaluator = Fixed(5, 12)
-    first = evaluator.run(RandomPolicy(seed=1))
+    evaluator, ended = Fixed(5, 12), list[int]()
+    first = evaluator.run(RandomPolicy(seed=1), on_episodes=ended.append)
     again = evaluator.run(RandomPolicy(seed=1))
     other = evaluator.run(RandomPolicy(seed=2))
+    assert sum(ended) == 12
     assert torch.equal(first.returns, again.returns)
     assert not torch.equal(first.returns, other.returns)
+    env = evaluator.evaluator.env  # it draws its own starts again
+    assert (env.reset()["start_index"] == -1).all()
+    starts = [fixed_starts(ToyPredation(), 6, seed=seed)["position"] for seed in (0, 0, 1)]
+    assert torch.equal(starts[0], starts[1]) and not torch.equal(starts[0], starts[2])
 
 
 def test_only_the_first_episode_of_a_start_counts() -> None:
@@ -64,12 +70,6 @@ def test_only_the_first_episode_of_a_start_counts() -> None:
     second_alone = Fixed(2, 2).run(PursuitPolicy())
     assert result.returns[1] == second_alone.returns[1]
     assert result.lengths_T[1] == second_alone.lengths_T[1]
-
-
-def test_counts_episodes_as_they_end() -> None:
-    ended: list[int] = []
-    Fixed(4, 10).run(PursuitPolicy(), on_episodes=ended.append)
-    assert sum(ended) == 10
 
 
 def test_diverged_episodes_are_counted_as_no_success() -> None:
@@ -94,12 +94,7 @@ def test_metrics_are_means_over_all_starts_but_the_time_over_successes() -> None
         "episodes": 4,
         "diverged": 1,
     }
-    none = Evaluation(
-        succeeded=torch.zeros(2, dtype=torch.bool),
-        returns=torch.zeros(2),
-        lengths_T=torch.zeros(2),
-        diverged=torch.zeros(2, dtype=torch.bool),
-    )
+    none = replace(result, succeeded=torch.zeros(4, dtype=torch.bool))
     assert math.isnan(none.metrics()["mean_time_to_success_T"])
 
 
@@ -110,17 +105,3 @@ def test_decisions_are_turned_into_tail_beats() -> None:
     whole = Fixed(3, 3).run(PursuitPolicy()).lengths_T
     half = Evaluator(env, decision_T=0.5).run(PursuitPolicy(), starts=starts).lengths_T
     assert torch.equal(half, 0.5 * whole)
-
-
-def test_an_env_draws_its_own_starts_again_after_an_evaluation() -> None:
-    fixed = Fixed(4, 6)
-    fixed.run(PursuitPolicy())
-    assert fixed.evaluator.env.base_env.starts is None
-    assert (fixed.evaluator.env.reset()["start_index"] == -1).all()
-
-
-def test_fixed_starts_repeat_for_their_seed() -> None:
-    task = ToyPredation()
-    first, second, other = (fixed_starts(task, 6, seed=s)["position"] for s in (0, 0, 1))
-    assert torch.equal(first, second)
-    assert not torch.equal(first, other)

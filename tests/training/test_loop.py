@@ -55,12 +55,13 @@ def test_the_same_seed_twice_gives_the_same_metrics_and_another_seed_others(toy:
     assert toy.rows("first") == toy.rows("second") != toy.rows("other")
 
 
-def test_diverged_transitions_are_counted_and_never_remembered(toy: Toy) -> None:
-    training = toy.begin(task={"divergence_rate": 0.1}, **QUICK)
+def test_actions_are_legal_and_diverged_transitions_never_remembered(toy: Toy) -> None:
+    training = toy.begin(task={"divergence_rate": 0.1, "banned_action": 2}, **QUICK)
     training.run()
     counters, buffer = training.counters, training.learner.buffer
     assert counters.diverged > 5
     assert len(buffer) == counters.frames - counters.diverged
+    assert set(buffer[:]["action"].tolist()) == {0, 1}  # in warm-up and by the policy
 
 
 @pytest.mark.usefixtures("gliding")
@@ -95,14 +96,6 @@ def test_a_flow_that_diverges_never_stops_a_run(
     assert len(remembered) == 120 - summary["train_diverged"]
     assert all(value.isfinite().all() for value in remembered.values(True, True))
     assert all(value.isfinite().all() for value in weights_of(training).values())
-
-
-def test_warm_up_and_policy_take_legal_actions_only(toy: Toy) -> None:
-    training = toy.begin(task={"banned_action": 2}, **QUICK)
-    training.run()
-    actions = training.learner.buffer[:]["action"]
-    assert len(actions) == 240
-    assert set(actions.tolist()) == {0, 1}
 
 
 def test_evaluating_on_the_way_does_not_change_what_is_learned(toy: Toy) -> None:
@@ -225,11 +218,3 @@ def test_a_run_whose_settings_cannot_be_leaves_no_folder(toy: Toy) -> None:
         with pytest.raises(ValueError, match=r"did you mean 'random'|CUDA devices|no flows"):
             toy.begin(**wrong)
     assert not list(Path(toy.folder).iterdir())
-
-
-def test_settings_of_a_training_do_not_change_under_it(toy: Toy) -> None:
-    training = toy.begin(total_frames=40, **QUICK)
-    training.run()
-    longer = replace(training.plan.run, total_frames=80)
-    training.plan = replace(training.plan, run=longer)
-    assert training.run()["frames"] == 80

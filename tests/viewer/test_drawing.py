@@ -23,7 +23,7 @@ class Notes:
         assert timeline == TIMELINE
         self.time = duration
 
-    def log(self, path: str, what: Any, *, static: bool) -> None:
+    def log(self, path: str, what: Any, *, static: bool = False) -> None:
         if not static:
             self.logged.setdefault(path, []).append((self.time, what))
 

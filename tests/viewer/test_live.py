@@ -59,15 +59,14 @@ def test_a_taken_port_gives_way_to_the_next() -> None:
         assert first < find_port(first) < first + 100
 
 
-def test_no_port_at_all_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_program_without_a_port_or_that_ends_at_once_is_an_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with pytest.raises(ValueError, match=r"rerun does not run on port .* with --no-such"):
+        Viewer("--no-such-option", port=29500)
     monkeypatch.setattr(process_module, "_MAX_PORT", 2000)
     with pytest.raises(ValueError, match="it and the hundred after it are taken"):
         find_port(2000)
-
-
-def test_a_program_that_ends_at_once_is_an_error() -> None:
-    with pytest.raises(ValueError, match=r"rerun does not run on port .* with --no-such"):
-        Viewer("--no-such-option", port=29500)
 
 
 class Shown:
@@ -108,6 +107,8 @@ def test_episodes_follow_each_other_on_one_clock(shown: Shown) -> None:
     begins = [frame.time for frame in shown.frames if frame.begins]
     assert len(begins) == 3 and begins[1] == pytest.approx(2.2, abs=0.1)
     assert {"action", "reward", "action_mask"} <= set(shown.frames[0].values)
+    shown.live.close()
+    assert shown.env.base_env.on_frame is None  # the env is as it was
 
 
 def test_rows_that_rest_and_other_episodes_in_between_leave_no_trace(shown: Shown) -> None:
@@ -148,18 +149,9 @@ def test_frames_that_would_cost_too_much_time_are_left_out(
     assert len(frames) == pytest.approx(50.0 / 3.0, abs=2.0)
 
 
-def test_a_closed_view_leaves_the_env_as_it_was(shown: Shown) -> None:
-    assert shown.env.base_env.on_frame is not None
-    shown.live.close()
-    assert shown.env.base_env.on_frame is None
-
-
 @pytest.mark.parametrize("flows", [[], [2], [-1], [0, 0]])
-def test_flows_that_are_not_there_are_refused(flows: list[int]) -> None:
+def test_flows_that_are_not_there_and_unknown_formats_are_refused(flows: list[int]) -> None:
     with pytest.raises(ValueError, match="must be some of 0 to 1, each once"):
         ViewerSettings(flows=flows).choose_flows(2, default=1)
-
-
-def test_an_unknown_field_format_names_those_allowed() -> None:
     with pytest.raises(ValueError, match="must be one of jpeg, u8"):
         ViewerSettings(field_format="png")

@@ -70,15 +70,12 @@ def test_frames_come_at_equal_distances_with_the_reward_of_their_action() -> Non
     assert [frame.begins for frame in flows.given[1]] == [True, False, False, False, False]
 
 
-def test_a_flow_that_diverges_is_kept_up_to_the_decision_before() -> None:
+def test_a_flow_that_diverges_is_kept_up_to_the_decision_before_or_its_start() -> None:
     flows = FakeFlows(frames_per_T=4)
     flows.act()
     flows.act(diverged=True)
     assert flows.times(0)[-1] == 2.0
     assert flows.times(1) == [0.0, 0.25, 0.5, 0.75, 1.0]
-
-
-def test_of_a_flow_that_diverges_at_once_the_start_is_kept() -> None:
     flows = FakeFlows(frames_per_T=4)
     flows.act(diverged=True)
     assert flows.times(1) == [0.0]
