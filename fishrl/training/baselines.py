@@ -123,12 +123,7 @@ def _(task: KarmanGait) -> dict[str, Baseline]:
 
 
 def make_pid(task: KarmanGait, *, station_bl: float | Tensor = 2.1) -> GaitPolicy:
-    """Make a PID controller of the distance to the obstacle.
-
-    Args:
-        task: the task.
-        station_bl: setpoint behind the obstacle, one number or ``[B]``.
-    """
+    """Make a PID controller of the distance to the obstacle, with setpoints ``[B]`` or one."""
     frequency: float | list[float] = 0.5 * task.control.max_frequency
     if isinstance(task.control, MacroActions):  # the middle of each row about holds a station
         frequency = [row[len(row) // 2] for row in task.control.bank.rows]
@@ -137,11 +132,7 @@ def make_pid(task: KarmanGait, *, station_bl: float | Tensor = 2.1) -> GaitPolic
 
 
 def make_gait_policy(controller: FrequencyController, task: KarmanGait) -> GaitPolicy:
-    """Make the policy that follows a frequency controller with the task's control.
-
-    Raises:
-        ValueError: for a control whose actions are not known here.
-    """
+    """Make the policy that follows a frequency controller with the control of the task."""
     control = task.control
     if isinstance(control, DirectFrequencies):
         return GaitPolicy(controller=controller, rows=[control.frequencies], is_direct=True)

@@ -75,7 +75,9 @@ def save_checkpoint(
             _flush(file)
         _put_in_place(fresh, path, keep=keep)
     except (OSError, RuntimeError) as error:
-        if not _is_of_the_disk(error):
+        # torch's writer reports a full disk with a RuntimeError
+        words = ("inline_container", "iostream error")
+        if isinstance(error, RuntimeError) and not any(word in str(error) for word in words):
             raise
         _clear(path)
         raise _not_written(path, error) from error
@@ -222,12 +224,6 @@ def _flush(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _is_of_the_disk(error: Exception) -> bool:
-    """Tell whether writing failed; torch's writer says so with a RuntimeError."""
-    words = ("inline_container", "iostream error")
-    return isinstance(error, OSError) or any(word in str(error) for word in words)
 
 
 def _not_written(path: Path, error: Exception) -> CheckpointNotWritten:

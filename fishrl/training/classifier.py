@@ -18,11 +18,8 @@ def load_recognition(choice: Recognition, folder: Path = Path()) -> Recognition:
     """Return the source of flow labels, for ``make_env(recognition=...)``.
 
     Args:
-        choice: None, ``oracle``, a classifier, or the file of one.
+        choice: None, ``oracle``, a classifier, or the file of one, which must be readable.
         folder: run or checkpoint where the file of a run's own classifier is looked for.
-
-    Raises:
-        ValueError: if the file cannot be read.
     """
     if not isinstance(choice, str) or choice == ORACLE:
         return choice
@@ -32,9 +29,7 @@ def load_recognition(choice: Recognition, folder: Path = Path()) -> Recognition:
 def find_classifier(choice: str | None, folder: Path) -> str | None:
     """Return the setting of a run with its own classifier as a path, wherever the run lies now.
 
-    Args:
-        choice: as the configuration of the run has it.
-        folder: of the run, or of one of its checkpoints.
+    ``folder`` is that of the run, or one of its checkpoints.
     """
     if choice != OWN:
         return choice
@@ -43,11 +38,7 @@ def find_classifier(choice: str | None, folder: Path) -> str | None:
 
 
 def keep_recognition(choice: Recognition, folder: Path) -> str | None:
-    """Copy the classifier of a run into its folder, and return the setting of the run.
-
-    Raises:
-        ValueError: if there is no such file.
-    """
+    """Copy the classifier of a run into its folder, and return the setting of the run."""
     if choice is None or choice == ORACLE:
         return choice
     if isinstance(choice, LateralLineClassifier):

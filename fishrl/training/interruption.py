@@ -18,11 +18,7 @@ TWICE_SECONDS = 1.0
 
 
 class Interrupted(Exception):
-    """SIGINT or SIGTERM was received; raised between steps, where the run can be saved.
-
-    Args:
-        number: of the signal.
-    """
+    """The signal of a number was received; raised between steps, where the run can be saved."""
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)
@@ -45,11 +41,7 @@ class Interruption:
         self._number = number
 
     def check(self) -> None:
-        """Raise if an end was requested; call it between steps, where the run can be saved.
-
-        Raises:
-            Interrupted: if so.
-        """
+        """Raise ``Interrupted`` if an end was requested; call it where the run can be saved."""
         if self._number is not None:
             raise Interrupted(self._number)
 

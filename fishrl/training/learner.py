@@ -61,11 +61,7 @@ class Learner:
         )
 
     def remember(self, transitions: TensorDictBase) -> int:
-        """Store transitions ``[N]`` except diverged ones, and return how many those were.
-
-        Raises:
-            ValueError: if a state leaves no legal action.
-        """
+        """Store transitions ``[N]`` except diverged ones, and return how many those were."""
         if not transitions["next", "action_mask"].any(-1).all():
             raise ValueError(
                 "action_mask: a state has no legal action; every state needs one, also a final one"

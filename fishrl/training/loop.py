@@ -8,26 +8,26 @@ import random
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torchrl.checkpoint import GlobalRNGState
 
-from fishrl.envs import make_env as make_flow_env
+from fishrl.envs import make_env
 from fishrl.envs.episodes import Policy
 from fishrl.envs.transforms import equip
 from fishrl.training.baselines import make_baselines
 from fishrl.training.checkpoint import CheckpointNotWritten, load_checkpoint, save_checkpoint
 from fishrl.training.classifier import Recognition
-from fishrl.training.collector import MakeEnv, make_collector
+from fishrl.training.collector import make_collector
 from fishrl.training.description import describe
 from fishrl.training.evaluation import Evaluation, Evaluator, fixed_starts
 from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children
 from fishrl.training.learner import one_thread
 from fishrl.training.metrics import Counters, list_metrics, measure_memory_mb
-from fishrl.training.observer import Observer
+from fishrl.training.observer import Hooks, Observer
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.progress import Progress
@@ -35,8 +35,8 @@ from fishrl.training.run_folder import RunFolder, write_json
 
 logger = logging.getLogger(__name__)
 
-#: Seeds of the fixed starts that choose the best checkpoint, and of those of the last evaluation;
-#: training draws its starts from generators far from both.
+#: Training draws its starts from generators far from those of the fixed starts, which choose the
+#: best checkpoint and end a run.
 TRAIN_SEED, SELECTION_SEED, FINAL_SEED = 1000, 1, 0
 
 
@@ -47,10 +47,7 @@ class Training:
         plan: settings of the run.
         recognition: source of flow labels, see ``fishrl.envs.make_env``.
         folder: where everything is written.
-        make_env: see ``observer.Hooks``, like the others.
-        observer: see there.
-        progress: see there.
-        began: see there.
+        **hooks: see ``observer.Hooks``.
     """
 
     def __init__(
@@ -59,15 +56,13 @@ class Training:
         *,
         recognition: Recognition,
         folder: RunFolder,
-        make_env: MakeEnv | None = None,
-        observer: Observer | None = None,
-        progress: Progress | None = None,
-        began: float | None = None,
+        **hooks: Unpack[Hooks],
     ) -> None:
         self._lock = folder.hold()
         self.plan, self.folder, self.config = plan, folder, plan.to_config()
-        self.observer = observer or Observer()
-        self.progress = progress or Progress(is_shown=False)
+        self.observer = hooks.get("observer") or Observer()
+        self.progress = hooks.get("progress") or Progress(is_shown=False)
+        began = hooks.get("began")
         self._began = time.perf_counter() if began is None else began
         self.task, _ = equip(plan.task, recognition)
         self.spec = PolicySpec.for_task(self.task, has_labels=recognition is not None)
@@ -85,7 +80,7 @@ class Training:
                 plan,
                 self.task,
                 self.learner,
-                make_env=make_env or make_flow_env,
+                make_env=hooks.get("make_env") or make_env,
                 recognition=recognition,
                 seed=TRAIN_SEED + learning.seed,
             )

@@ -38,12 +38,7 @@ class PolicySpec:
 
     @classmethod
     def for_task(cls, task: AbstractTask, *, has_labels: bool = False) -> PolicySpec:
-        """Return the sizes that a task requires.
-
-        Args:
-            task: the task.
-            has_labels: whether transforms label its flows, see ``make_env(recognition=...)``.
-        """
+        """Return the sizes that a task requires; with ``has_labels`` transforms label its flows."""
         num_labels = task.num_label_inputs if has_labels else 0
         return cls(
             task=type(task).__name__,
@@ -53,11 +48,7 @@ class PolicySpec:
         )
 
     def check(self, metadata: Mapping[str, Any], *, path: Path) -> None:
-        """Compare with the metadata of a checkpoint.
-
-        Raises:
-            ValueError: if the checkpoint is of another task or size.
-        """
+        """Raise ValueError if the metadata of a checkpoint are of another task or size."""
         for name in ("task", "num_inputs", "num_actions"):
             stored, wanted = metadata.get(name), getattr(self, name)
             if stored != wanted:

@@ -26,25 +26,18 @@ class HeldError(ValueError):
 
 
 class RunFolder:
-    """Paths of one run below ``path``.
-
-    Attributes:
-        config: the whole configuration, resolved.
-        metrics: one row per log step.
-        summary: the result of the run.
-        last: the newest checkpoint, from which a run resumes.
-        best: the checkpoint with the best evaluation.
-        classifier: the lateral-line classifier that labels its flows, if one does.
-        failure: why the run failed; the last line is the message.
-        lock: locked by the process that writes the run; see ``hold``.
-    """
+    """Paths of one run below ``path``."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.config, self.summary = path / "config.yaml", path / "summary.json"
-        self.metrics, self.classifier = path / "metrics.csv", path / "machine.pt"
-        self.last, self.best = (path / "checkpoints" / name for name in ("last", "best"))
-        self.failure, self.lock = path / "failure.txt", path / ".lock"
+        self.config = path / "config.yaml"  # the whole configuration, resolved
+        self.metrics = path / "metrics.csv"  # one row per log step
+        self.summary = path / "summary.json"  # the result of the run
+        self.last = path / "checkpoints" / "last"  # the newest, from which a run resumes
+        self.best = path / "checkpoints" / "best"  # the one with the best evaluation
+        self.classifier = path / "machine.pt"  # labels its flows, if one does
+        self.failure = path / "failure.txt"  # why the run failed; the last line is the message
+        self.lock = path / ".lock"  # locked by the process that writes the run, see ``hold``
 
     @classmethod
     def create(cls, *, parent: str, name: str) -> RunFolder:
@@ -87,11 +80,7 @@ class RunFolder:
         return folder.checked()
 
     def checked(self) -> RunFolder:
-        """Return the folder if files can be written into it.
-
-        Raises:
-            ValueError: if not.
-        """
+        """Return the folder if files can be written into it, or raise ValueError."""
         if not os.access(self.path, os.W_OK | os.X_OK):
             raise _unwritable(self.path, "no write permission")
         return self
@@ -148,11 +137,7 @@ def refuse_many(folder: Path, *, setting: str) -> None:
 
 
 def read_config(path: Path) -> dict[str, Any]:
-    """Read the ``config.yaml`` of a run.
-
-    Raises:
-        ValueError: if it holds no settings.
-    """
+    """Read the ``config.yaml`` of a run; raise ValueError if it holds no settings."""
     try:
         config = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -175,11 +160,7 @@ def write_yaml(path: Path, values: Mapping[str, Any]) -> None:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a file completely, or leave it unchanged.
-
-    Raises:
-        OSError: if it cannot be written.
-    """
+    """Write a file completely, or leave it unchanged and raise OSError."""
     with staged(path) as stage:
         stage.write_text(text, encoding="utf-8")
 

@@ -38,10 +38,10 @@ def train(
     """Train a policy and compare it with the baselines of the task.
 
     Args:
-        task: the task.
-        algorithm: the learning algorithm; by default ``DiscreteSAC()``.
+        task: see ``Plan``, like the next three.
+        algorithm: by default ``DiscreteSAC()``.
         learning: settings that determine the result.
-        run: where the run is written, and how often it evaluates, logs and saves.
+        run: settings that do not.
         recognition: source of flow labels, see ``fishrl.envs.make_env``, or a classifier file.
         logger: writes the metrics; by default to a CSV file.
         preset: name for these settings; part of the name of the run folder.

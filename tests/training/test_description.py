@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +96,10 @@ def test_a_module_of_ones_own_is_imported_if_the_user_names_it(
     [
         ({"_target_": "fishrl.envs.Predation", "body_lenght": 3}, "did you mean 'body_length'"),
         ({"_target_": "fishrl.envs.Predation", "time_limit": "long"}, "fishrl.envs.Predation"),
+        (
+            {"_target_": "fishrl.envs.Predation", "capture_radius_bl": -1.0},
+            "capture_radius_bl = -1",
+        ),
         ({"_target_": "fishrl.envs.AbstractTask"}, "abstract"),
         ({"body_length": 3}, "give a _target_"),
         ("fishrl.envs.Predation", "give a _target_"),
@@ -113,10 +116,3 @@ def test_former_names_lead_to_classes_of_today() -> None:
         assert new == f"{found.__module__}.{found.__qualname__}"
     old = {"parts": [{"_target_": next(iter(ALIASES)), "size": 3}]}
     assert update_names(old)["parts"] == [{"_target_": next(iter(ALIASES.values())), "size": 3}]
-
-
-def test_checks_of_the_object_itself_are_passed_on() -> None:
-    node = describe(Predation())
-    with pytest.raises(ValueError, match="capture_radius_bl = -1"):
-        make(node | {"capture_radius_bl": -1.0}, kind=AbstractTask)
-    assert make(node | {"time_limit": 7}, kind=AbstractTask) == replace(Predation(), time_limit=7)

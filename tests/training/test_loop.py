@@ -19,7 +19,6 @@ from fishrl.training import DRQN, DiscreteSAC, Interrupted, Observer, begin
 from fishrl.training.evaluation import Evaluation
 from fishrl.training.loop import Training
 from fishrl.training.metrics import list_metrics
-from fishrl.training.progress import Progress
 from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
 from tests.envs.gliding import GlidingSolver
 from tests.training.conftest import QUICK, Toy, assert_equal_weights, make_toy_plan, weights_of
@@ -119,24 +118,6 @@ def test_the_last_evaluation_is_of_the_best_checkpoint(
 
     monkeypatch.setattr(training, "evaluate", scripted)
     assert training.run()["best_checkpoint_frames"] == 80
-
-
-def test_the_bar_names_every_phase(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
-    phases = ["set-up"]
-    progress = Progress(is_shown=False)
-    rename = progress.rename
-
-    def note(phase: str) -> None:
-        if phase != phases[-1]:
-            phases.append(phase)
-        rename(phase)
-
-    monkeypatch.setattr(progress, "rename", note)
-    toy.begin(compile=True, eval_frames=240, progress=progress).run()
-    assert phases == [
-        *("set-up", "compilation", "warm-up", "training", "evaluation", "training", "evaluation"),
-        *(f"evaluation: {name}" for name in ("learned", "intercept", "pursuit", "random")),
-    ]
 
 
 class Watcher(Observer):

@@ -8,24 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from fishrl.training.logger import CsvLogger
 from fishrl.training.run_folder import RunFolder, read_config, write_whole, write_yaml
 
 Limit = Callable[[int], AbstractContextManager[None]]
-
-
-def test_rows_that_cannot_be_written_at_the_end_are_named(
-    tmp_path: Path, limited_disk: Limit, caplog: pytest.LogCaptureFixture
-) -> None:
-    log = CsvLogger()
-    log.open(tmp_path, columns=["frames"], config={})
-    with limited_disk(8):
-        log.log({"frames": 123456})
-        log.close()
-    assert caplog.text.count("1 rows cannot be written") == 2
-    assert (tmp_path / "metrics.csv").read_text() == "frames\n"
-    log.close()
-    assert (tmp_path / "metrics.csv").read_text() == "frames\n123456\n"
 
 
 def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, limited_disk: Limit) -> None:
