@@ -72,7 +72,7 @@ def one_thread() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def real_flow() -> None:
-    """Begin each test with the real flow: an earlier one may have left its gliding fish behind."""
+    """Begin each test with the real flow, whatever an earlier one has left behind."""
     assert fishrl.envs.task.InPlaceSolver is InPlaceSolver
 
 

@@ -4,12 +4,13 @@ from typing import Any
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 import fishrl.envs.task
-from fishrl.envs import Predation
+from fishrl.envs import AbstractTask, FlowEnv, Predation
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
-from tests.envs.gliding import GlidingSolver
+from tests.envs.kinematic_solver import KinematicSolver
 
 #: Smallest scales that the units and the wall margin allow: fast, not accurate.
 SMALL: dict[str, Any] = {
@@ -20,19 +21,46 @@ SMALL: dict[str, Any] = {
 }
 
 
-def glide(patch: pytest.MonkeyPatch) -> None:
-    """Replace the flow by fish that glide, and developed wakes by nothing."""
-    patch.setattr(fishrl.envs.task, "InPlaceSolver", GlidingSolver)
+def move_kinematically(patch: pytest.MonkeyPatch) -> None:
+    """Replace flows by fish that move at constant speed, and developed wakes by nothing."""
+    patch.setattr(fishrl.envs.task, "InPlaceSolver", KinematicSolver)
     bank = WakeBank(populations=torch.zeros(3, 1, 1, 1, 1), shedding_frequencies=torch.ones(3))
     patch.setattr(Stream, "load_wakes", lambda *_: bank)
 
 
 @pytest.fixture
-def gliding(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let fish glide."""
-    glide(monkeypatch)
+def kinematic(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let fish move without a flow."""
+    move_kinematically(monkeypatch)
 
 
 @pytest.fixture
 def small_task() -> Predation:
     return Predation(**SMALL)
+
+
+def make_flows(task: AbstractTask, num_envs: int, **options: Any) -> FlowEnv:
+    """Return the bare environment, eager."""
+    return FlowEnv(task=task, num_envs=num_envs, compile_flow=False, **options)
+
+
+def act(env: FlowEnv, *actions: int, **inputs: Any) -> TensorDict:
+    """Take one action per row, with further inputs, and return what follows."""
+    entries = {name: torch.tensor(value) for name, value in inputs.items()}
+    step = env.step(TensorDict({"action": torch.tensor(actions), **entries}, env.batch_size))
+    return step["next"]
+
+
+def reset_rows(env: FlowEnv, *rows: bool) -> TensorDict:
+    return env.reset(TensorDict({"_reset": torch.tensor(rows)[:, None]}, env.batch_size))
+
+
+def read_flows(env: FlowEnv) -> dict[str, torch.Tensor]:
+    """Return everything about real flows and their bodies, rows first."""
+    bodies = {
+        f"{name}_{i}": values.clone()
+        for i, body in enumerate(env.solver.bodies)
+        for name, values in body._asdict().items()
+    }
+    flows = {"populations": env.solver.populations(), "speed": env.solver.stream_speed.clone()}
+    return {**flows, **bodies, **env.now.clone().to_dict()}

@@ -14,15 +14,15 @@ from torchrl.envs import check_env_specs
 import fishrl.envs.tasks
 from fishrl.envs import AbstractTask, FlowEnv, make_env
 from tests.envs.conftest import SMALL
-from tests.envs.shy_task import Shy
+from tests.envs.masked_task import MaskedTask
 
 #: A tail that may beat faster needs more room before an edge.
 SIZES = {fishrl.envs.tasks.KarmanGait: {"checks_per_action": 30}}
 LIBRARY = [getattr(fishrl.envs.tasks, name) for name in fishrl.envs.tasks.__all__]
-pytestmark = pytest.mark.usefixtures("gliding")
+pytestmark = pytest.mark.usefixtures("kinematic")
 
 
-@pytest.fixture(params=[*LIBRARY, Shy], ids=lambda kind: kind.__name__)
+@pytest.fixture(params=[*LIBRARY, MaskedTask], ids=lambda kind: kind.__name__)
 def task(request: pytest.FixtureRequest) -> AbstractTask:
     return request.param(**SMALL, **SIZES.get(request.param, {}))
 

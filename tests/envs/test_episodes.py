@@ -8,9 +8,9 @@ from torchrl.envs import TransformedEnv
 
 from fishrl.envs import FlowEnv, Predation, make_env
 from fishrl.envs.episodes import Episodes, run_episodes
-from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
 
-pytestmark = pytest.mark.usefixtures("gliding")
+pytestmark = pytest.mark.usefixtures("kinematic")
 NUM_STARTS = 5
 
 

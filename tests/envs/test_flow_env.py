@@ -1,33 +1,20 @@
 """The environment's own duties: rows, resets, divergence, saving, bad input. No flow needed."""
 
 import logging
-from typing import Any
 
 import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.envs import check_env_specs, step_mdp
 
-from fishrl.envs import AbstractTask, FlowEnv, Predation
-from tests.envs.conftest import SMALL
-from tests.envs.shy_task import Shy
+from fishrl.envs import FlowEnv, Predation
+from tests.envs.conftest import SMALL, act, make_flows, reset_rows
+from tests.envs.masked_task import MaskedTask
 
-pytestmark = pytest.mark.usefixtures("gliding")
-
-
-def make(task: AbstractTask, num_envs: int, **arguments: Any) -> FlowEnv:
-    return FlowEnv(task=task, num_envs=num_envs, compile_flow=False, **arguments)
+pytestmark = pytest.mark.usefixtures("kinematic")
 
 
-def act(env: FlowEnv, *actions: int) -> TensorDict:
-    return env.step(TensorDict({"action": torch.tensor(actions)}, env.batch_size))["next"]
-
-
-def reset_rows(env: FlowEnv, *rows: bool) -> TensorDict:
-    return env.reset(TensorDict({"_reset": torch.tensor(rows)[:, None]}, env.batch_size))
-
-
-def memory_of(env: FlowEnv) -> dict[str, torch.Tensor]:
+def read_state(env: FlowEnv) -> dict[str, torch.Tensor]:
     return {
         **env.solver.state_dict(),
         **{f"start_{k}": v.clone() for k, v in env.start.items()},
@@ -36,37 +23,25 @@ def memory_of(env: FlowEnv) -> dict[str, torch.Tensor]:
 
 
 def test_the_specs_hold_without_transforms(small_task: Predation) -> None:
-    check_env_specs(make(small_task, 3), seed=0)
+    check_env_specs(make_flows(small_task, 3), seed=0)
 
 
 def test_a_partial_reset_touches_its_rows_alone(small_task: Predation) -> None:
-    env = make(small_task, 3)
+    env = make_flows(small_task, 3)
     env.reset()
     act(env, 0, 1, 2)
-    before = memory_of(env)
+    before = read_state(env)
     reset_rows(env, False, True, False)
-    after = memory_of(env)
+    after = read_state(env)
     for name, old in before.items():
         assert torch.equal(after[name][[0, 2]], old[[0, 2]]), name
     assert not torch.equal(after["position"][1], before["position"][1])
     assert after["age"].tolist() == [106.0, 0.0, 106.0]
 
 
-def test_food_of_a_reset_row_starts_anew_and_that_of_the_others_swims_on(
-    small_task: Predation,
-) -> None:
-    env = make(small_task, 2)
-    env.reset()
-    for _ in range(7):
-        act(env, 1, 1)
-    reset_rows(env, True, False)
-    heights = env.now["food"][:, 1] / small_task.body_length
-    torch.testing.assert_close(heights, torch.tensor([2.5, 3.1], dtype=torch.float64))
-
-
 def test_a_rows_starts_do_not_depend_on_the_batch_or_on_other_rows_resets() -> None:
     task = Predation(**SMALL, food_direction="random")
-    many, one = make(task, 4, seed=5), make(task, 1, seed=5)
+    many, one = make_flows(task, 4, seed=5), make_flows(task, 1, seed=5)
     many.reset()
     one.reset()
     drawn = []
@@ -75,26 +50,26 @@ def test_a_rows_starts_do_not_depend_on_the_batch_or_on_other_rows_resets() -> N
         drawn.append(many.start["head"].clone())
         reset_rows(many, *rows)
         one.reset()
-    other = make(task, 4, seed=6)
+    other = make_flows(task, 4, seed=6)
     other.reset()
     assert not torch.equal(other.start["head"], drawn[0])
     assert drawn[0].unique(dim=0).shape[0] == 4
 
 
 def test_setting_the_seed_repeats_the_starts(small_task: Predation) -> None:
-    env = make(small_task, 3, seed=1)
+    env = make_flows(small_task, 3, seed=1)
     first = env.reset()["observation"]
     second = env.reset()["observation"]
     assert not torch.equal(first, second)
     env.set_seed(1)
     assert torch.equal(env.reset()["observation"], first)
     env.set_seed(None)
-    assert torch.equal(env.reset()["observation"], make(small_task, 3).reset()["observation"])
+    assert torch.equal(env.reset()["observation"], make_flows(small_task, 3).reset()["observation"])
 
 
 def test_setting_the_seed_begins_given_starts_anew(small_task: Predation) -> None:
     starts = small_task.sample_starts(5, torch.Generator().manual_seed(0))
-    env = make(small_task, 2, starts=starts)
+    env = make_flows(small_task, 2, starts=starts)
     for _ in range(2):
         env.set_seed(0)
         assert env.reset()["start_index"].tolist() == [0, 1]
@@ -102,19 +77,19 @@ def test_setting_the_seed_begins_given_starts_anew(small_task: Predation) -> Non
 
 def test_given_starts_are_taken_in_order_of_resets_and_rows(small_task: Predation) -> None:
     starts = small_task.sample_starts(5, torch.Generator().manual_seed(0))
-    env = make(small_task, 3, starts=starts)
+    env = make_flows(small_task, 3, starts=starts)
     assert env.reset()["start_index"].tolist() == [0, 1, 2]
     assert reset_rows(env, False, True, True)["start_index"].tolist()[1:] == [3, 4]
     assert reset_rows(env, True, False, True)["start_index"].tolist()[::2] == [0, 1]
     assert (env.start["head"] == starts["head"][[0, 3, 1]]).all()
     assert act(env, 1, 1, 1)["start_index"].tolist() == [0, 3, 1]
-    assert make(small_task, 2).reset()["start_index"].tolist() == [-1, -1]
+    assert make_flows(small_task, 2).reset()["start_index"].tolist() == [-1, -1]
 
 
 def test_a_resting_row_stands_still_and_changes_nothing_for_the_others(
     small_task: Predation,
 ) -> None:
-    env, intact = make(small_task, 3, seed=2), make(small_task, 3, seed=2)
+    env, intact = make_flows(small_task, 3, seed=2), make_flows(small_task, 3, seed=2)
     for each in (env, intact):
         each.reset()
     env.is_resting = torch.tensor([False, True, False])
@@ -127,7 +102,7 @@ def test_a_resting_row_stands_still_and_changes_nothing_for_the_others(
 
 
 def test_a_row_that_has_met_its_end_stops_there(small_task: Predation) -> None:
-    env = make(small_task, 2)
+    env = make_flows(small_task, 2)
     env.reset()
     env.solver.body.position[1, 0] = 12.0  # about to hit the left wall
     assert act(env, 1, 1)["terminated"].squeeze(-1).tolist() == [False, True]
@@ -137,7 +112,7 @@ def test_a_row_that_has_met_its_end_stops_there(small_task: Predation) -> None:
 def test_a_diverged_row_ends_alone_with_nothing_to_learn_from_it(
     small_task: Predation, caplog: pytest.LogCaptureFixture
 ) -> None:
-    env, intact = make(small_task, 3, seed=2), make(small_task, 3, seed=2)
+    env, intact = make_flows(small_task, 3, seed=2), make_flows(small_task, 3, seed=2)
     before = env.reset()
     intact.reset()
     env.solver.body.position[1] = torch.nan
@@ -172,7 +147,7 @@ def test_a_row_that_diverges_before_it_meets_food_or_wall_has_diverged(
         [2],
     )
     for breaks_at, expected in ((2.0, [True, True]), (80.0, [False, True])):
-        env = make(small_task, 2, starts=starts)
+        env = make_flows(small_task, 2, starts=starts)
         env.reset()
         monkeypatch.setattr(
             env.solver, "is_diverged", lambda e=env, b=breaks_at: e.solver.body.age > b
@@ -184,14 +159,14 @@ def test_a_row_that_diverges_before_it_meets_food_or_wall_has_diverged(
 
 def test_a_saved_environment_goes_on_exactly(small_task: Predation) -> None:
     starts = small_task.sample_starts(4, torch.Generator().manual_seed(3))
-    env = make(small_task, 2, seed=9, starts=starts)
+    env = make_flows(small_task, 2, seed=9, starts=starts)
     env.reset()
     act(env, 0, 2)
     env.solver.body.position[1] = torch.nan
     act(env, 0, 2)
     reset_rows(env, False, True)
     state = env.state_dict()
-    other = make(small_task, 2, seed=1, starts=starts)
+    other = make_flows(small_task, 2, seed=1, starts=starts)
     other.load_state_dict(state)
     assert other.num_diverged == 1
     for actions in ((1, 0), (2, 2)):
@@ -203,7 +178,7 @@ def test_a_saved_environment_goes_on_exactly(small_task: Predation) -> None:
 
 
 def test_a_saved_environment_draws_the_same_starts(small_task: Predation) -> None:
-    env, other = make(small_task, 2, seed=4), make(small_task, 2, seed=7)
+    env, other = make_flows(small_task, 2, seed=4), make_flows(small_task, 2, seed=7)
     env.reset()
     other.load_state_dict(env.state_dict())
     for _ in range(2):
@@ -213,7 +188,7 @@ def test_a_saved_environment_draws_the_same_starts(small_task: Predation) -> Non
 def test_a_saved_state_does_not_change_with_the_environment_nor_the_other_way(
     small_task: Predation,
 ) -> None:
-    env = make(small_task, 2)
+    env = make_flows(small_task, 2)
     env.reset()
     state = env.state_dict()
     first = act(env, 1, 2)
@@ -226,8 +201,8 @@ def test_a_saved_state_does_not_change_with_the_environment_nor_the_other_way(
 def test_frames_come_at_equal_distances_and_change_nothing(small_task: Predation) -> None:
     ages: list[list[float]] = []
     seen = lambda env: ages.append(env.solver.body.age.tolist())  # noqa: E731
-    env = make(small_task, 2, frames_per_action=4, on_frame=seen)
-    plain = make(small_task, 2)
+    env = make_flows(small_task, 2, frames_per_action=4, on_frame=seen)
+    plain = make_flows(small_task, 2)
     env.reset()
     plain.reset()
     framed, expected = act(env, 0, 1), act(plain, 0, 1)
@@ -236,8 +211,8 @@ def test_frames_come_at_equal_distances_and_change_nothing(small_task: Predation
 
 
 def test_a_task_can_order_another_tail_beat(monkeypatch: pytest.MonkeyPatch) -> None:
-    task = Shy(**SMALL)
-    env = make(task, 2)
+    task = MaskedTask(**SMALL)
+    env = make_flows(task, 2)
     env.reset()
     after = act(env, 0, 1)
     torch.testing.assert_close(after["observation"][:, 1], torch.tensor([0.5, 1.5]))
@@ -247,33 +222,28 @@ def test_a_task_can_order_another_tail_beat(monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.mark.parametrize("action", [-1, 3])
 def test_an_action_out_of_range_is_refused(small_task: Predation, action: int) -> None:
-    env = make(small_task, 2)
+    env = make_flows(small_task, 2)
     env.reset()
     assert not env.action_spec.is_in(torch.tensor([1, action]))
     with pytest.raises(ValueError, match=rf"action = {action} in row 1: legal is \[0, 1, 2\]"):
         act(env, 1, action)
 
 
-def test_at_least_one_flow_is_needed(small_task: Predation) -> None:
-    with pytest.raises(ValueError, match="num_envs = 0"):
-        make(small_task, 0)
-
-
 def test_an_environment_does_not_move_to_another_device(small_task: Predation) -> None:
-    env = make(small_task, 1)
+    env = make_flows(small_task, 1)
     assert env.to("cpu") is env
     with pytest.raises(ValueError, match="cannot move"):
         env.to("meta")
 
 
 def test_closing_the_environment_closes_the_solver(small_task: Predation) -> None:
-    env = make(small_task, 1)
+    env = make_flows(small_task, 1)
     env.close()
     assert env.solver.is_closed
 
 
 def test_a_masked_action_is_refused() -> None:
-    env = make(Shy(**SMALL), 2)
+    env = make_flows(MaskedTask(**SMALL), 2)
     env.reset()
     act(env, 0, 1)
     with pytest.raises(ValueError, match=r"action = 0 in row 0: legal is \[1\]"):

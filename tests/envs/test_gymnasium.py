@@ -16,9 +16,9 @@ from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 from fishrl.envs import AbstractTask, KarmanGait, Predation, TrueFlowLabel, make_env
 from fishrl.envs.gymnasium import FlowVectorEnv
 from tests.envs.conftest import SMALL
-from tests.envs.shy_task import Shy
+from tests.envs.masked_task import MaskedTask
 
-pytestmark = pytest.mark.usefixtures("gliding")
+pytestmark = pytest.mark.usefixtures("kinematic")
 MODES = [mode.value for mode in AutoresetMode]
 LIMIT = 3
 
@@ -156,7 +156,7 @@ def test_without_autoreset_rows_are_reset_by_a_mask_and_not_forgotten() -> None:
 
 
 def test_masks_are_in_the_infos_and_illegal_actions_are_refused() -> None:
-    envs = make(task=Shy(**SMALL, time_limit=8), num_envs=2)
+    envs = make(task=MaskedTask(**SMALL, time_limit=8), num_envs=2)
     _, infos = envs.reset(seed=0)
     some_illegal = False
     rng = np.random.default_rng(0)
@@ -174,7 +174,7 @@ def test_masks_are_in_the_infos_and_illegal_actions_are_refused() -> None:
 
 
 def test_what_a_task_reports_is_in_the_infos() -> None:
-    envs = make("SameStep", Shy(**SMALL, time_limit=2))
+    envs = make("SameStep", MaskedTask(**SMALL, time_limit=2))
     _, infos = envs.reset(seed=0)
     assert infos["beats"].tolist() == [1.0, 1.0]
     reported = {name for name in infos if not name.startswith("_")}

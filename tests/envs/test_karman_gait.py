@@ -9,13 +9,13 @@ from tensordict import TensorDict
 
 from fishrl.envs import FlowEnv, KarmanGait
 from fishrl.envs.lateral_line import LateralLine
-from fishrl.envs.macro_actions import DirectFrequencies, FrequencyBank, MacroActions
+from fishrl.envs.macro_actions import FrequencyBank, MacroActions
 from fishrl.envs.stations import SafeArea, StationReward
 from fishrl.envs.steering import PIDSteering, PolicySteering
 from fishrl.envs.streams import Stream
-from tests.envs.conftest import SMALL
+from tests.envs.conftest import SMALL, act
 
-pytestmark = pytest.mark.usefixtures("gliding")
+pytestmark = pytest.mark.usefixtures("kinematic")
 
 ROWS = ((0.5, 1.0, 1.5), (0.6, 1.1, 1.6), (0.7, 1.2, 1.7))
 BANK = FrequencyBank(rows=ROWS)
@@ -33,13 +33,6 @@ def make(num_envs: int = 3, **arguments: Any) -> FlowEnv:
     starts = task.sample_starts(num_envs, torch.Generator().manual_seed(0))
     starts["flow_index"] = torch.arange(num_envs) % len(task.stream.speeds_bl)
     return FlowEnv(task=task, num_envs=num_envs, compile_flow=False, starts=starts)
-
-
-def act(env: FlowEnv, *actions: int, **inputs: Any) -> TensorDict:
-    entries = {name: torch.tensor(value) for name, value in inputs.items()}
-    return env.step(TensorDict({"action": torch.tensor(actions), **entries}, env.batch_size))[
-        "next"
-    ]
 
 
 def test_each_row_has_the_stream_of_its_start_and_a_reset_changes_it() -> None:
@@ -106,20 +99,12 @@ def test_a_named_flow_that_there_is_not_and_a_missing_name_are_refused() -> None
         act(env, CRUISE, CRUISE)
 
 
-def test_chosen_directly_each_action_is_a_frequency_whatever_the_flow() -> None:
-    env = make(3, control=DirectFrequencies(frequencies=(0.0, 1.0, 1.5)))
-    assert env.reset()["action_mask"].all()
-    after = act(env, 0, 2, 1)
-    assert after["frequency"].squeeze(-1).tolist() == [0.0, 1.5, 1.0]
-    assert env.task.num_actions == 3
-
-
 def test_the_observation_is_place_way_velocity_and_frequency() -> None:
     env = make(1)
     first = env.reset()["observation"][0]
     place = (env.start["head"] - env.task.origin)[0] / env.task.body_length
     torch.testing.assert_close(first[:2], place.float(), rtol=0, atol=1e-6)
-    # the gliding fish feels the undisturbed stream of 1 L / T
+    # the kinematic fish feels the undisturbed stream of 1 L / T
     torch.testing.assert_close(first[2:], torch.tensor([0.0, 0.0, 1.0, 0.0, 0.0]))
     second = act(env, CRUISE)["observation"][0]
     torch.testing.assert_close(second[2:4], second[:2] - first[:2], rtol=0, atol=1e-6)
@@ -275,12 +260,6 @@ def test_starts_that_cannot_be_are_refused(key: str, value: float, message: str)
     starts[key].fill_(value)
     with pytest.raises(ValueError, match=message):
         task.check_starts(starts)
-
-
-@pytest.mark.parametrize("speeds", [(), (0.0, 1.0)])
-def test_streams_that_stand_still_are_refused(speeds: tuple[float, ...]) -> None:
-    with pytest.raises(ValueError, match="speeds_bl = "):
-        Stream(speeds_bl=speeds)
 
 
 def test_flows_are_labelled_for_classifiers_in_the_order_of_their_index() -> None:

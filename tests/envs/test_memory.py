@@ -8,12 +8,12 @@ from torchrl.envs import Transform, check_env_specs
 
 from fishrl.envs import FlowEnv, make_env
 from tests.envs.conftest import SMALL
-from tests.envs.mindful_task import Mindful
+from tests.envs.memory_task import MemoryTask
 
-pytestmark = pytest.mark.usefixtures("gliding")
+pytestmark = pytest.mark.usefixtures("kinematic")
 
 
-class Tell(Transform):
+class AddHint(Transform):
     """Write ``hint`` and lengthen the observation by it."""
 
     def __init__(self) -> None:
@@ -38,7 +38,7 @@ class Tell(Transform):
 
 
 def make(num_envs: int, **arguments: float) -> FlowEnv:
-    return FlowEnv(task=Mindful(**SMALL, **arguments), num_envs=num_envs, compile_flow=False)
+    return FlowEnv(task=MemoryTask(**SMALL, **arguments), num_envs=num_envs, compile_flow=False)
 
 
 def act(env: FlowEnv, *actions: int) -> TensorDict:
@@ -116,8 +116,8 @@ def test_a_diverged_row_keeps_what_it_sensed_and_remembered_before() -> None:
 
 
 def test_what_a_transform_says_reaches_the_command_and_the_stack() -> None:
-    task = Mindful(**SMALL)
-    env = make_env(task=task, num_envs=2, compile=False, transforms=[Tell()])
+    task = MemoryTask(**SMALL)
+    env = make_env(task=task, num_envs=2, compile=False, transforms=[AddHint()])
     state = env.reset()
     assert state["observation_stack"].shape == (2, 3 * task.num_stacked)
     heading = env.base_env.now["heading"].clone()
@@ -137,6 +137,6 @@ def test_a_saved_environment_goes_on_with_its_memory() -> None:
 
 
 def test_the_specs_hold_with_series_of_several_dimensions() -> None:
-    env = make_env(task=Mindful(**SMALL), num_envs=3, compile=False, transforms=[Tell()])
+    env = make_env(task=MemoryTask(**SMALL), num_envs=3, compile=False, transforms=[AddHint()])
     assert env.observation_spec["trace"].shape == (3, 4, 3)
     check_env_specs(env, seed=0)

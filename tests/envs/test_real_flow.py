@@ -4,10 +4,9 @@ import math
 
 import pytest
 import torch
-from tensordict import TensorDict
 
 from fishrl.envs import FlowEnv, Predation, make_env
-from tests.envs.conftest import SMALL
+from tests.envs.conftest import SMALL, act, make_flows, read_flows
 
 #: A tank of 5 L x 3 L, where an eager action takes about a second.
 TINY = SMALL | {
@@ -26,59 +25,8 @@ def task() -> Predation:
     return Predation(**TINY)
 
 
-def make(task: Predation, num_envs: int, **arguments: object) -> FlowEnv:
-    return FlowEnv(task=task, num_envs=num_envs, compile_flow=False, **arguments)
-
-
-def act(env: FlowEnv, *actions: int) -> TensorDict:
-    return env.step(TensorDict({"action": torch.tensor(actions)}, env.batch_size))["next"]
-
-
-def memory_of(env: FlowEnv) -> dict[str, torch.Tensor]:
-    solver = env.solver
-    body = {name: t.clone() for name, t in solver.body._asdict().items()}
-    return {"populations": solver.populations(), **body, **env.now.clone().to_dict()}
-
-
-def test_a_row_of_a_batch_equals_the_same_row_alone_and_resets_touch_no_other(
-    task: Predation,
-) -> None:
-    starts = task.sample_starts(3, torch.Generator().manual_seed(0))
-    env = make(task, 2, starts=starts[:2])
-    env.reset()
-    alone = [make(task, 1, starts=starts[i : i + 1]) for i in range(2)]
-    for single in alone:
-        single.reset()
-    together = act(env, 0, 2)
-    for i, action in enumerate((0, 2)):
-        assert (act(alone[i], action)[0] == together[i]).exclude("start_index").all()
-        for name, value in memory_of(alone[i]).items():
-            assert torch.equal(value[0], memory_of(env)[name][i]), name
-    before = memory_of(env)
-    env.reset(TensorDict({"_reset": torch.tensor([[False], [True]])}, [2]))
-    after = memory_of(env)
-    for name, value in before.items():
-        assert torch.equal(after[name][0], value[0]), name
-    assert not after["populations"][1].any()
-    act(env, 1, 1)
-    act(alone[0], 1)
-    for name, value in memory_of(alone[0]).items():
-        assert torch.equal(value[0], memory_of(env)[name][0]), name
-
-
-def test_a_saved_environment_goes_on_exactly(task: Predation) -> None:
-    env, other = make(task, 1, seed=1), make(task, 1, seed=2)
-    env.reset()
-    other.reset()
-    act(env, 2)
-    other.load_state_dict(env.state_dict())
-    assert (act(env, 0) == act(other, 0)).all()
-    for name, value in memory_of(env).items():
-        assert torch.equal(memory_of(other)[name], value), name
-
-
 def test_the_fish_swims_ahead_and_turns_as_commanded(task: Predation) -> None:
-    env = make(task, 1, seed=3)
+    env = make_flows(task, 1, seed=3)
     first = env.reset()["observation"]
     for _ in range(3):
         after = act(env, 1)
@@ -112,9 +60,9 @@ def test_a_diverged_flow_is_reset_alone_and_swims_on(task: Predation) -> None:
     assert not step["next", "diverged"].any()
 
 
-def test_an_environment_that_shall_not_compile_does_not(task: Predation) -> None:
+def test_without_compilation_nothing_is_compiled(task: Predation) -> None:
     """TorchRL takes a keyword ``compile`` away before the constructor sees it."""
-    for env in (make(task, 2), make_env(task=task, num_envs=2, compile=False).base_env):
+    for env in (make_flows(task, 2), make_env(task=task, num_envs=2, compile=False).base_env):
         assert env.solver._num_workers == 0
         assert not env.solver._wants_compile
 
@@ -133,8 +81,8 @@ def test_compiled_rows_on_several_cores_equal_the_same_rows_alone(task: Predatio
     for actions in ((0, 2), (1, 1)):
         together, single = act(env, *actions), act(alone, actions[0])
         assert (together[0] == single[0]).all()
-    for name, value in memory_of(alone).items():
-        assert torch.equal(value[0], memory_of(env)[name][0]), name
+    for name, value in read_flows(alone).items():
+        assert torch.equal(value[0], read_flows(env)[name][0]), name
     env.close()
     alone.close()
 

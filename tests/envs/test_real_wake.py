@@ -6,11 +6,12 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from fishrl.envs import FlowEnv, KarmanGait
+from fishrl.envs import KarmanGait
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.stations import SafeArea
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
+from tests.envs.conftest import act, make_flows, read_flows
 
 #: A stream of 4 L x 2.4 L, where an eager action takes about a second.
 TINY = {
@@ -39,50 +40,36 @@ def task(tmp_path_factory: pytest.TempPathFactory) -> KarmanGait:
     return task
 
 
-def make(task: KarmanGait, num_envs: int, **arguments: object) -> FlowEnv:
-    return FlowEnv(task=task, num_envs=num_envs, compile_flow=False, **arguments)
-
-
-def act(env: FlowEnv, *actions: int) -> TensorDict:
-    return env.step(TensorDict({"action": torch.tensor(actions)}, env.batch_size))["next"]
-
-
-def memory_of(env: FlowEnv) -> dict[str, torch.Tensor]:
-    bodies = {
-        f"{name}_{i}": t.clone()
-        for i, body in enumerate(env.solver.bodies)
-        for name, t in body._asdict().items()
-    }
-    speed = env.solver.stream_speed.clone()
-    populations = env.solver.populations()
-    return {"f": populations, "speed": speed, **bodies, **env.now.clone().to_dict()}
-
-
 def test_a_row_of_a_batch_equals_the_same_row_alone_and_resets_touch_no_other(
     task: KarmanGait,
 ) -> None:
     starts = task.sample_starts(3, torch.Generator().manual_seed(4))
     starts["flow_index"] = torch.tensor([0, 2, 1])
-    env, alone = make(task, 2, starts=starts[:2]), make(task, 1, starts=starts[1:2])
-    env.reset()
-    alone.reset()
-    assert (act(alone, 2)[0] == act(env, 0, 2)[1]).exclude("start_index").all()
-    before = memory_of(env)
+    env, alone = make_flows(task, 2, starts=starts[:2]), make_flows(task, 1, starts=starts[1:2])
+    other = make_flows(task, 1, starts=starts[:1])
+    for flows in (env, alone, other):
+        flows.reset()
+    together = act(env, 0, 2)
+    for row, action, single in ((0, 0, other), (1, 2, alone)):
+        assert (act(single, action)[0] == together[row]).exclude("start_index").all()
+        for name, value in read_flows(single).items():
+            assert torch.equal(value[0], read_flows(env)[name][row]), name
+    before = read_flows(env)
     with env.set_starts(starts[2:]):
         env.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
-    after = memory_of(env)
+    after = read_flows(env)
     for name, value in before.items():
         assert torch.equal(after[name][1], value[1]), name
-    assert not torch.equal(after["f"][0], before["f"][0])
+    assert not torch.equal(after["populations"][0], before["populations"][0])
     assert after["flow_index"].tolist() == [1, 2]
     act(env, 1, 1)
     act(alone, 1)
-    for name, value in memory_of(alone).items():
-        assert torch.equal(value[0], memory_of(env)[name][1]), name
+    for name, value in read_flows(alone).items():
+        assert torch.equal(value[0], read_flows(env)[name][1]), name
 
 
 def test_a_saved_environment_goes_on_exactly_and_resets_alike(task: KarmanGait) -> None:
-    env, other = make(task, 2, seed=1), make(task, 2, seed=2)
+    env, other = make_flows(task, 2, seed=1), make_flows(task, 2, seed=2)
     env.reset()
     other.reset()
     act(env, 2, 0)
@@ -91,8 +78,8 @@ def test_a_saved_environment_goes_on_exactly_and_resets_alike(task: KarmanGait) 
     for each in (env, other):
         each.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
     assert (act(env, 0, 2) == act(other, 0, 2)).all()
-    for name, value in memory_of(env).items():
-        assert torch.equal(memory_of(other)[name], value), name
+    for name, value in read_flows(env).items():
+        assert torch.equal(read_flows(other)[name], value), name
 
 
 def test_an_episode_begins_in_the_wake_that_its_start_names(task: KarmanGait) -> None:
@@ -101,7 +88,7 @@ def test_an_episode_begins_in_the_wake_that_its_start_names(task: KarmanGait) ->
         torch.tensor([2, 0]),
         torch.tensor([0.8, 0.1]).double(),
     )
-    env = make(task, 2, starts=starts)
+    env = make_flows(task, 2, starts=starts)
     env.reset()
     assert task.wakes is not None
     expected = task.wakes.populations[[2, 0], [3, 0]]
@@ -123,7 +110,7 @@ def test_wakes_that_one_environment_had_made_are_read_by_the_next_task(tmp_path:
             shedding_frequencies=torch.ones(3),
         )
         patch.setattr("fishrl.envs.wakes.develop_wakes", lambda *_, **__: bank)
-        make(task, 1)
+        make_flows(task, 1)
     assert len(list(tmp_path.iterdir())) == 1
     again = KarmanGait(**TINY, stream=stream)
     assert again.wakes is not None

@@ -14,9 +14,9 @@ from stable_baselines3.common.vec_env import VecMonitor
 from fishrl.envs import Predation, make_env
 from fishrl.envs.stable_baselines import FlowVecEnv
 from tests.envs.conftest import SMALL
-from tests.envs.shy_task import Shy
+from tests.envs.masked_task import MaskedTask
 
-pytestmark = pytest.mark.usefixtures("gliding")
+pytestmark = pytest.mark.usefixtures("kinematic")
 
 
 def make(task: Any = None, *, num_envs: int = 2) -> FlowVecEnv:
@@ -79,7 +79,7 @@ def test_algorithms_without_masks_train_a_fish_that_may_do_anything(kind: type) 
 
 @pytest.mark.learning
 def test_a_masked_algorithm_never_takes_an_illegal_action() -> None:
-    envs = make(Shy(**SMALL, time_limit=6), num_envs=3)
+    envs = make(MaskedTask(**SMALL, time_limit=6), num_envs=3)
     model = MaskablePPO("MlpPolicy", envs, n_steps=16, batch_size=16, seed=0, device="cpu")
     model.learn(96)  # an illegal action would end it with an error
     assert model.num_timesteps >= 96

@@ -66,12 +66,6 @@ def test_a_heading_and_the_same_a_turn_further_are_steered_alike() -> None:
     torch.testing.assert_close(turns, expected, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("bad", [{"gain": -1.0}, {"num_stacked": 1}, {"max_turn_degrees": 91.0}])
-def test_settings_out_of_bounds_are_refused(bad: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=f"{next(iter(bad))} = .*must be"):
-        PIDSteering(**bad)
-
-
 def linear_layers(network: torch.nn.Sequential) -> list[tuple[Tensor, Tensor]]:
     return [(m.weight, m.bias) for m in network if isinstance(m, torch.nn.Linear)]
 

@@ -159,12 +159,6 @@ def test_what_the_machine_said_before_counts_less_and_less_and_not_beyond_the_ep
     assert (age == 0.0).sum(1).tolist() == [3, 2, 2]  # episodes begin at different times
 
 
-@pytest.mark.parametrize("memory", [-0.1, 1.1])
-def test_a_memory_that_is_none_is_refused(memory: float) -> None:
-    with pytest.raises(ValueError, match=r"memory = .*: must lie in \[0, 1\]"):
-        PredictedFlowLabel(machine=untrained(), memory=memory)
-
-
 def test_a_saved_environment_names_flows_as_before() -> None:
     first, second = (make(*make_recognition(untrained(num_samples=32))) for _ in range(2))
     for parameter in second.transform[1].machine.parameters():
@@ -211,7 +205,7 @@ def test_an_oracle_of_another_number_of_flows_is_refused() -> None:
         make(TrueFlowLabel(num_flows=2))
 
 
-@pytest.mark.usefixtures("gliding")
+@pytest.mark.usefixtures("kinematic")
 def test_a_task_without_a_lateral_line_is_refused() -> None:
     env = TransformedEnv(FlowEnv(task=Predation(**SMALL), num_envs=1, compile_flow=False))
     with pytest.raises(ValueError, match="Predation has no lateral line"):

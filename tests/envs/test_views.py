@@ -11,13 +11,13 @@ from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.scene import Choice, Scene
 from fishrl.envs.streams import Stream
-from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
-from tests.envs.shy_task import Shy
+from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.envs.masked_task import MaskedTask
 
-pytestmark = pytest.mark.usefixtures("gliding")
+pytestmark = pytest.mark.usefixtures("kinematic")
 
 GAIT: dict[str, Any] = {**SMALL, "wall_margin_bl": 0.25}
-DISC = "dcylinder_1"  # gliding fish have none
+DISC = "dcylinder_1"  # kinematic fish have none
 
 
 def make_task(kind: str) -> AbstractTask:
@@ -28,7 +28,7 @@ def make_task(kind: str) -> AbstractTask:
         "gait": lambda: KarmanGait(**GAIT),
         "averaged": lambda: KarmanGait(**GAIT, lateral_line=line),
         "free": lambda: KarmanGait(**GAIT, **free),
-        "own": lambda: Shy(**SMALL),
+        "own": lambda: MaskedTask(**SMALL),
     }[kind]()
 
 
@@ -52,28 +52,6 @@ def test_everything_that_a_scene_names_can_be_read(kind: str) -> None:
     assert all(len(value) == 2 for value in values.values())
     assert values["vorticity"].shape == (2, scene.height, scene.width)
     assert values["vorticity"].float().mean() == pytest.approx(0.02 * task.scales.period, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("kind", "names", "areas"),
-    [
-        ("predation", {"distance of the food [L]"}, {"edges"}),
-        (
-            "gait",
-            {"class probabilities", "pressure felt [ρ (L/T)²]", "nose from the flat side [L]"},
-            {"edges", "danger_area"},
-        ),
-        ("own", set(), {"edges"}),
-    ],
-)
-def test_each_task_has_its_own_plots_beside_those_of_all(
-    kind: str, names: set[str], areas: set[str]
-) -> None:
-    scene = make_task(kind).make_scene()
-    always = {"reward", "action (line) among the legal ones (dots)", "tail-beat frequency [1/T]"}
-    always |= {"angle of attack [°]", "power [ρ L⁴/T³]"}
-    assert {panel.name for panel in scene.panels} == always | names
-    assert {area.key for area in scene.areas} == areas
 
 
 def test_only_predation_has_a_goal() -> None:
@@ -112,23 +90,3 @@ def test_the_angle_of_attack_is_from_upstream_or_from_the_direction_of_swimming(
         base.solver.body.velocity[:, 0] = -0.5 * base.task.scales.reference_speed
     angle = base.task.read_scene(base.solver, base.start)["angle_of_attack"].item()
     assert angle == pytest.approx(math.degrees(turn))
-
-
-def test_starts_are_named_after_their_streams() -> None:
-    task = make_task("gait")
-    starts = task.sample_starts(2, torch.Generator().manual_seed(0))
-    starts["flow_index"] = torch.tensor([2, 0])
-    assert [task.name_start(start) for start in starts] == ["1.5 L/T", "1 L/T"]
-    assert make_task("predation").name_start(starts[0]) == ""
-
-
-@pytest.mark.parametrize(
-    ("kind", "names"),
-    [
-        ("gait", ("decelerate", "cruise", "accelerate")),
-        ("free", ("0.5 beats/T", "2 beats/T")),
-        ("predation", ("turn -15°", "keep", "turn +15°")),
-    ],
-)
-def test_actions_are_named_by_what_they_do(kind: str, names: tuple[str, ...]) -> None:
-    assert make_task(kind).action_names == names

@@ -28,7 +28,7 @@ RECIPE = WakeRecipe(
     heading=pi,
     speeds=(0.12,),
     num_phases=4,
-    num_travels=50.0,
+    num_travels=30.0,
 )
 
 

@@ -13,15 +13,15 @@ from torch import Tensor
 
 from examples.ppo_in_one_file import Settings, make_fish, train
 from fishrl.envs import Predation
-from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
-from tests.envs.shy_task import Shy
+from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.envs.masked_task import MaskedTask
 
-pytestmark = [pytest.mark.usefixtures("gliding"), pytest.mark.learning]
+pytestmark = [pytest.mark.usefixtures("kinematic"), pytest.mark.learning]
 BRIEF: dict[str, Any] = {**SMALL, "control_interval_T": 0.1, "checks_per_action": 2}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Eager(Shy):
+class Eager(MaskedTask):
     """Beat fast: the reward is the tail beat, and the fastest is masked once it is reached."""
 
     def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:

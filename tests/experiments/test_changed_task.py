@@ -17,10 +17,10 @@ from experiments.train import train
 from experiments.train_settings import TRAINING
 from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.policy_spec import PolicySpec
-from tests.envs.conftest import gliding  # noqa: F401 - a fixture
+from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
 from tests.experiments.test_gait import SETTINGS, make_machine, make_task
 
-pytestmark = pytest.mark.usefixtures("gliding")
+pytestmark = pytest.mark.usefixtures("kinematic")
 
 OWN = [*SETTINGS, "task.stream.speeds_bl=[1.0,1.2,1.4]", "task.observes_flow=true"]
 

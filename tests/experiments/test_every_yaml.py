@@ -9,9 +9,9 @@ import pytest
 
 from experiments import evaluate, train, train_lateral_line, view
 from experiments.configuration import CONF
-from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
 
-pytestmark = pytest.mark.usefixtures("gliding")
+pytestmark = pytest.mark.usefixtures("kinematic")
 
 YAMLS = sorted(path.relative_to(CONF).as_posix() for path in CONF.rglob("*.yaml"))
 TINY = [

@@ -21,10 +21,10 @@ from fishrl.envs import KarmanGait, Predation
 from fishrl.envs.transforms import equip
 from fishrl.modules import LateralLineClassifier
 from fishrl.training.classifier import keep_recognition, load_recognition
-from tests.envs.conftest import SMALL, glide, gliding  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL, kinematic, move_kinematically  # noqa: F401 - a fixture
 from tests.experiments.gait.tasks import BRIEF, OVERRIDES, make_task
 
-pytestmark = pytest.mark.usefixtures("gliding")
+pytestmark = pytest.mark.usefixtures("kinematic")
 
 SETTINGS = [
     "task=karman_gait",
@@ -73,7 +73,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
     choice = make_machine(folder / "m.pt")
     with pytest.MonkeyPatch.context() as patch:
-        glide(patch)
+        move_kinematically(patch)
         summary = run(folder, "name=machine", "picture_episodes=1", recognition=choice)
         run(folder, "name=oracle", "seed=1", "baselines=[]", recognition="oracle")
     assert summary["success"] == "survived"

@@ -13,7 +13,7 @@ from experiments import evaluate, search, train, view
 from experiments.configuration import build
 from fishrl.training.baselines import make_baseline
 from tests.docs.pages import read_blocks
-from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ SETTINGS = [
 ]
 
 
-@pytest.mark.usefixtures("gliding")
+@pytest.mark.usefixtures("kinematic")
 def test_a_task_from_outside_is_trained_and_evaluated_without_any_edit(
     outside: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

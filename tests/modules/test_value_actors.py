@@ -74,11 +74,6 @@ def test_one_seed_gives_one_network() -> None:
     assert not torch.equal(made[0], made[2])
 
 
-def test_a_recurrent_network_without_hidden_layers_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"hidden = \[\]: give at least one width"):
-        make_recurrent_value_actor(num_inputs=4, num_actions=3, hidden=())
-
-
 def test_a_policy_remembers_each_rows_own_episode() -> None:
     network = make_recurrent_value_actor(num_inputs=4, num_actions=3, hidden=(8, 16))
     policy, alone = RecurrentPolicy(network), RecurrentPolicy(network)

@@ -24,7 +24,7 @@ from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
 from tests.docs.pages import DOCS, read_blocks
 from tests.envs.conftest import SMALL
-from tests.envs.gliding import GlidingSolver
+from tests.envs.kinematic_solver import KinematicSolver
 from tests.envs.test_real_flow import TINY
 
 pytestmark = pytest.mark.smoke
@@ -48,7 +48,7 @@ REAL: dict[str, dict[str, Any]] = {
         "safe_area.aside_bl": 0.5,
     },
 }
-GLIDING: dict[str, Any] = SMALL | BRIEF | {"wall_margin_bl": 0.25}
+KINEMATIC: dict[str, Any] = SMALL | BRIEF | {"wall_margin_bl": 0.25}
 FEW = [
     *("compile=false", "num_envs=2", "total_frames=4", "warmup_frames=2", "updates_per_frame=1"),
     *("batch_size=2", "hidden=[8]", "log_frames=2", "checkpoint_frames=4", "eval_frames=4"),
@@ -57,13 +57,13 @@ FEW = [
 
 
 @pytest.fixture
-def gliding(monkeypatch: pytest.MonkeyPatch) -> None:
+def kinematic(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replace the flow by fish that glide."""
     _glide(monkeypatch)
 
 
 def _glide(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fishrl.envs.task, "InPlaceSolver", GlidingSolver)
+    monkeypatch.setattr(fishrl.envs.task, "InPlaceSolver", KinematicSolver)
     bank = WakeBank(populations=torch.zeros(3, 1, 1, 1, 1), shedding_frequencies=torch.ones(3))
     monkeypatch.setattr(Stream, "load_wakes", lambda *_: bank)
 
@@ -112,7 +112,7 @@ def gait_run(runs: Path) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         _glide(patch)
         chosen = ["task=karman_gait", "preset=gait_small", "recognition=oracle"]
-        task = [*_set_task(GLIDING), "task.start_flows=[0,1,2]"]
+        task = [*_set_task(KINEMATIC), "task.start_flows=[0,1,2]"]
         return _train(runs, "gait_run", *chosen, *task)
 
 
@@ -132,7 +132,7 @@ def test_every_program_is_here() -> None:
 def test_every_task_is_trained(task: str, runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if task not in REAL:
         _glide(monkeypatch)
-    _train(runs, task, f"task={task}", *_set_task(REAL.get(task, GLIDING)))
+    _train(runs, task, f"task={task}", *_set_task(REAL.get(task, KINEMATIC)))
 
 
 OTHERS = [
@@ -143,20 +143,20 @@ OTHERS = [
 ]
 
 
-@pytest.mark.usefixtures("gliding")
+@pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize("choice", ["logger=csv", *OTHERS])
 def test_every_algorithm_and_every_other_choice_trains(choice: str, runs: Path) -> None:
     more = ["algorithm.sequence_length=2"] if choice == "algorithm=drqn" else []
-    _train(runs, choice.replace("=", "-"), choice, *more, *_set_task(GLIDING))
+    _train(runs, choice.replace("=", "-"), choice, *more, *_set_task(KINEMATIC))
 
 
-@pytest.mark.usefixtures("gliding")
+@pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize("preset", GROUPS["preset"])
 def test_every_preset_makes_its_task(preset: str, runs: Path) -> None:
-    _train(runs, f"preset-{preset}", f"preset={preset}", *_set_task(GLIDING))
+    _train(runs, f"preset-{preset}", f"preset={preset}", *_set_task(KINEMATIC))
 
 
-@pytest.mark.usefixtures("gliding")
+@pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize(
     ("task", "policy"),
     [
@@ -165,7 +165,7 @@ def test_every_preset_makes_its_task(preset: str, runs: Path) -> None:
     ],
 )
 def test_every_baseline_is_evaluated(task: str, policy: str) -> None:
-    chosen = [f"policy={policy}", f"task={task}", *_set_task(GLIDING), "task.time_limit=2"]
+    chosen = [f"policy={policy}", f"task={task}", *_set_task(KINEMATIC), "task.time_limit=2"]
     if task == "predation":  # pursuers decide once per T
         chosen += ["task.control_interval_T=1", "task.checks_per_action=25"]
     _run("evaluate", *chosen, "episodes=2", "num_envs=2", "compile=false")
@@ -191,12 +191,12 @@ def test_a_learned_policy_is_evaluated_shown_listed_and_exported(
     assert verified == [str(predation_run / "capture.rrd")]
 
 
-@pytest.mark.usefixtures("gliding")
+@pytest.mark.usefixtures("kinematic")
 def test_a_gait_is_tried_in_all_streams_and_its_page_is_written(
     gait_run: Path, tmp_path: Path
 ) -> None:
     trial, sweep = tmp_path / "transfer", tmp_path / "sweep"
-    own = _set_task(GLIDING)
+    own = _set_task(KINEMATIC)
     given = [f"runs=[{gait_run}]", "baselines=[pid]", "episodes=1", "periods=0.2"]
     _run("transfer", *own, *given, f"folder={trial}")
     _run("drift_sweep", *own, "starts=1", "periods=1", "frequencies=[0.9,1.8]", f"folder={sweep}")
@@ -218,12 +218,12 @@ def test_a_setting_is_searched_for(tmp_path: Path) -> None:
     assert (tmp_path / "study.db").is_file()
 
 
-@pytest.mark.usefixtures("gliding")
+@pytest.mark.usefixtures("kinematic")
 def test_a_lateral_line_is_studied(tmp_path: Path) -> None:
     few = ["num_samples=96", "max_decisions=2", "num_envs=6", "num_splits=1", "num_epochs=2"]
     few += ["paper_epochs=1", "windows=[1]", "noises=[0.0]", "memories=[0.0]", "hidden=[8]"]
     places = [f"folder={tmp_path}", "name=line", f"data_folder={tmp_path / 'data'}"]
-    _run("train_lateral_line", *few, *places, *_set_task(GLIDING), "compile=false")
+    _run("train_lateral_line", *few, *places, *_set_task(KINEMATIC), "compile=false")
     assert (tmp_path / "line" / "machine.pt").is_file()
 
 

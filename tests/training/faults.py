@@ -16,10 +16,10 @@ from typing import Any
 
 import fishrl.envs.task
 from fishrl.training.logger import CsvLogger
-from tests.envs.gliding import GlidingSolver
+from tests.envs.kinematic_solver import KinematicSolver
 
 if "pytest" not in sys.modules:
-    fishrl.envs.task.InPlaceSolver = GlidingSolver  # type: ignore[misc, assignment]
+    fishrl.envs.task.InPlaceSolver = KinematicSolver  # type: ignore[misc, assignment]
 
 
 class Gliding(CsvLogger):

@@ -19,8 +19,8 @@ from fishrl.training import DRQN, DiscreteSAC, Interrupted, Observer, begin
 from fishrl.training.evaluation import Evaluation
 from fishrl.training.loop import Training
 from fishrl.training.metrics import list_metrics
-from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
-from tests.envs.gliding import GlidingSolver
+from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.envs.kinematic_solver import KinematicSolver
 from tests.training.conftest import QUICK, Toy, assert_equal_weights, make_toy_plan, weights_of
 from tests.training.toy_fish import ToyPredation, make_toy_env
 
@@ -63,20 +63,20 @@ def test_actions_are_legal_and_diverged_transitions_never_remembered(toy: Toy) -
     assert set(buffer[:]["action"].tolist()) == {0, 1}  # in warm-up and by the policy
 
 
-@pytest.mark.usefixtures("gliding")
+@pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize("algorithm", [DiscreteSAC(), DRQN()], ids=["sac", "drqn"])
 def test_a_flow_that_diverges_never_stops_a_run(
     toy: Toy, monkeypatch: pytest.MonkeyPatch, algorithm: DiscreteSAC | DRQN
 ) -> None:
-    advance, num_calls = GlidingSolver.advance_, [0]
+    advance, num_calls = KinematicSolver.advance_, [0]
 
-    def advance_and_break(self: GlidingSolver, *args: Any) -> None:
+    def advance_and_break(self: KinematicSolver, *args: Any) -> None:
         advance(self, *args)
         num_calls[0] += 1
         if num_calls[0] % 29 == 0:  # of training and evaluation alike
             self.body.position[num_calls[0] % self.num_envs] = torch.nan
 
-    monkeypatch.setattr(GlidingSolver, "advance_", advance_and_break)
+    monkeypatch.setattr(KinematicSolver, "advance_", advance_and_break)
     toy_plan = make_toy_plan(
         toy.folder,
         algorithm=algorithm,

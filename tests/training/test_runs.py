@@ -26,7 +26,7 @@ from fishrl.training import (
     train,
 )
 from fishrl.training.run_folder import read_config, write_yaml
-from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
 from tests.training.conftest import QUICK, Toy, assert_equal_weights, make_toy_plan
 from tests.training.stops import run_and_stop
 from tests.training.toy_fish import ToyFishEnv, make_toy_env
@@ -34,7 +34,7 @@ from tests.training.toy_fish import ToyFishEnv, make_toy_env
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.usefixtures("gliding")
+@pytest.mark.usefixtures("kinematic")
 def test_a_library_user_trains_evaluates_and_resumes_in_ten_lines(tmp_path: Path) -> None:
     summary = train(
         task=Predation(**SMALL),

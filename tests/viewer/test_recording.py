@@ -11,7 +11,7 @@ from fishrl.envs import KarmanGait, Predation, make_env
 from fishrl.envs.scene import Field, Frame, Scene
 from fishrl.viewer import Recording, make_scene, name_flows, record_episodes
 from fishrl.viewer.recording import Recorder
-from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
 
 FIELD = Field(key="head", name="head", unit="", limit=1.0)
 TASK: dict[str, Any] = {**SMALL, "time_limit": 12, "food_still_T": 99.0}
@@ -118,7 +118,7 @@ def record(num_envs: int, *, device: str = "cpu") -> tuple[Predation, list[Recor
     return task, recordings, episodes
 
 
-@pytest.mark.usefixtures("gliding")
+@pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize("num_envs", [1, 3])
 def test_episodes_are_recorded_from_their_starts_to_the_capture(num_envs: int) -> None:
     task, (caught, missed), episodes = record(num_envs)
@@ -146,7 +146,7 @@ def test_flows_on_a_gpu_are_recorded_on_the_cpu(monkeypatch: pytest.MonkeyPatch)
         assert vorticity.device.type == "cpu" and vorticity.any()
 
 
-@pytest.mark.usefixtures("gliding")
+@pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize("recognition", [None, "oracle"])
 def test_plots_of_outputs_that_the_env_does_not_have_are_left_out(recognition: str | None) -> None:
     task = KarmanGait(**{**SMALL, "wall_margin_bl": 0.25})
@@ -158,7 +158,7 @@ def test_plots_of_outputs_that_the_env_does_not_have_are_left_out(recognition: s
     assert scene.field.limit == 7.0
 
 
-@pytest.mark.usefixtures("gliding")
+@pytest.mark.usefixtures("kinematic")
 def test_flows_are_titled_by_number_and_stream() -> None:
     task = KarmanGait(**{**SMALL, "wall_margin_bl": 0.25})
     starts = task.sample_starts(3, torch.Generator().manual_seed(0))

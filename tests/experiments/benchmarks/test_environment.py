@@ -15,7 +15,7 @@ from fishrl.envs import Predation
 from fishrl.envs.scene import Frame
 from fishrl.training.settings import LearningSettings
 from fishrl.viewer import Drawing
-from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
 from tests.envs.test_real_flow import TINY
 
 SHORT = TINY | {"control_interval_T": 0.1, "checks_per_action": 2}  # few steps per action
@@ -67,7 +67,7 @@ def test_a_profile_has_the_parts_of_the_flow_and_of_the_environment() -> None:
     assert sum(case.facts["share"] for case in parts) == pytest.approx(1.0)
 
 
-@pytest.mark.usefixtures("gliding")
+@pytest.mark.usefixtures("kinematic")
 def test_only_decisions_with_a_live_view_are_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     times: list[float] = []
     draw = Drawing.draw

@@ -9,13 +9,13 @@ from tensordict import TensorDict
 import fishrl.envs.task
 from experiments.gait.histories import record_histories
 from fishrl.envs import KarmanGait, make_env
-from tests.envs.conftest import SMALL, gliding  # noqa: F401 - a fixture
-from tests.envs.gliding import GlidingSolver
+from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.envs.kinematic_solver import KinematicSolver
 
 LIFT = 0.003  # rho (nodes / step)^2 nodes, on the obstacle of each row times its number
 
 
-class LiftedSolver(GlidingSolver):
+class LiftedSolver(KinematicSolver):
     """An obstacle beside the fish, on which the flow pushes with a constant lift."""
 
     @property
@@ -25,7 +25,7 @@ class LiftedSolver(GlidingSolver):
         return [self.body, SimpleNamespace(impulse=impulse)]
 
 
-@pytest.mark.usefixtures("gliding")
+@pytest.mark.usefixtures("kinematic")
 def test_lift_is_the_obstacles_impulse_by_time_in_rho_L_and_T(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -10,10 +10,10 @@ import pytest
 
 from experiments import drift_sweep, free_stream, gait_page, transfer
 from experiments.gait.trials import make_trial
-from tests.envs.conftest import gliding  # noqa: F401 - a fixture
+from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
 from tests.experiments.gait.tasks import BRIEF, OVERRIDES, make_task
 
-pytestmark = pytest.mark.usefixtures("gliding")
+pytestmark = pytest.mark.usefixtures("kinematic")
 
 
 def test_policies_of_one_name_or_of_different_tasks_are_refused(tmp_path: Path) -> None:
@@ -54,7 +54,7 @@ def test_drift_is_swept_over_frequencies_in_every_stream(tmp_path: Path) -> None
     with (tmp_path / "drift.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if float(row["samples"]) > 0]
     assert {row["stream_speed_bl"] for row in rows} == {"1.0", "1.25", "1.5"}
-    # gliding fish swim 0.4 L in a beat, upstream, whatever the stream
+    # kinematic fish swim 0.4 L in a beat, upstream, whatever the stream
     for row in rows:
         expected = -0.4 * float(row["frequency"])
         assert float(row["drift"]) == pytest.approx(expected, abs=0.02)

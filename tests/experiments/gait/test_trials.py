@@ -14,10 +14,10 @@ from experiments.gait.histories import Histories
 from experiments.gait.trials import make_trial, run_trial
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
-from tests.envs.conftest import gliding  # noqa: F401 - a fixture
+from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
 from tests.experiments.gait.tasks import BRIEF, make_task
 
-pytestmark = pytest.mark.usefixtures("gliding")
+pytestmark = pytest.mark.usefixtures("kinematic")
 
 
 def test_a_trial_is_as_long_however_short_the_training_episodes() -> None:

@@ -13,7 +13,7 @@ from fishrl.physics.fast.solver import InPlaceSolver
 
 
 @dataclass(frozen=True, kw_only=True)
-class Mindful(AbstractTask):
+class MemoryTask(AbstractTask):
     """Glide to the left: 0 straight on, 1 turn by the hint; sum up the actions."""
 
     n_obs: ClassVar[int] = 2

@@ -13,7 +13,7 @@ from fishrl.physics.fast.solver import InPlaceSolver
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shy(AbstractTask):
+class MaskedTask(AbstractTask):
     """Get away from the right wall: 0 beats slower, 1 faster; neither beyond its limit."""
 
     n_obs: ClassVar[int] = 2

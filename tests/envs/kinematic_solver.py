@@ -1,4 +1,4 @@
-"""A fish without a flow: it glides along its heading, and tests of the env take milliseconds."""
+"""Fish without a flow: they move along their headings, and tests of envs take milliseconds."""
 
 import torch
 from torch import Tensor
@@ -7,11 +7,11 @@ from fishrl.physics.bodies.geometry import Markers, deform_body, place_markers
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.flow import FlowConfig
 
-GLIDE_SPEED_BL = 0.4  # body lengths per tail beat
+SPEED_BL = 0.4  # body lengths per tail beat
 
 
-class GlidingSolver:
-    """Methods of ``InPlaceSolver``, with straight fish that glide and turn at constant rates."""
+class KinematicSolver:
+    """Methods of ``InPlaceSolver``, with straight fish that move and turn at constant rates."""
 
     def __init__(
         self,
@@ -64,7 +64,7 @@ class GlidingSolver:
         assert num_steps >= 0 and num_steps % 2 == 0
         assert self.config.fish is not None
         body = self.body
-        speed = GLIDE_SPEED_BL * self.config.fish.body_length * body.frequency
+        speed = SPEED_BL * self.config.fish.body_length * body.frequency
         moves = torch.ones(self.num_envs) if rows is None else rows.double()
         for _ in range(num_steps // 2):
             direction = torch.stack((torch.cos(body.heading), torch.sin(body.heading)), -1)
