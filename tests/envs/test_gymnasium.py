@@ -1,4 +1,4 @@
-"""Flows as a Gymnasium vector environment, on fish that glide."""
+"""Flows as a Gymnasium vector environment, on kinematic fish."""
 
 from __future__ import annotations
 

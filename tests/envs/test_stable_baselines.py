@@ -1,4 +1,4 @@
-"""Stable-Baselines3 itself learns on flows, on fish that glide."""
+"""Stable-Baselines3 itself learns on flows, on kinematic fish."""
 
 from __future__ import annotations
 

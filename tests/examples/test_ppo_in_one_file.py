@@ -1,4 +1,4 @@
-"""The example in the manner of CleanRL, on fish that glide."""
+"""The example in the manner of CleanRL, on kinematic fish."""
 
 from __future__ import annotations
 

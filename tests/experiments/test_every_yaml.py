@@ -1,4 +1,4 @@
-"""Every YAML under conf/ and every program that makes a task runs briefly, on fish that glide."""
+"""Every YAML under conf/ and every program that makes a task runs briefly, on kinematic fish."""
 
 from __future__ import annotations
 

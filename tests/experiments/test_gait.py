@@ -1,4 +1,4 @@
-"""Trainings of a gait with flow labels, evaluated and tried in every flow, on fish that glide."""
+"""Trainings of a gait with flow labels, evaluated and tried in every flow, on kinematic fish."""
 
 from __future__ import annotations
 

@@ -286,7 +286,7 @@ def test_jobs_that_cannot_be_set_up_are_all_named(
 
 AGENT = """
 import sys
-import tests.training.faults  # fish that glide
+import tests.training.faults  # kinematic fish
 from experiments import train
 from fishrl.training.checkpoint import read_metadata
 sys.argv[0] = "train"

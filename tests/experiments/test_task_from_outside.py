@@ -1,4 +1,4 @@
-"""A task of a user's own, in a folder of their own: the one of the tutorial, on fish that glide."""
+"""A task of a user's own, in a folder of their own: the one of the tutorial, on kinematic fish."""
 
 from __future__ import annotations
 

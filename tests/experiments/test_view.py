@@ -1,4 +1,4 @@
-"""The program that shows flows, and live views of trainings, on fish that glide."""
+"""The program that shows flows, and live views of trainings, on kinematic fish."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ FEW = [
 
 @pytest.fixture
 def kinematic(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replace the flow by fish that glide."""
+    """Replace the flow by kinematic fish."""
     _glide(monkeypatch)
 
 

@@ -1,6 +1,6 @@
 """Loggers for runs in other processes, where no fixture reaches. Tests only name them.
 
-Importing this file replaces the flow by fish that glide, but not where the tests run: there,
+Importing this file replaces the flow by kinematic fish, but not where the tests run: there,
 whatever reads a run's settings imports it too.
 """
 

@@ -1,4 +1,4 @@
-"""What is kept of the obstacle beside the fish, on fish that glide."""
+"""What is kept of the obstacle beside the fish, on kinematic fish."""
 
 from types import SimpleNamespace
 

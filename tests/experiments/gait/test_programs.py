@@ -1,4 +1,4 @@
-"""Programs of the Kármán gait study, on fish that glide."""
+"""Programs of the Kármán gait study, on kinematic fish."""
 
 from __future__ import annotations
 
