@@ -93,17 +93,9 @@ def study_lateral_line(
     folder: Path,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Fit the classifier and those to compare it with, and write results and figures.
+    """Fit the classifier and those to compare it with, to episodes as ``collect`` returns.
 
-    Args:
-        settings: see there.
-        task: whose flows are classified.
-        episodes: ``[E, D]`` as ``collect`` returns.
-        folder: that takes the files.
-        progress: progress bar.
-
-    Returns:
-        The results, as in ``lateral_line.json``.
+    Writes results and figures to the folder, and returns those of ``lateral_line.json``.
     """
     line, window = task.lateral_line, settings.window
     window = window or NUM_INTERVALS * line.num_samples

@@ -106,18 +106,10 @@ def transfer(
     samples_actions: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Run all trials and write tables and figures.
+    """Run all trials, write tables and figures, and return the results.
 
-    Args:
-        trials: the policies; those of one arm are its seeds.
-        episodes: in each flow.
-        folder: for everything.
-        samples_actions: sample the actions of learned policies; otherwise they act greedily.
-        progress: progress bar.
-
-    Returns:
-        ``arms``: diagnostics per arm and flow over its seeds; ``trials``: of each policy alone;
-        ``work``: per arm and flow as it adds up in time.
+    Those are ``arms``: diagnostics per arm and flow over its seeds; ``trials``: of each policy
+    alone; ``work``: per arm and flow as it adds up in time.
     """
     check_trials(trials)
     task, best = trials[0].task, trials[0].arm
@@ -151,9 +143,8 @@ def transfer(
     (folder / "transfer.md").write_text(text, encoding="utf-8")
     first = {arm: seeds[0] for arm, seeds in arms.items()}
     everything = [flows for seeds in arms.values() for flows in seeds]
-    leans = [
-        measure_lean(stack(flow), interval_T=interval_T) for flow in zip(*everything, strict=True)
-    ]
+    together = [stack(flow) for flow in zip(*everything, strict=True)]
+    leans = [measure_lean(histories, interval_T=interval_T) for histories in together]
     pictures.write_survival(folder / "survival.png", arms, speeds=speeds)
     pictures.write_paths(folder / "paths.png", first, task=task)
     pictures.write_places(folder / "places.png", first, task=task)

@@ -37,13 +37,9 @@ def diagnose(
     nose in ``STREET``; ``in_gait``: and beating within ``GAIT_BAND`` of the shedding frequency;
     ``accelerations``, ``decelerations``), or of the decisions (``named_right``: correct flow
     label). Lengths are in L, angles in degrees, frequencies per T, work per T in rho L^2 (L / T)^2.
-
-    Args:
-        histories: of episodes in that flow alone.
-        shedding_frequency: per T, of the wake without a fish; NaN in a free stream.
-        safe_area: of the task.
-        time_limit_T: duration of an episode that nothing ends.
-        interval_T: duration of a control interval.
+    The shedding frequency is that of the wake without a fish, NaN in a free stream;
+    ``time_limit_T`` the duration of an episode that nothing ends, ``interval_T`` that of a control
+    interval.
     """
     h, lengths = histories, histories.lengths_T.double()
     last_places = (place[~place[:, 0].isnan()][-1] for place in h.place[h.terminated])

@@ -84,8 +84,8 @@ def record_histories(
         num_decisions: N, after which episodes are left.
         samples_actions: sample the actions of a learned policy with torch's global generator, as
             in training; otherwise it acts greedily.
-        progress: progress bar.
-        label: shown beside it.
+        progress: progress bar, which begins with ``label``.
+        label: see ``progress``.
 
     Raises:
         ValueError: if the env has not one flow per start.

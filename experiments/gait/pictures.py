@@ -213,15 +213,7 @@ def write_period(
 ) -> None:
     """Draw the flow around a fish at four moments of one shedding period in each flow.
 
-    Args:
-        path: of the PNG.
-        trial: the policy.
-        num_decisions: before the first moment; its episodes must last that long.
-        periods_T: shedding period of each flow, T.
-        seed: of the starts.
-
-    Raises:
-        ValueError: if they do not.
+    ``num_decisions`` come before the first moment; ``ValueError`` if the episodes end earlier.
     """
     task, num = trial.task, len(periods_T)
     length, (x, y) = task.body_length, task.origin.tolist()

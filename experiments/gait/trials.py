@@ -200,15 +200,10 @@ def run_trial(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Histories:
-    """Run a policy from fixed starts in every flow, or read its histories from an earlier run.
+    """Run ``episodes`` from fixed starts in every flow, or read them from the folder if it can.
 
-    Args:
-        trial: the policy.
-        episodes: in each flow.
-        folder: where histories are kept, a file for each trial.
-        samples_actions: see ``record_histories``.
-        seed: of the starts, the same for every policy, and of sampled actions.
-        progress: progress bar.
+    The starts of a seed are the same for every policy; ``samples_actions`` as for
+    ``record_histories``.
     """
     task, sources = trial.task, hash_sources(*_SOURCES)
     key = make_key(task, trial.identity, episodes, samples_actions, seed, FRAMES, sources)

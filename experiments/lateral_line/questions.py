@@ -50,14 +50,8 @@ def answer(
 ) -> dict[str, Answers]:
     """Return tables of held-out accuracies by name; equal fits are made once.
 
-    Args:
-        study: what is fitted.
-        window: number of samples in the longest window.
-        windows: lengths of window to compare.
-        noises: levels to compare, as shares of each feature's standard deviation.
-        memories: of earlier predictions to compare, see ``PredictedFlowLabel``.
-        num_splits: divisions of the episodes.
-        progress: progress bar.
+    The longest window has ``window`` samples; ``windows``, ``noises`` and ``memories`` are those of
+    ``LateralLineSettings``.
     """
     local = TrainingData(features=LOCAL, num_samples=window)
     plain, inputs = Question(local), list_training_data(window)

@@ -12,7 +12,6 @@ from experiments.gait.diagnostics import (
     find_phase,
     lock_phases,
     measure_lean,
-    measure_sway,
     trace_work,
 )
 from experiments.gait.histories import Histories, pick, stack
@@ -55,14 +54,14 @@ def make_histories(*, lengths: list[int], beat: float = SHED) -> Histories:
     )
 
 
-def judge(histories: Histories) -> dict[str, float]:
+def reduce(histories: Histories) -> dict[str, float]:
     return diagnose(
         histories, shedding_frequency=SHED, safe_area=SafeArea(far_bl=1.75), time_limit_T=NUM
     )
 
 
 def test_survival_is_a_mean_with_its_interval() -> None:
-    result = judge(make_histories(lengths=[40, 40, 20, 10]))
+    result = reduce(make_histories(lengths=[40, 40, 20, 10]))
     assert result["survival_T"] == pytest.approx(27.5)
     assert result["survivors"] == 0.5
     deviation = np.std([40, 40, 20, 10], ddof=1)
@@ -78,7 +77,7 @@ def test_work_adds_up_once_per_T_as_long_as_a_fish_swims() -> None:
 
 
 def test_rates_are_per_T_of_all_episodes_together() -> None:
-    result = judge(make_histories(lengths=[40, 10]))
+    result = reduce(make_histories(lengths=[40, 10]))
     assert result["work"] == pytest.approx(2.0)
     assert result["positive_work"] == pytest.approx(3.0)
     assert result["lateral_work"] == pytest.approx(1.0)
@@ -87,13 +86,13 @@ def test_rates_are_per_T_of_all_episodes_together() -> None:
 
 
 def test_an_end_is_named_after_the_nearest_border() -> None:
-    result = judge(make_histories(lengths=[40, 23]))
+    result = reduce(make_histories(lengths=[40, 23]))
     assert (result["ended_far"], result["ended_near"], result["ended_aside"]) == (0.5, 0.0, 0.0)
 
 
 def test_gait_needs_the_right_beat() -> None:
-    assert judge(make_histories(lengths=[40]))["in_gait"] == 1.0
-    fast = judge(make_histories(lengths=[40], beat=2.0 * SHED))
+    assert reduce(make_histories(lengths=[40]))["in_gait"] == 1.0
+    fast = reduce(make_histories(lengths=[40], beat=2.0 * SHED))
     assert (fast["in_street"], fast["in_gait"]) == (1.0, 0.0)
     assert fast["frequency_over_shedding"] == pytest.approx(2.0)
 
@@ -127,11 +126,6 @@ def test_frames_of_shorter_intervals_are_timed_in_periods() -> None:
     assert result["sway"] == pytest.approx(0.2, rel=0.06)
 
 
-def test_sway_is_the_amplitude_of_a_sine() -> None:
-    histories = make_histories(lengths=[40, 12])
-    assert measure_sway(histories.aside, frames_per_T=FRAMES) == pytest.approx(0.2, rel=0.06)
-
-
 def test_lean_is_what_a_swaying_body_points_off_the_stream_on_average() -> None:
     histories = make_histories(lengths=[40, 12])
     sway = 0.2 * (-1.0) ** torch.arange(NUM)
@@ -144,7 +138,7 @@ def test_lean_is_what_a_swaying_body_points_off_the_stream_on_average() -> None:
 
 
 def test_seeds_are_averaged_and_their_spread_is_the_error() -> None:
-    one, other = (judge(make_histories(lengths=[n])) for n in (40, 20))
+    one, other = (reduce(make_histories(lengths=[n])) for n in (40, 20))
     both = combine_seeds([one, other])
     assert both["survival_T"] == pytest.approx(30.0)
     assert both["survival_error_T"] == pytest.approx(half_width([40.0, 20.0]))
@@ -162,7 +156,7 @@ def test_recordings_of_different_length_go_together() -> None:
 
 
 def test_tables_have_a_row_per_fish_and_flow() -> None:
-    result = judge(make_histories(lengths=[40, 23]))
+    result = reduce(make_histories(lengths=[40, 23]))
     results = {"pid": [result, result], "passive": [result, result]}
     table = write_results(results, (1.0, 1.5))
     assert len(table.splitlines()) == 2 * 6 + 1
@@ -171,6 +165,6 @@ def test_tables_have_a_row_per_fish_and_flow() -> None:
 
 
 def test_work_is_compared_as_a_ratio_and_a_saving() -> None:
-    wake = [judge(make_histories(lengths=[40]))]
+    wake = [reduce(make_histories(lengths=[40]))]
     table = write_work_table(wake, [{"work": 8.0, "positive_work": 9.0, "lateral_work": 5.0}], (1,))
     assert "| 1 | 2.000 | 8.00 | 4.0 | 75.0% | 3.0 | 1.000 | 5.00 | 5.0 | – |" in table

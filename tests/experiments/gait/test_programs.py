@@ -25,18 +25,6 @@ def test_policies_of_one_name_or_of_different_tasks_are_refused(tmp_path: Path) 
         transfer.transfer([pid, other], episodes=1, folder=tmp_path)
 
 
-def test_designs_of_the_task_are_compared_by_the_survival_of_the_pid_controller(
-    tmp_path: Path,
-) -> None:
-    pid = make_trial("pid", make_task(), periods=BRIEF)
-    results = transfer.transfer([pid], episodes=2, folder=tmp_path / "transfer")
-    page = tmp_path / "karman_gait.md"
-    page.write_text("a\n<!-- design: begin -->\n<!-- design: end -->\nz\n")
-    gait_page.main([f"docs={tmp_path}", f"design={{half T:{tmp_path / 'transfer'}}}"])
-    lasted = results["arms"]["pid"][0]["survival_T"]
-    assert f"| half T | 2 | {lasted:.0f} ± " in page.read_text()
-
-
 def test_the_free_stream_is_held_without_a_disc(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -62,7 +50,7 @@ def test_drift_is_swept_over_frequencies_in_every_stream(tmp_path: Path) -> None
     assert (facts["episodes"], facts["diverged"]) == (12, 0)
 
 
-def test_policies_of_another_test_stand_below_in_the_tables(
+def test_the_page_takes_the_tables_of_several_transfer_tests(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     task = make_task()
@@ -72,8 +60,16 @@ def test_policies_of_another_test_stand_below_in_the_tables(
     monkeypatch.setattr(gait_page, "load_trial", lambda run: make_trial("pid", task))
     for name in ("write_period", "write_training"):
         monkeypatch.setattr(gait_page.pictures, name, lambda *_, **__: None)
-    beside = str(tmp_path / "fixed-0.6")
-    text = gait_page.write_transfer(str(tmp_path / "pid"), tmp_path, ["a run"], beside)
-    rows = [line.split(" | ")[0] for line in text.splitlines()]
+    page = tmp_path / "karman_gait.md"
+    marks = [
+        f"<!-- {name}: {end} -->" for name in ("design", "transfer") for end in ("begin", "end")
+    ]
+    page.write_text("\n".join(marks))
+    given = [f"transfer={tmp_path / 'pid'}", "runs=[a run]", f"beside={tmp_path / 'fixed-0.6'}"]
+    gait_page.main([f"docs={tmp_path}", f"design={{half T:{tmp_path / 'pid'}}}", *given])
+    results = json.loads((tmp_path / "pid" / "transfer.json").read_text())
+    lasted = results["arms"]["pid"][0]["survival_T"]
+    assert f"| half T | 2 | {lasted:.0f} ± " in page.read_text()
+    rows = [line.split(" | ")[0] for line in page.read_text().splitlines()]
     assert [rows.count(f"| {name}") for name in ("pid", "fixed-0.6")] == [6, 6]
     assert rows.index("| pid") < rows.index("| fixed-0.6")

@@ -88,7 +88,7 @@ def test_baselines_that_cannot_be_are_refused(name: str, message: str) -> None:
         make_trial(name, free, periods=BRIEF)
 
 
-def test_constant_frequencies_are_zero_or_that_of_the_shedding(
+def test_constant_frequencies_are_zero_that_of_the_shedding_or_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rates = torch.tensor([0.001, 0.0012, 0.0014], dtype=torch.float64)
@@ -102,9 +102,7 @@ def test_constant_frequencies_are_zero_or_that_of_the_shedding(
     shed = rates * trial.task.scales.period
     with_them = run_trial(trial, episodes=1, folder=tmp_path)
     assert with_them.frequency[:, 0].tolist() == pytest.approx(shed.tolist())
-
-
-def test_a_baseline_beats_at_one_frequency(tmp_path: Path) -> None:
-    task = make_task()
-    beating = run_trial(make_trial("fixed-0.6", task, periods=BRIEF), episodes=1, folder=tmp_path)
+    beating = run_trial(
+        make_trial("fixed-0.6", make_task(), periods=BRIEF), episodes=1, folder=tmp_path
+    )
     assert beating.frequency[:, 0].tolist() == pytest.approx([0.6] * 3)

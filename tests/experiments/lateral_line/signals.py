@@ -23,8 +23,10 @@ def make_task(*, speeds: tuple[float, ...] = (1.0, 1.5), **changes: Any) -> Karm
     """Return a free stream in two speeds, the smallest there is."""
     arguments: dict[str, Any] = {
         "body_length": 20,
-        "domain_bl": (6.0, 3.0),
-        "stream": Stream(speeds_bl=speeds, has_disc=False),
+        "reynolds": 300.0,
+        "max_wall_speed": 0.15,
+        "domain_bl": (5.0, 2.4),
+        "stream": Stream(speeds_bl=speeds, has_disc=False, face_bl=1.0),
         "start_flows": (0, 1),
         "control": MacroActions(bank=FrequencyBank(rows=((0.5, 1.0, 1.5), (1.0, 1.25, 1.5)))),
         "start_x_bl": (1.0, 1.2),

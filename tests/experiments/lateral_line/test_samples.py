@@ -8,7 +8,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from experiments.lateral_line.samples import cut_windows, mirror, select_features
+from experiments.lateral_line.study import cut_windows, mirror, select_features
 from fishrl.envs.lateral_line import KNOWN, LateralLine
 from fishrl.physics import Fish, FlowConfig, InPlaceSolver
 from fishrl.physics.flow import make_uniform
@@ -90,12 +90,6 @@ def test_a_window_ends_at_every_sample_but_the_repeated_ones_of_the_reset() -> N
         False, False, False, True,
     ]  # fmt: skip
     assert data["decision"].tolist() == [0, *[1] * 4, *[2] * 4, 0, *[1] * 4]
-
-
-def test_nothing_after_the_end_of_an_episode_is_used() -> None:
-    for length in (1, 3, 9):
-        data = cut_windows(make_episodes(), num_samples=length)
-        assert data["lateral_line"].max() <= 19
 
 
 def test_a_window_without_samples_is_refused() -> None:
