@@ -1,4 +1,4 @@
-"""Samples cut from episodes, and fits of classifiers scored on episodes that had no part in them."""
+"""Samples cut from episodes, and classifiers fitted to some of them and scored on others."""
 
 from __future__ import annotations
 
