@@ -26,8 +26,8 @@ from experiments.benchmarks.peers import lbmpy_kernels, lettuce_step, numba_kern
 from experiments.benchmarks.plots import write_plots
 from experiments.benchmarks.report import describe_run, list_tables, write_page
 from experiments.benchmarks.results import Results
-from experiments.configuration import nearest
 from experiments.program import program
+from fishrl.bounds import suggest
 
 JOBS = (
     Job("probe", flows.make_probes, code="torch"),
@@ -55,7 +55,7 @@ def choose_jobs(groups: Sequence[str]) -> list[Job]:
     known = [job.group for job in JOBS]
     for group in groups:
         if group not in known:
-            raise ValueError(f"groups: there is no {group!r}.{nearest(group, known)}")
+            raise ValueError(f"groups: there is no {group!r}{suggest(group, known)}")
     wanted = {"probe", *groups} if groups else known
     return [job for job in JOBS if job.group in wanted]
 

@@ -2,35 +2,46 @@
 
 A program has a dataclass as its schema and may take groups of YAML files (``task``, ``preset``,
 ``algorithm``, ``logger``). What a YAML file or the command line sets below a ``_target_`` is
-checked against the signature of the constructor it names; every plain default is filled in.
-From weakest to strongest: defaults of constructors, files of a group such as ``task=<name>``, the
-preset that was asked for, the command line.
+checked against the signature of the class it names; every plain default is filled in. From weakest
+to strongest: defaults of constructors, files of a group such as ``task=<name>``, the preset that
+was asked for, settings of a stored run, the command line.
+
+A stored run names its classes, but never what is imported: that are modules of fishrl, those in
+``modules=[...]``, and those that a ``_target_`` of the command line or of the YAML files names.
 """
 
 from __future__ import annotations
 
+import argparse
 import inspect
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, make_dataclass
-from difflib import SequenceMatcher
 from functools import cache, partial
+from importlib import import_module
 from pathlib import Path
-from typing import Any, cast, get_args, get_origin
+from typing import Any, NoReturn, cast, get_args, get_origin
 
 from hydra import compose, initialize_config_dir
-from hydra._internal.utils import get_args_parser
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
-from hydra.errors import HydraException, InstantiationException, MissingConfigException
-from hydra.utils import get_object, instantiate
+from hydra.errors import HydraException, MissingConfigException
 from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import ConfigKeyError, OmegaConfBaseException
 from yaml import YAMLError  # type: ignore[import-untyped]
 
+from fishrl.bounds import suggest
+from fishrl.envs import AbstractTask
+from fishrl.training.algorithms import Algorithm
+from fishrl.training.description import TARGET, find_class, list_classes
+from fishrl.training.logger import CsvLogger
+
 CONF = Path(__file__).parent / "conf"
 #: Name under which hydra finds the defaults list of the program that runs.
 PRIMARY = "program"
+#: What the groups make.
+KINDS: dict[str, type] = {"task": AbstractTask, "algorithm": Algorithm, "logger": CsvLogger}
 
 Settings = Mapping[str, Any]
 
@@ -85,23 +96,19 @@ class CommandLine:
 
     def prepare(self, arguments: Sequence[str]) -> list[str]:
         """Write a command line as overrides for hydra, which may name any key."""
-        options = get_args_parser().parse_intermixed_args(list(arguments))
+        options = split_options(arguments)
         overrides = [self._as_override(word) for word in options.overrides]
         if options.config_dir is not None:
             folder = Path(options.config_dir).expanduser().resolve()
             if not folder.is_dir():
                 raise ValueError(f"--config-dir {options.config_dir}: there is no such folder")
             overrides.append(f"hydra.searchpath=['file://{folder}']")
-        self.register()
-        return overrides
-
-    def register(self) -> None:
-        """Tell hydra the defaults list of this program."""
         quiet = [{"override hydra/job_logging": "none"}, {"override hydra/hydra_logging": "none"}]
         groups = [{name: choice} for name, choice in self.groups.items()]
         output = {"run": {"dir": "."}, "output_subdir": None}
         node: Any = {"defaults": ["_self_", *groups, *quiet], "hydra": output}
         ConfigStore.instance().store(name=PRIMARY, node=node)
+        return overrides
 
     def make(self, config: DictConfig) -> Any:
         """Make the settings, which check their ranges.
@@ -114,7 +121,7 @@ class CommandLine:
             raise ValueError(f"{missing[0]}: has no default; give {missing[0]}=<value>")
         return self.schema(**cast(dict[str, Any], OmegaConf.to_container(config)))
 
-    def check(self, config: DictConfig, overrides: Iterable[str]) -> DictConfig:
+    def check(self, config: DictConfig, overrides: Sequence[str]) -> DictConfig:
         """Check keys and types of a composed config, and fill in the defaults.
 
         Args:
@@ -122,32 +129,40 @@ class CommandLine:
             overrides: of the command line.
 
         Raises:
+            ImportError: for one of ``modules`` that cannot be imported.
             ValueError: see ``compose``.
         """
-        given = parse(line for line in overrides if not line.startswith("hydra"))
+        given = parse(overrides)
         taken = {override.key_or_group.split(".", 1)[0] for override in given}
         if not self.is_training:
             config = OmegaConf.masked_copy(config, [*taken & set(config), *self.groups])
         OmegaConf.set_struct(config, False)
+        modules = list(config.pop("modules", None) or [])
+        for module in modules:
+            import_module(str(module))
+        modules += [*list_modules(OmegaConf.to_container(config)), *_search_modules(overrides)]
         if self.stored is not None:
             values = {o.key_or_group: o.value() for o in given}
             for name, value in self.stored(values).items():
                 config[name] = value
             for override in given:
-                if override.key_or_group not in self.groups:
-                    key, value = override.key_or_group, override.value()
+                key, value = override.key_or_group, override.value()
+                if key not in (*self.groups, "modules"):
                     OmegaConf.update(config, key, value, force_add=True)
         base = OmegaConf.structured(self.schema)
         OmegaConf.set_readonly(base, False)  # as that of a frozen dataclass is
-        for name in self.groups:
-            node = config.get(name)
-            if OmegaConf.is_dict(node) and name != "preset":
-                base[name] = make_schema(node, name)
+        for name, kind in KINDS.items():
+            if name in self.groups and OmegaConf.is_dict(config.get(name)):
+                base[name] = make_schema(config[name], name, kind=kind, modules=modules)
         try:
             merged = OmegaConf.merge(base, config)
             OmegaConf.resolve(merged)
         except OmegaConfBaseException as error:
             raise explain(error, list_keys(base), config) from error
+        for key in list_keys(config):
+            value = OmegaConf.select(config, key)
+            if type(value) is int and isinstance(OmegaConf.select(merged, key), bool):
+                raise ValueError(f"{key}={value}: must be true or false")
         return cast(DictConfig, merged)
 
     def _as_override(self, word: str) -> str:
@@ -157,45 +172,77 @@ class CommandLine:
             return f"++{self.positional}='{escaped}'"
         if word.startswith(("~", "hydra")) or key in self.groups or "/" in key or "@" in key:
             return word
-        known = [entry.name for entry in fields(self.schema)]
+        known = [*(entry.name for entry in fields(self.schema)), "modules"]
         if key.split(".", 1)[0] not in known:
             raise unknown(key, known)
         return f"++{word.lstrip('+')}"
 
 
-def make_schema(node: Any, path: str) -> Any:
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise ValueError(message)
+
+
+def split_options(arguments: Sequence[str]) -> argparse.Namespace:
+    """Return the options of a command line, named as hydra's, with the settings as ``overrides``.
+
+    Raises:
+        ValueError: for an unknown option.
+    """
+    parser = _Parser(add_help=False, allow_abbrev=False)
+    parser.add_argument("overrides", nargs="*")
+    parser.add_argument("--config-dir", "-cd")
+    parser.add_argument("--cfg", "-c", choices=["job"])
+    for long, short in (("--help", "-h"), ("--multirun", "-m")):
+        parser.add_argument(long, short, action="store_true")
+    return parser.parse_intermixed_args(list(arguments))
+
+
+def list_modules(node: Any) -> Iterator[str]:
+    """List the module of each ``_target_`` in nested plain settings."""
+    if isinstance(node, Mapping):
+        if TARGET in node:
+            yield str(node[TARGET]).rpartition(".")[0]
+        node = list(node.values())
+    for value in node if isinstance(node, list) else ():
+        yield from list_modules(value)
+
+
+def _search_modules(overrides: Iterable[str]) -> Iterator[str]:
+    """List the modules that YAML files in folders of the user name."""
+    places = [line for line in overrides if line.startswith("hydra.searchpath=")]
+    for folder in re.findall(r"file://([^'\",\]]+)", " ".join(places)):
+        for path in Path(folder).rglob("*.yaml"):
+            text = path.read_text(encoding="utf-8")
+            yield from re.findall(rf"{TARGET}: *['\"]?([\w.]+)\.\w+", text)
+
+
+def make_schema(node: Any, path: str, *, kind: Any, modules: Sequence[str]) -> Any:
     """Return the schema of a ``_target_`` and of those nested in it.
 
     Args:
         node: ``_target_`` and the arguments that YAML files and command line name. Where the
             ``_target_`` of an argument is left out, the type in the signature is taken.
         path: of the node, for messages.
+        kind: see ``description.make``.
+        modules: see ``description.make``.
 
     Raises:
-        ValueError: if there is no such object.
+        ValueError: if there is no such class.
     """
-    if "_target_" not in node:
+    if TARGET not in node:
         raise ValueError(f"{path}: its YAML file must begin with _target_: <module>.<class>")
-    target = str(node["_target_"])
-    try:
-        made = get_object(target)
-        parameters = inspect.signature(made, eval_str=True).parameters.values()
-    except (ImportError, ValueError, TypeError) as error:
-        raise ValueError(
-            f"{path}._target_={target}: {' '.join(str(error).split())} (is its folder on "
-            "PYTHONPATH?)"
-        ) from error
-    entries: list[Any] = [("_target_", str, field(default=target))]
+    made = find_class(str(node[TARGET]), kind=kind, modules=modules)
+    entries: list[Any] = [(TARGET, str, field(default=str(node[TARGET])))]
     below: dict[str, Any] = {}
-    for parameter in parameters:
-        name, hint, value = parameter.name, parameter.annotation, node.get(parameter.name)
-        if parameter.kind is parameter.VAR_KEYWORD:
-            return node
+    for name, parameter in inspect.signature(made, eval_str=True).parameters.items():
+        hint, value = parameter.annotation, node.get(name)
         is_object = OmegaConf.is_dict(value)
-        if is_object and "_target_" not in value and inspect.isclass(hint) and hint is not dict:
-            value["_target_"] = f"{hint.__module__}.{hint.__qualname__}"
-        if is_object and "_target_" in value:
-            below[name] = make_schema(value, f"{path}.{name}")
+        if is_object and TARGET not in value and inspect.isclass(hint) and hint is not dict:
+            value[TARGET] = f"{hint.__module__}.{hint.__qualname__}"
+        if is_object and TARGET in value:
+            kinds = tuple(list_classes(hint))
+            below[name] = make_schema(value, f"{path}.{name}", kind=kinds, modules=modules)
             entries.append((name, Any, field(default=None)))
         elif is_plain(parameter.default):
             _check_length(value, hint, f"{path}.{name}")
@@ -240,13 +287,14 @@ def _check_length(value: Any, hint: Any, path: str) -> None:
 
 
 def parse(overrides: Iterable[str]) -> list[Override]:
-    """Parse overrides as hydra does.
+    """Parse overrides as hydra does, without its own settings.
 
     Raises:
         ValueError: for anything but ``key=value``.
     """
+    lines = [line for line in overrides if not line.startswith("hydra")]
     try:
-        return OverridesParser.create().parse_overrides(list(overrides))
+        return OverridesParser.create().parse_overrides(lines)
     except HydraException as error:
         raise explain(error) from error
 
@@ -275,8 +323,7 @@ def explain(
     if isinstance(error.__cause__, MissingConfigException | OmegaConfBaseException):
         error = error.__cause__
     if isinstance(error, MissingConfigException) and error.options:
-        name = str(error.missing_cfg_file).rpartition("/")[2]
-        return unknown(name, error.options)
+        return unknown(str(error.missing_cfg_file).rpartition("/")[2], error.options)
     key = getattr(error, "full_key", None)
     if isinstance(error, ConfigKeyError) and key:
         return unknown(key, known)
@@ -288,47 +335,8 @@ def explain(
 
 
 def unknown(key: str, known: Iterable[str]) -> ValueError:
-    """Return the error for an unknown key."""
-    return ValueError(f"there is no {key!r}.{nearest(key, known)}")
-
-
-def nearest(word: str, known: Iterable[str]) -> str:
-    """Return `` Did you mean 'x'?`` for the most similar word; without one, what there is.
-
-    Dotted keys are compared as a whole and by their last part.
-    """
-    known, (place, _, tail) = list(known), word.rpartition(".")
-
-    def likeness(one: str, other: str) -> float:
-        return SequenceMatcher(None, one, other).ratio()
-
-    def rate(other: str) -> float:
-        return likeness(word, other) + likeness(tail, other.rpartition(".")[2])
-
-    best = max(known, key=rate, default="")
-    if likeness(tail, best.rpartition(".")[2]) >= 0.6:
-        return f" Did you mean {best!r}?"
+    """Return the error for an unknown key, with the nearest right one or what there is."""
+    known, place = list(known), key.rpartition(".")[0]
     beside = [name.rpartition(".")[2] for name in known if name.rpartition(".")[0] == place]
-    return f" There is: {', '.join(beside)}." if beside else ""
-
-
-def build(node: Settings) -> Any:
-    """Make the object that a ``_target_`` of the command line or a YAML file names.
-
-    Raises:
-        ValueError: from the object's own checks, and if it does not take these arguments.
-        ImportError: if there is no such object.
-    """
-    try:
-        return instantiate(dict(node), _convert_="all")
-    except InstantiationException as error:
-        cause = error.__cause__
-        if isinstance(cause, ValueError | ImportError):
-            raise cause from error
-        raise ValueError(" ".join(str(error).split())) from error
-
-
-def to_plain(settings: Any) -> dict[str, Any]:
-    """Turn settings into nested dicts, to write to a file."""
-    plain = OmegaConf.to_container(OmegaConf.structured(settings), resolve=True)
-    return cast(dict[str, Any], plain)
+    there = f". There is: {', '.join(beside)}" if beside else ""
+    return ValueError(f"there is no {key!r}{suggest(key, known) or there}")

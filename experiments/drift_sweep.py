@@ -16,7 +16,6 @@ from pathlib import Path
 
 import torch
 
-from experiments.configuration import build
 from experiments.figures.style import COLOURS
 from experiments.gait.histories import Histories, record_histories
 from experiments.gait.pictures import flow_panels
@@ -26,6 +25,7 @@ from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.stations import SafeArea
+from fishrl.training.description import make
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
 
@@ -152,7 +152,7 @@ def write(folder: Path, task: KarmanGait, histories: Histories) -> None:
 @program(DriftSettings, groups={"task": "karman_gait", "preset": "gait_small"})
 def main(settings: DriftSettings) -> None:
     """Sweep, write, draw."""
-    task: KarmanGait = build(settings.task)
+    task = make(settings.task, kind=KarmanGait)
     task = replace(
         task,
         start_flows=tuple(range(len(task.stream.speeds_bl))),

@@ -7,19 +7,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from omegaconf import MISSING
 
-from experiments.configuration import build, to_plain
 from experiments.live import LiveObserver
 from experiments.program import program
-from experiments.stored_runs import read_task
+from experiments.train_settings import read_task
 from fishrl.bounds import bounded
-from fishrl.envs import make_env
+from fishrl.envs import AbstractTask, make_env
 from fishrl.training import evaluate as run_evaluation
+from fishrl.training.description import make, to_plain
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
 from fishrl.viewer import ViewerSettings, check_folder
@@ -82,7 +82,7 @@ def evaluate(
     Raises:
         ValueError: for invalid settings, and checkpoints that do not fit the task.
     """
-    task = build(config.task)
+    task = make(config.task, kind=AbstractTask)
     result = run_evaluation(
         str(config.policy) if config.checkpoint is None else Path(config.checkpoint),
         task=task,
@@ -148,7 +148,7 @@ def main(settings: EvaluateConfig) -> None:
         shown = f"{value:.3f}" if isinstance(value, float) else value
         print(f"{name:<24}{shown}")
     if path is not None:
-        write_result(path, result | {"settings": to_plain(settings)})
+        write_result(path, result | {"settings": to_plain(asdict(settings))})
 
 
 if __name__ == "__main__":

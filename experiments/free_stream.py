@@ -13,7 +13,6 @@ from pathlib import Path
 
 import torch
 
-from experiments.configuration import build
 from experiments.gait.diagnostics import WORKS, measure_lean, trace_work
 from experiments.gait.histories import Histories, pick, split_flows
 from experiments.gait.trials import GaitSettings, Trial, run_trial
@@ -24,6 +23,7 @@ from fishrl.envs import KarmanGait
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.modules import PID
 from fishrl.training.baselines import make_gait_policy
+from fishrl.training.description import make
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
 
@@ -104,7 +104,8 @@ def summarise(held: Histories, *, interval_T: float = 1.0) -> dict[str, float]:
 def main(settings: FreeStreamSettings) -> None:
     """Run, write and print."""
     torch.set_num_threads(1)
-    folder, trial = Path(settings.folder), make_free_trial(build(settings.task), settings)
+    task = make(settings.task, kind=KarmanGait)
+    folder, trial = Path(settings.folder), make_free_trial(task, settings)
     with Progress() as progress:
         histories = run_trial(
             trial, episodes=settings.episodes, folder=folder / "histories", progress=progress

@@ -8,7 +8,7 @@
 and ``main()`` where the module is run.
 ``python -m experiments.transfer runs=[a,b] episodes=34 task.reynolds=400`` then checks the settings
 and calls the function. ``groups`` are for programs that make a task, algorithm or logger, with
-``build(settings.task)``; fields without a default have to be given. ``--help`` prints the
+``make(settings.task, kind=AbstractTask)``; fields without a default have to be given. ``--help`` prints the
 module's docstring and the settings with what the ``Args:`` of the dataclass say. ``ValueError``,
 ``ImportError`` and ``FileNotFoundError`` end the program with one line. In Python,
 ``main.read([...])`` returns the settings of a command line and ``main.run(settings)`` runs them.
@@ -31,13 +31,12 @@ from pathlib import Path
 from typing import Any
 
 from hydra import initialize_config_dir
-from hydra._internal.utils import get_args_parser
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.object_type import ObjectType
 from omegaconf import OmegaConf
 from tqdm import tqdm
 
-from experiments.configuration import CONF, CommandLine
+from experiments.configuration import CONF, CommandLine, split_options
 from experiments.docstrings import read_arguments
 
 
@@ -63,10 +62,12 @@ class Program:
         """Run a command line, by default that of the process."""
         set_up_logging()
         words = list(sys.argv[1:] if arguments is None else arguments)
-        options = get_args_parser().parse_intermixed_args(words)
         with plain_errors():
+            options = split_options(words)
             if options.help:
-                print(self.describe([word for word in words if word not in ("--help", "-h")]))
+                print(self.describe(words))
+            elif options.cfg:
+                print(OmegaConf.to_yaml(self.command_line.compose(words)))
             elif not options.multirun:
                 self.run(self.read(words))
             elif self.sweep is not None:
@@ -81,7 +82,12 @@ class Program:
         config = line.compose(arguments)
         choices = list_choices()
         lines += [f"{name}: one of {', '.join(choices[name])}" for name in line.groups]
-        lines += ["" if line.groups else "settings, as key=value:"]
+        if line.groups:
+            lines += [
+                "modules=[...]: modules of your own that define tasks, algorithms, loggers",
+                "",
+            ]
+        lines += ["settings, as key=value:"]
         texts = read_arguments(line.schema)
         for name in map(str, config):
             value = "???" if OmegaConf.is_missing(config, name) else config[name]
@@ -142,12 +148,14 @@ def show_command(module: str, *arguments: str) -> str:
 def plain_errors() -> Iterator[None]:
     """End the program with one line for a user error, and with status 130 for Ctrl-C.
 
-    An error raised in a user's own file names its line. Other errors keep their traceback.
+    An error raised in a user's own file names its line. Other errors keep their traceback, and so
+    do all if the environment variable ``FISHRL_DEBUG`` is set.
     """
     try:
         yield
     except (ValueError, ImportError, FileNotFoundError) as error:
-        logging.getLogger(__name__).debug("raised here:", exc_info=True)
+        if os.environ.get("FISHRL_DEBUG"):
+            raise
         sys.exit(f"error: {error}{_find_line(error)}")
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

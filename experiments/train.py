@@ -11,24 +11,25 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from experiments.configuration import to_plain
 from experiments.figures.run_pictures import record_run
 from experiments.live import LiveObserver
 from experiments.program import program, show_command
 from experiments.sweeps.jobs import sweep
-from experiments.sweeps.runs import read_run
+from experiments.sweeps.runs import list_arguments
 from experiments.train_settings import TRAINING, TrainConfig, make_plan
-from fishrl.envs import make_env as make_real_env
+from fishrl.envs import make_env
+from fishrl.training.description import to_plain
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.interruption import Interrupted
 from fishrl.training.loop import FINAL_SEED, Training
 from fishrl.training.plan import LEARNING, PARTS, RUN
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, read_config
-from fishrl.training.runs import begin, complete, reopen
+from fishrl.training.runs import begin, complete, find_summary, reopen
 
 #: When the program started, apart from the imports above.
 BEGAN = time.perf_counter()
@@ -36,32 +37,7 @@ BEGAN = time.perf_counter()
 #: Settings that are not taken from the stored run on resume.
 _OF_THE_MOMENT = ("live", "recognition", "resume")
 #: Settings that, if changed, evaluate or draw a finished run again.
-_OF_THE_END = ("final_episodes", "baselines", "picture_episodes")
-
-
-def train(
-    config: TrainConfig,
-    *,
-    make_env: Any = None,
-    progress: Progress | None = None,
-    began: float | None = None,
-) -> dict[str, Any]:
-    """Train a policy, compare it with the baselines, and draw its episodes.
-
-    Args:
-        config: the settings.
-        make_env: makes the env of a task; by default ``fishrl.envs.flow_env.make_env``.
-        progress: progress bar; by default none.
-        began: ``time.perf_counter()`` when the program started.
-
-    Returns:
-        The summary, as in ``summary.json``.
-
-    Raises:
-        ValueError: for invalid settings, and checkpoints that do not fit the task.
-    """
-    training = set_up(config, make_env=make_env, progress=progress, began=began)
-    return finish(training)
+_OF_THE_END = ("total_frames", "final_episodes", "baselines", "picture_episodes")
 
 
 class RunObserver(LiveObserver):
@@ -84,36 +60,42 @@ class RunObserver(LiveObserver):
 def set_up(
     config: TrainConfig,
     *,
-    make_env: Any = None,
+    make_env: Any = make_env,
     progress: Progress | None = None,
     began: float | None = None,
 ) -> Training:
-    """Set up a run, new or resumed; see ``train``. Invalid settings raise here, not later."""
+    """Set up a run, new or resumed; invalid settings raise an error here, not later.
+
+    Args:
+        config: the settings.
+        make_env: makes the env of a task.
+        progress: progress bar; by default none.
+        began: ``time.perf_counter()`` when the program started.
+
+    Raises:
+        ValueError: for invalid settings, and checkpoints that do not fit the task.
+    """
     given: dict[str, Any] = {
-        "make_env": make_env or make_real_env,
+        "make_env": make_env,
         "progress": progress,
         "began": began,
         "observer": RunObserver(config),
     }
-    if not config.resume:
-        return begin(make_plan(config), recognition=config.recognition, **given)
-    plain, stored = to_plain(config), read_config(RunFolder.of_existing(config.resume).config)
-    kept = (*LEARNING, *PARTS, *_OF_THE_MOMENT)
-    changes = {n: v for n, v in plain.items() if n not in kept and (n in RUN or n in stored)}
-    modules = [config.task["_target_"].rpartition(".")[0]]
-    return reopen(config.resume, modules=modules, **given, **changes)
+    if config.resume:
+        return reopen(config.resume, **given, **list_changes(config))
+    return begin(make_plan(config), recognition=config.recognition, **given)
 
 
-def is_over(config: TrainConfig) -> bool:
-    """Tell whether a resumed run is finished and no setting asks for more."""
-    run, asked = read_run(Path(str(config.resume)).expanduser()), to_plain(config)
-    if run.status != "finished" or config.total_frames > run.summary.get("frames", 0):
-        return False
-    return all(asked[name] == run.config.get(name, asked[name]) for name in _OF_THE_END)
+def list_changes(config: TrainConfig) -> dict[str, Any]:
+    """Return the settings that may be others than in the run that is resumed."""
+    stored = read_config(RunFolder.of_existing(str(config.resume)).config)
+    fixed = (*LEARNING, *PARTS, *_OF_THE_MOMENT)
+    plain = to_plain(asdict(config))
+    return {n: v for n, v in plain.items() if n not in fixed and (n in RUN or n in stored)}
 
 
 def finish(training: Training) -> dict[str, Any]:
-    """Run a training to its end, with its pictures, and print the table."""
+    """Run a training to its end, draw its pictures, print the table, and return the summary."""
     summary = complete(training)
     training.progress.close()
     report(summary, folder=training.folder.path)
@@ -163,7 +145,8 @@ def report(summary: dict[str, Any], *, folder: Path) -> None:
 @contextmanager
 def resumable(training: Training) -> Iterator[None]:
     """Print the command to resume if the run is interrupted or cannot write its files."""
-    hint = f"resume with: {show_command('experiments.train', f'resume={training.folder.path}')}"
+    arguments = list_arguments(training.folder.path, training.plan.to_config())
+    hint = f"resume with: {show_command('experiments.train', *arguments)}"
     try:
         with training.interruption:
             yield
@@ -180,9 +163,11 @@ def resumable(training: Training) -> Iterator[None]:
 @program(TRAINING, sweep=sweep)
 def main(settings: TrainConfig) -> None:
     """Train, or resume a run."""
-    if settings.resume and is_over(settings):
-        print(f"{settings.resume}: already finished; total_frames=... extends it")
-        return
+    if settings.resume:
+        changes = {n: v for n, v in list_changes(settings).items() if n in _OF_THE_END}
+        if find_summary(settings.resume, **changes) is not None:
+            print(f"{settings.resume}: already finished; total_frames=... extends it")
+            return
     with Progress() as progress:
         training = set_up(settings, progress=progress, began=BEGAN)
         with resumable(training):

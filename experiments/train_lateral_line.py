@@ -10,22 +10,23 @@ command continues after an interruption, and other fits reuse them.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from omegaconf import MISSING
 from tensordict import TensorDict
 
-from experiments.configuration import build, to_plain
 from experiments.lateral_line.collection import Collection, collect
 from experiments.lateral_line.questions import answer, list_training_data
 from experiments.lateral_line.report import describe, write_figures, write_page
 from experiments.lateral_line.study import Study, TrainingData
 from experiments.program import program
 from fishrl.bounds import bounded
+from fishrl.envs import AbstractTask
 from fishrl.modules.lateral_line import BOOKKEEPING
 from fishrl.objectives import FitSettings
+from fishrl.training.description import make, to_plain
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, write_json, write_yaml
 
@@ -143,7 +144,7 @@ def study_lateral_line(
 @program(LateralLineSettings, groups={"task": "karman_gait", "preset": None})
 def main(settings: LateralLineSettings) -> None:
     """Collect, fit and write a run folder."""
-    task = build(settings.task)
+    task = make(settings.task, kind=AbstractTask)
     collection = Collection(
         task=task,
         num_envs=settings.num_envs,
@@ -152,7 +153,7 @@ def main(settings: LateralLineSettings) -> None:
     )
     name = settings.name or f"lateral-line-{type(task).__name__.lower()}-seed{settings.seed}"
     folder = RunFolder.create(parent=settings.folder, name=name)
-    write_yaml(folder.config, to_plain(settings))
+    write_yaml(folder.config, to_plain(asdict(settings)))
     logger.info("run folder: %s", folder.path)
     with Progress() as progress:
         episodes = collect(

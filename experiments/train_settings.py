@@ -1,16 +1,22 @@
-"""Command line and settings of a training, shared by sweeps and searches."""
+"""Command line and settings of a training, and those that a stored run brings."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from omegaconf import MISSING
 
-from experiments.configuration import CommandLine, build, to_plain
+from experiments.configuration import CommandLine
 from fishrl.bounds import bounded
-from fishrl.training.aliases import FORMER_SETTINGS, update_names
+from fishrl.envs import AbstractTask
+from fishrl.training.algorithms import Algorithm
+from fishrl.training.aliases import FORMER_SETTINGS
+from fishrl.training.checkpoint import read_metadata
+from fishrl.training.classifier import find_classifier
+from fishrl.training.description import make, to_plain
+from fishrl.training.logger import CsvLogger
 from fishrl.training.plan import LEARNING, PARTS, RUN, Plan
 from fishrl.training.run_folder import RunFolder, read_config
 from fishrl.training.runs import make_folder
@@ -77,7 +83,29 @@ def read_resumed(given: Mapping[str, Any]) -> dict[str, Any]:
     stored = read_config(folder.config)
     algorithm = {**(stored.get("algorithm") or DEFAULT_ALGORITHM)}
     algorithm |= {name: stored.pop(name) for name in FORMER_SETTINGS if name in stored}
-    return update_names({**stored, "algorithm": algorithm, "live": False})
+    return {**stored, "algorithm": algorithm, "live": False}
+
+
+def read_task(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return task and recognition of the ``run`` or ``checkpoint`` that is given.
+
+    The task is left out where the command line names a task or a preset.
+
+    Args:
+        given: settings of the command line.
+
+    Raises:
+        ValueError: if there is no checkpoint.
+    """
+    source = given.get("run") or given.get("checkpoint")
+    if source is None:
+        return {}
+    path, metadata = read_metadata(str(source))
+    trained = metadata["config"]
+    found = {"recognition": find_classifier(trained.get("recognition"), path)}
+    if not {"task", "preset"} & set(given):
+        found |= {"task": trained["task"], "preset": trained["preset"]}
+    return found
 
 
 TRAINING = CommandLine(
@@ -95,11 +123,11 @@ TRAINING = CommandLine(
 
 def make_plan(config: TrainConfig) -> Plan:
     """Return the plan of a run with these settings."""
-    plain = to_plain(config)
+    plain = to_plain(asdict(config))
     return Plan(
-        task=build(config.task),
-        algorithm=build(config.algorithm),
-        logger=build(config.logger),
+        task=make(config.task, kind=AbstractTask),
+        algorithm=make(config.algorithm, kind=Algorithm),
+        logger=make(config.logger, kind=CsvLogger),
         learning=LearningSettings(**{name: plain[name] for name in LEARNING}),
         run=RunSettings(**{name: plain[name] for name in RUN}),
         preset=config.preset,

@@ -14,7 +14,6 @@ from typing import Any
 
 import torch
 
-from experiments.configuration import build
 from experiments.gait import pictures, tables
 from experiments.gait.diagnostics import combine_seeds, diagnose, measure_lean, trace_work
 from experiments.gait.histories import Histories, split_flows, stack
@@ -30,6 +29,7 @@ from experiments.gait.trials import (
 from experiments.program import program
 from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait
+from fishrl.training.description import make
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
 
@@ -164,7 +164,7 @@ def main(settings: TransferSettings) -> None:
     with Progress() as progress:
         trials = [load_trial(Path(run), periods=periods) for run in settings.runs]
         banked = [trial.task for trial in trials if trial.task.control.num_flows is not None]
-        task = banked[0] if banked else build(settings.task)
+        task = banked[0] if banked else make(settings.task, kind=KarmanGait)
         trials += [make_trial(name, task, periods=periods) for name in settings.baselines]
         transfer(
             trials,

@@ -17,15 +17,15 @@ from typing import Any
 
 from omegaconf import MISSING
 
-from experiments.configuration import build
 from experiments.program import program
-from experiments.stored_runs import read_task
+from experiments.train_settings import read_task
 from fishrl.bounds import bounded
-from fishrl.envs import make_env
+from fishrl.envs import AbstractTask, make_env
 from fishrl.envs.scene import Frame
 from fishrl.envs.transforms import equip
 from fishrl.training.baselines import make_baseline
 from fishrl.training.classifier import load_recognition
+from fishrl.training.description import make
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.policies import load_policy
 from fishrl.training.progress import Progress
@@ -117,7 +117,7 @@ def record(
     check_folder(save)
     check_device(settings.device)
     recognition = load_recognition(settings.recognition)
-    task, _ = equip(build(settings.task), recognition)
+    task, _ = equip(make(settings.task, kind=AbstractTask), recognition)
     source = settings.run or settings.checkpoint
     flows = settings.choose_flows(settings.episodes, default=settings.episodes)
     if source is not None:

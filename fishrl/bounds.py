@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable
 from dataclasses import MISSING, field, fields
+from difflib import SequenceMatcher
 from typing import Any
 
 
@@ -75,6 +75,15 @@ def _describe(bounds: Any) -> list[str]:
 
 
 def suggest(word: str, known: Iterable[str]) -> str:
-    """Return ``; did you mean 'x'?`` for the most similar known word, or nothing."""
-    match = difflib.get_close_matches(str(word), list(known), n=1, cutoff=0.5)
-    return f"; did you mean {match[0]!r}?" if match else ""
+    """Return ``; did you mean 'x'?`` for the most similar known word, or nothing.
+
+    Dotted keys are compared as a whole and by their last part.
+    """
+
+    def rate(other: str) -> tuple[bool, float]:
+        tails = (word.rpartition(".")[2], other.rpartition(".")[2])
+        of_tail = SequenceMatcher(None, *tails).ratio()
+        return of_tail >= 0.6, of_tail + SequenceMatcher(None, word, other).ratio()
+
+    best = max(known, key=rate, default="")
+    return f"; did you mean {best!r}?" if rate(best)[0] else ""

@@ -16,7 +16,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import hydra
@@ -28,12 +28,21 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Quote, QuotedString
 from omegaconf import DictConfig
 
-from experiments.configuration import CONF, PRIMARY, parse, to_plain
+from experiments.configuration import CONF, PRIMARY, parse
 from experiments.program import set_up_logging, show_command
 from experiments.sweeps.ending import END_CODES, ending_runs, leave_ending_to_sweep
-from experiments.sweeps.runs import HARMLESS, Run, advise, count_frames, list_runs, read_run
+from experiments.sweeps.runs import (
+    HARMLESS,
+    Run,
+    advise,
+    count_frames,
+    list_arguments,
+    list_runs,
+    read_run,
+)
 from experiments.train_settings import TRAINING, TrainConfig, begin_run
 from fishrl.training.aliases import update_names
+from fishrl.training.description import to_plain
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, read_config
 
@@ -86,7 +95,7 @@ def read_common(overrides: Sequence[str]) -> tuple[Path, list[str]]:
     """
     folder = Path("runs") / f"sweep-{time.strftime('%Y%m%d-%H%M%S')}"
     same = ["folder"]
-    for override in parse(line for line in overrides if not line.startswith("hydra")):
+    for override in parse(overrides):
         key = override.key_or_group
         if key in ("name", "resume") or (key == "folder" and override.is_sweep_override()):
             raise ValueError(
@@ -197,7 +206,7 @@ def find_or_begin(config: TrainConfig, *, name: str) -> RunFolder:
 def is_same(config: TrainConfig, folder: RunFolder) -> bool:
     """Tell whether a run has these settings, except harmless ones and the classifier's path."""
     stored = update_names(read_config(folder.config))
-    wanted = update_names(to_plain(config))
+    wanted = update_names(to_plain(asdict(config)))
     own, given = folder.classifier, Path(wanted["recognition"] or "").expanduser()
     if own.is_file() and given.is_file():
         is_equal = filecmp.cmp(own, given, shallow=False)
@@ -216,7 +225,8 @@ def run_alone(path: Path, *, total_frames: int, progress: Progress | None = None
         total_frames: of the run.
         progress: progress bar; by default a new one.
     """
-    command = [sys.executable, "-m", "experiments.train", f"resume={quote(str(path))}"]
+    arguments = list_arguments(quote(str(path)), read_run(path).config)
+    command = [sys.executable, "-m", "experiments.train", *arguments]
     with (
         progress or Progress() as bar,
         (path / "output.log").open("ab") as output,

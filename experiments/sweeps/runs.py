@@ -5,16 +5,15 @@ from __future__ import annotations
 import csv
 import fcntl
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from omegaconf import OmegaConf
-
+from experiments.configuration import list_modules
 from experiments.program import show_command
 from fishrl.training.aliases import update_names
-from fishrl.training.run_folder import RunFolder
+from fishrl.training.run_folder import RunFolder, read_config
 from fishrl.viewer import ViewerSettings
 
 #: Settings that change neither what a run learns nor how it is judged: where it lies, and what is
@@ -51,7 +50,13 @@ class Run:
         """Command that resumes the run alone."""
         if not self.config:
             return "fix the setting and repeat the command of the sweep"
-        return show_command("experiments.train", f"resume={self.path}")
+        return show_command("experiments.train", *list_arguments(self.path, self.config))
+
+
+def list_arguments(path: Path | str, config: Mapping[str, Any]) -> list[str]:
+    """Return the arguments that resume a run, with the modules outside fishrl that it needs."""
+    own = sorted({name for name in list_modules(config) if name.split(".")[0] != "fishrl"})
+    return [f"resume={path}", *([f"modules=[{','.join(own)}]"] if own else [])]
 
 
 def read_runs(folder: Path) -> list[Run]:
@@ -95,7 +100,7 @@ def read_run(path: Path) -> Run:
         if folder.summary.is_file():
             summary = dict(json.loads(folder.summary.read_text(encoding="utf-8")))
         if folder.config.is_file():
-            config = update_names(OmegaConf.to_container(OmegaConf.load(folder.config)))
+            config = update_names(read_config(folder.config))
     except Exception as error:
         raise ValueError(f"{path}: damaged ({error}); mend or delete it") from error
     frames = count_frames(path)

@@ -69,8 +69,8 @@ def make(node: Any, *, kind: type[T] | tuple[type[T], ...], modules: Collection[
         node: the description.
         kind: class that the object must be an instance of. Objects among its arguments must be of
             the kind that the annotation of the argument names.
-        modules: modules outside fishrl, named by the user, that may be imported for it; modules
-            that are already imported need not be named.
+        modules: modules and packages outside fishrl, named by the user, that may be imported for
+            it; modules that are already imported need not be named.
 
     Raises:
         ValueError: if there is no such class, it is of another kind or from a module that is
@@ -97,16 +97,16 @@ def _make_parts(value: Any, owner: type, name: str, *, modules: Collection[str])
     if not isinstance(value, Mapping) or TARGET not in value:
         return value
     hints = typing.get_type_hints(owner if is_dataclass(owner) else owner.__init__)  # type: ignore[misc]
-    return make(value, kind=tuple(_list_classes(hints.get(name))), modules=modules)
+    return make(value, kind=tuple(list_classes(hints.get(name))), modules=modules)
 
 
-def _list_classes(hint: Any) -> Iterator[type]:
+def list_classes(hint: Any) -> Iterator[type]:
     """List the classes in an annotation such as ``Steering | None`` that an object may be of."""
     plain = (object, str, int, float, bool, bytes, type(None))
     if isinstance(hint, type) and typing.get_origin(hint) is None and hint not in plain:
         yield hint
     for part in typing.get_args(hint):
-        yield from _list_classes(part)
+        yield from list_classes(part)
 
 
 def find_class(
@@ -119,15 +119,15 @@ def find_class(
     """
     module, _, last = ALIASES.get(name, name).rpartition(".")
     loaded = sys.modules.get(module)
-    if loaded is None and (module.split(".")[0] == "fishrl" or module in modules):
+    if loaded is None and any(f"{module}.".startswith(f"{own}.") for own in ("fishrl", *modules)):
         try:
             loaded = importlib.import_module(module)
-        except ImportError as error:
-            raise ValueError(f"{TARGET}: {name}: {error}") from error
+        except (ImportError, ValueError) as error:
+            raise ValueError(f"{TARGET}: {name}: {error} (is its folder on PYTHONPATH?)") from error
     if loaded is None:
         raise ValueError(
-            f"{TARGET}: {name}: module {module!r} is not imported; import it, or name it on the "
-            "command line"
+            f"{TARGET}: {name}: module {module!r} is not imported; if you trust it, give "
+            f"modules=[{module}]"
         )
     found = getattr(loaded, last, None)
     if not isinstance(found, type) or not issubclass(found, kind):

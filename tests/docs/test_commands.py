@@ -10,6 +10,7 @@ import shlex
 import sys
 import tomllib
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -17,11 +18,12 @@ from typing import Any
 import pytest
 import yaml
 
-from experiments.configuration import build, to_plain
 from experiments.program import Program
 from experiments.sweeps.jobs import list_jobs, read_common
 from experiments.train_settings import TRAINING
+from fishrl.envs import AbstractTask
 from fishrl.training.checkpoint import save_checkpoint
+from fishrl.training.description import make, to_plain
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import RunFolder, write_whole
 from tests.docs.pages import DOCS, read_blocks
@@ -87,9 +89,9 @@ def _write_runs() -> None:
         run = RunFolder(Path(name))
         run.best.parent.mkdir(parents=True)
         config = TRAINING.read(settings)
-        plain = to_plain(config)
+        plain = to_plain(asdict(config))
         write_whole(run.config, yaml.safe_dump(plain))
-        spec = PolicySpec.for_task(build(plain["task"]))
+        spec = PolicySpec.for_task(make(plain["task"], kind=AbstractTask))
         save_checkpoint(run.best, {}, spec=spec, frames=0, config=plain)
 
 

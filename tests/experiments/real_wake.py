@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from experiments.configuration import build
 from fishrl.envs import KarmanGait
 from fishrl.envs import wakes as wakes_module
+from fishrl.training.description import make
 
 ENVS = "fishrl.envs"
 
@@ -58,7 +58,7 @@ def gait_settings(wake_folder: Path) -> dict[str, Any]:
 
 def develop(wake_folder: Path) -> KarmanGait:
     """Return the task, with its wake in a file of the folder."""
-    task: KarmanGait = build(gait_settings(wake_folder))
+    task: KarmanGait = make(gait_settings(wake_folder), kind=KarmanGait)
     develop_wakes = wakes_module.develop_wakes
     with pytest.MonkeyPatch.context() as patch:
         eager = {"compile": False}

@@ -16,7 +16,7 @@ def test_groups_are_chosen_by_name_and_all_by_default() -> None:
     groups = [job.group for job in choose_jobs(main.read(["groups=[coupled,solver]"]).groups)]
     assert groups == ["probe", "solver", "coupled"]
     assert choose_jobs(main.read([]).groups) == list(JOBS)
-    with pytest.raises(ValueError, match="Did you mean 'coupled'"):
+    with pytest.raises(ValueError, match="did you mean 'coupled'"):
         choose_jobs(["copled"])
 
 

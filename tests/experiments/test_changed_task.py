@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,11 @@ import pytest
 import torch
 
 from experiments import evaluate, view
-from experiments.configuration import build, to_plain
-from experiments.train import train
+from experiments.train import finish, set_up
 from experiments.train_settings import TRAINING
+from fishrl.envs import AbstractTask
 from fishrl.training.checkpoint import save_checkpoint
+from fishrl.training.description import make, to_plain
 from fishrl.training.policy_spec import PolicySpec
 from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
 from tests.experiments.test_gait import SETTINGS, make_machine, make_task
@@ -29,13 +30,13 @@ def store(folder: Path, *overrides: str, recognition: str | None = None) -> str:
     """Make what an untrained fish of a gait leaves, as far as settings are concerned."""
     config = TRAINING.read([*OWN, *overrides])
     config = replace(config, recognition=recognition)
-    task = build(config.task)
+    task = make(config.task, kind=AbstractTask)
     save_checkpoint(
         folder / "checkpoints" / "last",
         {"net": torch.nn.Linear(1, 1)},
         spec=PolicySpec.for_task(task, has_labels=recognition is not None),
         frames=0,
-        config=to_plain(config),
+        config=to_plain(asdict(config)),
     )
     return f"checkpoint={folder}"
 
@@ -112,12 +113,12 @@ def test_in_a_task_that_is_chosen_by_name_a_fish_is_told_its_flow_as_before(
 @pytest.mark.parametrize(
     ("argument", "said"),
     [
-        ("task.stream.has_disk=false", "Did you mean 'task.stream.has_disc'?"),
+        ("task.stream.has_disk=false", "did you mean 'task.stream.has_disc'?"),
         ("task.capture_radius_bl=1", "there is no 'task.capture_radius_bl'"),
         ("task.stream.has_disc=far", "task.stream.has_disc=far: Value 'far' is not a valid bool"),
         (
             "task.stream={speed:3}",
-            "there is no 'task.stream.speed'. Did you mean 'task.stream.speeds_bl'",
+            "there is no 'task.stream.speed'; did you mean 'task.stream.speeds_bl'",
         ),
     ],
 )
@@ -155,7 +156,7 @@ def test_the_number_of_actions_cannot_be_changed(
 
 
 def test_a_machine_knows_only_its_flows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    task = build(TRAINING.read(OWN).task)
+    task = make(TRAINING.read(OWN).task, kind=AbstractTask)
     make_machine(tmp_path / "machine.pt", task)
     checkpoint = store(tmp_path, recognition="machine.pt")
     said = refuse(monkeypatch, checkpoint, "task.reynolds=400.0")
@@ -168,7 +169,7 @@ def test_a_learned_fish_swims_in_a_changed_task(
 ) -> None:
     config = TRAINING.read([*OWN, f"folder={tmp_path}", "name=run", "total_frames=8"])
     config = replace(config, baselines=(), picture_episodes=0)
-    train(config)
+    finish(set_up(config))
     saved = tmp_path / "result.json"
     arguments = [f"checkpoint={tmp_path / 'run'}", "episodes=2", "compile=false", f"save={saved}"]
     changes = ["task.stream.has_disc=false", "task.time_limit=1"]

@@ -15,7 +15,7 @@ import torch
 
 from experiments import evaluate, export_steering, transfer
 from experiments.gait.trials import load_trial, make_trial, name_arm
-from experiments.train import train
+from experiments.train import finish, set_up
 from experiments.train_settings import TRAINING
 from fishrl.envs import KarmanGait, Predation
 from fishrl.envs.transforms import equip
@@ -58,7 +58,7 @@ def make_machine(path: Path, task: KarmanGait | None = None) -> str:
 
 def run(folder: Path, *overrides: str, **settings: object) -> dict[str, Any]:
     config = TRAINING.read([*SETTINGS, f"folder={folder}", *overrides])
-    return train(replace(config, **settings))
+    return finish(set_up(replace(config, **settings)))
 
 
 def read_rows(folder: Path) -> list[dict[str, str]]:
@@ -131,7 +131,7 @@ def test_a_run_with_a_lateral_line_goes_on_exactly(trained: Path, tmp_path: Path
     (tmp_path / "part").rename(tmp_path / "moved")
     config = TRAINING.read([*SETTINGS, f"folder={tmp_path}"])
     config = replace(config, recognition="machine.pt", resume=str(tmp_path / "moved"))
-    resumed = train(config)
+    resumed = finish(set_up(config))
     # the shorter run was evaluated at its end too, and the best of all evaluations is what counts
     whole = json.loads((trained / "machine" / "summary.json").read_text())
     assert resumed["updates"] == whole["updates"] > 0
@@ -172,7 +172,7 @@ def test_a_policy_of_predation_becomes_a_heading_controller(trained: Path, tmp_p
     few = {"num_envs": 2, "total_frames": 2, "warmup_frames": 2}
     config = replace(config, compile=False, eval_episodes=1, final_episodes=1, **few)
     config = replace(config, picture_episodes=0, baselines=())
-    train(config)
+    finish(set_up(config))
     path = tmp_path / "steering.pt"
     steering = export_steering.export_steering(tmp_path / "run", path)
     observations = torch.zeros(3, steering.num_stacked, 4, dtype=torch.float64)

@@ -14,9 +14,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from experiments.configuration import build
 from experiments.train import finish, set_up
 from experiments.train_settings import TrainConfig
+from fishrl.training.description import make
 from fishrl.training.logger import CsvLogger, WandbLogger
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, write_json
@@ -149,8 +149,8 @@ def test_a_run_of_a_wandb_agent_goes_on_under_the_name_the_agent_gave_it(
 def test_without_wandb_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "wandb", None)
     with pytest.raises(ImportError, match=r"pip install 'wandb>=0.25', or take logger=csv"):
-        build({"_target_": "fishrl.training.logger.WandbLogger"})
-    build({"_target_": "fishrl.training.logger.CsvLogger"})
+        make({"_target_": "fishrl.training.logger.WandbLogger"}, kind=CsvLogger)
+    make({"_target_": "fishrl.training.logger.CsvLogger"}, kind=CsvLogger)
 
 
 def test_numbers_that_json_does_not_know_become_null(tmp_path: Path) -> None:

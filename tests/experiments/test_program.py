@@ -45,7 +45,7 @@ def test_a_mistake_ends_a_program_with_one_line(tmp_path: Path) -> None:
     done = run_program("experiments.train", "totl_frames=3", f"folder={tmp_path}")
     assert (done.returncode, done.stderr) == (
         1,
-        "error: there is no 'totl_frames'. Did you mean 'total_frames'?\n",
+        "error: there is no 'totl_frames'; did you mean 'total_frames'?\n",
     )
     assert not list(tmp_path.iterdir())
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from experiments.configuration import build
 from experiments.view import ViewConfig, record
-from fishrl.envs import make_env
+from fishrl.envs import AbstractTask, make_env
+from fishrl.training.description import make
 from fishrl.viewer import make_scene, photograph_views
 from tests.envs.test_real_flow import TINY
 from tests.experiments.real_wake import gait_settings
@@ -40,7 +40,9 @@ def test_every_view_of_a_fish_in_a_real_flow_draws(
         **looks,  # type: ignore[arg-type]
     )
     record(config, save=path)
-    env = make_env(task=build(task), num_envs=1, compile=False, recognition=recognition)
+    env = make_env(
+        task=make(task, kind=AbstractTask), num_envs=1, compile=False, recognition=recognition
+    )
     scene = make_scene(env)
     env.close()
     pictures = photograph_views(path, time_T=0.9 * float(config.periods or 0.0))

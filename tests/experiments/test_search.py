@@ -61,8 +61,8 @@ def test_every_kind_of_range_is_searched(tmp_path: Path) -> None:
     ("arguments", "said"),
     [
         (["preset=small"], "nothing to search"),
-        (["gama=interval(0,1)"], "Did you mean 'gamma'"),
-        (["gamma=interval(0,1)", "task.time_limt=3"], "Did you mean 'task.time_limit'"),
+        (["gama=interval(0,1)"], "did you mean 'gamma'"),
+        (["gamma=interval(0,1)", "task.time_limt=3"], "did you mean 'task.time_limit'"),
         (["gamma=interval(0,1)", "seed=1"], "seed: is set by the search"),
         (["gamma=interval(1,0)"], "low"),
         (["gamma=interval(0,1)", "trials=0"], "trials = 0"),

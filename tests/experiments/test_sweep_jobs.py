@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import csv
 import os
+import shlex
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 from omegaconf import OmegaConf
 
 from experiments import train
-from experiments.configuration import to_plain
 from experiments.program import show_command
 from experiments.sweeps import ending, jobs
 from experiments.sweeps.groups import group_runs
@@ -23,6 +23,7 @@ from experiments.sweeps.runs import read_run, read_runs
 from experiments.train import finish, set_up
 from experiments.train_settings import TRAINING, TrainConfig, begin_run
 from fishrl.training.checkpoint import read_metadata
+from fishrl.training.description import to_plain
 from fishrl.training.run_folder import RunFolder, write_yaml
 from tests.training.toy_fish import make_toy_env
 
@@ -97,7 +98,7 @@ def test_what_every_run_of_a_sweep_needs_for_itself_is_refused(argument: str) ->
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["hydra/launcher=jobli"], "Did you mean 'joblib'"),
+        (["hydra/launcher=jobli"], "did you mean 'joblib'"),
         (
             ["algorithm=dqn,discrete_sac", "algorithm.epsilon_frames=100"],
             "algorithm.epsilon_frames",
@@ -134,7 +135,7 @@ def test_the_same_settings_find_their_run_and_others_make_a_new_one(tmp_path: Pa
 def go_on(folder: RunFolder, *changes: str) -> None:
     """Store settings as a resume with other ones does."""
     settings = TRAINING.read([f"resume='{folder.path}'", *changes])
-    write_yaml(folder.config, to_plain(settings) | {"resume": None})
+    write_yaml(folder.config, to_plain(asdict(settings)) | {"resume": None})
 
 
 def test_a_run_that_was_resumed_stays_in_its_sweep_unless_it_learns_something_else(
@@ -216,7 +217,7 @@ def test_a_killed_job_leaves_the_others_and_goes_on_alone(
     said = capfd.readouterr().out
     assert "1 of 2 runs finished" in said
     assert f"rerun: {run.command}" in said
-    alone = subprocess.run([sys.executable, *run.command.split()[1:]], cwd=ROOT, check=False)
+    alone = subprocess.run([sys.executable, *shlex.split(run.command)[1:]], cwd=ROOT, check=False)
     assert alone.returncode == 0
     assert rows_of(killed) == rows_of(whole)  # as if nothing had happened
     before = (whole / "summary.json").stat().st_mtime_ns

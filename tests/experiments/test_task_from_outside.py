@@ -1,4 +1,4 @@
-"""A task of a user's own, in a folder of their own: the one of the tutorial, on kinematic fish."""
+"""A task and an algorithm of a user's own, in a folder of their own, on kinematic fish."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from experiments import evaluate, search, train, view
-from experiments.configuration import build
+from fishrl.envs import AbstractTask
 from fishrl.training.baselines import make_baseline
+from fishrl.training.description import make
 from tests.docs.pages import read_blocks
 from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
 
@@ -24,9 +25,18 @@ def outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             path = tmp_path / "my_fish" / block.file
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(block.code, encoding="utf-8")
+    (tmp_path / "my_fish" / "my_learning.py").write_text(
+        "from fishrl.training.algorithms import DQN\nclass MyDQN(DQN): pass\n"
+    )
     monkeypatch.syspath_prepend(str(tmp_path / "my_fish"))
-    monkeypatch.delitem(sys.modules, "hold_station", raising=False)
+    forget(monkeypatch)
     return tmp_path / "my_fish"
+
+
+def forget(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Begin as a new process does, without the modules of the user."""
+    for name in ("hold_station", "my_learning"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
 
 
 SETTINGS = [
@@ -51,19 +61,29 @@ SETTINGS = [
 def test_a_task_from_outside_is_trained_and_evaluated_without_any_edit(
     outside: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    runs = tmp_path / "runs"
-    folder = ["--config-dir", str(outside / "conf")]
-    monkeypatch.setattr(sys, "argv", ["train", *folder, *SETTINGS, f"folder={runs}", "name=mine"])
-    train.main()
-    summary = json.loads((runs / "mine" / "summary.json").read_text())
-    assert summary["frames"] == 8
-    assert summary["baselines"] == ["random"]
-    assert (runs / "mine" / "learning_curve.png").is_file()
+    run = tmp_path / "runs" / "mine"
+    own = ["algorithm=dqn", "algorithm._target_=my_learning.MyDQN", f"folder={run.parent}"]
+    folder = f"--config-dir={outside / 'conf'}"
+    train.main([folder, *SETTINGS, *own, "name=mine"])
+    summary = json.loads((run / "summary.json").read_text())
+    assert (summary["frames"], summary["baselines"]) == (8, ["random"])
+    assert (run / "learning_curve.png").is_file()
     saved = tmp_path / "result.json"
-    chosen = [f"checkpoint={runs / 'mine'}", "episodes=2", "compile=false", f"save={saved}"]
-    monkeypatch.setattr(sys, "argv", ["evaluate", *chosen])
-    evaluate.main()
+    given = [f"checkpoint={run}", "episodes=2", "compile=false", f"save={saved}"]
+    trusted = "modules=[hold_station,my_learning]"
+    for needed in ([folder], ["modules=[hold_station]"]):  # my_learning is named nowhere
+        forget(monkeypatch)
+        with pytest.raises(SystemExit, match=r"if you trust it, give modules=\[my_learning\]"):
+            evaluate.main([*given, *needed])
+    forget(monkeypatch)
+    evaluate.main([*given, trusted])
     assert json.loads(saved.read_text())["task"] == "HoldStation"
+    forget(monkeypatch)
+    view.main([f"run={run}", trusted, "compile=false", "periods=1", f"save={run / 'x.rrd'}"])
+    assert (run / "x.rrd").is_file()
+    forget(monkeypatch)
+    train.main([f"resume={run}", trusted, "total_frames=12"])
+    assert json.loads((run / "summary.json").read_text())["frames"] == 12
 
 
 @pytest.mark.parametrize(
@@ -75,7 +95,7 @@ def test_a_folder_of_configuration_may_be_named_in_any_of_hydras_ways(
 ) -> None:
     folder = [word.format(outside / "conf") for word in words]
     settings = train.main.read([*folder, "task=hold_station", "task.leash_bl=1.25"])
-    task = build(settings.task)
+    task = make(settings.task, kind=AbstractTask)
     assert (type(task).__name__, task.leash_bl, task.body_length) == ("HoldStation", 1.25, 50)
     watched = view.main.read([*folder, "task=hold_station", "policy=random"])
     assert watched.task["_target_"] == "hold_station.HoldStation"
@@ -93,12 +113,12 @@ def test_a_preset_from_outside_is_found_too(outside: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "text", "said"),
     [
-        ("preset", "# @package _global_\nnum_env: 2", "no 'num_env'. Did you mean 'num_envs'?"),
+        ("preset", "# @package _global_\nnum_env: 2", "no 'num_env'; did you mean 'num_envs'?"),
         ("preset", "# @package _global_\nnum_envs: two", "num_envs=two: Value 'two' of type 'str'"),
         ("preset", "# @package _global_\nnum_envs: [", "wrong.yaml"),
         ("preset", "num_envs: 2", "preset"),
         ("task", "body_length: 20", "task: its YAML file must begin with _target_"),
-        ("task", "{_target_: fishrl.envs.Predation, reynold: 9}", "Did you mean 'task.reynolds'?"),
+        ("task", "{_target_: fishrl.envs.Predation, reynold: 9}", "did you mean 'task.reynolds'?"),
     ],
 )
 def test_mistakes_in_files_of_ones_own_are_named(
@@ -111,9 +131,9 @@ def test_mistakes_in_files_of_ones_own_are_named(
 
 def test_typos_are_answered_from_what_is_outside_too(outside: Path) -> None:
     folder = f"--config-dir={outside / 'conf'}"
-    with pytest.raises(ValueError, match="Did you mean 'hold_station'"):
+    with pytest.raises(ValueError, match="did you mean 'hold_station'"):
         train.main.read([folder, "task=hold_sttion"])
-    with pytest.raises(ValueError, match=r"Did you mean 'task\.leash_bl'"):
+    with pytest.raises(ValueError, match=r"did you mean 'task\.leash_bl'"):
         train.main.read([folder, "task=hold_station", "task.leesh_bl=1"])
 
 
@@ -127,7 +147,7 @@ def test_a_module_that_is_not_on_the_path_is_answered_with_what_to_do(
 
 def test_a_baseline_for_other_tasks_is_refused(outside: Path) -> None:
     settings = train.main.read([f"--config-dir={outside / 'conf'}", "task=hold_station"])
-    task = build(settings.task)
+    task = make(settings.task, kind=AbstractTask)
     for name in ("intercept", "pid"):
         with pytest.raises(ValueError, match="HoldStation"):
             make_baseline(name, task=task, seed=0)

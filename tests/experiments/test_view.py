@@ -6,18 +6,18 @@ import re
 import socket
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 
 from experiments import view
-from experiments.configuration import to_plain
 from experiments.evaluate import evaluate
 from experiments.evaluate import main as evaluate_main
-from experiments.train import train
+from experiments.train import finish, set_up
 from experiments.train_settings import TRAINING
 from fishrl.envs.scene import Frame
+from fishrl.training.description import to_plain
 from fishrl.training.run_folder import write_yaml
 from fishrl.viewer import Drawing
 from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
@@ -59,7 +59,7 @@ def test_the_learned_fish_of_a_run_is_shown_in_its_own_task(
     config = TRAINING.read([*SETTINGS, f"folder={tmp_path}", "name=run"])
     config = replace(config, recognition="oracle", baselines=(), picture_episodes=2)
     config = replace(config, total_frames=16, eval_frames=16)
-    train(config)
+    finish(set_up(config))
     assert "/flow_0/plots/class_probabilities" in list_entities(tmp_path / "run" / "capture.rrd")
     settings = view.main.read([f"run={tmp_path / 'run'}", "task.stream.speeds_bl=[1.0,1.2,1.4]"])
     assert (settings.recognition, settings.preset) == ("oracle", "gait_small")
@@ -111,7 +111,7 @@ def test_a_live_view_streams_and_stays_until_an_interrupt(
         (["run=nowhere"], "error: checkpoint nowhere: there is none"),
         (["policy=pid", "frames_per_T=0"], "error: frames_per_T = 0: must be at least 1"),
         (["policy=pid", "field_format=jpg"], "error: field_format = jpg: .*did you mean 'jpeg'"),
-        (["policy=pid", "flow=[0]"], "error: there is no 'flow'. Did you mean 'flow"),
+        (["policy=pid", "flow=[0]"], "error: there is no 'flow'; did you mean 'flow"),
         ([*GAIT, "policy=pid", "flows=[1]", "save=x.rrd"], r"error: flows = \[1\]: must be some"),
         ([*GAIT, "policy=pid", "save=nowhere/x.rrd"], "error: no folder nowhere: make it first"),
         (
@@ -133,7 +133,7 @@ def test_errors_are_one_line(
 
 def test_a_training_that_cannot_be_shown_leaves_no_folder(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"flows = \[9\]: must be some of 0 to 3, each once"):
-        train(TRAINING.read([*SETTINGS, f"folder={tmp_path}", "live=true", "flows=[9]"]))
+        finish(set_up(TRAINING.read([*SETTINGS, f"folder={tmp_path}", "live=true", "flows=[9]"])))
     assert not list(tmp_path.iterdir())
 
 
@@ -157,10 +157,10 @@ def test_a_training_with_a_live_view_learns_the_same(
     settings = [*SETTINGS, "recognition=oracle", f"folder={tmp_path}", "picture_episodes=0"]
     settings += ["total_frames=32", "warmup_frames=8", "eval_frames=16", "eval_episodes=2"]
     settings += ["final_episodes=1", "baselines=[]", "task.time_limit=4"]
-    train(TRAINING.read([*settings, "name=alone"]))
+    finish(set_up(TRAINING.read([*settings, "name=alone"])))
     drawn = Notes(monkeypatch)
     seen = ["name=seen", "live=true", "flows=[1,2]", "port=29620", "live_share=1.0"]
-    summary = train(TRAINING.read([*settings, *seen]))
+    summary = finish(set_up(TRAINING.read([*settings, *seen])))
     assert read_rows(tmp_path / "seen") == read_rows(tmp_path / "alone")
     assert summary["frames"] == 32
     for flow in (1, 2):
@@ -188,7 +188,7 @@ def test_an_evaluation_with_a_live_view_is_the_same(
 
 def test_a_resumed_run_is_live_only_on_request(tmp_path: Path) -> None:
     config = TRAINING.read(["live=true"])
-    write_yaml(tmp_path / "config.yaml", to_plain(config))
+    write_yaml(tmp_path / "config.yaml", to_plain(asdict(config)))
     assert not TRAINING.read(
         [
             f"resume='{tmp_path}'",

@@ -84,7 +84,7 @@ def test_a_module_of_ones_own_is_imported_if_the_user_names_it(
         "from fishrl.envs.flow_env import AbstractTask\nclass Drift(AbstractTask): pass\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
-    with pytest.raises(ValueError, match="name it on the command line"):
+    with pytest.raises(ValueError, match=r"give modules=\[swims_off\]"):
         find_class("swims_off.Drift", kind=AbstractTask)
     found = find_class("swims_off.Drift", kind=AbstractTask, modules=["swims_off"])
     assert found.__name__ == "Drift"

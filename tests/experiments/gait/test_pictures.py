@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from experiments.configuration import build
 from experiments.gait import trials
 from experiments.gait.pictures import write_period
-from fishrl.envs import make_env
+from fishrl.envs import KarmanGait, make_env
+from fishrl.training.description import make
 from tests.experiments.real_wake import gait_settings
 
 
@@ -21,7 +21,7 @@ def test_a_period_is_drawn_as_long_as_an_episode_lasts(
     monkeypatch.setattr(trials, "START_X_BL", (0.8, 0.9))
     settings = gait_settings(tmp_path)
     settings["stream"]["has_disc"] = False  # no wake to develop
-    trial = trials.make_trial("bang_bang", build(settings), periods=4.0)
+    trial = trials.make_trial("bang_bang", make(settings, kind=KarmanGait), periods=4.0)
     write_period(tmp_path / "period.png", trial, num_decisions=1, periods_T=[0.2])
     assert (tmp_path / "period.png").stat().st_size > 20000
     with pytest.raises(ValueError, match="all episodes end before"):
