@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -71,11 +70,6 @@ def evaluate(
 ) -> dict[str, Any]:
     """Run one episode from each of the fixed starts.
 
-    Args:
-        config: the settings.
-        make_env: makes the env of a task.
-        progress: progress bar; by default none.
-
     Returns:
         What ``fishrl.training.evaluate`` returns, and which policy it was.
 
@@ -105,50 +99,30 @@ def evaluate(
     }
 
 
-def check_result(save: str) -> Path:
+def check_file(path: Path) -> Path:
     """Return the path of a file for the result, if it can be written.
 
     Raises:
         ValueError: if not.
         FileNotFoundError: if there is no folder for it.
     """
-    path = check_folder(Path(save).expanduser())
-    if path.is_dir():
-        raise _unwritable(path, "it is a folder")
-    if not os.access(path.absolute().parent, os.W_OK | os.X_OK):
-        raise _unwritable(path, "no write permission")
+    check_folder(path)
+    if path.is_dir() or not os.access(path.absolute().parent, os.W_OK | os.X_OK):
+        raise ValueError(f"save={path}: cannot be written; choose another file")
     return path
-
-
-def write_result(path: Path, values: Mapping[str, Any]) -> None:
-    """Write a result.
-
-    Raises:
-        ValueError: if it cannot be written.
-    """
-    try:
-        write_json(path, values)
-    except OSError as error:
-        raise _unwritable(path, error.strerror or str(error)) from error
-
-
-def _unwritable(path: Path, reason: str) -> ValueError:
-    return ValueError(
-        f"save={path}: cannot be written ({reason}); choose another file or change the permissions"
-    )
 
 
 @program(EvaluateConfig, groups={"task": "predation", "preset": None}, stored=read_task)
 def main(settings: EvaluateConfig) -> None:
     """Evaluate, print the result, and store it where ``save`` says."""
-    path = None if settings.save is None else check_result(settings.save)
+    path = None if settings.save is None else check_file(Path(settings.save).expanduser())
     with Progress() as progress:
         result = evaluate(settings, progress=progress)
     for name, value in result.items():
         shown = f"{value:.3f}" if isinstance(value, float) else value
         print(f"{name:<24}{shown}")
     if path is not None:
-        write_result(path, result | {"settings": to_plain(asdict(settings))})
+        write_json(path, result | {"settings": to_plain(asdict(settings))})
 
 
 if __name__ == "__main__":

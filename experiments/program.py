@@ -10,7 +10,7 @@ and ``main()`` where the module is run.
 and calls the function. ``groups`` are for programs that make a task, algorithm or logger, with
 ``make(settings.task, kind=AbstractTask)``; fields without a default have to be given. ``--help`` prints the
 module's docstring and the settings with what the ``Args:`` of the dataclass say. ``ValueError``,
-``ImportError`` and ``FileNotFoundError`` end the program with one line. In Python,
+``ImportError`` and ``OSError`` end the program with one line. In Python,
 ``main.read([...])`` returns the settings of a command line and ``main.run(settings)`` runs them.
 """
 
@@ -153,7 +153,7 @@ def plain_errors() -> Iterator[None]:
     """
     try:
         yield
-    except (ValueError, ImportError, FileNotFoundError) as error:
+    except (ValueError, ImportError, OSError) as error:
         if os.environ.get("FISHRL_DEBUG"):
             raise
         sys.exit(f"error: {error}{_find_line(error)}")

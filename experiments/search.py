@@ -56,46 +56,40 @@ class SearchSettings:
     def __post_init__(self) -> None:
         """Check the bounds, and that something is searched."""
         check_bounds(self)
-        for override in parse(self.lines):
+        for override in parse(TRAINING.prepare(self.overrides)):
             if override.key_or_group in ("seed", "name", "resume"):
                 raise ValueError(f"{override.key_or_group}: is set by the search; leave it out")
         space = self.space()
         if not space:
             raise ValueError("nothing to search: give a setting as key=interval(low,high)")
-        TRAINING.compose([*self.fixed, *(f"{name}={_pick(space[name])}" for name in space)])
-
-    @property
-    def lines(self) -> list[str]:
-        """The settings of the trainings, as hydra reads them."""
-        return [line for line in TRAINING.prepare(self.overrides) if not line.startswith("hydra")]
+        some = {k: d.choices[0] if hasattr(d, "choices") else d.low for k, d in space.items()}
+        TRAINING.compose([*self.fixed, *(f"{key}={value}" for key, value in some.items())])
 
     @property
     def fixed(self) -> list[str]:
-        """The settings that every trial shares."""
-        searched = {o.input_line for o in parse(self.lines) if o.is_sweep_override()}
-        return [line for line in TRAINING.prepare(self.overrides) if line not in searched]
+        """The settings that every trial shares, as hydra reads them."""
+        lines = TRAINING.prepare(self.overrides)
+        searched = {o.input_line for o in parse(lines) if o.is_sweep_override()}
+        return [line for line in lines if line not in searched]
 
     def space(self) -> dict[str, Any]:
         """Return Optuna's distribution of each setting that is searched."""
         try:
-            from optuna.distributions import (
-                CategoricalDistribution,
-                FloatDistribution,
-                IntDistribution,
-            )
+            from optuna import distributions
         except ImportError as error:
             raise ImportError("the search needs Optuna: pip install -e '.[sweep]'") from error
         space: dict[str, Any] = {}
-        for override in parse(self.lines):
+        for override in parse(TRAINING.prepare(self.overrides)):
             if not override.is_sweep_override():
                 continue
             key, value = override.get_key_element(), override.value()
             if not isinstance(value, IntervalSweep):
-                space[key] = CategoricalDistribution(list(override.sweep_string_iterator()))
+                choices = list(override.sweep_string_iterator())
+                space[key] = distributions.CategoricalDistribution(choices)
                 continue
             is_whole = isinstance(value.start, int) and isinstance(value.end, int)
-            kind: Any = IntDistribution if is_whole else FloatDistribution
-            space[key] = kind(value.start, value.end, log="log" in value.tags)
+            number = distributions.IntDistribution if is_whole else distributions.FloatDistribution
+            space[key] = number(value.start, value.end, log="log" in value.tags)
         return space
 
 
@@ -187,11 +181,6 @@ def run_seed(
         raise ValueError(f"metric = {settings.metric}: not in {path}; there is {numbers}")
     value = run.summary[settings.metric]
     return None if value is None else float(value)
-
-
-def _pick(distribution: Any) -> Any:
-    """Return some value of a distribution."""
-    return distribution.choices[0] if hasattr(distribution, "choices") else distribution.low
 
 
 def report(settings: SearchSettings, study: Any) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -99,16 +99,13 @@ class ViewConfig(ViewerSettings):
 def record(
     settings: ViewConfig, *, save: Path, url: str | None = None, progress: Progress | None = None
 ) -> str:
-    """Run a policy from fixed starts and draw its flows.
+    """Run a policy from fixed starts, draw its flows, and return the size of the recording.
 
     Args:
         settings: of the program.
         save: ``.rrd`` file to write.
-        url: of a viewer's server to stream to as well, or None.
-        progress: progress bar; by default none.
-
-    Returns:
-        The size of the recording, in a line.
+        url: of a viewer's server to stream to as well.
+        progress: progress bar.
 
     Raises:
         ValueError: for invalid settings, and checkpoints that do not fit the task.
@@ -127,9 +124,8 @@ def record(
     else:
         policy = make_baseline(str(settings.policy), task=task, seed=settings.seed)
     starts = fixed_starts(task, settings.episodes, seed=settings.seed)
-    max_decisions = task.time_limit
-    if settings.periods is not None:
-        max_decisions = min(max_decisions, math.ceil(settings.periods / task.interval_T - 1e-9))
+    periods = math.inf if settings.periods is None else settings.periods / task.interval_T
+    max_decisions = math.ceil(min(task.time_limit, periods) - 1e-9)
     times: dict[int, list[float]] = {flow: [] for flow in flows}
     with ExitStack() as stack:
         progress.rename("compilation" if settings.compile else "set-up")
@@ -180,11 +176,9 @@ def record(
 def wait_for_interrupt() -> None:
     """Return on Ctrl-C."""
     print("the episodes are over; the live view stays until you press Ctrl-C")
-    try:
+    with suppress(KeyboardInterrupt):
         while True:
             time.sleep(1.0)
-    except KeyboardInterrupt:
-        return
 
 
 def view(
@@ -197,8 +191,8 @@ def view(
 
     Args:
         settings: of the program.
-        progress: progress bar; by default none.
-        wait: called when a live view is over; returns when it may end.
+        progress: progress bar.
+        wait: returns when a live view whose episodes are over may end.
 
     Raises:
         ValueError: for invalid settings, or if the viewer does not start.

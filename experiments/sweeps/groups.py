@@ -90,23 +90,19 @@ def number_names(groups: Sequence[Group]) -> list[str]:
 
 
 def _telling_keys(flat: Sequence[Mapping[str, str]]) -> list[str]:
-    names = dict.fromkeys(name for settings in flat for name in settings)
-    ordered = [*(name for name in _FIRST if name in names), *names]
+    """List the fewest settings that separate all groups."""
     kept: list[str] = []
-    parts = 1
-    for name in ordered:
-        wanted = [*kept, name]
-        finer = len({tuple(settings.get(key, "–") for key in wanted) for settings in flat})
-        if finer > parts:
-            kept, parts = wanted, finer
+    for name in dict.fromkeys([*_FIRST, *(name for settings in flat for name in settings)]):
+        if _count_groups(flat, [*kept, name]) > _count_groups(flat, kept):
+            kept.append(name)
     for name in list(kept):
         others = [key for key in kept if key != name]
-        if _count_parts(flat, others) == parts:
+        if _count_groups(flat, others) == _count_groups(flat, kept):
             kept = others
     return kept
 
 
-def _count_parts(flat: Sequence[Mapping[str, str]], keys: Sequence[str]) -> int:
+def _count_groups(flat: Sequence[Mapping[str, str]], keys: Sequence[str]) -> int:
     return len({tuple(settings.get(key, "–") for key in keys) for settings in flat})
 
 

@@ -140,10 +140,9 @@ def name_job(overrides: Sequence[str], *, same: Sequence[str] = ()) -> str:
             key = key.removesuffix("._target_")
             parts.append(re.sub(r"[^A-Za-z0-9.+-]+", "_", f"{key.rsplit('.', 1)[-1]}_{value}"))
     name = "-".join(parts) or "run"
-    if len(name) > LONGEST_NAME:
-        rest = hashlib.sha256(name.encode()).hexdigest()[:8]
-        name = f"{name[: LONGEST_NAME - 9]}-{rest}"
-    return name
+    if len(name) <= LONGEST_NAME:
+        return name
+    return f"{name[: LONGEST_NAME - 9]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
 
 def quote(value: str) -> str:
@@ -215,20 +214,19 @@ def is_same(config: TrainConfig, folder: RunFolder) -> bool:
     return all(stored.get(name) == wanted.get(name) for name in names)
 
 
-def run_alone(path: Path, *, total_frames: int, progress: Progress | None = None) -> Run:
+def run_alone(path: Path, *, total_frames: int) -> Run:
     """Start or resume a run in a process of its own, and wait for it.
 
     Its output goes to ``output.log`` in its folder.
 
     Args:
         path: of its folder.
-        total_frames: of the run.
-        progress: progress bar; by default a new one.
+        total_frames: length of the progress bar.
     """
     arguments = list_arguments(quote(str(path)), read_run(path).config)
     command = [sys.executable, "-m", "experiments.train", *arguments]
     with (
-        progress or Progress() as bar,
+        Progress() as bar,
         (path / "output.log").open("ab") as output,
         subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT) as child,
     ):

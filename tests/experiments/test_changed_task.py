@@ -113,26 +113,7 @@ def test_in_a_task_that_is_chosen_by_name_a_fish_is_told_its_flow_as_before(
 @pytest.mark.parametrize(
     ("argument", "said"),
     [
-        ("task.stream.has_disk=false", "did you mean 'task.stream.has_disc'?"),
-        ("task.capture_radius_bl=1", "there is no 'task.capture_radius_bl'"),
-        ("task.stream.has_disc=far", "task.stream.has_disc=far: Value 'far' is not a valid bool"),
-        (
-            "task.stream={speed:3}",
-            "there is no 'task.stream.speed'; did you mean 'task.stream.speeds_bl'",
-        ),
-    ],
-)
-def test_a_setting_that_the_task_of_the_run_does_not_have_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, argument: str, said: str
-) -> None:
-    assert said in refuse(monkeypatch, store(tmp_path), argument)
-
-
-@pytest.mark.parametrize(
-    ("argument", "said"),
-    [
         ("task.num_stacked=3", "it is of num_inputs = 28, here it is 21"),
-        ("task.repeats_frequency=true", "it is of num_inputs = 28, here it is 36"),
         ("task._target_=fishrl.envs.Predation", "there is no 'task."),
         (
             "task.control={_target_:fishrl.envs.macro_actions.DirectFrequencies,"
@@ -141,18 +122,10 @@ def test_a_setting_that_the_task_of_the_run_does_not_have_is_named(
         ),
     ],
 )
-def test_what_the_brain_was_made_for_cannot_be_changed(
+def test_what_the_policy_was_made_for_cannot_be_changed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, argument: str, said: str
 ) -> None:
     assert said in refuse(monkeypatch, store(tmp_path), argument)
-
-
-def test_the_number_of_actions_cannot_be_changed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    checkpoint = store(tmp_path, "task=karman_gait_direct")
-    said = refuse(monkeypatch, checkpoint, "task.control.frequencies=[0.5,1.5,2.6]")
-    assert "it is of num_actions = 5, here it is 3" in said
 
 
 def test_a_machine_knows_only_its_flows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,18 +25,19 @@ pytestmark = pytest.mark.sweep
         ("submitit", ("hydra/launcher=submitit_local", "hydra.launcher.timeout_min=10")),
     ],
 )
-def test_a_launcher_runs_the_jobs_of_a_sweep(
+def test_a_job_that_fails_leaves_the_others_of_its_launcher_alone(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
     launcher: str,
     settings: tuple[str, ...],
 ) -> None:
-    command = [*SETTINGS, f"folder={tmp_path}", f"logger._target_={HERE}.Gliding", "seed=0,1"]
-    assert run_program(monkeypatch, "--multirun", *command, *settings) == 0
+    command = [*SETTINGS, f"folder={tmp_path}", f"logger._target_={HERE}.Gliding"]
+    command.append("recognition=null,none.pt")  # the second job fails at its beginning
+    assert run_program(monkeypatch, "--multirun", *command, *settings) == 1
     runs = {run.path.name: run.status for run in read_runs(tmp_path)}
-    assert runs == {"seed_0": "finished", "seed_1": "finished"}
-    assert "2 of 2 runs finished" in capfd.readouterr().out
+    assert runs == {"recognition_null": "finished", "recognition_none.pt": "failed"}
+    assert "1 of 2 runs finished" in capfd.readouterr().out
     if launcher == "submitit":  # one process for each job
         logs = [log for log in (tmp_path / ".submitit").glob("*/*.out") if log.stat().st_size > 0]
         assert len({log.parent for log in logs}) == 2

@@ -10,6 +10,7 @@ from pathlib import Path
 from textwrap import dedent
 
 import pytest
+import yaml
 
 from experiments import evaluate, summarize, train
 from experiments.program import plain_errors, show_command
@@ -48,6 +49,21 @@ def test_a_mistake_ends_a_program_with_one_line(tmp_path: Path) -> None:
         "error: there is no 'totl_frames'; did you mean 'total_frames'?\n",
     )
     assert not list(tmp_path.iterdir())
+
+
+def test_cfg_prints_the_settings_and_other_options_are_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    train.main(["--cfg", "job", "seed=3"])
+    assert yaml.safe_load(capsys.readouterr().out)["seed"] == 3
+    with pytest.raises(SystemExit, match="error: unrecognized arguments: --info"):
+        train.main(["--info"])
+
+
+def test_the_traceback_of_an_error_is_shown_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FISHRL_DEBUG", "1")
+    with pytest.raises(ValueError, match="there is no 'totl_frames'"):
+        train.main(["totl_frames=3"])
 
 
 def test_only_trainings_are_swept() -> None:

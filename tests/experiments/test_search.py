@@ -184,12 +184,3 @@ def test_a_trial_that_another_search_has_finished_is_left_alone(
     monkeypatch.setattr(search, "run_seed", run_seed)
     study = search.search(replace(plan, trials=2))
     assert [trial.value for trial in study.trials] == [1.0, 5.0]
-
-
-def test_without_optuna_the_error_says_what_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "optuna", None)
-    monkeypatch.setitem(sys.modules, "optuna.distributions", None)
-    with pytest.raises(SystemExit, match=r"pip install -e '\.\[sweep\]'"):
-        search.main([f"folder={tmp_path}", "gamma=interval(0,1)"])

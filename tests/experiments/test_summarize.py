@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 
 from experiments import summarize
 from experiments.statistics import Statistic, interquartile_mean
-from experiments.sweeps.curves import average, write_curves
+from experiments.sweeps.curves import average
 from experiments.sweeps.groups import group_runs
 from experiments.sweeps.runs import count_frames, read_run, read_runs
 from experiments.sweeps.tables import write_differences
@@ -148,13 +148,6 @@ def test_the_same_seed_twice_is_one_seed(tmp_path: Path) -> None:
     assert average(group, "eval/mean_return")[1].tolist() == [0.0, 5.0]
 
 
-def test_tasks_are_told_apart_by_name(tmp_path: Path) -> None:
-    for name in ("Predation", "KarmanGait"):
-        write_run(tmp_path, name, task={"_target_": f"fishrl.envs.{name}", "a": {name: 1}})
-    labels = [group.label for group in group_runs(read_runs(tmp_path))]
-    assert labels == ["task._target_ KarmanGait", "task._target_ Predation"]
-
-
 def test_the_table_has_mean_interval_and_iqm_and_says_what_to_rerun(sweep: Path) -> None:
     text = summarize.summarize(sweep)
     rows = [line for line in text.splitlines() if line.startswith("| 0.9")]
@@ -236,14 +229,6 @@ def test_curves_are_means_over_the_runs_that_have_come_so_far(sweep: Path) -> No
     assert mean.tolist() == pytest.approx([0.0, (2.5 + 3.5 + 4.0) / 3, 6.0])
     assert half[2] == pytest.approx(12.706, abs=1e-3)  # of 5 and 7: t 12.706, deviation sqrt(2)
     assert average(groups[1], "nothing")[0].size == 0
-
-
-def test_curves_are_drawn_for_more_groups_than_colours(tmp_path: Path) -> None:
-    for number in range(10):
-        write_run(tmp_path, f"run-{number}", gamma=number, curve={0: 0.0, 9: float(number)})
-    groups = group_runs(read_runs(tmp_path))
-    assert write_curves(groups, tmp_path / "curves.png")
-    assert (tmp_path / "curves.png").stat().st_size > 10_000
 
 
 def test_runs_without_any_metrics_have_a_table_and_no_curves(tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ import shlex
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -20,12 +19,10 @@ from experiments.program import show_command
 from experiments.sweeps import ending, jobs
 from experiments.sweeps.groups import group_runs
 from experiments.sweeps.runs import read_run, read_runs
-from experiments.train import finish, set_up
-from experiments.train_settings import TRAINING, TrainConfig, begin_run
+from experiments.train_settings import TRAINING, TrainConfig
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.description import to_plain
 from fishrl.training.run_folder import RunFolder, write_yaml
-from tests.training.toy_fish import make_toy_env
 
 ROOT = Path(__file__).parents[2]
 HERE = "tests.training.faults"  # makes fish glide in the runs' own processes
@@ -163,43 +160,6 @@ def test_a_run_with_another_classifier_is_another_run(tmp_path: Path) -> None:
     assert folders == ["run", "run", "run-2"]
 
 
-def test_a_run_that_never_began_begins_when_it_is_resumed(
-    toy_config: Callable[..., TrainConfig], tmp_path: Path
-) -> None:
-    finish(set_up(toy_config(name="straight", total_frames=80), make_env=make_toy_env))
-    config = toy_config(name="later", total_frames=80)
-    begin_run(config, RunFolder.create(parent=config.folder, name="later"))
-    assert read_run(tmp_path / "later").status == "stopped"
-    config = replace(config, resume=str(tmp_path / "later"))
-    finish(set_up(config, make_env=make_toy_env))
-    assert read_run(tmp_path / "later").status == "finished"
-    assert rows_of(tmp_path / "later") == rows_of(tmp_path / "straight")
-
-
-def test_a_run_that_failed_says_why_and_goes_on(
-    toy_config: Callable[..., TrainConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    finish(set_up(toy_config(name="whole"), make_env=make_toy_env))
-    training = set_up(toy_config(name="failed"), make_env=make_toy_env)
-    log = training.plan.logger.log
-
-    def fail(metrics: Mapping[str, float]) -> None:
-        if metrics["frames"] == 120:
-            raise RuntimeError("the disk is full")
-        log(metrics)
-
-    monkeypatch.setattr(training.plan.logger, "log", fail)
-    with pytest.raises(RuntimeError):
-        finish(training)
-    run = read_run(tmp_path / "failed")
-    assert (run.status, run.frames) == ("failed", 80)
-    assert run.reason == "RuntimeError: the disk is full"
-    config = toy_config(resume=str(tmp_path / "failed"))
-    finish(set_up(config, make_env=make_toy_env))
-    assert read_run(tmp_path / "failed").status == "finished"
-    assert rows_of(tmp_path / "failed") == rows_of(tmp_path / "whole")
-
-
 def test_a_killed_job_leaves_the_others_and_goes_on_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -283,34 +243,3 @@ def test_jobs_that_cannot_be_set_up_are_all_named(
     said = capfd.readouterr()
     assert "seed_1: failed at frame 0" in said.out
     assert "Traceback" not in said.err
-
-
-AGENT = """
-import sys
-import tests.training.faults  # kinematic fish
-from experiments import train
-from fishrl.training.checkpoint import read_metadata
-sys.argv[0] = "train"
-train.main()
-"""
-
-
-@pytest.mark.slow
-def test_a_run_of_a_wandb_agent_goes_by_the_name_the_agent_gave_it(tmp_path: Path) -> None:
-    agents = {"WANDB_SWEEP_ID": "abcdefgh", "WANDB_RUN_ID": "agentsid", "WANDB_SILENT": "true"}
-    line = [*SETTINGS, f"folder={tmp_path}", "logger=wandb", "logger.is_offline=true"]
-    line += ["gamma=0.95", "seed=1", "name=run"]  # what ${args_no_hyphens} becomes
-    done = subprocess.run(
-        [sys.executable, "-c", AGENT, *line],
-        cwd=ROOT,
-        env={**os.environ, **agents, "OMP_NUM_THREADS": "1"},
-        check=False,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    (recorded,) = (tmp_path / "run").glob("wandb/offline-run-*")
-    assert recorded.name.endswith("-agentsid")
-    assert (tmp_path / "run" / "wandb_id").read_text() == "agentsid"  # for a resume
-    run = read_run(tmp_path / "run")
-    assert (run.status, run.config["gamma"], run.config["seed"]) == ("finished", 0.95, 1)

@@ -22,7 +22,7 @@ import fishrl.viewer.files
 from experiments.program import list_choices
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
-from tests.docs.pages import DOCS, read_blocks
+from tests.docs.pages import DOCS
 from tests.envs.conftest import SMALL
 from tests.envs.kinematic_solver import KinematicSolver
 from tests.envs.test_real_flow import TINY
@@ -135,28 +135,7 @@ def test_every_task_is_trained(task: str, runs: Path, monkeypatch: pytest.Monkey
     _train(runs, task, f"task={task}", *_set_task(REAL.get(task, KINEMATIC)))
 
 
-OTHERS = [
-    f"{group}={name}"
-    for group, names in GROUPS.items()
-    if group not in ("task", "preset", "logger")
-    for name in names
-]
-
-
-@pytest.mark.usefixtures("kinematic")
-@pytest.mark.parametrize("choice", ["logger=csv", *OTHERS])
-def test_every_algorithm_and_every_other_choice_trains(choice: str, runs: Path) -> None:
-    more = ["algorithm.sequence_length=2"] if choice == "algorithm=drqn" else []
-    _train(runs, choice.replace("=", "-"), choice, *more, *_set_task(KINEMATIC))
-
-
-@pytest.mark.usefixtures("kinematic")
-@pytest.mark.parametrize("preset", GROUPS["preset"])
-def test_every_preset_makes_its_task(preset: str, runs: Path) -> None:
-    _train(runs, f"preset-{preset}", f"preset={preset}", *_set_task(KINEMATIC))
-
-
-@pytest.mark.usefixtures("kinematic")
+@pytest.mark.usefixtures("gliding")
 @pytest.mark.parametrize(
     ("task", "policy"),
     [
@@ -236,17 +215,3 @@ def test_the_speed_of_flows_is_measured(tmp_path: Path) -> None:
         *("benchmark", "groups=[probe]", "body_length=80", "rounds=2", "burst=0.01", "threads=1"),
         f"folder={tmp_path}",
     )
-
-
-def test_a_task_from_outside_is_trained_in_a_real_flow(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for block in read_blocks("tutorials/new_task.md"):
-        if block.file:
-            (tmp_path / block.file).parent.mkdir(parents=True, exist_ok=True)
-            (tmp_path / block.file).write_text(block.code, encoding="utf-8")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.delitem(sys.modules, "hold_station", raising=False)
-    sizes = SMALL | BRIEF | {"domain_bl": (4.0, 3.0), "start_x_bl": 1.5}
-    chosen = [f"--config-dir={tmp_path / 'conf'}", "task=hold_station", *_set_task(sizes)]
-    _train(tmp_path, "mine", *chosen)
