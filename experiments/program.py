@@ -8,10 +8,11 @@
 and ``main()`` where the module is run.
 ``python -m experiments.transfer runs=[a,b] episodes=34 task.reynolds=400`` then checks the settings
 and calls the function. ``groups`` are for programs that make a task, algorithm or logger, with
-``make(settings.task, kind=AbstractTask)``; fields without a default have to be given. ``--help`` prints the
-module's docstring and the settings with what the ``Args:`` of the dataclass say. ``ValueError``,
-``ImportError`` and ``OSError`` end the program with one line. In Python,
-``main.read([...])`` returns the settings of a command line and ``main.run(settings)`` runs them.
+``make(settings.task, kind=AbstractTask)``; fields without a default have to be given. ``--help``
+prints the module's docstring and the settings with what the ``Args:`` of the dataclass say, ``--cfg
+job`` prints all settings. ``ValueError``, ``ImportError`` and ``OSError`` end the program with one
+line. In Python, ``main.read([...])`` returns the settings of a command line and
+``main.run(settings)`` runs them.
 """
 
 from __future__ import annotations

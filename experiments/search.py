@@ -87,9 +87,10 @@ class SearchSettings:
                 choices = list(override.sweep_string_iterator())
                 space[key] = distributions.CategoricalDistribution(choices)
                 continue
-            is_whole = isinstance(value.start, int) and isinstance(value.end, int)
-            number = distributions.IntDistribution if is_whole else distributions.FloatDistribution
-            space[key] = number(value.start, value.end, log="log" in value.tags)
+            kind: Any = distributions.FloatDistribution
+            if isinstance(value.start, int) and isinstance(value.end, int):
+                kind = distributions.IntDistribution
+            space[key] = kind(value.start, value.end, log="log" in value.tags)
         return space
 
 
