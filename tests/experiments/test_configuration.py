@@ -95,9 +95,7 @@ def test_a_target_that_cannot_be_made_says_why() -> None:
     with pytest.raises(ValueError, match="nowhere"):
         read(["logger._target_=nowhere.Logger"])
     with pytest.raises(ValueError, match="time_limit = 0: must be at least 1"):
-        make(
-            {"_target_": "tests.training.toy_fish.ToyPredation", "time_limit": 0}, kind=AbstractTask
-        )
+        make({"_target_": "fishrl.envs.Predation", "time_limit": 0}, kind=AbstractTask)
 
 
 def test_an_argument_that_no_file_names_takes_its_class_from_the_signature(tmp_path: Path) -> None:
