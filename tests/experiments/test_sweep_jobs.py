@@ -8,6 +8,7 @@ import shlex
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -19,10 +20,12 @@ from experiments.program import show_command
 from experiments.sweeps import ending, jobs
 from experiments.sweeps.groups import group_runs
 from experiments.sweeps.runs import read_run, read_runs
-from experiments.train_settings import TRAINING, TrainConfig
+from experiments.train import finish, set_up
+from experiments.train_settings import TRAINING, TrainConfig, begin_run
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.description import to_plain
 from fishrl.training.run_folder import RunFolder, write_yaml
+from tests.training.toy_fish import make_toy_env
 
 ROOT = Path(__file__).parents[2]
 HERE = "tests.training.faults"  # makes fish glide in the runs' own processes
@@ -158,6 +161,19 @@ def test_a_run_with_another_classifier_is_another_run(tmp_path: Path) -> None:
         config = settings_in(tmp_path, recognition=str(tmp_path / name))
         folders.append(jobs.find_or_begin(config, name="run").path.name)
     assert folders == ["run", "run", "run-2"]
+
+
+def test_a_run_that_never_began_begins_when_it_is_resumed(
+    toy_config: Callable[..., TrainConfig], tmp_path: Path
+) -> None:
+    finish(set_up(toy_config(name="straight", total_frames=80), make_env=make_toy_env))
+    config = toy_config(name="later", total_frames=80)
+    begin_run(config, RunFolder.create(parent=config.folder, name="later"))
+    assert read_run(tmp_path / "later").status == "stopped"
+    config = replace(config, resume=str(tmp_path / "later"))
+    finish(set_up(config, make_env=make_toy_env))
+    assert read_run(tmp_path / "later").status == "finished"
+    assert rows_of(tmp_path / "later") == rows_of(tmp_path / "straight")
 
 
 def test_a_killed_job_leaves_the_others_and_goes_on_alone(

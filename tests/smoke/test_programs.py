@@ -135,7 +135,7 @@ def test_every_task_is_trained(task: str, runs: Path, monkeypatch: pytest.Monkey
     _train(runs, task, f"task={task}", *_set_task(REAL.get(task, KINEMATIC)))
 
 
-@pytest.mark.usefixtures("gliding")
+@pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize(
     ("task", "policy"),
     [
