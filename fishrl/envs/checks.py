@@ -32,11 +32,7 @@ def check_starts_of(task: "AbstractTask") -> None:
 
 
 def check_answers(task: "AbstractTask", now: TensorDictBase) -> None:
-    """Check observation, mask, termination and report of a first measurement.
-
-    Args:
-        task: the task.
-        now: ``[B]``, measurement at the start of episodes.
+    """Check observation, mask, termination and report of a first measurement ``[B]``.
 
     Raises:
         ValueError: naming the method, its output and the expected one.
@@ -88,18 +84,10 @@ def check_rows(
     dtype: torch.dtype | None,
     hint: str = "a row for each flow",
 ) -> Tensor:
-    """Return the output of a task's method after checking its shape and dtype.
-
-    Args:
-        task: the task.
-        name: name of the method.
-        got: its output.
-        shape: expected shape.
-        dtype: expected dtype; None for any.
-        hint: remedy for a wrong shape.
+    """Return what a task's method ``name`` gave, after checking its shape and dtype (None: any).
 
     Raises:
-        ValueError: if it differs.
+        ValueError: if it differs; ``hint`` is the remedy for a wrong shape.
     """
     if not isinstance(got, Tensor):
         raise ValueError(f"{_name(task)}.{name} gives {_describe(got)}, expected a tensor {shape}")
@@ -113,16 +101,10 @@ def check_rows(
 
 
 def check_command(task: "AbstractTask", order: Any, rows: tuple[int, ...]) -> None:
-    """Check the output of ``task.command``, in particular its units.
-
-    Args:
-        task: the task.
-        order: a ``Command``: ``turn`` in radians within the interval, ``frequency`` in tail beats
-            per step or None.
-        rows: ``(B,)``.
+    """Check the output ``order`` of ``task.command`` for rows ``(B,)``, in particular its units.
 
     Raises:
-        ValueError: if a value is out of range.
+        ValueError: if it is no ``Command``, or a value is out of range.
     """
     turn, frequency = getattr(order, "turn", None), getattr(order, "frequency", None)
     if turn is None:
@@ -146,11 +128,7 @@ def check_command(task: "AbstractTask", order: Any, rows: tuple[int, ...]) -> No
 
 
 def check_action(action: Tensor, mask: Tensor) -> None:
-    """Check that actions are legal.
-
-    Args:
-        action: ``[B]`` int64.
-        mask: ``[B, num_actions]`` bool, legal actions.
+    """Check that actions ``[B]`` are legal by the mask ``[B, num_actions]``.
 
     Raises:
         ValueError: naming the first row with an illegal action.

@@ -73,9 +73,10 @@ def run_episodes(
     device, num_rows = base.device, env.batch_size[0]
     returns = torch.zeros(num_starts, device=device)
     lengths = torch.zeros(num_starts, dtype=torch.int64, device=device)
-    succeeded, terminated, diverged = (
-        torch.zeros(num_starts, dtype=torch.bool, device=device) for _ in range(3)
-    )
+    flags = {
+        name: torch.zeros(num_starts, dtype=torch.bool, device=device)
+        for name in ("succeeded", "terminated", "diverged")
+    }
     start_of = torch.arange(num_rows, device=device)
     start_of = start_of.masked_fill(start_of >= num_starts, -1)
     num_begun, num_decisions = num_rows, 0
@@ -101,22 +102,18 @@ def run_episodes(
             after, index = step["next"], start_of[is_open]
             returns[index] += after["reward"][is_open, 0]
             lengths[index] += 1
-            succeeded[index] = has_succeeded(after, base.task.success)[is_open, 0]
-            terminated[index] = after["terminated"][is_open, 0]
-            diverged[index] = after["diverged"][is_open, 0]
+            ended = after.select("terminated", "diverged")
+            ended["succeeded"] = has_succeeded(after, base.task.success)
+            for name, flag in flags.items():
+                flag[index] = ended[name][is_open, 0]
             # A reset hands the next starts to the rows that are done, in order of rows.
             is_done = after["done"].squeeze(-1)
             start_of = torch.where(is_done, num_begun + is_done.cumsum(0) - 1, start_of)
             start_of = start_of.masked_fill(start_of >= num_starts, -1)
             num_begun += int(is_done.sum())
             state, has_begun = env.maybe_reset(env.step_mdp(step)), is_done & (start_of >= 0)
-    return Episodes(
-        returns=returns.cpu(),
-        lengths=lengths.cpu(),
-        succeeded=succeeded.cpu(),
-        terminated=terminated.cpu(),
-        diverged=diverged.cpu(),
-    )
+    done = {name: flag.cpu() for name, flag in flags.items()}
+    return Episodes(returns=returns.cpu(), lengths=lengths.cpu(), **done)
 
 
 def has_succeeded(after: TensorDictBase, name: str) -> Tensor:

@@ -1,7 +1,8 @@
 """The interface of a solver to tasks: their sensors and views reach the flow only through it.
 
 ``InPlaceSolver`` fulfils it; so does any stand-in with these methods, such as one without a flow
-that tests run in milliseconds. All quantities are in lattice units, with a leading batch axis B.
+that tests run in milliseconds. All quantities are in lattice units, with a leading batch axis B;
+arguments are those of ``InPlaceSolver``.
 """
 
 from collections.abc import Sequence
@@ -61,14 +62,7 @@ class Solver(Protocol):
         *,
         velocity: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        """Put the bodies of some flows at rest into a fluid without vortices.
-
-        Args:
-            rows: ``[B]`` bool, which flows; others are not touched.
-            position: centres of mass ``[B, 2]``, or ``[B, M, 2]`` for M bodies, nodes.
-            heading: ``[B]`` or ``[B, M]``, radians.
-            velocity: of the fluid everywhere, in units of the stream speed.
-        """
+        """Put the bodies of the flows in ``rows`` ``[B]`` at rest; others are not touched."""
 
     @property
     def stream_speed(self) -> Tensor:
@@ -81,13 +75,7 @@ class Solver(Protocol):
         """Set the flows of ``rows`` ``[B]`` to shifted populations ``[B, Q, Y, X]``."""
 
     def command_(self, turn: Tensor, num_steps: int, frequency: Tensor | None = None) -> None:
-        """Command the first body to turn and, optionally, to beat at a new frequency.
-
-        Args:
-            turn: ``[B]`` change of heading, radians, spread smoothly over ``num_steps``.
-            num_steps: length of the turn.
-            frequency: ``[B]`` tail beats per step; the phase stays continuous.
-        """
+        """Command the first body to turn and, optionally, to beat at a new frequency."""
 
     def advance_(self, num_steps: int, rows: Tensor | None = None) -> None:
         """Advance the flows of ``rows`` ``[B]`` (all by default) by an even number of steps.

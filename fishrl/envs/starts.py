@@ -56,14 +56,7 @@ def check_pattern(starts: TensorDictBase, pattern: TensorDictBase) -> None:
 def check_fit(
     starts: TensorDictBase, fish: Fish, *, width: int, height: int, margin: float
 ) -> None:
-    """Check that straight fish at their starts ``[E]`` are inside the domain.
-
-    Args:
-        starts: the starts.
-        fish: the body.
-        width: nodes along x.
-        height: nodes along y.
-        margin: smallest distance of a marker from the edge nodes, in nodes.
+    """Check that straight fish at their starts ``[E]`` keep ``margin`` nodes from the edge nodes.
 
     Raises:
         ValueError: naming the first start outside.

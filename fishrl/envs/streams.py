@@ -92,12 +92,7 @@ class Stream:
         return x - 2.0 * self.diameter_bl * scales.body_length / (3.0 * pi), y
 
     def load_wakes(self, config: FlowConfig, scales: Scales) -> WakeBank:
-        """Return the developed wakes of all flows, from their file if it exists.
-
-        Args:
-            config: output of ``make_config``.
-            scales: lattice units of the task.
-        """
+        """Return the developed wakes of all flows, from their file if it exists."""
         recipe = WakeRecipe(
             config=replace(config, bodies=config.bodies[1:]),
             position=self.find_disc(config, scales),

@@ -54,15 +54,14 @@ class FlowLabelTransform(Transform):
         """
 
     def set_container(self, container: Transform | EnvBase) -> None:
-        """Attach to an environment and check its task.
-
-        Raises:
-            ValueError: see ``check_task``.
-        """
+        """Attach to an environment, and check its task by ``check_task``."""
         super().set_container(container)
-        env = self.container
-        if env is not None:
-            self.check_task(getattr(env.base_env, "task", None))
+        if self.container is not None:
+            self.attach(self.container)
+
+    def attach(self, env: EnvBase) -> None:
+        """Prepare for an environment."""
+        self.check_task(getattr(env.base_env, "task", None))
 
     def check_task(self, task: Any) -> None:
         """Check that the task has ``num_flows`` labelled flows.
@@ -150,16 +149,10 @@ class PredictedFlowLabel(FlowLabelTransform):
         self.memory = memory
         self.register_buffer("evidence", torch.zeros(0, self.num_flows))
 
-    def set_container(self, container: Transform | EnvBase) -> None:
-        """Attach to an environment and check its task.
-
-        Raises:
-            ValueError: see ``check_task``.
-        """
-        super().set_container(container)
-        env = self.container
-        if env is not None:
-            self.evidence = torch.zeros(*env.batch_size, self.num_flows, device=env.device)
+    def attach(self, env: EnvBase) -> None:
+        """Also begin without evidence in each row."""
+        super().attach(env)
+        self.evidence = torch.zeros(*env.batch_size, self.num_flows, device=env.device)
 
     def check_task(self, task: Any) -> None:
         """Check that the classifier was trained for the flows and sensors of the task.
@@ -251,16 +244,11 @@ def make_recognition(
     A classifier that reads more than one control interval gets their stacked signals,
     ``lateral_line_history``; at reset the first signal fills the stack.
 
-    Args:
-        machine: see ``PredictedFlowLabel``.
-        memory: see ``PredictedFlowLabel``.
-        is_observed: see ``FlowLabelTransform``.
+    Arguments are those of ``PredictedFlowLabel``.
     """
-    settings: dict[str, Any] = {"machine": machine, "memory": memory, "is_observed": is_observed}
     num_intervals = int(machine.num_intervals)  # type: ignore[arg-type]
+    key = LATERAL_LINE if num_intervals == 1 else HISTORY
+    label = PredictedFlowLabel(machine=machine, memory=memory, in_key=key, is_observed=is_observed)
     if num_intervals == 1:
-        return [PredictedFlowLabel(**settings)]
-    return [
-        CatFrames(N=num_intervals, dim=-3, in_keys=[LATERAL_LINE], out_keys=[HISTORY]),
-        PredictedFlowLabel(**settings, in_key=HISTORY),
-    ]
+        return [label]
+    return [CatFrames(N=num_intervals, dim=-3, in_keys=[LATERAL_LINE], out_keys=[HISTORY]), label]

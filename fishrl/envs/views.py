@@ -30,14 +30,7 @@ _SIDES = ("right", "left")
 def make_flow_scene(
     config: FlowConfig, scales: Scales, *, wall_margin: float, action_names: tuple[str, ...]
 ) -> Scene:
-    """Return the scene of a fish in a flow.
-
-    Args:
-        config: the flow; its first body is the fish.
-        scales: lattice units of the task.
-        wall_margin: minimum distance of the fish from the edges, nodes.
-        action_names: of the actions, in their order.
-    """
+    """Return the scene of a fish, the first body, ``wall_margin`` nodes off the edges."""
     plots = (
         ("tail-beat frequency [1/T]", Series(key="frequency", label="frequency"), True),
         ("angle of attack [°]", Series(key="angle_of_attack", label="angle"), False),
@@ -143,12 +136,9 @@ def _name_obstacles(config: FlowConfig) -> list[str]:
 
 
 def _measure_angle(body: BodyState, *, min_speed: float, is_stream: bool) -> Tensor:
-    """Return the angle ``[B]`` between heading and oncoming water, degrees; NaN at rest.
+    """Return the angle ``[B]`` between heading and oncoming water, degrees.
 
-    Args:
-        body: the fish.
-        min_speed: in still water, nodes per step.
-        is_stream: whether the water comes along +x; otherwise it is still.
+    Without a stream along +x the water comes from where the fish swims to; NaN below ``min_speed``.
     """
     upstream = torch.full_like(body.heading, pi)
     if not is_stream:

@@ -131,10 +131,9 @@ def develop_wakes(recipe: WakeRecipe, *, compile: bool = True) -> WakeBank:
     wakes, frequencies = [], []
     total = recipe.num_travels * len(recipe.speeds)
     with tqdm(total=total, desc="wakes", unit=" D/U", bar_format=_BAR, leave=False) as bar:
-        for number, speed in enumerate(recipe.speeds, start=1):
+        for speed in recipe.speeds:
             snapshots, frequency = _develop(solver, recipe, speed, bar)
-            strouhal = frequency * size / speed
-            logger.info("wake %d of %d: Strouhal %.4f", number, len(recipe.speeds), strouhal)
+            logger.info("wake %d: Strouhal %.4f", len(wakes) + 1, frequency * size / speed)
             wakes.append(snapshots)
             frequencies.append(frequency)
     solver.close()

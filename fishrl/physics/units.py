@@ -33,12 +33,7 @@ def check_tau(tau: float) -> None:
 
 
 def compute_tau(*, length: float, speed: float, reynolds: float) -> float:
-    """Return the relaxation time of a flow around a body.
-
-    Args:
-        length: D or L in nodes.
-        speed: U in nodes per step.
-        reynolds: U D / nu.
+    """Return the relaxation time at ``reynolds`` = U D / nu; lengths in nodes, U in nodes per step.
 
     Raises:
         ValueError: if the result lies outside the validated range.

@@ -250,14 +250,9 @@ def _report(
 ) -> RigidUpdate:
     """Sum force, torque and power over the markers of one body.
 
-    Args:
-        state: of the body.
-        markers: of the body.
-        rates: its new (U_x, U_y, Omega).
-        lateral_velocity: of its deformation in its own frame ``[B, N]``.
-        mass: of the fluid at its markers ``[B, N]``.
-        g: force per mass on the fluid at its markers (x, y), ``[B, N]``.
-        square: of the remaining slip ``[B, N]``.
+    ``rates`` are its new (U_x, U_y, Omega). At its markers, ``[B, N]`` each: ``lateral_velocity``
+    of its deformation in its own frame, fluid ``mass``, force per mass ``g`` and ``square`` of the
+    remaining slip.
     """
     dtype = square.dtype
     rx, ry = (arm.to(dtype) for arm in markers.arm.unbind(-1))
