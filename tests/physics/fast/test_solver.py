@@ -4,9 +4,11 @@ import logging
 import math
 import shutil
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 import torch
+from torch.profiler import ProfilerActivity, profile
 
 from fishrl.physics import (
     Fish,
@@ -38,15 +40,15 @@ TURN = torch.tensor([0.2, -0.2, 0.0], dtype=torch.float64)
 
 
 def make_solver(
-    config: FlowConfig, rows: slice = slice(None), *, compile: bool = False, num_workers: int = 0
+    config: FlowConfig, rows: slice = slice(None), *, num_workers: int = 0, **settings: Any
 ) -> InPlaceSolver:
     starts, headings = STARTS[rows], HEADINGS[rows]
     solver = InPlaceSolver(
         config=config,
         num_envs=len(starts),
         frequency=1.0 / SCALES.period,
-        compile=compile,
         num_workers=num_workers,
+        **{"compile": False} | settings,
     )
     solver.reset_(torch.ones(len(starts), dtype=torch.bool), starts, headings)
     solver.command_(TURN[rows], 160)
@@ -130,7 +132,7 @@ COUETTE = Boundaries(
 )
 def test_in_place_step_equals_the_readable_step(changes: dict[str, object]) -> None:
     config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, **changes)
-    solver = make_solver(config)
+    solver = make_solver(config, flows_per_launch=3)  # as fast as one flow where it runs eagerly
     solver.advance_(120)
     assert_equal_to_reference(solver, run_reference(config, 120))
 
@@ -143,6 +145,18 @@ def test_compiled_step_equals_the_readable_step_and_repeats_bit_for_bit() -> Non
         each.advance_(120)
     assert torch.equal(solver.populations(), twin.populations())
     assert_equal_to_reference(solver, run_reference(config, 120))
+
+
+@pytest.mark.compile
+def test_a_compiled_step_takes_no_memory_that_grows_with_the_grid() -> None:
+    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
+    solver = make_solver(config, slice(1), compile=True)
+    solver.advance_(4)
+    with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as record:
+        solver.advance_(10)
+    largest = max((event.self_cpu_memory_usage for event in record.events()), default=0)
+    field = 4 * config.width * config.height
+    assert largest < field, f"an operation of a step allocates {largest} bytes"
 
 
 @pytest.mark.compile

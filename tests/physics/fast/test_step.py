@@ -7,7 +7,6 @@ import pytest
 import torch
 from torch._inductor import config as inductor_config
 from torch._inductor.graph import GraphLowering
-from torch.profiler import ProfilerActivity, profile
 
 from fishrl.physics import DCylinder, Fish, FlowConfig, FlowState, InPlaceSolver, Storage
 from fishrl.physics.bodies.motion import Commanded, Fixed
@@ -100,13 +99,19 @@ def run_readable(config: FlowConfig, num_steps: int) -> FlowState:
     return state
 
 
-@pytest.mark.parametrize("name", EDGES)
-def test_a_thousand_steps_and_one_equal_the_readable_step(name: str) -> None:
-    """Single against double precision; the odd step is read where it left the populations."""
+@pytest.mark.parametrize(
+    ("name", "num_steps"), [(name, 1000 if name == "open edges" else 240) for name in EDGES]
+)
+def test_many_steps_and_one_equal_the_readable_step(name: str, num_steps: int) -> None:
+    """Single against double precision; the odd step is read where it left the populations.
+
+    Sound crosses the 90 nodes in 156 steps, so after 240 each edge has acted on the whole flow. The
+    errors that single precision gathers in a thousand steps are looked at behind one kind of edge.
+    """
     config = make_config(name)
     solver = start(config, rows=[0])
-    reference = run_readable(config, 1000)
-    solver.advance_(1000)
+    reference = run_readable(config, num_steps)
+    solver.advance_(num_steps)
     scale = float(reference.f.abs().max())
     assert float((solver.populations() - reference.f).abs().max()) < 1e-3 * scale
     assert float((solver.body.position - reference.bodies[0].position).abs().max()) < 1e-3
@@ -142,7 +147,7 @@ def test_half_precision_storage_stays_near_single_precision() -> None:
 
     Measured: 0.2 % of the stream, and 0.002 nodes.
     """
-    single, half = (start(make_config(storage=storage)) for storage in Storage)
+    single, half = (start(make_config(storage=each), flows_per_launch=3) for each in Storage)
     for solver in (single, half):
         solver.advance_(400)
     assert half.state_dict()["data"].dtype == torch.float16
@@ -175,17 +180,6 @@ def test_the_bulk_pass_is_one_loop_of_nine_loads_and_nine_stores(
     assert code.count("for(int64_t ") == 1
     assert code.count("::loadu(") == code.count(".store(") == Q
     assert "= empty_strided_cpu(" not in code, "the pass takes memory"
-
-
-@pytest.mark.compile
-def test_a_compiled_step_takes_no_memory_that_grows_with_the_grid() -> None:
-    solver = start(make_config(), rows=[0], compile=True)
-    solver.advance_(4)
-    with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as record:
-        solver.advance_(10)
-    largest = max((event.self_cpu_memory_usage for event in record.events()), default=0)
-    field = 4 * WIDTH * HEIGHT
-    assert largest < field, f"an operation of a step allocates {largest} bytes"
 
 
 def test_memory_per_node_and_flow_is_within_45_bytes() -> None:
