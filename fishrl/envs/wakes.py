@@ -128,7 +128,8 @@ def develop_wakes(recipe: WakeRecipe, *, compile: bool = True) -> WakeBank:
     kick = Fixed(kick_speed=0.3 * fastest, kick_steps=round(3.0 * size / fastest))
     config = replace(config, bodies=(replace(body, motion=kick),), stream_speed=fastest)
     solver = InPlaceSolver(config=config, num_envs=1, compile=compile, num_workers=0)
-    wakes, frequencies = [], []
+    wakes: list[Tensor] = []
+    frequencies: list[float] = []
     total = recipe.num_travels * len(recipe.speeds)
     with tqdm(total=total, desc="wakes", unit=" D/U", bar_format=_BAR, leave=False) as bar:
         for speed in recipe.speeds:
