@@ -21,7 +21,7 @@ Example::
 from fishrl.training.algorithms import DQN, DRQN, Algorithm, DiscreteSAC
 from fishrl.training.baselines import Baseline, find_baselines
 from fishrl.training.interruption import Interrupted
-from fishrl.training.observer import Observer
+from fishrl.training.observer import Hooks, Observer
 from fishrl.training.plan import Plan
 from fishrl.training.policies import evaluate, load_plan, load_policy
 from fishrl.training.runs import begin, complete, find_summary, make_folder, reopen, resume, train
@@ -33,6 +33,7 @@ __all__ = [
     "Algorithm",
     "Baseline",
     "DiscreteSAC",
+    "Hooks",
     "Interrupted",
     "LearningSettings",
     "Observer",

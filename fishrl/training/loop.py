@@ -47,7 +47,7 @@ class Training:
         plan: settings of the run.
         recognition: source of flow labels, see ``fishrl.envs.make_env``.
         folder: where everything is written.
-        **hooks: see ``observer.Hooks``.
+        **hooks: see ``Hooks``.
     """
 
     def __init__(

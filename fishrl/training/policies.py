@@ -95,7 +95,7 @@ def evaluate(
         device: cpu or cuda.
         compile: compile the flow step.
         modules: see ``load_plan``.
-        **hooks: ``make_env``, ``observer`` and ``progress``, see ``observer.Hooks``.
+        **hooks: ``make_env``, ``observer`` and ``progress``, see ``Hooks``.
 
     Returns:
         ``success_rate``, ``mean_return``, ``mean_length_T``, ``mean_time_to_success_T``,

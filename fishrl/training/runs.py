@@ -46,7 +46,7 @@ def train(
         logger: writes the metrics; by default to a CSV file.
         preset: name for these settings; part of the name of the run folder.
         extra: further settings to keep in ``config.yaml``.
-        **hooks: ``make_env``, ``observer``, ``progress`` and ``began``, see ``observer.Hooks``.
+        **hooks: ``make_env``, ``observer``, ``progress`` and ``began``, see ``Hooks``.
 
     Returns:
         The summary, as in ``summary.json``.
