@@ -1,6 +1,7 @@
 """What the benchmark times around the flow: environment, training, live view, profile."""
 
 import pytest
+import torch
 
 from experiments.benchmarks.comparison import BenchmarkSettings
 from experiments.benchmarks.environment import (
@@ -37,9 +38,9 @@ def test_the_environment_takes_longer_than_its_flow() -> None:
 
 def test_flows_begin_anew_before_an_episode_can_end() -> None:
     stage = Stage(Predation(**SHORT), 2, compile=False)
-    ages = []
+    ages, straight = [], torch.ones(2, dtype=torch.int64)
     for _ in range(NUM_ACTIONS):
-        stage.act()
+        stage.base.step(stage.state.clone().set("action", straight))
         ages.append(stage.base.solver.body.age.tolist())
         stage.prepare()
     assert ages == [[stage.task.n_substeps * (i + 1.0)] * 2 for i in range(NUM_ACTIONS)]
