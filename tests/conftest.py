@@ -61,6 +61,12 @@ def make_recording() -> Callable[..., Recording]:
     return _make_recording
 
 
+@pytest.fixture(autouse=True, scope="session")
+def one_thread_in_fixtures() -> None:
+    """Run torch on one thread in fixtures of modules and of the session too."""
+    torch.set_num_threads(1)
+
+
 @pytest.fixture(autouse=True)
 def one_thread() -> Iterator[None]:
     """Run torch on one thread: what tests compute is too small to share."""

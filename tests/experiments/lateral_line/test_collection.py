@@ -42,7 +42,7 @@ def test_actions_hold_stations_or_are_random_in_rows_of_any_flow(
 ) -> None:
     def collect_share(share: float) -> TensorDict:
         monkeypatch.setattr(collection_module, "RANDOM_SHARE", share)
-        collection = Collection(task=make_task(), num_envs=6, max_decisions=3)
+        collection = Collection(task=make_task(), num_envs=4, max_decisions=3)
         return collect(collection, num_samples=1, folder=tmp_path / str(share), compile=False)
 
     drawn, holding = collect_share(1.0), collect_share(0.0)
