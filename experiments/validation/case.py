@@ -133,12 +133,7 @@ def check_finest(
 ) -> Check:
     """Return the check of a quantity at its finest resolution, with the others beside it.
 
-    Args:
-        symbol: of the resolution.
-        quantity: see ``Check``.
-        values: by resolution.
-        *criterion: reference, source and tolerance of ``Check``.
-        **options: other fields of ``Check``.
+    ``symbol`` names the resolution; the rest is that of ``Check``.
     """
     options["refinement"] = {f"{symbol} = {n}": value for n, value in values.items()}
     finest = max(values)

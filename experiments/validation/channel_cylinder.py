@@ -16,16 +16,9 @@ import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from experiments.validation import wake
 from experiments.validation.case import Case, Check, Job, Result, Runs, check_finest
 from experiments.validation.plots import GREY
-from experiments.validation.wake import (
-    PINNED,
-    draw_series,
-    draw_vorticity,
-    kick,
-    measure_wake,
-    start_stream,
-)
 from fishrl.physics import Cylinder, Fixed, compute_pressure
 from fishrl.physics.boundaries import NonEquilibrium, NoSlip, OpenEdge, Profile
 from fishrl.physics.collision import compute_equilibrium
@@ -80,35 +73,29 @@ def run_channel(
     inset: float = 0.45,
     is_pinned: bool = False,
 ) -> Result:
-    """Run the benchmark from a developed channel flow.
+    """Run the benchmark from a developed channel flow, Re = U_mean D / nu.
 
-    Args:
-        diameter: D in nodes, a multiple of 10, so that the channel is 4.1 D high exactly.
-        reynolds: U_mean D / nu.
-        speed: peak speed of the inflow, nodes per step.
-        inset: of the markers, nodes.
-        is_pinned: an outlet with pinned density instead of one that lets sound out.
-
-    Returns:
-        Those of ``measure_wake``, and the pressure drop in the benchmark's unit.
+    D is in nodes, a multiple of 10, so that the channel is 4.1 D high exactly; ``speed`` is the
+    peak of the inflow, ``inset`` that of the markers in nodes. The outlet pins the density or lets
+    sound out. Returns those of ``measure_wake``, and the pressure drop in the benchmark's unit.
     """
     mean, is_shedding = MEAN * speed, reynolds == 100
     nu = mean * diameter / reynolds
-    motion = kick(mean, diameter, travels=1.0) if is_shedding else Fixed()
+    motion = wake.kick(mean, diameter, travels=1.0) if is_shedding else Fixed()
     width, height = round(LENGTH_D * diameter) + 1, round(HEIGHT_D * diameter)
     x, y = PLACE_D * diameter, PLACE_D * diameter - 0.5  # the walls stand half a node outside
-    solver = start_stream(
+    solver = wake.start_stream(
         Cylinder(diameter=diameter, inset=inset, motion=motion),
         (x, y),
         size=(width, height),
         nu=nu,
         speed=speed,
         inflow=INFLOW,
-        outflow=PINNED if is_pinned else OpenEdge(profile=Profile.PARABOLA),
+        outflow=wake.PINNED if is_pinned else OpenEdge(profile=Profile.PARABOLA),
         sides=NoSlip(),
     )
     solver.set_populations_(_develop_channel(width, height, speed, solver.config.nu))
-    result = measure_wake(
+    result = wake.measure_wake(
         solver,
         diameter=diameter,
         speed=mean,
@@ -181,11 +168,11 @@ def draw(figure: Figure, runs: Runs) -> None:
     grid = figure.add_gridspec(2, 2, height_ratios=(1.15, 1.0))
     axes = figure.add_subplot(grid[0, :])
     reach = (-PLACE_D, VIEW_D - PLACE_D, -PLACE_D, HEIGHT_D - PLACE_D)
-    draw_vorticity(axes, run, reach, limit=6.0)
+    wake.draw_vorticity(axes, run, reach, limit=6.0)
     axes.set_title(f"Re = 100, D = {max(shedding)} nodes")
     axes = figure.add_subplot(grid[1, 0])
-    draw_series(axes, run, "lift", "C_l")
-    draw_series(axes, run, "drag", "C_d − 3", shift=-3.0)
+    wake.draw_series(axes, run, "lift", "C_l")
+    wake.draw_series(axes, run, "drag", "C_d − 3", shift=-3.0)
     for value in FORCE_EXTREMES:
         axes.axhline(value, color=GREY, linestyle=":", linewidth=0.9)
     axes.set(xlabel="time  [D / U_mean]", ylabel="force coefficient")

@@ -13,7 +13,7 @@ import torch
 from matplotlib.figure import Figure
 
 from experiments.validation.case import Case, Check, Job, Result, Runs
-from experiments.validation.swimming import make_swim
+from experiments.validation.swimmer import make_swim
 from experiments.validation.wake import start_stream
 from fishrl.physics import Cylinder, Fixed
 from fishrl.physics.units import DEFAULT_WALL_SPEED

@@ -15,18 +15,8 @@ from math import pi
 
 from matplotlib.figure import Figure
 
+from experiments.validation import wake
 from experiments.validation.case import Case, Check, Job, Result, Runs
-from experiments.validation.wake import (
-    OPEN,
-    OPEN_SIDE,
-    PINNED,
-    STREAM,
-    draw_series,
-    draw_vorticity,
-    kick,
-    measure_wake,
-    start_stream,
-)
 from fishrl.physics import DCylinder, NoSlip
 from fishrl.physics.immersed_boundary import DirectSolve
 
@@ -36,7 +26,7 @@ SPEEDS = {200: 0.1, 250: 0.125, 300: 0.15}  # conditions I, II, III
 PAPER = {200: 0.267, 250: 0.256, 300: 0.267}
 SIZES = (20, 40)
 TRAVELS = 120.0
-SIDES = {"moving sides": STREAM, "open sides": OPEN_SIDE, "walls": NoSlip()}
+SIDES = {"moving sides": wake.STREAM, "open sides": wake.OPEN_SIDE, "walls": NoSlip()}
 VARIANTS: Mapping[str, dict[str, str | bool | float]] = {
     "open sides": {"sides": "open sides"},
     "walls": {"sides": "walls"},
@@ -73,30 +63,26 @@ def run_half_disc(
 ) -> Result:
     """Run a half disc in the paper's domain until its wake repeats itself; see ``measure_wake``.
 
-    Args:
-        diameter: D in nodes; 40 is the paper's.
-        reynolds: U D / nu, a key of ``SPEEDS``.
-        sides: key of ``SIDES``, bottom and top.
-        is_flat_downstream: the flat side's place; else it meets the flow.
-        slowing: how many times slower than the paper's stream, in nodes per step.
-        is_pinned: an outlet with pinned density instead of one that lets sound out.
+    D is in nodes, 40 in the paper; ``sides`` are the bottom and top edges. The stream in nodes per
+    step is ``slowing`` times slower than the paper's. The outlet pins the density or lets sound
+    out.
     """
     speed = SPEEDS[reynolds] / slowing
     width, height = round(WIDTH_D * diameter), round(HEIGHT_D * diameter)
     centre = -1.0 if is_flat_downstream else 1.0  # 2 D / (3 pi) from the flat side
     x = FACE_D * diameter + centre * 2.0 * diameter / (3.0 * pi)
-    solver = start_stream(
-        DCylinder(diameter=diameter, motion=kick(speed, diameter)),
+    solver = wake.start_stream(
+        DCylinder(diameter=diameter, motion=wake.kick(speed, diameter)),
         (x, 0.5 * (height - 1)),
         pi if is_flat_downstream else 0.0,
         size=(width, height),
         nu=speed * diameter / reynolds,
         speed=speed,
-        outflow=PINNED if is_pinned else OPEN,
+        outflow=wake.PINNED if is_pinned else wake.OPEN,
         sides=SIDES[sides],
         solve=DirectSolve(),
     )
-    return measure_wake(
+    return wake.measure_wake(
         solver,
         diameter=diameter,
         speed=speed,
@@ -145,9 +131,9 @@ def draw(figure: Figure, runs: Runs) -> None:
     reach = (left - FACE_D, right - FACE_D, low - 0.5 * HEIGHT_D, high - 0.5 * HEIGHT_D)
     for axes, (reynolds, sizes) in zip(wakes, found.items(), strict=True):
         run = sizes[max(sizes)]
-        draw_vorticity(axes, run, reach, limit=5.0)
+        wake.draw_vorticity(axes, run, reach, limit=5.0)
         axes.set_title(f"Re = {reynolds}, D = {max(sizes)} nodes")
-        draw_series(lift, run, "lift", f"Re = {reynolds}")
+        wake.draw_series(lift, run, "lift", f"Re = {reynolds}")
     lift.set(xlabel="time  [D / U]", ylabel="lift coefficient")
     lift.legend(ncols=3, loc="upper right")
 

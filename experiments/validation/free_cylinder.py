@@ -140,14 +140,11 @@ def judge(runs: Runs) -> Iterator[Check]:
 
 
 def extrapolate(values: Mapping[Setup, float]) -> float:
-    """Return a quantity in a wide domain, on a fine grid, at no Mach number.
+    """Return a quantity by ``SETUPS`` in a wide domain, on a fine grid, at no Mach number.
 
     Of height: a parabola in D / H through three heights at D = 16 (Qu et al. 2013 find their C_d
     linear in it). Of resolution and speed: 1 / D^2 at each speed first, then U^2; the error of the
     body's surface depends on both, as the relaxation time does.
-
-    Args:
-        values: by the entries of ``SETUPS``.
     """
     heights = {setup: 1.0 / setup[1] for setup in (BASE, TALL, TALLER)}
     wide = 0.0

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from experiments.figures import COLOURS
 from experiments.validation.case import Case, Check, Result, Runs
 from experiments.validation.plots import GREY, fit_order, name_ticks
-from experiments.validation.swimming import draw_speed, make_swim
+from experiments.validation.swimmer import draw_speed, make_swim
 from fishrl.physics.bodies.gait import GAITS
 
 BODY_LENGTH, QUICK_LENGTH = 100, 50

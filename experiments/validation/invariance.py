@@ -8,6 +8,7 @@ speed relative to it. Compared is the force as a vector, and the size of the fis
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from math import hypot, pi
 
 import torch
@@ -99,11 +100,12 @@ def swim_invariantly(*, is_turned: bool) -> Result:
         size=size, tau=scales.tau, is_turned=is_turned, frequency=1.0 / scales.period,
     )  # fmt: skip
     solver.body.phase[list(runs).index(MIRRORED)] = pi
-    solver.advance_(NUM_BEATS // 2 * scales.period)
+    half = NUM_BEATS // 2 * scales.period
+    solver.advance_(half)
     before = solver.body.position.clone()
-    solver.advance_(NUM_BEATS // 2 * scales.period)
+    solver.advance_(half)
     velocity = _turn_back(solver.body.position - before, is_turned)
-    velocity = velocity / (NUM_BEATS // 2 * scales.period) / scales.reference_speed
+    velocity = velocity / half / scales.reference_speed
     streams = torch.tensor([stream for _, _, stream in runs.values()])
     velocity[:, 0] -= streams / scales.reference_speed
     return dict(zip(runs, velocity.tolist(), strict=True))
@@ -124,24 +126,13 @@ def _start(
     headings = [heading + (0.5 * pi if is_turned else 0.0) for _, heading, _ in runs]
     direction = (0.0, 1.0) if is_turned else (1.0, 0.0)
     edge = NonEquilibrium(velocity=direction)
-    configs = [
-        FlowConfig(
-            width=width,
-            height=height,
-            tau=tau,
-            stream_speed=stream,
-            bodies=(body,),
-            boundaries=Boundaries(left=edge, right=edge, bottom=edge, top=edge),
-        )
-        for _, _, stream in runs
-    ]
+    edges = Boundaries(left=edge, right=edge, bottom=edge, top=edge)
+    config = FlowConfig(width=width, height=height, tau=tau, bodies=(body,), boundaries=edges)
+    configs = [replace(config, stream_speed=stream) for _, _, stream in runs]
     solver = InPlaceSolver(config=configs, frequency=frequency, num_workers=0)
-    solver.reset_(
-        torch.ones(len(runs), dtype=torch.bool),
-        torch.tensor(places, dtype=torch.float64),
-        torch.tensor(headings, dtype=torch.float64),
-        velocity=direction,
-    )
+    position, heading = (torch.tensor(v, dtype=torch.float64) for v in (places, headings))
+    rows = torch.ones(len(runs), dtype=torch.bool)
+    solver.reset_(rows, position, heading, velocity=direction)
     return solver
 
 
@@ -164,12 +155,9 @@ JOBS = [
 
 
 def compare(run: Result, turned: Result | None, *, is_speed: bool) -> dict[str, float]:
-    """Return by change how far the vector is from that of the flow as it is, by its size.
+    """Return by change how far the vector (x, y) is from that of the flow as it is, by its size.
 
-    Args:
-        run: vectors (x, y) by change.
-        turned: those where all is turned.
-        is_speed: whether to compare the lengths of the vectors alone.
+    ``turned`` holds the vectors where all is turned; with ``is_speed`` only lengths count.
     """
     vectors = {name: vector for name, vector in run.items() if name != BASE}
     for name, vector in (turned or {}).items():

@@ -18,13 +18,9 @@ HEADS = ("case", "quantity", "ours", "reference", "error", "tolerance", "verdict
 
 
 def write_report(outcomes: Sequence[Outcome], *, page: Path, json_path: Path, command: str) -> None:
-    """Write the page, a figure per case beside it and all checks as JSON.
+    """Write the page, its figures into ``figures/validation`` beside it and all checks as JSON.
 
-    Args:
-        outcomes: checked cases.
-        page: Markdown file; the figures go into ``figures/validation`` beside it.
-        json_path: the checks in a form that programs read.
-        command: that the page was made by.
+    The page names the ``command`` that it was made by.
     """
     figures = page.parent / "figures" / "validation"
     figures.mkdir(parents=True, exist_ok=True)
@@ -42,12 +38,7 @@ def write_report(outcomes: Sequence[Outcome], *, page: Path, json_path: Path, co
 
 
 def render(outcomes: Sequence[Outcome], command: str) -> str:
-    """Return the page.
-
-    Args:
-        outcomes: checked cases.
-        command: that the page was made by.
-    """
+    """Return the page."""
     machines = {
         f"{m['cpu']}, {m['cores']} cores (each run on one), torch {m['torch']}, "
         f"Python {m['python']}"

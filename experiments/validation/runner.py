@@ -83,17 +83,11 @@ def run_cases(
     num_workers: int = 1,
     is_fresh: bool = False,
 ) -> list[Outcome]:
-    """Run the jobs without a cached result, and check the results of all.
+    """Run the jobs without a cached result, or all if ``is_fresh``, and check the results.
 
     Each job's result is written to ``folder/<case>/<fingerprint>.json`` as soon as it is there, so
-    that an interrupted run continues where it was.
-
-    Args:
-        cases: to run; those without jobs are left out.
-        folder: of the results.
-        quick: run the quick jobs only.
-        num_workers: processes at a time.
-        is_fresh: ignore cached results.
+    that an interrupted run continues where it was. Cases without jobs, as some are if ``quick``,
+    are left out.
     """
     outcomes = [Outcome(case, [j for j in case.jobs if j.is_quick or not quick]) for case in cases]
     outcomes = [outcome for outcome in outcomes if outcome.jobs]

@@ -13,21 +13,12 @@ d / ν, and its drag coefficient agrees with it.
 
 from collections.abc import Iterator
 from math import pi, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
 from experiments.figures import COLOURS
-from experiments.validation.case import (
-    Case,
-    Check,
-    Job,
-    Range,
-    Result,
-    Runs,
-    as_range,
-    check_finest,
-)
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_finest
 from experiments.validation.plots import GREY
 from experiments.validation.wake import make_even, start_flow
 from fishrl.physics import Boundaries, Cylinder, FlowConfig, Free, NoSlip
@@ -62,7 +53,7 @@ EXPERIMENTS = {
 }
 PEAK, MEAN = "peak ρ_s v d / μ", "mean v d / ν"
 # quantity, what it is called in the results, density in it, reference, source
-TARGETS: dict[str, tuple[str, str, float, float | Range, str]] = {
+TARGETS: dict[str, tuple[str, str, float, Any, str]] = {
     "slow": (PEAK, "reynolds", 1.25, (17.15, 17.45), "Wan & Turek 2006"),
     "fast": (PEAK, "reynolds", 1.5, (438.6, 503.4), "Glowinski 2001 – Wang 2008"),
     "channel": (MEAN, "mean_reynolds", 1.0, 259.5, "Wachs 2009"),
@@ -148,7 +139,7 @@ def draw(figure: Figure, runs: Runs) -> None:
                 reynolds = [scale * v for v in run["velocity"]]
                 label = f"d = {nodes}" + (f", inset {inset}" if inset else "")
                 axes.plot(time, reynolds, line, color=colour, label=label)
-        low, high = as_range(reference)
+        low, high = reference if isinstance(reference, tuple) else (reference, reference)
         axes.axhspan(low, high, color=GREY, alpha=0.3)
         axes.axhline(high, color=GREY, linewidth=0.8, label="reference")
         axes.set(xlabel="time t √(g / d)", ylabel=f"Reynolds number {quantity.partition(' ')[2]}")

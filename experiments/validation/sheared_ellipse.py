@@ -55,14 +55,9 @@ def tumble(
 ) -> Result:
     """Let an ellipse rotate freely between sliding walls, through one half turn.
 
-    Args:
-        length: its long axis 2b in nodes.
-        reynolds: G (2b)^2 / nu with the shear rate G, as Ding & Aidun.
-        gap: distance of the walls / long axis.
-        period_length: of the channel / long axis; 0 takes twice the gap, after which it no longer
-            matters.
-        tau: relaxation time.
-        inset: of the markers from the surface, nodes.
+    The long axis 2b is ``length`` nodes, the walls are ``gap`` of it apart, the channel is
+    ``period_length`` of it long (0: twice the gap, after which it no longer matters); Re is
+    G (2b)^2 / nu with the shear rate G, as in Ding & Aidun. Markers lie ``inset`` nodes inside.
 
     Returns:
         ``angle`` of the long axis past the direction of the gradient, 0 to pi, ``rate`` / G there,

@@ -57,8 +57,7 @@ def turn_at_random(
 ) -> Result:
     """Let fish turn at random in a tank of 10 L × 5 L until they meet a wall, diverge or stop.
 
-    ``energy`` and ``flux`` are relaxation rates. Returns the number of diverged fish and the
-    largest speed seen at the end of a fifth of a beat.
+    Returns the number of diverged fish and the largest speed seen at the end of a fifth of a beat.
     """
     scales = Scales.from_budget(
         body_length=body_length, reynolds=REYNOLDS, max_wall_speed=max_wall_speed
@@ -113,29 +112,18 @@ def start_cylinder(*, diameter: int, speed: float, reynolds: float) -> Result:
     return {"fate": DIVERGED if solver.is_diverged().any() else RAN}
 
 
-def _turn(length: int, speed: float, energy: float, flux: float, num_episodes: int) -> Job:
-    arguments = {
-        "body_length": length,
-        "max_wall_speed": speed,
-        "energy": energy,
-        "flux": flux,
-        "num_episodes": num_episodes,
-    }
-    cost = 50.0 * length**3 * 0.785 / speed * NUM_BEATS * num_episodes
-    return Job(turn_at_random, arguments, cost)
-
-
+FISH = [(50, PAPER_SPEED, e, f, NUM_EPISODES) for e, f in product(ENERGIES, FLUXES)]
+FISH += [(n, u, DEFAULT.energy, DEFAULT.flux, num) for n, u, num in PRESETS.values()]
 JOBS = [
-    *(_turn(50, PAPER_SPEED, e, f, NUM_EPISODES) for e, f in product(ENERGIES, FLUXES)),
-    *(_turn(n, u, DEFAULT.energy, DEFAULT.flux, num) for n, u, num in PRESETS.values()),
-    *(
-        Job(
-            start_cylinder,
-            {"diameter": d, "speed": u, "reynolds": re},
-            cost=96.0 * d**3 * TRAVELS / u,
-        )
-        for d, u, re in product(DIAMETERS, SPEEDS, CYLINDER_REYNOLDS)
-    ),
+    Job(
+        turn_at_random,
+        {"body_length": n, "max_wall_speed": u, "energy": e, "flux": f, "num_episodes": num},
+        cost=50.0 * n**3 * 0.785 / u * NUM_BEATS * num,
+    )
+    for n, u, e, f, num in FISH
+] + [
+    Job(start_cylinder, {"diameter": d, "speed": u, "reynolds": re}, cost=96 * d**3 * TRAVELS / u)
+    for d, u, re in product(DIAMETERS, SPEEDS, CYLINDER_REYNOLDS)
 ]
 
 

@@ -1,23 +1,15 @@
 """What cases with one body in a flow share: its start, forces over time, pictures of wakes."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from matplotlib.axes import Axes
 from torch import Tensor
 
 from experiments.validation.case import Result
-from fishrl.physics import (
-    Cylinder,
-    DCylinder,
-    Fixed,
-    FlowConfig,
-    InPlaceSolver,
-    compute_coefficient,
-    compute_vorticity,
-)
+from fishrl.physics import Cylinder, DCylinder, Fixed, FlowConfig, InPlaceSolver, diagnostics
 from fishrl.physics.boundaries import Boundaries, Boundary, NonEquilibrium, OpenEdge
-from fishrl.physics.diagnostics import compute_spectral_frequency, measure_cycles
 from fishrl.physics.immersed_boundary import DirectSolve
 
 STREAM, PINNED = NonEquilibrium(velocity=(1.0, 0.0)), NonEquilibrium(density=1.0)
@@ -33,14 +25,10 @@ def start_flow(
     stream: tuple[float, float] = (0.0, 0.0),
     frequency: float = 0.0,
 ) -> InPlaceSolver:
-    """Return a solver of one flow with its body in place.
+    """Return a solver of one flow with its body at ``place`` (x, y), nodes.
 
-    Args:
-        config: of the flow.
-        place: centre of the body (x, y), nodes.
-        heading: of the body, rad.
-        stream: initial velocity of the fluid everywhere, in units of the stream speed.
-        frequency: of the body's motion, per step.
+    The fluid moves with ``stream``, in units of the stream speed; ``frequency`` of the body's
+    motion is per step.
     """
     solver = InPlaceSolver(config=config, num_envs=1, frequency=frequency, num_workers=0)
     rows, position = torch.ones(1, dtype=torch.bool), torch.tensor([place])
@@ -63,17 +51,7 @@ def start_stream(
 ) -> InPlaceSolver:
     """Return a body in a stream along x that fills the domain, no slip solved directly.
 
-    Args:
-        body: that stands in it.
-        place: its centre (x, y), nodes.
-        heading: of the body, rad.
-        size: of the domain, nodes.
-        nu: viscosity.
-        speed: of the stream, nodes per step.
-        inflow: left edge.
-        outflow: right edge.
-        sides: bottom and top.
-        solve: for the force.
+    ``place`` and ``size`` are in nodes, ``speed`` in nodes per step.
     """
     config = FlowConfig(
         width=size[0],
@@ -107,32 +85,30 @@ def measure_wake(
     is_shedding: bool,
     per_travel: float = 30.0,
 ) -> Result:
-    """Advance, and measure the force on the first body over the later of two spans.
+    """Advance, and measure the force on the first body over the later of two spans ``travels``.
 
-    Args:
-        solver: of one flow.
-        diameter: D, nodes.
-        speed: U of the coefficients, nodes per step; their density is that of the second column.
-        travels: D / U before and while measuring, roughly.
-        window: of the picture: left, right, low, high, in D from the lower left corner.
-        is_shedding: whether to measure whole periods; else the last quarter of the span.
-        per_travel: means of the force per D / U.
+    Lengths and times are in D and D / U, coefficients by the density of the second column; force is
+    averaged ``per_travel`` times per D / U. The picture shows a ``window`` (left, right, low, high
+    from the lower left corner). Without shedding the last quarter of the span is measured.
 
     Returns:
-        ``drag`` and ``lift`` coefficients, or of periods ``strouhal`` by zero crossings of the
-        lift, ``spectral`` by its spectrum, mean ``drag``, and extremes, crest to trough ``_swing``
-        and ``lift_amplitude``; the last of the series, with their ``interval`` / (D / U), and
-        ``vorticity`` / (U / D).
+        ``drag`` and ``lift`` coefficients, or of whole periods ``strouhal`` by zero crossings of
+        the lift, ``spectral`` by its spectrum, mean ``drag``, and extremes, crest to trough
+        ``_swing`` and ``lift_amplitude``; the last of the series, with their ``interval`` /
+        (D / U), and ``vorticity`` / (U / D).
     """
     interval = make_even(diameter / speed / per_travel)
     _record_force(solver, travels[0] * diameter / speed, interval)
     force = _record_force(solver, travels[1] * diameter / speed, interval)
     rho, u = solver.macroscopic()
     density = float(rho[0, :, 1].double().mean())
-    drag, lift = compute_coefficient(force, length=diameter, speed=speed, rho=density).unbind(-1)
+    scale: Any = {"length": diameter, "speed": speed, "rho": density}
+    drag, lift = diagnostics.compute_coefficient(force, **scale).unbind(-1)
     left, right, low, high = (round(side * diameter) for side in window)
     stride = max(1, (right - left) // 240)  # at most 480 columns
-    field = compute_vorticity(u)[0, low:high:stride, left:right:stride] * (diameter / speed)
+    field = diagnostics.compute_vorticity(u)[0, low:high:stride, left:right:stride] * (
+        diameter / speed
+    )
     unit = interval * speed / diameter
     result: Result = {
         "inflow_density": density,
@@ -144,10 +120,11 @@ def measure_wake(
     if not is_shedding:
         late = -len(drag) // 4
         return result | {"drag": float(drag[late:].mean()), "lift": float(lift[late:].mean())}
-    beat, swing = measure_cycles(lift, unit), measure_cycles(drag, unit, clock=lift)
+    beat = diagnostics.measure_cycles(lift, unit)
+    swing = diagnostics.measure_cycles(drag, unit, clock=lift)
     return result | {
         "strouhal": beat.frequency,
-        "spectral": compute_spectral_frequency(lift, unit),
+        "spectral": diagnostics.compute_spectral_frequency(lift, unit),
         "num_cycles": beat.num_cycles,
         "drag": swing.mean,
         "drag_max": swing.high,
