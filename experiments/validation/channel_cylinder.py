@@ -80,7 +80,6 @@ def run_channel(
     sound out. Returns those of ``measure_wake``, and the pressure drop in the benchmark's unit.
     """
     mean, is_shedding = MEAN * speed, reynolds == 100
-    nu = mean * diameter / reynolds
     motion = wake.kick(mean, diameter, travels=1.0) if is_shedding else Fixed()
     width, height = round(LENGTH_D * diameter) + 1, round(HEIGHT_D * diameter)
     x, y = PLACE_D * diameter, PLACE_D * diameter - 0.5  # the walls stand half a node outside
@@ -88,7 +87,7 @@ def run_channel(
         Cylinder(diameter=diameter, inset=inset, motion=motion),
         (x, y),
         size=(width, height),
-        nu=nu,
+        tau=3.0 * (mean * diameter / reynolds) + 0.5,
         speed=speed,
         inflow=INFLOW,
         outflow=wake.PINNED if is_pinned else OpenEdge(profile=Profile.PARABOLA),

@@ -44,7 +44,7 @@ def hold_cylinder(*, speed: float) -> Result:
         Cylinder(diameter=DIAMETER, motion=motion),
         (6.0 * DIAMETER, 5.0 * DIAMETER),
         size=(20 * DIAMETER, 10 * DIAMETER),
-        nu=speed * DIAMETER / REYNOLDS,
+        tau=3.0 * speed * DIAMETER / REYNOLDS + 0.5,
         speed=speed,
     )
     samples_per_travel = 20

@@ -76,7 +76,7 @@ def run_half_disc(
         (x, 0.5 * (height - 1)),
         pi if is_flat_downstream else 0.0,
         size=(width, height),
-        nu=speed * diameter / reynolds,
+        tau=3.0 * (speed * diameter / reynolds) + 0.5,
         speed=speed,
         outflow=wake.PINNED if is_pinned else wake.OPEN,
         sides=SIDES[sides],

@@ -73,7 +73,7 @@ def run_cylinder(*, diameter: int, height: int, reynolds: int, speed: float) -> 
         Cylinder(diameter=diameter, motion=motion),
         (x, y),
         size=((upstream + downstream) * diameter + 1, height * diameter + 1),
-        nu=speed * diameter / reynolds,
+        tau=3.0 * (speed * diameter / reynolds) + 0.5,
         speed=speed,
     )
     left, right, low, high = VIEW_D

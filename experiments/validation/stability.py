@@ -101,7 +101,7 @@ def start_cylinder(*, diameter: int, speed: float, reynolds: float) -> Result:
             Cylinder(diameter=diameter, motion=Fixed()),
             (4.0 * diameter, 4.0 * diameter),
             size=(12 * diameter, 8 * diameter),
-            nu=speed * diameter / reynolds,
+            tau=3.0 * speed * diameter / reynolds + 0.5,
             speed=speed,
             outflow=PINNED,
             sides=STREAM,

@@ -42,7 +42,7 @@ def start_stream(
     heading: float = 0.0,
     *,
     size: tuple[int, int],
-    nu: float,
+    tau: float,
     speed: float,
     inflow: Boundary = STREAM,
     outflow: Boundary = OPEN,
@@ -56,7 +56,7 @@ def start_stream(
     config = FlowConfig(
         width=size[0],
         height=size[1],
-        tau=3.0 * nu + 0.5,
+        tau=tau,
         stream_speed=speed,
         bodies=(body,),
         boundaries=Boundaries(left=inflow, right=outflow, bottom=sides, top=sides),
