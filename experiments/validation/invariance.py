@@ -8,8 +8,8 @@ speed relative to it. Compared is the force as a vector, and the size of the fis
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from math import hypot, pi
+from typing import Any
 
 import torch
 from matplotlib.figure import Figure
@@ -127,8 +127,14 @@ def _start(
     direction = (0.0, 1.0) if is_turned else (1.0, 0.0)
     edge = NonEquilibrium(velocity=direction)
     edges = Boundaries(left=edge, right=edge, bottom=edge, top=edge)
-    config = FlowConfig(width=width, height=height, tau=tau, bodies=(body,), boundaries=edges)
-    configs = [replace(config, stream_speed=stream) for _, _, stream in runs]
+    shared: dict[str, Any] = {
+        "width": width,
+        "height": height,
+        "tau": tau,
+        "bodies": (body,),
+        "boundaries": edges,
+    }
+    configs = [FlowConfig(**shared, stream_speed=stream) for _, _, stream in runs]
     solver = InPlaceSolver(config=configs, frequency=frequency, num_workers=0)
     position, heading = (torch.tensor(v, dtype=torch.float64) for v in (places, headings))
     rows = torch.ones(len(runs), dtype=torch.bool)
