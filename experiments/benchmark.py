@@ -1,8 +1,8 @@
 """Benchmark solver, environment and training: ``python -m experiments.benchmark`` (``make bench``).
 
-Each code runs in its own process; the processes take turns in short bursts. Tables, targets and
-figures show medians and quartiles over the rounds, and ratios of the same round. Codes that are not
-installed are left out; ``pip install -e '.[bench]'`` installs lbmpy and numba.
+The codes take turns in short bursts. Tables, goals and figures show medians and quartiles over the
+rounds, and ratios of the same round. Codes that are not installed are left out;
+``pip install -e '.[bench]'`` installs lbmpy and numba.
 
     python -m experiments.benchmark groups=[solver,peers]    # some groups
     python -m experiments.benchmark docs=docs                # put the last results into the page
@@ -10,86 +10,79 @@ installed are left out; ``pip install -e '.[bench]'`` installs lbmpy and numba.
 
 from __future__ import annotations
 
+import logging
 import os
-import sys
 import time
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 import torch
 
-from experiments.benchmarks import environment, flows
-from experiments.benchmarks.comparison import BenchmarkSettings, Job, compare_codes
-from experiments.benchmarks.machine import describe_machine, describe_surroundings
-from experiments.benchmarks.peers import lbmpy_kernels, lettuce_step, numba_kernel, xlb_step
+from experiments.benchmarks import environment, flows, peers
+from experiments.benchmarks.machine import describe_machine
+from experiments.benchmarks.measuring import BenchmarkSettings, Results, measure
 from experiments.benchmarks.plots import write_plots
 from experiments.benchmarks.report import describe_run, list_tables, write_page
-from experiments.benchmarks.results import Results
 from experiments.program import program
 from fishrl.bounds import suggest
 
-JOBS = (
-    Job("probe", flows.make_probes, code="torch"),
-    Job("solver", flows.make_flows),
-    Job("coupled", flows.make_swimmers),
-    Job("peers", lbmpy_kernels.make_cases, code="lbmpy"),
-    Job("peers", numba_kernel.make_cases, code="numba"),
-    Job("peers", lettuce_step.make_cases, code="lettuce"),
-    Job("peers", xlb_step.make_cases, code="xlb"),
-    Job("gpu", flows.make_gpu),
-    Job("env", environment.make_overhead, is_long=True),
-    Job("train", environment.make_training, is_long=True),
-    Job("live", environment.make_live, is_long=True),
-    Job("profile", environment.make_profile, is_long=True),
-    Job("compile", flows.make_compilation, is_long=True),
+logger = logging.getLogger(__name__)
+#: Group, code, and what makes its cases; an ImportError says that the code is not installed.
+GROUPS = (
+    ("probe", "torch", flows.make_probes),
+    ("solver", "fishrl", flows.make_flows),
+    ("coupled", "fishrl", flows.make_swimmers),
+    ("peers", "lbmpy", peers.make_lbmpy),
+    ("peers", "numba", peers.make_numba),
+    ("peers", "lettuce", peers.make_lettuce),
+    ("peers", "xlb", peers.make_xlb),
+    ("gpu", "fishrl", flows.make_gpu),
+    ("env", "fishrl", environment.make_overhead),
+    ("train", "fishrl", environment.make_training),
+    ("profile", "fishrl", environment.make_profile),
+    ("compile", "fishrl", flows.make_compilation),
 )
 
 
-def choose_jobs(groups: Sequence[str]) -> list[Job]:
-    """Return the jobs of some groups, by default of all; the probes always take part.
-
-    Raises:
-        ValueError: for a group that does not exist.
-    """
-    known = [job.group for job in JOBS]
-    for group in groups:
-        if group not in known:
-            raise ValueError(f"groups: there is no {group!r}{suggest(group, known)}")
-    wanted = {"probe", *groups} if groups else known
-    return [job for job in JOBS if job.group in wanted]
-
-
-def measure(jobs: Sequence[Job], settings: BenchmarkSettings) -> Results:
-    """Measure some jobs: those of short bursts together, then the others."""
-    os.environ["OMP_NUM_THREADS"] = str(settings.threads)  # read by all libraries of the processes
+def run(settings: BenchmarkSettings) -> Results:
+    """Make the cases of the chosen groups and of the probes, and measure them."""
+    known = {group for group, _, _ in GROUPS}
+    for group in set(settings.groups) - known:
+        raise ValueError(f"groups: there is no {group!r}{suggest(group, known)}")
+    chosen = {"probe", *settings.groups} if settings.groups else known
+    os.environ["OMP_NUM_THREADS"] = str(settings.threads)  # read by libraries loaded later
     torch.set_num_threads(settings.threads)
-    machine = describe_machine() | describe_surroundings()
-    results, start = Results(machine=machine, settings=asdict(settings)), time.perf_counter()
-    for is_long, num_parallel in ((False, settings.threads), (True, 1)):
-        chosen = [job for job in jobs if job.is_long == is_long]
-        rows, skipped = compare_codes(chosen, settings, num_parallel=num_parallel)
-        results.rows += rows
-        results.skipped += skipped
-    results.settings["minutes"] = (time.perf_counter() - start) / 60.0
+    results = Results(machine=describe_machine(), settings=asdict(settings))
+    for group, code, make in GROUPS:
+        if group in chosen:
+            logger.info("%s: preparing %s ...", group, code)
+            try:
+                cases = make(settings)
+            except ImportError as absent:
+                results.left_out.append(f"{code} ({group}): {absent}")
+                continue
+            for case in cases:
+                case.group, case.code = group, code
+            results.cases += cases
+    measure(results.cases, settings)
     return results
 
 
 @program(BenchmarkSettings)
 def main(settings: BenchmarkSettings) -> None:
     """Measure, print tables and write JSON and figures; or write stored results into the page."""
-    folder = Path(settings.folder)
+    folder, start = Path(settings.folder), time.perf_counter()
     if settings.docs is not None:
-        for file in write_page(Results.load(folder / "results.json"), Path(settings.docs)):
-            print(f"written: {file}")
+        docs = Path(settings.docs)
+        results = Results.load(folder / "results.json")
+        figures = write_plots(results, docs / "figures" / "benchmark")
+        write_page(results, figures, docs / "performance.md")
         return
-    results = measure(choose_jobs(settings.groups), settings)
+    results = run(settings)
     results.save(folder / "results.json")
-    print("\n\n".join([describe_run(results), *list_tables(results)]))
     write_plots(results, folder)
-    print(f"\n{results.settings['minutes']:.1f} minutes; written to {folder}")
-    if any(skipped.has_failed for skipped in results.skipped):
-        sys.exit(1)
+    print("\n\n".join([describe_run(results), *list_tables(results)]))
+    print(f"\n{(time.perf_counter() - start) / 60.0:.1f} minutes; written to {folder}")
 
 
 if __name__ == "__main__":

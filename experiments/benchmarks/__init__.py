@@ -1,1 +1,1 @@
-"""Measurements of the benchmark, one file per group; ``contest.py`` is the protocol."""
+"""The benchmark: the measuring loop, cases of fishrl and of other codes, report."""

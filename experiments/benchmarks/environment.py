@@ -1,13 +1,12 @@
-"""Cost beyond the flow: the environment, a training run, a live view, and a profile.
+"""Cases beyond the flow: the environment, a training run, and a profile.
 
 One action lasts a tail beat. The same flows are advanced by the bare solver, by the environment,
 and by the environment with its transforms, resets and a policy. No episode ends meanwhile, so the
-steps are the same. Each group takes another task and options of ``make_env`` for tests.
+steps are the same. Tests give another task and other ``options`` of ``make_env``.
 """
 
 from __future__ import annotations
 
-import atexit
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -19,7 +18,7 @@ from tensordict import TensorDictBase
 from torch.profiler import ProfilerActivity, profile, record_function
 from torchrl.envs import ExplorationType, set_exploration_type
 
-from experiments.benchmarks.comparison import FISH, BenchmarkSettings, Case
+from experiments.benchmarks.measuring import BenchmarkSettings, Case, make_flow_case
 from fishrl.envs import Predation, make_env
 from fishrl.modules import make_actor
 from fishrl.physics import InPlaceSolver
@@ -28,10 +27,8 @@ from fishrl.training.collector import ResumableCollector
 from fishrl.training.learner import one_thread
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.settings import LearningSettings
-from fishrl.viewer import LiveView, ViewerSettings
 
 NUM_ENVS = 16
-NUM_ACTIONS = 5  # until the flows are reset, outside the time: no fish has reached a wall by then
 
 
 def make_task(settings: BenchmarkSettings) -> Predation:
@@ -41,7 +38,7 @@ def make_task(settings: BenchmarkSettings) -> Predation:
 
 
 class Stage:
-    """Flows, the environment around them and a policy; ``options`` are those of ``make_env``."""
+    """Flows, the environment around them and a policy."""
 
     def __init__(self, task: Any, num_envs: int, **options: Any) -> None:
         self.task = task
@@ -53,35 +50,25 @@ class Stage:
             num_actions=task.num_actions,
             generator=torch.Generator().manual_seed(0),
         )
-        self.num_actions = NUM_ACTIONS
         self.prepare()
 
     def prepare(self) -> None:
-        """Begin new episodes where the old ones could soon end."""
-        if self.num_actions >= NUM_ACTIONS:
-            self.state: TensorDictBase = self.env.reset()
-            self.num_actions = 0
-        self.num_actions += 1
+        """Begin new episodes."""
+        self.state: TensorDictBase = self.env.reset()
 
-    def act(self) -> TensorDictBase:
+    def act(self) -> None:
         """Step the whole environment as a collector does, with an action of the policy."""
         with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
-            step, self.state = self.env.step_and_maybe_reset(self.policy(self.state))
-        return step
+            _, self.state = self.env.step_and_maybe_reset(self.policy(self.state))
 
 
-def make_action_case(base: Any, label: str, what: str, advance: Any, **options: Any) -> Case:
+def make_case(base: Any, label: str, what: str, advance: Any, **options: Any) -> Case:
     """Return bursts of one action of all flows of an environment."""
-    config, num_envs = base.solver.config, base.batch_size[0]
-    return Case(
-        label=label,
-        name=f"{num_envs} × {config.width} × {config.height}, {what}",
-        scope=FISH,
-        advance=advance,
-        num_nodes=num_envs * config.width * config.height * base.task.n_substeps,
-        num_steps=1,
-        **options,
-    )
+    flow = base.solver.config
+    shape = (base.batch_size[0], flow.width, flow.height)
+    case = make_flow_case(label, shape, what, advance=advance, num_steps=1, **options)
+    case.num_nodes *= base.task.n_substeps
+    return case
 
 
 def make_overhead(
@@ -97,10 +84,7 @@ def make_overhead(
         advance_(*arguments, **keywords)
         spent[0] += time.perf_counter() - start
 
-    def run_solver(num_actions: int) -> None:
-        advance_(stage.task.n_substeps)
-
-    def run_env(num_actions: int, act: Callable[[], object]) -> dict[str, float]:
+    def run_env(num_actions: int, *, act: Callable[[], object]) -> dict[str, float]:
         spent[0], start = 0.0, time.perf_counter()
         act()
         return {"outside_flow": 1.0 - spent[0] / (time.perf_counter() - start)}
@@ -109,10 +93,10 @@ def make_overhead(
         base.step(stage.state.clone().set("action", keep_heading))
 
     base.solver.advance_ = time_flow
-    make = partial(make_action_case, base, prepare=stage.prepare)
+    make = partial(make_case, base, prepare=stage.prepare)
     whole = "environment, transforms and policy"
     return [
-        make("env/solver", "bare solver", run_solver),
+        make("env/solver", "bare solver", lambda _: advance_(stage.task.n_substeps)),
         make("env/env", "environment", partial(run_env, act=step)),
         make("env/policy", whole, partial(run_env, act=stage.act)),
     ]
@@ -157,44 +141,15 @@ def make_training(
     name = f"gradient step, {learning.batch_size} transitions"
     what = f"frame of all flows, {num_updates} gradient steps"
     gradient = Case(label="train/gradient", name=name, advance=learn)
-    return [gradient, make_action_case(env.base_env, "train/frame", what, run)]
-
-
-def make_live(
-    settings: BenchmarkSettings, *, task: Any = None, port: int = 9876, **options: Any
-) -> list[Case]:
-    """Make actions of the same four flows without and with a live view that leaves out no frame.
-
-    Other load changes the time of an action, and hardly the processor time of this process; the
-    flows have processes of their own.
-    """
-    task = task or make_task(settings)
-    stage = Stage(task, 4, frames_per_action=task.checks_per_action, **options)
-    live = LiveView(stage.env, ViewerSettings(port=port, live_share=1.0))
-    atexit.register(live.close)
-    on_frame = stage.base.on_frame
-
-    def decide(num_actions: int, *, is_live: bool) -> dict[str, float]:
-        stage.base.on_frame = on_frame if is_live else None
-        start, busy = time.perf_counter(), time.process_time()
-        step = stage.act()
-        if is_live:
-            live.settle(step)
-        return {"processor": (time.process_time() - busy) / (time.perf_counter() - start)}
-
-    make = partial(make_action_case, stage.base)
-    return [
-        make("live/without", "no view", partial(decide, is_live=False)),
-        make("live/with", "live view of one flow", partial(decide, is_live=True)),
-    ]
+    return [gradient, make_case(env.base_env, "train/frame", what, run)]
 
 
 def make_profile(
     settings: BenchmarkSettings, *, task: Any = None, num_actions: int = 3, compile: bool = True
 ) -> list[Case]:
     """Profile the parts of an environment step of four flows on one core, in this process."""
+    task, num_envs, num_threads = task or make_task(settings), 4, torch.get_num_threads()
     torch.set_num_threads(1)
-    task, num_envs = task or make_task(settings), 4
     stage = Stage(task, num_envs, compile=False)
     solver: Any = InPlaceSolver(
         config=task.flow_config(), num_envs=num_envs, frequency=1.0 / task.scales.period,
@@ -207,12 +162,7 @@ def make_profile(
 
     def name(place: str, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
         places[part] = place
-
-        def named(*arguments: Any, **keywords: Any) -> Any:
-            with record_function(part):
-                return function(*arguments, **keywords)
-
-        return named
+        return record_function(part)(function)
 
     names = {"collide": "collision", "bodies": "bodies: markers, force, motion, spreading"}
     solver.wrap_kernels_(lambda key, kernel: name("flow", names.get(key, "edges"), kernel))
@@ -229,6 +179,7 @@ def make_profile(
     with profile(activities=[ProfilerActivity.CPU], acc_events=True) as profiler:
         for _ in range(num_actions):
             stage.act()
+    torch.set_num_threads(num_threads)
     seconds: dict[str, float] = defaultdict(float)
     for event in profiler.events():
         owner = event
@@ -237,11 +188,11 @@ def make_profile(
         if owner is not None:
             seconds[owner.name] += 1e-6 * event.self_cpu_time_total / num_actions
     size = f"{num_envs} × {solver.config.width} × {solver.config.height}, {task.n_substeps} steps"
-    total = sum(seconds.values())
     return [
         Case(
             label=f"profile/{part}", name=part, num_steps=0,
-            facts={"place": places[part], "seconds": s, "share": s / total, "size": size},
+            facts={"place": places[part], "size": size},
+            measured={"seconds": [s], "share": [s / sum(seconds.values())]},
         )
         for part, s in sorted(seconds.items(), key=lambda item: -item[1])
     ]  # fmt: skip

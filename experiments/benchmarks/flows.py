@@ -1,31 +1,25 @@
-"""What a step of the flow costs: without and with fish, by size, batch and device."""
+"""Cases of the flow: without and with fish, by size, batch and device; memory and compilation."""
 
 from __future__ import annotations
 
 import gc
+import multiprocessing
 import os
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from math import pi
 from typing import Any
 
 import torch
 
-from experiments.benchmarks.comparison import (
-    FISH,
-    KERNEL,
-    PERIODIC,
-    PROBE,
-    WALLS,
-    BenchmarkSettings,
-    Case,
-    start_process,
-)
-from experiments.benchmarks.peers.shear_wave import ShearWave, make_wave
+from experiments.benchmarks import measuring
+from experiments.benchmarks.measuring import BenchmarkSettings, Case, make_flow_case, repeat
+from experiments.benchmarks.shear_wave import ShearWave, make_wave
 from fishrl.physics import FlowConfig, InPlaceSolver, Scales
-from fishrl.physics.cases import PERIODIC as PERIODIC_EDGES
-from fishrl.physics.cases import make_swimmer_config
+from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.flow import make_uniform
 from fishrl.physics.storage import Storage
 
@@ -39,15 +33,9 @@ def make_solver(
     storage: Storage = Storage.FLOAT32,
     **options: Any,
 ) -> InPlaceSolver:
-    """Return compiled flows in the paper's tank, a swimming fish in the middle of each or none.
+    """Return compiled flows in the paper's tank, 10 L x 5 L, with a swimming fish in each or none.
 
-    Args:
-        body_length: L; the tank is 10 L x 5 L, and Re = 70 L, so that the relaxation time is one.
-        has_fish: whether a fish swims in it.
-        num_envs: number of flows.
-        num_workers: see ``InPlaceSolver``.
-        storage: see ``FlowConfig``.
-        **options: of ``InPlaceSolver``.
+    Re = 70 L, so that the relaxation time is one; ``options`` are those of ``InPlaceSolver``.
     """
     scales = make_scales(body_length)
     bodies: Any = {} if has_fish else {"bodies": ()}
@@ -69,77 +57,63 @@ def make_scales(body_length: int) -> Scales:
     return Scales.from_budget(body_length=body_length, reynolds=70.0 * body_length)
 
 
-def make_case(
-    solver: InPlaceSolver, label: str, how: str, *, num_flows: int | None = None, **facts: Any
-) -> Case:
+def make_case(solver: InPlaceSolver, label: str, how: str, *, num_flows: int | None = None) -> Case:
     """Return the whole step of a solver's flows, by default of all of them."""
     config, num_flows = solver.config, num_flows or solver.num_envs
     is_first = torch.arange(solver.num_envs) < num_flows
-    rows = None if num_flows == solver.num_envs else is_first
     populations = sum(tensor.nbytes for tensor in solver.state_dict().values())
-    return Case(
-        label=label,
-        name=f"{num_flows} × {config.width} × {config.height}, {how}",
-        scope=FISH if config.bodies else WALLS,
-        advance=partial(solver.advance_, rows=rows),
-        num_nodes=num_flows * config.width * config.height,
+    return make_flow_case(
+        label,
+        (num_flows, config.width, config.height),
+        how,
+        scope=measuring.FISH if config.bodies else measuring.WALLS,
+        advance=partial(solver.advance_, rows=None if is_first.all() else is_first),
         working_set=round(populations * num_flows / solver.num_envs),
         bytes_per_update=18 * config.storage.dtype.itemsize,
-        multiple=2,
-        facts={"flows": num_flows} | facts,
+        facts={"flows": num_flows},
     )
 
 
 def make_kernel_case(solver: InPlaceSolver, label: str, how: str) -> Case:
     """Return the collision alone: the calls of an even and an odd step, over and over."""
     case, calls = make_case(solver, label, how), solver.list_calls()["collide"]
-
-    def advance(num_steps: int) -> None:
-        for _ in range(num_steps // 2):
-            for function, arguments in calls:
-                function(*arguments)
-
-    case.scope, case.advance = KERNEL, advance
+    case.scope = measuring.KERNEL
+    case.advance = repeat(*(partial(function, *arguments) for function, arguments in calls))
     return case
 
 
-def make_probes(settings: BenchmarkSettings) -> list[Case]:
-    """Make the ceilings at the size of the large case.
+def make_copy(label: str, num_nodes: int, device: str = "cpu") -> Case:
+    """Return the copy of nine populations, which moves as many bytes as a step in two buffers."""
+    source = torch.ones(9 * num_nodes, device=device)
+    return Case(
+        label=label, name=f"copy of {source.nbytes / 1e6:.0f} MB", scope=measuring.PROBE,
+        advance=repeat(partial(torch.empty_like(source).copy_, source)), num_nodes=num_nodes,
+        working_set=2 * source.nbytes,
+    )  # fmt: skip
 
-    A copy moves as many bytes as a step in two buffers, nine arrays scaled in place as many as a
-    step in one; on a CPU the second is faster, as it writes only what is in the cache already.
+
+def make_probes(settings: BenchmarkSettings) -> list[Case]:
+    """Make the ceilings at the size of the large case: a copy, and nine arrays scaled in place.
+
+    The second moves as many bytes as a step in one buffer; on a CPU it is faster, as it writes only
+    what is in the cache already.
     """
     num_nodes = 50 * settings.body_length**2
     arrays = torch.ones(9, num_nodes)
 
-    def scale(num_steps: int) -> None:
-        for step in range(num_steps):
-            for array in arrays:
-                array.mul_(0.8 if step % 2 else 1.25)
+    def scale(factor: float) -> None:
+        for array in arrays:
+            array.mul_(factor)
 
     in_place = Case(
         label="probe/in place", name=f"nine arrays of {arrays.nbytes / 9e6:.1f} MB scaled in place",
-        scope=PROBE, advance=scale, num_nodes=num_nodes, working_set=arrays.nbytes, multiple=2,
+        scope=measuring.PROBE, advance=repeat(partial(scale, 1.25), partial(scale, 0.8)),
+        num_nodes=num_nodes, working_set=arrays.nbytes,
     )  # fmt: skip
-    return [make_copy("probe/copy", num_nodes, "cpu"), in_place]
+    return [make_copy("probe/copy", num_nodes), in_place]
 
 
-def make_copy(label: str, num_nodes: int, device: str) -> Case:
-    """Return the copy of nine populations."""
-    source = torch.ones(9 * num_nodes, device=device)
-    target = torch.empty_like(source)
-
-    def copy(num_steps: int) -> None:
-        for _ in range(num_steps):
-            target.copy_(source)
-
-    return Case(
-        label=label, name=f"copy of {source.nbytes / 1e6:.0f} MB", scope=PROBE,
-        advance=copy, num_nodes=num_nodes, working_set=2 * source.nbytes,
-    )  # fmt: skip
-
-
-def make_sizes(settings: BenchmarkSettings, *, has_fish: bool) -> list[Case]:
+def make_swimmers(settings: BenchmarkSettings, *, has_fish: bool = True) -> list[Case]:
     """Make one flow from L / 4 to 2 L, one on a single core, and batches at L / 2."""
     large, what, cases = settings.body_length, "fish" if has_fish else "walls", []
     for size, length, how, batches, num_workers in (
@@ -153,10 +127,11 @@ def make_sizes(settings: BenchmarkSettings, *, has_fish: bool) -> list[Case]:
         before, num_envs = count_tensor_bytes(), max(batches)
         solver = make_solver(length, has_fish=has_fish, num_envs=num_envs, num_workers=num_workers)
         per_node = (count_tensor_bytes() - before) / (50 * length**2 * num_envs)
-        facts = {"bytes": per_node, "body_length": length, "period": make_scales(length).period}
         for n in batches:
             label = f"{size}{n if size == 'batch' else ''}/{what}"
-            cases.append(make_case(solver, label, how, num_flows=n, **facts))
+            cases.append(make_case(solver, label, how, num_flows=n))
+            cases[-1].measured["bytes"] = [per_node]
+            cases[-1].facts |= {"body_length": length, "period": make_scales(length).period}
     return cases
 
 
@@ -164,25 +139,14 @@ def make_flows(settings: BenchmarkSettings) -> list[Case]:
     """Make the flow alone: its kernel, a periodic step, steps with walls."""
     periodic = make_periodic(make_wave(settings))
     step = make_case(periodic, "large/periodic", settings.cores)
-    step.scope = PERIODIC
+    step.scope = measuring.PERIODIC
     kernel = make_kernel_case(periodic, "large/kernel", settings.cores)
-    return [kernel, step, *make_sizes(settings, has_fish=False)]
-
-
-def make_swimmers(settings: BenchmarkSettings) -> list[Case]:
-    """Make the same flows with a swimming fish in each."""
-    return make_sizes(settings, has_fish=True)
+    return [kernel, step, *make_swimmers(settings, has_fish=False)]
 
 
 def make_periodic(wave: ShearWave, *, compile: bool = True) -> InPlaceSolver:
-    """Return a periodic flow that has damped a shear wave as it should.
-
-    Raises:
-        RuntimeError: if it has not.
-    """
-    config = FlowConfig(
-        width=wave.width, height=wave.height, tau=wave.tau, boundaries=PERIODIC_EDGES
-    )
+    """Return a periodic flow that has damped a shear wave as it should."""
+    config = FlowConfig(width=wave.width, height=wave.height, tau=wave.tau, boundaries=PERIODIC)
     solver = InPlaceSolver(config=config, num_workers=0, compile=compile)
     velocity = torch.as_tensor(wave.velocity())[None]
     solver.set_populations_(make_uniform(torch.zeros_like(velocity), velocity, 0.0 * velocity))
@@ -191,11 +155,7 @@ def make_periodic(wave: ShearWave, *, compile: bool = True) -> InPlaceSolver:
 
 
 def make_gpu(settings: BenchmarkSettings) -> list[Case]:
-    """Make a batch that fills the card, with and without a fish in each, and a copy of its size.
-
-    Raises:
-        ImportError: if torch sees no CUDA device.
-    """
+    """Make a batch that fills the card, with and without a fish in each, and a copy of its size."""
     if not torch.cuda.is_available():
         raise ImportError(f"torch {torch.__version__} sees no CUDA device")
     make = partial(make_solver, settings.body_length // 2, num_envs=64, device="cuda")
@@ -212,18 +172,18 @@ def make_gpu(settings: BenchmarkSettings) -> list[Case]:
 
 def make_compilation(settings: BenchmarkSettings) -> list[Case]:
     """Measure the time until the first step with nothing kept, then with everything kept."""
-    cases = []
+    cases, spawn = [], multiprocessing.get_context("spawn")  # a fork of one with threads may hang
     with tempfile.TemporaryDirectory(prefix="fishrl-compile-") as folder:
         for label, name in (("cold", "nothing is kept"), ("warm", "everything is kept")):
-            with start_process() as process:
-                seconds = process.submit(time_compilation, settings.body_length // 2, folder)
-                facts = {"seconds": seconds.result()}
-            cases.append(Case(label=f"compile/{label}", name=name, num_steps=0, facts=facts))
+            with ProcessPoolExecutor(1, mp_context=spawn) as process:
+                job = process.submit(time_compilation, settings.body_length // 2, folder)
+                case = Case(label=f"compile/{label}", name=name, num_steps=0)
+                cases.append(replace(case, measured={"seconds": [job.result()]}))
     return cases
 
 
 def time_compilation(body_length: int, folder: str) -> float:
-    """Compile the step with a fish in this process, keep it in a folder, and return the seconds."""
+    """Return the seconds to compile the step with a fish in this process, kept in a folder."""
     os.environ["TORCHINDUCTOR_CACHE_DIR"] = folder
     start = time.perf_counter()
     make_solver(body_length, has_fish=True).advance_(2)

@@ -6,30 +6,25 @@ import os
 import platform
 from importlib.metadata import distributions
 from pathlib import Path
+from typing import Any
 
 import torch
 
 PACKAGES = ("torchrl", "tensordict", "numpy", "lbmpy", "pystencils", "numba", "lettucecfd", "xlb")
 
 
-def describe_machine() -> dict[str, object]:
-    """Name processor, threads and versions."""
+def describe_machine() -> dict[str, Any]:
+    """Name processor, threads, caches, GPU, versions and other load."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
     models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    installed = {each.name.lower(): each.version for each in distributions()}
     return {
         "cpu": (models or [platform.processor() or platform.machine()])[0],
         "cores": os.cpu_count(),
         "threads": torch.get_num_threads(),
         "torch": torch.__version__,
         "python": platform.python_version(),
-    }
-
-
-def describe_surroundings() -> dict[str, object]:
-    """Name vector instructions, caches, GPU, versions of other packages, and other load."""
-    installed = {each.name.lower(): each.version for each in distributions()}
-    return {
         "instructions": torch.backends.cpu.get_cpu_capability(),
         "caches": read_caches(),
         "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,

@@ -1,145 +1,170 @@
-"""The tables of a run in Markdown: targets and whether they are met, speeds, costs."""
+"""The tables of a run in Markdown: goals and whether they are met, speeds, costs."""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
-from experiments.benchmarks.comparison import Row
-from experiments.benchmarks.plots import write_plots
-from experiments.benchmarks.results import Results, Spread, compare, measure_speed, read, spread
+import numpy as np
+
+from experiments.benchmarks.measuring import Case, Results
 from experiments.pages import fill, write_table
 
 MARK = "measured"  # name of the place of the page that is filled
+
+
+class Spread(NamedTuple):
+    """A median between its quartiles."""
+
+    low: float
+    median: float
+    high: float
+
+    def show(self, digits: int = 2) -> str:
+        """Return them such as "1.80 [1.79, 1.81]"; one number where they agree."""
+        low, median, high = (f"{value:.{digits}f}" for value in self)
+        return median if low == median == high else f"{median} [{low}, {high}]"
+
+
+def spread(values: Sequence[float] | np.ndarray) -> Spread:
+    """Return the median and the quartiles of some values."""
+    return Spread(*np.quantile(values, (0.25, 0.5, 0.75)).tolist())
+
+
+def measure_speed(case: Case) -> Spread:
+    """Return million node updates per second (MLUPS)."""
+    return spread(1e-6 * case.num_nodes / np.array(case.measured["seconds"]))
+
+
+def compare(ours: Case, theirs: Case) -> Spread:
+    """Return how many times faster one case is per node update, round by round."""
+    a, b = (np.array(case.measured["seconds"]) / case.num_nodes for case in (ours, theirs))
+    return spread(b / a)
+
+
 IN_PLACE = ("lbmpy/aa, kernel", "lbmpy/esotwist, kernel")
-ONE, MANY = "one swimming fish", "16 flows, a fish in each"
-#: Speed per node update of a row over that of the fastest of some others: what, least, labels.
-RATIOS: tuple[tuple[str, float, str, tuple[str, ...]], ...] = (
-    ("flow and walls / lbmpy's in-place kernel", 0.80, "large/walls", IN_PLACE),
-    ("flow and walls / lbmpy's two-buffer step", 1.8, "large/walls", ("lbmpy/pull",)),
-    ("flow and walls / numba", 1.6, "large/walls", ("numba/step",)),
-    ("flow and walls / lettuce compiled", 17.0, "large/walls", ("lettuce/compiled",)),
-    (f"{ONE} / lbmpy's in-place kernel", 0.65, "large/fish", IN_PLACE),
-    (f"{ONE} / lbmpy's two-buffer step without a body", 1.4, "large/fish", ("lbmpy/pull",)),
-    (f"{MANY} / lbmpy's in-place kernel, large", 0.50, "batch16/fish", IN_PLACE),
-    (
-        f"{MANY} / lbmpy's in-place kernel, same 16 flows one by one",
-        0.50,
-        "batch16/fish",
-        ("lbmpy/batch16",),
-    ),
-    ("GPU, bulk / copy", 0.90, "gpu/kernel", ("gpu/copy",)),
-    ("GPU, whole step with fish / copy", 0.75, "gpu/fish", ("gpu/copy",)),
-    ("GPU, stored in half / in single precision", 1.6, "gpu/fish, half", ("gpu/fish",)),
-)
-#: The largest of a number of some rows: what, most, unit, number, labels.
-LIMITS: tuple[tuple[str, float, str, str, tuple[str, ...]], ...] = (
-    ("share of an environment step outside the flow", 2.0, "%", "outside_flow", ("env/policy",)),
-    ("memory per node and flow", 45.0, "B", "bytes", ("large/fish", "middle/fish")),
-    ("compile, cold", 45.0, "s", "seconds", ("compile/cold",)),
-    ("compile, warm", 1.0, "s", "seconds", ("compile/warm",)),
+WALLS, ONE, MANY = "flow and walls", "one swimming fish", "16 flows, a fish in each"
+SAME = f"{MANY} / lbmpy's in-place kernel, same 16 flows one by one"
+#: What is measured; its target; the label of a case whose speed per node update is divided by that
+#: of the fastest of some others (≥), or a number whose largest of some cases counts (≤); those.
+GOALS: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
+    (f"{WALLS} / lbmpy's in-place kernel", "≥ 0.8 ×", "large/walls", IN_PLACE),
+    (f"{WALLS} / lbmpy's two-buffer step", "≥ 1.8 ×", "large/walls", ("lbmpy/pull",)),
+    (f"{WALLS} / numba", "≥ 1.6 ×", "large/walls", ("numba/step",)),
+    (f"{WALLS} / lettuce compiled", "≥ 17 ×", "large/walls", ("lettuce/compiled",)),
+    (f"{ONE} / lbmpy's in-place kernel", "≥ 0.65 ×", "large/fish", IN_PLACE),
+    (f"{ONE} / lbmpy's two-buffer step without a body", "≥ 1.4 ×", "large/fish", ("lbmpy/pull",)),
+    (f"{MANY} / lbmpy's in-place kernel, large", "≥ 0.5 ×", "batch16/fish", IN_PLACE),
+    (SAME, "≥ 0.5 ×", "batch16/fish", ("lbmpy/batch16",)),
+    ("GPU, bulk / copy", "≥ 0.9 ×", "gpu/kernel", ("gpu/copy",)),
+    ("GPU, whole step with fish / copy", "≥ 0.75 ×", "gpu/fish", ("gpu/copy",)),
+    ("GPU, stored in half / in single precision", "≥ 1.6 ×", "gpu/fish, half", ("gpu/fish",)),
+    ("share of an environment step outside the flow", "≤ 2 %", "outside_flow", ("env/policy",)),
+    ("memory per node and flow", "≤ 45 B", "bytes", ("large/fish", "middle/fish")),
+    ("compile, cold", "≤ 45 s", "seconds", ("compile/cold",)),
+    ("compile, warm", "≤ 1 s", "seconds", ("compile/warm",)),
 )
 
 
-def list_targets(results: Results) -> list[list[str]]:
+def list_goals(results: Results) -> list[list[str]]:
     """Return each quantity, its target, what was measured, and whether the median meets it."""
     lines = []
-    for what, least, label, labels in RATIOS:
-        ours, others = results.find(label), [row for row in map(results.find, labels) if row]
-        best = max(others, key=lambda row: measure_speed(row).median, default=None)
-        ratio = compare(ours, best) if ours and best else None
-        lines.append([what, f"≥ {least:g} ×", *_show_result(ratio, "×", least, math.inf)])
-    for what, most, unit, name, labels in LIMITS:
-        rows = [row for row in map(results.find, labels) if row]
-        found = max((number for row in rows if (number := read(row, name))), default=None)
-        lines.append([what, f"≤ {most:g} {unit}", *_show_result(found, unit, -math.inf, most)])
+    for what, target, quantity, labels in GOALS:
+        (sign, bound, unit), others = target.split(), results.find(*labels)
+        if sign == "≤":
+            factor = 100.0 if unit == "%" else 1.0
+            found = [spread(factor * np.array(case.measured[quantity])) for case in others]
+        else:
+            others = sorted(others, key=lambda case: -measure_speed(case).median)[:1]
+            found = [compare(ours, best) for ours in results.find(quantity) for best in others]
+        line = [what, target, "–", "not measured"]
+        if found:
+            worst = max(found)
+            is_met = worst.median >= float(bound) if sign == "≥" else worst.median <= float(bound)
+            line[2:] = [f"{worst.show()} {unit}", "met" if is_met else "MISSED"]
+        lines.append(line)
     return lines
 
 
-def _show_result(measured: Spread | None, unit: str, least: float, most: float) -> list[str]:
-    """Return a measured number and whether its median is within bounds."""
-    if measured is None:
-        return ["–", "not measured"]
-    factor = 100.0 if unit == "%" else 1.0
-    is_met = least <= factor * measured.median <= most
-    return [f"{measured.show(scale=factor)} {unit}", "met" if is_met else "MISSED"]
+Cell = Callable[[Case, Results], str | None]
 
 
+def _number(name: str, digits: int, factor: float = 1.0) -> Cell:
+    def show(case: Case, results: Results) -> str | None:
+        values = case.measured.get(name)
+        return spread(factor * np.array(values)).show(digits) if values else None
+
+    return show
+
+
+def _over(label: str, case: Case, results: Results) -> str | None:
+    other = results.find(label)
+    return f"{compare(case, other[0]).median:.2f}" if other else None
+
+
+def _excess(case: Case, results: Results) -> str | None:
+    bare = results.find("env/solver")
+    if not bare or case is bare[0]:
+        return None
+    return Spread(*(100.0 * (ratio - 1.0) for ratio in compare(bare[0], case))).show()
+
+
+def _price(case: Case, results: Results) -> str:
+    seconds = spread(case.measured["seconds"]).median
+    return f"{seconds * case.facts['period'] / case.facts['flows']:.2f}"
+
+
+#: What each column shows of a case; nothing is shown as a dash.
+COLUMNS: dict[str, Cell] = {
+    "case": lambda case, _: case.name,
+    "part": lambda case, _: case.name,
+    "code": lambda case, _: case.code,
+    "what": lambda case, _: case.scope,
+    "of": lambda case, _: case.facts["place"],
+    "MLUPS": lambda case, _: measure_speed(case).show(0),
+    "/ copy": partial(_over, "probe/copy"),
+    "/ in-place probe": partial(_over, "probe/in place"),
+    "B / update": lambda case, _: str(case.bytes_per_update),
+    "MB": lambda case, _: f"{1e-6 * case.working_set:.1f}",
+    "memory, B / node": _number("bytes", 1),
+    "µs / step": lambda case, _: f"{1e6 * spread(case.measured['seconds']).median:.0f}",
+    "s / T and flow": _price,
+    "ms": _number("seconds", 2, 1e3),
+    "beyond the bare solver, %": _excess,
+    "share outside the flow, %": _number("outside_flow", 2, 100.0),
+    "share of learning, %": _number("learning", 1, 100.0),
+    "ms / action": _number("seconds", 1, 1e3),
+    "share, %": _number("share", 2, 100.0),
+    "seconds": _number("seconds", 1),
+}
 SPEED = ("case", "code", "what", "MLUPS", "/ copy", "/ in-place probe", "B / update", "MB")
 MEMORY, PRICE = "memory, B / node", ("µs / step", "s / T and flow")
-#: Group, heading, line above the table (with facts of its first row), columns of ``show_cells``.
-TABLES = (
+BEYOND = ("case", "ms", "beyond the bare solver, %", "share outside the flow, %")
+PARTS = ("part", "of", "ms / action", "share, %")
+#: Group, heading, line above the table (with facts of its first case), columns.
+TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("probe", "What the memory does", "", SPEED),
     ("solver", "The flow", "", (*SPEED, MEMORY)),
     ("coupled", "A swimming fish in each flow", "T is a tail beat.", (*SPEED, MEMORY, *PRICE)),
     ("peers", "Other codes", "", SPEED),
     ("gpu", "GPU", "", SPEED),
-    (
-        "env",
-        "Environment",
-        "Bursts of one action, which lasts a tail beat T.",
-        ("case", "ms", "beyond the bare solver, %", "share outside the flow, %"),
-    ),
+    ("env", "Environment", "Bursts of one action, which lasts a tail beat T.", BEYOND),
     ("train", "Training", "", ("case", "ms", "share of learning, %")),
-    (
-        "live",
-        "Live view",
-        "Bursts of one action; the flows have processes of their own.",
-        ("case", "ms", "processor time of the main process, %"),
-    ),
-    (
-        "profile",
-        "Where the time of an environment step goes",
-        "{size}, one core, all in one process, by torch.profiler.",
-        ("part", "of", "ms / action", "share, %"),
-    ),
+    ("profile", "Where the time of an environment step goes", "{size}, one core.", PARTS),
     ("compile", "Compilation", "Time until the first step with a fish.", ("case", "seconds")),
 )
-#: Columns of numbers that rows have: number of ``read``, digits, factor.
-NUMBERS = {
-    MEMORY: ("bytes", 1, 1.0),
-    "ms": ("seconds", 2, 1e3),
-    "ms / action": ("seconds", 1, 1e3),
-    "seconds": ("seconds", 1, 1.0),
-    "share outside the flow, %": ("outside_flow", 2, 100.0),
-    "share of learning, %": ("learning", 1, 100.0),
-    "processor time of the main process, %": ("processor", 2, 100.0),
-    "share, %": ("share", 2, 100.0),
-}
-
-
-def show_cells(row: Row, results: Results) -> dict[str, str]:
-    """Return what is known of a row, by column."""
-    cells = {"case": row.name, "part": row.name, "code": row.code, "what": row.scope}
-    cells |= {"of": row.facts.get("place", ""), "MB": f"{row.working_set / 1e6:.1f}"}
-    cells["B / update"] = str(row.bytes_per_update)
-    for column, (name, digits, factor) in NUMBERS.items():
-        if found := read(row, name):
-            cells[column] = found.show(digits, factor)
-    if row.seconds:
-        cells["MLUPS"] = measure_speed(row).show(0)
-        for column, label in (("/ copy", "probe/copy"), ("/ in-place probe", "probe/in place")):
-            if probe := results.find(label):
-                cells[column] = f"{compare(row, probe).median:.2f}"
-        seconds, bare = spread(row.seconds).median, results.find("env/solver")
-        cells["µs / step"] = f"{1e6 * seconds:.0f}"
-        if "period" in row.facts:
-            cells["s / T and flow"] = f"{seconds * row.facts['period'] / row.facts['flows']:.2f}"
-        if bare and row.group == "env" and row is not bare:
-            excess = Spread(*(100.0 * (ratio - 1.0) for ratio in compare(bare, row)))
-            cells["beyond the bare solver, %"] = excess.show()
-    return cells
 
 
 def list_tables(results: Results) -> list[str]:
     """Return every table that there is something to put into, in Markdown."""
-    targets = write_table(("goal", "target", "measured", "result"), list_targets(results))
-    tables = [f"### Goals\n\nRatios of the same round: median and quartiles.\n\n{targets}"]
+    goals = write_table(("goal", "target", "measured", "result"), list_goals(results))
+    tables = [f"### Goals\n\nRatios of the same round: median and quartiles.\n\n{goals}"]
     for group, title, note, columns in TABLES:
-        if rows := results.of_group(group):
-            cells = [show_cells(row, results) for row in rows]
-            table = write_table(columns, [[row.get(c, "–") for c in columns] for row in cells])
-            parts = [f"### {title}", note.format(**rows[0].facts), table]
+        if cases := results.of_group(group):
+            cells = [[COLUMNS[c](case, results) or "–" for c in columns] for case in cases]
+            parts = [f"### {title}", note.format(**cases[0].facts), write_table(columns, cells)]
             tables.append("\n\n".join(filter(None, parts)))
     return [table.strip() for table in tables]
 
@@ -149,26 +174,19 @@ def describe_run(results: Results) -> str:
     machine, settings = results.machine, results.settings
     caches = ", ".join(f"{k} {v / 2**20:g} MB" for k, v in machine["caches"].items())
     versions = ", ".join(f"{k} {v}" for k, v in machine["versions"].items())
-    sentences = [
+    left_out = "".join(f" Left out: {each}." for each in results.left_out)
+    return (
         f"{machine['cpu']}, {machine['cores']} cores, {settings['threads']} threads per code, "
         f"{machine['instructions']}; {caches or 'caches unknown'}; "
-        f"GPU: {machine['gpu'] or 'none'}; load at start {machine['load']}.",
-        f"torch {machine['torch']}, Python {machine['python']}, {versions}.",
-        f"{settings['rounds']} rounds of bursts of {1e3 * settings['burst']:.0f} ms, single "
-        "precision.",
+        f"GPU: {machine['gpu'] or 'none'}; load at start {machine['load']}. "
+        f"torch {machine['torch']}, Python {machine['python']}, {versions}. {settings['rounds']} "
+        f"rounds of bursts of {1e3 * settings['burst']:.0f} ms, single precision.{left_out}"
+    )
+
+
+def write_page(results: Results, figures: dict[Path, str], page: Path) -> None:
+    """Put tables and figures, which have captions, into the marked place of a page."""
+    pictures = [
+        f"![{caption}]({path.relative_to(page.parent)})" for path, caption in figures.items()
     ]
-    sentences += [f"Left out: {s.code} ({s.group}): {s.why}." for s in results.skipped]
-    return " ".join(sentences)
-
-
-def write_page(results: Results, docs: Path) -> list[Path]:
-    """Put tables and figures into ``performance.md``, and return the files written.
-
-    Raises:
-        ValueError: if the page is missing, or its marks are.
-    """
-    page = docs / "performance.md"
-    figures = write_plots(results, docs / "figures" / "benchmark")
-    pictures = [f"![{caption}](figures/benchmark/{path.name})" for path, caption in figures.items()]
     fill(page, MARK, "\n\n".join([describe_run(results), *list_tables(results), *pictures]))
-    return [page, *figures]

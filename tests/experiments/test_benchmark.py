@@ -6,44 +6,52 @@ from pathlib import Path
 import pytest
 
 from experiments import benchmark
-from experiments.benchmark import JOBS, choose_jobs, main
-from experiments.benchmarks.comparison import Job
+from experiments.benchmark import main
 from experiments.benchmarks.machine import read_caches
-from tests.experiments.benchmarks import toy_jobs
+from experiments.benchmarks.measuring import BenchmarkSettings, Case
 
 
-def test_groups_are_chosen_by_name_and_all_by_default() -> None:
-    groups = [job.group for job in choose_jobs(main.read(["groups=[coupled,solver]"]).groups)]
-    assert groups == ["probe", "solver", "coupled"]
-    assert choose_jobs(main.read([]).groups) == list(JOBS)
-    with pytest.raises(ValueError, match="did you mean 'coupled'"):
-        choose_jobs(["copled"])
+def make_pair(settings: BenchmarkSettings) -> list[Case]:
+    return [
+        Case(label=f"{i}/walls", name=i, advance=lambda n: None, num_steps=2, num_nodes=10)
+        for i in "ab"
+    ]
 
 
-@pytest.mark.parametrize(("make", "status"), [("make_pair", 0), ("fail_at_once", 1)])
-def test_a_run_prints_tables_keeps_every_time_and_fails_with_a_job(
-    make: str, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    monkeypatch.setenv("TOY_LOG", str(tmp_path / "log"))
-    jobs = (
-        Job("solver", getattr(toy_jobs, make)),
-        Job("compile", toy_jobs.make_number, is_long=True),
-    )
-    monkeypatch.setattr(benchmark, "JOBS", jobs)
+def make_number(settings: BenchmarkSettings) -> list[Case]:
+    return [Case(label="compile/warm", name="kept", num_steps=0, measured={"seconds": [0.5]})]
+
+
+def miss_a_package(settings: BenchmarkSettings) -> list[Case]:
+    raise ImportError("No module named 'peer'")
+
+
+@pytest.fixture(autouse=True)
+def groups(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Replace the groups; give the environment back its variable."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
-    arguments = [f"folder={tmp_path}", "threads=1", "rounds=2"]
-    if status:
-        with pytest.raises(SystemExit, match="1"):
-            main(arguments)
-    else:
-        main(arguments)
-    assert "| compile, warm | ≤ 1 s | 0.50 s | met |" in capsys.readouterr().out
+    toys = (("solver", "toy", make_pair), ("compile", "toy", make_number))
+    monkeypatch.setattr(benchmark, "GROUPS", (*toys, ("peers", "peer", miss_a_package)))
+
+
+def test_a_run_prints_tables_keeps_every_time_and_lists_who_is_absent(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main([f"folder={tmp_path}", "threads=1", "rounds=2"])
+    text = capsys.readouterr().out
+    assert "| compile, warm | ≤ 1 s | 0.50 s | met |" in text
+    assert "Left out: peer (peers): No module named 'peer'." in text
     kept = json.loads((tmp_path / "results.json").read_text())
     assert {"cpu", "cores", "torch", "versions", "caches", "load"} <= set(kept["machine"])
-    assert [row["label"] for row in kept["rows"]][-1] == "compile/warm"
-    assert [each["has_failed"] for each in kept["skipped"]] == [True] * status
-    assert [len(row["seconds"]) for row in kept["rows"][:-1]] == [2, 2] * (1 - status)
+    assert [case["label"] for case in kept["cases"]] == ["a/walls", "b/walls", "compile/warm"]
+    assert [len(case["measured"]["seconds"]) for case in kept["cases"]] == [2, 2, 1]
+
+
+def test_groups_are_chosen_by_name() -> None:
+    chosen = benchmark.run(main.read(["groups=[compile]", "threads=1"]))
+    assert [case.group for case in chosen.cases] == ["compile"]
+    with pytest.raises(ValueError, match="did you mean 'compile'"):
+        benchmark.run(BenchmarkSettings(groups=("compil",)))
 
 
 def test_caches_are_read_as_linux_lists_them(tmp_path: Path) -> None:

@@ -10,51 +10,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from experiments.benchmarks.comparison import BenchmarkSettings, Case
-from experiments.benchmarks.peers.shear_wave import Field, ShearWave, make_peer_cases, make_wave
 from fishrl.physics.collision import Rates
-from fishrl.physics.lattice import CX, CY, W
+from fishrl.physics.lattice import CX, CY
 
 Kernel = Callable[..., None]
-
-
-class NumbaFlow:
-    """A periodic flow in two buffers that starts from a wave."""
-
-    def __init__(self, wave: ShearWave) -> None:
-        width, height = wave.width, wave.height
-        pitch = -(-(width + 2) // 16) * 16
-        self._source, self._target = np.zeros((2, 9, height + 2, pitch), dtype=np.float32)
-        self._inside = np.s_[:, 1:-1, 1 : width + 1]
-        self._pull, self._wrap = make_kernels(width, height, pitch, 1.0 / wave.tau)
-        self.num_bytes = 2 * self._source.nbytes
-        u = wave.velocity()
-        for q, f in enumerate(self._source[self._inside]):
-            cu = CX[q] * u
-            f[:] = W[q] * (3.0 * cu + 4.5 * cu * cu - 1.5 * u * u)
-
-    def velocity(self) -> Field:
-        """Return the velocity ``[Y, X]`` along x."""
-        f = self._source[self._inside].astype(np.float64)
-        return np.tensordot(CX, f, 1) / (1.0 + f.sum(0))
-
-    def advance(self, num_steps: int, *, has_halo: bool = True) -> None:
-        """Advance by whole steps, or run the kernel alone."""
-        for _ in range(num_steps):
-            if has_halo:
-                self._wrap(self._source.reshape(-1))
-            self._pull(self._source.reshape(-1), self._target.reshape(-1))
-            self._source, self._target = self._target, self._source
-
-
-def make_cases(settings: BenchmarkSettings) -> list[Case]:
-    """Make the kernel and the whole step."""
-    import numba
-
-    numba.set_num_threads(settings.threads)
-    wave = make_wave(settings)
-    flow, how = NumbaFlow(wave), f"two buffers, {settings.cores}"
-    return make_peer_cases(flow, wave, "numba/step", how, has_kernel=True)
 
 
 def make_kernels(width: int, height: int, pitch: int, omega: float) -> tuple[Kernel, Kernel]:

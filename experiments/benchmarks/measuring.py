@@ -1,0 +1,187 @@
+"""The measuring loop: short bursts of all cases in turn, each case once per round.
+
+Other load on the machine slows all cases of a round, so speeds are compared round by round. A burst
+starts after the threads of the previous one sleep, with untimed steps that fill the caches and wake
+its own threads.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from tqdm import tqdm
+
+from fishrl.bounds import bounded, check_bounds
+
+_PAUSE = 0.01  # seconds; threads of GNU's OpenMP were seen to spin for four milliseconds
+_WARM_UP = 4  # such a part of a burst runs before it and is not timed
+
+KERNEL = "kernel"  # the pass over all nodes alone, without edges
+PERIODIC = "periodic"  # a whole step with periodic edges
+WALLS = "with walls"  # a whole step with boundary conditions on all four sides
+FISH = "with fish"  # the same with a swimming fish in each flow
+PROBE = "memory"  # no flow: the speed of the memory
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkSettings:
+    """What to measure, and where to write it.
+
+    Args:
+        body_length: L of the large case, whose tank is 10 L x 5 L; others have L / 2 and L / 4.
+        threads: cores that each code may use.
+        rounds: bursts of every case.
+        burst: seconds that a burst should take.
+        groups: groups of measurements; by default all.
+        folder: of results and figures.
+        docs: folder of pages to write stored results of ``folder`` into; nothing is measured.
+    """
+
+    body_length: int = bounded(100, least=80)  # a fish has at least 16 nodes, also in a small case
+    threads: int = bounded(os.cpu_count() or 1, least=1)
+    rounds: int = bounded(15, least=2)
+    burst: float = bounded(0.1, greater=0.0)
+    groups: tuple[str, ...] = ()
+    folder: str = "runs/benchmark"
+    docs: str | None = None
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
+
+    @property
+    def cores(self) -> str:
+        """Number of threads, in words."""
+        return f"{self.threads} threads" if self.threads > 1 else "one core"
+
+
+@dataclass(kw_only=True)
+class Case:
+    """What is advanced, and what was measured.
+
+    Attributes:
+        label: by which goals and figures find it, such as "large/walls".
+        name: the case in words.
+        advance: runs so many steps, and may return further numbers ``dict[str, float]``.
+        prepare: is called before each burst and not timed.
+        scope: how much of a step it is: kernel, periodic, with walls, with fish.
+        num_nodes: node updates of one step, all flows together.
+        working_set: bytes that a step goes through.
+        bytes_per_update: that a node update moves if each population is read and written once.
+        num_steps: of each burst. None: as many as fill one, an even number. 0: no bursts.
+        facts: numbers known in advance, and words.
+        measured: by round, "seconds" of one step and further numbers.
+        code, group: whose code it is, and the group of measurements.
+    """
+
+    label: str
+    name: str
+    advance: Any = None
+    prepare: Any = None
+    scope: str = ""
+    num_nodes: int = 0
+    working_set: int = 0
+    bytes_per_update: int = 72
+    num_steps: int | None = None
+    facts: dict[str, Any] = field(default_factory=dict)
+    measured: dict[str, list[float]] = field(default_factory=dict)
+    code: str = ""
+    group: str = ""
+
+
+def make_flow_case(label: str, flows: tuple[int, int, int], how: str, **fields: Any) -> Case:
+    """Return a case of flows of a shape ``[B, X, Y]``."""
+    name = f"{' × '.join(map(str, flows))}, {how}"
+    return Case(label=label, name=name, num_nodes=math.prod(flows), **fields)
+
+
+@dataclass(kw_only=True)
+class Results:
+    """Everything that a run has found; ``left_out`` says which codes it could not run, and why."""
+
+    machine: dict[str, Any]
+    settings: dict[str, Any]
+    cases: list[Case] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+
+    def find(self, *labels: str) -> list[Case]:
+        """Return the cases of some labels that were measured."""
+        return [case for case in self.cases if case.label in labels]
+
+    def of_group(self, *groups: str) -> list[Case]:
+        """Return the cases of some groups."""
+        return [case for group in groups for case in self.cases if case.group == group]
+
+    def save(self, path: Path) -> None:
+        """Write everything as JSON."""
+        cases = [vars(case) | {"advance": None, "prepare": None} for case in self.cases]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(vars(self) | {"cases": cases}, indent=1), encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: Path) -> Results:
+        """Read what ``save`` wrote."""
+        plain = json.loads(path.read_text(encoding="utf-8"))
+        return cls(**plain | {"cases": [Case(**case) for case in plain["cases"]]})
+
+
+def measure(cases: Sequence[Case], settings: BenchmarkSettings) -> None:
+    """Time all cases in turn."""
+    lengths = [
+        find_length(case, settings.burst) for case in tqdm(cases, desc="preparing", disable=None)
+    ]
+    for _ in tqdm(range(settings.rounds), desc="rounds", disable=None):
+        for case, num_steps in zip(cases, lengths, strict=True):
+            for name, value in time_burst(case, num_steps).items() if num_steps else ():
+                case.measured.setdefault(name, []).append(value)
+
+
+def time_burst(case: Case, num_steps: int) -> dict[str, float]:
+    """Return the seconds of one step, and further numbers of the burst."""
+    time.sleep(_PAUSE)
+    if case.prepare:
+        case.prepare()
+    if case.num_steps is None:
+        case.advance(max(2, num_steps // _WARM_UP // 2 * 2))
+        _synchronize()
+    start = time.perf_counter()
+    extras = case.advance(num_steps) or {}
+    _synchronize()
+    return {"seconds": (time.perf_counter() - start) / num_steps} | extras
+
+
+def _synchronize() -> None:
+    if torch.cuda.is_initialized():
+        torch.cuda.synchronize()
+
+
+def find_length(case: Case, burst: float) -> int:
+    """Return how many steps fill a burst of some seconds."""
+    num_steps = 2 if case.num_steps is None else case.num_steps
+    if num_steps:
+        time_burst(case, num_steps)  # may compile, or touch memory for the first time
+    while case.num_steps is None:
+        spent = time_burst(case, num_steps)["seconds"] * num_steps
+        if spent >= 0.5 * burst or num_steps >= 1_000_000:
+            return max(2, round(num_steps * burst / spent / 2) * 2)
+        num_steps = 2 * num_steps
+    return num_steps
+
+
+def repeat(*calls: Callable[[], object]) -> Callable[[int], None]:
+    """Return what makes one of some calls per step, in turn."""
+
+    def advance(num_steps: int) -> None:
+        for _ in range(num_steps // len(calls)):
+            for call in calls:
+                call()
+
+    return advance

@@ -1,1 +1,0 @@
-"""Other codes to compare with; those that are not installed are skipped and listed."""
