@@ -16,8 +16,7 @@ from hydra.utils import get_object
 from omegaconf import OmegaConf
 
 from experiments.configuration import CONF
-from experiments.docstrings import read_arguments
-from experiments.program import Program, list_choices
+from experiments.program import Program, list_choices, read_arguments
 
 HEAD = """# Configuration reference
 

@@ -8,6 +8,7 @@ was asked for, settings of a stored run, the command line.
 
 A stored run names its classes, but never what is imported: that are modules of fishrl, those in
 ``modules=[...]``, and those that a ``_target_`` of the command line or of the YAML files names.
+Whatever is wrong raises ValueError in one line, with the nearest right word for a typo.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from typing import Any, NoReturn, cast, get_args, get_origin
 from hydra import compose, initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import Override, Quote, QuotedString
 from hydra.errors import HydraException, MissingConfigException
 from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import ConfigKeyError, OmegaConfBaseException
@@ -57,6 +58,7 @@ class CommandLine:
         stored: given the command line's settings, returns those of a stored run; they override
             the YAML files and are overridden by the command line.
         positional: setting whose value is a word without ``=``.
+        others: setting that lists all words but those of the schema.
     """
 
     schema: type
@@ -64,27 +66,21 @@ class CommandLine:
     is_training: bool = False
     stored: Callable[[Settings], Settings] | None = None
     positional: str | None = None
+    others: str | None = None
 
     def read(self, arguments: Sequence[str] = ()) -> Any:
-        """Return the settings of a command line, an instance of ``schema``.
-
-        Args:
-            arguments: see ``compose``.
-
-        Raises:
-            ValueError: for an unknown key, choice or type, and for values out of range.
-        """
-        return self.make(self.compose(arguments))
+        """Return the settings of a command line, an instance of ``schema``."""
+        config = self.compose(arguments)
+        for name in sorted(OmegaConf.missing_keys(config)):
+            raise ValueError(f"{name}: has no default; give {name}=<value>")
+        return self.schema(**cast(dict[str, Any], OmegaConf.to_container(config)))
 
     def compose(self, arguments: Sequence[str] = ()) -> DictConfig:
-        """Compose a command line and check its keys and types.
+        """Compose a command line, check keys and types, and fill in the defaults.
 
         Args:
             arguments: ``key=value`` each, and ``--config-dir <folder>`` for your own YAML
                 files, ``<folder>/task/<name>.yaml``.
-
-        Raises:
-            ValueError: for an unknown key, choice or type.
         """
         overrides = self.prepare(arguments)
         try:
@@ -92,12 +88,34 @@ class CommandLine:
                 config = compose(PRIMARY, overrides)
         except (HydraException, OmegaConfBaseException, YAMLError) as error:
             raise explain(error) from error
-        return self.check(config, overrides)
+        given = parse(overrides)
+        if not self.is_training:
+            taken = {override.key_or_group.split(".", 1)[0] for override in given}
+            config = OmegaConf.masked_copy(config, [*taken & set(config), *self.groups])
+        OmegaConf.set_struct(config, False)
+        modules = [str(module) for module in config.pop("modules", None) or []]
+        for module in modules:
+            import_module(module)
+        modules += [*list_modules(OmegaConf.to_container(config)), *_search_modules(overrides)]
+        if self.stored is not None:
+            values = {override.key_or_group: override.value() for override in given}
+            for name, value in self.stored(values).items():
+                config[name] = value
+            for key, value in values.items():
+                if key not in (*self.groups, "modules"):
+                    OmegaConf.update(config, key, value, force_add=True)
+        return self._check(config, modules)
 
     def prepare(self, arguments: Sequence[str]) -> list[str]:
         """Write a command line as overrides for hydra, which may name any key."""
+        names = [entry.name for entry in fields(self.schema)]
+        if self.others is not None:
+            rest = [word for word in arguments if word.partition("=")[0] not in names]
+            quoted = ",".join(quote(word) for word in rest)
+            own = [word for word in arguments if word not in rest]
+            arguments = [*own, f"{self.others}=[{quoted}]"]
         options = split_options(arguments)
-        overrides = [self._as_override(word) for word in options.overrides]
+        overrides = [self._as_override(word, [*names, "modules"]) for word in options.overrides]
         if options.config_dir is not None:
             folder = Path(options.config_dir).expanduser().resolve()
             if not folder.is_dir():
@@ -110,45 +128,17 @@ class CommandLine:
         ConfigStore.instance().store(name=PRIMARY, node=node)
         return overrides
 
-    def make(self, config: DictConfig) -> Any:
-        """Make the settings, which check their ranges.
+    def _as_override(self, word: str, known: Sequence[str]) -> str:
+        key = word.lstrip("+").split("=", 1)[0]
+        if "=" not in word and self.positional is not None:
+            return f"++{self.positional}={quote(word)}"
+        if word.startswith(("~", "hydra")) or key in self.groups or "/" in key or "@" in key:
+            return word
+        if key.split(".", 1)[0] not in known:
+            raise unknown(key, known)
+        return f"++{word.lstrip('+')}"
 
-        Raises:
-            ValueError: for a value that is missing or out of range.
-        """
-        missing = sorted(OmegaConf.missing_keys(config))
-        if missing:
-            raise ValueError(f"{missing[0]}: has no default; give {missing[0]}=<value>")
-        return self.schema(**cast(dict[str, Any], OmegaConf.to_container(config)))
-
-    def check(self, config: DictConfig, overrides: Sequence[str]) -> DictConfig:
-        """Check keys and types of a composed config, and fill in the defaults.
-
-        Args:
-            config: as hydra composed it.
-            overrides: of the command line.
-
-        Raises:
-            ImportError: for one of ``modules`` that cannot be imported.
-            ValueError: see ``compose``.
-        """
-        given = parse(overrides)
-        taken = {override.key_or_group.split(".", 1)[0] for override in given}
-        if not self.is_training:
-            config = OmegaConf.masked_copy(config, [*taken & set(config), *self.groups])
-        OmegaConf.set_struct(config, False)
-        modules = list(config.pop("modules", None) or [])
-        for module in modules:
-            import_module(str(module))
-        modules += [*list_modules(OmegaConf.to_container(config)), *_search_modules(overrides)]
-        if self.stored is not None:
-            values = {o.key_or_group: o.value() for o in given}
-            for name, value in self.stored(values).items():
-                config[name] = value
-            for override in given:
-                key, value = override.key_or_group, override.value()
-                if key not in (*self.groups, "modules"):
-                    OmegaConf.update(config, key, value, force_add=True)
+    def _check(self, config: DictConfig, modules: Sequence[str]) -> DictConfig:
         base = OmegaConf.structured(self.schema)
         OmegaConf.set_readonly(base, False)  # as that of a frozen dataclass is
         for name, kind in KINDS.items():
@@ -165,18 +155,6 @@ class CommandLine:
                 raise ValueError(f"{key}={value}: must be true or false")
         return cast(DictConfig, merged)
 
-    def _as_override(self, word: str) -> str:
-        key = word.lstrip("+").split("=", 1)[0]
-        if "=" not in word and self.positional is not None:
-            escaped = word.replace("\\", "\\\\").replace("'", "\\'")
-            return f"++{self.positional}='{escaped}'"
-        if word.startswith(("~", "hydra")) or key in self.groups or "/" in key or "@" in key:
-            return word
-        known = [*(entry.name for entry in fields(self.schema)), "modules"]
-        if key.split(".", 1)[0] not in known:
-            raise unknown(key, known)
-        return f"++{word.lstrip('+')}"
-
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
@@ -184,11 +162,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def split_options(arguments: Sequence[str]) -> argparse.Namespace:
-    """Return the options of a command line, named as hydra's, with the settings as ``overrides``.
-
-    Raises:
-        ValueError: for an unknown option.
-    """
+    """Return the options of a command line, named as hydra's, and its ``overrides``."""
     parser = _Parser(add_help=False, allow_abbrev=False)
     parser.add_argument("overrides", nargs="*")
     parser.add_argument("--config-dir", "-cd")
@@ -226,9 +200,6 @@ def make_schema(node: Any, path: str, *, kind: Any, modules: Sequence[str]) -> A
         path: of the node, for messages.
         kind: see ``description.make``.
         modules: see ``description.make``.
-
-    Raises:
-        ValueError: if there is no such class.
     """
     if TARGET not in node:
         raise ValueError(f"{path}: its YAML file must begin with _target_: <module>.<class>")
@@ -244,10 +215,13 @@ def make_schema(node: Any, path: str, *, kind: Any, modules: Sequence[str]) -> A
             kinds = tuple(list_classes(hint))
             below[name] = make_schema(value, f"{path}.{name}", kind=kinds, modules=modules)
             entries.append((name, Any, field(default=None)))
-        elif is_plain(parameter.default):
-            _check_length(value, hint, f"{path}.{name}")
+        elif _is_plain(parameter.default):
+            wanted = get_args(hint)  # of a tuple, whose length omegaconf does not check
+            is_fixed = get_origin(hint) is tuple and Ellipsis not in wanted
+            if is_fixed and OmegaConf.is_list(value) and len(value) != len(wanted):
+                raise ValueError(f"{path}.{name}={list(value)}: must hold {len(wanted)} values")
             default = MISSING if parameter.default is parameter.empty else parameter.default
-            entries.append((name, as_type(hint), field(default_factory=partial(_list, default))))
+            entries.append((name, _as_type(hint), field(default_factory=partial(_list, default))))
         elif name in node:
             entries.append((name, Any, field(default=None)))
     base = OmegaConf.structured(make_dataclass(made.__name__, entries))
@@ -260,16 +234,16 @@ def _list(value: Any) -> Any:
     return [_list(entry) for entry in value] if isinstance(value, tuple) else value
 
 
-def is_plain(value: Any) -> bool:
+def _is_plain(value: Any) -> bool:
     """Tell whether a YAML file can hold a default."""
     if isinstance(value, tuple):
-        return all(is_plain(entry) for entry in value)
+        return all(_is_plain(entry) for entry in value)
     plain = (bool, int, float, str, type(None))
     return value is inspect.Parameter.empty or isinstance(value, plain)
 
 
 @cache
-def as_type(hint: Any) -> Any:
+def _as_type(hint: Any) -> Any:
     """Return the type for omegaconf to check; ``Any`` for those it does not know."""
     try:
         OmegaConf.structured(make_dataclass("Probe", [("value", hint, field(default=MISSING))]))
@@ -278,20 +252,13 @@ def as_type(hint: Any) -> Any:
     return hint
 
 
-def _check_length(value: Any, hint: Any, path: str) -> None:
-    """Check a list against a tuple of fixed length, which omegaconf does not."""
-    wanted = get_args(hint)
-    is_fixed = get_origin(hint) is tuple and Ellipsis not in wanted
-    if is_fixed and OmegaConf.is_list(value) and len(value) != len(wanted):
-        raise ValueError(f"{path}={list(value)}: must hold {len(wanted)} values")
+def quote(value: str) -> str:
+    """Write a value so that hydra reads it as it is."""
+    return QuotedString(value, Quote.single).with_quotes()
 
 
 def parse(overrides: Iterable[str]) -> list[Override]:
-    """Parse overrides as hydra does, without its own settings.
-
-    Raises:
-        ValueError: for anything but ``key=value``.
-    """
+    """Parse overrides ``key=value`` as hydra does, without its own settings."""
     lines = [line for line in overrides if not line.startswith("hydra")]
     try:
         return OverridesParser.create().parse_overrides(lines)
@@ -313,13 +280,7 @@ def list_keys(config: DictConfig, prefix: str = "") -> list[str]:
 def explain(
     error: Exception, known: Sequence[str] = (), config: DictConfig | None = None
 ) -> ValueError:
-    """Turn an error of hydra or omegaconf into one line, with the nearest right word for a typo.
-
-    Args:
-        error: of composition or merge.
-        known: existing keys.
-        config: what was merged.
-    """
+    """Turn an error of hydra or omegaconf, in a merge of ``config``, into one line."""
     if isinstance(error.__cause__, MissingConfigException | OmegaConfBaseException):
         error = error.__cause__
     if isinstance(error, MissingConfigException) and error.options:

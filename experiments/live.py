@@ -10,21 +10,13 @@ from fishrl.viewer import LiveView, ViewerSettings
 
 
 class LiveObserver(Observer):
-    """Streams flows to the viewer if the settings say so.
-
-    Args:
-        settings: of the viewer.
-        num_flows: number of flows.
-
-    Raises:
-        ValueError: if ``flows`` names one that does not exist.
-    """
+    """Streams some of ``num_flows`` flows to the viewer if the settings say so."""
 
     def __init__(self, settings: ViewerSettings, *, num_flows: int) -> None:
         self.settings = settings
         self.live: LiveView | None = None
         if settings.live:
-            settings.choose_flows(num_flows, default=1)
+            settings.choose_flows(num_flows, default=1)  # raises if one does not exist
 
     def begin(self, env: EnvBase) -> None:
         """Start the live view."""

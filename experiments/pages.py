@@ -15,11 +15,7 @@ def write_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def fill(page: Path, name: str, text: str) -> None:
-    """Replace what stands between ``<!-- name: begin -->`` and ``<!-- name: end -->``.
-
-    Raises:
-        ValueError: if the page is missing, or its marks are.
-    """
+    """Replace what stands between ``<!-- name: begin -->`` and ``<!-- name: end -->``."""
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
     whole = page.read_text(encoding="utf-8") if page.is_file() else ""
     if whole.count(begin) != 1 or whole.count(end) != 1 or whole.index(begin) > whole.index(end):

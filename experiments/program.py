@@ -17,15 +17,17 @@ line. In Python, ``main.read([...])`` returns the settings of a command line and
 
 from __future__ import annotations
 
+import inspect
 import logging
 import os
+import re
 import shlex
 import shutil
 import signal
 import sys
 import sysconfig
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,18 +40,11 @@ from omegaconf import OmegaConf
 from tqdm import tqdm
 
 from experiments.configuration import CONF, CommandLine, split_options
-from experiments.docstrings import read_arguments
 
 
 @dataclass(frozen=True)
 class Program:
-    """A function of settings, run from the command line.
-
-    Args:
-        run: the function.
-        command_line: the settings it accepts.
-        sweep: runs ``--multirun``, given the command line; without it the program runs once.
-    """
+    """A function of settings, run from the command line; ``sweep`` runs ``--multirun``."""
 
     run: Callable[[Any], None]
     command_line: CommandLine
@@ -79,49 +74,56 @@ class Program:
     def describe(self, arguments: Sequence[str] = ()) -> str:
         """Return the help: the module's docstring, choices and settings with their defaults."""
         line = self.command_line
-        lines = [(sys.modules[self.run.__module__].__doc__ or "").strip().replace("``", "`"), ""]
-        config = line.compose(arguments)
-        choices = list_choices()
+        config, choices = line.compose(arguments), list_choices()
+        lines = [(sys.modules[self.run.__module__].__doc__ or "").strip(), ""]
         lines += [f"{name}: one of {', '.join(choices[name])}" for name in line.groups]
         if line.groups:
-            lines += [
-                "modules=[...]: modules of your own that define tasks, algorithms, loggers",
-                "",
-            ]
-        lines += ["settings, as key=value:"]
+            lines.append(
+                "modules=[...]: modules of your own that define tasks, algorithms, loggers"
+            )
+            lines.append("")
+        lines.append("settings, as key=value:")
         texts = read_arguments(line.schema)
         for name in map(str, config):
             value = "???" if OmegaConf.is_missing(config, name) else config[name]
             if OmegaConf.is_dict(value):
-                lines += [f"  {name}:  ({name}.<key>=<value>)"]
+                lines.append(f"  {name}:  ({name}.<key>=<value>)")
                 lines += [f"    {entry}" for entry in OmegaConf.to_yaml(value).splitlines()]
             else:
-                lines.append(f"  {name}={value}  {texts.get(name, '').replace('``', '`')}")
-        return "\n".join(lines)
+                lines.append(f"  {name}={value}  {texts.get(name, '')}")
+        return "\n".join(lines).replace("``", "`")
 
 
 def program(
     schema: type | CommandLine, *, sweep: Callable[[Sequence[str]], None] | None = None, **line: Any
 ) -> Callable[[Callable[[Any], None]], Program]:
-    """Make a program of a function of its settings.
-
-    Args:
-        schema: dataclass of the settings, or a whole command line.
-        sweep: see ``Program``.
-        **line: other arguments of ``CommandLine``, such as ``groups``.
-    """
+    """Make a program of a function of its settings; ``line`` are arguments of ``CommandLine``."""
     taken = schema if isinstance(schema, CommandLine) else CommandLine(schema=schema, **line)
     return lambda run: Program(run, taken, sweep)
 
 
+def read_arguments(kind: type) -> dict[str, str]:
+    """Return the entries of ``Args:`` in the docstrings of a class and its bases, by argument."""
+    texts: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        doc, name = inspect.cleandoc(base.__doc__ or ""), ""
+        match = re.search(r"^Args:\n((?:(?: .*)?\n?)*)", doc, re.MULTILINE)
+        for line in match.group(1).splitlines() if match else ():
+            begins = re.match(r" {4}(\w+): (.*)", line)
+            if begins:
+                name = begins.group(1)
+                texts[name] = begins.group(2)
+            elif name and line.strip():
+                texts[name] += " " + line.strip()
+    return texts
+
+
 def list_choices() -> dict[str, list[str]]:
     """List the config groups and the choices in each."""
+    groups = sorted(path.name for path in CONF.iterdir() if path.is_dir())
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        loader = GlobalHydra.instance().config_loader()
-        groups = sorted(path.name for path in CONF.iterdir() if path.is_dir())
-        return {
-            group: sorted(loader.get_group_options(group, ObjectType.CONFIG)) for group in groups
-        }
+        options = GlobalHydra.instance().config_loader().get_group_options
+        return {group: sorted(options(group, ObjectType.CONFIG)) for group in groups}
 
 
 def set_up_logging() -> None:
@@ -166,15 +168,15 @@ def plain_errors() -> Iterator[None]:
 def _find_line(error: Exception) -> str:
     """Return the line of a user's own file that an error comes from; nothing if it is ours."""
     root = Path(__file__).parents[1]
-    ours = (root / "experiments", root / "fishrl")
-    libraries = [path for name, path in sysconfig.get_paths().items() if "lib" in name]
-    frames = traceback.extract_tb(error.__traceback__)
-    files = [frame for frame in frames if not frame.filename.startswith("<")]
+    ours = [root / "experiments", root / "fishrl"]
+    libraries = [Path(path) for name, path in sysconfig.get_paths().items() if "lib" in name]
 
-    def lies_in(frame: traceback.FrameSummary, folders: Sequence[str | Path]) -> bool:
+    def lies_in(frame: traceback.FrameSummary, folders: Iterable[Path]) -> bool:
         return any(Path(frame.filename).is_relative_to(folder) for folder in folders)
 
-    own = [frame for frame in files if not lies_in(frame, (*ours, *libraries))]
+    frames = traceback.extract_tb(error.__traceback__)
+    files = [frame for frame in frames if not frame.filename.startswith("<")]
+    own = [frame for frame in files if not lies_in(frame, [*ours, *libraries])]
     if not own or lies_in(files[-1], ours):
         return ""
     return f" ({own[-1].filename}:{own[-1].lineno}, in {own[-1].name})"

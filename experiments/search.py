@@ -19,18 +19,21 @@ from typing import Any
 
 from hydra.core.override_parser.types import IntervalSweep
 
-from experiments.configuration import CommandLine, parse
-from experiments.program import Program, show_command
+try:
+    import optuna
+except ImportError:  # it comes with the extra `sweep`
+    optuna = None  # type: ignore[assignment]
+
+from experiments.configuration import parse, quote
+from experiments.program import program, show_command
 from experiments.sweeps.ending import ending_runs
-from experiments.sweeps.jobs import find_or_begin, quote, run_alone
+from experiments.sweeps.jobs import LOOK_SECONDS, find_or_begin, run_alone
 from experiments.sweeps.runs import read_run
 from experiments.train_settings import TRAINING
 from fishrl.bounds import bounded, check_bounds
 from fishrl.training.run_folder import HeldError, RunFolder
 
 logger = logging.getLogger(__name__)
-
-_LOOK_SECONDS = 0.5
 
 
 @dataclass(kw_only=True)
@@ -74,37 +77,24 @@ class SearchSettings:
 
     def space(self) -> dict[str, Any]:
         """Return Optuna's distribution of each setting that is searched."""
-        try:
-            from optuna import distributions
-        except ImportError as error:
-            raise ImportError("the search needs Optuna: pip install -e '.[sweep]'") from error
+        if optuna is None:
+            raise ImportError("the search needs Optuna: pip install -e '.[sweep]'")
+        made: Any = optuna.distributions
         space: dict[str, Any] = {}
         for override in parse(TRAINING.prepare(self.overrides)):
-            if not override.is_sweep_override():
-                continue
             key, value = override.get_key_element(), override.value()
-            if not isinstance(value, IntervalSweep):
+            if isinstance(value, IntervalSweep):
+                is_whole = isinstance(value.start, int) and isinstance(value.end, int)
+                kind = made.IntDistribution if is_whole else made.FloatDistribution
+                space[key] = kind(value.start, value.end, log="log" in value.tags)
+            elif override.is_sweep_override():
                 choices = list(override.sweep_string_iterator())
-                space[key] = distributions.CategoricalDistribution(choices)
-                continue
-            kind: Any = distributions.FloatDistribution
-            if isinstance(value.start, int) and isinstance(value.end, int):
-                kind = distributions.IntDistribution
-            space[key] = kind(value.start, value.end, log="log" in value.tags)
+                space[key] = made.CategoricalDistribution(choices)
         return space
 
 
 def search(settings: SearchSettings) -> Any:
-    """Run trials until the study has as many as wanted, those that were cut off first.
-
-    Returns:
-        Optuna's study.
-
-    Raises:
-        ValueError: if there is another search in the folder.
-    """
-    import optuna
-
+    """Run trials until Optuna's study has as many as wanted, those that were cut off first."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     folder, space = Path(settings.folder), settings.space()
     folder.mkdir(parents=True, exist_ok=True)
@@ -132,9 +122,7 @@ def search(settings: SearchSettings) -> Any:
 
 
 def run_trial(settings: SearchSettings, study: Any, number: int) -> None:
-    """Train as a trial says and tell the study, unless another process is at it or has done it."""
-    from optuna.trial import TrialState
-
+    """Train with the settings of a trial, unless another process is at it or has done it."""
     place = RunFolder(Path(settings.folder) / ".trials" / f"{number:04d}")
     place.path.mkdir(parents=True, exist_ok=True)
     try:
@@ -143,18 +131,17 @@ def run_trial(settings: SearchSettings, study: Any, number: int) -> None:
         return
     with lock:
         trial = study.trials[number]  # read anew: another process may just have finished it
-        if trial.state != TrialState.RUNNING:
+        if trial.state != optuna.trial.TrialState.RUNNING:
             return
         chosen = [f"{key}={value}" for key, value in trial.params.items()]
         is_whole = set(trial.params) == set(settings.space())  # else killed before it was begun
         seeds = range(settings.seeds) if is_whole else ()
-        values = [run_seed(settings, number, chosen, seed) for seed in seeds]
-        known = [value for value in values if value is not None]
-        if not values or len(known) < len(values):
-            study.tell(number, state=TrialState.FAIL)
+        values: list[Any] = [run_seed(settings, number, chosen, seed) for seed in seeds]
+        if not values or None in values:
+            study.tell(number, state=optuna.trial.TrialState.FAIL)
             return
-        study.tell(number, sum(known) / len(known))
-        logger.info("trial %d: %s: %g", number, " ".join(chosen), sum(known) / len(known))
+        study.tell(number, sum(values) / len(values))
+        logger.info("trial %d: %s: %g", number, " ".join(chosen), sum(values) / len(values))
 
 
 def run_seed(
@@ -164,16 +151,15 @@ def run_seed(
     place = [f"seed={seed}", f"folder={quote(settings.folder)}"]
     name = f"trial_{number:04d}-seed_{seed}"
     try:
-        config = TRAINING.read([*settings.fixed, *chosen, *place])
-        path = find_or_begin(config, name=name).path
+        path = find_or_begin(TRAINING.read([*settings.fixed, *chosen, *place]), name=name).path
     except ValueError as error:
         logger.info("%s: failed: %s", name, error)
         return None
     while read_run(path).status == "running":  # as one that outlived its search
-        time.sleep(_LOOK_SECONDS)
+        time.sleep(LOOK_SECONDS)
     run = read_run(path)
     if run.status != "finished":
-        run = run_alone(path, total_frames=config.total_frames)
+        run = run_alone(path)
     if run.status != "finished":
         logger.info("%s: %s: %s", name, run.status, run.reason)
         return None
@@ -184,8 +170,14 @@ def run_seed(
     return None if value is None else float(value)
 
 
-def report(settings: SearchSettings, study: Any) -> None:
-    """Print the best trials and what to do with them."""
+@program(SearchSettings, others="overrides")
+def main(settings: SearchSettings) -> None:
+    """Search, and print the best trials."""
+    try:
+        with ending_runs():
+            study = search(settings)
+    except KeyboardInterrupt:
+        sys.exit("interrupted; the same command goes on")
     done = [trial for trial in study.trials if trial.value is not None]
     print(f"\n{len(done)} of {len(study.trials)} trials finished in {settings.folder}")
     for trial in sorted(done, key=lambda t: t.value, reverse=not settings.minimize)[:5]:
@@ -193,29 +185,6 @@ def report(settings: SearchSettings, study: Any) -> None:
         print(f"  trial {trial.number:<4} {settings.metric} {trial.value:<12.6g} {chosen}")
     print(f"table and curves: {show_command('experiments.summarize', settings.folder)}")
 
-
-class _Search(Program):
-    """Collects the settings of the trainings on its command line."""
-
-    def read(self, arguments: Sequence[str] = ()) -> Any:
-        """Return the settings of a command line."""
-        own = tuple(f"{name}=" for name in ("folder", "trials", "seeds", "metric", "minimize"))
-        words = [word for word in arguments if word.startswith(own)]
-        others = ",".join(quote(word) for word in arguments if not word.startswith(own))
-        return super().read([*words, f"overrides=[{others}]"])
-
-
-def run(settings: SearchSettings) -> None:
-    """Search, and print the best trials."""
-    try:
-        with ending_runs():
-            study = search(settings)
-    except KeyboardInterrupt:
-        sys.exit("interrupted; the same command goes on")
-    report(settings, study)
-
-
-main = _Search(run, CommandLine(schema=SearchSettings))
 
 if __name__ == "__main__":
     main()

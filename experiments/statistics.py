@@ -9,36 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 
 #: Student's t at 97.5 % by degrees of freedom; in between it is smooth in their inverse.
-_STUDENT_95 = {
-    1: 12.706,
-    2: 4.303,
-    3: 3.182,
-    4: 2.776,
-    5: 2.571,
-    6: 2.447,
-    7: 2.365,
-    8: 2.306,
-    9: 2.262,
-    10: 2.228,
-    15: 2.131,
-    20: 2.086,
-    30: 2.042,
-    60: 2.000,
-    120: 1.980,
-    math.inf: 1.960,
-}
+_FREEDOM = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 15, 20, 30, 60, 120, math.inf)
+_STUDENT_95 = (
+    *(12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306),
+    *(2.262, 2.228, 2.131, 2.086, 2.042, 2.000, 1.980, 1.960),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Statistic:
-    """One number over several seeds.
-
-    Attributes:
-        count: of the seeds.
-        mean: over them.
-        half_width: of the mean's 95 % confidence interval; NaN for a single seed.
-        iqm: see ``interquartile_mean``.
-    """
+    """One number over several seeds: count, mean, half-width of its interval, IQM."""
 
     count: int
     mean: float
@@ -48,12 +28,9 @@ class Statistic:
     @classmethod
     def of(cls, values: Sequence[float]) -> Statistic:
         """Reduce some values; without any, everything is NaN."""
-        return cls(
-            count=len(values),
-            mean=float(np.mean(values)) if values else math.nan,
-            half_width=half_width(values),
-            iqm=interquartile_mean(values),
-        )
+        mean = float(np.mean(values)) if values else math.nan
+        half, iqm = half_width(values), interquartile_mean(values)
+        return cls(count=len(values), mean=mean, half_width=half, iqm=iqm)
 
     def show(self, form: str) -> str:
         """Write mean ± half width, each in a format such as ``.1%``; a dash without values."""
@@ -68,8 +45,8 @@ def half_width(values: Sequence[float]) -> float:
     count = len(values)
     if count < 2:
         return math.nan
-    inverse = [1.0 / freedom for freedom in reversed(_STUDENT_95)]
-    factor = float(np.interp(1.0 / (count - 1), inverse, list(reversed(_STUDENT_95.values()))))
+    inverse = [1.0 / freedom for freedom in reversed(_FREEDOM)]
+    factor = float(np.interp(1.0 / (count - 1), inverse, _STUDENT_95[::-1]))
     return factor * float(np.std(values, ddof=1)) / math.sqrt(count)
 
 

@@ -8,24 +8,46 @@ number of the summaries), ``runs.csv`` (each run) and ``curves.png``.
 
 from __future__ import annotations
 
+import csv
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import copyfile
+from typing import Any
 
-from experiments.figures import read_metrics
-from experiments.pages import fill
+import numpy as np
+
+from experiments.figures.learning_curve import RATE, Curve, draw_curves, read_metrics
+from experiments.pages import fill, write_table
 from experiments.program import program
-from experiments.sweeps.curves import write_curves
-from experiments.sweeps.groups import group_runs
+from experiments.statistics import Statistic, half_width
+from experiments.sweeps.groups import Group, group_runs, is_number
 from experiments.sweeps.runs import Run, advise, read_runs
-from experiments.sweeps.tables import (
-    describe_effort,
-    write_differences,
-    write_each,
-    write_groups,
-    write_runs,
-    write_statistics,
+
+#: Heading, entry of a run's summary, format. ``curve_mean`` is the mean success rate over all
+#: evaluations of a training: the earlier a policy succeeds, the greater.
+COLUMNS = (
+    ("success", "success_rate", ".1%"),
+    ("return", "mean_return", ".2f"),
+    ("learning curve", "curve_mean", ".3f"),
+    ("duration, T", "mean_length_T", ".1f"),
 )
+#: What groups are compared by, seed by seed.
+COMPARED = COLUMNS[:3]
+#: Of each run, behind the success rates of policy and baselines.
+EACH = (
+    ("return", "mean_return", ".1f"),
+    ("time to success, T", "mean_time_to_success_T", ".1f"),
+    ("frames", "frames", "d"),
+    ("diverged", "train_diverged", "d"),
+    ("MLUPS", "mlups", ".0f"),
+)
+#: Panels of the figure, and their columns of metrics.csv.
+PANELS = {
+    RATE: "eval/success_rate",
+    "return per episode": "eval/mean_return",
+    "return while learning": "train/return",
+}
 
 
 @dataclass(kw_only=True)
@@ -44,32 +66,24 @@ class SummarizeSettings:
 
 
 def summarize(folder: Path, *, page: Path | None = None) -> str:
-    """Write tables and curves of a sweep into its folder.
-
-    Args:
-        folder: that holds the run folders.
-        page: see ``SummarizeSettings``.
-
-    Returns:
-        The text of ``summary.md``.
-
-    Raises:
-        ValueError: if there are no runs, or none that began.
-    """
+    """Write tables and curves of a sweep into its folder, and return the text of summary.md."""
     runs = [add_curve_mean(run) for run in read_runs(folder)]
     groups = group_runs(runs)
     if not groups:
         raise ValueError(f"{folder}: no run has begun\n{advise(runs)}")
-    tables = [write_groups(groups)]
-    if any(group.finished for group in groups):
-        tables.append(f"{describe_effort(groups)}\n")
-        if len(groups) > 1:
-            tables.append(write_differences(groups))
-        tables.append(write_each(groups))
+    finished = [run for group in groups for run in group.finished]
+    tables = [tabulate_groups(groups)]
+    if finished:
+        tables.append(describe_effort(finished))
+        tables += [tabulate_differences(groups)] if len(groups) > 1 else []
+        tables.append(tabulate_runs(finished))
     text = "\n".join(tables)
-    write_statistics(groups, folder / "summary.csv")
-    write_runs(groups, folder / "runs.csv")
-    has_curves = write_curves(groups, folder / "curves.png")
+    write_csv_files(groups, folder)
+    panels = {
+        title: [average(group, column, i) for i, group in enumerate(groups)]
+        for title, column in PANELS.items()
+    }
+    has_curves = draw_curves(folder / "curves.png", panels)
     if page is not None:
         fill(page, "summary", text)
         figures, shown = page.parent / "figures", page.read_text(encoding="utf-8")
@@ -84,11 +98,111 @@ def summarize(folder: Path, *, page: Path | None = None) -> str:
 
 
 def add_curve_mean(run: Run) -> Run:
-    """Add the mean success rate over all evaluations of a training to the summary of a run."""
+    """Add ``curve_mean`` to the summary of a run."""
     if not run.summary or not run.frames:
         return run
     _, rates = read_metrics(run.path / "metrics.csv")["eval/success_rate"]
     return replace(run, summary={**run.summary, "curve_mean": float(rates.mean())})
+
+
+def average(group: Group, column: str, number: int = 0) -> Curve:
+    """Return the mean of a column over the seeds of a group, with its 95 % interval.
+
+    At each frame that any run has logged, the runs count that have begun and come so far, linearly
+    interpolated.
+    """
+    begun = [read_metrics(run.path / "metrics.csv") for run in group.seeds if run.frames > 0]
+    series = [metrics[column] for metrics in begun if column in metrics and metrics[column][0].size]
+    frames = np.unique(np.concatenate([x for x, _ in series])) if series else np.empty(0)
+    mean, half = np.empty_like(frames), np.empty_like(frames)
+    for i, frame in enumerate(frames):
+        values = [float(np.interp(frame, x, y)) for x, y in series if x[0] <= frame <= x[-1]]
+        mean[i], half[i] = np.mean(values), half_width(values)
+    return Curve(group.label, frames, mean, half, number)
+
+
+def tabulate_groups(groups: Sequence[Group]) -> str:
+    """Return a row per group: mean ± 95 % interval, and interquartile mean."""
+    heads = [*(f"`{key}`" for key in groups[0].settings), "seeds"]
+    for head, _, _ in COLUMNS:
+        heads += [f"{head}: mean ± 95 % CI", "IQM"]
+    rows = []
+    for group in groups:
+        finished, begun = len(group.finished), len(group.seeds)
+        row = [*group.settings.values(), f"{finished}/{begun}" if finished < begun else f"{begun}"]
+        for _, name, form in COLUMNS:
+            found = Statistic.of(group.numbers(name))
+            row += [found.show(form), format(found.iqm, form) if found.count else "–"]
+        minutes = Statistic.of([seconds / 60.0 for seconds in group.numbers("wall_seconds")])
+        rows.append([*row, minutes.show(".0f")])
+    return write_table([*heads, "minutes"], rows)
+
+
+def tabulate_differences(groups: Sequence[Group]) -> str:
+    """Return the first group minus each other one, paired by seed; bold if it is not zero."""
+    first, *others = groups
+    rows = []
+    for group in others:
+        row = [group.label]
+        for _, name, form in COMPARED:
+            ours, theirs = first.by_seed(name), group.by_seed(name)
+            found = Statistic.of([ours[seed] - theirs[seed] for seed in ours if seed in theirs])
+            is_clear = abs(found.mean) > found.half_width
+            row.append(f"**{found.show(form)}**" if is_clear else found.show(form))
+        rows.append(row)
+    return write_table([f"{first.label} minus", *(head for head, _, _ in COMPARED)], rows)
+
+
+def describe_effort(finished: Sequence[Run]) -> str:
+    """Say whether the runs had equally many frames and gradient steps."""
+    efforts = {(run.summary.get("frames", 0), run.summary.get("updates", 0)) for run in finished}
+    if len(efforts) == 1:
+        return "{} frames and {} gradient steps each.\n".format(*efforts.pop())
+    return f"Efforts differ, (frames, gradient steps): {sorted(efforts)}.\n"
+
+
+def tabulate_runs(finished: Sequence[Run]) -> str:
+    """Return a row per run, its baselines beside it."""
+    names = dict.fromkeys(name for run in finished for name in run.summary.get("baselines", ()))
+    columns = [("learned", "success_rate", ".1%")]
+    columns += [(name, f"{name}_success_rate", ".1%") for name in names]
+    columns += EACH
+    rows = []
+    for run in finished:
+        values = [(run.summary.get(key), form) for _, key, form in columns]
+        cells = ("–" if value is None else format(value, form) for value, form in values)
+        rows.append([run.path.name, *cells])
+    return write_table(["run", *(head for head, _, _ in columns)], rows)
+
+
+def write_csv_files(groups: Sequence[Group], folder: Path) -> None:
+    """Write ``summary.csv``, a row per group and number, and ``runs.csv``, a row per run."""
+    finished = [run.summary for group in groups for run in group.finished]
+    entries = [name for summary in finished for name in summary if is_number(summary[name])]
+    names = [name for name in dict.fromkeys(entries) if name != "seed"]
+    keys = list(groups[0].settings)
+    rows: list[list[Any]] = []
+    for group in groups:
+        for name in names:
+            found = Statistic.of(group.numbers(name))
+            ends = (found.mean - found.half_width, found.mean + found.half_width)
+            numbers = ("" if x != x else f"{x:.10g}" for x in (found.mean, *ends, found.iqm))
+            rows.append([*group.settings.values(), name, found.count, *numbers])
+    heads = [*keys, "metric", "seeds", "mean", "ci95_low", "ci95_high", "iqm"]
+    write_csv(folder / "summary.csv", heads, rows)
+    rows = []
+    for group in groups:
+        for run in group.runs:
+            row = [run.path.name, *group.settings.values(), run.config.get("seed", "")]
+            row += [run.status, run.reason, *(run.summary.get(name) for name in names)]
+            rows.append(row)
+    write_csv(folder / "runs.csv", ["run", *keys, "seed", "status", "reason", *names], rows)
+
+
+def write_csv(path: Path, heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Write a CSV file."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([heads, *rows])
 
 
 @program(SummarizeSettings, positional="folder")

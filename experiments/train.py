@@ -9,8 +9,7 @@ from __future__ import annotations
 import signal
 import sys
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -41,20 +40,28 @@ _OF_THE_END = ("total_frames", "final_episodes", "baselines", "picture_episodes"
 
 
 class RunObserver(LiveObserver):
-    """The live view of a run, and its pictures at the end.
-
-    Args:
-        config: settings of the run.
-    """
+    """The live view of a run, and its pictures at the end."""
 
     def __init__(self, config: TrainConfig) -> None:
         super().__init__(config, num_flows=config.num_envs)
         self.config = config
 
     def finish(self, training: Training, summary: Mapping[str, Any]) -> None:
-        """Draw the pictures of the run."""
-        if self.config.picture_episodes > 0:
-            draw(training, self.config, summary)
+        """Record the policy from some starts of the final evaluation and draw the pictures."""
+        if self.config.picture_episodes == 0:
+            return
+        starts = fixed_starts(training.task, self.config.final_episodes, seed=FINAL_SEED)
+        starts = starts[: self.config.picture_episodes]
+        training.progress.start("pictures", total=starts.shape[0])
+        record_run(
+            training.folder.path,
+            training.collector.env,
+            training.watch(training.learner.actor),  # stops on SIGINT or SIGTERM
+            starts,
+            settings=self.config,
+            baselines={name: summary[f"{name}_success_rate"] for name in summary["baselines"]},
+            on_episodes=training.progress.advance,
+        )
 
 
 def set_up(
@@ -66,24 +73,13 @@ def set_up(
 ) -> Training:
     """Set up a run, new or resumed; invalid settings raise an error here, not later.
 
-    Args:
-        config: the settings.
-        make_env: makes the env of a task.
-        progress: progress bar; by default none.
-        began: ``time.perf_counter()`` when the program started.
-
-    Raises:
-        ValueError: for invalid settings, and checkpoints that do not fit the task.
+    ``began`` is ``time.perf_counter()`` when the program started.
     """
-    given: dict[str, Any] = {
-        "make_env": make_env,
-        "progress": progress,
-        "began": began,
-        "observer": RunObserver(config),
-    }
+    observer = RunObserver(config)
+    hooks: Any = {"make_env": make_env, "progress": progress, "began": began, "observer": observer}
     if config.resume:
-        return reopen(config.resume, **given, **list_changes(config))
-    return begin(make_plan(config), recognition=config.recognition, **given)
+        return reopen(config.resume, **hooks, **list_changes(config))
+    return begin(make_plan(config), recognition=config.recognition, **hooks)
 
 
 def list_changes(config: TrainConfig) -> dict[str, Any]:
@@ -102,37 +98,17 @@ def finish(training: Training) -> dict[str, Any]:
     return summary
 
 
-def draw(training: Training, config: TrainConfig, summary: Mapping[str, Any]) -> None:
-    """Record the learned policy from some of the fixed starts and draw the pictures of the run."""
-    progress = training.progress
-    starts = fixed_starts(training.task, config.final_episodes, seed=FINAL_SEED)
-    starts = starts[: config.picture_episodes]
-    progress.start("pictures", total=starts.shape[0])
-    record_run(
-        training.folder.path,
-        training.collector.env,
-        training.watch(training.learner.actor),  # stops on SIGINT or SIGTERM
-        starts,
-        settings=config,
-        baselines={name: summary[f"{name}_success_rate"] for name in summary["baselines"]},
-        on_episodes=progress.advance,
-    )
-
-
 def report(summary: dict[str, Any], *, folder: Path) -> None:
     """Print results of all policies, the files written, and commands to continue with."""
     word = summary["success"]
     heads = f"{word:>14}{'mean return':>14}{'mean duration':>16}{f'until {word}':>18}"
     print(f"\n{'policy':<12}{heads}")
     for name in ("learned", *summary["baselines"]):
+        keys = ("success_rate", "mean_return", "mean_length_T", "mean_time_to_success_T")
         prefix = "" if name == "learned" else f"{name}_"
-        duration = summary[f"{prefix}mean_time_to_success_T"]
+        rate, value, length, duration = (summary[prefix + key] for key in keys)
         shown = "-" if duration != duration else f"{duration:.1f} T"
-        print(
-            f"{name:<12}{summary[f'{prefix}success_rate']:>13.0%} "
-            f"{summary[f'{prefix}mean_return']:>13.1f}"
-            f"{summary[f'{prefix}mean_length_T']:>14.1f} T{shown:>18}"
-        )
+        print(f"{name:<12}{rate:>13.0%} {value:>13.1f}{length:>14.1f} T{shown:>18}")
     print(f"({summary['episodes']} fixed starts, {summary['wall_seconds'] / 60:.1f} minutes)\n")
     for path in sorted(folder.iterdir()):
         if not path.name.startswith("."):
@@ -142,27 +118,9 @@ def report(summary: dict[str, Any], *, folder: Path) -> None:
     print(f"view: {show_command('experiments.view', shown)}")
 
 
-@contextmanager
-def resumable(training: Training) -> Iterator[None]:
-    """Print the command to resume if the run is interrupted or cannot write its files."""
-    arguments = list_arguments(training.folder.path, training.plan.to_config())
-    hint = f"resume with: {show_command('experiments.train', *arguments)}"
-    try:
-        with training.interruption:
-            yield
-    except Interrupted as end:
-        print(f"{end}: saved at frame {training.counters.frames}; {hint}", file=sys.stderr)
-        sys.exit(128 + end.number)
-    except KeyboardInterrupt:
-        print(f"interrupted; {hint}", file=sys.stderr)
-        sys.exit(128 + signal.SIGINT)
-    except OSError as error:
-        sys.exit(f"error: {error}\n{hint}")
-
-
 @program(TRAINING, sweep=sweep)
 def main(settings: TrainConfig) -> None:
-    """Train, or resume a run."""
+    """Train, or resume a run; print the command to resume it if it is interrupted."""
     if settings.resume:
         changes = {n: v for n, v in list_changes(settings).items() if n in _OF_THE_END}
         if find_summary(settings.resume, **changes) is not None:
@@ -170,8 +128,19 @@ def main(settings: TrainConfig) -> None:
             return
     with Progress() as progress:
         training = set_up(settings, progress=progress, began=BEGAN)
-        with resumable(training):
-            finish(training)
+        arguments = list_arguments(training.folder.path, training.plan.to_config())
+        hint = f"resume with: {show_command('experiments.train', *arguments)}"
+        try:
+            with training.interruption:
+                finish(training)
+        except Interrupted as end:
+            print(f"{end}: saved at frame {training.counters.frames}; {hint}", file=sys.stderr)
+            sys.exit(128 + end.number)
+        except KeyboardInterrupt:
+            print(f"interrupted; {hint}", file=sys.stderr)
+            sys.exit(128 + signal.SIGINT)
+        except OSError as error:
+            sys.exit(f"error: {error}\n{hint}")
 
 
 if __name__ == "__main__":

@@ -40,9 +40,6 @@ class TrainConfig(LearningSettings, RunSettings, ViewerSettings):
             nothing.
         resume: run folder to continue from its last checkpoint.
         picture_episodes: episodes of the final evaluation to record and draw; 0 for none.
-
-    Raises:
-        ValueError: for a value outside its bounds.
     """
 
     task: Any = MISSING
@@ -55,25 +52,43 @@ class TrainConfig(LearningSettings, RunSettings, ViewerSettings):
 
     def __post_init__(self) -> None:
         """Check the bounds of all."""
-        LearningSettings.__post_init__(self)
-        RunSettings.__post_init__(self)
-        ViewerSettings.__post_init__(self)
-        if self.ray_collectors and (self.live or self.device != "cpu"):
-            raise ValueError(
-                f"ray_collectors = {self.ray_collectors}: the flows advance elsewhere and on CPUs; "
-                "take live=false and device=cpu"
-            )
+        for settings in (LearningSettings, RunSettings, ViewerSettings):
+            settings.__post_init__(self)
+        if self.ray_collectors and self.live:
+            raise ValueError("live = true: with ray_collectors the flows are in other processes")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicySettings(ViewerSettings):
+    """Settings of a program that runs a policy.
+
+    Args:
+        task: ``_target_`` and arguments of the task; a run brings its own unless ``task`` or
+            ``preset`` is given, and ``task.<argument>`` changes it.
+        preset: name of the preset.
+        checkpoint: run folder or checkpoint of the policy.
+        policy: baseline to run instead, see ``fishrl.training.baselines``.
+        recognition: as for training; a run brings its own.
+        episodes: fixed starts, one episode each.
+        seed: of the starts and of random actions; 0 gives those of every run's final evaluation, 1
+            those that selected its checkpoint.
+        device: cpu or cuda.
+        compile: compile the flow solver.
+    """
+
+    task: Any = MISSING
+    preset: str | None = None
+    checkpoint: str | None = None
+    policy: str | None = None
+    recognition: str | None = None
+    episodes: int = bounded(32, least=1)
+    seed: int = 0
+    device: str = "cpu"
+    compile: bool = True
 
 
 def read_resumed(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of the run that ``resume`` names.
-
-    Args:
-        given: settings of the command line.
-
-    Raises:
-        ValueError: if there is no such run, or a setting is fixed in it.
-    """
+    """Return the settings of the run that ``resume`` names, if none that is fixed is given."""
     if given.get("resume") is None:
         return {}
     folder = RunFolder.of_existing(str(given["resume"]))
@@ -89,13 +104,7 @@ def read_resumed(given: Mapping[str, Any]) -> dict[str, Any]:
 def read_task(given: Mapping[str, Any]) -> dict[str, Any]:
     """Return task and recognition of the ``run`` or ``checkpoint`` that is given.
 
-    The task is left out where the command line names a task or a preset.
-
-    Args:
-        given: settings of the command line.
-
-    Raises:
-        ValueError: if there is no checkpoint.
+    The task is left out where the command line, ``given``, names a task or a preset.
     """
     source = given.get("run") or given.get("checkpoint")
     if source is None:
@@ -110,12 +119,7 @@ def read_task(given: Mapping[str, Any]) -> dict[str, Any]:
 
 TRAINING = CommandLine(
     schema=TrainConfig,
-    groups={
-        "task": "predation",
-        "algorithm": "discrete_sac",
-        "preset": None,
-        "logger": "csv",
-    },
+    groups={"task": "predation", "algorithm": "discrete_sac", "preset": None, "logger": "csv"},
     is_training=True,
     stored=read_resumed,
 )

@@ -13,12 +13,9 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
-
-from omegaconf import MISSING
 
 from experiments.program import program
-from experiments.train_settings import read_task
+from experiments.train_settings import PolicySettings, read_task
 from fishrl.bounds import bounded
 from fishrl.envs import AbstractTask, make_env
 from fishrl.envs.scene import Frame
@@ -32,7 +29,6 @@ from fishrl.training.progress import Progress
 from fishrl.training.settings import check_device
 from fishrl.viewer import (
     Server,
-    ViewerSettings,
     check_folder,
     find_recording,
     has_screen,
@@ -46,41 +42,23 @@ from fishrl.viewer import (
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewConfig(ViewerSettings):
-    """Settings of the viewer program, besides those of ``ViewerSettings``.
+class ViewConfig(PolicySettings):
+    """Settings of the viewer program, besides those of ``PolicySettings``.
 
     Args:
-        task: ``_target_`` and arguments of the task; a run brings its own unless ``task`` or
-            ``preset`` is given, and ``task.<argument>`` changes it.
-        preset: name of the preset.
         recording: a ``.rrd`` file, or a run folder with one, to open as it is.
         run: run folder of the policy to show.
-        checkpoint: checkpoint of the policy to show.
-        policy: baseline to show, see ``fishrl.training.baselines``.
-        recognition: as for training; a run brings its own.
         episodes: fixed starts, one flow each, of which ``flows`` are shown; all by default.
         periods: T after which an episode is cut; ``null`` runs it to its end.
-        seed: of the starts; 0 gives those of every run's final evaluation, 1 those that selected
-            its checkpoint.
-        device: cpu or cuda.
-        compile: compile the flow solver.
         save: ``.rrd`` file to write; by default one in the temporary folder.
         screenshot: PNG to write instead of opening a window.
         time: of the picture, in T; by default the middle of the recording.
     """
 
-    task: Any = MISSING
-    preset: str | None = None
     recording: str | None = None
     run: str | None = None
-    checkpoint: str | None = None
-    policy: str | None = None
-    recognition: str | None = None
     episodes: int = bounded(1, least=1)
     periods: float | None = bounded(20.0, greater=0)
-    seed: int = 0
-    device: str = "cpu"
-    compile: bool = True
     save: str | None = None
     screenshot: str | None = None
     time: float | None = bounded(None, least=0)
@@ -101,14 +79,7 @@ def record(
 ) -> str:
     """Run a policy from fixed starts, draw its flows, and return the size of the recording.
 
-    Args:
-        settings: of the program.
-        save: ``.rrd`` file to write.
-        url: of a viewer's server to stream to as well.
-        progress: progress bar.
-
-    Raises:
-        ValueError: for invalid settings, and checkpoints that do not fit the task.
+    The flows go to the ``.rrd`` file ``save`` and to the viewer's server at ``url``.
     """
     progress = progress or Progress(is_shown=False)
     check_folder(save)
@@ -118,9 +89,8 @@ def record(
     source = settings.run or settings.checkpoint
     flows = settings.choose_flows(settings.episodes, default=settings.episodes)
     if source is not None:
-        policy = load_policy(
-            source, task=task, has_labels=recognition is not None, device=settings.device
-        )
+        has_labels = recognition is not None
+        policy = load_policy(source, task=task, has_labels=has_labels, device=settings.device)
     else:
         policy = make_baseline(str(settings.policy), task=task, seed=settings.seed)
     starts = fixed_starts(task, settings.episodes, seed=settings.seed)
@@ -140,13 +110,10 @@ def record(
         )
         stack.callback(env.close)
         scene = make_scene(env, vorticity_limit=settings.vorticity_limit)
+        names = name_flows(task, flows, starts)
         drawing = stack.enter_context(
             start_drawing(
-                scene,
-                flows=name_flows(task, flows, starts),
-                save=save,
-                url=url,
-                field_format=settings.field_format,
+                scene, flows=names, save=save, url=url, field_format=settings.field_format
             )
         )
 
@@ -181,24 +148,8 @@ def wait_for_interrupt() -> None:
             time.sleep(1.0)
 
 
-def view(
-    settings: ViewConfig,
-    *,
-    progress: Progress | None = None,
-    wait: Callable[[], None] = wait_for_interrupt,
-) -> None:
-    """Open, record, stream or take a screenshot, as the settings say.
-
-    Args:
-        settings: of the program.
-        progress: progress bar.
-        wait: returns when a live view whose episodes are over may end.
-
-    Raises:
-        ValueError: for invalid settings, or if the viewer does not start.
-        FileNotFoundError: if there is no such recording, or no folder for a file.
-    """
-    progress = progress or Progress(is_shown=False)
+def view(settings: ViewConfig, *, wait: Callable[[], None] = wait_for_interrupt) -> None:
+    """Open, record, stream or take a screenshot; a live view ends when ``wait`` returns."""
     opens = not (settings.live or settings.save or settings.screenshot)
     with ExitStack() as stack:
         folder = stack.enter_context(TemporaryDirectory(prefix="fishrl-"))
@@ -214,9 +165,9 @@ def view(
             )
         if settings.recording is None:
             server = stack.enter_context(Server(port=settings.port)) if settings.live else None
-            url = None if server is None else server.url
-            size = record(settings, save=path, url=url, progress=progress)
-            progress.close()
+            with Progress() as progress:
+                url = None if server is None else server.url
+                size = record(settings, save=path, url=url, progress=progress)
             print(f"{settings.save}: {size}" if settings.save else size)
             if server is not None:
                 wait()
@@ -235,8 +186,7 @@ def view(
 )
 def main(settings: ViewConfig) -> None:
     """Open, record or stream."""
-    with Progress() as progress:
-        view(settings, progress=progress)
+    view(settings)
 
 
 if __name__ == "__main__":

@@ -5,20 +5,16 @@ import tempfile
 from collections.abc import Callable, Iterator
 from math import pi
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
 
 import fishrl.envs.task
-from experiments.train_settings import TrainConfig
 from fishrl.envs import Predation
 from fishrl.envs.scene import Frame
 from fishrl.physics import InPlaceSolver
 from fishrl.viewer import Recording
 from tests.experiments.real_wake import develop
-
-TOY = "tests.training.toy_fish.ToyPredation"
 
 
 def _make_recording(
@@ -80,32 +76,6 @@ def one_thread() -> Iterator[None]:
 def real_flow() -> None:
     """Begin each test with the real flow, whatever an earlier one has left behind."""
     assert fishrl.envs.task.InPlaceSolver is InPlaceSolver
-
-
-@pytest.fixture
-def toy_config(tmp_path: Path) -> Callable[..., TrainConfig]:
-    def make(*, task: dict[str, Any] | None = None, **settings: Any) -> TrainConfig:
-        defaults: dict[str, Any] = {
-            "logger": {"_target_": "fishrl.training.logger.CsvLogger"},
-            "preset": "toy",
-            "folder": str(tmp_path),
-            "compile": False,
-            "num_envs": 8,
-            "total_frames": 240,
-            "warmup_frames": 80,
-            "updates_per_frame": 0.25,
-            "hidden": [16],
-            "buffer_size": 1000,
-            "log_frames": 40,
-            "checkpoint_frames": 80,
-            "eval_frames": 120,
-            "eval_episodes": 6,
-            "final_episodes": 10,
-            "picture_episodes": 0,
-        }
-        return TrainConfig(task={"_target_": TOY, **(task or {})}, **{**defaults, **settings})
-
-    return make
 
 
 @pytest.fixture(scope="session")

@@ -1,14 +1,6 @@
 """Figures drawn with matplotlib."""
 
-from experiments.figures.learning_curve import frame_curves, read_metrics, write_learning_curve
-from experiments.figures.style import COLOURS, FISH, STYLE, VORTICITY_LABEL
+from experiments.figures.learning_curve import read_metrics, write_learning_curve
+from experiments.figures.style import COLOURS, STYLE
 
-__all__ = [
-    "COLOURS",
-    "FISH",
-    "STYLE",
-    "VORTICITY_LABEL",
-    "frame_curves",
-    "read_metrics",
-    "write_learning_curve",
-]
+__all__ = ["COLOURS", "STYLE", "read_metrics", "write_learning_curve"]

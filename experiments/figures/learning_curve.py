@@ -1,9 +1,10 @@
-"""The learning curve of a run, from its metrics.csv."""
+"""Learning curves: of a run, from its metrics.csv, and of the groups of a sweep."""
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,27 +13,40 @@ from numpy.typing import NDArray
 from experiments.figures.style import COLOURS, panels, tidy
 
 FRAMES = "frames"
-# Panels of the learning curve: title, and the columns of metrics.csv that it shows.
-PANELS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
-    ("return per episode", (("train/return", "training"), ("eval/mean_return", "evaluation"))),
-    ("success rate", (("train/success_rate", "training"), ("eval/success_rate", "evaluation"))),
-    ("critic loss", (("train/loss_qvalue", "loss"),)),
-    ("actor loss", (("train/loss_actor", "loss"),)),
-    ("entropy / log(legal actions)", (("train/entropy_fraction", "entropy"),)),
-    ("temperature α", (("train/alpha", "α"),)),
-)
+#: Title of the panel in percent, which shows baselines too.
+RATE = "success rate"
+#: Panels of a run and their columns of metrics.csv, while training and in evaluations.
+PANELS = {
+    "return per episode": ("train/return", "eval/mean_return"),
+    RATE: ("train/success_rate", "eval/success_rate"),
+    "critic loss": ("train/loss_qvalue",),
+    "actor loss": ("train/loss_actor",),
+    "entropy / log(legal actions)": ("train/entropy_fraction",),
+    "temperature α": ("train/alpha",),
+}
+LABELS = ("training", "evaluation")
+DASHES = ("-", "--", ":", "-.")
 _SMOOTH_ABOVE = 40
+Numbers = NDArray[np.float64]
 
-Series = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+class Curve(NamedTuple):
+    """One curve; ``band`` is the half-width of an interval, ``number`` chooses the colour."""
+
+    label: str
+    x: Numbers
+    y: Numbers
+    band: Numbers | None = None
+    number: int = 0
 
 
-def read_metrics(path: str | PathLike[str]) -> dict[str, Series]:
+def read_metrics(path: str | PathLike[str]) -> dict[str, tuple[Numbers, Numbers]]:
     """Return the frames and values of each column of numbers; blank cells are left out."""
     with Path(path).open(newline="", encoding="utf-8") as lines:
         rows = list(csv.DictReader(lines))
     if not rows or FRAMES not in rows[0]:
         raise ValueError(f"{path} has {len(rows)} rows: needs some, with a column '{FRAMES}'")
-    series: dict[str, Series] = {}
+    series = {}
     for name in rows[0]:
         points = [(row[FRAMES], row[name]) for row in rows if row[name] and row[FRAMES]]
         try:
@@ -50,62 +64,79 @@ def write_learning_curve(
     *,
     baselines: Mapping[str, float] | None = None,
 ) -> None:
-    """Draw return, success rate, losses, entropy and temperature against env frames.
-
-    Args:
-        metrics: ``metrics.csv`` of a run.
-        path: of the PNG.
-        baselines: success rates by name, drawn as lines.
-    """
+    """Draw return, success rate, losses, entropy and temperature of a run against env frames."""
     series = read_metrics(metrics)
-    shown = [
-        (title, known)
-        for title, columns in PANELS
-        if (known := [(c, label) for c, label in columns if c in series and series[c][0].size])
-    ]
-    if not shown:
-        wanted = [column for _, columns in PANELS for column, _ in columns]
+    curves = {
+        title: [
+            Curve(LABELS[i], *series[column], number=i)
+            for i, column in enumerate(columns)
+            if column in series
+        ]
+        for title, columns in PANELS.items()
+    }
+    if not draw_curves(path, curves, baselines=baselines):
+        wanted = [column for columns in PANELS.values() for column in columns]
         raise ValueError(f"{metrics} has columns {sorted(series)}: needs one or more of {wanted}")
-    rows = -(-len(shown) // 2)
-    with panels(path, size=(10, 0.5 + 2.3 * rows), rows=rows, columns=2, sharex=True) as grid:
-        for i, axes in enumerate(grid.flat):
-            if i >= len(shown):
-                axes.set_visible(False)
-                continue
-            title, columns = shown[i]
-            for (column, label), colour in zip(columns, COLOURS, strict=False):
-                _draw_series(axes, *series[column], label, colour)
-            frame_curves(axes, title, is_rate=title == "success rate")
-            if title == "success rate":
+
+
+def draw_curves(
+    path: str | PathLike[str],
+    curves: Mapping[str, Sequence[Curve]],
+    *,
+    baselines: Mapping[str, float] | None = None,
+) -> bool:
+    """Draw a panel of curves for each title that has any; return whether one has.
+
+    ``baselines`` are success rates by name, drawn as lines.
+    """
+    shown = {title: [c for c in given if c.x.size] for title, given in curves.items()}
+    shown = {title: drawn for title, drawn in shown.items() if drawn}
+    if not shown:
+        return False
+    every = [curve for drawn in shown.values() for curve in drawn]
+    has_bands = any(curve.band is not None for curve in every)
+    rows, lines = -(-len(shown) // 2), len({curve.label for curve in every}) // 4
+    size = (10.0, 0.5 + 2.3 * rows + 0.25 * lines)
+    with panels(path, size=size, rows=rows, columns=2, sharex=True) as grid:
+        handles: dict[str, object] = {}
+        for axes in grid.flat[len(shown) :]:
+            axes.set_visible(False)
+        for i, (axes, (title, drawn)) in enumerate(zip(grid.flat, shown.items(), strict=False)):
+            handles |= {curve.label: _draw_curve(axes, curve) for curve in drawn}
+            axes.set_title(title, loc="left")
+            tidy(axes)
+            if title == RATE:
+                axes.set_ylim(-0.03, 1.05)
+                axes.yaxis.set_major_formatter("{x:.0%}")
                 _draw_baselines(axes, baselines or {})
-            if len(columns) > 1:
-                axes.legend(loc="best", fontsize=9)
-            is_lowest = i >= len(shown) - 2
-            axes.tick_params(labelbottom=is_lowest)
-            axes.xaxis.label.set_visible(is_lowest)
+            if i >= len(shown) - 2:
+                axes.set_xlabel("env frames (decisions of all fish)")
+                axes.tick_params(labelbottom=True)
+        if has_bands or len(handles) > 1:
+            note = "mean over the seeds, band: its 95 % confidence interval" if has_bands else None
+            grid[0, 0].figure.legend(
+                handles.values(), handles, loc="outside lower center", ncols=4, title=note
+            )
+    return True
 
 
-def frame_curves(axes: Axes, title: str, *, is_rate: bool) -> None:
-    """Give axes of learning curves their title, label and grid; rates go from 0 to 100 %."""
-    axes.set_title(title, loc="left")
-    axes.set_xlabel("env frames (decisions of all fish)")
-    tidy(axes)
-    if is_rate:
-        axes.set_ylim(-0.03, 1.05)
-        axes.yaxis.set_major_formatter("{x:.0%}")
-
-
-def _draw_series(
-    axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], label: str, colour: str
-) -> None:
-    """Draw a series; a long one as a centred running mean over a faint original."""
+def _draw_curve(axes: Axes, curve: Curve) -> object:
+    """Draw a curve with its band; a long one without as a running mean over a faint original."""
+    _, x, y, band, number = curve
+    colour, marker = COLOURS[number % len(COLOURS)], ""
+    dashes = DASHES[number // len(COLOURS) % len(DASHES)]
     if y.size <= _SMOOTH_ABOVE:
-        axes.plot(x, y, color=colour, label=label, marker="o", markersize=3.5, linewidth=1.6)
-        return
-    axes.plot(x, y, color=colour, alpha=0.22, linewidth=0.8)
-    window = np.ones(2 * max(1, y.size // 40) + 1)
-    mean = np.convolve(y, window, "same") / np.convolve(np.ones_like(y), window, "same")
-    axes.plot(x, mean, color=colour, label=label, linewidth=1.8)
+        marker = "o"
+    elif band is None:
+        axes.plot(x, y, color=colour, alpha=0.22, linewidth=0.8)
+        window = np.ones(2 * max(1, y.size // 40) + 1)
+        y = np.convolve(y, window, "same") / np.convolve(np.ones_like(y), window, "same")
+    if band is not None:
+        axes.fill_between(x, y - band, y + band, color=colour, alpha=0.15, linewidth=0)
+    (line,) = axes.plot(
+        x, y, color=colour, linestyle=dashes, marker=marker, markersize=3, linewidth=1.7
+    )
+    return line
 
 
 def _draw_baselines(axes: Axes, baselines: Mapping[str, float]) -> None:

@@ -9,18 +9,9 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fishrl.viewer.film import FISH, FOOD, STYLE, VORTICITY_LABEL, label_axes
+from fishrl.viewer.film import FISH, STYLE, VORTICITY_LABEL
 
-__all__ = [
-    "COLOURS",
-    "FISH",
-    "FOOD",
-    "STYLE",
-    "VORTICITY_LABEL",
-    "label_axes",
-    "panels",
-    "tidy",
-]
+__all__ = ["COLOURS", "FISH", "STYLE", "VORTICITY_LABEL", "panels", "tidy"]
 
 #: Okabe and Ito: distinguishable for the colour-blind too.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#7f3fbf", "#555555")
@@ -42,14 +33,9 @@ def panels(
     columns: int = 1,
     **options: Any,
 ) -> Iterator[Any]:
-    """Yield a grid of axes ``[rows, columns]`` and write the figure when all is drawn.
+    """Yield axes ``[rows, columns]`` of a figure of ``size`` inches, and write it at the end.
 
-    Args:
-        path: of the PNG.
-        size: width and height in inches.
-        rows: of the grid.
-        columns: of the grid.
-        **options: of ``Figure.subplots``, such as ``sharey``.
+    ``options`` are those of ``Figure.subplots``, such as ``sharey``.
     """
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=size, layout="constrained")

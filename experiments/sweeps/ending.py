@@ -16,30 +16,24 @@ from fishrl.training.interruption import SIGNALS
 
 logger = logging.getLogger(__name__)
 
-#: Exit codes of a training that saved because of a signal.
-END_CODES = tuple(128 + number for number in SIGNALS)
 #: After which a run that has not ended is left alone.
 SAVE_SECONDS = 600.0
-_LOOK_SECONDS = 0.1
 
 
 @contextmanager
 def ending_runs() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM end the trainings below this process first, and then what is inside.
+    """On Ctrl-C and SIGTERM, end the trainings below this process, then raise KeyboardInterrupt.
 
     A launcher may kill its processes where it is interrupted, so the trainings save before. Ctrl-C
     in a terminal reaches them too, another signal may reach this process alone; a training takes
     two signals at once as one. A second signal is passed on, and ends them at once.
-
-    Raises:
-        KeyboardInterrupt: inside, when they have ended.
     """
-    sent: set[int] = set()
+    signalled: set[int] = set()
     is_ending = False
 
     def pass_on(number: int, frame: FrameType | None) -> None:
         nonlocal is_ending
-        sent.clear()  # the loop below, which this may have interrupted, signals all anew
+        signalled.clear()  # the loop below, which this may have interrupted, signals all anew
         if is_ending:
             return
         is_ending = True
@@ -47,11 +41,11 @@ def ending_runs() -> Iterator[None]:
         logger.warning("%s: waiting for the runs to save; a second one ends them at once", name)
         end = time.monotonic() + SAVE_SECONDS
         while (running := find_trainings()) and time.monotonic() < end:
-            for process in running - sent:
+            for process in running - signalled:
                 with suppress(ProcessLookupError):
                     os.kill(process, number)
-            sent.update(running)
-            time.sleep(_LOOK_SECONDS)
+            signalled.update(running)
+            time.sleep(0.1)
         raise KeyboardInterrupt
 
     before = {number: signal.signal(number, pass_on) for number in SIGNALS}
@@ -63,10 +57,7 @@ def ending_runs() -> Iterator[None]:
 
 
 def leave_ending_to_sweep() -> None:
-    """Ignore signals in a process that joblib made for the jobs of a sweep.
-
-    joblib kills all of them, and the runs below, where one ends: the sweep has the runs save first.
-    """
+    """Ignore signals in a process of joblib, which kills the others and their runs if one ends."""
     if multiprocessing.parent_process() is not None:
         for number in SIGNALS:  # no SIG_IGN, which the runs would inherit
             signal.signal(number, lambda number, frame: None)
@@ -75,7 +66,7 @@ def leave_ending_to_sweep() -> None:
 def find_trainings() -> set[int]:
     """Return the trainings that descend from this process; on Linux only."""
     parents: dict[int, int] = {}
-    found = set()
+    trainings = set()
     for folder in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):  # it has ended
             status = (folder / "stat").read_text(encoding="utf-8", errors="replace")
@@ -83,11 +74,8 @@ def find_trainings() -> set[int]:
             parents[int(folder.name)] = int(parent)
             command = (folder / "cmdline").read_bytes()
             if b"experiments.train" in command and b"resume=" in command and state != "Z":
-                found.add(int(folder.name))
-
-    def descends(process: int) -> bool:
-        while process in parents and process != os.getpid():
-            process = parents[process]
-        return process == os.getpid()
-
-    return {process for process in found if descends(process) and process != os.getpid()}
+                trainings.add(int(folder.name))
+    below = {os.getpid()}
+    while more := {process for process, parent in parents.items() if parent in below} - below:
+        below |= more
+    return (trainings & below) - {os.getpid()}

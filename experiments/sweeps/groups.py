@@ -19,11 +19,11 @@ _FIRST = ("preset", "task._target_")
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """Runs with the same settings.
+    """Runs with the same settings, finished or not.
 
     Attributes:
         settings: those in which the groups of a sweep differ, as words.
-        runs: finished or not.
+        runs: all of them.
     """
 
     settings: dict[str, str]
@@ -37,12 +37,12 @@ class Group:
     @property
     def seeds(self) -> list[Run]:
         """One run per seed, the one with the most frames; repetitions add no information."""
-        chosen: dict[Any, Run] = {}
+        best: dict[Any, Run] = {}
         for run in self.runs:
-            known = chosen.setdefault(run.config.get("seed"), run)
-            if _progress(run) > _progress(known):
-                chosen[run.config.get("seed")] = run
-        return list(chosen.values())
+            known = best.setdefault(run.config.get("seed"), run)
+            if (run.status == "finished", run.frames) > (known.status == "finished", known.frames):
+                best[run.config.get("seed")] = run
+        return list(best.values())
 
     @property
     def finished(self) -> list[Run]:
@@ -51,13 +51,13 @@ class Group:
 
     def by_seed(self, name: str) -> dict[Any, float]:
         """Return an entry of the summaries of the finished runs by seed, where it is a number."""
-        values: dict[Any, Any] = {
+        entries: dict[Any, Any] = {
             run.config.get("seed"): run.summary.get(name) for run in self.finished
         }
-        return {seed: float(value) for seed, value in values.items() if _is_number(value)}
+        return {seed: float(value) for seed, value in entries.items() if is_number(value)}
 
     def numbers(self, name: str) -> list[float]:
-        """Return an entry of the summaries of the finished runs, where it is a number."""
+        """Return the values of ``by_seed``."""
         return list(self.by_seed(name).values())
 
 
@@ -65,14 +65,11 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
     """Put runs together that differ only in seed and harmless settings, in the order they come in.
 
     Each group is labelled by the fewest settings that distinguish all groups; those that follow
-    from others, such as what a preset sets, are left out.
-
-    Args:
-        runs: of a sweep; those that never began have no settings and are left out.
+    from others, such as what a preset sets, are left out. So are runs that never began.
     """
     begun = [run for run in runs if run.config]
     flat = [_settings_of(run) for run in begun]
-    keys = _telling_keys(flat)
+    keys = _find_distinguishing(flat)
     groups: dict[tuple[str, ...], Group] = {}
     for run, settings in zip(begun, flat, strict=True):
         label = {key: settings.get(key, "–") for key in keys}
@@ -80,30 +77,26 @@ def group_runs(runs: Sequence[Run]) -> list[Group]:
     return list(groups.values())
 
 
-def number_names(groups: Sequence[Group]) -> list[str]:
-    """List the entries of the summaries that are numbers, in the order of the first of them."""
-    names: dict[str, None] = {}
-    for group in groups:
-        for run in group.finished:
-            names |= {name: None for name, value in run.summary.items() if _is_number(value)}
-    return [name for name in names if name != "seed"]
+def is_number(value: Any) -> bool:
+    """Tell whether an entry of a summary is a finite number."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def _telling_keys(flat: Sequence[Mapping[str, str]]) -> list[str]:
+def _find_distinguishing(flat: Sequence[Mapping[str, str]]) -> list[str]:
     """List the fewest settings that separate all groups."""
+
+    def count(keys: Sequence[str]) -> int:
+        return len({tuple(settings.get(key, "–") for key in keys) for settings in flat})
+
     kept: list[str] = []
     for name in dict.fromkeys([*_FIRST, *(name for settings in flat for name in settings)]):
-        if _count_groups(flat, [*kept, name]) > _count_groups(flat, kept):
+        if count([*kept, name]) > count(kept):
             kept.append(name)
     for name in list(kept):
         others = [key for key in kept if key != name]
-        if _count_groups(flat, others) == _count_groups(flat, kept):
+        if count(others) == count(kept):
             kept = others
     return kept
-
-
-def _count_groups(flat: Sequence[Mapping[str, str]], keys: Sequence[str]) -> int:
-    return len({tuple(settings.get(key, "–") for key in keys) for settings in flat})
 
 
 def _settings_of(run: Run) -> dict[str, str]:
@@ -123,11 +116,3 @@ def _flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
         elif key not in _APART:
             flat[key] = str(value).rsplit(".", 1)[-1] if name == "_target_" else str(value)
     return flat
-
-
-def _progress(run: Run) -> tuple[bool, int]:
-    return run.status == "finished", run.frames
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -1,4 +1,4 @@
-"""Status of runs: finished, running, failed or stopped, and the command to resume them."""
+"""Runs as read from their folders: settings, results, status, and the command to resume them."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from fishrl.training.aliases import update_names
 from fishrl.training.run_folder import RunFolder, read_config
 from fishrl.viewer import ViewerSettings
 
-#: Settings that change neither what a run learns nor how it is judged: where it lies, and what is
-#: shown, logged, saved and compared.
+#: Settings that change neither what a run learns nor how it is evaluated: where it lies, and what
+#: is shown, logged, saved and compared.
 HARMLESS = (
     *(entry.name for entry in fields(ViewerSettings)),
     *("folder", "name", "resume", "log_frames", "checkpoint_frames", "keep_checkpoints"),
@@ -60,42 +60,25 @@ def list_arguments(path: Path | str, config: Mapping[str, Any]) -> list[str]:
 
 
 def read_runs(folder: Path) -> list[Run]:
-    """Read every run that lies in a folder.
-
-    Raises:
-        ValueError: if there is none, or the folder is one itself.
-    """
-    runs = [read_run(path) for path in list_runs(folder)]
-    if not runs and RunFolder(folder).config.is_file():
+    """Read every run in a folder, begun or not; raise ValueError if there is none."""
+    paths = [folder, *sorted(folder.iterdir())] if folder.is_dir() else []
+    found = [p for p in paths if RunFolder(p).config.is_file() or RunFolder(p).failure.is_file()]
+    if folder in found:
         raise ValueError(
             f"{folder}: is a single run; give the folder that holds it, {folder.absolute().parent}"
         )
-    if not runs:
+    if not found:
         raise ValueError(
             f"{folder}: holds no runs; give the folder of a sweep, such as runs/sweep-<time>"
         )
-    return runs
-
-
-def list_runs(folder: Path) -> list[Path]:
-    """Return the folders of the runs in a folder, begun or not; none if it is not there."""
-    paths = sorted(folder.iterdir()) if folder.is_dir() else []
-    return [
-        path
-        for path in paths
-        if RunFolder(path).config.is_file() or RunFolder(path).failure.is_file()
-    ]
+    return [read_run(path) for path in found]
 
 
 def read_run(path: Path) -> Run:
-    """Read one run.
-
-    Raises:
-        ValueError: if its files are damaged.
-    """
+    """Read one run; raise ValueError if its files are damaged."""
     folder = RunFolder(path)
     summary: dict[str, Any] = {}
-    config: Any = {}
+    config: dict[str, Any] = {}
     try:
         if folder.summary.is_file():
             summary = dict(json.loads(folder.summary.read_text(encoding="utf-8")))
@@ -104,14 +87,12 @@ def read_run(path: Path) -> Run:
     except Exception as error:
         raise ValueError(f"{path}: damaged ({error}); mend or delete it") from error
     frames = count_frames(path)
-    status, reason = "stopped", ""
+    status, reason = "finished" if summary else "stopped", ""
     if is_held(path):
         status = "running"
     elif folder.failure.is_file():
         lines = folder.failure.read_text(encoding="utf-8").strip().splitlines()
         status, reason = "failed", lines[-1] if lines else "unknown"
-    elif summary:
-        status = "finished"
     return Run(
         path=path, status=status, reason=reason, frames=frames, config=config, summary=summary
     )
@@ -143,25 +124,14 @@ def is_held(path: Path) -> bool:
     return False
 
 
-def advise(runs: Iterable[Run], *, planned: Iterable[str] = ()) -> str:
-    """Report how many runs are finished, and for each other run why not and how to resume it.
-
-    Args:
-        runs: that have a folder.
-        planned: names of all planned runs.
-    """
+def advise(runs: Iterable[Run]) -> str:
+    """Report how many runs are finished, and for each other run why not and how to resume it."""
     runs = list(runs)
-    names = {run.path.name for run in runs}
-    waiting = [name for name in planned if name not in names]
     finished = sum(run.status == "finished" for run in runs)
-    lines = [f"{finished} of {len(runs) + len(waiting)} runs finished"]
+    lines = [f"{finished} of {len(runs)} runs finished"]
     for run in runs:
-        if run.status == "finished":
-            continue
-        because = f" ({run.reason})" if run.reason else ""
-        lines.append(f"- {run.path.name}: {run.status} at frame {run.frames}{because}")
-        if run.status != "running":
-            lines.append(f"  rerun: {run.command}")
-    if waiting:
-        lines.append(f"- not begun: {', '.join(waiting)}")
+        if run.status != "finished":
+            because = f" ({run.reason})" if run.reason else ""
+            lines.append(f"- {run.path.name}: {run.status} at frame {run.frames}{because}")
+            lines += [f"  rerun: {run.command}"] if run.status != "running" else []
     return "\n".join(lines)

@@ -19,7 +19,7 @@ import pytest
 import yaml
 
 from experiments.program import Program
-from experiments.sweeps.jobs import list_jobs, read_common
+from experiments.sweeps.jobs import plan_jobs
 from experiments.train_settings import TRAINING
 from fishrl.envs import AbstractTask
 from fishrl.training.checkpoint import save_checkpoint
@@ -109,9 +109,7 @@ def _read(program: Program, words: list[str]) -> None:
     if "--multirun" not in words:
         program.read(words)
         return
-    overrides = program.command_line.prepare(words)
-    read_common(overrides)
-    list_jobs(overrides)
+    plan_jobs(words)
 
 
 def _parse(main: Callable[[], None], words: list[str], patch: pytest.MonkeyPatch) -> Any:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -19,7 +17,7 @@ from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.description import make, to_plain
 from fishrl.training.policy_spec import PolicySpec
 from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
-from tests.experiments.test_gait import SETTINGS, make_machine, make_task
+from tests.experiments.test_gait import SETTINGS, make_task
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
@@ -41,24 +39,6 @@ def store(folder: Path, *overrides: str, recognition: str | None = None) -> str:
     return f"checkpoint={folder}"
 
 
-def evaluated(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> Any:
-    """Return the settings that the program would evaluate with."""
-    taken: list[Any] = []
-    with monkeypatch.context() as patch:
-        patch.setattr(evaluate, "evaluate", lambda config, **_: taken.append(config) or {})
-        patch.setattr(sys, "argv", ["evaluate", *arguments])
-        evaluate.main()
-    return taken[0]
-
-
-def refuse(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> str:
-    monkeypatch.setattr(sys, "argv", ["evaluate", "compile=false", *arguments])
-    with pytest.raises(SystemExit) as error:
-        evaluate.main()
-    assert "\n" not in str(error.value)
-    return str(error.value)
-
-
 CHANGES = [
     "task.stream.has_disc=false",
     "task.safe_area.far_bl=2.75",
@@ -69,13 +49,11 @@ CHANGES = [
 ]
 
 
-def test_what_is_not_given_stays_as_in_the_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_not_given_stays_as_in_the_run(tmp_path: Path) -> None:
     checkpoint = store(tmp_path)
-    own = evaluated(monkeypatch, checkpoint).task
+    own = evaluate.main.read([checkpoint]).task
     assert own["stream"]["speeds_bl"] == [1.0, 1.2, 1.4]
-    changed = evaluated(monkeypatch, checkpoint, *CHANGES).task
+    changed = evaluate.main.read([checkpoint, *CHANGES]).task
     assert view.main.read([checkpoint, *CHANGES]).task == changed
     own["stream"]["has_disc"] = False
     own["safe_area"] |= {"far_bl": 2.75, "near_bl": 0.1}
@@ -84,19 +62,9 @@ def test_what_is_not_given_stays_as_in_the_run(
     assert changed == own
 
 
-def test_a_task_that_is_chosen_by_name_is_not_that_of_the_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    arguments = [store(tmp_path), "preset=gait_small", "task.stream.has_disc=false"]
-    task = evaluated(monkeypatch, *arguments).task
-    assert (task["body_length"], task["stream"]["has_disc"]) == (32, False)
-    said = refuse(monkeypatch, arguments[0], "task=predation", arguments[2])
-    assert "there is no 'task.stream'" in said
-
-
 @pytest.mark.parametrize("chosen", [["preset=gait_small"], ["task=karman_gait"]])
-def test_in_a_task_that_is_chosen_by_name_a_fish_is_told_its_flow_as_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chosen: list[str]
+def test_a_task_chosen_by_name_replaces_that_of_the_run_but_not_its_flow_labels(
+    tmp_path: Path, chosen: list[str]
 ) -> None:
     checkpoint = store(tmp_path, recognition="machine.pt")
     (tmp_path / "machine.pt").touch()
@@ -105,14 +73,16 @@ def test_in_a_task_that_is_chosen_by_name_a_fish_is_told_its_flow_as_before(
         (["recognition=oracle"], "oracle"),
         (["recognition=null"], None),
     ):
-        arguments = [checkpoint, *chosen, *given]
-        assert evaluated(monkeypatch, *arguments).recognition == wanted
-        assert view.main.read(arguments).recognition == wanted
+        for program in (evaluate.main, view.main):
+            settings = program.read([checkpoint, *chosen, *given])
+            assert settings.recognition == wanted
+            assert settings.task["body_length"] > 20
 
 
 @pytest.mark.parametrize(
     ("argument", "said"),
     [
+        ("task=predation task.stream.has_disc=false", "there is no 'task.stream'"),
         ("task.num_stacked=3", "it is of num_inputs = 28, here it is 21"),
         ("task._target_=fishrl.envs.Predation", "there is no 'task."),
         (
@@ -123,31 +93,22 @@ def test_in_a_task_that_is_chosen_by_name_a_fish_is_told_its_flow_as_before(
     ],
 )
 def test_what_the_policy_was_made_for_cannot_be_changed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, argument: str, said: str
+    tmp_path: Path, argument: str, said: str
 ) -> None:
-    assert said in refuse(monkeypatch, store(tmp_path), argument)
+    with pytest.raises(SystemExit) as error:
+        evaluate.main(["compile=false", store(tmp_path), *argument.split()])
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
 
 
-def test_a_machine_knows_only_its_flows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    task = make(TRAINING.read(OWN).task, kind=AbstractTask)
-    make_machine(tmp_path / "machine.pt", task)
-    checkpoint = store(tmp_path, recognition="machine.pt")
-    said = refuse(monkeypatch, checkpoint, "task.reynolds=400.0")
-    assert "was trained for reynolds = 500.0, here it is 400.0" in said
-    assert "change the task back" in said
-
-
-def test_a_learned_fish_swims_in_a_changed_task(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_learned_policy_swims_in_a_changed_task(tmp_path: Path) -> None:
     config = TRAINING.read([*OWN, f"folder={tmp_path}", "name=run", "total_frames=8"])
     config = replace(config, baselines=(), picture_episodes=0)
     finish(set_up(config))
     saved = tmp_path / "result.json"
     arguments = [f"checkpoint={tmp_path / 'run'}", "episodes=2", "compile=false", f"save={saved}"]
     changes = ["task.stream.has_disc=false", "task.time_limit=1"]
-    monkeypatch.setattr(sys, "argv", ["evaluate", *arguments, *changes])
-    evaluate.main()
+    evaluate.main([*arguments, *changes])
     result = json.loads(saved.read_text())
     assert result["mean_length_T"] == pytest.approx(make_task(time_limit=1).interval_T)
     swum = result["settings"]["task"]

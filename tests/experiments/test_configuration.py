@@ -84,18 +84,11 @@ def test_a_value_out_of_range_is_refused(argument: str) -> None:
         read([argument])
 
 
-@pytest.mark.parametrize("argument", ["small", "seed=[1", "seed=0,1"])
+@pytest.mark.parametrize("argument", ["small", "seed=[1", "seed=0,1", "--config-dir=/nowhere"])
 def test_what_is_no_single_setting_is_refused_in_one_line(argument: str) -> None:
     with pytest.raises(ValueError, match=r"\w") as error:
         read([argument])
     assert "\n" not in str(error.value)
-
-
-def test_a_target_that_cannot_be_made_says_why() -> None:
-    with pytest.raises(ValueError, match="nowhere"):
-        read(["logger._target_=nowhere.Logger"])
-    with pytest.raises(ValueError, match="time_limit = 0: must be at least 1"):
-        make({"_target_": "fishrl.envs.Predation", "time_limit": 0}, kind=AbstractTask)
 
 
 def test_an_argument_that_no_file_names_takes_its_class_from_the_signature(tmp_path: Path) -> None:
@@ -150,11 +143,6 @@ def test_programs_that_train_nothing_take_only_the_task_of_a_preset() -> None:
 
 def test_a_path_alone_is_a_recording() -> None:
     assert view.main.read(["it's a recording.rrd"]).recording == "it's a recording.rrd"
-
-
-def test_a_config_folder_that_is_not_there_is_an_error() -> None:
-    with pytest.raises(ValueError, match="there is no such folder"):
-        read(["--config-dir", "/nowhere"])
 
 
 def stored_run(folder: Path) -> Path:

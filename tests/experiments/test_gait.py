@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import shutil
 from dataclasses import replace
@@ -23,25 +22,14 @@ from fishrl.modules import LateralLineClassifier
 from fishrl.training.classifier import keep_recognition, load_recognition
 from tests.envs.conftest import SMALL, kinematic, move_kinematically  # noqa: F401 - a fixture
 from tests.experiments.gait.tasks import BRIEF, OVERRIDES, make_task
+from tests.training.conftest import read_rows
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
 SETTINGS = [
-    "task=karman_gait",
-    "preset=gait_small",
-    *OVERRIDES,
-    "task.time_limit=12",
-    "compile=false",
-    "num_envs=4",
-    "total_frames=48",
-    "warmup_frames=16",
-    "buffer_size=100",
-    "batch_size=8",
-    "eval_frames=48",
-    "eval_episodes=4",
-    "final_episodes=4",
-    "hidden=[16]",
-    "picture_episodes=0",
+    *("task=karman_gait", "preset=gait_small", *OVERRIDES, "task.time_limit=12", "compile=false"),
+    *("num_envs=4", "total_frames=48", "warmup_frames=16", "buffer_size=100", "batch_size=8"),
+    *("eval_frames=48", "eval_episodes=4", "final_episodes=4", "hidden=[16]", "picture_episodes=0"),
 ]
 
 
@@ -59,12 +47,6 @@ def make_machine(path: Path, task: KarmanGait | None = None) -> str:
 def run(folder: Path, *overrides: str, **settings: object) -> dict[str, Any]:
     config = TRAINING.read([*SETTINGS, f"folder={folder}", *overrides])
     return finish(set_up(replace(config, **settings)))
-
-
-def read_rows(folder: Path) -> list[dict[str, str]]:
-    with (folder / "metrics.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    return [{k: v for k, v in row.items() if not k.startswith("time/")} for row in rows]
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import pytest
 
 from experiments.sweeps.runs import read_run, read_runs
 from fishrl.training.checkpoint import read_metadata
-from tests.experiments.test_sweep_jobs import HERE, ROOT, SETTINGS, run_program
+from tests.experiments.test_sweep_jobs import HERE, ROOT, SETTINGS, run_sweep
 
 pytestmark = pytest.mark.sweep
 
@@ -27,16 +27,14 @@ pytestmark = pytest.mark.sweep
 )
 def test_a_job_that_fails_leaves_the_others_of_its_launcher_alone(
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
     launcher: str,
     settings: tuple[str, ...],
 ) -> None:
-    command = [*SETTINGS, f"folder={tmp_path}", f"logger._target_={HERE}.Gliding"]
-    command.append("recognition=null,none.pt")  # the second job fails at its beginning
-    assert run_program(monkeypatch, "--multirun", *command, *settings) == 1
-    runs = {run.path.name: run.status for run in read_runs(tmp_path)}
-    assert runs == {"recognition_null": "finished", "recognition_none.pt": "failed"}
+    command = [*SETTINGS, f"folder={tmp_path}", f"logger._target_={HERE}.Gliding,{HERE}.Killed"]
+    assert run_sweep(*command, *settings) == 1
+    runs = {run.path.name.rpartition(".")[2]: run.status for run in read_runs(tmp_path)}
+    assert runs == {"Gliding": "finished", "Killed": "failed"}
     assert "1 of 2 runs finished" in capfd.readouterr().out
     if launcher == "submitit":  # one process for each job
         logs = [log for log in (tmp_path / ".submitit").glob("*/*.out") if log.stat().st_size > 0]

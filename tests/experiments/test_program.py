@@ -58,17 +58,14 @@ def test_cfg_prints_the_settings_and_other_options_are_refused(
     assert yaml.safe_load(capsys.readouterr().out)["seed"] == 3
     with pytest.raises(SystemExit, match="error: unrecognized arguments: --info"):
         train.main(["--info"])
+    with pytest.raises(SystemExit, match=r"only experiments.train runs sweeps"):
+        evaluate.main(["--multirun", "seed=0,1"])
 
 
 def test_the_traceback_of_an_error_is_shown_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FISHRL_DEBUG", "1")
     with pytest.raises(ValueError, match="there is no 'totl_frames'"):
         train.main(["totl_frames=3"])
-
-
-def test_only_trainings_are_swept() -> None:
-    with pytest.raises(SystemExit, match=r"only experiments.train runs sweeps"):
-        evaluate.main(["--multirun", "seed=0,1"])
 
 
 def test_an_interrupt_ends_a_program_with_its_code() -> None:

@@ -40,7 +40,7 @@ def config_of(folder: Path, **settings: object) -> TrainConfig:
 def test_a_real_run_goes_on_exactly_in_the_middle_of_an_episode(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fishrl.training.loop.summarize", lambda training: {})
+    monkeypatch.setattr("fishrl.training.loop.Training._summarize", lambda training: {})
     whole = set_up(config_of(tmp_path, name="whole", total_frames=4), make_env=make_env)
     whole.run()
     set_up(config_of(tmp_path, name="part", total_frames=2), make_env=make_env).run()

@@ -17,6 +17,7 @@ from experiments.sweeps import jobs
 from experiments.sweeps.runs import is_held, read_run, read_runs
 from experiments.train_settings import TRAINING
 from fishrl.training.checkpoint import read_metadata
+from tests.experiments.test_summarize import hold_elsewhere
 from tests.experiments.test_sweep_jobs import HERE, ROOT, SETTINGS
 
 optuna = pytest.importorskip("optuna", reason="pip install -e '.[sweep]'")
@@ -123,14 +124,9 @@ def test_a_run_that_outlived_its_search_is_waited_for(
     plan = plan_of(tmp_path, "gamma=interval(0.9,1)")
     settings = ["gamma=0.95", "seed=0", f"folder={tmp_path}"]
     place = jobs.find_or_begin(TRAINING.read(settings), name="trial_0000-seed_0")
-    code = "import sys, time; from pathlib import Path; "
-    code += "from fishrl.training.run_folder import RunFolder, write_json; "
-    code += "place = RunFolder(Path(sys.argv[1])); held = place.hold(); print('held', flush=True); "
-    code += "time.sleep(1.0); write_json(place.summary, {'mean_return': 2.5})"
-    command = [sys.executable, "-c", code, str(place.path)]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as other:
-        assert other.stdout is not None
-        assert other.stdout.readline() == b"held\n"
+    with hold_elsewhere(
+        place.path, "time.sleep(1.0); write_json(run.summary, {'mean_return': 2.5})"
+    ):
         assert search.run_seed(plan, 0, ["gamma=0.95"], 0) == 2.5
 
 
@@ -153,18 +149,8 @@ def test_two_searches_share_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     theirs = study.ask(plan.space())
     place = search.RunFolder(tmp_path / ".trials" / f"{theirs.number:04d}")
     place.path.mkdir(parents=True)
-    code = (
-        "import sys; from pathlib import Path; from fishrl.training.run_folder import RunFolder; "
-    )
-    code += f"held = RunFolder(Path({str(place.path)!r})).hold(); print('held', flush=True); "
-    code += "sys.stdin.read()"
-    with subprocess.Popen(
-        [sys.executable, "-c", code], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as other:
-        assert other.stdout is not None
-        assert other.stdout.readline() == b"held\n"
+    with hold_elsewhere(place.path):
         study = search.search(replace(plan, trials=2))
-        other.kill()
     assert [trial.state.name for trial in study.trials] == ["RUNNING", "FAIL"]
 
 

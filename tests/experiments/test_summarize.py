@@ -8,6 +8,8 @@ import fcntl
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +18,12 @@ from omegaconf import OmegaConf
 
 from experiments import summarize
 from experiments.statistics import Statistic, interquartile_mean
-from experiments.sweeps.curves import average
+from experiments.summarize import average, tabulate_differences
 from experiments.sweeps.groups import group_runs
 from experiments.sweeps.runs import count_frames, read_run, read_runs
-from experiments.sweeps.tables import write_differences
 from fishrl.training.run_folder import HeldError, RunFolder
+
+ROOT = Path(__file__).parents[2]
 
 
 def write_run(
@@ -66,11 +69,8 @@ def sweep(tmp_path: Path) -> Path:
     """Two values of gamma with four seeds each; one run failed, one was stopped."""
     for gamma, values in ((0.9, (1.0, 2.0, 3.0, 10.0)), (0.99, (5.0, 7.0))):
         for seed, value in enumerate(values):
-            curve = {0: 0.0, 100: value}
-            name = f"gamma_{gamma}-seed_{seed}"
-            write_run(
-                tmp_path, name, seed=seed, curve=curve, summary=summary_of(value), gamma=gamma
-            )
+            given: Any = {"curve": {0: 0.0, 100: value}, "summary": summary_of(value)}
+            write_run(tmp_path, f"gamma_{gamma}-seed_{seed}", seed=seed, gamma=gamma, **given)
     path = write_run(tmp_path, "gamma_0.99-seed_2", seed=2, gamma=0.99)
     (path / "failure.txt").write_text("Traceback ...\nRuntimeError: out of memory\n")
     write_run(tmp_path, "gamma_0.99-seed_3", seed=3, gamma=0.99, curve={0: 0.0, 50: 4.0})
@@ -128,24 +128,13 @@ def test_groups_are_told_by_the_fewest_settings(tmp_path: Path) -> None:
     assert len(groups) == 4
 
 
-def test_settings_that_only_together_tell_runs_apart_stay(tmp_path: Path) -> None:
-    designs = [(0, 0, 0), (1, 1, 0), (0, 1, 1), (1, 0, 1), (0, 0, 2)]
-    for i, (tau, gamma, hidden) in enumerate(designs):
-        write_run(tmp_path, f"trial_{i}", tau=tau, gamma=gamma, hidden=hidden)
-    assert len(group_runs(read_runs(tmp_path))) == len(designs)
-
-
 def test_the_same_seed_twice_is_one_seed(tmp_path: Path) -> None:
-    for trial in range(3):
-        write_run(
-            tmp_path, f"trial_{trial}", curve={0: 0.0, 100: 4.0}, summary=summary_of(4.0), gamma=0.9
-        )
-    write_run(
-        tmp_path, "trial_3", seed=1, curve={0: 0.0, 100: 6.0}, summary=summary_of(6.0), gamma=0.9
-    )
+    for trial, (seed, value) in enumerate([(0, 4.0), (0, 4.0), (0, 4.0), (1, 6.0)]):
+        curve, summary = {0: 0.0, 100: value}, summary_of(value)
+        write_run(tmp_path, f"trial_{trial}", seed=seed, curve=curve, summary=summary)
     (group,) = group_runs(read_runs(tmp_path))
     assert sorted(group.numbers("mean_return")) == [4.0, 6.0]
-    assert average(group, "eval/mean_return")[1].tolist() == [0.0, 5.0]
+    assert average(group, "eval/mean_return").y.tolist() == [0.0, 5.0]
 
 
 def test_the_table_has_mean_interval_and_iqm_and_says_what_to_rerun(sweep: Path) -> None:
@@ -175,18 +164,13 @@ def test_groups_are_compared_seed_by_seed(tmp_path: Path) -> None:
     half = 4.303 * 1.1 / 3**0.5
     row = f"| algorithm sac | -21.0% ± {10 * half:.1f}% | -2.10 ± {half:.2f} | -0.105 ± "
     assert row in text
+    groups = group_runs(read_runs(tmp_path))
+    for run in groups[1].runs:
+        run.summary["mean_return"] += 10.0
+    assert "| **-12.10 ± " in tabulate_differences(groups)  # the interval excludes zero
     path = tmp_path / "dqn-0" / "summary.json"
     path.write_text(json.dumps(summary_of(1.0) | {"frames": 50, "updates": 400}))
     assert "Efforts differ" in summarize.summarize(tmp_path)
-
-
-def test_a_difference_whose_interval_excludes_zero_is_bold(sweep: Path) -> None:
-    groups = group_runs(read_runs(sweep))
-    assert "| -4.50 ± 6.35 |" in write_differences(groups)  # -4 and -5: t of one degree is 12.7
-    for run in groups[1].runs:
-        if run.summary:
-            run.summary["mean_return"] += 10.0
-    assert "| **-14.50 ± 6.35** |" in write_differences(groups)
 
 
 def test_tables_and_pictures_go_into_a_page(sweep: Path, tmp_path: Path) -> None:
@@ -224,37 +208,25 @@ def test_the_csv_files_hold_every_number_and_every_run(sweep: Path) -> None:
 
 def test_curves_are_means_over_the_runs_that_have_come_so_far(sweep: Path) -> None:
     groups = group_runs(read_runs(sweep))
-    frames, mean, half = average(groups[1], "eval/mean_return")
+    _, frames, mean, half, _ = average(groups[1], "eval/mean_return")
     assert frames.tolist() == [0.0, 50.0, 100.0]
     assert mean.tolist() == pytest.approx([0.0, (2.5 + 3.5 + 4.0) / 3, 6.0])
     assert half[2] == pytest.approx(12.706, abs=1e-3)  # of 5 and 7: t 12.706, deviation sqrt(2)
-    assert average(groups[1], "nothing")[0].size == 0
+    assert average(groups[1], "nothing").x.size == 0
 
 
-def test_runs_without_any_metrics_have_a_table_and_no_curves(tmp_path: Path) -> None:
-    write_run(tmp_path, "run")
-    assert "| 0/1 | – | – |" in summarize.summarize(tmp_path)
-    assert not (tmp_path / "curves.png").exists()
-
-
-def test_a_run_whose_settings_were_wrong_is_named(tmp_path: Path) -> None:
+def test_runs_that_do_not_count_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="holds no runs; give the folder of a sweep"):
+        read_runs(tmp_path)
     (tmp_path / "gamma_2").mkdir()
     (tmp_path / "gamma_2" / "failure.txt").write_text("gamma = 2: must be at most 1\n")
     with pytest.raises(ValueError, match=r"no run has begun\n.*\n.*gamma_2: .* must be at most 1"):
         summarize.summarize(tmp_path)
-    write_run(tmp_path, "run", summary=summary_of(1.0))
-    assert "fix the setting" in summarize.summarize(tmp_path)
-
-
-def test_a_folder_without_runs_is_an_error(tmp_path: Path) -> None:
-    for folder in (tmp_path, tmp_path / "none"):
-        with pytest.raises(ValueError, match="holds no runs; give the folder of a sweep"):
-            read_runs(folder)
-
-
-def test_a_damaged_run_is_named(tmp_path: Path) -> None:
-    path = write_run(tmp_path, "run")
-    (path / "summary.json").write_text("{")
+    run = write_run(tmp_path, "run")
+    text = summarize.summarize(tmp_path)
+    assert "fix the setting" in text and "| 0/1 | – | – |" in text
+    assert not (tmp_path / "curves.png").exists()
+    (run / "summary.json").write_text("{")
     with pytest.raises(ValueError, match=r"run: damaged .* mend or delete it"):
         read_runs(tmp_path)
 
@@ -267,31 +239,26 @@ def test_frames_are_those_of_the_last_whole_row(tmp_path: Path) -> None:
     assert count_frames(tmp_path) == 0
 
 
-HOLDER = """
-import sys
-from pathlib import Path
-from fishrl.training.run_folder import RunFolder
-file = RunFolder(Path(sys.argv[1])).hold()
-print("held", flush=True)
-sys.stdin.read()
-"""
+@contextmanager
+def hold_elsewhere(path: Path, then: str = "sys.stdin.read()") -> Iterator[None]:
+    """Let another process hold a run and then do something, until it is killed."""
+    code = "import sys, time; from pathlib import Path; "
+    code += "from fishrl.training.run_folder import RunFolder, write_json; "
+    code += f"run = RunFolder(Path({str(path)!r})); held = run.hold(); print(1, flush=True); {then}"
+    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "cwd": ROOT}
+    with subprocess.Popen([sys.executable, "-c", code], **pipes) as holder:
+        assert holder.stdout.readline() == b"1\n"
+        yield
+        holder.kill()
 
 
 def test_a_run_is_held_by_one_process_until_that_is_killed(tmp_path: Path) -> None:
     path = write_run(tmp_path, "run", summary=summary_of(1.0))
-    with subprocess.Popen(
-        [sys.executable, "-c", HOLDER, str(path)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        cwd=Path(__file__).parents[2],
-    ) as holder:
-        assert holder.stdout is not None
-        assert holder.stdout.readline() == b"held\n"
+    with hold_elsewhere(path):
         assert read_run(path).status == "running"
         assert "rerun" not in summarize.summarize(tmp_path)
         with pytest.raises(HeldError, match="another process writes it; wait for it or end it"):
             RunFolder(path).hold()
-        holder.kill()
     assert read_run(path).status == "finished"
     RunFolder(path).hold().close()
 

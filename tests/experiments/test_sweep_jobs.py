@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import shlex
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -20,56 +18,34 @@ from experiments.program import show_command
 from experiments.sweeps import ending, jobs
 from experiments.sweeps.groups import group_runs
 from experiments.sweeps.runs import read_run, read_runs
-from experiments.train import finish, set_up
-from experiments.train_settings import TRAINING, TrainConfig, begin_run
+from experiments.train_settings import TRAINING, TrainConfig
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.description import to_plain
 from fishrl.training.run_folder import RunFolder, write_yaml
-from tests.training.toy_fish import make_toy_env
+from tests.training.conftest import read_rows
 
 ROOT = Path(__file__).parents[2]
 HERE = "tests.training.faults"  # makes fish glide in the runs' own processes
+TASK = {"body_length": 20, "reynolds": 500, "max_wall_speed": 0.15, "wall_margin_bl": 0.15}
 SETTINGS = [
-    "task.body_length=20",
-    "task.reynolds=500",
-    "task.max_wall_speed=0.15",
-    "task.wall_margin_bl=0.15",
-    "task.time_limit=4",
-    "compile=false",
-    "num_envs=2",
-    "total_frames=16",
-    "warmup_frames=4",
-    "log_frames=4",
-    "checkpoint_frames=4",
-    "batch_size=4",
-    "hidden=[8]",
-    "eval_frames=8",
-    "eval_episodes=2",
-    "final_episodes=2",
-    "picture_episodes=0",
-    "baselines=[]",
+    *(f"task.{name}={value}" for name, value in TASK.items()),
+    *("task.time_limit=4", "compile=false", "num_envs=2", "total_frames=16", "warmup_frames=4"),
+    *("log_frames=4", "checkpoint_frames=4", "batch_size=4", "hidden=[8]", "eval_frames=8"),
+    *("eval_episodes=2", "final_episodes=2", "picture_episodes=0", "baselines=[]"),
 ]
 
 
-def run_program(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["train", *arguments])
-    try:
-        train.main()
-    except SystemExit as end:
-        return int(end.code or 0)
-    return 0
-
-
-def rows_of(folder: Path) -> list[dict[str, str]]:
-    with (folder / "metrics.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    return [{k: v for k, v in row.items() if not k.startswith("time/")} for row in rows]
+def run_sweep(*arguments: str) -> int:
+    """Return the exit code of a sweep."""
+    with pytest.raises(SystemExit) as end:
+        train.main(["--multirun", *arguments])
+    return int(end.value.code or 0)
 
 
 def test_jobs_are_named_after_what_differs() -> None:
-    given = ["seed=1", "++task.time_limit=20", "hidden=[64,64]", "preset=small", "folder=runs/x"]
-    assert jobs.name_job(given, same=["preset", "folder"]) == "seed_1-time_limit_20-hidden_64_64_"
-    assert jobs.name_job(["preset=small"], same=["preset"]) == "run"
+    given = ["seed=1", "++task.time_limit=20", "hidden=[64,64]"]
+    assert jobs.name_job(given) == "seed_1-time_limit_20-hidden_64_64_"
+    assert jobs.name_job([]) == "run"
     long = [jobs.name_job([f"recognition={'x' * 200}{end}"]) for end in "ab"]
     assert len(set(long)) == 2
     assert max(map(len, long)) <= jobs.LONGEST_NAME
@@ -77,22 +53,23 @@ def test_jobs_are_named_after_what_differs() -> None:
 
 def test_jobs_are_listed_and_named_before_they_run() -> None:
     line = ["num_envs=2", "seed=0,1", "task.time_limit=range(3,5)", "folder=runs/my sweep"]
-    overrides = TRAINING.prepare(line)
-    folder, same = jobs.read_common(overrides)
-    assert (folder, same) == (Path("runs/my sweep"), ["folder", "num_envs"])
-    assert [jobs.name_job(job, same=same) for job in jobs.list_jobs(overrides)] == [
+    planned = jobs.plan_jobs(line)
+    assert [name for name, _ in planned] == [
         *("seed_0-time_limit_3", "seed_0-time_limit_4", "seed_1-time_limit_3"),
         "seed_1-time_limit_4",
     ]
-    assert len(jobs.list_jobs(TRAINING.prepare(["preset=glob(gait*)"]))) == 3
-    folder, _ = jobs.read_common(TRAINING.prepare(["seed=0,1"]))
-    assert folder.parent == Path("runs") and folder.name.startswith("sweep-")
+    assert [(job.seed, job.num_envs, job.folder) for _, job in planned[1:3]] == [
+        *((0, 2, "runs/my sweep"), (1, 2, "runs/my sweep")),
+    ]
+    assert len(jobs.plan_jobs(["preset=glob(gait*)"])) == 3
+    (_, first), _ = jobs.plan_jobs(["seed=0,1"])
+    assert first.folder.startswith("runs/sweep-")
 
 
 @pytest.mark.parametrize("argument", ["name=x", "resume=runs/x", "folder=a,b"])
 def test_what_every_run_of_a_sweep_needs_for_itself_is_refused(argument: str) -> None:
     with pytest.raises(ValueError, match="named after what differs"):
-        jobs.read_common(TRAINING.prepare([argument]))
+        jobs.plan_jobs([argument])
 
 
 @pytest.mark.parametrize(
@@ -147,7 +124,7 @@ def test_a_run_that_was_resumed_stays_in_its_sweep_unless_it_learns_something_el
     go_on(folders[0], *given)
     assert OmegaConf.load(folders[0].config).log_frames == 8
     assert len(group_runs(read_runs(tmp_path))) == 1
-    assert jobs.find_or_begin(settings_in(tmp_path), name="run") == folders[0]
+    assert jobs.find_or_begin(settings_in(tmp_path), name="run").path == folders[0].path
     # which evaluation is the best one depends on when they are made
     go_on(folders[1], "eval_frames=8")
     assert len(group_runs(read_runs(tmp_path))) == 2
@@ -163,41 +140,25 @@ def test_a_run_with_another_classifier_is_another_run(tmp_path: Path) -> None:
     assert folders == ["run", "run", "run-2"]
 
 
-def test_a_run_that_never_began_begins_when_it_is_resumed(
-    toy_config: Callable[..., TrainConfig], tmp_path: Path
-) -> None:
-    finish(set_up(toy_config(name="straight", total_frames=80), make_env=make_toy_env))
-    config = toy_config(name="later", total_frames=80)
-    begin_run(config, RunFolder.create(parent=config.folder, name="later"))
-    assert read_run(tmp_path / "later").status == "stopped"
-    config = replace(config, resume=str(tmp_path / "later"))
-    finish(set_up(config, make_env=make_toy_env))
-    assert read_run(tmp_path / "later").status == "finished"
-    assert rows_of(tmp_path / "later") == rows_of(tmp_path / "straight")
-
-
 def test_a_killed_job_leaves_the_others_and_goes_on_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     loggers = f"logger._target_={HERE}.Killed,{HERE}.Gliding"
-    command = ["--multirun", *SETTINGS, f"folder={tmp_path}", loggers]
-    assert run_program(monkeypatch, *command) == 1
+    command = [*SETTINGS, f"folder={tmp_path}", loggers]
+    assert run_sweep(*command) == 1
     killed, whole = (tmp_path / f"logger_{HERE}.{name}" for name in ("Killed", "Gliding"))
     assert read_run(whole).status == "finished"
     run = read_run(killed)
-    assert (run.status, run.reason, run.frames) == (
-        "failed",
-        "killed by SIGKILL; see output.log",
-        8,
-    )
+    assert (run.status, run.frames) == ("failed", 8)
+    assert run.reason == "killed by SIGKILL; see output.log"
     said = capfd.readouterr().out
     assert "1 of 2 runs finished" in said
     assert f"rerun: {run.command}" in said
     alone = subprocess.run([sys.executable, *shlex.split(run.command)[1:]], cwd=ROOT, check=False)
     assert alone.returncode == 0
-    assert rows_of(killed) == rows_of(whole)  # as if nothing had happened
+    assert read_rows(killed) == read_rows(whole)  # as if nothing had happened
     before = (whole / "summary.json").stat().st_mtime_ns
-    assert run_program(monkeypatch, *command) == 0  # nothing is left to do
+    assert run_sweep(*command) == 0  # nothing is left to do
     assert "2 of 2 runs finished" in capfd.readouterr().out
     assert (whole / "summary.json").stat().st_mtime_ns == before
 
@@ -211,7 +172,8 @@ def test_a_sweep_that_is_told_to_end_saves_what_runs(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "interrupted; the same command with the same folder=... goes on" in done.stderr
     assert "Traceback" not in done.stderr
-    (run,) = read_runs(tmp_path)  # the second never began
+    run, other = read_runs(tmp_path)  # which never began
+    assert (other.status, other.frames) == ("stopped", 0)
     assert (run.status, run.frames) == ("stopped", 8)
     assert read_metadata(run.path, which="last")[1]["frames"] == 8
     said = (run.path / "output.log").read_text(encoding="utf-8")
@@ -219,7 +181,6 @@ def test_a_sweep_that_is_told_to_end_saves_what_runs(tmp_path: Path) -> None:
     assert f"SIGTERM: saved at frame 8; resume with: {command}" in said
     assert f"rerun: {run.command}" in done.stdout
     assert "0 of 2 runs finished" in done.stdout
-    assert "- not begun: seed_1\n" in done.stdout
 
 
 def test_a_run_that_was_told_to_end_has_not_failed(
@@ -232,7 +193,7 @@ def test_a_run_that_was_told_to_end_has_not_failed(
         training.chmod(0o700)
         with monkeypatch.context() as patch:
             patch.setattr(sys, "executable", str(training))
-            assert jobs.run_alone(folder.path, total_frames=8).status == status
+            assert jobs.run_alone(folder.path).status == status
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
@@ -250,11 +211,10 @@ def test_trainings_below_a_process_end_before_it() -> None:
 
 
 def test_jobs_that_cannot_be_set_up_are_all_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    command = ["--multirun", f"folder={tmp_path}", "recognition=none.pt", "seed=0,1"]
-    command.append("preset=gait_small")
-    assert run_program(monkeypatch, *command) == 1
+    command = [f"folder={tmp_path}", "preset=gait_small", "recognition=none.pt", "seed=0,1"]
+    assert run_sweep(*command) == 1
     assert all("none.pt" in run.reason for run in read_runs(tmp_path))
     said = capfd.readouterr()
     assert "seed_1: failed at frame 0" in said.out

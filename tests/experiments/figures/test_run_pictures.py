@@ -34,12 +34,12 @@ def scale_vorticity(recording: Recording, factor: float) -> Recording:
 
 def test_a_task_with_a_goal_gets_every_picture(make_recording: Maker, run_dir: Path) -> None:
     recordings = [make_recording(has_succeeded=False), make_recording(num_frames=9, lane=3.0)]
-    written = write_run_pictures(run_dir, recordings, baselines={"random": 0.1})
-    assert [path.name for path in written] == [
-        "learning_curve.png", "trajectories.png", "vorticity_sequence.png", "vorticity_last.png",
-        "capture.gif",
-    ]  # fmt: skip
-    assert all(path.stat().st_size > 1000 for path in written)
+    write_run_pictures(run_dir, recordings, baselines={"random": 0.1})
+    written = {path.name for path in run_dir.glob("*.[pg]*") if path.stat().st_size > 1000}
+    assert written == {
+        *("learning_curve.png", "trajectories.png", "vorticity_sequence.png"),
+        *("vorticity_last.png", "capture.gif"),
+    }
     with Image.open(run_dir / "capture.gif") as picture:  # the first capture, frame by frame
         assert picture.n_frames == 9
 
@@ -49,8 +49,8 @@ def test_a_task_without_a_goal_gets_the_learning_curve(
 ) -> None:
     recording = make_recording(num_frames=2)
     recording.scene = dataclasses.replace(recording.scene, marks=())
-    written = write_run_pictures(run_dir, [recording], baselines={})
-    assert [path.name for path in written] == ["learning_curve.png"]
+    write_run_pictures(run_dir, [recording], baselines={})
+    assert [path.name for path in run_dir.glob("*.[pg]*")] == ["learning_curve.png"]
 
 
 def test_the_animation_shrinks_until_it_fits(make_recording: Maker, tmp_path: Path) -> None:

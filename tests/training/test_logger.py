@@ -8,30 +8,22 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from experiments.train import finish, set_up
-from experiments.train_settings import TrainConfig
+from fishrl.training import complete
 from fishrl.training.description import make
 from fishrl.training.logger import CsvLogger, WandbLogger
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, write_json
-from tests.training.toy_fish import make_toy_env
+from tests.training.conftest import Toy
 
 
 def test_a_second_run_of_a_name_gets_a_number(tmp_path: Path) -> None:
     folders = [RunFolder.create(parent=str(tmp_path), name="run").path.name for _ in range(3)]
     assert folders == ["run", "run-2", "run-3"]
-
-
-def test_a_folder_below_a_file_cannot_be_written(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(ValueError, match=r"cannot be written .* choose another with folder="):
-        RunFolder.create(parent=str(tmp_path / "file"), name="run")
 
 
 def test_a_folder_without_write_permission_is_an_error(
@@ -63,15 +55,6 @@ def test_rows_have_a_cell_per_metric_and_empty_ones_for_what_was_not_measured(
     ]
 
 
-def test_a_metric_without_column_is_an_error(tmp_path: Path) -> None:
-    log = CsvLogger()
-    with pytest.raises(ValueError, match="not open"):
-        log.log({"frames": 1})
-    log.open(tmp_path, columns=["frames"], config={})
-    with pytest.raises(ValueError, match="not among the columns"):
-        log.log({"frames": 1, "train/typo": 2.0})
-
-
 def test_a_log_that_goes_on_forgets_what_came_after_the_checkpoint(tmp_path: Path) -> None:
     log = CsvLogger()
     log.open(tmp_path, columns=["frames", "a"], config={})
@@ -91,13 +74,11 @@ def test_a_log_that_goes_on_forgets_what_came_after_the_checkpoint(tmp_path: Pat
 
 
 def test_wandb_writes_offline_beside_the_csv(
-    toy_config: Callable[..., TrainConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    toy: Toy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("WANDB_SILENT", "true")
     before = dict(os.environ)
-    target = {"_target_": "fishrl.training.logger.WandbLogger", "is_offline": True}
-    config = toy_config(name="run", total_frames=80, logger=target)
-    finish(set_up(config, make_env=make_toy_env))
+    complete(toy.begin(name="run", total_frames=80, logger=WandbLogger(is_offline=True)))
     folder = tmp_path / "run"
     recorded = list(folder.glob("wandb/offline-run-*/*.wandb"))
     assert len(recorded) == 1
@@ -129,7 +110,7 @@ def test_a_run_of_a_wandb_agent_goes_on_under_the_name_the_agent_gave_it(
 
 def test_without_wandb_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "wandb", None)
-    with pytest.raises(ImportError, match=r"pip install 'wandb>=0.25', or take logger=csv"):
+    with pytest.raises(ImportError, match="pip install 'wandb"):
         make({"_target_": "fishrl.training.logger.WandbLogger"}, kind=CsvLogger)
     make({"_target_": "fishrl.training.logger.CsvLogger"}, kind=CsvLogger)
 
