@@ -17,12 +17,11 @@ from pathlib import Path
 import torch
 
 from experiments.figures.style import COLOURS
-from experiments.gait.histories import Histories, record_histories
-from experiments.gait.pictures import flow_panels
-from experiments.gait.trials import START_Y_BL, GaitSettings, list_shedding
+from experiments.gait import trials
+from experiments.gait.figures import flow_panels
 from experiments.program import program
 from fishrl.bounds import bounded
-from fishrl.envs import KarmanGait, make_env
+from fishrl.envs import KarmanGait
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.stations import SafeArea
 from fishrl.training.description import make
@@ -37,7 +36,7 @@ Row = dict[str, float]
 
 
 @dataclass(kw_only=True)
-class DriftSettings(GaitSettings):
+class DriftSettings(trials.GaitSettings):
     """Settings of a drift sweep.
 
     Args:
@@ -53,23 +52,7 @@ class DriftSettings(GaitSettings):
     folder: str = "runs/drift_sweep"
 
 
-def sweep(task: KarmanGait, settings: DriftSettings, progress: Progress) -> Histories:
-    """Record the episodes of each flow and frequency."""
-    flows, num = len(task.stream.speeds_bl), len(settings.frequencies)
-    starts = task.sample_starts(flows * num * settings.starts, torch.Generator().manual_seed(0))
-    starts["flow_index"] = torch.arange(flows).repeat_interleave(num * settings.starts)
-    index = torch.arange(num).repeat_interleave(settings.starts).repeat(flows)
-    return record_histories(
-        make_env(task=task, num_envs=len(index), starts=starts),
-        lambda state: state.set("action", index),
-        starts,
-        num_decisions=round(settings.periods / task.interval_T),
-        progress=progress,
-        label="drift",
-    )
-
-
-def tabulate(task: KarmanGait, histories: Histories) -> list[Row]:
+def tabulate(task: KarmanGait, histories: trials.Histories) -> list[Row]:
     """Return drift in L / T and work per T for each flow, frequency and band of distances.
 
     The first T of each episode is left out, in which the beat begins.
@@ -125,47 +108,51 @@ def draw(
         figure.suptitle("dotted: shedding frequency; bars: standard error", fontsize=9)
 
 
-def write(folder: Path, task: KarmanGait, histories: Histories) -> None:
-    """Write table, settings and figure."""
-    table, shedding = tabulate(task, histories), list_shedding(task)
+@program(DriftSettings, groups={"task": "karman_gait", "preset": "gait_small"})
+def main(settings: DriftSettings) -> None:
+    """Sweep, write, draw."""
+    task, frequencies = make(settings.task, kind=KarmanGait), tuple(settings.frequencies)
+    flows = len(task.stream.speeds_bl)
+    task = replace(
+        task,
+        start_flows=tuple(range(flows)),
+        time_limit=round(settings.periods / task.interval_T),
+        control=DirectFrequencies(frequencies=frequencies),
+        start_x_bl=(1.2, 2.6),
+        start_y_bl=trials.START_Y_BL,
+        safe_area=SafeArea(near_bl=0.4, far_bl=4.5),
+    )
+    index = torch.arange(len(frequencies)).repeat_interleave(settings.starts).repeat(flows)
+    starts = task.sample_starts(len(index), torch.Generator().manual_seed(0))
+    starts["flow_index"] = torch.arange(flows).repeat_interleave(len(index) // flows)
+    trial = trials.Trial(
+        name="drift",
+        arm="drift",
+        task=task,
+        make_policy=lambda: lambda state: state.set("action", index),
+        identity="",
+    )
+    folder = Path(settings.folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    with Progress() as progress:
+        histories = trials.record(trial, starts, progress=progress)
+    table, shedding = tabulate(task, histories), trials.list_shedding(task)
     speeds, scales = task.stream.speeds_bl, task.scales
     with (folder / "drift.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(table[0]))
         writer.writeheader()
         writer.writerows({name: float(f"{v:.4g}") for name, v in row.items()} for row in table)
-    settings = {
-        "body_length": scales.body_length,
-        "reynolds": scales.reynolds,
+    facts = {
+        **{name: getattr(scales, name) for name in ("body_length", "reynolds", "tau", "mach")},
         "steps_per_T": scales.period,
-        "tau": scales.tau,
-        "mach": scales.mach,
         "stream_speeds_bl": list(speeds),
         "shedding_frequencies_per_T": shedding,
         "steering": repr(task.steering),
         "episodes": len(histories.flow),
         "diverged": int(histories.diverged.sum()),
     }
-    write_json(folder / "drift.json", settings)
+    write_json(folder / "drift.json", facts)
     draw(folder / "drift.png", table, speeds, shedding)
-
-
-@program(DriftSettings, groups={"task": "karman_gait", "preset": "gait_small"})
-def main(settings: DriftSettings) -> None:
-    """Sweep, write, draw."""
-    task = make(settings.task, kind=KarmanGait)
-    task = replace(
-        task,
-        start_flows=tuple(range(len(task.stream.speeds_bl))),
-        control=DirectFrequencies(frequencies=tuple(settings.frequencies)),
-        start_x_bl=(1.2, 2.6),
-        start_y_bl=START_Y_BL,
-        safe_area=SafeArea(near_bl=0.4, far_bl=4.5),
-    )
-    folder = Path(settings.folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    with Progress() as progress:
-        histories = sweep(task, settings, progress)
-    write(folder, task, histories)
     print(f"written to {folder}: drift.csv, drift.json, drift.png")
 
 

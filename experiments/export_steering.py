@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from omegaconf import MISSING
-from torch import Tensor, nn
+from torch import nn
 
 from experiments.program import program
 from fishrl.envs.steering import PolicySteering, save_weights
@@ -31,31 +31,19 @@ class ExportSettings:
     path: str = MISSING
 
 
-def export_steering(run: Path, path: Path) -> PolicySteering:
-    """Write the weights of a run's best actor to a file, and return the controller.
-
-    Raises:
-        ValueError: if there is no such run, or its policy cannot steer.
-    """
-    checkpoint, plan = load_plan(run)
-    layers: list[tuple[Tensor, Tensor]] = [
-        (module.weight, module.bias)
-        for module in load_policy(checkpoint).modules()
-        if isinstance(module, nn.Linear)
-    ]
-    save_weights(layers, path)
+@program(ExportSettings)
+def main(settings: ExportSettings) -> None:
+    """Write the weights of a run's best actor, or nothing if it cannot steer."""
+    path = Path(settings.path)
+    checkpoint, plan = load_plan(settings.run)
+    layers = [m for m in load_policy(checkpoint).modules() if isinstance(m, nn.Linear)]
+    save_weights([(layer.weight, layer.bias) for layer in layers], path)
     try:
-        return PolicySteering(path=str(path), turn_degrees=getattr(plan.task, "turn_degrees", 15.0))
+        PolicySteering(path=str(path), turn_degrees=getattr(plan.task, "turn_degrees", 15.0))
     except ValueError:
         path.unlink()
         raise
-
-
-@program(ExportSettings)
-def main(settings: ExportSettings) -> None:
-    """Export and say where."""
-    export_steering(Path(settings.run), Path(settings.path))
-    print(f"written to {settings.path}")
+    print(f"written to {path}")
 
 
 if __name__ == "__main__":

@@ -13,9 +13,8 @@ from pathlib import Path
 
 import torch
 
+from experiments.gait import trials
 from experiments.gait.diagnostics import WORKS, measure_lean, trace_work
-from experiments.gait.histories import Histories, pick, split_flows
-from experiments.gait.trials import GaitSettings, Trial, run_trial
 from experiments.program import program
 from experiments.statistics import half_width
 from fishrl.bounds import bounded
@@ -31,7 +30,7 @@ _NUM_FREQUENCIES = 81
 
 
 @dataclass(kw_only=True)
-class FreeStreamSettings(GaitSettings):
+class FreeStreamSettings(trials.GaitSettings):
     """Settings of a free-stream test.
 
     Args:
@@ -51,7 +50,7 @@ class FreeStreamSettings(GaitSettings):
     folder: str = "runs/free_stream"
 
 
-def make_free_trial(task: KarmanGait, settings: FreeStreamSettings) -> Trial:
+def make_free_trial(task: KarmanGait, settings: FreeStreamSettings) -> trials.Trial:
     """Return the trial of a PID controller in the streams of a task without their disc."""
     task = replace(task, max_wall_speed=settings.max_wall_speed)
     steps = _NUM_FREQUENCIES - 1
@@ -73,17 +72,16 @@ def make_free_trial(task: KarmanGait, settings: FreeStreamSettings) -> Trial:
         damping=4.0 / dt,
         max_sum=20.0 / dt,
     )
-    return Trial(
+    return trials.Trial(
         name="free-stream",
         arm="free stream",
-        trained=task,
+        task=trials.prolong(task, settings.periods),
         make_policy=lambda: make_gait_policy(controller, task),
         identity=f"PID {vars(controller)}",
-        periods=settings.periods,
     )
 
 
-def summarise(held: Histories, *, interval_T: float = 1.0) -> dict[str, float]:
+def summarise(held: trials.Histories, *, interval_T: float) -> dict[str, float]:
     """Return work per T, frequency and remaining drift in the second half of episodes."""
     num_intervals = held.frequency.shape[1]
     half = num_intervals // 2
@@ -92,8 +90,7 @@ def summarise(held: Histories, *, interval_T: float = 1.0) -> dict[str, float]:
     for name in WORKS:
         series = getattr(held, name)
         per_T = (series[:, -1] - series[:, half]) / time_T
-        row[name] = float(per_T.mean())
-        row[f"{name}_error"] = half_width(per_T.tolist())
+        row |= {name: float(per_T.mean()), f"{name}_error": half_width(per_T.tolist())}
     row["frequency"] = float(held.frequency[:, half:].mean())
     row["drift"] = float((held.place[:, -1, 0] - held.place[:, half, 0]).mean()) / time_T
     row["lean"] = float(measure_lean(held, interval_T=interval_T)[1].mean())
@@ -104,41 +101,28 @@ def summarise(held: Histories, *, interval_T: float = 1.0) -> dict[str, float]:
 def main(settings: FreeStreamSettings) -> None:
     """Run, write and print."""
     torch.set_num_threads(1)
-    task = make(settings.task, kind=KarmanGait)
-    folder, trial = Path(settings.folder), make_free_trial(task, settings)
-    with Progress() as progress:
-        histories = run_trial(
-            trial, episodes=settings.episodes, folder=folder / "histories", progress=progress
-        )
-    task = trial.task
+    s, folder = settings, Path(settings.folder)
+    trial = make_free_trial(make(s.task, kind=KarmanGait), s)
+    task, rows, work = trial.task, [], []
     scales, speeds, interval_T = task.scales, task.stream.speeds_bl, task.interval_T
-    rows, work = [], []
-    for speed, flow in zip(speeds, split_flows(histories, len(speeds)), strict=True):
-        holds = flow.lengths_T >= task.time_limit * interval_T - 1e-6
-        if not holds.any():
-            raise ValueError(
-                f"stream {speed:g} L/T: no episode lasted {settings.periods} T; raise "
-                "max_frequency or frequency"
-            )
-        held = pick(flow, holds)
-        count = {"episodes": len(holds), "held": len(held.flow)}
-        rows.append(count | summarise(held, interval_T=interval_T))
+    with Progress() as progress:
+        flows = trials.run_trial(trial, episodes=s.episodes, folder=folder, progress=progress)
+    for speed, flow in zip(speeds, flows, strict=True):
+        held = trials.pick(flow, flow.lengths_T >= task.time_limit * interval_T - 1e-6)
+        num, num_held = len(flow.flow), len(held.flow)
+        if not num_held:
+            raise ValueError(f"stream {speed:g} L/T: no episode lasted; raise frequency")
+        row = {"episodes": num, "held": num_held} | summarise(held, interval_T=interval_T)
+        rows.append(row)
         work.append(trace_work(held, interval_T=interval_T))
-    result = {
-        "speeds_bl": list(speeds),
-        "steps_per_T": scales.period,
-        "mach": scales.mach,
-        "tau": scales.tau,
-        "flows": rows,
-        "work": work,
-    }
-    write_json(folder / "free_stream.json", result)
-    for speed, row in zip(speeds, rows, strict=True):
         print(
             f"{speed:g} L/T: {row['frequency']:.2f} beats per T, work {row['work']:.2f} ± "
-            f"{row['work_error']:.2f} per T, drift {row['drift']:+.3f} L/T, held "
-            f"{row['held']:.0f} of {row['episodes']:.0f}"
+            f"{row['work_error']:.2f} per T, drift {row['drift']:+.3f} L/T, "
+            f"held {num_held} of {num}"
         )
+    facts = {"steps_per_T": scales.period, "mach": scales.mach, "tau": scales.tau}
+    result = {"speeds_bl": list(speeds), **facts, "flows": rows, "work": work}
+    write_json(folder / "free_stream.json", result)
     print(f"written to {folder}")
 
 

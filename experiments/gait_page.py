@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from shutil import copyfile
 from typing import Any
 
-from experiments.gait import pictures, tables
+from experiments.gait import figures, tables
 from experiments.gait.trials import list_shedding, load_trial
 from experiments.pages import fill, write_table
 from experiments.program import program
 
-FIGURES = ("survival", "paths", "places", "decisions", "lean", "work")
+COPIED = ("survival", "paths", "places", "decisions", "lean", "work")
 
 
 @dataclass(kw_only=True)
@@ -28,10 +29,10 @@ class GaitPageSettings:
         drift: folder of ``experiments.drift_sweep``.
         line: run folder of ``experiments.train_lateral_line``.
         transfer: folder of ``experiments.transfer``.
-        runs: run folders of ``transfer``.
+        runs: run folders of ``transfer``; the first policy swims in the figure of a period.
         beside: folder of another transfer test, whose policies are appended to the tables.
-        free_stream: folder of ``experiments.free_stream``; it needs ``transfer``.
-        arm: policy whose work is compared.
+        free_stream: folder of ``experiments.free_stream``, whose work is compared with that of the
+            first policy of ``transfer``.
     """
 
     docs: str = "docs"
@@ -43,41 +44,31 @@ class GaitPageSettings:
     runs: tuple[str, ...] = ()
     beside: str | None = None
     free_stream: str | None = None
-    arm: str = "both modules"
 
     def __post_init__(self) -> None:
         """Check that the parts of the transfer test come together."""
-        if (self.transfer is None) == bool(self.runs):
-            raise ValueError(f"runs = {list(self.runs)}: give them with transfer, and only then")
-        if self.free_stream is not None and self.transfer is None:
-            raise ValueError(f"free_stream = {self.free_stream}: give transfer too")
+        if self.transfer is None and (self.runs or self.free_stream):
+            raise ValueError("runs and free_stream: give transfer too")
 
 
-def read(folder: str, name: str = "transfer.json") -> dict[str, Any]:
-    """Return the results in a folder."""
-    results: dict[str, Any] = json.loads((Path(folder) / name).read_text(encoding="utf-8"))
-    return results
+def read(folder: str, name: str = "transfer.json") -> Any:
+    """Return the results in a folder; NaN where there is null."""
+
+    def restore(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: restore(entry) for name, entry in value.items()}
+        if isinstance(value, list):
+            return [restore(entry) for entry in value]
+        return math.nan if value is None else value
+
+    return restore(json.loads((Path(folder) / name).read_text(encoding="utf-8")))
 
 
-def write_design(folders: Mapping[str, str]) -> str:
-    """Return the survival of the PID controller in tasks of several designs."""
-    results = {name: read(folder) for name, folder in folders.items()}
-    rows = {name: result["arms"]["pid"] for name, result in results.items()}
-    speeds = next(iter(results.values()))["speeds_bl"]
-    return tables.write_survival_table("task", rows, speeds)
-
-
-def write_fixed(folder: str) -> str:
-    """Return the survival of baselines of one frequency."""
-    results = read(folder)
-    return tables.write_survival_table("policy", results["arms"], results["speeds_bl"])
-
-
-def write_drift(folder: str, figures: Path) -> str:
+def write_drift(folder: str, pictures: Path) -> str:
     """Return the settings of a drift sweep, and copy its figure."""
     facts = read(folder, "drift.json")
     shedding = ", ".join(f"{value:.3f}" for value in facts["shedding_frequencies_per_T"])
-    copyfile(Path(folder) / "drift.png", figures / "drift.png")
+    copyfile(Path(folder) / "drift.png", pictures / "drift.png")
     return (
         f"L = {facts['body_length']}, Re_f = {facts['reynolds']:g}, {facts['steps_per_T']} steps "
         f"per T, τ = {facts['tau']:.4f}, Mach {facts['mach']:.2f}; {facts['episodes']} episodes, "
@@ -86,38 +77,33 @@ def write_drift(folder: str, figures: Path) -> str:
     )
 
 
-def write_lateral_line(folder: str, figures: Path) -> str:
+def write_lateral_line(folder: str, pictures: Path) -> str:
     """Return a study of the lateral line, its headings one level deeper; copy its figures."""
     text = (Path(folder) / "lateral_line.md").read_text(encoding="utf-8")
     body = text.split("\n", 1)[1].replace("\n## ", "\n### ")
     for picture in sorted(Path(folder).glob("*.png")):
-        name = f"line_{picture.name}"
-        copyfile(picture, figures / name)
-        body = body.replace(f"]({picture.name})", f"](figures/gait/{name})")
+        copyfile(picture, pictures / f"line_{picture.name}")
+        body = body.replace(f"]({picture.name})", f"](figures/gait/line_{picture.name})")
     return body
 
 
-def write_transfer(folder: str, figures: Path, runs: Sequence[str], beside: str | None) -> str:
-    """Return the tables of a transfer test; draw its figures and those of its trainings."""
-    results = read(folder)
-    others = read(beside)["arms"] if beside is not None else {}
-    for name in FIGURES:
-        copyfile(Path(folder) / f"{name}.png", figures / f"{name}.png")
-    trials = [load_trial(Path(run)) for run in runs]
+def draw_transfer(folder: str, runs: Sequence[str], pictures: Path) -> None:
+    """Copy the figures of a transfer test, and draw those of its trainings."""
+    for name in COPIED:
+        copyfile(Path(folder) / f"{name}.png", pictures / f"{name}.png")
     by_arm: dict[str, list[Path]] = {}
+    trials = [load_trial(Path(run)) for run in runs]
     for run, trial in zip(runs, trials, strict=True):
         by_arm.setdefault(trial.arm, []).append(Path(run))
-    pictures.write_training(figures / "training.png", by_arm)
-    shown = next((trial for trial in trials if trial.arm == "both modules"), trials[0])
-    periods_T = [1.0 / frequency for frequency in list_shedding(shown.task)]
-    pictures.write_period(figures / "period.png", shown, num_decisions=8, periods_T=periods_T)
-    return tables.write_results(results["arms"] | others, results["speeds_bl"])
+    if trials:
+        figures.write_training(pictures / "training.png", by_arm)
+        periods_T = [1.0 / frequency for frequency in list_shedding(trials[0].task)]
+        path = pictures / "period.png"
+        figures.write_period(path, trials[0], num_decisions=8, periods_T=periods_T)
 
 
-def write_free_stream(folder: str, figures: Path, wake: str, arm: str) -> str:
-    """Return the comparison of work with a transfer test, and draw its figure."""
-    free, results = read(folder, "free_stream.json"), read(wake)
-    speeds = free["speeds_bl"]
+def write_free_stream(free: Any, in_wake: Any) -> str:
+    """Return the comparison of work with a transfer test."""
     rows = [
         [
             f"{speed:g}",
@@ -126,34 +112,44 @@ def write_free_stream(folder: str, figures: Path, wake: str, arm: str) -> str:
             f"{row['lean']:.1f}",
             f"{row['held']:.0f} of {row['episodes']:.0f}",
         ]
-        for speed, row in zip(speeds, free["flows"], strict=True)
+        for speed, row in zip(free["speeds_bl"], free["flows"], strict=True)
     ]
     held = write_table(("stream, L/T", "beats per T", "drift, L/T", "lean, °", "held"), rows)
-    work = tables.write_work_table(results["arms"][arm], free["flows"], speeds)
-    pictures.write_work(figures / "work.png", results["work"][arm], free["work"], speeds=speeds)
-    note = f"Free stream: T = {free['steps_per_T']} steps, Mach {free['mach']:.2f}."
-    return f"{held}\n{work}\n{note}"
+    work = tables.write_work(in_wake, free["flows"], free["speeds_bl"])
+    return f"{held}\n{work}\nFree stream: T = {free['steps_per_T']} steps, Mach {free['mach']:.2f}."
 
 
 @program(GaitPageSettings)
 def main(settings: GaitPageSettings) -> None:
     """Write the parts that are given."""
-    s, docs = settings, Path(settings.docs)
-    page, figures = docs / "karman_gait.md", docs / "figures" / "gait"
-    figures.mkdir(parents=True, exist_ok=True)
+    s, page, parts = settings, Path(settings.docs) / "karman_gait.md", dict[str, str]()
+    pictures = page.parent / "figures" / "gait"
+    pictures.mkdir(parents=True, exist_ok=True)
     if s.design:
-        fill(page, "design", write_design(s.design))
+        found = {name: read(folder) for name, folder in s.design.items()}
+        rows = {name: results["arms"]["pid"] for name, results in found.items()}
+        speeds = next(iter(found.values()))["speeds_bl"]
+        parts["design"] = tables.write_survival("task", rows, speeds)
     if s.fixed is not None:
-        fill(page, "fixed", write_fixed(s.fixed))
+        results = read(s.fixed)
+        parts["fixed"] = tables.write_survival("policy", results["arms"], results["speeds_bl"])
     if s.drift is not None:
-        fill(page, "drift", write_drift(s.drift, figures))
+        parts["drift"] = write_drift(s.drift, pictures)
     if s.line is not None:
-        fill(page, "lateral line", write_lateral_line(s.line, figures))
+        parts["lateral line"] = write_lateral_line(s.line, pictures)
     if s.transfer is not None:
-        fill(page, "transfer", write_transfer(s.transfer, figures, s.runs, s.beside))
+        results, others = read(s.transfer), read(s.beside)["arms"] if s.beside else {}
+        speeds = results["speeds_bl"]
+        draw_transfer(s.transfer, s.runs, pictures)
+        parts["transfer"] = tables.write_results(results["arms"] | others, speeds)
         if s.free_stream is not None:
-            fill(page, "work", write_free_stream(s.free_stream, figures, s.transfer, s.arm))
-    print(f"written: {page}, {figures}")
+            free = read(s.free_stream, "free_stream.json")
+            in_wake, work = (next(iter(results[name].values())) for name in ("arms", "work"))
+            parts["work"] = write_free_stream(free, in_wake)
+            figures.write_work(pictures / "work.png", work, free["work"], speeds=speeds)
+    for name, text in parts.items():
+        fill(page, name, text)
+    print(f"written: {page}, {pictures}")
 
 
 if __name__ == "__main__":

@@ -10,8 +10,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from experiments.gait.histories import Histories
+from experiments.gait.trials import Histories
 from experiments.statistics import half_width
+from fishrl.envs import KarmanGait
 from fishrl.envs.stations import SafeArea
 
 #: Nose positions (x behind the flat side, |y|), body lengths, inside the vortex street.
@@ -22,12 +23,7 @@ WORKS = ("work", "positive_work", "lateral_work")
 
 
 def diagnose(
-    histories: Histories,
-    *,
-    shedding_frequency: float,
-    safe_area: SafeArea,
-    time_limit_T: float,
-    interval_T: float = 1.0,
+    histories: Histories, task: KarmanGait, *, shedding_frequency: float
 ) -> dict[str, float]:
     """Reduce the episodes of one policy in one flow to numbers; NaN where there is no data.
 
@@ -37,29 +33,26 @@ def diagnose(
     nose in ``STREET``; ``in_gait``: and beating within ``GAIT_BAND`` of the shedding frequency;
     ``accelerations``, ``decelerations``), or of the decisions (``named_right``: correct flow
     label). Lengths are in L, angles in degrees, frequencies per T, work per T in rho L^2 (L / T)^2.
-    The shedding frequency is that of the wake without a fish, NaN in a free stream;
-    ``time_limit_T`` the duration of an episode that nothing ends, ``interval_T`` that of a control
-    interval.
+    The shedding frequency is that of the wake without a fish, NaN in a free stream.
     """
-    h, lengths = histories, histories.lengths_T.double()
-    last_places = (place[~place[:, 0].isnan()][-1] for place in h.place[h.terminated])
-    ends = [_name_end(place, safe_area) for place in last_places]
+    h, lengths, limit_T = histories, histories.lengths_T.double(), task.time_limit * task.interval_T
     x, y = h.place[:, 1:, 0], h.place[:, 1:, 1]
     (near, far), aside = STREET
     is_known = ~h.frequency.isnan()
     in_street = (x >= near) & (x <= far) & (y.abs() <= aside) & is_known
     ratio, change = h.frequency / shedding_frequency, h.frequency.diff(dim=1)
     in_gait = in_street & ((ratio - 1.0).abs() <= GAIT_BAND)
-    frames_per_T = max(1, h.beat.shape[1] // max(1, h.frequency.shape[1])) / interval_T
+    frames_per_T = max(1, h.beat.shape[1] // max(1, h.frequency.shape[1])) / task.interval_T
     angle = h.angle_of_attack.abs() * 180.0 / math.pi
     total_T = max(float(h.lengths_T.sum()), 1e-9)
+    last = (~h.work.isnan()).sum(1, keepdim=True).clamp_min(1) - 1
     return {
         "episodes": len(h.flow),
         "diverged": int(h.diverged.sum()),
         "survival_T": _mean(lengths),
         "survival_error_T": half_width(lengths.tolist()),
-        "survivors": _mean(((lengths >= time_limit_T - 1e-6) & ~h.diverged).double()),
-        **{f"ended_{side}": ends.count(side) / len(h.flow) for side in ("near", "far", "aside")},
+        "survivors": _mean(((lengths >= limit_T - 1e-6) & ~h.diverged).double()),
+        **_count_ends(h, task.safe_area),
         "x_mean": _mean(x),
         "x_deviation": _deviation(x),
         "y_deviation": _deviation(y),
@@ -73,16 +66,15 @@ def diagnose(
         "angle_max": float(angle.nan_to_num(0.0).max()),
         "sway": measure_sway(h.aside, frames_per_T=frames_per_T),
         "phase_lock": lock_phases(h, shedding_frequency, frames_per_T=frames_per_T),
-        **{name: float(_last_values(getattr(h, name)).nansum()) / total_T for name in WORKS},
+        **{name: float(getattr(h, name).gather(1, last).nansum()) / total_T for name in WORKS},
         "named_right": _share(h.named == h.flow[:, None], ~h.named.isnan() & is_known),
     }
 
 
 def trace_work(histories: Histories, *, interval_T: float) -> dict[str, list[float]]:
-    """Return the work since the start about once per T, mean over the episodes that still run.
+    """Return ``work`` and ``lateral_work`` since the start about once per T (``time_T``).
 
-    ``time_T``, and ``work`` and ``lateral_work`` in rho L^2 (L / T)^2, up to the longest episode's
-    end, for histories of one flow.
+    Means over the episodes of one flow that still run, in rho L^2 (L / T)^2.
     """
     every = max(1, round(1.0 / interval_T))
     names = ("work", "lateral_work")
@@ -98,9 +90,9 @@ def measure_sway(aside: Tensor, *, frames_per_T: float) -> float:
     Root of twice the variance about the mean of each 2 T.
     """
     swings: list[float] = []
+    span = round(2 * frames_per_T)
     for row in aside:
         values = row[~row.isnan()].double()
-        span = round(2 * frames_per_T)
         blocks = values[: len(values) // span * span].reshape(-1, span)
         swings += blocks.var(1, unbiased=False).tolist()
     return math.sqrt(2.0 * sum(swings) / len(swings)) if swings else math.nan
@@ -125,8 +117,7 @@ def lock_phases(histories: Histories, shedding_frequency: float, *, frames_per_T
     """Return the phase locking of the tail beat to the lift on the obstacle, 0 to 1.
 
     Length of the mean of exp(i (beat - shed)) over windows of 8 T, averaged over those; shed is
-    the phase of the lift at the shedding frequency's first harmonic band (Hilbert transform of
-    what lies within half and one and a half of it). Two unrelated phases give about 0.2 here.
+    the phase of the lift near the shedding frequency. Two unrelated phases give about 0.2 here.
     """
     if math.isnan(shedding_frequency):
         return math.nan
@@ -144,10 +135,9 @@ def lock_phases(histories: Histories, shedding_frequency: float, *, frames_per_T
 
 
 def find_phase(signal: NDArray[np.float64], frequency: float, rate: float) -> NDArray[np.float64]:
-    """Return the phase of a signal's part near a frequency, by its analytic signal.
+    """Return the phase of a signal ``[n]``, of ``rate`` samples per unit of time, near a frequency.
 
-    ``signal`` ``[n]`` has ``rate`` samples per unit of time; what lies outside 0.5 to 1.5 times
-    the frequency is left out.
+    It is that of the analytic signal (Hilbert transform) of what lies within 0.5 to 1.5 times it.
     """
     spectrum = np.fft.fft(signal - signal.mean())
     at = np.fft.fftfreq(len(signal), 1.0 / rate)
@@ -167,27 +157,23 @@ def combine_seeds(results: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return mean
 
 
-def _last_values(series: Tensor) -> Tensor:
-    """Return the last number of each row ``[E]``."""
-    last = (~series.isnan()).sum(1).clamp_min(1) - 1
-    return series.gather(1, last[:, None]).squeeze(1)
-
-
-def _name_end(place: Tensor, area: SafeArea) -> str:
-    """Return the side of the safe area at which an episode ended."""
-    x, y = place.tolist()
-    gaps = {"near": x - area.near_bl, "far": area.far_bl - x, "aside": area.aside_bl - abs(y)}
-    return min(gaps, key=lambda name: gaps[name])
+def _count_ends(histories: Histories, area: SafeArea) -> dict[str, float]:
+    """Return the shares of episodes that left the safe area at each of its sides."""
+    sides = []
+    for place in histories.place[histories.terminated]:
+        x, y = place[~place[:, 0].isnan()][-1].tolist()
+        gaps = {"near": x - area.near_bl, "far": area.far_bl - x, "aside": area.aside_bl - abs(y)}
+        sides.append(min(gaps, key=lambda name: gaps[name]))
+    num = len(histories.flow)
+    return {f"ended_{side}": sides.count(side) / num for side in ("near", "far", "aside")}
 
 
 def _mean(values: Tensor) -> float:
-    known = values[~values.isnan()]
-    return float(known.double().mean()) if known.numel() else math.nan
+    return float(values[~values.isnan()].double().mean())
 
 
 def _deviation(values: Tensor) -> float:
-    known = values[~values.isnan()]
-    return float(known.double().std(unbiased=False)) if known.numel() else math.nan
+    return float(values[~values.isnan()].double().std(unbiased=False))
 
 
 def _share(flag: Tensor, of: Tensor) -> float:

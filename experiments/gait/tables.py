@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import nan
 
 from experiments.gait.diagnostics import WORKS
 from experiments.pages import write_table
 
 #: Work in a free stream over that in the wake, conditions I to III: Zhang et al. 2023, Table 4.
 PAPER_WORK_RATIO = (7577.94 / 1526.73, 14682.95 / 2145.74, 51520.26 / 3057.03)
-#: Heading, entry of ``diagnose``, format.
+#: Of each table: heading, entry of ``diagnose``, format.
 COLUMNS = (
     ("episodes", "episodes", ".0f"),
     ("survival, T", "survival_T", ".1f"),
@@ -36,9 +37,20 @@ ENDS = (
     ("aside", "ended_aside", ".0%"),
     ("diverged", "diverged", ".0f"),
 )
+WORK_HEADS = (
+    *("stream, L/T", "work, wake", "free", "ratio", "saved", "pushing: ratio"),
+    *("lateral (paper's form), wake", "free", "ratio", "paper's ratio"),
+)
 
 #: Of each arm, per flow, as ``diagnose`` or ``combine_seeds`` returns.
 Results = Mapping[str, Sequence[Mapping[str, float]]]
+
+
+def show(value: float, form: str, error: float = nan) -> str:
+    """Write a number, with its error where there is one, or a dash for NaN."""
+    if value != value:
+        return "–"
+    return format(value, form) + (f" ± {error:{form}}" if error == error else "")
 
 
 def write_results(results: Results, speeds: Sequence[float]) -> str:
@@ -46,64 +58,50 @@ def write_results(results: Results, speeds: Sequence[float]) -> str:
 
     ``speeds`` are those of the flows, L / T.
     """
-    return "\n".join(_tabulate(results, speeds, columns) for columns in (COLUMNS, ENDS))
+    tables = []
+    for columns in (COLUMNS, ENDS):
+        rows = []
+        for name, flows in results.items():
+            for speed, flow in zip(speeds, flows, strict=True):
+                errors = {"survival_T": flow["survival_error_T"]}
+                cells = (show(flow[key], form, errors.get(key, nan)) for _, key, form in columns)
+                rows.append([name, f"{speed:g}", *cells])
+        heads = ["policy", "stream, L/T", *(head for head, _, _ in columns)]
+        tables.append(write_table(heads, rows))
+    return "\n".join(tables)
 
 
-def _tabulate(
-    results: Results, speeds: Sequence[float], columns: Sequence[tuple[str, str, str]]
-) -> str:
-    rows = [
-        [name, f"{speed:g}", *(_show_entry(result, key, form) for _, key, form in columns)]
-        for name, flows in results.items()
-        for speed, result in zip(speeds, flows, strict=True)
-    ]
-    return write_table(["policy", "stream, L/T", *(head for head, _, _ in columns)], rows)
-
-
-def _show_entry(result: Mapping[str, float], key: str, form: str) -> str:
-    shown = show(result.get(key, float("nan")), form)
-    error = result["survival_error_T"] if key == "survival_T" else float("nan")
-    return shown if error != error else f"{shown} ± {error:.1f}"
-
-
-def write_survival_table(corner: str, results: Results, speeds: Sequence[float]) -> str:
+def write_survival(corner: str, results: Results, speeds: Sequence[float]) -> str:
     """Return a Markdown table of survival, a row per name and a column per flow."""
     rows = [
         [
             name,
             f"{flows[0]['episodes']:.0f}",
-            *(f"{flow['survival_T']:.0f} ± {flow['survival_error_T']:.0f}" for flow in flows),
+            *(show(flow["survival_T"], ".0f", flow["survival_error_T"]) for flow in flows),
         ]
         for name, flows in results.items()
     ]
     return write_table([corner, "episodes", *(f"{speed:g} L/T" for speed in speeds)], rows)
 
 
-def write_work_table(
+def write_work(
     in_wake: Sequence[Mapping[str, float]],
     free: Sequence[Mapping[str, float]],
     speeds: Sequence[float],
 ) -> str:
     """Return a Markdown table: work per T in the wake and in the free stream, and their ratio."""
-    has_paper = len(speeds) == len(PAPER_WORK_RATIO)
+    papers = PAPER_WORK_RATIO if len(speeds) == len(PAPER_WORK_RATIO) else [nan] * len(speeds)
     rows = []
-    for number, (speed, wake, still) in enumerate(zip(speeds, in_wake, free, strict=True)):
+    for speed, wake, still, paper in zip(speeds, in_wake, free, papers, strict=True):
         work, pushing, lateral = (
-            still[name] / wake[name] if min(still[name], wake[name]) > 0.0 else float("nan")
+            still[name] / wake[name] if min(still[name], wake[name]) > 0.0 else nan
             for name in WORKS
         )
         cells = (
-            (wake["work"], ".3f"), (still["work"], ".2f"), (work, ".1f"), (1.0 - 1.0 / work, ".1%"),
-            (pushing, ".1f"),
-            (wake["lateral_work"], ".3f"), (still["lateral_work"], ".2f"), (lateral, ".1f"),
-            (PAPER_WORK_RATIO[number] if has_paper else float("nan"), ".2f"),
-        )  # fmt: skip
+            *((wake["work"], ".3f"), (still["work"], ".2f"), (work, ".1f")),
+            *((1.0 - 1.0 / work, ".1%"), (pushing, ".1f")),
+            *((wake["lateral_work"], ".3f"), (still["lateral_work"], ".2f"), (lateral, ".1f")),
+            (paper, ".2f"),
+        )
         rows.append([f"{speed:g}", *(show(value, form) for value, form in cells)])
-    heads = ("stream, L/T", "work, wake", "free", "ratio", "saved", "pushing: ratio")
-    lateral_heads = ("lateral (paper's form), wake", "free", "ratio", "paper's ratio")
-    return write_table([*heads, *lateral_heads], rows)
-
-
-def show(value: float, form: str) -> str:
-    """Write a number, or a dash for NaN."""
-    return "–" if value != value else format(value, form)
+    return write_table(WORK_HEADS, rows)

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from omegaconf import MISSING
-from tensordict import TensorDict
-from torchrl.envs import TransformedEnv
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
+from torchrl.envs.utils import ExplorationType
 
-from experiments.gait.histories import Histories, record_histories
 from fishrl.bounds import check_bounds
 from fishrl.envs import KarmanGait, make_env
+from fishrl.envs.episodes import run_episodes
+from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.steering import PolicySteering
 from fishrl.envs.transforms import ORACLE, equip
@@ -34,12 +38,7 @@ PERIODS = 100.0
 START_X_BL, START_Y_BL = (1.5, 2.0), (-0.1, 0.1)
 #: Frames within an action, for phases and oscillations.
 FRAMES = 8
-_SOURCES = (
-    "fishrl.envs",
-    "fishrl.modules",
-    "fishrl.training.baselines",
-    "experiments.gait.histories",
-)
+_SOURCES = ("fishrl.envs", "fishrl.modules", "fishrl.training.baselines", __name__)
 
 
 @dataclass(kw_only=True)
@@ -59,6 +58,42 @@ class GaitSettings:
         check_bounds(self)
 
 
+class Histories(NamedTuple):
+    """E episodes of up to N decisions, with M frames in each; NaN after an episode's end."""
+
+    flow: Tensor  #: [E] index of the flow
+    place: Tensor  #: [E, N + 1, 2] nose (x downstream, y) from the start on, body lengths
+    frequency: Tensor  #: [E, N] beats per T of each interval
+    named: Tensor  #: [E, N] flow label given to the policy at the decision; NaN without one
+    angle_of_attack: Tensor  #: [E, N] at the end of the interval, radians
+    work: Tensor  #: [E, N + 1] done since the start by all forces, rho L^2 (L / T)^2
+    positive_work: Tensor  #: [E, N + 1] where no marker gives back what the flow does on it
+    lateral_work: Tensor  #: [E, N + 1] in the paper's form
+    lengths_T: Tensor  #: [E] duration of the episode, also within its last interval
+    terminated: Tensor  #: [E] bool, whether it left the safe area
+    diverged: Tensor  #: [E] bool
+    beat: Tensor  #: [E, N M] phase of the tail beat at the end of each frame, radians
+    aside: Tensor  #: [E, N M] y of the nose, body lengths
+    lift: Tensor  #: [E, N M] mean on the obstacle within each frame, rho (L / T)^2 L; 0 without one
+
+
+def pick(histories: Histories, rows: Tensor) -> Histories:
+    """Return some of the episodes; ``rows`` is a mask ``[E]``."""
+    return Histories(*(value[rows] for value in histories))
+
+
+def stack(parts: Sequence[Histories]) -> Histories:
+    """Concatenate episodes of several recordings; shorter ones are padded with NaN."""
+
+    def join(values: Sequence[Tensor]) -> Tensor:
+        if values[0].dim() == 1:
+            return torch.cat(list(values))
+        rows = [row for value in values for row in value]
+        return pad_sequence(rows, batch_first=True, padding_value=torch.nan)
+
+    return Histories(*(join(values) for values in zip(*parts, strict=True)))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Trial:
     """A policy to try in every flow.
@@ -66,50 +101,33 @@ class Trial:
     Args:
         name: of the policy, for tables; trials of one ``arm`` differ in their seed.
         arm: kind of policy.
-        trained: task of the policy.
+        task: with all flows and the duration of the trial, see ``prolong``.
         make_policy: creates it.
         identity: what determines its behaviour besides the task, as text.
         recognition: gives it flow labels, see ``make_env``.
-        periods: duration in T; rounded up to whole decisions.
     """
 
     name: str
     arm: str
-    trained: KarmanGait
+    task: KarmanGait
     make_policy: Callable[[], Any]
     identity: str
     recognition: LateralLineClassifier | str | None = None
-    periods: float = PERIODS
 
-    @property
-    def task(self) -> KarmanGait:
-        """The task of the trial: all flows, fixed starts."""
-        task = self.trained
-        return replace(
-            task,
-            start_flows=tuple(range(len(task.stream.speeds_bl))),
-            time_limit=math.ceil(self.periods / task.interval_T - 1e-9),
-            start_x_bl=START_X_BL,
-            start_y_bl=START_Y_BL,
-        )
 
-    def make_env(self, *, num_envs: int, seed: int) -> TransformedEnv:
-        """Return the environment of the trial."""
-        return make_env(
-            task=self.task,
-            num_envs=num_envs,
-            seed=seed,
-            frames_per_action=FRAMES,
-            recognition=self.recognition,
-        )
+def prolong(task: KarmanGait, periods: float) -> KarmanGait:
+    """Return the task with all flows, fixed starts, and ``periods`` in T, in whole decisions."""
+    return replace(
+        task,
+        start_flows=tuple(range(len(task.stream.speeds_bl))),
+        time_limit=math.ceil(periods / task.interval_T - 1e-9),
+        start_x_bl=START_X_BL,
+        start_y_bl=START_Y_BL,
+    )
 
 
 def load_trial(run: Path, *, periods: float = PERIODS) -> Trial:
-    """Return the trial of the learned policy of a run folder.
-
-    Raises:
-        ValueError: if there is none, or it has another task.
-    """
+    """Return the trial of the learned policy of a run folder."""
     path, plan = load_plan(run)
     choice = find_classifier(plan.recognition, path)
     recognition = load_recognition(choice)
@@ -122,11 +140,10 @@ def load_trial(run: Path, *, periods: float = PERIODS) -> Trial:
     return Trial(
         name=run.name,
         arm=name_arm(task, plan.recognition),
-        trained=task,
+        task=prolong(task, periods),
         recognition=recognition,
         make_policy=partial(load_policy, path, task=task, has_labels=recognition is not None),
         identity=make_key(*(file.read_bytes() for file in files)),
-        periods=periods,
     )
 
 
@@ -140,47 +157,34 @@ def name_arm(task: KarmanGait, recognition: str | None) -> str:
 def make_trial(name: str, task: KarmanGait, *, periods: float = PERIODS) -> Trial:
     """Return the trial of a baseline, which is given the true flow label.
 
-    Args:
-        name: as for ``make_baseline``; or ``passive``, ``shedding`` (the shedding frequency of each
-            flow) or ``fixed-0.6`` (0.6 beats per T), whatever the rows of the task; with
-            ``+policy`` appended, the learned heading controller steers.
-        task: of the others.
-        periods: see ``Trial``.
-
-    Raises:
-        ValueError: for an unknown name.
+    Names are those of ``make_baseline``, and ``passive``, ``shedding`` (the shedding frequency of
+    each flow) or ``fixed-0.6`` (0.6 beats per T), whatever the rows of the task; with ``+policy``
+    appended, the learned heading controller steers.
     """
     task = replace(task, reads_flow_class=False)
-    kind, _, steering = name.partition("+")
-    if steering not in ("", "policy"):
-        raise ValueError(f"baseline {name!r}: the only suffix is +policy")
-    if steering:
+    kind = name.removesuffix("+policy")
+    if kind != name:
         per_T = max(1, round(1.0 / task.interval_T))
         task = replace(task, steering=PolicySteering(decisions_per_T=per_T))
-    rates, make_policy = _find_rates(kind, task), partial(make_baseline, kind, task=task, seed=0)
-    if rates is not None:
+    make_policy, rates = partial(make_baseline, kind, task=task, seed=0), list[float]()
+    if kind == "passive":
+        rates = [0.0]
+    elif kind == "shedding":
+        rates = list_shedding(task)
+    elif kind.startswith("fixed-"):
+        rates = [float(kind.removeprefix("fixed-"))]
+    if rates:
+        most = task.control.max_frequency
+        if not all(rate <= most for rate in rates):
+            raise ValueError(f"baseline {name}: beats at {rates} per T, possible are 0 to {most}")
         # the highest frequency stays in the row: it determines T, and so the flow
-        row = tuple(sorted({0.0, *rates, task.control.max_frequency}))
-        if row[-1] > task.control.max_frequency:
-            raise ValueError(f"baseline {name!r}: at most {task.control.max_frequency} beats per T")
+        row = tuple(sorted({0.0, *rates, most}))
         task = replace(task, control=DirectFrequencies(frequencies=row, first_gear=0))
         controller = FixedFrequency(rates if len(rates) > 1 else rates[0])
         make_policy = partial(make_gait_policy, controller, task)
-    return Trial(
-        name=name, arm=name, trained=task, make_policy=make_policy, identity=name, periods=periods
-    )
-
-
-def _find_rates(kind: str, task: KarmanGait) -> Sequence[float] | None:
-    """Return the constant frequencies of a baseline, one or one per flow; None if they vary."""
-    if kind == "passive":
-        return [0.0]
-    if kind == "shedding":
-        if task.wakes is None:
-            raise ValueError("baseline shedding: there is no vortex shedding in a free stream")
-        return list_shedding(task)
-    word, _, rate = kind.partition("-")
-    return [float(rate)] if word == "fixed" else None
+    make_policy()  # refuses an unknown name before anything is run
+    task = prolong(task, periods)
+    return Trial(name=name, arm=name, task=task, make_policy=make_policy, identity=name)
 
 
 def list_shedding(task: KarmanGait) -> list[float]:
@@ -197,36 +201,101 @@ def run_trial(
     episodes: int,
     folder: Path,
     samples_actions: bool = False,
-    seed: int = 0,
     progress: Progress | None = None,
-) -> Histories:
-    """Run ``episodes`` from fixed starts in every flow, or read them from the folder if it can.
-
-    The starts of a seed are the same for every policy; ``samples_actions`` as for
-    ``record_histories``.
-    """
-    task, sources = trial.task, hash_sources(*_SOURCES)
-    key = make_key(task, trial.identity, episodes, samples_actions, seed, FRAMES, sources)
-    path = folder / f"{trial.name}-{key}.pt"
+) -> list[Histories]:
+    """Run ``episodes`` from fixed starts in each flow, or read them from the folder if it can."""
+    task, flows = trial.task, len(trial.task.stream.speeds_bl)
+    sources = hash_sources(*_SOURCES)
+    key = make_key(task, trial.identity, episodes, samples_actions, FRAMES, sources)
+    path = folder / "histories" / f"{trial.name}-{key}.pt"
     if path.is_file():
-        return Histories(**load_tensors(path, what="histories", remedy="delete the file"))
-    flows = len(task.stream.speeds_bl)
-    starts: TensorDict = task.sample_starts(flows * episodes, torch.Generator().manual_seed(seed))
-    # the same noses, phases and keys in each flow
+        kept = load_tensors(path, what="histories", remedy="delete the file")
+        return [pick(Histories(**kept), kept["flow"] == flow) for flow in range(flows)]
+    starts: TensorDict = task.sample_starts(flows * episodes, torch.Generator().manual_seed(0))
+    # the same noses, phases and keys in each flow, whatever the policy
     starts = torch.cat([starts[:episodes]] * flows)
     starts["flow_index"] = torch.arange(flows).repeat_interleave(episodes)
-    env = trial.make_env(num_envs=len(starts), seed=seed)
-    torch.manual_seed(seed)
-    histories = record_histories(
+    histories = record(trial, starts, samples_actions=samples_actions, progress=progress)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with staged(path) as stage:
+        torch.save(histories._asdict(), stage)
+    return [pick(histories, histories.flow == flow) for flow in range(flows)]
+
+
+def record(
+    trial: Trial,
+    starts: TensorDictBase,
+    *,
+    samples_actions: bool = False,
+    on_frame: Callable[[FlowEnv], None] = lambda _: None,
+    progress: Progress | None = None,
+) -> Histories:
+    """Run one episode from each start ``[E]``, all side by side."""
+    task, kept = trial.task, defaultdict[str, list[Tensor]](list)
+    env = make_env(
+        task=task, num_envs=len(starts), frames_per_action=FRAMES, recognition=trial.recognition
+    )
+    base, places = env.base_env, ("place", "work", "positive_work", "lateral_work")
+    torch.manual_seed(0)  # of sampled actions
+    progress = progress or Progress(is_shown=False)
+    progress.start(trial.name, total=task.time_limit)
+
+    def keep(**values: Tensor) -> None:
+        for name, value in values.items():
+            kept[name].append(value.clone())
+
+    def keep_impulse() -> None:
+        fish, *obstacles = base.solver.bodies
+        impulse = obstacles[0].impulse[:, 1] if obstacles else torch.zeros_like(fish.age)
+        keep(age=fish.age, impulse=impulse)
+
+    def note_start(start_of: Tensor, state: TensorDictBase) -> None:
+        keep(**{name: base.now[name] for name in places})
+        keep_impulse()
+
+    def note_decision(start_of: Tensor, step: TensorDictBase) -> None:
+        now, unnamed = base.now, torch.full(step.shape, torch.nan)
+        keep(
+            **{name: now[name] for name in (*places, "frequency")},
+            angle_of_attack=now["heading"] - torch.pi,
+            named=step.get("flow_class", unnamed).reshape(-1).double(),
+            lengths_T=now["age"].float() / task.scales.period,
+        )
+        progress.advance(1)
+
+    def note_frame(start_of: Tensor, flows: FlowEnv) -> None:
+        y = base.solver.head()[:, 1]
+        keep(beat=base.solver.body.phase, aside=(y - task.origin[1].to(y)) / task.body_length)
+        keep_impulse()
+        on_frame(flows)
+
+    episodes = run_episodes(
         env,
         trial.make_policy(),
         starts,
-        num_decisions=task.time_limit,
-        samples_actions=samples_actions,
-        progress=progress,
-        label=trial.name,
+        exploration=ExplorationType.RANDOM if samples_actions else ExplorationType.DETERMINISTIC,
+        on_begin=note_start,
+        on_step=note_decision,
+        on_frame=note_frame,
     )
-    folder.mkdir(parents=True, exist_ok=True)
-    with staged(path) as stage:
-        torch.save(histories._asdict(), stage)
-    return histories
+    env.close()
+    series = {name: torch.stack(values, 1).cpu() for name, values in kept.items()}
+    age, impulse = series.pop("age").diff(dim=1), series.pop("impulse").diff(dim=1)
+    unit = task.body_length * (task.body_length / task.scales.period) ** 2
+    series["lift"] = impulse / age.clamp_min(1.0) / unit
+    last = episodes.lengths[:, None] - 1
+    lengths_T = series.pop("lengths_T").gather(1, last).squeeze(1)
+    num, num_frames = series["frequency"].shape[1], series["beat"].shape[1]
+    # after an end within an interval the flow stands still
+    time_T = torch.arange(1, num_frames + 1) * (task.interval_T * num / num_frames)
+    is_over, is_still = torch.arange(num) > last, time_T > lengths_T[:, None] + 1e-6
+    for name, values in series.items():
+        ended = is_still if name in ("beat", "aside", "lift") else is_over
+        values[:, -ended.shape[1] :][ended] = torch.nan
+    return Histories(
+        flow=starts["flow_index"].cpu(),
+        lengths_T=lengths_T,
+        terminated=episodes.terminated,
+        diverged=episodes.diverged,
+        **series,
+    )

@@ -14,10 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from omegaconf import MISSING
 from tensordict import TensorDict, TensorDictBase, pad
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
+from fishrl.bounds import bounded
 from fishrl.envs import make_env
 from fishrl.envs.episodes import run_episodes
 from fishrl.envs.lateral_line import KNOWN
@@ -32,60 +34,55 @@ _SOURCES = ("fishrl.envs", "fishrl.modules", "fishrl.training.baselines", __name
 
 
 @dataclass(frozen=True, kw_only=True)
-class Collection:
-    """What shapes the data.
+class CollectionSettings:
+    """Settings of a collection.
 
     Args:
-        task: with a lateral line and flows to tell apart. Every feature of every neuromast is
-            recorded, whatever the task itself senses.
-        num_envs: flows that advance together; one episode each makes a piece.
+        task: task whose flows are classified; all of them, whatever ``task.start_flows`` is.
+        preset: name of a preset; only its task is used.
+        seed: of data, splits and fits.
+        device: cpu or cuda, for the flows.
+        compile: compile the flow solver.
+        data_folder: where collected data are kept, for every study that can use them.
+        num_envs: flows that advance together.
+        num_samples: decisions to collect, one signal of a control interval each.
         max_decisions: after which an episode is truncated.
-        seed: of starts, rows of frequencies, stations and actions.
     """
 
-    task: Any
-    num_envs: int = 16
-    max_decisions: int = 60
-    seed: int = 0
+    task: Any = MISSING
+    preset: str | None = None
+    seed: int = bounded(0, least=0)
+    device: str = "cpu"
+    compile: bool = True
+    data_folder: str = "runs/lateral_line_data"
+    num_envs: int = bounded(16, least=1)
+    num_samples: int = bounded(6000, least=1)
+    max_decisions: int = bounded(60, least=1)
 
-    def __post_init__(self) -> None:
-        """Set the task up to record everything.
-
-        Raises:
-            ValueError: for a task without a lateral line, or without two flows.
-        """
+    @property
+    def recorded_task(self) -> Any:
+        """The task that records every feature of every neuromast, whatever it senses itself."""
         task = self.task
         if len(task.flow_labels) < 2 or not task.lateral_line_layout:
             raise ValueError(
                 f"{type(task).__name__} has no two flows to tell apart by a lateral line: take "
                 "task=karman_gait with two or more stream.speeds_bl"
             )
-        line = replace(
-            task.lateral_line, features=KNOWN, is_averaged=False, noise=0.0, silence=0.0, delay=0
-        )
-        task = replace(
-            task, lateral_line=line, reads_flow_class=True, time_limit=self.max_decisions
-        )
-        object.__setattr__(self, "task", task)
+        whole = {"features": KNOWN, "is_averaged": False, "noise": 0.0, "silence": 0.0, "delay": 0}
+        line = replace(task.lateral_line, **whole)
+        limit = self.max_decisions
+        return replace(task, lateral_line=line, reads_flow_class=True, time_limit=limit)
 
     @property
-    def key(self) -> str:
-        """Key that changes when the data may: these settings, the flow or the environment."""
-        return make_key(self, hash_sources(*_SOURCES), torch.__version__)
+    def place(self) -> Path:
+        """Folder of the data, another one whenever they may differ."""
+        settings = (self.recorded_task, self.num_envs, self.max_decisions, self.seed)
+        key = make_key(*settings, hash_sources(*_SOURCES), torch.__version__)
+        return Path(self.data_folder).expanduser() / key
 
 
-def collect(
-    collection: Collection,
-    *,
-    num_samples: int,
-    folder: Path,
-    device: str = "cpu",
-    compile: bool = True,
-    progress: Progress | None = None,
-) -> TensorDict:
-    """Collect episodes until they hold ``num_samples`` decisions, one signal each.
-
-    Pieces are kept below ``folder``, in a folder of their own for each collection, and reused.
+def collect(settings: CollectionSettings, progress: Progress | None = None) -> TensorDict:
+    """Collect episodes until they hold ``num_samples`` decisions, or read those of before.
 
     Returns:
         TensorDict ``[E, D]`` of E episodes and at most D decisions: ``lateral_line``
@@ -93,28 +90,25 @@ def collect(
         decision; ``is_decision`` bool, false after the end; ``flow_index``, ``named_flow`` (the
         row of frequencies in use) and ``episode`` int64; ``start`` ``[E, D, 2]``, the nose's
         initial position in L; ``frequency`` in beats per T.
-
-    Raises:
-        ValueError: if a piece cannot be read.
     """
-    progress = progress or Progress(is_shown=False)
-    place = folder.expanduser() / collection.key
+    s, progress = settings, progress or Progress(is_shown=False)
+    task, place = s.recorded_task, s.place
     place.mkdir(parents=True, exist_ok=True)
     pieces: list[TensorDict] = []
     num_done, env = 0, None
-    progress.start("collection", total=num_samples)
-    while num_done < num_samples:
+    progress.start("collection", total=s.num_samples)
+    while num_done < s.num_samples:
         path = place / f"piece-{len(pieces):04d}.pt"
         if not path.is_file():
             env = env or make_env(
-                task=collection.task, num_envs=collection.num_envs, device=device, compile=compile
+                task=task, num_envs=s.num_envs, device=s.device, compile=s.compile
             )
             with staged(path) as stage:
-                torch.save(record_piece(collection, env, len(pieces)).to_dict(), stage)
+                torch.save(record_piece(env, len(pieces), seed=s.seed).to_dict(), stage)
         content = load_tensors(path, what="data", remedy="delete the file")
         pieces.append(TensorDict(content, content["is_decision"].shape))
         num_new = int(pieces[-1]["is_decision"].sum())
-        progress.advance(min(num_new, num_samples - num_done), episodes=sum(map(len, pieces)))
+        progress.advance(min(num_new, s.num_samples - num_done), episodes=sum(map(len, pieces)))
         num_done += num_new
     if env is not None:
         env.close()
@@ -123,12 +117,12 @@ def collect(
     return data.set("episode", episode.contiguous())
 
 
-def record_piece(collection: Collection, env: TransformedEnv, number: int) -> TensorDict:
-    """Return the episodes ``[B, D]`` of a piece; they depend on collection and number alone."""
-    task, num = collection.task, collection.num_envs
+def record_piece(env: TransformedEnv, number: int, *, seed: int) -> TensorDict:
+    """Return the episodes ``[B, D]`` of a piece; they depend on env, seed and number alone."""
+    task, num = env.base_env.task, env.batch_size[0]
     num_flows = len(task.flow_labels)
     # a CPU generator has a seed of 32 bits; these differ from those of training and evaluation
-    word = hashlib.sha256(f"lateral line {collection.seed} {number}".encode()).digest()
+    word = hashlib.sha256(f"lateral line {seed} {number}".encode()).digest()
     generator = torch.Generator().manual_seed(int.from_bytes(word[:4], "big"))
     starts = task.sample_starts(num, generator)
     flow = (torch.arange(num) + num * number) % num_flows  # as many episodes of each
@@ -138,11 +132,7 @@ def record_piece(collection: Collection, env: TransformedEnv, number: int) -> Te
     low, high = area.near_bl + area.rim_bl, area.far_bl - area.rim_bl
     station = low + (high - low) * torch.rand(num, generator=generator)
     holder = make_pid(task, station_bl=station.to(env.device))
-    constant = {
-        "flow_index": flow,
-        "named_flow": row,
-        "start": (starts["head"] / task.body_length).float(),
-    }
+    start = (starts["head"] / task.body_length).float()
     decisions: list[TensorDict] = []
 
     def act(state: TensorDictBase) -> TensorDictBase:
@@ -158,8 +148,8 @@ def record_piece(collection: Collection, env: TransformedEnv, number: int) -> Te
             "frequency": step["frequency"].squeeze(-1).float().cpu(),
             "is_decision": start_of.cpu() >= 0,
         }
+        constant = {"flow_index": flow, "named_flow": row, "start": start}
         decisions.append(TensorDict({**sensed, **constant}, [num]))
 
     run_episodes(env, act, starts, on_step=keep)
-    piece = torch.stack(decisions, 1)
-    return pad(piece, [0, 0, 0, collection.max_decisions - len(decisions)])
+    return pad(torch.stack(decisions, 1), [0, 0, 0, task.time_limit - len(decisions)])

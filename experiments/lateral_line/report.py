@@ -11,20 +11,15 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter
 
 from experiments.figures.style import COLOURS, panels, tidy
-from experiments.lateral_line.questions import Answers
-from experiments.lateral_line.study import Fit, Study
+from experiments.lateral_line.study import Answers, Fit, Study
 from experiments.pages import write_table
 
 _PERCENT = FuncFormatter(lambda value, _: f"{value:.0%}")
+_PAPER = "as in the paper: [t, x, y, u_x, u_y, p, speed], mean, instant"
 
 
-def describe(
-    study: Study, fit: Fit, paper: Fit, tables: Mapping[str, Answers], *, num_splits: int
-) -> dict[str, Any]:
-    """Return the numbers of a study: of the classifier that is kept, of the paper's, and tables.
-
-    ``tables`` are those of ``answer``, from ``num_splits`` divisions of the episodes.
-    """
+def describe(study: Study, fit: Fit, paper: Fit, tables: Mapping[str, Answers]) -> dict[str, Any]:
+    """Return the numbers of a study: of its classifier, of the paper's, and those of ``answer``."""
     is_decision, sample_T = study.episodes["is_decision"], study.layout["interval_T"]
     by_decision = {
         memory: {number: float(np.mean(rows[number])) for number in sorted(rows, key=int)}
@@ -36,7 +31,7 @@ def describe(
         "features": fit.classifier.features,
         "window_T": fit.classifier.num_samples * sample_T,
         "chance": 1.0 / len(study.flows),
-        "num_splits": num_splits,
+        "num_splits": study.settings.num_splits,
         "data": {
             "samples": int(is_decision.sum()),
             "episodes": len(study.episodes),
@@ -111,15 +106,22 @@ row of the true label.
 def write_page(findings: Mapping[str, Any]) -> str:
     """Return the Markdown page of a study, of findings as ``describe`` returns."""
     num_splits, sample_T = findings["num_splits"], findings["data"]["sample_T"]
-    windows = {
-        f"{int(length) * sample_T:.3g} T ({length})": values
-        for length, values in findings["windows"]["accuracy"].items()
-    }
-    fits = {
-        "this one": findings["classifier"],
-        "as in the paper: [t, x, y, u_x, u_y, p, speed], mean, instant": findings["paper"],
-    }
     divided = f", mean over {num_splits} divisions of the episodes [least-largest]"
+    fits = [
+        (
+            name,
+            f"{fit['fitted_accuracy']:.1%}",
+            f"{fit['held_out_accuracy']:.1%}",
+            f"{fit['held_out_samples']} of {fit['held_out_episodes']} episodes",
+            f"{fit['chosen_epoch'] + 1} of {fit['epochs']}",
+        )
+        for name, fit in (("this one", findings["classifier"]), (_PAPER, findings["paper"]))
+    ]
+    corners = {"memory": "memory", "noise": "noise", "leaks": "input", "rows": "classifier"}
+    corners["windows"] = "window (samples)"
+    windows = findings["windows"]["accuracy"].items()
+    in_T = {f"{int(length) * sample_T:.3g} T ({length})": values for length, values in windows}
+    shown = {**findings, "windows": {"accuracy": in_T}}
     return _PAGE.format(
         flows=", ".join(flow["name"] for flow in findings["flows"]),
         chance=findings["chance"],
@@ -128,24 +130,8 @@ def write_page(findings: Mapping[str, Any]) -> str:
         **{name: findings["sensors"][name] for name in ("num_samples", "num_neuromasts")},
         features=", ".join(findings["features"]),
         window_T=findings["window_T"],
-        fits=write_table(
-            ("classifier", "fitted", "held-out episodes", "samples", "epochs"),
-            [
-                (
-                    name,
-                    f"{fit['fitted_accuracy']:.1%}",
-                    f"{fit['held_out_accuracy']:.1%}",
-                    f"{fit['held_out_samples']} of {fit['held_out_episodes']} episodes",
-                    f"{fit['chosen_epoch'] + 1} of {fit['epochs']}",
-                )
-                for name, fit in fits.items()
-            ],
-        ),
-        memory=_tabulate("memory", findings["memory"]),
-        windows=_tabulate("window (samples)", {"accuracy": windows}),
-        noise=_tabulate("noise", findings["noise"]),
-        leaks=_tabulate("input", findings["leaks"]),
-        rows=_tabulate("classifier", findings["rows"]),
+        fits=write_table(("classifier", "fitted", "held-out episodes", "samples", "epochs"), fits),
+        **{name: _tabulate(corner, shown[name]) for name, corner in corners.items()},
     )
 
 
@@ -160,106 +146,96 @@ def format_accuracies(values: Sequence[float]) -> str:
     known = [value for value in values if value == value]
     if not known:
         return "-"
-    mean = sum(known) / len(known)
-    if len(known) == 1:
-        return f"{mean:.1%}"
-    return f"{mean:.1%} [{100 * min(known):.1f}-{100 * max(known):.1f}]"
+    mean = f"{sum(known) / len(known):.1%}"
+    return mean + f" [{100 * min(known):.1f}-{100 * max(known):.1f}]" * (len(known) > 1)
 
 
 def write_figures(findings: Mapping[str, Any], fits: Mapping[str, Fit], folder: Path) -> None:
-    """Draw all figures of a study: findings as ``describe`` returns, and classifiers by name."""
-    write_curves(folder / "curves.png", fits, chance=findings["chance"])
-    names = [flow["name"] for flow in findings["flows"]]
-    write_confusion(folder / "confusion.png", fits, names=names)
-    write_limits(folder / "limits.png", findings)
-
-
-def write_curves(path: Path, fits: Mapping[str, Fit], *, chance: float) -> None:
-    """Draw accuracy and loss against epochs, fitted and held out, one colour per classifier."""
-    with panels(path, columns=2, size=(10, 3.8)) as grid:
-        left, right = grid[0]
-        for (name, fit), colour in zip(fits.items(), COLOURS, strict=False):
-            curve, at = fit.curves, fit.curves.chosen_epoch
-            epoch = np.arange(1, len(curve.train_loss) + 1)
-            for axes, fitted, held_out in (
-                (left, curve.train_accuracy, curve.validation_accuracy),
-                (right, curve.train_loss, curve.validation_loss),
-            ):
-                axes.plot(epoch, fitted, color=colour, linewidth=1.0, linestyle=":")
-                axes.plot(epoch, held_out, color=colour, linewidth=1.5, label=name)
-                axes.plot(epoch[at], held_out[at], "o", color=colour, markersize=5)
-        _draw_chance(left, chance)
-        right.axhline(-np.log(chance), color="#777777", linewidth=1.0, linestyle="--", zorder=1)
-        left.set(ylabel="accuracy", ylim=(0.0, 1.03))
-        right.set(ylabel="cross-entropy  [nats]", ylim=(0.0, 2.0 * -np.log(chance)))
-        left.yaxis.set_major_formatter(_PERCENT)
-        for axes in grid[0]:
-            axes.set(xlabel="epoch", xscale="log")
-            tidy(axes)
-        title = "dotted: training episodes · line: validation episodes · dot: kept"
-        left.legend(
-            loc="lower right", fontsize=8.5, title=title, title_fontsize=8.5, alignment="left"
-        )
-
-
-def write_confusion(path: Path, fits: Mapping[str, Fit], *, names: Sequence[str]) -> None:
-    """Draw the confusion matrix of each classifier on held-out episodes."""
-    with panels(path, columns=len(fits), size=(4.4 * len(fits), 3.9)) as grid:
+    """Draw the figures of a study: findings as ``describe`` returns, and classifiers by name."""
+    chance = findings["chance"]
+    with panels(folder / "curves.png", columns=2, size=(10, 3.8)) as grid:
+        _draw_curves(grid[0], fits, chance=chance)
+    names, size = [flow["name"] for flow in findings["flows"]], (4.4 * len(fits), 3.9)
+    with panels(folder / "confusion.png", columns=len(fits), size=size) as grid:
         for axes, (name, fit) in zip(grid[0], fits.items(), strict=True):
-            count = fit.held_out.confusion.double().numpy()
-            share = count / np.maximum(count.sum(1, keepdims=True), 1.0)
-            axes.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0)
-            for (row, column), value in np.ndenumerate(share):
-                axes.text(
-                    column, row, f"{value:.0%}\n{int(count[row, column])}", ha="center",
-                    va="center", fontsize=9, color="white" if value > 0.6 else "#222222",
-                )  # fmt: skip
-            axes.set(xlabel="predicted", ylabel="true flow", title=name)
-            axes.set_xticks(range(len(names)), names)
-            axes.set_yticks(range(len(names)), names)
-            axes.spines[:].set_visible(False)
-            axes.tick_params(length=0)
+            _draw_confusion(axes, fit, names)
+            axes.set_title(name)
+    with panels(folder / "limits.png", columns=3, size=(12, 3.6), sharey=True) as grid:
+        _draw_limits(grid[0], findings)
 
 
-def write_limits(path: Path, findings: Mapping[str, Any]) -> None:
+def _draw_curves(grid: Sequence[Axes], fits: Mapping[str, Fit], *, chance: float) -> None:
+    """Draw accuracy and loss against epochs, fitted and held out, one colour per classifier."""
+    left, right = grid
+    for (name, fit), colour in zip(fits.items(), COLOURS, strict=False):
+        curve, at = fit.curves, fit.curves.chosen_epoch
+        epoch = np.arange(1, len(curve.train_loss) + 1)
+        for axes, fitted, held_out in (
+            (left, curve.train_accuracy, curve.validation_accuracy),
+            (right, curve.train_loss, curve.validation_loss),
+        ):
+            axes.plot(epoch, fitted, color=colour, linewidth=1.0, linestyle=":")
+            axes.plot(epoch, held_out, color=colour, linewidth=1.5, label=name)
+            axes.plot(epoch[at], held_out[at], "o", color=colour, markersize=5)
+    _draw_chance(left, chance)
+    right.axhline(-np.log(chance), color="#777777", linewidth=1.0, linestyle="--", zorder=1)
+    left.set(ylabel="accuracy", ylim=(0.0, 1.03))
+    right.set(ylabel="cross-entropy  [nats]", ylim=(0.0, 2.0 * -np.log(chance)))
+    left.yaxis.set_major_formatter(_PERCENT)
+    for axes in grid:
+        axes.set(xlabel="epoch", xscale="log")
+        tidy(axes)
+    title = "dotted: training episodes · line: validation episodes · dot: kept"
+    small = {"fontsize": 8.5, "title_fontsize": 8.5}
+    left.legend(loc="lower right", title=title, alignment="left", **small)
+
+
+def _draw_confusion(axes: Axes, fit: Fit, names: Sequence[str]) -> None:
+    """Draw the confusion matrix of a classifier on held-out episodes."""
+    count = fit.held_out.confusion.double().numpy()
+    share = count / np.maximum(count.sum(1, keepdims=True), 1.0)
+    axes.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0)
+    for (row, column), value in np.ndenumerate(share):
+        axes.text(
+            column, row, f"{value:.0%}\n{int(count[row, column])}", ha="center",
+            va="center", fontsize=9, color="white" if value > 0.6 else "#222222",
+        )  # fmt: skip
+    axes.set(xlabel="predicted", ylabel="true flow")
+    axes.set_xticks(range(len(names)), names)
+    axes.set_yticks(range(len(names)), names)
+    axes.spines[:].set_visible(False)
+    axes.tick_params(length=0)
+
+
+def _draw_limits(grid: Sequence[Axes], findings: Mapping[str, Any]) -> None:
     """Draw held-out accuracy against window length, noise, and decisions by memory."""
+    first, second, third = grid
     windows, sample_T = findings["windows"]["accuracy"], findings["data"]["sample_T"]
-    with panels(path, columns=3, size=(12, 3.6), sharey=True) as grid:
-        first, second, third = grid[0]
-        _draw_answers(first, windows, COLOURS[0], scale=sample_T)
-        first.set(xlabel="window  [T]", ylabel="accuracy on held-out episodes", xscale="log")
-        lengths = [sample_T * int(key) for key in windows]
-        first.set_xticks(lengths, [f"{length:.2g}" for length in lengths])
-        first.minorticks_off()
-        for (name, answers), colour in zip(findings["noise"].items(), COLOURS, strict=False):
-            _draw_answers(second, answers, colour, label=name)
-        second.set(xlabel="noise / standard deviation of the feature")
-        for (name, means), colour in zip(findings["by_decision"].items(), COLOURS, strict=False):
-            answers = {number: [mean] for number, mean in means.items()}
-            _draw_answers(third, answers, colour, label=f"memory {name}")
-        third.set(xlabel="decisions since the start")
-        for axes in (second, third):
-            axes.legend(loc="lower right", fontsize=8.5)
-        first.set_ylim(0.0, 1.03)
-        first.yaxis.set_major_formatter(_PERCENT)
-        for axes in grid[0]:
-            _draw_chance(axes, findings["chance"])
-            tidy(axes)
+    _draw_answers(first, {"": windows}, scale=sample_T)
+    first.set(xlabel="window  [T]", ylabel="accuracy on held-out episodes", xscale="log")
+    lengths = [sample_T * int(key) for key in windows]
+    first.set_xticks(lengths, [f"{length:.2g}" for length in lengths])
+    first.minorticks_off()
+    _draw_answers(second, findings["noise"])
+    second.set(xlabel="noise / standard deviation of the feature")
+    _draw_answers(third, {f"memory {n}": means for n, means in findings["by_decision"].items()})
+    third.set(xlabel="decisions since the start")
+    first.set_ylim(0.0, 1.03)
+    first.yaxis.set_major_formatter(_PERCENT)
+    for axes in grid:
+        _draw_chance(axes, findings["chance"])
+        tidy(axes)
 
 
-def _draw_answers(
-    axes: Axes,
-    answers: Mapping[str, Sequence[float]],
-    colour: str,
-    *,
-    scale: float = 1.0,
-    label: str | None = None,
-) -> None:
+def _draw_answers(axes: Axes, columns: Mapping[str, Any], *, scale: float = 1.0) -> None:
     """Draw the mean over the splits, and a band from the least to the largest."""
-    x = scale * np.array([float(key) for key in answers])
-    values: Any = np.array(list(answers.values()))
-    axes.fill_between(x, values.min(1), values.max(1), color=colour, alpha=0.18, linewidth=0)
-    axes.plot(x, values.mean(1), "o-", color=colour, markersize=4, linewidth=1.5, label=label)
+    for (label, answers), colour in zip(columns.items(), COLOURS, strict=False):
+        x = scale * np.array([float(key) for key in answers])
+        values: Any = np.array(list(answers.values())).reshape(len(x), -1)
+        axes.fill_between(x, values.min(1), values.max(1), color=colour, alpha=0.18, linewidth=0)
+        axes.plot(x, values.mean(1), "o-", color=colour, markersize=4, linewidth=1.5, label=label)
+    if len(columns) > 1:
+        axes.legend(loc="lower right", fontsize=8.5)
 
 
 def _draw_chance(axes: Axes, chance: float) -> None:

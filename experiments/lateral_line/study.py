@@ -1,17 +1,21 @@
-"""Samples cut from episodes, and classifiers fitted to some of them and scored on others."""
+"""Classifiers fitted to some samples of the episodes and scored on others, and what they answer."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.envs.lateral_line import KNOWN
+from experiments.lateral_line.collection import CollectionSettings
+from fishrl.bounds import bounded
+from fishrl.envs.lateral_line import KNOWN, LOCAL, PAPER
 from fishrl.modules import LateralLineClassifier
+from fishrl.modules.lateral_line import BOOKKEEPING
 from fishrl.objectives import (
     Curves,
     FitSettings,
@@ -20,24 +24,52 @@ from fishrl.objectives import (
     score_classifier,
     split_episodes,
 )
+from fishrl.training.progress import Progress
 
+#: Control intervals that the classifier reads by default.
+NUM_INTERVALS = 8
 #: Shares of the episodes: to fit on, to stop by, to score on.
 SHARES = (0.6, 0.2, 0.2)
 #: Features that change their sign in a mirror along the stream.
 _ODD = ("u_y", "left", "shear")
 
+#: Accuracies by column and row, one value per division of the episodes.
+Answers = dict[str, dict[str, list[float]]]
+#: Returns masks ``[N]`` of samples, to fit on, to stop by, to score on; given these, the episodes
+#: that they come from, and a seed.
+Split = Callable[[TensorDict, TensorDict, int], list[Tensor]]
 
-def select_features(
-    episodes: TensorDict, *, features: Sequence[str], is_averaged: bool
-) -> TensorDict:
-    """Return episodes as ``collect`` does, with some features (of ``KNOWN``) of the signal only.
 
-    If ``is_averaged``, only the mean over the neuromasts is kept.
+@dataclass(frozen=True, kw_only=True)
+class LateralLineSettings(CollectionSettings, FitSettings):
+    """Settings of a study of the lateral line, besides those of its data and fits.
+
+    Args:
+        folder: where run folders lie.
+        name: of the run folder; by default made from task and seed.
+        window: samples that the classifier reads, the newest; by default those of eight intervals.
+        hidden: widths of its hidden layers.
+        noise: added to the training signals, as a share of each feature's standard deviation.
+        paper_epochs: epochs of the paper's classifier, which is fitted with its settings.
+        num_splits: divisions of the episodes over which accuracies are averaged.
+        windows: lengths of window to compare, in samples.
+        noises: levels of noise to compare, as shares of each feature's standard deviation.
+        memories: weights of earlier predictions to compare, see ``PredictedFlowLabel``.
     """
-    signal = episodes["lateral_line"][..., [KNOWN.index(name) for name in features]]
-    if is_averaged:
-        signal = signal.mean(-2, keepdim=True)
-    return episodes.copy().set("lateral_line", signal)
+
+    folder: str = "runs"
+    name: str | None = None
+    window: int | None = bounded(None, least=1)
+    hidden: tuple[int, ...] = bounded((128, 128), least=1)
+    batch_size: int = bounded(256, least=1)
+    patience: int | None = bounded(15, least=1)
+    weight_decay: float = bounded(1e-3, least=0)
+    noise: float = bounded(0.5, least=0)
+    paper_epochs: int = bounded(1000, least=1)
+    num_splits: int = bounded(2, least=1)
+    windows: tuple[int, ...] = bounded((1, 2, 4, 8, 16), least=1)
+    noises: tuple[float, ...] = bounded((0.0, 0.1, 0.2, 0.5, 1.0), least=0)
+    memories: tuple[float, ...] = bounded((0.0, 0.7, 1.0), least=0)
 
 
 def mirror(signal: Tensor, *, features: Sequence[str], middle_bl: float) -> Tensor:
@@ -63,22 +95,14 @@ def mirror(signal: Tensor, *, features: Sequence[str], middle_bl: float) -> Tens
 def cut_windows(episodes: TensorDictBase, *, num_samples: int) -> TensorDict:
     """Cut the signal of each episode into windows, one that ends at each of its samples.
 
-    Before the start the first sample is repeated, as the environment does.
-
-    Args:
-        episodes: ``[E, D]`` as ``collect`` returns.
-        num_samples: length of the windows.
+    Before the start the first sample is repeated, as the environment does. ``episodes`` are
+    ``[E, D]`` as ``collect`` returns.
 
     Returns:
         TensorDict ``[N]`` with ``lateral_line`` ``[N, num_samples, P, F]``; ``decision``, the
         number (from 0) of the decision that the last sample precedes; ``is_whole``, whether the
         window ends right at the decision; and the other entries of ``episodes``.
-
-    Raises:
-        ValueError: for windows without samples.
     """
-    if num_samples < 1:
-        raise ValueError(f"num_samples = {num_samples}: a window has at least 1")
     signal = episodes["lateral_line"]
     rows, num_decisions, interval = signal.shape[:3]
     series = signal.flatten(1, 2)  # [E, D * W, P, F]
@@ -86,36 +110,95 @@ def cut_windows(episodes: TensorDictBase, *, num_samples: int) -> TensorDict:
     windows = torch.cat((first, series), 1).unfold(1, num_samples, 1).movedim(-1, 2)
     is_whole = (torch.arange(num_decisions * interval) + 1) % interval == 0
     decision = torch.arange(num_decisions).repeat_interleave(interval)
-    is_used = episodes["is_decision"].repeat_interleave(interval, 1)
-    is_used &= is_whole | (decision > 0)  # at reset all samples of the interval are the first one
-    kept = {
-        "decision": decision.expand(rows, -1),
-        "is_whole": is_whole.expand(rows, -1),
-        **{
-            str(name): value.repeat_interleave(interval, 1)
-            for name, value in episodes.items()
-            if name not in ("lateral_line", "is_decision")
-        },
-    }
-    cut = {name: value[is_used] for name, value in kept.items()}
-    return TensorDict({"lateral_line": windows[is_used], **cut}, [int(is_used.sum())])
+    samples = episodes.exclude("lateral_line").apply(
+        lambda entry: entry.repeat_interleave(interval, 1), batch_size=[rows, len(decision)]
+    )
+    is_used = samples["is_decision"]
+    # at reset all samples of the interval are the first one
+    is_used = is_used & (is_whole | (decision > 0))
+    samples["decision"], samples["is_whole"] = (v.expand(rows, -1) for v in (decision, is_whole))
+    samples["lateral_line"] = windows
+    return samples[is_used]
+
+
+def split_by_episode(samples: TensorDict, episodes: TensorDict, seed: int) -> list[Tensor]:
+    """Split so that the parts share no episode."""
+    return _divide(samples, SHARES, seed)
+
+
+def split_by_start(samples: TensorDict, episodes: TensorDict, seed: int) -> list[Tensor]:
+    """Split by episode; those of the last part start farther downstream than all others."""
+    border = episodes["start"][:, 0, 0].quantile(1.0 - SHARES[2])
+    is_new = samples["start"][:, 0] > border
+    return [*_divide_known(samples, ~is_new, seed), is_new]
+
+
+def split_by_time(samples: TensorDict, episodes: TensorDict, seed: int) -> list[Tensor]:
+    """Split by episode; samples of the last part are later in theirs than those of the others."""
+    border = 0.5 * episodes["is_decision"].sum(1).double().mean()
+    *_, test = split_by_episode(samples, episodes, seed)
+    is_late = samples["decision"] > border
+    return [*_divide_known(samples, ~test & ~is_late, seed), test & is_late]
+
+
+def split_by_row(
+    samples: TensorDict, episodes: TensorDict, seed: int, *, is_right_only: bool
+) -> list[Tensor]:
+    """Split by episode; fit on fish in the right flow's row only, or on as many in any row."""
+    *parts, test = split_by_episode(samples, episodes, seed)
+    right = [part & (samples["named_flow"] == samples["flow_index"]) for part in parts]
+    if is_right_only:
+        return [*right, test]
+    pairs = zip(parts, right, strict=True)
+    return [*(part & (part.cumsum(0) <= mask.sum()) for part, mask in pairs), test]
+
+
+#: How samples are divided, by column of the table of leakage.
+SPLITS: dict[str, Split] = {
+    "new episodes": split_by_episode,
+    "new starts": split_by_start,
+    "later times": split_by_time,
+}
+
+
+def _divide(samples: TensorDict, shares: Sequence[float], seed: int) -> list[Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    labels = (samples["episode"], samples["flow_index"])
+    return split_episodes(*labels, shares=shares, generator=generator)
+
+
+def _divide_known(samples: TensorDict, is_known: Tensor, seed: int) -> list[Tensor]:
+    """Divide known samples into those to fit on and those to stop by."""
+    share = SHARES[0] / (SHARES[0] + SHARES[1])
+    parts = _divide(samples[is_known], (share, 1.0 - share), seed)
+    return [torch.zeros_like(is_known).masked_scatter(is_known, part) for part in parts]
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainingData:
-    """The input of a classifier.
+class Question:
+    """What a classifier reads, and how it is fitted.
 
     Args:
         features: that it reads, names from ``KNOWN``.
         num_samples: length of the window.
-        is_averaged: mean over the neuromasts.
+        is_averaged: read the mean over the neuromasts.
         sensed: features of its lateral line, if there are more than it reads.
+        noise: standard deviation of the noise added while fitting, as a share of each feature's.
+        split: divides the samples.
+        settings: of the fit, if not those of the study.
+        max_samples: to fit on at most.
+        is_mirrored: fit on the mirror image of each sample too.
     """
 
     features: tuple[str, ...]
-    num_samples: int
+    num_samples: int = 1
     is_averaged: bool = False
     sensed: tuple[str, ...] | None = None
+    noise: float = 0.0
+    split: Split = split_by_episode
+    settings: FitSettings | None = None
+    max_samples: int | None = None
+    is_mirrored: bool = True
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -123,8 +206,7 @@ class TrainingData:
         return self.sensed or self.features
 
 
-@dataclass(frozen=True, kw_only=True)
-class Fit:
+class Fit(NamedTuple):
     """A classifier, its learning curves and its scores."""
 
     classifier: LateralLineClassifier
@@ -133,105 +215,39 @@ class Fit:
     held_out: Score  #: on episodes that had no part in the fit, at the decisions
     test: TensorDict  #: the samples of those
 
+    @torch.no_grad()
+    def predict(self, *, memory: float = 0.0) -> Tensor:
+        """Return ``[N]`` whether each held-out prediction is correct.
 
-@dataclass(frozen=True, kw_only=True)
-class Study:
-    """Episodes, and how classifiers are fitted to them.
-
-    Args:
-        episodes: ``[E, D]`` as ``collect`` returns.
-        flows: labels of the flows, as a task gives them.
-        layout: description of the lateral line that recorded them, as a task gives it.
-        hidden: widths of the classifiers' layers.
-        settings: of the fits.
-        seed: of splits and fits.
-    """
-
-    episodes: TensorDict
-    flows: Sequence[dict[str, Any]]
-    layout: dict[str, Any]
-    hidden: Sequence[int] = (64, 64)
-    settings: FitSettings = field(default_factory=FitSettings)
-    seed: int = 0
-
-    def make_generator(self, number: int) -> torch.Generator:
-        """Return the generator of a split and of its fit."""
-        return torch.Generator().manual_seed(1000 * self.seed + number)
-
-    def cut(self, data: TrainingData) -> TensorDict:
-        """Return the samples ``[N]`` of some training data."""
-        features, is_averaged = data.columns, data.is_averaged
-        selected = select_features(self.episodes, features=features, is_averaged=is_averaged)
-        return cut_windows(selected, num_samples=data.num_samples)
-
-    def fit(
-        self,
-        data: TrainingData,
-        *,
-        number: int = 0,
-        split: Split | None = None,
-        settings: FitSettings | None = None,
-        noise: float = 0.0,
-        max_samples: int | None = None,
-        is_mirrored: bool = True,
-    ) -> Fit:
-        """Fit a classifier and score it.
-
-        Args:
-            data: its input.
-            number: of the split, and of the initial weights.
-            split: divides the samples; by default by episode.
-            settings: of the fit, if not those of the study.
-            noise: standard deviation of the noise added while fitting, as a share of each
-                feature's own.
-            max_samples: to fit on at most.
-            is_mirrored: fit on the mirror image of each sample too.
+        ``memory`` is the weight of the evidence at the decision before, see ``PredictedFlowLabel``.
         """
-        samples = self.cut(data)
-        masks = (split or split_by_episode)(self, samples, number)
-        training, validation, test = (samples[mask] for mask in masks)
-        test = test[test["is_whole"]]
-        generator = self.make_generator(number)
-        if max_samples is not None and len(training) > max_samples:
-            kept = torch.randperm(len(training), generator=generator)[:max_samples]
-            training = training[kept]
-        if is_mirrored:
-            training = torch.cat((training, self._mirror(training, data)))
-        sensors = self.layout | {"features": list(data.columns)}
-        if data.is_averaged:
-            sensors["num_neuromasts"] = 1
-        classifier = LateralLineClassifier(
-            flows=self.flows,
-            sensors=sensors,
-            features=data.features,
-            num_samples=data.num_samples,
-            hidden=self.hidden,
-            generator=generator,
-        )
-        classifier.set_normalisation(training["lateral_line"])
-        curves = fit_classifier(
-            classifier,
-            training=training,
-            validation=validation,
-            settings=settings or self.settings,
-            generator=generator,
-            noise=noise * measure_deviation(training["lateral_line"]),
-        )
-        fitted, held_out = (score_classifier(classifier, part) for part in (training, test))
-        return Fit(
-            classifier=classifier, curves=curves, fitted=fitted, held_out=held_out, test=test
-        )
+        log_probabilities = self.classifier(self.test["lateral_line"]).log_softmax(-1)
+        ids, episode = self.test["episode"].unique(return_inverse=True)
+        decision = self.test["decision"]
+        shape = (len(ids), int(decision.max()) + 1, log_probabilities.shape[-1])
+        evidence = log_probabilities.new_zeros(shape)
+        evidence[episode, decision] = log_probabilities
+        for i in range(1, evidence.shape[1]):
+            evidence[:, i] += memory * evidence[:, i - 1]
+        is_correct: Tensor = evidence[episode, decision].argmax(-1) == self.test["flow_index"]
+        return is_correct
 
-    def _mirror(self, samples: TensorDict, data: TrainingData) -> TensorDict:
-        flow = self.flows[0]
-        num_nodes = round(flow["domain_bl"][1] * flow["body_length"])
-        middle_bl = 0.5 * (num_nodes - 1) / flow["body_length"]
-        image = mirror(samples["lateral_line"], features=data.columns, middle_bl=middle_bl)
-        return samples.copy().set("lateral_line", image)
+    def score(self, *, memory: float = 0.0, is_right: bool | None = None) -> float:
+        """Return the accuracy of ``predict``, in the right row of frequencies or a wrong one."""
+        is_correct = self.predict(memory=memory)
+        if is_right is not None:
+            in_right_row = self.test["named_flow"] == self.test["flow_index"]
+            is_correct = is_correct[in_right_row == is_right]
+        return float(is_correct.double().mean())
 
-
-#: Returns masks ``[N]`` of samples: to fit on, to stop by, to score on.
-Split = Callable[[Study, TensorDict, int], list[Tensor]]
+    def score_with_noise(self, level: float) -> float:
+        """Return the held-out accuracy with noise, in shares of the standard deviations."""
+        signal = self.test["lateral_line"]
+        drawn = torch.randn(signal.shape, generator=torch.Generator().manual_seed(0))
+        noisy = signal + level * measure_deviation(signal) * drawn
+        return score_classifier(
+            self.classifier, self.test.copy().set("lateral_line", noisy)
+        ).accuracy
 
 
 def measure_deviation(signal: Tensor) -> Tensor:
@@ -239,54 +255,142 @@ def measure_deviation(signal: Tensor) -> Tensor:
     return signal.flatten(0, 1).std(0)
 
 
-def split_by_episode(study: Study, samples: TensorDict, number: int) -> list[Tensor]:
-    """Split so that the parts share no episode."""
-    return split_episodes(
-        samples["episode"],
-        samples["flow_index"],
-        shares=SHARES,
-        generator=study.make_generator(number),
-    )
+class Study:
+    """Episodes ``[E, D]`` as ``collect`` returns, and how classifiers are fitted to them."""
+
+    def __init__(self, settings: LateralLineSettings, episodes: TensorDict) -> None:
+        self.settings, self.episodes = settings, episodes
+        self.flows: Sequence[dict[str, Any]] = settings.task.flow_labels
+        self.layout: dict[str, Any] = settings.recorded_task.lateral_line_layout
+        self.window = settings.window or NUM_INTERVALS * settings.task.lateral_line.num_samples
+
+    def cut(self, question: Question) -> TensorDict:
+        """Return the samples ``[N]`` that a classifier reads."""
+        columns = [KNOWN.index(name) for name in question.columns]
+        signal = self.episodes["lateral_line"][..., columns]
+        if question.is_averaged:
+            signal = signal.mean(-2, keepdim=True)
+        episodes = self.episodes.copy().set("lateral_line", signal)
+        return cut_windows(episodes, num_samples=question.num_samples)
+
+    def fit(self, question: Question, *, number: int = 0) -> Fit:
+        """Fit a classifier and score it; ``number`` is that of the split and initial weights."""
+        q, seed = question, 1000 * self.settings.seed + number
+        samples, generator = self.cut(q), torch.Generator().manual_seed(seed)
+        masks = q.split(samples, self.episodes, seed)
+        training, validation, test = (samples[mask] for mask in masks)
+        test = test[test["is_whole"]]
+        if q.max_samples is not None and len(training) > q.max_samples:
+            training = training[torch.randperm(len(training), generator=generator)[: q.max_samples]]
+        if q.is_mirrored:
+            flow, signal = self.flows[0], training["lateral_line"]
+            num_nodes = round(flow["domain_bl"][1] * flow["body_length"])
+            middle_bl = 0.5 * (num_nodes - 1) / flow["body_length"]
+            image = mirror(signal, features=q.columns, middle_bl=middle_bl)
+            training = torch.cat((training, training.copy().set("lateral_line", image)))
+        sensors = self.layout | {"features": list(q.columns)}
+        if q.is_averaged:
+            sensors["num_neuromasts"] = 1
+        classifier = LateralLineClassifier(
+            flows=self.flows,
+            sensors=sensors,
+            features=q.features,
+            num_samples=q.num_samples,
+            hidden=self.settings.hidden,
+            generator=generator,
+        )
+        classifier.set_normalisation(training["lateral_line"])
+        curves = fit_classifier(
+            classifier,
+            training=training,
+            validation=validation,
+            settings=q.settings or self.settings,
+            generator=generator,
+            noise=q.noise * measure_deviation(training["lateral_line"]),
+        )
+        fitted, held_out = (score_classifier(classifier, part) for part in (training, test))
+        return Fit(classifier, curves, fitted, held_out, test)
+
+    def fit_own(self) -> Fit:
+        """Fit the classifier of the task's lateral line."""
+        s, line = self.settings, self.settings.task.lateral_line
+        features = tuple(name for name in line.features if name not in BOOKKEEPING)
+        own: Any = {"is_averaged": line.is_averaged, "sensed": line.features, "noise": s.noise}
+        return self.fit(Question(features=features, num_samples=self.window, **own))
+
+    def fit_paper(self) -> Fit:
+        """Fit a classifier as the paper does."""
+        s, paper = self.settings, FitSettings.of_the_paper()
+        settings = replace(paper, num_epochs=s.paper_epochs)
+        how: Any = {"settings": settings, "max_samples": s.num_samples, "is_mirrored": False}
+        return self.fit(Question(features=PAPER, is_averaged=True, **how))
+
+    def answer(self, progress: Progress) -> dict[str, Answers]:
+        """Return tables of held-out accuracies by name; equal fits are made once."""
+        s, inputs = self.settings, list_inputs(self.window)
+        plain = inputs["local: whole window, each neuromast"]
+        entries: list[tuple[str, str, str, Question, Callable[[Fit], float]]] = []
+        tables: dict[str, Answers] = {}
+
+        def ask(
+            table: str, column: str, row: str, question: Question, read: Any = read_accuracy
+        ) -> None:
+            entries.append((table, column, row, question, read))
+
+        def note(table: str, column: str, row: str, values: Sequence[float]) -> None:
+            rows = tables.setdefault(table, {}).setdefault(column, {})
+            rows.setdefault(row, []).extend(values)
+
+        for memory in s.memories:
+            ask("memory", "accuracy", f"{memory:g}", plain, partial(Fit.score, memory=memory))
+        for length in s.windows:
+            ask("windows", "accuracy", str(length), replace(plain, num_samples=length))
+        for level in s.noises:
+            read = partial(Fit.score_with_noise, level=level)
+            ask("noise", "fitted without noise", f"{level:g}", plain, read)
+            ask("noise", "fitted with this noise", f"{level:g}", replace(plain, noise=level), read)
+        for name, question in inputs.items():
+            ask("leaks", "fitted", name, question, lambda fit: fit.fitted.accuracy)
+            for column, split in SPLITS.items():
+                ask("leaks", column, name, replace(question, split=split))
+        for name, is_right_only in (("any row", False), ("the right row", True)):
+            question = replace(plain, split=partial(split_by_row, is_right_only=is_right_only))
+            for column, is_right in (("in the right row", True), ("in a wrong row", False)):
+                row, read = f"fitted on fish in {name}", partial(Fit.score, is_right=is_right)
+                ask("rows", column, row, question, read)
+        questions = dict.fromkeys(question for *_, question, _ in entries)
+        progress.start("comparisons", total=s.num_splits * len(questions))
+        for number in range(s.num_splits):
+            fits: dict[Question, Fit] = {}
+            for question in questions:
+                fits[question] = self.fit(question, number=number)
+                progress.advance(1)
+            for table, column, row, question, read_fit in entries:
+                note(table, column, row, [read_fit(fits[question])])
+            decision = fits[plain].test["decision"]
+            for memory in s.memories:
+                is_correct = fits[plain].predict(memory=memory).double()
+                for count in decision.unique().tolist():
+                    values = is_correct[decision == count].tolist()
+                    note("by_decision", f"{memory:g}", str(count), values)
+        return tables
 
 
-def split_by_start(study: Study, samples: TensorDict, number: int) -> list[Tensor]:
-    """Split by episode; those of the last part start farther downstream than all others."""
-    border = study.episodes["start"][:, 0, 0].quantile(1.0 - SHARES[2])
-    is_new = samples["start"][:, 0] > border
-    return [*_split_known(study, samples, number, is_known=~is_new), is_new]
+def list_inputs(window: int) -> dict[str, Question]:
+    """Return the inputs to compare, by name; the longest window has ``window`` samples."""
+    some = tuple(name for name in PAPER if name not in BOOKKEEPING)
+    mean = tuple(name for name in LOCAL if name != "pressure")  # whose mean is 0
+    return {
+        "paper: instant, mean of the neuromasts": Question(features=PAPER, is_averaged=True),
+        "the same without t, x, y": Question(features=some, is_averaged=True),
+        "t, x, y alone": Question(features=BOOKKEEPING, is_averaged=True),
+        "local: instant, mean of the neuromasts": Question(features=mean, is_averaged=True),
+        "local: instant, each neuromast": Question(features=LOCAL),
+        "paper: whole window, each neuromast": Question(features=PAPER, num_samples=window),
+        "local: whole window, each neuromast": Question(features=LOCAL, num_samples=window),
+    }
 
 
-def split_by_time(study: Study, samples: TensorDict, number: int) -> list[Tensor]:
-    """Split by episode; samples of the last part are later in theirs than those of the others."""
-    border = 0.5 * study.episodes["is_decision"].sum(1).double().mean()
-    *_, test = split_by_episode(study, samples, number)
-    is_late = samples["decision"] > border
-    return [*_split_known(study, samples, number, is_known=~test & ~is_late), test & is_late]
-
-
-def split_by_row(
-    study: Study, samples: TensorDict, number: int, *, is_right_only: bool
-) -> list[Tensor]:
-    """Split by episode; fit on fish in the right flow's row only, or on as many in any row."""
-    *parts, test = split_by_episode(study, samples, number)
-    right = [part & (samples["named_flow"] == samples["flow_index"]) for part in parts]
-    if is_right_only:
-        return [*right, test]
-    as_many = [
-        part & (part.cumsum(0) <= mask.sum()) for part, mask in zip(parts, right, strict=True)
-    ]
-    return [*as_many, test]
-
-
-def _split_known(
-    study: Study, samples: TensorDict, number: int, *, is_known: Tensor
-) -> list[Tensor]:
-    """Divide known samples into those to fit on and those to stop by."""
-    share = SHARES[0] / (SHARES[0] + SHARES[1])
-    parts = split_episodes(
-        samples["episode"][is_known],
-        samples["flow_index"][is_known],
-        shares=(share, 1.0 - share),
-        generator=study.make_generator(number),
-    )
-    return [torch.zeros_like(is_known).masked_scatter(is_known, part) for part in parts]
+def read_accuracy(fit: Fit) -> float:
+    """Return the accuracy on held-out episodes."""
+    return fit.held_out.accuracy

@@ -149,9 +149,16 @@ def read_config(path: Path) -> dict[str, Any]:
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
-    """Write numbers and words; NaN, which JSON lacks, becomes null."""
-    plain = {name: None if value != value else value for name, value in values.items()}
-    write_whole(path, json.dumps(plain, indent=2) + "\n")
+    """Write nested numbers and words; NaN, which JSON lacks, becomes null."""
+    write_whole(path, json.dumps(_replace_nan(values), indent=2) + "\n")
+
+
+def _replace_nan(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _replace_nan(entry) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_replace_nan(entry) for entry in value]
+    return None if value != value else value
 
 
 def write_yaml(path: Path, values: Mapping[str, Any]) -> None:

@@ -17,6 +17,7 @@ from experiments.gait.trials import load_trial, make_trial, name_arm
 from experiments.train import finish, set_up
 from experiments.train_settings import TRAINING
 from fishrl.envs import KarmanGait, Predation
+from fishrl.envs.steering import PolicySteering
 from fishrl.envs.transforms import equip
 from fishrl.modules import LateralLineClassifier
 from fishrl.training.classifier import keep_recognition, load_recognition
@@ -70,8 +71,9 @@ def test_trained_gaits_are_tried_in_every_flow(trained: Path, tmp_path: Path) ->
     assert (trained / "machine" / "machine.pt").is_file()
     assert not (trained / "oracle" / "machine.pt").exists()
     trials = [load_trial(trained / name, periods=BRIEF) for name in ("machine", "oracle")]
-    trials.append(make_trial("pid", trials[0].trained, periods=BRIEF))
-    results = transfer.transfer(trials, episodes=2, folder=tmp_path)
+    trials.append(make_trial("pid", trials[0].task, periods=BRIEF))
+    settings = transfer.TransferSettings(task=None, episodes=2, folder=str(tmp_path))
+    results = transfer.transfer(trials, settings)
     arms = results["arms"]
     assert list(arms) == ["both modules", "oracle", "pid"]
     assert [flow["episodes"] for flows in arms.values() for flow in flows] == [2] * 9
@@ -142,9 +144,13 @@ def test_a_policy_of_predation_becomes_a_heading_controller(trained: Path, tmp_p
     config = replace(config, picture_episodes=0, baselines=())
     finish(set_up(config))
     path = tmp_path / "steering.pt"
-    steering = export_steering.export_steering(tmp_path / "run", path)
+    export_steering.main([f"run={tmp_path / 'run'}", f"path={path}"])
+    steering = PolicySteering(path=str(path))
     observations = torch.zeros(3, steering.num_stacked, 4, dtype=torch.float64)
     assert steering.turn(observations).shape == (3,)
+    settings = export_steering.ExportSettings(
+        run=str(trained / "oracle"), path=str(tmp_path / "no.pt")
+    )
     with pytest.raises(ValueError, match="those of a policy trained on Predation"):
-        export_steering.export_steering(trained / "oracle", tmp_path / "no.pt")
+        export_steering.main.run(settings)
     assert not (tmp_path / "no.pt").exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
 import os
 import sys
@@ -116,10 +117,10 @@ def test_without_wandb_the_error_says_what_to_install(monkeypatch: pytest.Monkey
 
 
 def test_numbers_that_json_does_not_know_become_null(tmp_path: Path) -> None:
-    write_json(tmp_path / "summary.json", {"a": math.nan, "b": 1.5, "c": "x"})
-    assert (
-        tmp_path / "summary.json"
-    ).read_text() == '{\n  "a": null,\n  "b": 1.5,\n  "c": "x"\n}\n'
+    nested = {"a": math.nan, "b": [1.5, {"c": math.nan}], "d": "x"}
+    write_json(tmp_path / "summary.json", nested)
+    written = json.loads((tmp_path / "summary.json").read_text())
+    assert written == {"a": None, "b": [1.5, {"c": None}], "d": "x"}
 
 
 def test_the_bar_shows_phase_counts_and_numbers() -> None:

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from experiments import drift_sweep, free_stream, gait_page, transfer
+from experiments import drift_sweep, free_stream, gait_page
 from experiments.gait.trials import make_trial
+from experiments.transfer import TransferSettings, transfer
 from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
 from tests.experiments.gait.tasks import BRIEF, OVERRIDES, make_task
 
@@ -17,12 +18,13 @@ pytestmark = pytest.mark.usefixtures("kinematic")
 
 
 def test_policies_of_one_name_or_of_different_tasks_are_refused(tmp_path: Path) -> None:
+    settings = TransferSettings(task=None, episodes=1, folder=str(tmp_path))
     pid = make_trial("pid", make_task(), periods=BRIEF)
-    with pytest.raises(ValueError, match="rename run folders of equal names"):
-        transfer.transfer([pid, pid], episodes=1, folder=tmp_path)
+    with pytest.raises(ValueError, match="all of different names"):
+        transfer([pid, pid], settings)
     other = make_trial("bang_bang", make_task(reynolds=400.0), periods=BRIEF)
     with pytest.raises(ValueError, match="tasks differ in reynolds"):
-        transfer.transfer([pid, other], episodes=1, folder=tmp_path)
+        transfer([pid, other], settings)
 
 
 def test_the_free_stream_is_held_without_a_disc(
@@ -32,6 +34,7 @@ def test_the_free_stream_is_held_without_a_disc(
     free_stream.main([*OVERRIDES, *settings, f"folder={tmp_path}"])
     result = json.loads((tmp_path / "free_stream.json").read_text())
     assert [row["episodes"] for row in result["flows"]] == [1, 1, 1]
+    assert result["flows"][0]["work_error"] is None  # a single episode
     assert [len(flow["work"]) for flow in result["work"]] == [5, 5, 5]  # at 0 to 4 T
     assert "1.25 L/T:" in capsys.readouterr().out
 
@@ -50,23 +53,16 @@ def test_drift_is_swept_over_frequencies_in_every_stream(tmp_path: Path) -> None
     assert (facts["episodes"], facts["diverged"]) == (12, 0)
 
 
-def test_the_page_takes_the_tables_of_several_transfer_tests(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    task = make_task()
+def test_the_page_takes_the_tables_of_several_transfer_tests(tmp_path: Path) -> None:
     for name in ("pid", "fixed-0.6"):
-        trial = make_trial(name, task, periods=BRIEF)
-        transfer.transfer([trial], episodes=2, folder=tmp_path / name)
-    monkeypatch.setattr(gait_page, "load_trial", lambda run: make_trial("pid", task))
-    for name in ("write_period", "write_training"):
-        monkeypatch.setattr(gait_page.pictures, name, lambda *_, **__: None)
-    page = tmp_path / "karman_gait.md"
-    marks = [
-        f"<!-- {name}: {end} -->" for name in ("design", "transfer") for end in ("begin", "end")
-    ]
+        trial = make_trial(name, make_task(), periods=BRIEF)
+        settings = TransferSettings(task=None, episodes=2, folder=str(tmp_path / name))
+        transfer([trial], settings)
+    page, given = tmp_path / "karman_gait.md", [f"docs={tmp_path}"]
+    marks = [f"<!-- {name}: {m} -->" for name in ("design", "transfer") for m in ("begin", "end")]
     page.write_text("\n".join(marks))
-    given = [f"transfer={tmp_path / 'pid'}", "runs=[a run]", f"beside={tmp_path / 'fixed-0.6'}"]
-    gait_page.main([f"docs={tmp_path}", f"design={{half T:{tmp_path / 'pid'}}}", *given])
+    given += [f"transfer={tmp_path / 'pid'}", f"beside={tmp_path / 'fixed-0.6'}"]
+    gait_page.main([*given, f"design={{half T:{tmp_path / 'pid'}}}"])
     results = json.loads((tmp_path / "pid" / "transfer.json").read_text())
     lasted = results["arms"]["pid"][0]["survival_T"]
     assert f"| half T | 2 | {lasted:.0f} ± " in page.read_text()

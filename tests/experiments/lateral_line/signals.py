@@ -7,14 +7,12 @@ from typing import Any
 import torch
 from tensordict import TensorDict
 
-from experiments.lateral_line.collection import Collection
-from experiments.lateral_line.study import Study
+from experiments.lateral_line.study import LateralLineSettings, Study
 from fishrl.envs.lateral_line import KNOWN, LateralLine
 from fishrl.envs.macro_actions import FrequencyBank, MacroActions
 from fishrl.envs.stations import SafeArea
 from fishrl.envs.streams import Stream
 from fishrl.envs.tasks import KarmanGait
-from fishrl.objectives import FitSettings
 
 INTERVAL = 4
 
@@ -46,31 +44,17 @@ def make_episodes(num: int = 40, length: int = 5) -> TensorDict:
     sine = (6.3 * (0.25 + 0.25 * flow[:, None]) * time + phase[:, None]).sin()
     sine = sine.view(num, length, INTERVAL, 1)
     signal[..., KNOWN.index("ahead")] = 1.0 + 0.5 * flow.view(-1, 1, 1, 1) + 0.2 * sine
-    start = torch.rand(num, 2, generator=generator)
     here = {
+        "start": torch.rand(num, 2, generator=generator),
         "flow_index": flow,
         "named_flow": torch.randint(2, (num,), generator=generator),
         "episode": torch.arange(num),
     }
     is_decision = torch.arange(length) < torch.randint(2, length + 1, (num, 1), generator=generator)
-    return TensorDict(
-        {
-            "lateral_line": signal,
-            "is_decision": is_decision,
-            "frequency": torch.ones(num, length),
-            "start": start[:, None].expand(-1, length, -1).clone(),
-            **{name: value[:, None].expand(-1, length).clone() for name, value in here.items()},
-        },
-        [num, length],
-    )
+    constant = TensorDict(here, [num])[:, None].expand(num, length).clone()
+    return constant.update({"lateral_line": signal, "is_decision": is_decision})
 
 
-def make_study() -> Study:
-    task = Collection(task=make_task()).task
-    return Study(
-        episodes=make_episodes(),
-        flows=task.flow_labels,
-        layout=task.lateral_line_layout,
-        hidden=(8,),
-        settings=FitSettings(num_epochs=15, learning_rate=0.01),
-    )
+def make_study(**settings: Any) -> Study:
+    given = {"num_epochs": 15, "learning_rate": 0.01, "hidden": (8,), **settings}
+    return Study(LateralLineSettings(task=make_task(), **given), make_episodes())

@@ -4,24 +4,29 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from tensordict import TensorDict
 
 from experiments.lateral_line import collection as collection_module
-from experiments.lateral_line.collection import Collection, collect
+from experiments.lateral_line.collection import CollectionSettings, collect
 from fishrl.envs import Predation, make_env, make_recognition
 from fishrl.envs.lateral_line import KNOWN, LateralLine
 from fishrl.modules import LateralLineClassifier
 from tests.experiments.lateral_line.signals import INTERVAL, make_task
 
 
+def make_settings(folder: Path, **changes: Any) -> CollectionSettings:
+    given = {"num_envs": 2, "max_decisions": 2, "num_samples": 5, "compile": False, **changes}
+    return CollectionSettings(**{"task": make_task(), "data_folder": str(folder), **given})
+
+
 @pytest.fixture(scope="module")
 def collected(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TensorDict]:
     folder = tmp_path_factory.mktemp("data")
-    collection = Collection(task=make_task(), num_envs=2, max_decisions=2)
-    return folder, collect(collection, num_samples=5, folder=folder, compile=False)
+    return folder, collect(make_settings(folder))
 
 
 def test_collected_episodes_hold_every_feature_with_the_true_flow(
@@ -42,8 +47,8 @@ def test_actions_hold_stations_or_are_random_in_rows_of_any_flow(
 ) -> None:
     def collect_share(share: float) -> TensorDict:
         monkeypatch.setattr(collection_module, "RANDOM_SHARE", share)
-        collection = Collection(task=make_task(), num_envs=4, max_decisions=3)
-        return collect(collection, num_samples=1, folder=tmp_path / str(share), compile=False)
+        few = {"num_envs": 4, "max_decisions": 3, "num_samples": 1}
+        return collect(make_settings(tmp_path / str(share), **few))
 
     drawn, holding = collect_share(1.0), collect_share(0.0)
     assert (drawn["named_flow"] == holding["named_flow"]).all()
@@ -56,48 +61,33 @@ def test_actions_hold_stations_or_are_random_in_rows_of_any_flow(
         assert (row == episodes["frequency"][:, 1:, None]).any(-1).all()
 
 
-def test_collected_pieces_are_not_run_again(
-    collected: tuple[Path, TensorDict], monkeypatch: pytest.MonkeyPatch
+def test_an_interrupted_collection_continues_exactly_and_a_whole_one_is_read(
+    collected: tuple[Path, TensorDict], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, episodes = collected
-    monkeypatch.setattr(collection_module, "make_env", None)
-    collection = Collection(task=make_task(), num_envs=2, max_decisions=2)
-    assert (collect(collection, num_samples=5, folder=folder) == episodes).all()
-
-
-def test_an_interrupted_collection_continues_exactly(
-    collected: tuple[Path, TensorDict], tmp_path: Path
-) -> None:
-    folder, episodes = collected
-    collection = Collection(task=make_task(), num_envs=2, max_decisions=2)
     shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
-    (tmp_path / collection.key / "piece-0001.pt").unlink()
-    resumed = collect(collection, num_samples=5, folder=tmp_path, compile=False)
-    assert (resumed == episodes).all()
-
-
-def test_other_sensors_share_the_data_and_other_flows_and_seeds_do_not() -> None:
-    key = Collection(task=make_task()).key
-    noisy = make_task(lateral_line=LateralLine(num_neuromasts=3, num_samples=INTERVAL, noise=0.1))
-    assert Collection(task=noisy).key == key
-    assert Collection(task=make_task(reads_flow_class=True)).key == key
-    assert Collection(task=make_task(speeds=(1.0, 1.4))).key != key
-    assert Collection(task=make_task(), seed=1).key != key
-    assert Collection(task=make_task(), max_decisions=3).key != key
-
-
-def test_a_broken_piece_is_named(tmp_path: Path) -> None:
-    collection = Collection(task=make_task())
-    place = tmp_path / collection.key
-    place.mkdir()
-    (place / "piece-0000.pt").write_text("cut short")
+    settings = make_settings(tmp_path)
+    (settings.place / "piece-0001.pt").unlink()
+    assert (collect(settings) == episodes).all()
+    monkeypatch.setattr(collection_module, "make_env", None)
+    assert (collect(settings) == episodes).all()
+    (settings.place / "piece-0000.pt").write_text("cut short")
     with pytest.raises(ValueError, match=r"piece-0000.pt: cannot be read; delete the file"):
-        collect(collection, num_samples=1, folder=tmp_path)
+        collect(settings)
 
 
-def test_a_task_without_two_flows_is_refused() -> None:
+def test_other_sensors_share_the_data_and_other_flows_and_seeds_do_not(tmp_path: Path) -> None:
+    noisy = LateralLine(num_neuromasts=3, num_samples=INTERVAL, noise=0.1)
+    shared = ({"lateral_line": noisy}, {"reads_flow_class": True})
+    place = make_settings(tmp_path).place
+    assert {make_settings(tmp_path, task=make_task(**given)).place for given in shared} == {place}
+    for own in ({"task": make_task(speeds=(1.0, 1.4))}, {"seed": 1}, {"max_decisions": 3}):
+        assert make_settings(tmp_path, **own).place != place
+
+
+def test_a_task_without_two_flows_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="Predation has no two flows to tell apart"):
-        Collection(task=Predation())
+        collect(make_settings(tmp_path, task=Predation()))
 
 
 def test_a_classifier_labels_a_real_flow_for_the_policy() -> None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from math import pi
 
-import pytest
 import torch
 from tensordict import TensorDict
 
-from experiments.lateral_line.study import cut_windows, mirror, select_features
+from experiments.lateral_line.study import Question, cut_windows, mirror
 from fishrl.envs.lateral_line import KNOWN, LateralLine
 from fishrl.physics import Fish, FlowConfig, InPlaceSolver
 from fishrl.physics.flow import make_uniform
+from tests.experiments.lateral_line.signals import make_study
 
 #: Two episodes of at most three decisions with four samples each, numbered; one neuromast.
 SIGNAL = torch.arange(24.0).view(2, 3, 4, 1, 1)
@@ -60,13 +60,8 @@ def test_a_mirrored_signal_is_what_a_mirrored_fish_feels() -> None:
 def test_whole_windows_of_one_interval_are_what_the_environment_shows() -> None:
     data = cut_windows(make_episodes(), num_samples=4)
     data = data[data["is_whole"]]
-    assert windows_of(data) == [
-        [0, 0, 0, 0],
-        [4, 5, 6, 7],
-        [8, 9, 10, 11],
-        [12, 12, 12, 12],
-        [16, 17, 18, 19],
-    ]
+    rows = ((0, 0, 0, 0), (4, 5, 6, 7), (8, 9, 10, 11), (12, 12, 12, 12), (16, 17, 18, 19))
+    assert windows_of(data) == [list(row) for row in rows]
     assert data["decision"].tolist() == [0, 1, 2, 0, 1]
     assert data["episode"].tolist() == [7, 7, 7, 8, 8]
     assert data["flow_index"].tolist() == [0, 0, 0, 1, 1]
@@ -74,11 +69,8 @@ def test_whole_windows_of_one_interval_are_what_the_environment_shows() -> None:
 
 def test_a_longer_window_reaches_back_and_repeats_the_first_sample_before_the_start() -> None:
     data = cut_windows(make_episodes(), num_samples=6)
-    assert windows_of(data[data["is_whole"]])[:3] == [
-        [0, 0, 0, 0, 0, 0],
-        [0, 0, 4, 5, 6, 7],
-        [6, 7, 8, 9, 10, 11],
-    ]
+    rows = ((0, 0, 0, 0, 0, 0), (0, 0, 4, 5, 6, 7), (6, 7, 8, 9, 10, 11))
+    assert windows_of(data[data["is_whole"]])[:3] == [list(row) for row in rows]
 
 
 def test_a_window_ends_at_every_sample_but_the_repeated_ones_of_the_reset() -> None:
@@ -86,21 +78,15 @@ def test_a_window_ends_at_every_sample_but_the_repeated_ones_of_the_reset() -> N
     assert windows_of(data) == [[k] for k in (0, *range(4, 12), 12, *range(16, 20))]
     data = cut_windows(make_episodes(), num_samples=2)
     assert windows_of(data)[:4] == [[0, 0], [0, 4], [4, 5], [5, 6]]
-    assert data["is_whole"].tolist() == 2 * [True, False, False, False] + [True] * 2 + [
-        False, False, False, True,
-    ]  # fmt: skip
+    later = [False, False, False, True]
+    assert data["is_whole"].tolist() == [True, *later, *later, True, *later]
     assert data["decision"].tolist() == [0, *[1] * 4, *[2] * 4, 0, *[1] * 4]
 
 
-def test_a_window_without_samples_is_refused() -> None:
-    with pytest.raises(ValueError, match="num_samples = 0: a window"):
-        cut_windows(make_episodes(), num_samples=0)
-
-
-def test_a_lateral_line_of_fewer_features_tells_those_and_their_mean() -> None:
-    signal = torch.randn(2, 3, 4, 5, len(KNOWN), generator=torch.Generator().manual_seed(0))
-    episodes = make_episodes().set("lateral_line", signal)
-    each = select_features(episodes, features=("slip", "u_x"), is_averaged=False)["lateral_line"]
-    mean = select_features(episodes, features=("slip", "u_x"), is_averaged=True)["lateral_line"]
-    assert torch.equal(each[..., 1], signal[..., KNOWN.index("u_x")])
+def test_a_classifier_reads_some_features_or_their_mean() -> None:
+    study = make_study()
+    signal = study.episodes["lateral_line"][0, 0, -1:]  # of the first whole interval
+    each = study.cut(Question(features=("slip", "u_x")))["lateral_line"]
+    mean = study.cut(Question(features=("slip", "u_x"), is_averaged=True))["lateral_line"]
+    assert torch.equal(each[0, ..., 1], signal[..., KNOWN.index("u_x")])
     assert torch.allclose(mean, each.mean(-2, keepdim=True))

@@ -9,32 +9,32 @@ from pathlib import Path
 import pytest
 import torch
 
-from experiments.lateral_line.questions import answer, predict
 from experiments.lateral_line.report import format_accuracies
 from experiments.lateral_line.study import (
+    Question,
     Split,
-    TrainingData,
+    Study,
     split_by_row,
     split_by_start,
     split_by_time,
 )
-from experiments.train_lateral_line import LateralLineSettings, main, study_lateral_line
+from experiments.train_lateral_line import main, study_lateral_line
 from fishrl.envs.lateral_line import LOCAL
 from fishrl.modules import LateralLineClassifier
-from fishrl.objectives import FitSettings
 from fishrl.training.progress import Progress
-from tests.experiments.lateral_line.signals import INTERVAL, make_episodes, make_study, make_task
+from tests.experiments.lateral_line.signals import INTERVAL, make_study, make_task
+
+QUIET = Progress(is_shown=False)
 
 
 def test_a_classifier_learns_what_tells_the_flows_apart() -> None:
-    fit = make_study().fit(TrainingData(features=LOCAL, num_samples=INTERVAL))
-    assert fit.held_out.accuracy > 0.95
-    uninformed = TrainingData(features=("t", "x"), num_samples=1)
-    assert make_study().fit(uninformed).held_out.accuracy < 0.75
+    study = make_study()
+    assert study.fit(Question(features=LOCAL, num_samples=INTERVAL)).held_out.accuracy > 0.95
+    assert study.fit(Question(features=("t", "x"))).held_out.accuracy < 0.75
 
 
 def test_memory_sums_the_evidence_of_the_episode_so_far() -> None:
-    fit = make_study().fit(TrainingData(features=("t", "ahead"), num_samples=1))
+    fit = make_study().fit(Question(features=("t", "ahead")))
     logits = fit.classifier(fit.test["lateral_line"]).log_softmax(-1)
     expected = []
     for episode in fit.test["episode"].unique():
@@ -42,48 +42,41 @@ def test_memory_sums_the_evidence_of_the_episode_so_far() -> None:
         for row in (fit.test["episode"] == episode).nonzero().squeeze(-1):
             evidence = 0.5 * evidence + logits[row]
             expected.append(int(evidence.argmax()) == int(fit.test["flow_index"][row]))
-    assert predict(fit, memory=0.5).tolist() == expected
-    assert torch.equal(predict(fit), logits.argmax(-1) == fit.test["flow_index"])
+    assert fit.predict(memory=0.5).tolist() == expected
+    assert torch.equal(fit.predict(), logits.argmax(-1) == fit.test["flow_index"])
 
 
 @pytest.mark.parametrize("split", [split_by_start, split_by_time])
 def test_new_starts_and_times_share_no_episode_with_the_fit(split: Split) -> None:
     study = make_study()
-    data = study.cut(TrainingData(features=LOCAL, num_samples=1))
-    *known, new = split(study, data, 0)
+    data = study.cut(Question(features=LOCAL))
+    *known, new = split(data, study.episodes, 0)
     fitted = known[0] | known[1]
     assert new.any() and fitted.any()
     assert not set(data["episode"][new].tolist()) & set(data["episode"][fitted].tolist())
-    if split is split_by_start:
-        assert data["start"][new, 0].min() > data["start"][fitted, 0].max()
-    else:
-        assert data["decision"][new].min() > data["decision"][fitted].max()
+    key = data["start"][:, 0] if split is split_by_start else data["decision"]
+    assert key[new].min() > key[fitted].max()
 
 
 def test_fits_on_the_right_row_and_on_any_get_as_many_samples() -> None:
     study = make_study()
-    data = study.cut(TrainingData(features=LOCAL, num_samples=1))
-    right, as_many = (
-        partial(split_by_row, is_right_only=is_right_only)(study, data, 0)
-        for is_right_only in (True, False)
-    )
+    data = study.cut(Question(features=LOCAL))
+    split = partial(split_by_row, data, study.episodes, 0)
+    right, as_many = (split(is_right_only=is_right_only) for is_right_only in (True, False))
     assert [int(mask.sum()) for mask in right] == [int(mask.sum()) for mask in as_many]
     assert (data["named_flow"] == data["flow_index"])[right[0]].all()
 
 
-def test_equal_fits_are_made_once() -> None:
-    study, made = make_study(), []
+def test_equal_fits_are_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, fit = [], Study.fit
 
-    class Counting(type(study)):  # type: ignore[misc]
-        def fit(self, *arguments: object, **options: object) -> object:
-            made.append(options)
-            return super().fit(*arguments, **options)
+    def count(study: Study, question: Question, **options: int) -> object:
+        made.append(question)
+        return fit(study, question, **options)
 
-    brief = FitSettings(num_epochs=1)
-    tables = answer(
-        Counting(**vars(study) | {"settings": brief}), window=2, windows=[2], noises=[0.0],
-        memories=[0.0, 1.0], num_splits=2, progress=Progress(is_shown=False),
-    )  # fmt: skip
+    monkeypatch.setattr(Study, "fit", count)
+    few = {"window": 2, "windows": (2,), "noises": (0.0,), "memories": (0.0, 1.0)}
+    tables = make_study(num_epochs=1, num_splits=2, **few).answer(QUIET)
     # 7 inputs, divided in 3 ways, and 2 rows; those of the longest window are among the inputs
     assert len(made) == 2 * (7 * 3 + 2)
     assert {name: list(table) for name, table in tables.items()} == {
@@ -100,20 +93,11 @@ def test_equal_fits_are_made_once() -> None:
 def test_a_study_writes_page_numbers_figures_and_a_classifier_that_the_task_takes(
     tmp_path: Path,
 ) -> None:
-    settings = LateralLineSettings(
-        num_splits=1, num_epochs=10, paper_epochs=3, hidden=(8,), windows=(1, 5), noises=(0.0, 1.0),
-        learning_rate=0.01,
-    )  # fmt: skip
-    task = make_task()
-    findings = study_lateral_line(
-        settings,
-        task=task,
-        episodes=make_episodes(),
-        folder=tmp_path,
-        progress=Progress(is_shown=False),
-    )
-    names = {"lateral_line.md", "lateral_line.json", "machine.pt"}
-    assert names | {"curves.png", "confusion.png", "limits.png"} == {
+    few = {"num_epochs": 10, "paper_epochs": 3, "windows": (1, 5), "noises": (0.0, 1.0)}
+    study, task = make_study(num_splits=1, **few), make_task()
+    findings = study_lateral_line(study.settings, study.episodes, tmp_path, QUIET)
+    pictures = {"curves.png", "confusion.png", "limits.png"}
+    assert {"lateral_line.md", "lateral_line.json", "machine.pt"} | pictures == {
         path.name for path in tmp_path.iterdir()
     }
     assert json.loads((tmp_path / "lateral_line.json").read_text())["chance"] == 0.5
@@ -126,9 +110,8 @@ def test_a_study_writes_page_numbers_figures_and_a_classifier_that_the_task_take
 
 
 def test_accuracies_are_written_with_their_range() -> None:
-    assert format_accuracies([0.9, 0.8]) == "85.0% [80.0-90.0]"
-    assert format_accuracies([0.5]) == "50.0%"
-    assert format_accuracies([float("nan")]) == "-"
+    values = ([0.9, 0.8], [0.5], [float("nan")])
+    assert [*map(format_accuracies, values)] == ["85.0% [80.0-90.0]", "50.0%", "-"]
 
 
 @pytest.mark.parametrize("argument", ["num_samples=0", "windows=[0]", "window=x"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from math import ceil, pi
 from pathlib import Path
 from typing import Any
@@ -16,10 +17,9 @@ from torch import Tensor
 
 from experiments.figures.learning_curve import read_metrics
 from experiments.figures.style import COLOURS, FISH, VORTICITY_LABEL, panels, tidy
-from experiments.gait.histories import Histories
-from experiments.gait.trials import FRAMES, Trial
+from experiments.gait.trials import FRAMES, Histories, Trial, record
 from fishrl.envs import KarmanGait
-from fishrl.envs.episodes import run_episodes
+from fishrl.envs.flow_env import FlowEnv
 from fishrl.physics.diagnostics import compute_vorticity
 
 _MOST_PATHS = 40
@@ -27,6 +27,11 @@ _MOST_PATHS = 40
 _LEAN_BIN, _LEAST = 0.25, 10
 _NUM_MOMENTS = 4
 _VORTICITY = 15.0  # at which colours saturate, 1/T
+_TRAINING = {
+    "train/episode_length": "survival, mean of 32 episodes  [decisions]",
+    "train/return": "return, mean of 32 episodes",
+    "train/loss_actor": "actor loss",
+}
 
 #: Of one policy: its episodes in each flow.
 Recorded = Mapping[str, Sequence[Histories]]
@@ -69,20 +74,14 @@ def write_survival(
 
 
 def write_training(path: Path, runs: Mapping[str, Sequence[Path]]) -> None:
-    """Draw survival and return during training: a line per run folder, a colour per arm."""
-    shown = (
-        ("train/episode_length", "survival, mean of 32 episodes  [decisions]"),
-        ("train/return", "return, mean of 32 episodes"),
-        ("train/loss_actor", "actor loss"),
-    )
-    with panels(path, columns=len(shown), size=(11, 3.3), sharex=True) as grid:
-        for axes, (column, label) in zip(grid[0], shown, strict=True):
+    """Draw survival, return and loss during training: a line per run folder, a colour per arm."""
+    with panels(path, columns=len(_TRAINING), size=(11, 3.3), sharex=True) as grid:
+        for axes, (column, label) in zip(grid[0], _TRAINING.items(), strict=True):
             for colour, (arm, folders) in zip(COLOURS, runs.items(), strict=False):
                 for number, folder in enumerate(folders):
-                    series = read_metrics(folder / "metrics.csv").get(column)
-                    if series is not None:
-                        name = arm if number == 0 else None
-                        axes.plot(*series, color=colour, linewidth=1.2, alpha=0.8, label=name)
+                    series = read_metrics(folder / "metrics.csv").get(column, ())
+                    name = arm if number == 0 else None
+                    axes.plot(*series, color=colour, linewidth=1.2, alpha=0.8, label=name)
             axes.set(xlabel="env frames (decisions of all fish)", ylabel=label)
             tidy(axes)
         grid[0, 0].legend(fontsize=8)
@@ -92,44 +91,39 @@ def write_training(path: Path, runs: Mapping[str, Sequence[Path]]) -> None:
 def _arenas(
     path: Path, recorded: Recorded, task: KarmanGait
 ) -> Iterator[Iterator[tuple[Axes, Histories]]]:
-    """Yield a panel for each policy and flow, with its episodes; draw the arena into each."""
-    speeds, size = task.stream.speeds_bl, (11, 0.5 + 2.1 * len(recorded))
+    """Yield a panel for each policy and flow, with its episodes; draw disc and safe area there."""
+    speeds, size, area = task.stream.speeds_bl, (11, 0.5 + 2.1 * len(recorded)), task.safe_area
     shape = {"rows": len(recorded), "columns": len(speeds)}
+    corner = (area.near_bl, -area.aside_bl)
+    extent = (area.far_bl - area.near_bl, 2.0 * area.aside_bl)
+    border: Any = {"edgecolor": "#999999", "linestyle": "--", "linewidth": 0.8}
+    radius = 0.5 * task.stream.diameter_bl
     with panels(path, size=size, **shape, sharex=True, sharey=True) as grid:
         episodes = [histories for flows in recorded.values() for histories in flows]
         yield zip(grid.flat, episodes, strict=True)
         for row, name in zip(grid, recorded, strict=True):
             for axes, speed in zip(row, speeds, strict=True):
-                _draw_arena(axes, task)
+                axes.add_patch(Rectangle(corner, *extent, fill=False, **border))
+                if task.stream.has_disc:
+                    axes.add_patch(Wedge((0.0, 0.0), radius, 90.0, 270.0, color="#444444"))
+                height = area.aside_bl + 0.15
+                axes.set(xlim=(-0.3, area.far_bl + 0.2), ylim=(-height, height), aspect="equal")
                 axes.set_title(f"{name}, {speed:g} L/T", fontsize=9)
             row[0].set_ylabel("y  [L]")
         for axes in grid[-1]:
             axes.set_xlabel("x behind the disc  [L]")
 
 
-def _draw_arena(axes: Axes, task: KarmanGait) -> None:
-    """Draw half disc and safe area."""
-    area = task.safe_area
-    corner = (area.near_bl, -area.aside_bl)
-    size = (area.far_bl - area.near_bl, 2.0 * area.aside_bl)
-    border: Any = {"edgecolor": "#999999", "linestyle": "--", "linewidth": 0.8}
-    axes.add_patch(Rectangle(corner, *size, fill=False, **border))
-    if task.stream.has_disc:
-        radius = 0.5 * task.stream.diameter_bl
-        axes.add_patch(Wedge((0.0, 0.0), radius, 90.0, 270.0, color="#444444"))
-    axes.set(xlim=(-0.3, area.far_bl + 0.2), ylim=(-area.aside_bl - 0.15, area.aside_bl + 0.15))
-    axes.set_aspect("equal")
-
-
 def write_paths(path: Path, recorded: Recorded, *, task: KarmanGait) -> None:
     """Draw the noses' paths, a row per policy, a panel per flow; a cross where an episode ended."""
     with _arenas(path, recorded, task) as shown:
         for axes, histories in shown:
-            for number in range(min(_MOST_PATHS, len(histories.flow))):
-                place = _known(histories.place[number])
-                axes.plot(*place.T, color=COLOURS[0], linewidth=0.6, alpha=0.45)
-                if histories.terminated[number]:
-                    axes.plot(*place[-1], "x", color=COLOURS[1], markersize=5)
+            ended = histories.terminated[:_MOST_PATHS].tolist()
+            for place, has_ended in zip(histories.place[:_MOST_PATHS], ended, strict=True):
+                known = place[~place[:, 0].isnan()].numpy()
+                axes.plot(*known.T, color=COLOURS[0], linewidth=0.6, alpha=0.45)
+                if has_ended:
+                    axes.plot(*known[-1], "x", color=COLOURS[1], markersize=5)
 
 
 def write_places(path: Path, recorded: Recorded, *, task: KarmanGait) -> None:
@@ -139,15 +133,10 @@ def write_places(path: Path, recorded: Recorded, *, task: KarmanGait) -> None:
     y = np.linspace(-area.aside_bl, area.aside_bl, 31)
     with _arenas(path, recorded, task) as shown:
         for axes, histories in shown:
-            place = _known(histories.place.reshape(-1, 2))
-            density, *_ = np.histogram2d(place[:, 0], place[:, 1], bins=(x, y), density=True)
+            known: Any = histories.place[~histories.place[..., 0].isnan()].numpy()
+            density, *_ = np.histogram2d(known[:, 0], known[:, 1], bins=(x, y), density=True)
             mesh = axes.pcolormesh(x, y, density.T, cmap="magma_r", vmin=0.0)
             axes.figure.colorbar(mesh, ax=axes, label="[1/L²]", pad=0.01)
-
-
-def _known(place: Tensor) -> Any:
-    """Return the positions ``[n, 2]`` until the end of the episode."""
-    return place[~place[:, 0].isnan()].numpy()
 
 
 def write_decisions(
@@ -208,25 +197,36 @@ def write_lean(
         grid[0, 0].legend(fontsize=8)
 
 
-def write_period(
-    path: Path, trial: Trial, *, num_decisions: int, periods_T: list[float], seed: int = 0
-) -> None:
+def write_period(path: Path, trial: Trial, *, num_decisions: int, periods_T: list[float]) -> None:
     """Draw the flow around a fish at four moments of one shedding period in each flow.
 
     ``num_decisions`` come before the first moment; ``ValueError`` if the episodes end earlier.
     """
     task, num = trial.task, len(periods_T)
     length, (x, y) = task.body_length, task.origin.tolist()
-    shape: Any = {"rows": num, "columns": _NUM_MOMENTS, "size": (12, 2.1 * num + 0.6)}
-    num_shown = ceil(max(periods_T) / task.interval_T)
-    frames = _record_frames(trial, num_decisions + num_shown, seed=seed)[num_decisions * FRAMES :]
-    if len(frames) < num_shown * FRAMES:
+    frames: list[tuple[Any, Any, Tensor]] = []
+
+    def keep(flows: FlowEnv) -> None:
+        """Keep, per flow, vorticity ``[Y, X]`` in 1/T, outlines in nodes, and time in T."""
+        solver = flows.solver
+        vorticity = compute_vorticity(solver.macroscopic()[1]) * task.scales.period
+        outlines = [solver.markers(index).clone() for index in range(len(solver.bodies))]
+        age_T = solver.body.age / task.scales.period
+        frames.append((vorticity, list(zip(*outlines, strict=True)), age_T))
+
+    most = num_decisions + ceil(max(periods_T) / task.interval_T)
+    task = replace(task, time_limit=most)
+    starts = task.sample_starts(1, torch.Generator().manual_seed(0))[[0] * num]
+    starts["flow_index"] = torch.arange(num)
+    record(replace(trial, task=task), starts, on_frame=keep)
+    if len(frames) < most * FRAMES:
         raise ValueError(f"{trial.name}: all episodes end before {num_decisions} decisions")
+    shape: Any = {"rows": num, "columns": _NUM_MOMENTS, "size": (12, 2.1 * num + 0.6)}
     with panels(path, **shape, sharex=True, sharey=True) as grid:
         for flow, (row, speed) in enumerate(zip(grid, task.stream.speeds_bl, strict=True)):
             for number, axes in enumerate(row):
                 at = round(number * FRAMES * periods_T[flow] / task.interval_T / _NUM_MOMENTS)
-                vorticity, outlines, time = (value[flow] for value in frames[at])
+                vorticity, outlines, time = (v[flow] for v in frames[num_decisions * FRAMES + at])
                 height, width = vorticity.shape
                 edges = (-0.5 - x, width - 0.5 - x, -0.5 - y, height - 0.5 - y)
                 image = axes.imshow(
@@ -241,24 +241,5 @@ def write_period(
             row[0].set_ylabel("y  [L]")
         for axes in grid[-1]:
             axes.set_xlabel("x behind the disc  [L]")
-        grid[0, 0].figure.colorbar(image, ax=grid, label=VORTICITY_LABEL, shrink=0.8, pad=0.01)
-
-
-def _record_frames(trial: Trial, num_decisions: int, *, seed: int) -> list[tuple[Any, Any, Tensor]]:
-    """Return of each frame, per flow: vorticity ``[Y, X]`` in 1/T, outlines in nodes, time in T."""
-    task = trial.task
-    flows, period = len(task.stream.speeds_bl), task.scales.period
-    starts = task.sample_starts(1, torch.Generator().manual_seed(seed))[[0] * flows]
-    starts["flow_index"] = torch.arange(flows)
-    frames: list[tuple[Any, Any, Tensor]] = []
-
-    def keep(start_of: Tensor, base: Any) -> None:
-        solver = base.solver
-        vorticity = compute_vorticity(solver.macroscopic()[1]) * period
-        outlines = [solver.markers(index).clone() for index in range(len(solver.bodies))]
-        frames.append((vorticity, list(zip(*outlines, strict=True)), solver.body.age / period))
-
-    env = trial.make_env(num_envs=flows, seed=seed)
-    run_episodes(env, trial.make_policy(), starts, max_decisions=num_decisions, on_frame=keep)
-    env.close()
-    return frames
+        label = VORTICITY_LABEL if num > 1 else VORTICITY_LABEL.replace("   ", "\n")  # low figure
+        grid[0, 0].figure.colorbar(image, ax=grid, label=label, shrink=0.8, pad=0.01)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from experiments.gait import trials
-from experiments.gait.pictures import write_period
+from experiments.gait.figures import write_period
 from fishrl.envs import KarmanGait, make_env
 from fishrl.training.description import make
 from tests.experiments.real_wake import gait_settings
