@@ -21,6 +21,7 @@ from experiments.sweeps.jobs import sweep
 from experiments.sweeps.runs import list_arguments
 from experiments.train_settings import TRAINING, TrainConfig, make_plan
 from fishrl.envs import make_env
+from fishrl.training.checkpoint import read_metadata
 from fishrl.training.description import to_plain
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.interruption import Interrupted
@@ -134,7 +135,8 @@ def main(settings: TrainConfig) -> None:
             with training.interruption:
                 finish(training)
         except Interrupted as end:
-            print(f"{end}: saved at frame {training.counters.frames}; {hint}", file=sys.stderr)
+            frames = read_metadata(training.folder.path, which="last")[1]["frames"]
+            print(f"{end}: saved at frame {frames}; {hint}", file=sys.stderr)
             sys.exit(128 + end.number)
         except KeyboardInterrupt:
             print(f"interrupted; {hint}", file=sys.stderr)

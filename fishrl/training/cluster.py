@@ -82,8 +82,9 @@ class ClusterCollector:
         """Collect batches ``[num_collectors, flows of each, 1]``, one decision of every flow."""
         batches = iter(self._flows)
         while True:
-            self._send_weights()
-            batch = next(batches)
+            with noticing_losses():
+                self._send_weights()
+                batch = next(batches)
             if self._frames >= self._warmup_frames:
                 self._count_exploration(batch.numel())
             self._frames += batch.numel()
@@ -116,10 +117,12 @@ class ClusterCollector:
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything the next batch depends on, from all machines."""
+        with noticing_losses():
+            collectors = self._flows.state_dict()
         return {
             "frames": self._frames,
             "explorer": self._explorer.state_dict(),
-            "collectors": self._flows.state_dict(),
+            "collectors": collectors,
         }
 
     def load_state_dict(self, state_dict: Any) -> None:
@@ -132,6 +135,17 @@ class ClusterCollector:
         """End all flows, and the cluster if it was started here."""
         self.env.close()
         self._flows.shutdown(shutdown_ray=self._has_joined)
+
+
+@contextmanager
+def noticing_losses() -> Iterator[None]:
+    """Raise ChildProcessError where a collector is found to be lost."""
+    import ray
+
+    try:
+        yield
+    except ray.exceptions.RayActorError as error:
+        raise ChildProcessError("a collector of the Ray cluster is lost") from error
 
 
 def join_cluster(num_collectors: int) -> bool:

@@ -60,6 +60,7 @@ class Training:
     ) -> None:
         self._lock = folder.hold()
         self.plan, self.folder, self.config = plan, folder, plan.to_config()
+        self.hooks = hooks
         self.observer = hooks.get("observer") or Observer()
         self.progress = hooks.get("progress") or Progress(is_shown=False)
         began = hooks.get("began")
@@ -114,6 +115,7 @@ class Training:
 
         Raises:
             Interrupted: after SIGINT or SIGTERM; everything is saved.
+            ChildProcessError: if a process of the flows dies; see ``runs.complete``.
             CheckpointNotWritten: if the first or the last checkpoint cannot be written.
         """
         counters = self.counters

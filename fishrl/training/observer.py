@@ -33,7 +33,7 @@ class Observer:
         """Receive a finished training and its summary, before the summary is written."""
 
     def close(self) -> None:
-        """Release resources; no other call follows."""
+        """Release resources; only ``begin`` may follow, where a run goes on after an error."""
 
 
 class Hooks(TypedDict, total=False):

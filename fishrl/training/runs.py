@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Collection, Mapping
 from contextlib import closing
 from dataclasses import replace
@@ -14,6 +15,7 @@ from fishrl.envs import AbstractTask
 from fishrl.envs.transforms import equip
 from fishrl.training.algorithms import Algorithm, DiscreteSAC
 from fishrl.training.baselines import make_baselines
+from fishrl.training.checkpoint import read_metadata
 from fishrl.training.classifier import Recognition, keep_recognition, load_recognition
 from fishrl.training.logger import CsvLogger
 from fishrl.training.loop import Training
@@ -21,6 +23,8 @@ from fishrl.training.observer import Hooks
 from fishrl.training.plan import Plan
 from fishrl.training.run_folder import RunFolder, read_config, write_yaml
 from fishrl.training.settings import LearningSettings, RunSettings, check_device
+
+logger = logging.getLogger(__name__)
 
 
 def train(
@@ -146,9 +150,28 @@ def reopen(folder: str | Path, /, *, modules: Collection[str] = (), **changes: A
 
 
 def complete(training: Training) -> dict[str, Any]:
-    """Run a training to its end and return the summary; SIGINT and SIGTERM save and stop it."""
-    with training.folder.noting_failure(), closing(training), training.interruption:
-        return training.run()
+    """Run a training to its end and return the summary; SIGINT and SIGTERM save and stop it.
+
+    If a process of its flows dies, the run goes on from its last checkpoint, once from each.
+
+    Raises:
+        ChildProcessError: if a process dies again before the next checkpoint.
+    """
+    resumed_at = None
+    while True:
+        folder, interruption = training.folder, training.interruption
+        hooks: Any = {**training.hooks, "began": None}
+        try:
+            with folder.noting_failure(), closing(training), interruption:
+                return training.run()
+        except ChildProcessError as error:
+            frames = read_metadata(folder.path, which="last")[1]["frames"]
+            if frames == resumed_at:
+                raise
+            logger.warning("%s; going on from frame %d", error, frames)
+            resumed_at = frames
+        training = reopen(folder.path, **hooks)
+        training.interruption = interruption  # it may have received a signal meanwhile
 
 
 def find_summary(

@@ -12,7 +12,7 @@ from torchrl.envs import TransformedEnv
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.scene import Frame
 from fishrl.viewer.files import start_drawing
-from fishrl.viewer.process import HOST, Viewer, find_port, start_rerun
+from fishrl.viewer.process import HOST, Viewer, find_port, open_window
 from fishrl.viewer.recording import Recorder, make_scene, name_flows
 from fishrl.viewer.settings import ViewerSettings
 
@@ -44,7 +44,7 @@ class Server(Viewer):
         escaped = self.url.replace("+", "%2B").replace(":", "%3A").replace("/", "%2F")
         self.page = f"http://{HOST}:{web_port}?url={escaped}"
         if has_screen() if opens_window is None else opens_window:
-            start_rerun("--bind", HOST, "--port", "auto", "--connect", self.url)
+            open_window("--bind", HOST, "--port", "auto", "--connect", self.url)
         words = "live on this machine: a window by `python -m rerun --connect %s`, a browser by %s"
         logger.info(words, self.url, self.page)
 

@@ -3,14 +3,13 @@
 rerun's own ``serve_grpc``, ``spawn`` and headless viewer listen on every network interface.
 """
 
-import os
-import signal
 import socket
 import subprocess
 import sys
 import time
 from typing import Self
 
+from fishrl.children import start_child
 from fishrl.viewer.drawing import import_rerun
 
 HOST = "127.0.0.1"
@@ -34,7 +33,12 @@ class Viewer:
         self._options = options
         self.port = find_port(port)
         self.url = f"rerun+http://{HOST}:{self.port}/proxy"
-        self._process = start_rerun("--bind", HOST, "--port", str(self.port), *options)
+        self._process = start_child(
+            "import rerun_cli.__main__ as r, sys; sys.exit(r.main())",
+            *("--bind", HOST, "--port", str(self.port), *options),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
         deadline = time.monotonic() + _PATIENCE_S
         while time.monotonic() < deadline and self._process.poll() is None:
             if self._listens():
@@ -59,9 +63,7 @@ class Viewer:
 
     def close(self) -> None:
         """End it, and wait until its port is free."""
-        if self._process.poll() is None:
-            os.killpg(self._process.pid, signal.SIGTERM)
-            self._process.wait()
+        self._process.communicate()  # closes the pipe to it, which ends it
         deadline = time.monotonic() + _PATIENCE_S
         while self._listens() and time.monotonic() < deadline:
             time.sleep(0.05)
@@ -74,9 +76,9 @@ class Viewer:
         return True
 
 
-def start_rerun(*options: str) -> subprocess.Popen[bytes]:
-    """Start rerun in its own process group, as it starts another process: both end together."""
-    return subprocess.Popen(
+def open_window(*options: str) -> None:
+    """Start rerun in a window that outlives this process."""
+    subprocess.Popen(
         [sys.executable, "-m", "rerun", *options],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

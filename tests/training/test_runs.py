@@ -20,6 +20,7 @@ from fishrl.training import (
     DiscreteSAC,
     LearningSettings,
     RunSettings,
+    complete,
     evaluate,
     find_summary,
     resume,
@@ -209,3 +210,35 @@ def test_a_config_cannot_run_code(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="not the configuration of a run"):
         resume(tmp_path, make_env=make_toy_env)
     assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize("losses", [[15], [15, 30], [3, 3]])
+def test_a_run_goes_on_exactly_after_its_flows_are_lost_but_not_twice_from_one_checkpoint(
+    toy: Toy, monkeypatch: pytest.MonkeyPatch, losses: list[int]
+) -> None:
+    complete(toy.begin(name="whole", **QUICK))
+    step, left = ToyFishEnv._step, list(losses)
+    training = toy.begin(name="run", **QUICK)
+    num_steps = 0
+
+    def step_or_lose(self: ToyFishEnv, td: Any) -> Any:
+        nonlocal num_steps
+        num_steps += 1
+        if left and num_steps == left[0]:
+            num_steps = 0
+            left.pop(0)
+            raise ChildProcessError("a flow worker failed")
+        return step(self, td)
+
+    monkeypatch.setattr(ToyFishEnv, "_step", step_or_lose)
+    if losses[-1] > 3:
+        complete(training)
+    else:
+        with pytest.raises(ChildProcessError, match="a flow worker failed"):
+            complete(training)
+        assert (toy.folder / "run" / "failure.txt").is_file()
+        monkeypatch.undo()
+        resume(toy.folder / "run", make_env=make_toy_env)
+    assert not left
+    assert toy.rows("run") == toy.rows("whole")
+    assert not (toy.folder / "run" / "failure.txt").exists()

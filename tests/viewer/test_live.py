@@ -1,6 +1,8 @@
 """Live views: a server on this machine alone, and frames that disturb nothing."""
 
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 
@@ -49,6 +51,25 @@ def test_streams_are_heard_on_this_machine_alone_and_the_end_of_the_server_harms
         drawing.draw(0, make_frame(number))
     drawing.close()
     assert time.monotonic() - start < 20.0
+
+
+def test_the_server_ends_with_a_program_that_is_killed() -> None:
+    code = (
+        "from fishrl.viewer import Server\n"
+        "print(Server(port=29450, opens_window=False).port, flush=True)\n"
+        "input()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as program:
+        assert program.stdout is not None
+        port = int(program.stdout.readline())
+        assert find_listeners(port)
+        program.kill()
+    deadline = time.monotonic() + 10.0
+    while find_listeners(port) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not find_listeners(port)
 
 
 def test_a_taken_port_gives_way_to_the_next() -> None:

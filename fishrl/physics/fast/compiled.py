@@ -90,6 +90,9 @@ def compile_inplace(
 
     Returns:
         The compiled function, or ``function`` itself where no compiler is present.
+
+    Raises:
+        ChildProcessError: if the compiler fails.
     """
     device = example[0].device
     if find_compiler_problem(device.type):
@@ -102,13 +105,18 @@ def compile_inplace(
     from torch.fx.experimental.proxy_tensor import make_fx
 
     twins = [_make_twin(t) for t in example]
-    compiled = standalone_compile(
-        make_fx(function)(*twins),
-        [*twins],
-        dynamic_shapes="from_example_inputs",
-        aot=True,
-        options={"config_patches": settings},
-    )
+    graph = make_fx(function)(*twins)
+    try:
+        compiled = standalone_compile(
+            graph,
+            [*twins],
+            dynamic_shapes="from_example_inputs",
+            aot=True,
+            options={"config_patches": settings},
+        )
+    except RuntimeError as error:
+        said = str(error).rpartition("Output:")[2].strip()  # by the C++ compiler
+        raise ChildProcessError(f"the compiler failed: {said.partition(chr(10))[0]}") from error
     if path is not None:
         _save(path, compiled.serialize())  # type: ignore[attr-defined]
     return compiled

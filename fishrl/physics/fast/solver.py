@@ -3,6 +3,7 @@
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
+from typing import IO
 
 import torch
 from torch import Tensor
@@ -14,7 +15,7 @@ from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
 from fishrl.physics.fast.batch import FlowBatch
 from fishrl.physics.fast.compiled import Kernel, find_compiler_problem
-from fishrl.physics.fast.workers import Job, SharedMemory, Workers, count_cores
+from fishrl.physics.fast.workers import Job, Workers, count_cores, map_shared, open_shared
 from fishrl.physics.flow import FlowConfig, list_configs
 
 logger = logging.getLogger(__name__)
@@ -71,7 +72,7 @@ class InPlaceSolver:
         self._frequency = torch.as_tensor(frequency, dtype=torch.float64, device=device)
         self._num_workers, self._group_size = min(num_workers, num_envs // size), size
         self._workers: Workers | None = None
-        self._shared: SharedMemory | None = None
+        self._shared: IO[bytes] | None = None
         self._is_closed = self._is_ready = False
         self._batch = FlowBatch(configs, group_size=size, device=device, allocate=self._allocate)
         self._batch.initialise_()
@@ -81,8 +82,8 @@ class InPlaceSolver:
     def _allocate(self, num_bytes: int) -> Tensor:
         if not self._num_workers:
             return torch.zeros(num_bytes, dtype=torch.uint8, device=self.device)
-        self._shared = SharedMemory(num_bytes)
-        return self._shared.tensor
+        self._shared = open_shared(num_bytes)
+        return map_shared(self._shared.fileno(), num_bytes)
 
     @property
     def bodies(self) -> tuple[BodyState, ...]:
@@ -111,20 +112,20 @@ class InPlaceSolver:
         self._is_ready = True
         logger.info("flow step ready after %.1f s", time.perf_counter() - start)
 
-    def _start_workers(self, shared: SharedMemory) -> Workers:
+    def _start_workers(self, shared: IO[bytes]) -> Workers:
         count, num_groups = self._num_workers, self.num_envs // self._group_size
         jobs = [
             Job(
                 configs=self.configs,
                 group_size=self._group_size,
-                path=str(shared.path),
+                file=shared.fileno(),
                 groups=range(first, num_groups, count),
                 compile=self._wants_compile,
             )
             for first in range(count)
         ]
         workers = Workers(jobs)
-        shared.unlink()
+        shared.close()
         return workers
 
     def close(self) -> None:
@@ -132,8 +133,6 @@ class InPlaceSolver:
         self._is_closed = True
         if self._workers is not None:
             self._workers.close()
-        if self._shared is not None:
-            self._shared.unlink()
 
     def advance_(self, num_steps: int, rows: Tensor | None = None) -> None:
         """Advance the flows by an even number of steps.

@@ -8,52 +8,40 @@ subprocess (not ``multiprocessing``, which would import the caller's script agai
 """
 
 import logging
+import mmap
 import os
 import pickle
+import signal
 import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import IO, NamedTuple
 
 import torch
 from torch import Tensor
 
+from fishrl.children import start_child
 from fishrl.physics.fast.batch import FlowBatch
 from fishrl.physics.flow import FlowConfig
 
 logger = logging.getLogger(__name__)
 
 
-class SharedMemory:
-    """A zeroed block of memory that workers can map; it vanishes with its last user.
-
-    Args:
-        num_bytes: size of the block.
-    """
-
-    def __init__(self, num_bytes: int) -> None:
-        folder = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
-        handle, name = tempfile.mkstemp(prefix="fishrl-", dir=folder)
-        os.ftruncate(handle, num_bytes)
-        os.close(handle)
-        self.path = Path(name)
-        self.tensor = map_shared(name, num_bytes)
-
-    def unlink(self) -> None:
-        """Remove the name; those who mapped the block keep it."""
-        self.path.unlink(missing_ok=True)
-
-    def __del__(self) -> None:
-        """Leave no file where no worker was ever started."""
-        self.unlink()
+def open_shared(num_bytes: int) -> IO[bytes]:
+    """Open an anonymous file of zeros in memory, which vanishes with the last who maps it."""
+    if sys.platform == "linux":
+        file = os.fdopen(os.memfd_create("fishrl"), "w+b")
+    else:
+        file = tempfile.TemporaryFile()  # noqa: SIM115 - open until the workers have mapped it
+    file.truncate(num_bytes)
+    return file
 
 
-def map_shared(path: str, num_bytes: int) -> Tensor:
-    """Return the block at ``path`` as bytes ``[num_bytes]``, shared with all who map it."""
-    return torch.from_file(path, shared=True, size=num_bytes, dtype=torch.uint8)
+def map_shared(file: int, num_bytes: int) -> Tensor:
+    """Return the content of a file descriptor ``[num_bytes]``, shared with all who map it."""
+    return torch.frombuffer(mmap.mmap(file, num_bytes), dtype=torch.uint8)
 
 
 def count_cores() -> int:
@@ -68,14 +56,14 @@ class Job(NamedTuple):
     Attributes:
         configs: of all flows.
         group_size: flows per group.
-        path: of the shared memory.
+        file: descriptor of the shared memory.
         groups: that this worker advances.
         compile: whether to compile the step.
     """
 
     configs: Sequence[FlowConfig]
     group_size: int
-    path: str
+    file: int
     groups: range
     compile: bool
 
@@ -88,20 +76,27 @@ class Workers:
     """
 
     def __init__(self, jobs: Sequence[Job]) -> None:
-        command = [sys.executable, "-c", "from fishrl.physics.fast.workers import serve; serve()"]
-        root = str(Path(__file__).parents[3])
-        path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
-        env = os.environ | {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "PYTHONPATH": path}
         self._processes = [
-            subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=env)
-            for _ in jobs
+            start_child(
+                "from fishrl.physics.fast.workers import serve; serve()",
+                env={"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
+                stdout=subprocess.PIPE,
+                pass_fds=[job.file],
+            )
+            for job in jobs
         ]
         for process, job in zip(self._processes, jobs, strict=True):
             _send(process.stdin, job)
         self._wait()
 
     def advance_(self, num_steps: int, groups: Sequence[int]) -> None:
-        """Advance those of the workers' flows that are in ``groups``, and wait for them."""
+        """Advance those of the workers' flows that are in ``groups``, and wait for them.
+
+        Raises:
+            ChildProcessError: if a worker has ended; the flows are then undefined.
+        """
+        if not self._processes:
+            raise ChildProcessError("the flow workers have ended: make a new solver")
         for process in self._processes:
             _send(process.stdin, (num_steps, frozenset(groups)))
         self._wait()
@@ -109,26 +104,20 @@ class Workers:
     def _wait(self) -> None:
         for process in self._processes:
             try:
-                answer = pickle.load(process.stdout)  # type: ignore[arg-type]
+                problem = pickle.load(process.stdout)  # type: ignore[arg-type]
             except EOFError:
-                answer = f"it ended with exit status {process.wait()}"
-            if answer is not None:
+                code = process.wait()
+                problem = f"it ended with exit status {code}; its own message stands above"
+                if code == -signal.SIGKILL:
+                    problem = "it was killed, as the system does when memory runs out"
+            if problem is not None:
                 self.close()
-                raise RuntimeError(
-                    f"a flow worker failed: {answer}; its own message stands above. Use "
-                    "num_workers=0 to run the flows in this process"
-                )
+                raise ChildProcessError(f"a flow worker failed: {problem}")
 
     def close(self) -> None:
         """End the workers."""
         for process in self._processes:
-            if process.stdin:
-                process.stdin.close()
-            process.terminate()
-        for process in self._processes:
-            process.wait()
-            if process.stdout:
-                process.stdout.close()
+            process.communicate()  # closes the pipe to it, which ends it
         self._processes = []
 
     def __del__(self) -> None:
@@ -157,11 +146,15 @@ def serve() -> None:
         job.configs,
         group_size=job.group_size,
         device=torch.device("cpu"),
-        allocate=partial(map_shared, job.path),
+        allocate=partial(map_shared, job.file),
         groups=job.groups,
     )
-    if job.compile:
-        batch.stepper.compile()
+    try:
+        if job.compile:
+            batch.stepper.compile()
+    except OSError as error:  # of the compiler
+        _send(answers, str(error))
+        return
     _send(answers, None)
     while True:
         try:

@@ -1,23 +1,77 @@
 """Flows in processes of their own: what happens when one fails, and what is left behind."""
 
-import gc
 import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import torch
 
 from fishrl.physics import FlowConfig, InPlaceSolver
-from fishrl.physics.fast.workers import SharedMemory, count_cores, map_shared
+from fishrl.physics.fast.workers import count_cores, map_shared, open_shared
 
 CONFIG = FlowConfig(width=32, height=24, tau=0.6)
+ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="it reads /proc")
+
+#: What a user of flows does: wait for the step to be ready, then take one step after the other.
+PROGRAM = """
+import sys
+from fishrl.physics import FlowConfig, InPlaceSolver
+config, compile = FlowConfig(width=32, height=24, tau=0.6), sys.argv[1] == "compile"
+solver = InPlaceSolver(config=config, num_envs=2, compile=compile, num_workers=2)
+print("begun", flush=True)
+solver.compile()
+print("ready", flush=True)
+while True:
+    solver.advance_(2000)
+"""
+#: A compiler that says so when it is called, and then fails or takes for ever.
+COMPILER = """#!/bin/sh
+case "$*" in
+  *-shared*) touch "$CALLED"; {end};;
+  *) exec /usr/bin/g++ "$@";;
+esac
+"""
 
 
-def make_solver(num_workers: int) -> InPlaceSolver:
-    solver = InPlaceSolver(config=CONFIG, num_envs=2, compile=False, num_workers=num_workers)
+def make_solver(num_workers: int, *, compile: bool = False) -> InPlaceSolver:
+    solver = InPlaceSolver(config=CONFIG, num_envs=2, compile=compile, num_workers=num_workers)
     f = torch.zeros(2, 9, 24, 32)
     f[:, 1, 10, 10] = 0.01
     solver.set_populations_(f)
     return solver
+
+
+def find_processes(mark: str) -> set[int]:
+    """Return the processes that have a word in their environment."""
+    found = set()
+    for path in Path("/proc").glob("[0-9]*/environ"):
+        try:
+            if mark.encode() in path.read_bytes():
+                found.add(int(path.parent.name))
+        except OSError:  # it has ended
+            pass
+    return found
+
+
+def list_shared() -> set[str]:
+    """Return what earlier versions left behind here."""
+    return {name for name in os.listdir("/dev/shm") if name.startswith("fishrl")}
+
+
+@pytest.fixture
+def fake_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Put a compiler in the place of g++, with no compiled step at hand."""
+    path = tmp_path / "bin" / "g++"
+    path.parent.mkdir()
+    monkeypatch.setenv("PATH", f"{path.parent}:{os.environ['PATH']}")
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setenv("CALLED", str(tmp_path / "called"))
+    return path
 
 
 def test_flows_in_processes_move_as_flows_here_do() -> None:
@@ -29,42 +83,79 @@ def test_flows_in_processes_move_as_flows_here_do() -> None:
     there.close()
 
 
-def test_a_worker_that_dies_ends_the_run_with_an_error_that_says_what_to_do() -> None:
+def test_a_worker_that_is_killed_is_an_error_and_ends_the_others() -> None:
     solver = make_solver(2)
     solver.advance_(2)
     assert solver._workers is not None
-    solver._workers._processes[1].kill()
-    with pytest.raises(RuntimeError, match="a flow worker failed: it ended with exit status -9"):
+    processes = list(solver._workers._processes)
+    processes[1].kill()
+    with pytest.raises(ChildProcessError, match="it was killed"):
+        solver.advance_(2)
+    assert all(process.poll() is not None for process in processes)
+    with pytest.raises(ChildProcessError, match="make a new solver"):
         solver.advance_(2)
 
 
-def test_closing_ends_the_processes_and_leaves_no_file() -> None:
+def test_a_compiler_that_fails_is_an_error_with_its_message(fake_compiler: Path) -> None:
+    fake_compiler.write_text(COMPILER.format(end="echo 'no space left' >&2; exit 1"))
+    fake_compiler.chmod(0o755)
+    code = (
+        "from tests.physics.fast.test_workers import make_solver\n"
+        "make_solver(1, compile=True).compile()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    said = done.stderr.splitlines()[-1]
+    assert said.endswith("the compiler failed: no space left") and "ChildProcessError" in said
+    assert done.stderr.count("Traceback") == 1  # of the parent alone
+
+
+@ON_LINUX
+@pytest.mark.parametrize(
+    ("phase", "number"),
+    [("begun", signal.SIGTERM), ("compiling", signal.SIGKILL), ("stepping", signal.SIGKILL)],
+)
+def test_nothing_is_left_of_a_program_that_is_killed(
+    fake_compiler: Path, tmp_path: Path, phase: str, number: int
+) -> None:
+    fake_compiler.write_text(COMPILER.format(end="sleep 100"))
+    fake_compiler.chmod(0o755)
+    before = list_shared()
+    what = "compile" if phase == "compiling" else "run"
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, what],
+        env={**os.environ, "LEFT_BY": str(tmp_path)},
+        stdout=subprocess.PIPE,
+    ) as program:
+        assert program.stdout is not None
+        program.stdout.readline()
+        if phase == "stepping":
+            assert program.stdout.readline() == b"ready\n"
+        while phase == "compiling" and not (tmp_path / "called").exists():
+            time.sleep(0.1)
+        assert phase == "begun" or len(find_processes(str(tmp_path))) >= 3
+        program.send_signal(number)
+    deadline = time.monotonic() + 10.0
+    while find_processes(str(tmp_path)) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not find_processes(str(tmp_path))
+    assert list_shared() <= before
+
+
+def test_closing_ends_the_processes_and_a_closed_solver_does_not_advance() -> None:
     solver = make_solver(2)
     solver.advance_(2)
-    assert solver._workers is not None and solver._shared is not None
+    assert solver._workers is not None
     processes = list(solver._workers._processes)
     solver.close()
     assert all(process.poll() is not None for process in processes)
-    assert not solver._shared.path.exists()
     with pytest.raises(RuntimeError, match="closed and cannot advance: make a new one"):
         solver.advance_(2)
 
 
-def test_a_solver_that_never_ran_leaves_no_file() -> None:
-    solver = make_solver(2)
-    assert solver._shared is not None
-    path = solver._shared.path
-    assert path.exists()
-    del solver
-    gc.collect()
-    assert not path.exists()
-
-
 def test_shared_memory_is_seen_by_all_who_map_it() -> None:
-    memory = SharedMemory(64)
-    other = map_shared(str(memory.path), 64)
-    memory.unlink()
-    memory.tensor[3] = 7
+    with open_shared(64) as file:
+        one, other = map_shared(file.fileno(), 64), map_shared(file.fileno(), 64)
+    one[3] = 7
     assert int(other[3]) == 7
 
 
