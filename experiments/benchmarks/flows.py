@@ -25,36 +25,21 @@ from fishrl.physics.storage import Storage
 
 
 def make_solver(
-    body_length: int,
-    *,
-    has_fish: bool,
-    num_envs: int = 1,
-    num_workers: int = 0,
-    storage: Storage = Storage.FLOAT32,
-    **options: Any,
+    body_length: int, *, has_fish: bool, storage: Storage = Storage.FLOAT32, **options: Any
 ) -> InPlaceSolver:
     """Return compiled flows in the paper's tank, 10 L x 5 L, with a swimming fish in each or none.
 
     Re = 70 L, so that the relaxation time is one; ``options`` are those of ``InPlaceSolver``.
     """
-    scales = make_scales(body_length)
+    scales = Scales.from_budget(body_length=body_length, reynolds=70.0 * body_length)
     bodies: Any = {} if has_fish else {"bodies": ()}
-    solver = InPlaceSolver(
-        config=make_swimmer_config(scales, storage=storage, **bodies),
-        num_envs=num_envs,
-        num_workers=num_workers,
-        frequency=1.0 / scales.period,
-        **options,
-    )
-    rows = torch.ones(num_envs, dtype=torch.bool, device=solver.device)
-    solver.reset_(rows, None, torch.full((num_envs,), pi) if has_fish else None)
+    config = make_swimmer_config(scales, storage=storage, **bodies)
+    options = {"num_envs": 1, "num_workers": 0} | options
+    solver = InPlaceSolver(config=config, frequency=1.0 / scales.period, **options)
+    rows = torch.ones(solver.num_envs, dtype=torch.bool, device=solver.device)
+    solver.reset_(rows, None, torch.full((solver.num_envs,), pi) if has_fish else None)
     solver.compile()
     return solver
-
-
-def make_scales(body_length: int) -> Scales:
-    """Return the lattice units of ``make_solver``."""
-    return Scales.from_budget(body_length=body_length, reynolds=70.0 * body_length)
 
 
 def make_case(solver: InPlaceSolver, label: str, how: str, *, num_flows: int | None = None) -> Case:
@@ -70,7 +55,7 @@ def make_case(solver: InPlaceSolver, label: str, how: str, *, num_flows: int | N
         advance=partial(solver.advance_, rows=None if is_first.all() else is_first),
         working_set=round(populations * num_flows / solver.num_envs),
         bytes_per_update=18 * config.storage.dtype.itemsize,
-        facts={"flows": num_flows},
+        facts={"flows": num_flows, "body_length": config.width // 10},
     )
 
 
@@ -131,7 +116,8 @@ def make_swimmers(settings: BenchmarkSettings, *, has_fish: bool = True) -> list
             label = f"{size}{n if size == 'batch' else ''}/{what}"
             cases.append(make_case(solver, label, how, num_flows=n))
             cases[-1].measured["bytes"] = [per_node]
-            cases[-1].facts |= {"body_length": length, "period": make_scales(length).period}
+            if has_fish:
+                cases[-1].facts["period"] = 1.0 / float(solver.body.frequency[0])
     return cases
 
 

@@ -28,23 +28,12 @@ from experiments.benchmarks.shear_wave import Field, ShearWave, make_wave
 from fishrl.physics.collision import Rates
 from fishrl.physics.lattice import CX, W
 
-#: How lbmpy's populations move in memory.
-PATTERNS = {
-    "pull": "two buffers",
-    "aa": "in place (AA)",
-    "esotwist": "in place (esoteric twist)",
-}
-
 
 class Peer(NamedTuple):
-    """A flow that starts from a shear wave.
-
-    ``advance`` runs whole steps, ``velocity`` returns u_x ``[Y, X]``, ``kernel`` runs steps without
-    edges.
-    """
+    """A flow that starts from a shear wave; ``kernel`` runs steps without edges."""
 
     advance: Callable[[int], object]
-    velocity: Callable[[], Field]
+    velocity: Callable[[], Field]  # u_x [Y, X]
     num_bytes: int
     kernel: Callable[[int], object] | None = None
 
@@ -63,18 +52,20 @@ def make_cases(peer: Peer, wave: ShearWave, label: str, how: str) -> list[Case]:
 def make_lbmpy(settings: BenchmarkSettings) -> list[Case]:
     """Make every pattern for one large flow, and the fastest for a batch of half its size."""
     wave, cases, num_flows = make_wave(settings), [], 16
-    for pattern, words in PATTERNS.items():
+    for pattern, words in (
+        ("pull", "two buffers"),
+        ("aa", "in place (AA)"),
+        ("esotwist", "in place (esoteric twist)"),
+    ):
         peer = make_lbmpy_flow(wave, pattern, settings.threads)
         how = f"{words}, {settings.cores}"
         cases += make_cases(peer, wave, f"lbmpy/{pattern}", how)
     small = ShearWave(wave.width // 2, wave.height // 2)
     batch = make_lbmpy_flow(small, "esotwist", settings.threads, num_copies=num_flows)
-    label, shape = f"lbmpy/batch{num_flows}", (num_flows, small.width, small.height)
-    size = num_flows * batch.num_bytes
-    return [
-        *cases,
-        make_flow_case(label, shape, how, scope=KERNEL, advance=batch.kernel, working_set=size),
-    ]
+    shape, size = (num_flows, small.width, small.height), num_flows * batch.num_bytes
+    case = make_flow_case(f"lbmpy/batch{num_flows}", shape, how, scope=KERNEL, working_set=size)
+    case.advance = batch.kernel
+    return [*cases, case]
 
 
 def make_lbmpy_flow(wave: ShearWave, pattern: str, threads: int, *, num_copies: int = 0) -> Peer:
@@ -83,14 +74,7 @@ def make_lbmpy_flow(wave: ShearWave, pattern: str, threads: int, *, num_copies: 
     With ``num_copies`` the kernels advance so many copies of it in turn; in place only.
     """
     import pystencils as ps
-    from lbmpy import (
-        LBMConfig,
-        LBMOptimisation,
-        LBStencil,
-        Method,
-        Stencil,
-        create_lb_update_rule,
-    )
+    from lbmpy import LBMConfig, LBMOptimisation, LBStencil, Method, Stencil, create_lb_update_rule
     from lbmpy.advanced_streaming import LBMPeriodicityHandling, Timestep
     from lbmpy.macroscopic_value_kernels import macroscopic_values_getter, macroscopic_values_setter
 
@@ -228,9 +212,8 @@ def make_lettuce_flow(wave: ShearWave, *, is_compiled: bool) -> Peer:
     import lettuce
 
     context = lettuce.Context(device=torch.device("cpu"), use_native=False)
-    flow = lettuce.TaylorGreenVortex(
-        context, [wave.width, wave.height], 100.0, 0.05, lettuce.D2Q9()
-    )
+    size = [wave.width, wave.height]
+    flow = lettuce.TaylorGreenVortex(context, size, 100.0, 0.05, lettuce.D2Q9())
     simulation = lettuce.Simulation(flow, lettuce.BGKCollision(wave.tau), [])
     u = torch.zeros(2, wave.width, wave.height)
     u[0] = torch.as_tensor(wave.velocity()).T

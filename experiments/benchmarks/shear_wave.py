@@ -21,18 +21,12 @@ TOLERANCE = 0.03  # of the viscosity; the lattice's own error at 50 nodes a wave
 
 @dataclass(frozen=True)
 class ShearWave:
-    """A shear wave of about 50 nodes in a periodic box.
-
-    Attributes:
-        width, height: of the box, nodes.
-        num_steps: that the decay is measured over, even.
-        tau: relaxation time.
-    """
+    """A shear wave of about 50 nodes in a periodic box."""
 
     width: int
     height: int
-    num_steps: int = 100
-    tau: float = 0.6
+    num_steps: int = 100  # that the decay is measured over, even
+    tau: float = 0.6  # relaxation time
 
     @property
     def wavenumber(self) -> float:
@@ -45,15 +39,7 @@ class ShearWave:
         return np.repeat(SPEED * shape[:, None], self.width, 1)
 
     def check(self, advance: Callable[[int], object], read: Callable[[], Field]) -> None:
-        """Check the viscosity of a flow that has started from the wave.
-
-        Args:
-            advance: run so many steps.
-            read: return u_x ``[Y, X]``.
-
-        Raises:
-            RuntimeError: if its error is larger than the tolerance.
-        """
+        """Check the viscosity of a flow that has started from the wave and whose u_x is read."""
         start, nu = self.velocity(), (self.tau - 0.5) / 3.0
         advance(20)  # equilibrium populations carry no stress yet
         before = float((start * read()).mean())

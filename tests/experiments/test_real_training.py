@@ -103,6 +103,4 @@ def test_a_start_that_does_not_fit_ends_the_program_with_one_line(
 ) -> None:
     with pytest.raises(SystemExit, match=r"error: .*does not fit"):
         run_program(monkeypatch, "task.start_x_bl=[9.9,9.9]", f"folder={tmp_path}")
-    with pytest.raises(SystemExit, match=r"error: resume = .*no config\.yaml there"):
-        run_program(monkeypatch, f"resume={tmp_path}")
     assert not list(tmp_path.iterdir())
