@@ -1,138 +1,92 @@
 """Checks of what the methods of a task return, so that errors surface early."""
 
 from math import pi
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-if TYPE_CHECKING:
-    from fishrl.envs.task import AbstractTask
+from fishrl.envs.task import AbstractTask, Command
 
 MAX_TURN = 2.0 * pi  # radians in one control interval
 MAX_FREQUENCY = 0.1  # tail beats per step: ten steps for a beat
 NUM_STARTS = 256
 
 
-def check_starts_of(task: "AbstractTask") -> None:
-    """Check that a sample of a task's random starts is valid.
-
-    Raises:
-        ValueError: naming the first invalid start.
-    """
+def check_starts_of(task: AbstractTask) -> None:
+    """Raise ValueError unless a sample of a task's random starts is valid."""
     starts = task.sample_starts(NUM_STARTS, torch.Generator().manual_seed(0))
-    for name in ("head", "heading"):
-        if name not in starts:
-            raise ValueError(
-                f"{_name(task)}.starts_from gives {sorted(map(str, starts.keys()))}: it must give "
-                "'head' [E, 2] in nodes and 'heading' [E] in radians"
-            )
+    names = sorted(map(str, starts.keys()))
+    expected = "'head' [E, 2] in nodes and 'heading' [E] in radians"
+    _require(task, "starts_from", {"head", "heading"} <= set(names), names, expected)
     task.check_starts(starts)
 
 
-def check_answers(task: "AbstractTask", now: TensorDictBase) -> None:
+def check_answers(task: AbstractTask, now: TensorDictBase) -> None:
     """Check observation, mask, termination and report of a first measurement ``[B]``.
 
     Raises:
         ValueError: naming the method, its output and the expected one.
     """
     rows = tuple(now.shape)
-    sizes = "make it agree with n_obs and num_actions"
-    observed = check_rows(
-        task, "observe", task.observe(now), (*rows, task.n_obs), torch.float32, sizes
-    )
-    if not observed.isfinite().all():
-        raise ValueError(f"{_name(task)}.observe gives {observed.tolist()}: it must be finite")
-    mask = check_rows(
-        task, "action_mask", task.action_mask(now), (*rows, task.num_actions), torch.bool, sizes
-    )
-    if not mask.any(-1).all():
-        raise ValueError(f"{_name(task)}.action_mask has a row without any legal action")
+    observed = check_rows(task, "observe", task.observe(now), (*rows, task.n_obs), torch.float32)
+    is_finite = bool(observed.isfinite().all())
+    _require(task, "observe", is_finite, observed.tolist(), "finite numbers")
+    shape = (*rows, task.num_actions)
+    mask = check_rows(task, "action_mask", task.action_mask(now), shape, torch.bool)
+    has_legal = bool(mask.any(-1).all())
+    _require(task, "action_mask", has_legal, mask.tolist(), "a legal action in each row")
     check_rows(task, "is_terminated", task.is_terminated(now), rows, torch.bool)
-    _check_report(task, task.report(now), rows)
-
-
-def _check_report(task: "AbstractTask", report: Any, rows: tuple[int, ...]) -> None:
-    if not isinstance(report, dict | TensorDictBase):
-        raise ValueError(
-            f"{_name(task)}.report gives {_describe(report)}: expected a dict of tensors [B, ...]"
-        )
+    report, word = task.report(now), task.success
+    _require(task, "report", isinstance(report, dict | TensorDictBase), report, "a dict")
     for name, value in report.items():
-        if not isinstance(value, Tensor) or tuple(value.shape[:1]) != rows:
-            raise ValueError(
-                f"{_name(task)}.report gives {name!r} = {_describe(value)}: expected a tensor "
-                f"with {rows[0]} rows"
-            )
-    word = task.success
+        is_right = isinstance(value, Tensor) and tuple(value.shape[:1]) == rows
+        _require(task, f"report {name!r}", is_right, value, f"a tensor with {rows[0]} rows")
     if word in report:
         flag = report[word]
-        column = flag.squeeze(1) if flag.dim() == 2 else flag
-        check_rows(task, f"report()[{word!r}]", column, rows, torch.bool)
-    elif word != "survived":
-        raise ValueError(
-            f"{_name(task)}.success = {word!r}, but report gives {sorted(report)}: let it give "
-            f"{word!r} [B] bool, or remove success if reaching the time limit is success"
-        )
+        flag = flag.squeeze(1) if flag.dim() == 2 else flag
+        check_rows(task, f"report {word!r}", flag, rows, torch.bool)
+    else:
+        known = f"'survived' or an entry of report, {sorted(report)}"
+        _require(task, "success", word == "survived", word, known)
 
 
 def check_rows(
-    task: "AbstractTask",
+    task: AbstractTask,
     name: str,
     got: Any,
     shape: tuple[int, ...],
-    dtype: torch.dtype | None,
-    hint: str = "a row for each flow",
+    dtype: torch.dtype | None = None,
 ) -> Tensor:
-    """Return what a task's method ``name`` gave, after checking its shape and dtype (None: any).
-
-    Raises:
-        ValueError: if it differs; ``hint`` is the remedy for a wrong shape.
-    """
-    if not isinstance(got, Tensor):
-        raise ValueError(f"{_name(task)}.{name} gives {_describe(got)}, expected a tensor {shape}")
-    if tuple(got.shape) != shape:
-        raise ValueError(
-            f"{_name(task)}.{name} gives shape {tuple(got.shape)}, expected {shape}: {hint}"
-        )
-    if dtype is not None and got.dtype != dtype:
-        raise ValueError(f"{_name(task)}.{name} gives {got.dtype}, expected {dtype}")
-    return got
+    """Return what a task's method ``name`` gave; raise ValueError for another shape or dtype."""
+    is_tensor = isinstance(got, Tensor) and tuple(got.shape) == shape
+    expected = f"a tensor of shape {shape}" + f", {dtype}" * (dtype is not None)
+    _require(task, name, is_tensor and dtype in (None, got.dtype), got, expected)
+    tensor: Tensor = got
+    return tensor
 
 
-def check_command(task: "AbstractTask", order: Any, rows: tuple[int, ...]) -> None:
+def check_command(task: AbstractTask, order: Any, rows: tuple[int, ...]) -> None:
     """Check the output ``order`` of ``task.command`` for rows ``(B,)``, in particular its units.
 
     Raises:
         ValueError: if it is no ``Command``, or a value is out of range.
     """
-    turn, frequency = getattr(order, "turn", None), getattr(order, "frequency", None)
-    if turn is None:
-        raise ValueError(
-            f"{_name(task)}.command gives {_describe(order)}: expected Command(turn=..., "
-            "frequency=...)"
-        )
-    check_rows(task, "command().turn", turn, rows, None)
-    if not (turn.abs() <= MAX_TURN).all():
-        raise ValueError(
-            f"{_name(task)}.command turns by {turn.tolist()}: expected radians, at most 2 pi"
-        )
-    if frequency is None:
-        return
-    check_rows(task, "command().frequency", frequency, rows, None)
-    if not ((frequency >= 0.0) & (frequency <= MAX_FREQUENCY)).all():
-        raise ValueError(
-            f"{_name(task)}.command asks for frequencies {frequency.tolist()}: expected tail beats "
-            f"per step, 0 to {MAX_FREQUENCY}; n beats per T are n / self.scales.period"
-        )
+    expected = "Command(turn=..., frequency=...)"
+    _require(task, "command", isinstance(order, Command), order, expected)
+    turn = check_rows(task, "command turn", order.turn, rows)
+    is_right = bool((turn.abs() <= MAX_TURN).all())
+    _require(task, "command turn", is_right, turn.tolist(), "radians, at most 2 pi")
+    if order.frequency is not None:
+        frequency = check_rows(task, "command frequency", order.frequency, rows)
+        is_right = bool(((frequency >= 0.0) & (frequency <= MAX_FREQUENCY)).all())
+        expected = f"tail beats per step, 0 to {MAX_FREQUENCY}; n per T are n / self.scales.period"
+        _require(task, "command frequency", is_right, frequency.tolist(), expected)
 
 
 def check_action(action: Tensor, mask: Tensor) -> None:
-    """Check that actions ``[B]`` are legal by the mask ``[B, num_actions]``.
-
-    Raises:
-        ValueError: naming the first row with an illegal action.
-    """
+    """Raise ValueError for the first action ``[B]`` that ``mask`` ``[B, num_actions]`` forbids."""
     most = mask.shape[-1] - 1
     is_legal = mask.gather(-1, action.clamp(0, most).unsqueeze(-1)).squeeze(-1)
     is_legal = is_legal & (action >= 0) & (action <= most)
@@ -145,11 +99,8 @@ def check_action(action: Tensor, mask: Tensor) -> None:
         )
 
 
-def _name(task: "AbstractTask") -> str:
-    return type(task).__name__
-
-
-def _describe(value: Any) -> str:
-    if isinstance(value, Tensor):
-        return f"a tensor of shape {tuple(value.shape)}"
-    return f"{type(value).__name__} {value!r}"
+def _require(task: AbstractTask, name: str, is_right: bool, got: Any, expected: str) -> None:
+    if not is_right:
+        if isinstance(got, Tensor):
+            got = f"a tensor of shape {tuple(got.shape)}, {got.dtype}"
+        raise ValueError(f"{type(task).__name__}.{name} gives {got}, expected {expected}")

@@ -1,5 +1,6 @@
 """The episode runner: one episode from each of a set of starts, in all flows of an env at once."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -23,7 +24,8 @@ class Episodes:
         lengths: ``[E]`` number of decisions, int64.
         succeeded: ``[E]`` bool, whether the task was accomplished, see ``has_succeeded``.
         terminated: ``[E]`` bool, whether the task itself ended the episode.
-        diverged: ``[E]`` bool, whether the flow diverged.
+        diverged: ``[E]`` bool, whether the flow diverged; such an episode is no success.
+        interval_T: duration of a decision, tail beats.
     """
 
     returns: Tensor
@@ -31,6 +33,20 @@ class Episodes:
     succeeded: Tensor
     terminated: Tensor
     diverged: Tensor
+    interval_T: float
+
+    def metrics(self) -> dict[str, float]:
+        """Reduce to numbers; the time to success is NaN where there was none."""
+        lengths_T = (self.lengths * self.interval_T).double()
+        times = lengths_T[self.succeeded]
+        return {
+            "success_rate": float(self.succeeded.double().mean()),
+            "mean_return": float(self.returns.double().mean()),
+            "mean_length_T": float(lengths_T.mean()),
+            "mean_time_to_success_T": float(times.mean()) if len(times) else math.nan,
+            "episodes": len(self.succeeded),
+            "diverged": int(self.diverged.sum()),
+        }
 
 
 def run_episodes(
@@ -113,7 +129,8 @@ def run_episodes(
             num_begun += int(is_done.sum())
             state, has_begun = env.maybe_reset(env.step_mdp(step)), is_done & (start_of >= 0)
     done = {name: flag.cpu() for name, flag in flags.items()}
-    return Episodes(returns=returns.cpu(), lengths=lengths.cpu(), **done)
+    interval_T = base.task.interval_T
+    return Episodes(returns=returns.cpu(), lengths=lengths.cpu(), interval_T=interval_T, **done)
 
 
 def has_succeeded(after: TensorDictBase, name: str) -> Tensor:

@@ -213,7 +213,7 @@ class FlowEnv(EnvBase):
         self.now = _merge(~diverged, now, self.now)
         self._count(diverged)
         terminated = self.task.is_terminated(self.now) & ~diverged
-        earned = check_rows(self.task, "reward", self.task.reward(before, self.now), rows, None)
+        earned = check_rows(self.task, "reward", self.task.reward(before, self.now), rows)
         reward = earned.float().masked_fill(diverged, 0.0)
         result = self._write(
             diverged=diverged,

@@ -56,9 +56,6 @@ class FlowVectorEnv(VectorEnv):
     Args:
         env: an environment of ``make_env``, which this wrapper owns and closes.
         autoreset_mode: a ``gymnasium.vector.AutoresetMode`` or its value.
-
-    Raises:
-        ValueError: for an unknown mode.
     """
 
     def __init__(
@@ -68,7 +65,7 @@ class FlowVectorEnv(VectorEnv):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
         self.env = env
-        self.autoreset_mode = _as_mode(autoreset_mode)
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.num_envs = int(env.batch_size[0])
         specs = env.full_observation_spec
         shape = tuple(specs["observation_stack"].shape[1:])
@@ -90,45 +87,35 @@ class FlowVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Start new episodes in all rows, or in those of ``options["reset_mask"]``.
+        """Start new episodes; return observations ``[B, ...]`` and infos of all rows.
 
         Args:
-            seed: seed of all further starts, which depend on seed, row and episode.
-            options: ``reset_mask``, ``[B]`` bool, or nothing.
-
-        Returns:
-            Observations ``[B, ...]`` and infos of all rows.
+            seed: one seed of all further starts, which depend on seed, row and episode.
+            options: ``reset_mask`` ``[B]`` bool, the rows to reset; by default all.
 
         Raises:
-            ValueError: for an invalid mask or seed.
-            gymnasium.error.ResetNeeded: for a partial reset before the first full one.
+            ValueError: for an invalid mask.
+            gymnasium.error.Error: for an invalid seed, or a partial reset before the first full one.
         """
-        rows = self._read_mask(options)
         if seed is not None:
-            if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-                raise ValueError(f"seed = {seed}: give one whole number; rows draw their own")
-            super().reset(seed=int(seed))
+            super().reset(seed=seed)
             self.env.set_seed(int(seed), static_seed=True)
-        if rows is None:
+        if not options:
             self._state = self.env.reset()
             self._is_over[:] = False
         else:
+            rows = self._read("reset_mask", options["reset_mask"], np.bool_)
             self._state = self._reset_rows(self._need_state(), rows)
             self._is_over = self._is_over & ~rows
         return _observe(self._state), self._tell(self._state)
 
     def step(self, actions: Any) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        """Advance all rows by one decision.
+        """Advance all rows by one decision, given legal actions ``[B]``, integers.
 
-        Args:
-            actions: ``[B]`` integers, legal actions.
-
-        Returns:
-            Observations ``[B, ...]``, rewards ``[B]``, terminations, truncations and infos.
+        Returns observations ``[B, ...]``, rewards ``[B]``, terminations, truncations and infos.
 
         Raises:
-            ValueError: for illegal actions or a wrong shape; without autoreset, if a row has not
-                been reset.
+            ValueError: for illegal actions or a wrong shape, and for rows that must be reset first.
             gymnasium.error.ResetNeeded: before the first reset.
         """
         state, waiting = self._need_state(), self._is_over.copy()
@@ -137,7 +124,7 @@ class FlowVectorEnv(VectorEnv):
                 f"rows {waiting.nonzero()[0].tolist()} are over: call "
                 "reset(options={'reset_mask': terminations | truncations}) first"
             )
-        after = self._advance(state, self._read_actions(actions), waiting)
+        after = self._advance(state, self._read("actions", actions, np.integer), waiting)
         rewards, terminations, truncations = (
             np.where(waiting, 0, _row_wise(after[name]))
             for name in ("reward", "terminated", "truncated")
@@ -175,15 +162,14 @@ class FlowVectorEnv(VectorEnv):
             raise ResetNeeded("call reset() before step(), action_masks() and partial resets")
         return self._state
 
-    def _advance(
-        self, state: TensorDictBase, actions: torch.Tensor, waiting: Array
-    ) -> TensorDictBase:
+    def _advance(self, state: TensorDictBase, actions: Array, waiting: Array) -> TensorDictBase:
         """Return the next state; ``waiting`` rows do not advance and are undefined."""
         rests = torch.as_tensor(waiting, device=self.env.device)
         legal = state["action_mask"].int().argmax(-1)
+        chosen = torch.as_tensor(actions, dtype=torch.int64, device=self.env.device)
         self.flows.is_resting = rests
         try:
-            action = torch.where(rests, legal, actions)
+            action = torch.where(rests, legal, chosen)
             stepped = self.env.step(state.copy().set("action", action))
         finally:
             self.flows.is_resting = torch.zeros_like(rests)
@@ -198,28 +184,15 @@ class FlowVectorEnv(VectorEnv):
         )
         return fresh.exclude("_reset")
 
-    def _read_actions(self, actions: Any) -> torch.Tensor:
-        given = np.asarray(actions)
-        if given.shape != (self.num_envs,) or not np.issubdtype(given.dtype, np.integer):
+    def _read(self, name: str, given: Any, kind: type[np.generic]) -> Array:
+        """Return one value of a ``kind`` per row."""
+        values = np.asarray(given)
+        if values.shape != (self.num_envs,) or not np.issubdtype(values.dtype, kind):
             raise ValueError(
-                f"actions of shape {given.shape}, {given.dtype}: expected ({self.num_envs},), whole"
+                f"{name} of shape {values.shape}, {values.dtype}: expected ({self.num_envs},), "
+                f"{kind.__name__}"
             )
-        return torch.as_tensor(given, dtype=torch.int64, device=self.env.device)
-
-    def _read_mask(self, options: Mapping[str, Any] | None) -> Array | None:
-        """Return the rows to reset, or None for all."""
-        unknown = sorted(set(options or {}) - {"reset_mask"})
-        if unknown:
-            raise ValueError(f"options = {unknown}: there is only 'reset_mask'")
-        if not options:
-            return None
-        rows = np.asarray(options["reset_mask"])
-        if rows.shape != (self.num_envs,) or rows.dtype != np.bool_ or not rows.any():
-            raise ValueError(
-                f"reset_mask of shape {rows.shape}, {rows.dtype}, {int(rows.sum())} set: expected "
-                f"({self.num_envs},), bool, at least one set"
-            )
-        return rows
+        return values
 
     def _tell(self, state: TensorDictBase) -> dict[str, Any]:
         """Return infos: all entries but the observations."""
@@ -240,14 +213,6 @@ class FlowVectorEnv(VectorEnv):
     def _read_reported(self, state: TensorDictBase) -> dict[str, Array]:
         reported = {name: _row_wise(state[name]) for name in self._reported}
         return reported | {"action_mask": reported["action_mask"].astype(np.int8)}
-
-
-def _as_mode(mode: AutoresetMode | str) -> AutoresetMode:
-    try:
-        return AutoresetMode(mode)
-    except ValueError as error:
-        allowed = ", ".join(one.value for one in AutoresetMode)
-        raise ValueError(f"autoreset_mode = {mode!r}: allowed is {allowed}") from error
 
 
 def _observe(state: TensorDictBase) -> Array:

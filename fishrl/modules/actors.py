@@ -18,14 +18,10 @@ ILLEGAL_LOGIT = -1e9
 
 
 def make_mlp(widths: Sequence[int], *, generator: torch.Generator | None = None) -> nn.Sequential:
-    """Build a fully connected network with ReLU between its layers.
+    """Build a fully connected network of layer ``widths`` with ReLU between its layers.
 
-    Weights and biases have the distribution of ``nn.Linear`` but come from ``generator``, so that
-    the same seed gives the same network however the global generator was used.
-
-    Args:
-        widths: of the layers, from the input to the output.
-        generator: source of the initial weights; by default the global one.
+    Weights and biases have the distribution of ``nn.Linear`` but come from ``generator`` (by
+    default the global one), so that the same seed gives the same network.
 
     Raises:
         ValueError: if a width is smaller than 1.
@@ -47,22 +43,18 @@ def make_actor(
     num_inputs: int,
     num_actions: int,
     hidden: Sequence[int] = (256, 256),
-    in_key: str = "observation_stack",
-    mask_key: str = "action_mask",
     generator: torch.Generator | None = None,
 ) -> ProbabilisticActor:
     """Build a softmax policy over the legal actions.
 
-    Reads ``in_key`` ``[..., num_inputs]`` and ``mask_key`` ``[..., num_actions]`` (bool), writes
-    ``logits`` ``[..., num_actions]`` and the integer ``action`` ``[...]``. Under
+    Reads ``observation_stack`` ``[..., num_inputs]`` and ``action_mask`` ``[..., num_actions]``
+    (bool), writes ``logits`` ``[..., num_actions]`` and the integer ``action`` ``[...]``. Under
     ``ExplorationType.DETERMINISTIC`` the action is the most probable legal one, otherwise a sample.
 
     Args:
         num_inputs: length of the stacked observation.
         num_actions: number of actions, legal or not.
         hidden: widths of the hidden layers.
-        in_key: key of the stacked observation.
-        mask_key: key of the mask, true where an action is legal.
         generator: source of the initial weights.
 
     Raises:
@@ -70,8 +62,8 @@ def make_actor(
     """
     network = make_mlp([num_inputs, *hidden, num_actions], generator=generator)
     return ProbabilisticActor(
-        module=TensorDictModule(network, in_keys=[in_key], out_keys=["logits"]),
-        in_keys={"logits": "logits", "mask": mask_key},
+        module=TensorDictModule(network, in_keys=["observation_stack"], out_keys=["logits"]),
+        in_keys={"logits": "logits", "mask": "action_mask"},
         out_keys=["action"],
         spec=Categorical(num_actions),
         distribution_class=MaskedCategorical,
@@ -85,21 +77,18 @@ def make_twin_critics(
     num_inputs: int,
     num_actions: int,
     hidden: Sequence[int] = (256, 256),
-    in_key: str = "observation_stack",
     generator: torch.Generator | None = None,
 ) -> list[TensorDictModule]:
-    """Build two independent critics.
+    """Build two independent critics; args and errors are those of ``make_actor``.
 
-    Each reads ``in_key`` ``[..., num_inputs]`` and writes ``action_value`` ``[..., num_actions]``.
-    They come as a list because TorchRL's loss resamples the weights of a single critic that it
-    duplicates. Values of illegal actions are not masked: the policy gives them probability 0.
-
-    Args and errors are those of ``make_actor``.
+    Each reads ``observation_stack`` and writes ``action_value`` ``[..., num_actions]``. They come
+    as a list because TorchRL's loss resamples the weights of a single critic that it duplicates.
+    Values of illegal actions are not masked: the policy gives them probability 0.
     """
     return [
         TensorDictModule(
             make_mlp([num_inputs, *hidden, num_actions], generator=generator),
-            in_keys=[in_key],
+            in_keys=["observation_stack"],
             out_keys=["action_value"],
         )
         for _ in range(2)

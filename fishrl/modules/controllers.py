@@ -19,6 +19,9 @@ from torch import Tensor
 CLOCKWISE, KEEP, COUNTER_CLOCKWISE = 0, 1, 2
 #: Numbers in one observation.
 NUM_FEATURES = 4
+#: Of the paper's fish: cruising speed, body lengths per tail beat, and radius of its tightest turn.
+SWIM_SPEED_BL, TURN_RADIUS_BL = 0.4, 1.7
+HORIZON_T = 40.0
 
 
 def _legal(action: Tensor, mask: Tensor) -> Tensor:
@@ -40,19 +43,17 @@ class RandomPolicy(TensorDictModuleBase):
 
     Args:
         seed: of the policy's own generator.
-        mask_key: key of the mask ``[B, A]``, true where an action is legal.
     """
 
-    def __init__(self, *, seed: int = 0, mask_key: str = "action_mask") -> None:
+    def __init__(self, *, seed: int = 0) -> None:
         super().__init__()
-        self.in_keys, self.out_keys = [mask_key], ["action"]
-        self.mask_key = mask_key
+        self.in_keys, self.out_keys = ["action_mask"], ["action"]
         self.seed = seed
         self._generator: torch.Generator | None = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``action`` ``[B]``."""
-        mask = tensordict.get(self.mask_key)
+        mask = tensordict["action_mask"]
         if self._generator is None:
             self._generator = torch.Generator(device=mask.device).manual_seed(self.seed)
         action = torch.multinomial(mask.float(), 1, generator=self._generator)
@@ -64,26 +65,18 @@ class PursuitPolicy(TensorDictModuleBase):
 
     Args:
         turn: heading change of one action in radians.
-        in_key: key of the stacked observation ``[B, frames * 4]``.
-        mask_key: key of the mask ``[B, 3]``.
     """
 
-    def __init__(
-        self,
-        *,
-        turn: float = math.radians(15.0),
-        in_key: str = "observation_stack",
-        mask_key: str = "action_mask",
-    ) -> None:
+    def __init__(self, *, turn: float = math.radians(15.0)) -> None:
         super().__init__()
-        self.in_keys, self.out_keys = [in_key, mask_key], ["action"]
-        self.turn, self.in_key, self.mask_key = turn, in_key, mask_key
+        self.in_keys, self.out_keys = ["observation_stack", "action_mask"], ["action"]
+        self.turn = turn
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``action`` ``[B]``."""
-        bearing_error = tensordict.get(self.in_key)[..., -1]
+        bearing_error = tensordict["observation_stack"][..., -1]
         action = _turn_towards(bearing_error, 0.5 * self.turn)
-        return tensordict.set("action", _legal(action, tensordict.get(self.mask_key)))
+        return tensordict.set("action", _legal(action, tensordict["action_mask"]))
 
 
 class InterceptPolicy(TensorDictModuleBase):
@@ -92,8 +85,8 @@ class InterceptPolicy(TensorDictModuleBase):
     Heading follows from each observation (direction of the food minus bearing error), the fish's
     velocity from the change of the x distance (the food moves along y only), and the food's
     velocity from the change of the y distance plus that of the fish. The controller steps through
-    the coming ``horizon_T`` and picks the earliest meeting point that a turn of radius
-    ``turn_radius_bl`` followed by a straight line reaches in time (Dubins 1957: shortest paths of
+    the coming ``HORIZON_T`` and picks the earliest meeting point that a turn of radius
+    ``TURN_RADIUS_BL`` followed by a straight line reaches in time (Dubins 1957: shortest paths of
     bounded curvature, free final heading). Points inside the turning circle are out of reach, so a
     later one is chosen.
 
@@ -102,84 +95,53 @@ class InterceptPolicy(TensorDictModuleBase):
 
     Args:
         turn: heading change of one action in radians.
-        swim_speed_bl: cruising speed in body lengths per tail beat.
-        turn_radius_bl: radius of the tightest turn in body lengths.
         food_speed_bl: speed of the moving food in body lengths per tail beat.
         food_limits_bl: lowest and highest y of the food, or ``None`` for an unknown route.
         food_start_bl: y of the food at rest; needed with ``food_limits_bl``.
         food_still_T: tail beats for which the food stays at rest after the start.
         food_direction: +1 if the food first moves up, -1 down, 0 to estimate it.
-        horizon_T: how far to look ahead, in tail beats.
-        in_key: key of the stacked observation ``[B, frames * 4]``.
-        mask_key: key of the mask ``[B, 3]``.
-        time_key: key of the number of decisions since the start ``[B, 1]``; read only with a known
-            route.
-
-    Raises:
-        ValueError: if ``swim_speed_bl`` or ``turn_radius_bl`` is not positive, ``food_speed_bl`` is
-            negative, or the route is incomplete.
     """
 
     def __init__(
         self,
         *,
         turn: float = math.radians(15.0),
-        swim_speed_bl: float = 0.4,
-        turn_radius_bl: float = 1.7,
         food_speed_bl: float = 0.3,
         food_limits_bl: tuple[float, float] | None = None,
         food_start_bl: float | None = None,
         food_still_T: float = 5.0,
         food_direction: int = 1,
-        horizon_T: float = 40.0,
-        in_key: str = "observation_stack",
-        mask_key: str = "action_mask",
-        time_key: str = "step_count",
     ) -> None:
         super().__init__()
-        for name, value in (("swim_speed_bl", swim_speed_bl), ("turn_radius_bl", turn_radius_bl)):
-            if value <= 0:
-                raise ValueError(f"{name} = {value}: must be greater than 0")
-        if food_speed_bl < 0:
-            raise ValueError(f"food_speed_bl = {food_speed_bl}: must not be negative")
-        if food_limits_bl is not None and (
-            food_start_bl is None or not food_limits_bl[0] <= food_start_bl <= food_limits_bl[1]
-        ):
-            raise ValueError(
-                f"food_start_bl = {food_start_bl}: must lie inside food_limits_bl = "
-                f"{food_limits_bl} when these are given"
-            )
-        self.turn, self.swim_speed_bl, self.turn_radius_bl = turn, swim_speed_bl, turn_radius_bl
-        self.food_speed_bl, self.food_still_T = food_speed_bl, food_still_T
+        self.turn, self.food_speed_bl, self.food_still_T = turn, food_speed_bl, food_still_T
         self.food_limits_bl, self.food_start_bl = food_limits_bl, food_start_bl
-        self.food_direction, self.horizon_T = food_direction, horizon_T
-        self.in_key, self.mask_key, self.time_key = in_key, mask_key, time_key
-        self.in_keys = [in_key, mask_key]
+        self.food_direction = food_direction
+        self.in_keys = ["observation_stack", "action_mask"]
         if food_limits_bl is not None:
-            self.in_keys.append(time_key)
+            self.in_keys.append("step_count")
         self.out_keys = ["action"]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``action`` ``[B]``."""
-        stack = tensordict.get(self.in_key).unflatten(-1, (-1, NUM_FEATURES))
+        stack = tensordict["observation_stack"].unflatten(-1, (-1, NUM_FEATURES))
         food = stack[..., -1, :2]
         heading = _heading(stack[..., -1, :])
-        lead = torch.arange(0.0, self.horizon_T, 0.25, device=stack.device)
+        lead = torch.arange(0.0, HORIZON_T, 0.25, device=stack.device)
         velocity = self._food_velocity(stack).unsqueeze(-1)
         if self.food_limits_bl is None:
             rise = velocity * lead
         else:
-            now = tensordict.get(self.time_key).to(stack.dtype)
+            now = tensordict["step_count"].to(stack.dtype)
             direction = self._food_direction_of(velocity, now)
             rise = self._food_height(now + lead, direction) - self._food_height(now, direction)
         ahead_of, left_of = _body_frame(food.unsqueeze(-2), rise, heading.unsqueeze(-1))
-        length, angle = _shortest_path(ahead_of, left_of, self.turn_radius_bl)
-        is_in_time = length <= self.swim_speed_bl * lead
+        length, angle = _shortest_path(ahead_of, left_of, TURN_RADIUS_BL)
+        is_in_time = length <= SWIM_SPEED_BL * lead
         # Earliest meeting point; where there is none, the one missed by the least time.
-        delay = torch.where(is_in_time, lead - self.horizon_T, length / self.swim_speed_bl - lead)
+        delay = torch.where(is_in_time, lead - HORIZON_T, length / SWIM_SPEED_BL - lead)
         angle = angle.gather(-1, delay.argmin(-1, keepdim=True)).squeeze(-1)
         action = _turn_towards(angle, 0.5 * self.turn)
-        return tensordict.set("action", _legal(action, tensordict.get(self.mask_key)))
+        return tensordict.set("action", _legal(action, tensordict["action_mask"]))
 
     def _food_velocity(self, stack: Tensor) -> Tensor:
         """Estimate the food's velocity in y, ``[B]``: one of minus its speed, zero, its speed."""
@@ -190,9 +152,9 @@ class InterceptPolicy(TensorDictModuleBase):
         along = course.cos()
         # The food moves along y only: the change of x gives the fish's speed along its course.
         own = torch.where(
-            along.abs() > 0.3, -change[..., 0] / along, torch.full_like(along, self.swim_speed_bl)
+            along.abs() > 0.3, -change[..., 0] / along, torch.full_like(along, SWIM_SPEED_BL)
         )
-        own = own.clamp(0.0, 2.0 * self.swim_speed_bl) * course.sin()
+        own = own.clamp(0.0, 2.0 * SWIM_SPEED_BL) * course.sin()
         velocity = change[..., 1] + own
         last = velocity[..., -1]  # the current one, even if the food has just reversed
         moving = last.sign() * self.food_speed_bl

@@ -25,22 +25,18 @@ def make_value_actor(
     num_inputs: int,
     num_actions: int,
     hidden: Sequence[int] = (256, 256),
-    in_key: str = "observation_stack",
-    mask_key: str = "action_mask",
     generator: torch.Generator | None = None,
 ) -> TensorDictSequential:
     """Build a network of action values with a greedy policy over the legal actions.
 
-    Reads ``in_key`` ``[..., num_inputs]`` and ``mask_key`` ``[..., num_actions]`` (bool), writes
-    ``action_value`` ``[..., num_actions]`` (the most negative float for illegal actions), the
-    integer ``action`` ``[...]`` and its ``chosen_action_value`` ``[..., 1]``.
-
-    Args and errors are those of ``fishrl.modules.make_actor``.
+    Reads, args and errors are those of ``make_actor``. It writes ``action_value``
+    ``[..., num_actions]`` (the most negative float for illegal actions), the integer ``action``
+    ``[...]`` and its ``chosen_action_value`` ``[..., 1]``.
     """
     network = make_mlp([num_inputs, *hidden, num_actions], generator=generator)
     return TensorDictSequential(
-        TensorDictModule(network, in_keys=[in_key], out_keys=["action_value"]),
-        QValueModule("categorical", action_mask_key=mask_key),
+        TensorDictModule(network, in_keys=["observation_stack"], out_keys=["action_value"]),
+        QValueModule("categorical", action_mask_key="action_mask"),
     )
 
 
@@ -49,22 +45,18 @@ def make_recurrent_value_actor(
     num_inputs: int,
     num_actions: int,
     hidden: Sequence[int] = (256, 256),
-    in_key: str = "observation",
-    mask_key: str = "action_mask",
     generator: torch.Generator | None = None,
 ) -> TensorDictSequential:
     """Build a network of action values whose last hidden layer is an LSTM.
 
-    Reads and writes the keys of ``make_value_actor``. It also reads ``is_init`` ``[..., 1]``, which
-    resets the LSTM state, and that state, ``MEMORY`` ``[..., 1, hidden[-1]]``; the new state is
-    written under ``next``.
+    It reads one ``observation``, ``action_mask``, ``is_init`` ``[..., 1]``, which resets the LSTM
+    state, and that state, ``MEMORY`` ``[..., 1, hidden[-1]]``; the new state is written under
+    ``next``. It writes the keys of ``make_value_actor``.
 
     Args:
         num_inputs: length of one observation.
         num_actions: number of actions, legal or not.
         hidden: widths of the hidden layers; the last is the size of the LSTM.
-        in_key: key of the observation.
-        mask_key: key of the mask, true where an action is legal.
         generator: source of the initial weights.
 
     Raises:
@@ -77,12 +69,14 @@ def make_recurrent_value_actor(
     if before:
         encoder = make_mlp([num_inputs, *before], generator=generator)
         layers.append(
-            TensorDictModule(nn.Sequential(encoder, nn.ReLU()), in_keys=[in_key], out_keys=["seen"])
+            TensorDictModule(
+                nn.Sequential(encoder, nn.ReLU()), in_keys=["observation"], out_keys=["seen"]
+            )
         )
     memory = LSTMModule(
         input_size=before[-1] if before else num_inputs,
         hidden_size=size,
-        in_keys=["seen" if before else in_key, *MEMORY],
+        in_keys=["seen" if before else "observation", *MEMORY],
         out_keys=["remembered", *(("next", key) for key in MEMORY)],
     )
     with torch.no_grad():
@@ -93,7 +87,7 @@ def make_recurrent_value_actor(
         *layers,
         memory,
         TensorDictModule(head, in_keys=["remembered"], out_keys=["action_value"]),
-        QValueModule("categorical", action_mask_key=mask_key),
+        QValueModule("categorical", action_mask_key="action_mask"),
     )
 
 
@@ -143,7 +137,6 @@ class EpsilonGreedy(EGreedyModule):
         start: initial epsilon.
         end: final epsilon.
         num_frames: decisions over which epsilon decays linearly.
-        mask_key: key of the mask, true where an action is legal.
         device: of the actions.
     """
 
@@ -154,7 +147,6 @@ class EpsilonGreedy(EGreedyModule):
         start: float = 1.0,
         end: float = 0.05,
         num_frames: int = 1000,
-        mask_key: str = "action_mask",
         device: torch.device | str = "cpu",
     ) -> None:
         super().__init__(
@@ -162,7 +154,7 @@ class EpsilonGreedy(EGreedyModule):
             eps_init=start,
             eps_end=end,
             annealing_num_steps=num_frames,
-            action_mask_key=mask_key,
+            action_mask_key="action_mask",
             device=torch.device(device),
         )
 

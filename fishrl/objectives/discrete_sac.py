@@ -38,7 +38,6 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
         qvalue_network: list of critics of the observation, ``action_value`` ``[..., num_actions]``.
             A list keeps the initial weights; the parent resamples those of a single module.
         num_actions: number of actions, legal or not.
-        mask_key: key of the mask ``[..., num_actions]``, true where an action is legal.
         alpha_init: initial temperature.
         min_alpha: lower bound of the temperature, or ``None``.
         max_alpha: upper bound of the temperature, or ``None``.
@@ -62,7 +61,6 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
         qvalue_network: list[TensorDictModule],
         *,
         num_actions: int,
-        mask_key: str = "action_mask",
         alpha_init: float = 1.0,
         min_alpha: float | None = None,
         max_alpha: float | None = None,
@@ -94,7 +92,6 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
             target_entropy_weight=target_entropy_weight,
             reduction=reduction,
         )
-        self.mask_key = mask_key
         largest = [math.log(max(count, 1)) for count in range(num_actions + 1)]
         self.register_buffer("_largest_entropy", self.log_alpha.detach().new_tensor(largest))
         wanted = [
@@ -144,7 +141,7 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
             The loss, and the detached ``log_prob`` ``[B]`` (its expectation under the policy, that
             is minus the entropy) and ``num_legal`` ``[B]``.
         """
-        mask = tensordict.get(self.mask_key)
+        mask = tensordict["action_mask"]
         with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
             policy = self.actor_network.get_dist(tensordict.clone(False))
         prob = policy.probs

@@ -22,7 +22,6 @@ class MaskedDQNLoss(DQNLoss):
         value_network: writes ``action_value`` and the greedy legal ``action``.
         is_double: select the next action by the online network and evaluate it by the target.
         loss_function: distance between values and targets: smooth_l1, l2 or l1.
-        mask_key: key of the mask ``[..., num_actions]``, true where an action is legal.
 
     Raises:
         ValueError: if the network does not read the mask.
@@ -36,11 +35,10 @@ class MaskedDQNLoss(DQNLoss):
         *,
         is_double: bool = False,
         loss_function: str = "smooth_l1",
-        mask_key: str = "action_mask",
     ) -> None:
-        if mask_key not in value_network.in_keys:
+        if "action_mask" not in value_network.in_keys:
             raise ValueError(
-                f"value_network reads {value_network.in_keys}, not {mask_key!r}: targets could be "
+                f"value_network reads {value_network.in_keys}, not 'action_mask': targets could be "
                 "values of illegal actions; create it with make_value_actor"
             )
         super().__init__(
@@ -49,7 +47,6 @@ class MaskedDQNLoss(DQNLoss):
             double_dqn=is_double,
             action_space="categorical",
         )
-        self.mask_key = mask_key
 
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
         """Compute ``loss_qvalue`` of a batch of transitions, and write ``td_error`` into it."""
@@ -72,11 +69,11 @@ class RecurrentDQNLoss(MaskedDQNLoss):
         sequence_length: transitions L of a sequence. A batch ``[N * L]`` holds N consecutive
             sequences; shorter ones are padded, and ``("collector", "mask")`` ``[N * L]`` is true
             for real transitions.
-        is_double, loss_function, mask_key: see ``MaskedDQNLoss``.
-        in_key: key of the observation.
+        is_double, loss_function: see ``MaskedDQNLoss``.
     """
 
     _MEMORY = ("recurrent_state_h", "recurrent_state_c")
+    _SEEN = ("observation", "action_mask")
 
     def __init__(
         self,
@@ -85,25 +82,15 @@ class RecurrentDQNLoss(MaskedDQNLoss):
         sequence_length: int,
         is_double: bool = False,
         loss_function: str = "smooth_l1",
-        in_key: str = "observation",
-        mask_key: str = "action_mask",
     ) -> None:
-        super().__init__(
-            value_network, is_double=is_double, loss_function=loss_function, mask_key=mask_key
-        )
-        self.sequence_length, self.in_key = sequence_length, in_key
+        super().__init__(value_network, is_double=is_double, loss_function=loss_function)
+        self.sequence_length = sequence_length
 
     def _set_in_keys(self) -> None:
         """List the entries that a transition must have (no LSTM state of the next state)."""
-        seen = (self.in_key, self.mask_key)
-        flags = ("reward", "done", "terminated")
-        self._in_keys = [
-            "action",
-            "is_init",
-            *self._MEMORY,
-            *seen,
-            *(("next", key) for key in (*seen, *flags)),
-        ]
+        after = (*self._SEEN, "reward", "done", "terminated")
+        self._in_keys = ["action", "is_init", *self._MEMORY, *self._SEEN]
+        self._in_keys += [("next", key) for key in after]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
         """Compute ``loss_qvalue``, the mean over real transitions of a batch ``[N * L]``."""
@@ -128,10 +115,7 @@ class RecurrentDQNLoss(MaskedDQNLoss):
         padding repeats the last transition.
         """
         begins = batch["is_init"][:, :1]
-        states = {
-            key: torch.cat((batch[key][:, :1], batch["next", key]), 1)
-            for key in (self.in_key, self.mask_key)
-        }
+        states = {key: torch.cat((batch[key][:, :1], batch["next", key]), 1) for key in self._SEEN}
         for key in self._MEMORY:  # only that of the first state is read
             first = batch[key][:, :1] * ~begins.unsqueeze(-1)
             states[key] = first.expand(-1, self.sequence_length + 1, *first.shape[2:])

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -12,36 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
-from fishrl.envs.episodes import Policy, run_episodes
-
-
-@dataclass(frozen=True, kw_only=True)
-class Evaluation:
-    """Outcome of E episodes, in the order of their starts.
-
-    Args:
-        succeeded: ``[E]`` bool, whether the task was accomplished, see ``has_succeeded``.
-        returns: ``[E]`` sum of rewards.
-        lengths_T: ``[E]`` duration in tail beats.
-        diverged: ``[E]`` bool, whether the flow diverged; such an episode is no success.
-    """
-
-    succeeded: Tensor
-    returns: Tensor
-    lengths_T: Tensor
-    diverged: Tensor
-
-    def metrics(self) -> dict[str, float]:
-        """Reduce to numbers; the time to success is NaN where there was none."""
-        times = self.lengths_T[self.succeeded]
-        return {
-            "success_rate": float(self.succeeded.double().mean()),
-            "mean_return": float(self.returns.double().mean()),
-            "mean_length_T": float(self.lengths_T.double().mean()),
-            "mean_time_to_success_T": float(times.double().mean()) if len(times) else math.nan,
-            "episodes": len(self.succeeded),
-            "diverged": int(self.diverged.sum()),
-        }
+from fishrl.envs.episodes import Episodes, Policy, run_episodes
 
 
 class Evaluator:
@@ -49,11 +18,10 @@ class Evaluator:
 
     Args:
         env: of the task; its current episodes are abandoned.
-        decision_T: duration of one decision in tail beats.
     """
 
-    def __init__(self, env: TransformedEnv, *, decision_T: float = 1.0) -> None:
-        self.env, self.decision_T = env, decision_T
+    def __init__(self, env: TransformedEnv) -> None:
+        self.env = env
         # Every evaluation begins with the same start in the same row.
         self._initial = copy_state(env.base_env.state_dict())
 
@@ -64,8 +32,8 @@ class Evaluator:
         starts: TensorDictBase,
         on_episodes: Callable[[int], None] | None = None,
         on_step: Callable[[TensorDictBase], None] | None = None,
-    ) -> Evaluation:
-        """Run until the first episode from every start is over.
+    ) -> Episodes:
+        """Run one episode from each start.
 
         Args:
             policy: writes ``action``; a learned one acts greedily.
@@ -81,13 +49,7 @@ class Evaluator:
                 on_episodes(int(((start_of >= 0) & step["next", "done"].squeeze(-1)).sum()))
 
         self.env.base_env.load_state_dict(copy_state(self._initial))
-        episodes = run_episodes(self.env, policy, starts, on_step=follow)
-        return Evaluation(
-            succeeded=episodes.succeeded,
-            returns=episodes.returns,
-            lengths_T=episodes.lengths * self.decision_T,
-            diverged=episodes.diverged,
-        )
+        return run_episodes(self.env, policy, starts, on_step=follow)
 
 
 def fixed_starts(task: Any, num: int, *, seed: int) -> TensorDict:

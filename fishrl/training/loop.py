@@ -16,14 +16,14 @@ from tensordict import TensorDictBase
 from torchrl.checkpoint import GlobalRNGState
 
 from fishrl.envs import make_env
-from fishrl.envs.episodes import Policy
+from fishrl.envs.episodes import Episodes, Policy
 from fishrl.envs.transforms import equip
 from fishrl.training.baselines import make_baselines
 from fishrl.training.checkpoint import CheckpointNotWritten, load_checkpoint, save_checkpoint
 from fishrl.training.classifier import Recognition
 from fishrl.training.collector import make_collector
 from fishrl.training.description import describe
-from fishrl.training.evaluation import Evaluation, Evaluator, fixed_starts
+from fishrl.training.evaluation import Evaluator, fixed_starts
 from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children
 from fishrl.training.learner import one_thread
 from fishrl.training.metrics import Counters, list_metrics, measure_memory_mb
@@ -85,7 +85,7 @@ class Training:
                 recognition=recognition,
                 seed=TRAIN_SEED + learning.seed,
             )
-        self.evaluator = Evaluator(self.collector.env, decision_T=self.task.interval_T)
+        self.evaluator = Evaluator(self.collector.env)
         self.observer.begin(self.collector.env)
 
     def components(self) -> dict[str, Any]:
@@ -286,7 +286,7 @@ class Training:
         num_starts: int,
         seed: int,
         on_episodes: Callable[[int], None] | None = None,
-    ) -> Evaluation:
+    ) -> Episodes:
         """Evaluate from fixed starts in the flows of training, and leave these as they were."""
         starts = fixed_starts(self.task, num_starts, seed=seed)
         try:

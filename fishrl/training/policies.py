@@ -133,7 +133,7 @@ def evaluate(
     with closing(env), closing(observer):
         observer.begin(env)
         progress.start("evaluation", total=episodes)
-        result = Evaluator(env, decision_T=task.interval_T).run(
+        result = Evaluator(env).run(
             act,  # type: ignore[arg-type]
             starts=fixed_starts(task, episodes, seed=seed),
             on_episodes=progress.advance,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from gymnasium.error import ResetNeeded
+from gymnasium.error import Error, ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
@@ -205,7 +205,7 @@ def test_a_transform_labels_the_flow() -> None:
 
 
 def test_what_cannot_be_is_refused() -> None:
-    with pytest.raises(ValueError, match="'sometimes': allowed is NextStep, SameStep, Disabled"):
+    with pytest.raises(ValueError, match="'sometimes' is not a valid AutoresetMode"):
         make("sometimes")
     envs = make()
     for call in (lambda: envs.step(keep()), envs.action_masks):
@@ -215,12 +215,11 @@ def test_what_cannot_be_is_refused() -> None:
         envs.reset(options={"reset_mask": np.array([True, False])})
     envs.reset()
     for actions in (np.ones(3, dtype=int), np.ones(2)):
-        with pytest.raises(ValueError, match=r"actions of shape .*: expected \(2,\), whole"):
+        with pytest.raises(ValueError, match=r"actions of shape .*: expected \(2,\), integer"):
             envs.step(actions)
-    for mask in (np.zeros(2, bool), np.ones(3, bool)):
-        with pytest.raises(ValueError, match=r"reset_mask of shape .*at least one set"):
-            envs.reset(options={"reset_mask": mask})
-    with pytest.raises(ValueError, match="give one whole number"):
+    with pytest.raises(ValueError, match="reset_mask of shape"):
+        envs.reset(options={"reset_mask": np.ones(3, bool)})
+    with pytest.raises(Error):
         envs.reset(seed=-1)
 
 

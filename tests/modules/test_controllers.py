@@ -128,4 +128,4 @@ def test_intercept_does_not_circle_food_inside_its_turning_circle() -> None:
     """Food abeam at less than the turning diameter: turning towards it would circle it for ever."""
     td = seen(food=(0.0, 1.5), heading=0.0)
     assert PursuitPolicy()(td.clone())["action"].tolist() == [COUNTER_CLOCKWISE]
-    assert InterceptPolicy(turn_radius_bl=1.7)(td)["action"].tolist() != [COUNTER_CLOCKWISE]
+    assert InterceptPolicy()(td)["action"].tolist() != [COUNTER_CLOCKWISE]

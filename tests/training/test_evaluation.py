@@ -11,7 +11,8 @@ import torch
 from tensordict import TensorDict
 
 from fishrl.modules import PursuitPolicy, RandomPolicy
-from fishrl.training.evaluation import Evaluation, Evaluator, Policy, fixed_starts
+from fishrl.envs.episodes import Episodes, Policy
+from fishrl.training.evaluation import Evaluator, fixed_starts
 from tests.training.toy_fish import ToyPredation, make_toy_env
 
 
@@ -23,7 +24,7 @@ class Fixed:
         self.starts = fixed_starts(task, num_starts, seed=0)
         self.evaluator = Evaluator(make_toy_env(task=task, num_envs=num_envs, seed=5))
 
-    def run(self, policy: Policy, **kwargs: Any) -> Evaluation:
+    def run(self, policy: Policy, **kwargs: Any) -> Episodes:
         return self.evaluator.run(policy, starts=self.starts, **kwargs)
 
 
@@ -33,7 +34,7 @@ def test_the_result_of_each_start_does_not_depend_on_the_batch(num_envs: int) ->
     result = Fixed(num_envs, 12).run(PursuitPolicy())
     assert torch.equal(result.succeeded, alone.succeeded)
     assert torch.equal(result.returns, alone.returns)
-    assert torch.equal(result.lengths_T, alone.lengths_T)
+    assert torch.equal(result.lengths, alone.lengths)
     assert 0 < int(result.succeeded.sum()) < 12
 
 
@@ -69,7 +70,7 @@ def test_only_the_first_episode_of_a_start_counts() -> None:
     result = evaluator.run(FirstGoodThenBad())
     second_alone = Fixed(2, 2).run(PursuitPolicy())
     assert result.returns[1] == second_alone.returns[1]
-    assert result.lengths_T[1] == second_alone.lengths_T[1]
+    assert result.lengths[1] == second_alone.lengths[1]
 
 
 def test_diverged_episodes_are_counted_as_no_success() -> None:
@@ -80,11 +81,13 @@ def test_diverged_episodes_are_counted_as_no_success() -> None:
 
 
 def test_metrics_are_means_over_all_starts_but_the_time_over_successes() -> None:
-    result = Evaluation(
+    result = Episodes(
         succeeded=torch.tensor([True, False, True, False]),
         returns=torch.tensor([10.0, 0.0, 20.0, -2.0]),
-        lengths_T=torch.tensor([8.0, 30.0, 12.0, 3.0]),
+        lengths=torch.tensor([16, 60, 24, 6]),
+        terminated=torch.tensor([True, False, True, False]),
         diverged=torch.tensor([False, False, False, True]),
+        interval_T=0.5,
     )
     assert result.metrics() == {
         "success_rate": 0.5,
@@ -96,12 +99,3 @@ def test_metrics_are_means_over_all_starts_but_the_time_over_successes() -> None
     }
     none = replace(result, succeeded=torch.zeros(4, dtype=torch.bool))
     assert math.isnan(none.metrics()["mean_time_to_success_T"])
-
-
-def test_decisions_are_turned_into_tail_beats() -> None:
-    task = ToyPredation()
-    starts = fixed_starts(task, 3, seed=0)
-    env = make_toy_env(task=task, num_envs=3, seed=0)
-    whole = Fixed(3, 3).run(PursuitPolicy()).lengths_T
-    half = Evaluator(env, decision_T=0.5).run(PursuitPolicy(), starts=starts).lengths_T
-    assert torch.equal(half, 0.5 * whole)

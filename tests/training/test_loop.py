@@ -15,8 +15,8 @@ import torch
 from torchrl.envs.utils import check_env_specs
 
 from fishrl.envs import Predation
+from fishrl.envs.episodes import Episodes
 from fishrl.training import DRQN, DiscreteSAC, Interrupted, Observer, begin
-from fishrl.training.evaluation import Evaluation
 from fishrl.training.loop import Training
 from fishrl.training.metrics import list_metrics
 from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
@@ -109,11 +109,15 @@ def test_the_last_evaluation_is_of_the_best_checkpoint(
     training = toy.begin(eval_frames=40)
     num_captures = iter([1, 9, 5, 2, 3, 4, 0, 0, 0, 0])
 
-    def scripted(*args: Any, **kwargs: Any) -> Evaluation:
-        captured = torch.arange(10) < next(num_captures)
-        nothing = torch.zeros(10)
-        return Evaluation(
-            succeeded=captured, returns=nothing, lengths_T=nothing, diverged=nothing.bool()
+    def scripted(*args: Any, **kwargs: Any) -> Episodes:
+        captured, nothing = torch.arange(10) < next(num_captures), torch.zeros(10)
+        return Episodes(
+            returns=nothing,
+            lengths=nothing,
+            succeeded=captured,
+            terminated=captured,
+            diverged=nothing.bool(),
+            interval_T=1.0,
         )
 
     monkeypatch.setattr(training, "evaluate", scripted)
