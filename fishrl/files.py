@@ -30,13 +30,7 @@ def staged(path: Path) -> Iterator[Path]:
 def load_tensors(path: str | Path, *, what: str, remedy: str) -> Any:
     """Read a file of ``torch.save`` on the CPU; it cannot run code (``weights_only``).
 
-    Args:
-        path: of the file.
-        what: what it should hold, for messages.
-        remedy: what to do if it cannot be read.
-
-    Raises:
-        ValueError: if the file is missing or corrupt.
+    A missing or corrupt file raises ValueError, with ``what`` it should hold and the ``remedy``.
     """
     file = Path(path).expanduser()
     try:

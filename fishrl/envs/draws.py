@@ -20,16 +20,13 @@ def scramble(x: Tensor) -> Tensor:
 
 
 def draw_uniform(seed: int, row: Tensor, episode: Tensor, num: int) -> Tensor:
-    """Draw numbers in [0, 1) keyed on (seed, row, episode).
+    """Draw ``[B, num]`` in [0, 1), float64, multiples of 2^-53, keyed on (seed, row, episode).
 
     Args:
         seed: of the whole environment.
         row: ``[B]`` int64, index of the row.
         episode: ``[B]`` int64, number of episodes that the row has begun.
         num: numbers per row.
-
-    Returns:
-        ``[B, num]`` float64, multiples of 2^-53.
     """
     key = torch.full_like(row, (seed & 0x7FFFFFFFFFFFFFFF)) + _GOLDEN
     for counter in (row, episode):

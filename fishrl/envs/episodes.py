@@ -134,12 +134,10 @@ def run_episodes(
 
 
 def has_succeeded(after: TensorDictBase, name: str) -> Tensor:
-    """Return whether episodes that are done accomplished their task.
+    """Return whether episodes that ended in the states ``after`` accomplished their task.
 
-    Args:
-        after: where they ended.
-        name: of the entry that says so, ``success`` of the task; without it, those that lasted
-            until the time limit did.
+    ``name`` is that of the entry that says so, ``success`` of the task; without it, episodes that
+    lasted until the time limit did.
     """
     flag: Tensor | None = after.get(name)
     if flag is not None:

@@ -226,9 +226,8 @@ class FlowEnv(EnvBase):
     def _advance(self, before: TensorDict) -> tuple[TensorDict, Tensor]:
         """Run the flows for one action.
 
-        Returns:
-            Each row's measurement at its termination or at the end of the action, with its sensor
-            series (undefined in diverged rows); and ``[B]`` bool, the diverged rows.
+        Returns each row's measurement at its termination or at the end of the action, with its
+        sensor series (undefined in diverged rows), and ``[B]`` bool, the diverged rows.
         """
         now, diverged = before, torch.zeros_like(self._rows, dtype=torch.bool)
         is_decided = self.is_resting

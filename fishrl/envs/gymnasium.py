@@ -95,7 +95,7 @@ class FlowVectorEnv(VectorEnv):
 
         Raises:
             ValueError: for an invalid mask.
-            gymnasium.error.Error: for an invalid seed, or a partial reset before the first full one.
+            gymnasium.error.Error: for an invalid seed, or a partial reset before a full one.
         """
         if seed is not None:
             super().reset(seed=seed)

@@ -88,11 +88,9 @@ class LateralLine:
         }
 
     def place(self, solver: Solver) -> tuple[Tensor, Tensor, Tensor]:
-        """Return positions of the neuromasts, velocity of the skin below them, and normals.
+        """Return neuromasts' points, velocity of the skin below them, and normals, ``[B, P, 2]``.
 
-        Returns:
-            Points ``[B, P, 2]`` in nodes; the skin's velocity there ``[B, P, 2]``, nodes per step;
-            unit normals ``[B, P, 2]`` out of the body.
+        Points are in nodes, velocities in nodes per step, unit normals point out of the body.
         """
         body, markers = solver.body, solver.surface()
         num = markers.position.shape[1]
@@ -121,17 +119,16 @@ class LateralLine:
     def feel(
         self, solver: Solver, key: Tensor, *, body_length: float, period: int
     ) -> tuple[Tensor, Tensor]:
-        """Return the current signals.
+        """Return the current signals ``[B, P, F]`` (P = 1 if averaged) and the water's velocity.
+
+        The velocity (x, y) is that in the frame at rest, mean over the neuromasts, ``[B, 2]`` in L
+        / T; both are float32.
 
         Args:
             solver: the flows; the first body is the fish.
             key: ``[B]`` int64, key of the episode.
             body_length: L in nodes.
             period: T in steps.
-
-        Returns:
-            The signal ``[B, P, F]`` (P = 1 if averaged), and the velocity (x, y) of the water in
-            the frame at rest, mean over the neuromasts, ``[B, 2]`` in L / T; float32.
         """
         points, skin, normal = self.place(solver)
         density, velocity = solver.sample(points)

@@ -2,8 +2,7 @@
 
 The state is the *gear*, an index into a row of frequencies. Macro-actions (as in the paper) have
 one row per flow, in which a gear has a similar effect in each flow: gear 0 drifts downstream, the
-last one swims upstream. When the flow label changes, the gear stays and the row switches. The
-phase of the body wave is integrated, so the body moves continuously.
+last one swims upstream. When the flow label changes, the gear stays and the row switches.
 """
 
 from abc import ABC, abstractmethod

@@ -15,14 +15,9 @@ Colour = tuple[int, int, int]
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """A field over the whole grid, ``[Y, X]``, drawn in diverging colours around zero.
+    """A field over the grid, tensor ``key`` ``[Y, X]``, drawn in diverging colours around zero.
 
-    Args:
-        key: of its tensor in each frame.
-        name: for the legend.
-        unit: of its values.
-        limit: value at which the colours saturate.
-        note: what the sign means.
+    The colours saturate at ``limit``; ``note`` says what the sign means.
     """
 
     key: str
@@ -40,11 +35,7 @@ class Field:
 class Curve:
     """A curve ``[N, 2]``: closed and filled, or an open line such as a midline.
 
-    Args:
-        key: of its tensor.
-        colour: of it.
-        is_closed: whether it encloses something, which is filled by lines from side to side.
-        order: curves of higher order lie above.
+    Curves of higher ``order`` lie above.
     """
 
     key: str
@@ -80,13 +71,7 @@ class Marks:
 
 @dataclass(frozen=True, kw_only=True)
 class Trail:
-    """The path of a point ``[2]`` since its episode began.
-
-    Args:
-        key: of the point.
-        colour: of the line.
-        length_T: how far back it reaches.
-    """
+    """The path of a point ``[2]`` since its episode began, at most over the last ``length_T``."""
 
     key: str
     colour: Colour = (90, 90, 90)
@@ -95,14 +80,7 @@ class Trail:
 
 @dataclass(frozen=True, kw_only=True)
 class Area:
-    """A fixed rectangle that the fish must not leave.
-
-    Args:
-        key: its name.
-        low: corner (x, y) in nodes.
-        high: the opposite corner.
-        colour: of its border, and of the strokes on its outer side.
-    """
+    """A fixed rectangle between two corners in nodes that the fish must not leave."""
 
     key: str
     low: tuple[float, float]
@@ -151,13 +129,10 @@ class Panel:
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """The plot of the action: a line for the chosen one, dots for those that were legal.
+    """The plot of the action ``key``: a line for the chosen one, dots for the legal ones.
 
-    Args:
-        names: of the actions, in their order.
-        key: of the action.
-        mask: key of ``[num_actions]`` bool.
-        name: of the plot.
+    ``names`` are those of the actions in their order, ``mask`` is the key of ``[num_actions]``
+    bool.
     """
 
     names: tuple[str, ...]
@@ -168,12 +143,12 @@ class Choice:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """What is drawn of each flow of a task.
+    """What is drawn of each flow of a task on a grid of ``width`` x ``height`` nodes.
 
     Args:
         body_length: L, nodes.
-        width: of the grid, nodes along x.
-        height: of the grid, nodes along y.
+        width: nodes along x.
+        height: nodes along y.
         field: the flow.
         curves: bodies and lines, from below to above.
         marks: points; one with a ``reach`` is the goal.
@@ -218,12 +193,10 @@ class Scene:
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """One moment of one flow.
+    """One moment of one flow, at ``time`` in T, not before that of the previous frame.
 
-    Args:
-        time: in T, not before that of the previous frame.
-        values: tensors by the keys of the scene; those that are missing are not drawn.
-        begins: whether an episode begins here.
+    ``values`` are tensors by the keys of the scene; those that are missing are not drawn. An
+    episode ``begins`` here or not.
     """
 
     time: float

@@ -25,13 +25,9 @@ class Stretch(NamedTuple):
 def make_schedule(
     num_steps: int, *, checks: int, frames: int = 1, samples: int = 0
 ) -> list[Stretch]:
-    """Divide an action into stretches that end at evenly spaced checks, frames or samples.
+    """Divide an action of ``num_steps`` into stretches that end at evenly spaced events.
 
-    Args:
-        num_steps: steps of the action, even.
-        checks: number of checks, the last at the end.
-        frames: number of frames, the last at the end.
-        samples: number of samples, the last at the end; may be 0.
+    These are ``checks``, ``frames`` and ``samples``, as many as given, the last of each at the end.
 
     Raises:
         ValueError: if a number exceeds that of pairs of steps, or is too small.

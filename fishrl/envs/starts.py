@@ -11,12 +11,7 @@ from fishrl.physics.bodies.state import make_body
 
 
 def place_fish(starts: TensorDictBase, fish: Fish) -> tuple[Tensor, Tensor]:
-    """Return centre of mass ``[B, 2]`` and heading ``[B]`` of straight fish at their starts.
-
-    Args:
-        starts: ``[B]`` with ``head`` ``[B, 2]``, the nose (x, y) in nodes, and ``heading`` ``[B]``.
-        fish: the body.
-    """
+    """Return centre of mass ``[B, 2]`` and heading ``[B]`` of straight fish at their starts."""
     heading: Tensor = starts["heading"]
     nose_to_centre = fish.centre
     direction = torch.stack((torch.cos(heading), torch.sin(heading)), -1)
@@ -32,11 +27,7 @@ def place_outline(starts: TensorDictBase, fish: Fish) -> Tensor:
 
 
 def check_pattern(starts: TensorDictBase, pattern: TensorDictBase) -> None:
-    """Check that starts ``[E]`` have the keys, shapes and dtypes of ``pattern`` ``[1]``.
-
-    Raises:
-        ValueError: naming the first difference.
-    """
+    """Raise ValueError unless starts ``[E]`` have keys, shapes, dtypes of ``pattern`` ``[1]``."""
     if starts.batch_dims != 1 or starts.shape[0] < 1:
         raise ValueError(
             f"starts has batch shape {tuple(starts.shape)}: give a TensorDict of shape [E] with at "
@@ -56,11 +47,7 @@ def check_pattern(starts: TensorDictBase, pattern: TensorDictBase) -> None:
 def check_fit(
     starts: TensorDictBase, fish: Fish, *, width: int, height: int, margin: float
 ) -> None:
-    """Check that straight fish at their starts ``[E]`` keep ``margin`` nodes from the edge nodes.
-
-    Raises:
-        ValueError: naming the first start outside.
-    """
+    """Raise ValueError unless straight fish at starts keep ``margin`` nodes from the edges."""
     clearance = compute_clearance(place_outline(starts, fish), width=width, height=height)
     is_wrong = ~(clearance >= margin)
     if is_wrong.any():

@@ -65,13 +65,10 @@ class StationReward:
     def compute(
         self, *, drift: Tensor, work: Tensor, depth: Tensor, is_in_danger: Tensor
     ) -> Tensor:
-        """Return the reward ``[B]`` of one interval.
+        """Return the reward ``[B]`` of one interval, from downstream ``drift`` ``[B]`` in L.
 
-        Args:
-            drift: ``[B]`` downstream displacement, body lengths.
-            work: ``[B]`` work of the muscles, rho L^2 (L / T)^2.
-            depth: ``[B]`` depth inside the rim, body lengths, 0 outside.
-            is_in_danger: ``[B]`` bool.
+        ``work`` ``[B]`` is that of the muscles, rho L^2 (L / T)^2, ``depth`` ``[B]`` that inside
+        the rim in L, 0 outside, and ``is_in_danger`` ``[B]`` bool.
         """
         holds = torch.where(drift > self.drift_limit_bl, -1.0, 1.0)
         saved = self.work_weight * (1.0 - work / self.work_reference)

@@ -36,19 +36,16 @@ class Steering(ABC):
     def observe(self, nose: Tensor, middle: Tensor, heading: Tensor) -> Tensor:
         """Return its observation ``[B, n]``, float64.
 
-        Args:
-            nose: ``[B, 2]`` position, x downstream, y from the centreline, body lengths.
-            middle: ``[B, 2]`` position of the body's middle, the mean of its outline.
-            heading: ``[B]`` radians.
+        ``nose`` and ``middle``, the mean of the outline, are places ``[B, 2]``, x downstream, y
+        from the centreline, in body lengths; ``heading`` ``[B]`` is in radians.
         """
 
     @abstractmethod
     def turn(self, observations: Tensor) -> Tensor:
         """Return the change of heading ``[B]`` in radians over the coming interval.
 
-        Args:
-            observations: ``[B, S, n]``, oldest first; before the start of an episode its
-                first one is repeated.
+        The observations ``[B, S, n]`` come oldest first; before an episode its first one is
+        repeated.
         """
 
 
@@ -156,11 +153,7 @@ def save_weights(layers: list[tuple[Tensor, Tensor]], path: str | Path) -> None:
 
 
 def load_weights(path: str | Path) -> list[tuple[Tensor, Tensor]]:
-    """Read weights and biases that ``save_weights`` wrote.
-
-    Raises:
-        ValueError: if the file is missing, or holds something else.
-    """
+    """Read what ``save_weights`` wrote; raise ValueError if the file holds something else."""
     what, remedy = "steering weights", "write the file with experiments.export_steering"
     layers = load_tensors(path, what=what, remedy=remedy)
     try:

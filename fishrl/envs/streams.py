@@ -113,15 +113,10 @@ class Stream:
         scales: Scales,
         wakes: WakeBank | None,
     ) -> None:
-        """Reset stream speed, wake and bodies of some flows.
+        """Reset stream speed, wake and bodies of the flows in ``rows`` ``[B]`` bool.
 
-        Args:
-            solver: the flows.
-            rows: ``[B]`` bool, rows to reset.
-            starts: ``flow_index`` and ``wake_phase``, ``[B]`` each.
-            place: centre of mass ``[B, 2]`` and heading ``[B]`` of the fish.
-            scales: lattice units of the task.
-            wakes: initial wakes; None starts in the undisturbed stream.
+        ``starts`` hold ``flow_index`` and ``wake_phase``, ``[B]`` each, ``place`` centre of mass
+        ``[B, 2]`` and heading ``[B]`` of the fish; without ``wakes`` the stream is undisturbed.
         """
         flow, (position, heading) = starts["flow_index"], place
         speeds = torch.tensor(self.speeds_bl, dtype=torch.float64, device=rows.device)

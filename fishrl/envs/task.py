@@ -170,10 +170,7 @@ class AbstractTask(ABC):
 
     @abstractmethod
     def starts_from(self, uniform: Tensor) -> TensorDict:
-        """Map random numbers to starts.
-
-        Args:
-            uniform: ``[E, num_draws]`` in [0, 1), float64.
+        """Map random numbers ``[E, num_draws]`` in [0, 1), float64, to starts.
 
         Returns:
             TensorDict ``[E]`` with ``head`` ``[E, 2]`` (x, y) in nodes and ``heading`` ``[E]`` in
@@ -188,11 +185,7 @@ class AbstractTask(ABC):
         )
 
     def check_starts(self, starts: TensorDictBase) -> None:
-        """Check that starts ``[E]`` have the right shapes and that the fish fits into the domain.
-
-        Raises:
-            ValueError: naming the first invalid start.
-        """
+        """Raise ValueError unless starts ``[E]`` have the right shapes and their fish fit in."""
         check_pattern(starts, self.starts_from(torch.zeros(1, self.num_draws, dtype=torch.float64)))
         config = self.flow_config()
         check_fit(
@@ -200,24 +193,19 @@ class AbstractTask(ABC):
         )
 
     def place_(self, solver: Solver, rows: Tensor, starts: TensorDictBase) -> None:
-        """Reset the flows of ``rows`` and place their fish; the default is still water.
+        """Reset the flows of ``rows`` ``[B]`` bool and place their fish; others must not change.
 
-        Args:
-            solver: the flows.
-            rows: ``[B]`` bool, rows to reset; the others must not change.
-            starts: ``[B]``, valid where ``rows`` is true.
+        ``starts`` ``[B]`` are valid in ``rows``. The default is still water.
         """
         position, heading = place_fish(starts, self.fish)
         solver.reset_(rows, position, heading)
 
     @abstractmethod
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
-        """Map actions ``[B]`` (int64, in [0, num_actions)) to commands to the body.
+        """Map legal actions ``[B]`` (int64, in [0, num_actions)) to commands to the body.
 
-        Args:
-            action: legal actions.
-            before: measurement ``[B]`` at the decision, with the entries of ``sense``,
-                ``remember`` and ``inputs``.
+        ``before`` is the measurement ``[B]`` at the decision, with the entries of ``sense``,
+        ``remember`` and ``inputs``.
         """
 
     @abstractmethod
@@ -225,11 +213,8 @@ class AbstractTask(ABC):
         """Return a TensorDict ``[B]`` from which observation, reward and termination follow.
 
         Called several times within an action; a row keeps the first measurement that terminates its
-        episode, or the last one. Return copies: the solver's tensors change in place.
-
-        Args:
-            solver: the flows; ``solver.body.age`` counts the steps since reset.
-            starts: start of each row, ``[B]``.
+        episode, or the last one. ``solver.body.age`` counts the steps since reset, ``starts``
+        ``[B]`` are those of the episodes. Return copies: the solver's tensors change in place.
         """
 
     def sense(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
@@ -250,10 +235,8 @@ class AbstractTask(ABC):
     ) -> dict[str, Tensor]:
         """Return the entries of ``begin`` after an action; ``reward`` and ``observe`` read them.
 
-        Args:
-            before: measurement at the decision, as passed to ``command``.
-            action: ``[B]``, legal actions.
-            now: new measurement, with the series of ``sense``.
+        ``before`` and ``action`` are those passed to ``command``; ``now`` is the new measurement,
+        with the series of ``sense``.
         """
         return {}
 
@@ -307,11 +290,7 @@ class AbstractTask(ABC):
 
 
 def as_pair(name: str, value: object) -> tuple[float, float]:
-    """Return a list or tuple of two numbers as a tuple.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """Return a list or tuple of two numbers as a tuple, or raise ValueError."""
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise ValueError(f"{name} = {value}: give two numbers")
     return float(value[0]), float(value[1])

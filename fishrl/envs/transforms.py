@@ -46,11 +46,9 @@ class FlowLabelTransform(Transform):
 
     @abstractmethod
     def compute_probabilities(self, now: TensorDictBase, *, begins: Tensor | None) -> Tensor:
-        """Return the probability of each flow ``[B, n]``, float32.
+        """Return the probability of each flow ``[B, n]``, float32, from the env's output ``now``.
 
-        Args:
-            now: output of the environment.
-            begins: ``[B]`` bool, rows that a reset affects; None after a step of all rows.
+        ``begins`` ``[B]`` bool are the rows that a reset affects; None after a step of all rows.
         """
 
     def set_container(self, container: Transform | EnvBase) -> None:
@@ -64,11 +62,7 @@ class FlowLabelTransform(Transform):
         self.check_task(getattr(env.base_env, "task", None))
 
     def check_task(self, task: Any) -> None:
-        """Check that the task has ``num_flows`` labelled flows.
-
-        Raises:
-            ValueError: if it has not.
-        """
+        """Raise ValueError unless the task has ``num_flows`` labelled flows."""
         flows = getattr(task, "flow_labels", ())
         if len(flows) != self.num_flows:
             raise ValueError(
@@ -126,9 +120,6 @@ class PredictedFlowLabel(FlowLabelTransform):
         memory: in [0, 1]; 0 uses the current signal only, as the paper does.
         in_key: key of the signal ``[B, W, P, F]``.
         is_observed: see ``FlowLabelTransform``.
-
-    Raises:
-        ValueError: if ``memory`` is outside [0, 1].
     """
 
     evidence: Tensor
@@ -155,11 +146,7 @@ class PredictedFlowLabel(FlowLabelTransform):
         self.evidence = torch.zeros(*env.batch_size, self.num_flows, device=env.device)
 
     def check_task(self, task: Any) -> None:
-        """Check that the classifier was trained for the flows and sensors of the task.
-
-        Raises:
-            ValueError: naming the difference.
-        """
+        """Raise ValueError unless the classifier was trained for flows and sensors of the task."""
         if not task.lateral_line_layout:
             raise ValueError(
                 f"{type(task).__name__} has no lateral line: use a task with `flow_labels` and "
@@ -202,16 +189,15 @@ class TrueFlowLabel(FlowLabelTransform):
 def equip(
     task: AbstractTask, recognition: nn.Module | str | None, *, memory: float = 0.7
 ) -> tuple[AbstractTask, list[Transform]]:
-    """Return a task and the transforms that label its flows.
+    """Return the task that reads flow labels, and the transforms that write them.
+
+    The transforms stand before the frame stack.
 
     Args:
         task: the task.
         recognition: None for no labels, ``oracle`` for the true ones, or a
             ``fishrl.modules.LateralLineClassifier`` for those that it predicts.
         memory: see ``PredictedFlowLabel``.
-
-    Returns:
-        The task that reads the labels, and the transforms, to stand before the frames are stacked.
 
     Raises:
         ValueError: if the task has no flows to tell apart, or the classifier was trained for other
@@ -239,12 +225,10 @@ def equip(
 def make_recognition(
     machine: nn.Module, *, memory: float = 0.7, is_observed: bool = True
 ) -> list[Transform]:
-    """Return the transforms that label flows by a classifier, in order.
+    """Return the transforms that label flows by a classifier, see ``PredictedFlowLabel``.
 
     A classifier that reads more than one control interval gets their stacked signals,
     ``lateral_line_history``; at reset the first signal fills the stack.
-
-    Arguments are those of ``PredictedFlowLabel``.
     """
     num_intervals = int(machine.num_intervals)  # type: ignore[arg-type]
     key = LATERAL_LINE if num_intervals == 1 else HISTORY

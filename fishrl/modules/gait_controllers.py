@@ -24,9 +24,7 @@ class FrequencyController(ABC):
     def __call__(self, tensordict: TensorDictBase, flow: Tensor) -> Tensor:
         """Return the commanded frequency ``[B]`` in beats per T, float64; may be infinite.
 
-        Args:
-            tensordict: ``[B]``, what a policy reads.
-            flow: ``[B]`` flow label, an index.
+        ``tensordict`` ``[B]`` is what a policy reads, ``flow`` ``[B]`` the flow label, an index.
         """
 
 

@@ -99,7 +99,7 @@ class LateralLineClassifier(nn.Module):
         return -(-self.num_samples // int(self.sensors["num_samples"]))
 
     def read(self, lateral_line: Tensor) -> Tensor:
-        """Select the input of the network: ``[..., W, P, F]`` to ``[..., num_samples, P, F']``.
+        """Select the network's input: ``[..., W, P, F]`` to ``[..., num_samples, P, F']``.
 
         Raises:
             ValueError: if there are too few samples, or other neuromasts or features.
@@ -130,11 +130,7 @@ class LateralLineClassifier(nn.Module):
         return logits
 
     def check(self, *, flows: Sequence[Mapping[str, Any]], sensors: Mapping[str, Any]) -> None:
-        """Check that flows and sensors are those the classifier was trained for.
-
-        Raises:
-            ValueError: naming what differs.
-        """
+        """Raise ValueError unless the classifier was trained for these flows and sensors."""
         names = [{"names": [flow.get("name") for flow in each]} for each in (self.flows, flows)]
         described: list[tuple[str, Mapping[str, Any], Mapping[str, Any]]] = [
             ("flows", names[0], names[1]),
@@ -165,11 +161,7 @@ class LateralLineClassifier(nn.Module):
 
     @classmethod
     def load(cls, path: str | Path) -> LateralLineClassifier:
-        """Read a classifier from a file, on the CPU and in ``eval`` mode.
-
-        Raises:
-            ValueError: if there is none in it.
-        """
+        """Read a classifier, on the CPU and in ``eval`` mode; raise ValueError for other files."""
         what, remedy = "lateral-line classifier", "write one with experiments.train_lateral_line"
         content = load_tensors(path, what=what, remedy=remedy)
         if not isinstance(content, dict) or content.get("format") != _FORMAT:

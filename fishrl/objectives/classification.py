@@ -1,7 +1,7 @@
 """Fit a classifier of signals: cross-entropy, Adam, and data that are split by episode.
 
-Neighbouring samples of one episode are almost the same: a split by sample would put twins on both
-sides and report memory as skill. So the parts that fit, stop and judge share no episode.
+Neighbouring samples of one episode are almost the same: a split by sample would inflate the
+accuracy by leakage. So the parts that fit, stop and test share no episode.
 """
 
 from __future__ import annotations
@@ -29,9 +29,6 @@ class FitSettings:
         patience: epochs without a lower validation loss after which the fit ends with the weights
             of the lowest one; None runs all epochs and keeps the last weights.
         weight_decay: of Adam (L2).
-
-    Raises:
-        ValueError: for values out of range.
     """
 
     learning_rate: float = bounded(1e-3, greater=0)
@@ -52,12 +49,9 @@ class FitSettings:
 
 @dataclass(kw_only=True)
 class Curves:
-    """Accuracy and loss after each epoch.
+    """Accuracy and loss after each epoch; ``chosen_epoch``, from 0, gave the weights kept.
 
     Those of the training part are means over the epoch, while the weights still change.
-
-    Attributes:
-        chosen_epoch: the one whose weights were kept, from 0.
     """
 
     train_loss: list[float] = field(default_factory=list)
@@ -71,10 +65,8 @@ class Curves:
 class Score:
     """How well a classifier does on some data.
 
-    Attributes:
-        accuracy: share of samples named rightly.
-        loss: mean cross-entropy, in nats.
-        confusion: ``[n, n]`` int64, how many samples of each true class (row) got each name.
+    Loss is the mean cross-entropy in nats; ``confusion`` ``[n, n]`` int64 counts the samples of
+    each true class (row) by predicted class.
     """
 
     accuracy: float
@@ -101,7 +93,7 @@ def split_episodes(
         One mask ``[N]`` bool per part.
 
     Raises:
-        ValueError: if the shares are none, or a class has fewer episodes than there are parts.
+        ValueError: if a class has fewer episodes than there are parts.
     """
     if min(shares) <= 0.0 or abs(sum(shares) - 1.0) > 1e-6:
         raise ValueError(f"shares = {list(shares)}: must be positive and sum to 1")
@@ -132,19 +124,16 @@ def fit_classifier(
     generator: torch.Generator,
     noise: Tensor | float = 0.0,
 ) -> Curves:
-    """Fit a classifier in place.
+    """Fit a classifier of ``lateral_line`` ``[N, ...]`` to logits ``[N, n]`` in place.
 
     Args:
-        classifier: maps ``lateral_line`` ``[N, ...]`` to logits ``[N, n]``.
+        classifier: the network.
         training: TensorDict ``[N]`` with ``lateral_line`` and ``flow_index`` ``[N]`` int64.
         validation: the same, of other episodes; it decides only when to stop.
         settings: see ``FitSettings``.
         generator: of the batches and the noise.
         noise: standard deviation of what is added to the signals of each batch, of a shape that
             broadcasts over them.
-
-    Raises:
-        ValueError: if there is nothing to fit or to validate on.
     """
     for name, part in (("training", training), ("validation", validation)):
         if part.shape[0] == 0:
@@ -189,7 +178,7 @@ def fit_classifier(
 
 @torch.no_grad()
 def score_classifier(classifier: nn.Module, data: TensorDictBase) -> Score:
-    """Judge a classifier on data as for ``fit_classifier``; it is left in ``eval`` mode."""
+    """Score a classifier on data as for ``fit_classifier``; it is left in ``eval`` mode."""
     classifier.eval()
     logits, label = classifier(data["lateral_line"]), data["flow_index"]
     num = logits.shape[-1]

@@ -259,9 +259,8 @@ class Boundaries:
     def list_crossings(self, height: int, width: int) -> list[tuple[int, Index, Index]]:
         """Return which outgoing populations enter on the other side of periodic edges.
 
-        Returns:
-            (direction, index of the incoming population, index of the outgoing one), the indices
-            into ``[B, Y, X]``.
+        Each is (direction, index of the incoming population, index of the outgoing one), into ``[B,
+        Y, X]``.
         """
         is_periodic = [isinstance(b, Periodic) for b in (self.left, self.bottom)]
         crossings = []
@@ -297,13 +296,9 @@ def apply_boundaries_(
     boundaries: Boundaries,
     stream_speed: Tensor,
 ) -> None:
-    """Set the edge nodes of nine ``[B, Y, X]`` incoming populations in place.
+    """Set the edge nodes of nine ``[B, Y, X]`` ``incoming`` populations (streamed) in place.
 
-    Args:
-        incoming: after streaming.
-        outgoing: after collision.
-        boundaries: what to set.
-        stream_speed: ``[B]`` at this step.
+    ``outgoing`` are those after collision, ``stream_speed`` ``[B]`` is that of this step.
     """
     for group in boundaries.in_order():
         for side, boundary in group:

@@ -15,11 +15,9 @@ _DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef)
 
 @cache
 def hash_sources(*names: str) -> str:
-    """Return a hash of the code of ``fishrl.physics`` and of further packages or modules.
+    """Return a hash of the code of ``fishrl.physics`` and of packages or modules by dotted name.
 
-    Args:
-        *names: dotted names, such as ``"fishrl.envs"``. Of a package, every ``.py`` and ``.pt``
-            (weights) file counts, subpackages included.
+    Of a package, every ``.py`` and ``.pt`` (weights) file counts, subpackages included.
     """
     digest = hashlib.sha256()
     for name in ("fishrl.physics", *names):

@@ -19,14 +19,9 @@ PERIODIC = Boundaries(left=Periodic(), right=Periodic(), bottom=Periodic(), top=
 def make_taylor_green(size: int, speed: float, time: float, nu: float) -> tuple[Tensor, Tensor]:
     """Return density deviation ``[1, Y, X]`` and velocity ``[1, 2, Y, X]`` of Taylor's vortices.
 
-    u = -U cos kx sin ky, v = U sin kx cos ky, both times exp(-2 nu k^2 t);
-    p = -U^2/4 (cos 2kx + cos 2ky) exp(-4 nu k^2 t), k = 2 pi / size (Taylor & Green 1937).
-
-    Args:
-        size: nodes along each axis of the periodic box.
-        speed: U.
-        time: steps.
-        nu: kinematic viscosity.
+    u = -U cos kx sin ky, v = U sin kx cos ky, both times exp(-2 nu k^2 t); p = -U^2/4 (cos 2kx +
+    cos 2ky) exp(-4 nu k^2 t), k = 2 pi / size (Taylor & Green 1937), at a time t in steps, with the
+    speed U in nodes per step.
     """
     k = 2.0 * pi / size
     x = k * torch.arange(size, dtype=torch.float64)[None, None, :]
@@ -40,11 +35,8 @@ def make_taylor_green(size: int, speed: float, time: float, nu: float) -> tuple[
 def measure_taylor_green_error(size: int, *, reynolds: float = 20.0, speed: float = 0.64) -> float:
     """Return the relative L2 velocity error after one decay time, diffusive scaling.
 
-    Args:
-        size: nodes N along each axis; the speed is ``speed`` / N, so the Mach number falls with
-            the grid and the error is second order.
-        reynolds: U N / nu.
-        speed: U N.
+    With N = ``size`` nodes along each axis U is ``speed`` / N, so the Mach number falls with the
+    grid and the error is second order; ``reynolds`` is U N / nu.
     """
     u0 = speed / size
     nu = u0 * size / reynolds
@@ -61,13 +53,9 @@ def measure_taylor_green_error(size: int, *, reynolds: float = 20.0, speed: floa
 def measure_poiseuille_error(height: int, boundaries: Boundaries, *, tau: float = 0.9) -> float:
     """Return the largest profile error of a force-driven channel, relative to its peak speed.
 
-    The walls stand where the boundary puts them: half a node outside for ``NoSlip``, on the edge
-    nodes for non-equilibrium extrapolation.
-
-    Args:
-        height: nodes across the channel.
-        boundaries: periodic along x.
-        tau: relaxation time.
+    ``height`` counts the nodes across; ``boundaries`` are periodic along x. The walls stand where
+    the boundary puts them: half a node outside for ``NoSlip``, on the edge nodes for
+    non-equilibrium extrapolation.
     """
     config = FlowConfig(width=4, height=height, tau=tau, boundaries=boundaries)
     is_half_way = isinstance(boundaries.bottom, NoSlip)
@@ -98,12 +86,8 @@ def make_swimmer_config(
 ) -> FlowConfig:
     """Return the paper's tank, 10 L x 5 L with walls all round, and a NACA0012 fish in it.
 
-    Args:
-        scales: lattice units.
-        length_bl: tank length in body lengths.
-        height_bl: tank height in body lengths.
-        motion: of the fish; its heading is commanded unless said otherwise.
-        **changes: any other field of ``FlowConfig``.
+    The fish's heading is commanded unless ``motion`` says otherwise; ``changes`` are any other
+    fields of ``FlowConfig``.
     """
     motion = Commanded() if motion is None else motion
     fields: dict[str, object] = {

@@ -42,13 +42,7 @@ class Rates:
 
 
 class Macroscopic(NamedTuple):
-    """Fluid at some nodes, without the half-force; tensors of any common shape.
-
-    Attributes:
-        drho: density deviation rho - 1.
-        ux: velocity along x, u* = j / rho.
-        uy: velocity along y.
-    """
+    """Fluid at some nodes, without the half-force: rho - 1 and u* = j / rho, any common shape."""
 
     drho: Tensor
     ux: Tensor
@@ -76,13 +70,7 @@ def compute_macroscopic(f: Sequence[Tensor]) -> Macroscopic:
 
 
 def compute_equilibrium(drho: Tensor, ux: Tensor, uy: Tensor) -> list[Tensor]:
-    """Return the shifted equilibrium f_eq - w.
-
-    Args:
-        drho: density deviation rho - 1.
-        ux: velocity along x.
-        uy: velocity along y.
-    """
+    """Return the shifted equilibrium f_eq - w at density deviation rho - 1 and velocity."""
     rho = drho + 1.0
     u2 = 1.5 * (ux * ux + uy * uy)
     f_eq = []
@@ -155,13 +143,10 @@ def compute_force_increment(
     """Return what a body force adds to the post-collision populations.
 
     Forced collision (Guo, Zheng & Shi 2002 in moment form, equal to the paper's eq. 1 with Cheng's
-    forcing after the change of variable f - g/2) minus unforced collision reduces to
-
-        delta m = M g(u* + F / 2 rho, F) - (s / 4 rho) Q(F, F),
-
-    Q being the quadratic form of m_eq, because M g(u + F / 2 rho, F) = m_eq(u + F / rho) - m_eq(u).
-    Given the node's total force it is linear in ``share``, so the contributions of several markers
-    to one node may be added one by one.
+    forcing after the change of variable f - g/2) minus unforced collision reduces to delta m = M
+    g(u* + F / 2 rho, F) - (s / 4 rho) Q(F, F), Q being the quadratic form of m_eq, because M g(u +
+    F / 2 rho, F) = m_eq(u + F / rho) - m_eq(u). Given the node's total force it is linear in
+    ``share``, so the contributions of several markers to one node may be added one by one.
 
     Args:
         fluid: density and unforced velocity at the nodes.

@@ -175,10 +175,8 @@ class FlowParams(NamedTuple):
 class FlowState(NamedTuple):
     """State of a batch of flows.
 
-    Attributes:
-        f: ``[B, Q, Y, X]`` incoming populations, shifted by the weights.
-        bodies: in each flow.
-        clock: ``[B]`` steps since the start; None means that the stream's ramp is over.
+    ``f`` ``[B, Q, Y, X]`` are incoming populations, shifted by the weights, ``clock`` ``[B]`` the
+    steps since the start; None means that the stream's ramp is over.
     """
 
     f: Tensor
@@ -232,11 +230,7 @@ def compute_stream_speed(params: FlowParams, clock: Tensor) -> Tensor:
 def list_configs(
     config: FlowConfig | Sequence[FlowConfig], num_envs: int | None
 ) -> list[FlowConfig]:
-    """Return one configuration per flow.
-
-    Raises:
-        ValueError: if there is none, or their number is not ``num_envs``.
-    """
+    """Return one configuration per flow; raise ValueError unless there are ``num_envs``."""
     if isinstance(config, FlowConfig):
         num_envs = 1 if num_envs is None else num_envs
         if num_envs < 1:

@@ -21,11 +21,8 @@ from fishrl.physics.delta import Kernel
 class Stencil(NamedTuple):
     """The nodes around each marker; S is the kernel's support. Markers come last in memory.
 
-    Attributes:
-        x: ``[B, N]`` column of the first node, a whole number in the weights' type.
-        y: ``[B, N]`` row of the first node.
-        weight_x: ``[B, S, N]`` kernel weights along x.
-        weight_y: ``[B, S, N]`` kernel weights along y.
+    ``x`` and ``y`` ``[B, N]`` are column and row of the first node, whole numbers in the weights'
+    type, ``weight_x`` and ``weight_y`` ``[B, S, N]`` the kernel weights along each axis.
     """
 
     x: Tensor
@@ -49,15 +46,10 @@ class Stencil(NamedTuple):
 def make_stencil(
     markers: Tensor, kernel: Kernel, width: int, height: int, dtype: torch.dtype
 ) -> Stencil:
-    """Find each marker's nodes and weights.
+    """Find nodes and weights (of ``dtype``) of markers ``[B, N, 2]``, (x, y) in nodes.
 
-    Args:
-        markers: ``[B, N, 2]`` positions (x, y) in nodes.
-        kernel: the delta kernel.
-        width: number of nodes along x; markers outside are clamped to the edge, so that a body
-            outside the domain (reported as diverged) reads no other flow's memory.
-        height: number of nodes along y.
-        dtype: of the weights.
+    Markers outside the grid of ``width`` x ``height`` are clamped to its edge, so that a body
+    outside the domain (reported as diverged) reads no other flow's memory.
     """
     reach = 0.5 * kernel.support
     steps = torch.arange(kernel.support, device=markers.device, dtype=dtype)[:, None]
@@ -107,26 +99,17 @@ class ForceSolve(ABC):
     def prepare(self, overlap: Tensor, spacing: Tensor) -> tuple[Tensor, ...]:
         """Return what the solve needs of the marker positions; once where bodies stay still.
 
-        Args:
-            overlap: of the markers' weights ``[B, N, N]``, symmetric.
-            spacing: ds of each marker ``[B, N]``.
-
-        Returns:
-            A^T first, ``[B, N, N]``.
+        ``overlap`` ``[B, N, N]`` is that of the markers' weights, symmetric, ``spacing`` ``[B, N]``
+        is ds. The first tensor returned is A^T ``[B, N, N]``.
         """
         return (spacing[..., None] * overlap,)
 
     @abstractmethod
     def __call__(self, operator: Sequence[Tensor], residual: Tensor) -> tuple[Tensor, Tensor]:
-        """Solve for several right-hand sides at once.
+        """Solve for several right-hand sides at once; return g and the residual r - A g.
 
-        Args:
-            operator: from ``prepare``.
-            residual: r ``[B, R, N]``, one row per right-hand side (rows times A^T are three times
-                faster than A times columns).
-
-        Returns:
-            The solution g and the remaining residual r - A g, both ``[B, R, N]``.
+        ``operator`` is from ``prepare``; ``residual`` r ``[B, R, N]`` has one row per right-hand
+        side (rows times A^T are three times faster than A times columns), like both results.
         """
 
 

@@ -86,12 +86,7 @@ def exchange(
 ) -> tuple[tuple[BodyState, ...], Tensor, Tensor]:
     """Let fluid and bodies act on each other: solve force and rigid motion together.
 
-    Args:
-        config: of the flows.
-        params: of each body.
-        states: of each body at the start of the step.
-        geometry: of the bodies, from ``locate_bodies``.
-        fluid: at the nodes of the markers' stencils, ``[B, S * S, N]``.
+    ``fluid`` is that at the nodes of the markers' stencils, ``[B, S * S, N]``.
 
     Returns:
         The bodies after the step and each marker's share of the nodes' force density along x and y,

@@ -45,8 +45,8 @@ def test_the_task_that_these_are_made_of_is_right() -> None:
     [
         ("observe", lambda _, now: now["x"], r"observe gives .* \(2,\), .*expected .* \(2, 2\)"),
         ("observe", lambda _, now: torch.full((2, 2), torch.nan), "observe gives .*nan.* finite"),
-        ("action_mask", lambda _, now: torch.zeros(2, 2) > 1, "expected a legal action in each row"),
-        ("is_terminated", lambda _, now: now["x"], "is_terminated gives .*float64, expected .*bool"),
+        ("action_mask", lambda _, now: torch.zeros(2, 2) > 1, "a legal action in each row"),
+        ("is_terminated", lambda _, now: now["x"], "is_terminated gives .*64, expected .*bool"),
         ("report", lambda _, now: {"far": 1.0}, "report 'far' gives 1.0, expected"),
         ("success", "reached", r"success gives reached, expected .*\['beats'\]"),
         ("starts_from", _starts(20.0), "head at .*: the fish, or a part of it, lies outside"),
@@ -54,7 +54,7 @@ def test_the_task_that_these_are_made_of_is_right() -> None:
         (
             "command",
             lambda _, a, b: Command(0.0 * a, 1.0 + a),
-            r"frequency gives \[1.0, 2.0\], expected tail beats per step, .* n / self.scales.period",
+            r"frequency gives \[1.0, 2.0\], expected tail beats per step",
         ),
     ],
 )  # fmt: skip

@@ -10,8 +10,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from fishrl.modules import PursuitPolicy, RandomPolicy
 from fishrl.envs.episodes import Episodes, Policy
+from fishrl.modules import PursuitPolicy, RandomPolicy
 from fishrl.training.evaluation import Evaluator, fixed_starts
 from tests.training.toy_fish import ToyPredation, make_toy_env
 

@@ -163,12 +163,7 @@ class Predation(AbstractTask):
         return self.capture_radius_bl * self.body_length
 
     def locate_food(self, starts: TensorDictBase, age: Tensor) -> Tensor:
-        """Return the position of the food ``[B, 2]`` (x, y), in nodes.
-
-        Args:
-            starts: ``[B]`` with ``food_direction``.
-            age: ``[B]`` steps since reset.
-        """
+        """Return the food's position ``[B, 2]``, nodes, at ``age`` ``[B]`` steps since reset."""
         low, high = self.food_limits_bl
         span, offset = high - low, self.food_y_bl - low
         swum = self.food_speed_bl * (age / self.scales.period - self.food_still_T).clamp(min=0.0)

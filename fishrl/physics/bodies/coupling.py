@@ -26,17 +26,17 @@ _Pair = tuple[Tensor | None, Tensor | None]
 
 
 class RigidUpdate(NamedTuple):
-    """What one coupled solve gives for one body.
+    """What one coupled solve gives for one body, ``[B]`` or ``[B, 2]``.
 
     Attributes:
-        velocity: ``[B, 2]`` new velocity of the centre of mass.
-        angular_velocity: ``[B]`` new Omega.
-        slip_error: ``[B]`` largest remaining velocity error at a marker.
-        force: ``[B, 2]`` total force on the fluid.
-        torque: ``[B]`` total torque on the fluid.
-        power: ``[B]`` sum of F . u_def.
-        positive_power: ``[B]`` the same over those markers where it is positive.
-        lateral_power: ``[B]`` its part along the body's own lateral axis, without -H/I.
+        velocity: of the centre of mass.
+        angular_velocity: Omega.
+        slip_error: largest remaining velocity error at a marker.
+        force: total force on the fluid.
+        torque: total torque on the fluid.
+        power: sum of F . u_def.
+        positive_power: the same over those markers where it is positive.
+        lateral_power: its part along the body's own lateral axis, without -H/I.
     """
 
     velocity: Tensor
@@ -121,9 +121,11 @@ def solve_body_force(
 ) -> tuple[Tensor, list[RigidUpdate]]:
     """Find the marker force and the new rigid velocities of all bodies together.
 
+    ``config.force_solve`` is P. Explicit coupling is the paper's with corrected sign: the body
+    feels minus the force on the fluid.
+
     Args:
-        config: of the flows; ``force_solve`` is P. Explicit coupling is the paper's with corrected
-            sign: the body feels minus the force on the fluid.
+        config: of the flows.
         params: of each body.
         states: of each body at the start of the step.
         geometry: of the bodies at this step.

@@ -31,12 +31,8 @@ class Markers(NamedTuple):
 class BodyGeometry(NamedTuple):
     """All bodies in one step; the markers of the bodies follow each other in N.
 
-    Attributes:
-        deformations: of each body.
-        markers: of each body.
-        spacing: ``[B, N]`` length of outline that each marker represents.
-        stencil: of all markers.
-        operator: of the force solve.
+    ``deformations`` and ``markers`` are those of each body, ``spacing`` ``[B, N]`` is the length of
+    outline that each marker represents, ``operator`` that of the force solve.
     """
 
     deformations: tuple[Deformation, ...]
@@ -52,14 +48,7 @@ def locate_bodies(
     states: Sequence[BodyState],
     dtype: torch.dtype,
 ) -> BodyGeometry:
-    """Deform the bodies, place their markers and find the nodes around them.
-
-    Args:
-        config: of the flows.
-        params: of each body.
-        states: of each body at the start of the step.
-        dtype: of the weights.
-    """
+    """Deform the bodies, place their markers, find the nodes around them; weights of ``dtype``."""
     bodies = zip(config.bodies, params, states, strict=True)
     deformations = tuple(deform_body(body, own, state) for body, own, state in bodies)
     markers = tuple(place_markers(s, d) for s, d in zip(states, deformations, strict=True))

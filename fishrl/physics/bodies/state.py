@@ -63,10 +63,8 @@ class BodyState(NamedTuple):
 def make_body(position: Tensor, heading: Tensor, frequency: Tensor) -> BodyState:
     """Return the state of a body at rest.
 
-    Args:
-        position: ``[B, 2]`` centre of mass in nodes.
-        heading: ``[B]`` radians.
-        frequency: ``[B]`` tail beats or oscillations per step.
+    ``position`` ``[B, 2]`` is the centre of mass in nodes, ``heading`` ``[B]`` in radians,
+    ``frequency`` ``[B]`` in tail beats or oscillations per step.
     """
     zero, pair = torch.zeros_like(heading), torch.zeros_like(position)
     pairs = {"velocity", "load", "force", "hydro_force", "impulse"}

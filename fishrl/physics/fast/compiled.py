@@ -77,19 +77,16 @@ def is_own(thing: object) -> bool:
 def compile_inplace(
     function: Kernel, example: Sequence[Tensor], *, name: str | None = None, **patches: object
 ) -> Kernel:
-    """Compile ``function(*tensors)``, which may mutate its arguments.
+    """Compile ``function(*tensors)``, which may mutate its arguments; itself without a compiler.
 
     Args:
         function: traceable, of tensors alone; a tuple of tensors or nothing is returned.
         example: arguments of the shapes, strides and types that every call will have. They are not
             touched.
         name: key of everything that determines the function, apart from this package's sources and
-            ``example``. The result is stored under it beside Inductor's cache, and the next
-            process loads it without tracing. None stores nothing.
+            ``example``. The result is stored under it beside Inductor's cache, and the next process
+            loads it without tracing. None stores nothing.
         **patches: Inductor settings.
-
-    Returns:
-        The compiled function, or ``function`` itself where no compiler is present.
 
     Raises:
         ChildProcessError: if the compiler fails.

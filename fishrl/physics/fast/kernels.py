@@ -32,7 +32,7 @@ class BodyArguments(NamedTuple):
 
     Attributes:
         data: populations of the group.
-        force_x: ``[cells]``, zero between steps.
+        force_x: ``[cells]``, zero between steps, like ``force_y``.
         force_y: the same.
         offsets: ``[Q]`` of the outgoing populations' slots.
         first_cell: ``[B]`` cell of each flow's node (0, 0).

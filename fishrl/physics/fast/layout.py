@@ -26,10 +26,7 @@ from fishrl.physics.lattice import CX, CY, OPPOSITE, Q
 class FlowData(NamedTuple):
     """Everything about a batch of flows except populations, float64, every tensor ``[B, ...]``.
 
-    Attributes:
-        clock: ``[B]`` steps since reset.
-        params: of the flows.
-        bodies: in them.
+    ``clock`` counts the steps since reset.
     """
 
     clock: Tensor
@@ -42,13 +39,7 @@ def _round_up(n: int) -> int:
 
 
 class InPlaceLayout:
-    """Where the populations of a group of flows lie, and the views that even and odd steps use.
-
-    Args:
-        num_envs: number of flows B.
-        height: nodes along y.
-        width: nodes along x.
-    """
+    """Where the populations of ``num_envs`` flows lie, and the views of even and odd steps."""
 
     def __init__(self, *, num_envs: int, height: int, width: int) -> None:
         self.num_envs, self.height, self.width = num_envs, height, width
@@ -61,11 +52,10 @@ class InPlaceLayout:
         self.num_slots = Q * self.slot_length
 
     def offsets(self, parity: int, outgoing: bool) -> list[int]:
-        """Return, by direction, the flat index of cell 0's slot.
+        """Return, by direction, the flat index of cell 0's slot at even (0) or odd (1) ``parity``.
 
-        Args:
-            parity: of the step: 0 even, 1 odd.
-            outgoing: post-collision populations after the step, else incoming ones before it.
+        The slots are those of post-collision populations after the step if ``outgoing``, else of
+        incoming ones before it.
         """
         shift = [CY[q] * self.row_length + CX[q] for q in range(Q)]
         own = [q * self.slot_length + self.pad for q in range(Q)]
@@ -96,11 +86,8 @@ class InPlaceLayout:
 class FlowMemory:
     """The layout of one block of memory that processes can share: numbers, omega, populations.
 
-    Args:
-        sample: numbers of all flows, for their shapes.
-        layout: of one group's populations.
-        dtype: of the populations.
-        has_omega_field: whether the relaxation rate differs from node to node.
+    ``sample`` holds the numbers of all flows, ``layout`` that of one group's populations of
+    ``dtype``; with ``has_omega_field`` the relaxation rate differs from node to node.
     """
 
     def __init__(

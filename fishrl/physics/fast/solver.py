@@ -135,14 +135,11 @@ class InPlaceSolver:
             self._workers.close()
 
     def advance_(self, num_steps: int, rows: Tensor | None = None) -> None:
-        """Advance the flows by an even number of steps.
+        """Advance the flows of ``rows`` ``[B]`` bool (None is all) by an even number of steps.
 
-        Args:
-            num_steps: how many.
-            rows: ``[B]`` bool, the flows that must advance, or None for all. Flows that share a
-                group with one of them advance too; all others keep their state. On a CPU each flow
-                is its own group by default. On a GPU all flows are one group, which always
-                advances, since the host would have to wait to see whether any row must.
+        Flows that share a group with one of them advance too; all others keep their state. On a CPU
+        each flow is its own group by default. On a GPU all flows are one group, which always
+        advances, since the host would have to wait to see whether any row must.
 
         Raises:
             ValueError: for an odd number of steps, and for ``rows`` that are not ``[B]`` bool.
@@ -228,12 +225,10 @@ class InPlaceSolver:
             group.write_(rows[own], f[own].unbind(1))
 
     def command_(self, turn: Tensor, num_steps: int, frequency: Tensor | None = None) -> None:
-        """Order the first body to turn and, optionally, to beat at a new frequency.
+        """Command the first body to turn and, optionally, to beat at a new frequency.
 
-        Args:
-            turn: ``[B]`` change of heading, radians, spread smoothly over ``num_steps``.
-            num_steps: length of the turn.
-            frequency: ``[B]`` tail beats per step; the phase stays continuous.
+        ``turn`` ``[B]`` is the change of heading in radians, spread smoothly over ``num_steps``;
+        ``frequency`` ``[B]`` is in tail beats per step, and the phase stays continuous.
         """
         if num_steps < 2:
             raise ValueError(f"num_steps = {num_steps}: a turn takes at least two steps")
@@ -332,11 +327,7 @@ def _spread_starts(
     num_envs: int,
     device: torch.device,
 ) -> tuple[Tensor, Tensor]:
-    """Return positions ``[B, M, 2]`` and headings ``[B, M]`` of all bodies, float64.
-
-    Raises:
-        ValueError: if there is not one for each body of each flow.
-    """
+    """Return positions ``[B, M, 2]`` and headings ``[B, M]`` of all bodies, float64."""
     shape = num_envs, max(1, len(config.bodies))
     middle = torch.tensor([0.5 * config.width, 0.5 * config.height]).expand(*shape, 2)
     position = middle if position is None else position

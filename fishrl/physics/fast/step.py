@@ -37,10 +37,7 @@ _BODY: dict[str, object] = {"cpp.threads": 1, "realize_opcount_threshold": 10}
 class Scratch:
     """Constants of a step, and memory in use during a step only; all groups share it.
 
-    Args:
-        config: of the flows.
-        layout: of one group.
-        sample: numbers of one group's flows, for their shapes and types.
+    ``sample`` holds the numbers of one group's flows, for their shapes and types.
     """
 
     def __init__(self, config: FlowConfig, layout: InPlaceLayout, sample: FlowData) -> None:
@@ -149,12 +146,7 @@ class FlowGroup:
 
 
 class Stepper:
-    """The kernels of one step, for groups of one form.
-
-    Args:
-        config: of the flows.
-        layout: of the groups.
-        example: one of the groups.
+    """The kernels of one step, for groups of the form of ``example``.
 
     Attributes:
         kernels: "collide", "bodies" where there are some, "edges 0" and on, in their order; and
