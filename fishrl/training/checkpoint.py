@@ -84,11 +84,10 @@ def save_checkpoint(
 
 
 def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[str, Any]]:
-    """Find a checkpoint and read what it says about itself.
+    """Find a checkpoint and read its metadata.
 
-    Args:
-        path: a checkpoint, or the folder of a run.
-        which: ``best`` (if missing, the last) or ``last``, for the folder of a run.
+    ``path`` is a checkpoint, or the folder of a run, of which ``which`` chooses ``best`` (if
+    missing, the last) or ``last``.
 
     Raises:
         ValueError: if it is missing or corrupt.
@@ -127,17 +126,12 @@ def load_checkpoint(
     device: str = "cpu",
     which: str = "best",
 ) -> dict[str, Any]:
-    """Load components' states and return the metadata.
+    """Load components' states from a checkpoint and return its metadata, see ``read_metadata``.
 
-    Args:
-        path: a checkpoint, or the folder of a run.
-        components: what to load; others in the checkpoint are left alone.
-        spec: task and sizes the checkpoint must be of.
-        device: where tensors go.
-        which: ``best`` (if missing, the last) or ``last``, for the folder of a run.
+    Components of the checkpoint that are not among ``components`` are left alone.
 
     Raises:
-        ValueError: if it is missing, corrupt, or of another task.
+        ValueError: if it is missing, corrupt, or not of the task and sizes of ``spec``.
     """
     found, metadata = read_metadata(path, which=which)
     spec.check(metadata, path=found)

@@ -17,9 +17,8 @@ Recognition = LateralLineClassifier | str | None
 def load_recognition(choice: Recognition, folder: Path = Path()) -> Recognition:
     """Return the source of flow labels, for ``make_env(recognition=...)``.
 
-    Args:
-        choice: None, ``oracle``, a classifier, or the file of one, which must be readable.
-        folder: run or checkpoint where the file of a run's own classifier is looked for.
+    ``choice`` is None, ``oracle``, a classifier, or the file of one; ``folder`` is the run or
+    checkpoint where the file of a run's own classifier is looked for.
     """
     if not isinstance(choice, str) or choice == ORACLE:
         return choice

@@ -26,12 +26,9 @@ TARGET = "_target_"
 def describe(made: Any) -> dict[str, Any]:
     """Return class and constructor arguments of an object; the inverse of ``make``.
 
-    Args:
-        made: a dataclass, or an object that keeps each constructor argument as an attribute of the
-            same name.
-
     Raises:
-        ValueError: if it does not, or an argument cannot be written into a file.
+        ValueError: if the object does not keep each constructor argument as an attribute of the
+            same name, or one cannot be written into a file.
     """
     kind = type(made)
     target = f"{kind.__module__}.{kind.__qualname__}"
@@ -44,11 +41,7 @@ def describe(made: Any) -> dict[str, Any]:
 
 
 def to_plain(value: Any) -> Any:
-    """Turn a value into what JSON and YAML hold: tuples into lists, objects into descriptions.
-
-    Raises:
-        ValueError: for what cannot be written into a file.
-    """
+    """Turn a value into what JSON and YAML hold: tuples into lists, objects into descriptions."""
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, Path):
@@ -73,8 +66,8 @@ def make(node: Any, *, kind: type[T] | tuple[type[T], ...], modules: Collection[
             it; modules that are already imported need not be named.
 
     Raises:
-        ValueError: if there is no such class, it is of another kind or from a module that is
-            not allowed, or it does not take the arguments.
+        ValueError: if there is no such class, it is of another kind or from a module that is not
+            allowed, or it does not take the arguments.
     """
     if not isinstance(node, Mapping) or not isinstance(node.get(TARGET), str):
         raise ValueError(f"{node!r}: give a {TARGET} and its arguments")
@@ -112,11 +105,7 @@ def list_classes(hint: Any) -> Iterator[type]:
 def find_class(
     name: str, *, kind: type[T] | tuple[type[T], ...], modules: Collection[str] = ()
 ) -> type[T]:
-    """Return the class of a dotted name, which may be a former one; see ``make``.
-
-    Raises:
-        ValueError: if there is no such class, or it is not allowed.
-    """
+    """Return the class of a dotted name, which may be a former one; see ``make``."""
     module, _, last = ALIASES.get(name, name).rpartition(".")
     loaded = sys.modules.get(module)
     if loaded is None and any(f"{module}.".startswith(f"{own}.") for own in ("fishrl", *modules)):

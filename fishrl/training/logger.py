@@ -31,13 +31,10 @@ class CsvLogger:
     def open(
         self, folder: Path, *, columns: Sequence[str], config: Mapping[str, Any], step: int = 0
     ) -> None:
-        """Start ``metrics.csv``, or continue it after ``step`` and drop later rows.
+        """Start ``metrics.csv``, or continue it after ``step`` (0: anew) and drop later rows.
 
-        Args:
-            folder: of the run.
-            columns: every metric there will be; the first is the step.
-            config: the whole configuration.
-            step: the last step that counts; 0 starts anew.
+        ``columns`` are every metric there will be, the step first; ``config`` is the whole
+        configuration.
         """
         self._path, self._columns = folder / "metrics.csv", list(columns)
         rows: list[Mapping[str, Any]] = [{name: name for name in columns}]
@@ -92,14 +89,11 @@ class CsvLogger:
 
 
 class WandbLogger(CsvLogger):
-    """Weights & Biases beside the CSV file.
+    """Weights & Biases beside the CSV file; raises ImportError if wandb is not installed.
 
     Args:
         project: of Weights & Biases.
         is_offline: write below the run folder and upload nothing; ``wandb sync`` does so later.
-
-    Raises:
-        ImportError: if wandb is not installed.
     """
 
     def __init__(self, *, project: str = "fishrl", is_offline: bool = False) -> None:

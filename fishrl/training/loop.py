@@ -43,11 +43,8 @@ TRAIN_SEED, SELECTION_SEED, FINAL_SEED = 1000, 1, 0
 class Training:
     """One run: collect, update, evaluate and save until ``total_frames`` is reached.
 
-    Args:
-        plan: settings of the run.
-        recognition: source of flow labels, see ``fishrl.envs.make_env``.
-        folder: where everything is written.
-        **hooks: see ``Hooks``.
+    ``recognition`` is the source of flow labels, see ``fishrl.envs.make_env``; ``hooks`` see
+    ``Hooks``.
     """
 
     def __init__(

@@ -38,8 +38,7 @@ def list_metrics(losses: tuple[str, ...]) -> tuple[str, ...]:
 class Counters:
     """Counters of a run.
 
-    Args:
-        pending: metrics of the newest frames, not yet complete; a resumed run completes them first.
+    ``pending`` are metrics of the newest frames, not yet complete; a resumed run completes them.
     """
 
     frames: int = 0

@@ -15,10 +15,7 @@ if TYPE_CHECKING:
 
 
 class Observer:
-    """Base of observers, which must not change what they observe; every method does nothing.
-
-    A live view and the pictures at the end of a run are observers.
-    """
+    """Base of observers, such as live views, which must not change what they observe."""
 
     def begin(self, env: EnvBase) -> None:
         """Receive the env before its first step; ``env.base_env.on_frame`` may be set here."""

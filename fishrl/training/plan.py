@@ -70,11 +70,9 @@ class Plan:
 
     @classmethod
     def from_config(cls, config: Mapping[str, Any], *, modules: Collection[str] = ()) -> Plan:
-        """Make a plan from ``config.yaml`` or the metadata of a checkpoint.
+        """Make a plan from ``config.yaml`` or the metadata of a checkpoint; see ``to_config``.
 
-        Args:
-            config: see ``to_config``; missing entries keep their defaults.
-            modules: modules outside fishrl that may be imported, see ``description.make``.
+        Missing entries keep their defaults; ``modules`` see ``description.make``.
 
         Raises:
             ValueError: for a class that is not allowed, and invalid values.

@@ -24,11 +24,9 @@ from fishrl.training.settings import check_device
 
 
 def load_plan(checkpoint: str | Path, *, modules: Collection[str] = ()) -> tuple[Path, Plan]:
-    """Return the path of a checkpoint and the plan of its run.
+    """Return the path of a checkpoint (or that in a run folder) and the plan of its run.
 
-    Args:
-        checkpoint: run folder or checkpoint.
-        modules: modules outside fishrl that may be imported, see ``description.make``.
+    ``modules`` see ``description.make``.
 
     Raises:
         ValueError: if there is no checkpoint, or it names classes that are not allowed.
@@ -52,10 +50,7 @@ def load_policy(
         task: the task to act in; by default the task of its run.
         has_labels: whether transforms label the flows of the task; by default as in its run.
         device: of the policy.
-        modules: see ``load_plan``.
-
-    Raises:
-        ValueError: if the checkpoint is missing, corrupt, or of another task.
+        modules: see ``load_plan``, like the errors.
     """
     path, plan = load_plan(checkpoint, modules=modules)
     if has_labels is None:

@@ -41,11 +41,7 @@ class RunFolder:
 
     @classmethod
     def create(cls, *, parent: str, name: str) -> RunFolder:
-        """Make a new folder; if the name exists, a number is appended to it.
-
-        Raises:
-            ValueError: if it cannot be made or written, or would not lie in ``parent``.
-        """
+        """Make a new folder; if the name exists, a number is appended to it."""
         base = Path(parent).expanduser()
         if Path(name).name != name or name == "..":
             raise ValueError(f"name = {name}: is the name of a folder in {base}, without slashes")
@@ -65,11 +61,7 @@ class RunFolder:
 
     @classmethod
     def of_existing(cls, path: str | Path) -> RunFolder:
-        """Return the folder of an existing run.
-
-        Raises:
-            ValueError: if there is no such folder, it holds no run, or cannot be written.
-        """
+        """Return the folder of an existing run; raise ValueError if it is none or not writable."""
         folder = cls(Path(path).expanduser())
         if not folder.config.is_file():
             refuse_many(folder.path, setting="resume")
@@ -97,11 +89,7 @@ class RunFolder:
         return len(self.metrics.read_text(encoding="utf-8").splitlines()) > 1
 
     def hold(self) -> TextIO:
-        """Lock the run for this process, until the file is closed or the process ends.
-
-        Raises:
-            HeldError: if another process has it.
-        """
+        """Lock the run until the file is closed or the process ends, or raise HeldError."""
         file = self.lock.open("a")
         try:
             fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

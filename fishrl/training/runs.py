@@ -41,16 +41,8 @@ def train(
 ) -> dict[str, Any]:
     """Train a policy and compare it with the baselines of the task.
 
-    Args:
-        task: see ``Plan``, like the next three.
-        algorithm: by default ``DiscreteSAC()``.
-        learning: settings that determine the result.
-        run: settings that do not.
-        recognition: source of flow labels, see ``fishrl.envs.make_env``, or a classifier file.
-        logger: writes the metrics; by default to a CSV file.
-        preset: name for these settings; part of the name of the run folder.
-        extra: further settings to keep in ``config.yaml``.
-        **hooks: ``make_env``, ``observer``, ``progress`` and ``began``, see ``Hooks``.
+    Arguments are those of ``Plan``, but ``recognition`` may be a classifier, too, and ``hooks`` are
+    ``make_env``, ``observer``, ``progress`` and ``began``, see ``Hooks``.
 
     Returns:
         The summary, as in ``summary.json``.
@@ -108,18 +100,10 @@ def begin(plan: Plan, *, recognition: Recognition = None, **hooks: Unpack[Hooks]
 def make_folder(
     plan: Plan, *, recognition: Recognition = None, folder: RunFolder | None = None
 ) -> tuple[RunFolder, Plan]:
-    """Write everything a run needs into a folder, from which ``resume`` starts it.
-
-    Args:
-        plan: of the run.
-        recognition: see ``train``; the file of a classifier is copied.
-        folder: to write into; by default a new one.
+    """Write everything a run needs into a folder, by default a new one, for ``resume``.
 
     Returns:
-        The folder, and the plan as written there.
-
-    Raises:
-        ValueError: if it cannot be written.
+        The folder, and the plan as written there; the file of a classifier is copied.
     """
     folder = folder or RunFolder.create(parent=plan.run.folder, name=plan.name)
     plan = replace(plan, recognition=keep_recognition(recognition, folder.path))
@@ -179,10 +163,7 @@ def find_summary(
 ) -> dict[str, Any] | None:
     """Return the summary of a run that is finished, also under some changes, or None.
 
-    Args:
-        folder: of the run.
-        modules: see ``resume``.
-        **changes: see ``resume``; more frames or another final evaluation make it unfinished.
+    More frames or another final evaluation make it unfinished; arguments see ``resume``.
     """
     run = RunFolder.of_existing(folder)
     if not run.summary.is_file() or run.failure.is_file():

@@ -26,9 +26,6 @@ class LearningSettings:
         learning_rate: Adam learning rate of all networks.
         tau: rate of the soft update of target networks at each gradient step.
         hidden: widths of the hidden layers of every network.
-
-    Raises:
-        ValueError: for a value outside its bounds.
     """
 
     seed: int = bounded(0, least=0, largest=2**32 - 1)
@@ -76,9 +73,6 @@ class RunSettings:
         final_episodes: fixed starts of the final evaluation, different from those.
         baselines: policies in the same final evaluation; by default those of the task, see
             ``fishrl.training.baselines``.
-
-    Raises:
-        ValueError: for a value outside its bounds.
     """
 
     total_frames: int = bounded(2800, least=1)

@@ -11,13 +11,7 @@ LIVE_WINDOW_T = 20.0
 
 
 def make_blueprint(scene: Scene, flows: Mapping[int, str], *, is_live: bool = False) -> Any:
-    """Return rerun's blueprint of a scene.
-
-    Args:
-        scene: what is drawn.
-        flows: titles of the flows, by their index.
-        is_live: whether frames are streamed.
-    """
+    """Return rerun's blueprint of a scene, given the titles of its flows by index."""
     import_rerun()
     import rerun.blueprint as rrb
 

@@ -88,12 +88,9 @@ class Picture(NamedTuple):
 def write_screenshot(
     path: str | os.PathLike[str], picture: str | os.PathLike[str], *, time_T: float | None = None
 ) -> None:
-    """Write what the viewer shows at a time as a PNG, without a window (needs a Vulkan driver).
+    """Write what the viewer shows of a ``.rrd`` file as a PNG, without a window.
 
-    Args:
-        path: of the ``.rrd`` file.
-        picture: of the PNG.
-        time_T: when, in T; by default the middle of the recording.
+    It needs a Vulkan driver. ``time_T`` is by default the middle of the recording.
 
     Raises:
         FileNotFoundError: if there is no recording, or no folder for the picture.

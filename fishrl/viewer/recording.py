@@ -46,16 +46,8 @@ class Recorder:
     """Reads about ``frames_per_T`` frames per period of some rows of an env.
 
     Termination is checked ``task.checks_per_action`` times per decision; a frame is read at every
-    n-th check.
-
-    Args:
-        task: of the env.
-        scene: names what a frame holds.
-        frames_per_T: frames per period T.
-        give: called with row and frame, in the order of time; times begin at 0 in each episode.
-
-    Raises:
-        ValueError: for less than one frame per period.
+    n-th check. ``give`` is called with row and frame, in the order of time; times begin at 0 in
+    each episode.
     """
 
     def __init__(
@@ -105,11 +97,8 @@ class Recorder:
     def settle(self, step: TensorDictBase, rows: Collection[int]) -> None:
         """Give the frames of a decision that is over, with its action and reward.
 
-        Of a row that diverged nothing is given but, at the very first decision, the start.
-
-        Args:
-            step: ``[B]``, as the env returns it.
-            rows: which of them.
+        ``step`` ``[B]`` is as the env returns it. Of a row that diverged nothing is given but, at
+        the very first decision, the start.
         """
         after = step["next"]
         names = [name for name in self._scene.output_keys if name in step]
@@ -137,15 +126,9 @@ def record_episodes(
 ) -> Episodes:
     """Run one episode from each start and record it, from its start to the check that ends it.
 
-    Args:
-        env: made with ``frames_per_action=task.checks_per_action``.
-        policy: see ``run_episodes``, like ``starts``, ``max_decisions`` and ``on_step``.
-        starts: ``[E]``.
-        scene: see ``Recorder``, like ``frames_per_T``.
-        give: called with the number of the start and a frame, in the order of time.
-        frames_per_T: frames per period T.
-        max_decisions: of an episode.
-        on_step: called after each decision.
+    Arguments are those of ``run_episodes`` and ``Recorder``, but ``give`` is called with the number
+    of the start and a frame, in the order of time. Make the env with
+    ``frames_per_action=task.checks_per_action``.
     """
     base = env.base_env
     start_of: dict[int, int] = {}
@@ -193,13 +176,7 @@ def _list_rows(start_of: Tensor) -> dict[int, int]:
 
 @dataclass(kw_only=True)
 class Recording:
-    """The frames of one episode.
-
-    Args:
-        scene: names what they hold.
-        frames: F frames in the order of time.
-        has_succeeded: whether the task was accomplished.
-    """
+    """The frames of one episode, in the order of time, and whether the task was accomplished."""
 
     scene: Scene
     frames: list[Frame] = field(default_factory=list)

@@ -18,9 +18,6 @@ class ViewerSettings:
         vorticity_limit: at which the colours saturate, 1/T.
         port: of the live viewer; the next free one if it is taken.
         live_share: of the wall time that a live view may take from a training or an evaluation.
-
-    Raises:
-        ValueError: for a value outside its bounds.
     """
 
     live: bool = False
@@ -42,11 +39,7 @@ class ViewerSettings:
             )
 
     def choose_flows(self, num: int, *, default: int) -> list[int]:
-        """Return which of ``num`` flows to show, the first ``default`` if ``flows`` does not say.
-
-        Raises:
-            ValueError: if one is not there, or is named twice, or none is.
-        """
+        """Return which of ``num`` flows to show, by default the first ``default`` ones."""
         flows = list(range(default)) if self.flows is None else list(self.flows)
         if not flows or not all(0 <= flow < num for flow in flows) or len(set(flows)) < len(flows):
             raise ValueError(f"flows = {flows}: must be some of 0 to {num - 1}, each once")

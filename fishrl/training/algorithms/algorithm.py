@@ -16,11 +16,7 @@ from fishrl.training.settings import LearningSettings
 
 
 class Algorithm(ABC):
-    """Base of all algorithms: a frozen dataclass of the settings that only this algorithm has.
-
-    An algorithm gives the policy and the loss. ``LearningSettings`` holds the settings that all
-    algorithms share.
-    """
+    """Base of all algorithms: a frozen dataclass of the settings that only this algorithm has."""
 
     @property
     @abstractmethod
@@ -33,10 +29,7 @@ class Algorithm(ABC):
     ) -> Any:
         """Make the policy that is evaluated and saved, greedy under ``DETERMINISTIC``.
 
-        Args:
-            spec: sizes of the policy.
-            hidden: widths of the hidden layers.
-            generator: source of the initial weights.
+        ``hidden`` are the widths of the hidden layers, ``generator`` draws the initial weights.
         """
 
     @abstractmethod
@@ -56,11 +49,7 @@ class Algorithm(ABC):
     def make_learner(
         self, spec: PolicySpec, settings: LearningSettings, *, device: str = "cpu"
     ) -> Learner:
-        """Make a new policy and its learner; ``settings.seed`` fixes the initial weights.
-
-        Raises:
-            ValueError: for settings that do not fit the algorithm.
-        """
+        """Make a new policy and its learner; ``settings.seed`` fixes the initial weights."""
         generator = torch.Generator().manual_seed(settings.seed)
         policy = self.make_policy(spec, hidden=settings.hidden, generator=generator).to(device)
         loss = self.make_loss(policy, spec, hidden=settings.hidden, generator=generator)

@@ -22,9 +22,6 @@ class DiscreteSAC(Algorithm):
     Args:
         alpha_init: initial temperature.
         target_entropy_weight: target entropy as a share of the largest possible one.
-
-    Raises:
-        ValueError: for a value outside its bounds.
     """
 
     alpha_init: float = bounded(1.0, greater=0)

@@ -28,9 +28,6 @@ class DQN(Algorithm):
         epsilon_start: share of random legal actions at the end of the warm-up.
         epsilon_end: final share.
         epsilon_frames: env frames after the warm-up over which the share falls.
-
-    Raises:
-        ValueError: for a value outside its bounds.
     """
 
     is_double: bool = False

@@ -31,13 +31,6 @@ class DRQN(DQN):
 
     Args:
         sequence_length: decisions in a sequence; what remains of an episode gives a shorter one.
-        is_double: see ``DQN``.
-        epsilon_start: see ``DQN``.
-        epsilon_end: see ``DQN``.
-        epsilon_frames: see ``DQN``.
-
-    Raises:
-        ValueError: for a value outside its bounds.
     """
 
     sequence_length: int = bounded(8, least=1)
@@ -69,11 +62,7 @@ class DRQN(DQN):
         return super().make_explorer(policy.network, spec, device=device)
 
     def choose_sampling(self, policy: Any, settings: LearningSettings) -> dict[str, Any]:
-        """Sample sequences.
-
-        Raises:
-            ValueError: if a batch is not a whole number of sequences.
-        """
+        """Sample sequences; a batch must be a whole number of them."""
         if settings.batch_size % self.sequence_length:
             raise ValueError(
                 f"batch_size = {settings.batch_size}: must be a multiple of "
