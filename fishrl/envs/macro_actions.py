@@ -8,6 +8,7 @@ last one swims upstream. When the flow label changes, the gear stays and the row
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from itertools import pairwise
+from math import inf
 
 import torch
 from torch import Tensor
@@ -115,7 +116,6 @@ class MacroActions(FrequencyControl):
     Decelerating is illegal in the first gear, accelerating in the last.
 
     Args:
-        first_gear: see ``FrequencyControl``.
         bank: the frequencies.
     """
 
@@ -146,7 +146,6 @@ class DirectFrequencies(FrequencyControl):
     """Choose one of n frequencies directly, independent of the flow (the ablation).
 
     Args:
-        first_gear: see ``FrequencyControl``.
         frequencies: tail beats per T, rising; 0 is a passive fish.
     """
 
@@ -183,10 +182,7 @@ class DirectFrequencies(FrequencyControl):
 def _as_row(values: object) -> tuple[float, ...]:
     """Return rising frequencies as a tuple."""
     row = tuple(float(value) for value in values) if isinstance(values, list | tuple) else ()
-    if len(row) < 2:
-        raise ValueError(f"frequencies = {values}: give at least two")
-    if row[0] < 0.0 or any(not low < high for low, high in pairwise(row)):
-        raise ValueError(f"frequencies = {values}: must be rising and not negative")
-    if not row[-1] < float("inf"):
-        raise ValueError(f"frequencies = {values}: must be finite")
+    is_rising = all(low < high for low, high in pairwise((*row, inf)))
+    if len(row) < 2 or row[0] < 0.0 or not is_rising:
+        raise ValueError(f"frequencies = {values}: must be two or more, from 0, finite and rising")
     return row

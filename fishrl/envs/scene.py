@@ -26,10 +26,6 @@ class Field:
     limit: float
     note: str = ""
 
-    def __post_init__(self) -> None:
-        if not self.limit > 0.0:
-            raise ValueError(f"the limit of {self.name} is {self.limit}: must be positive")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:

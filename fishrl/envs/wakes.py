@@ -7,7 +7,7 @@ upwards.
 """
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NoReturn
@@ -53,13 +53,6 @@ class WakeRecipe:
 
     def __post_init__(self) -> None:
         check_bounds(self)
-        if len(self.config.bodies) != 1:
-            raise ValueError(
-                f"a wake recipe has {len(self.config.bodies)} bodies: give the obstacle alone; a "
-                "free stream needs no bank"
-            )
-        if not self.speeds:
-            raise ValueError("speeds = (): give at least one")
 
     @property
     def key(self) -> str:
@@ -92,17 +85,13 @@ def load_wakes(recipe: WakeRecipe, folder: str | Path, *, compile: bool = True) 
         ValueError: if the file cannot be read, or holds the wakes of something else.
     """
     path = Path(folder).expanduser() / f"wakes-{recipe.key}.pt"
-    if path.is_file():
-        return _read(path, recipe)
-    logger.info("developing %d wakes; they will be stored in %s", len(recipe.speeds), path)
-    bank = develop_wakes(recipe, compile=compile)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with staged(path) as stage:
-        torch.save({"format": _FORMAT, "key": recipe.key, **vars(bank)}, stage)
-    return bank
-
-
-def _read(path: Path, recipe: WakeRecipe) -> WakeBank:
+    if not path.is_file():
+        logger.info("developing %d wakes; they will be stored in %s", len(recipe.speeds), path)
+        bank = develop_wakes(recipe, compile=compile)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with staged(path) as stage:
+            torch.save({"format": _FORMAT, "key": recipe.key, **vars(bank)}, stage)
+        return bank
     content = load_tensors(path, what="wakes", remedy="delete the file")
     if not isinstance(content, dict) or content.pop("format", None) != _FORMAT:
         raise ValueError(f"wakes {path}: there are no wakes in it; delete the file")
@@ -158,7 +147,12 @@ def _develop(
     )
     interval = 2 * max(1, round(0.5 * travel / _SAMPLES_PER_TRAVEL))
     num = round(0.5 * recipe.num_travels * travel / interval)
-    lift = _record_lift(solver, 2 * num, interval, lambda: bar.update(interval / travel))[num:]
+    impulses: list[Sequence[float]] = [solver.body.impulse[0].tolist()]
+    for _ in range(2 * num):
+        solver.advance_(interval)
+        impulses.append(solver.body.impulse[0].tolist())
+        bar.update(interval / travel)
+    lift = torch.tensor(impulses, dtype=torch.float64)[:, 1].diff()[num:] / interval
     if solver.is_diverged().any():
         raise ValueError(
             f"the wake at {speed:.4f} nodes per step diverged: lower max_wall_speed or the "
@@ -182,15 +176,3 @@ def _develop(
         now = target
         snapshots.append(solver.populations()[0].cpu())
     return torch.stack(snapshots), cycles.frequency
-
-
-def _record_lift(
-    solver: InPlaceSolver, num: int, interval: int, on_interval: Callable[[], object]
-) -> Tensor:
-    """Advance and return the mean lift over each interval ``[num]``."""
-    impulses: list[Sequence[float]] = [solver.body.impulse[0].tolist()]
-    for _ in range(num):
-        solver.advance_(interval)
-        impulses.append(solver.body.impulse[0].tolist())
-        on_interval()
-    return torch.tensor(impulses, dtype=torch.float64)[:, 1].diff() / interval

@@ -112,9 +112,6 @@ class GaitPolicy(TensorDictModuleBase):
             accelerate (2) from the current ``gear``.
         flow_key: key of the row to use, ``[B]`` or ``[B, 1]``: the true ``flow_index``, or the
             ``flow_class`` predicted by a classifier.
-
-    Raises:
-        ValueError: if there is no row, or more than one for a direct choice.
     """
 
     def __init__(
@@ -126,10 +123,6 @@ class GaitPolicy(TensorDictModuleBase):
         flow_key: str = "flow_index",
     ) -> None:
         super().__init__()
-        if not rows or (is_direct and len(rows) != 1):
-            raise ValueError(
-                f"rows = {rows}: give one row per flow, and with is_direct exactly one row"
-            )
         self.controller, self.is_direct, self.flow_key = controller, is_direct, flow_key
         self.in_keys = ["observation", "is_init", "gear", flow_key]
         self.out_keys = ["action"]

@@ -14,7 +14,6 @@ Christodoulou 2019, "Soft Actor-Critic for Discrete Action Settings", eqs. 10-12
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -39,17 +38,10 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
             A list keeps the initial weights; the parent resamples those of a single module.
         num_actions: number of actions, legal or not.
         alpha_init: initial temperature.
-        min_alpha: lower bound of the temperature, or ``None``.
-        max_alpha: upper bound of the temperature, or ``None``.
-        fixed_alpha: keep the temperature at ``alpha_init``.
-        target_entropy: ``"auto"`` for ``target_entropy_weight * log(num_legal)`` in each state, or
-            a number for all states.
-        target_entropy_weight: target entropy as a share of the maximum entropy.
-        loss_function: distance between values and targets: smooth_l1, l2 or l1.
-        reduction: mean or sum over the batch.
+        target_entropy_weight: target entropy as a share of the maximum entropy, log(num_legal).
 
     Raises:
-        ValueError: if ``reduction`` is neither mean nor sum, or fewer than two critics are given.
+        ValueError: if fewer than two critics are given.
     """
 
     out_keys = [*DiscreteSACLoss.out_keys, "entropy_fraction"]
@@ -62,16 +54,8 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
         *,
         num_actions: int,
         alpha_init: float = 1.0,
-        min_alpha: float | None = None,
-        max_alpha: float | None = None,
-        fixed_alpha: bool = False,
-        target_entropy: float | Literal["auto"] = "auto",
         target_entropy_weight: float = 0.98,
-        loss_function: str = "smooth_l1",
-        reduction: str = "mean",
     ) -> None:
-        if reduction not in ("mean", "sum"):
-            raise ValueError(f"reduction = {reduction!r}: must be 'mean' or 'sum'")
         if not isinstance(qvalue_network, (list, tuple)) or len(qvalue_network) < 2:
             raise ValueError(
                 "qvalue_network: must be a list of at least two critics, as make_twin_critics "
@@ -83,21 +67,12 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
             action_space="categorical",
             num_actions=num_actions,
             num_qvalue_nets=len(qvalue_network),
-            loss_function=loss_function,
             alpha_init=alpha_init,
-            min_alpha=min_alpha,
-            max_alpha=max_alpha,
-            fixed_alpha=fixed_alpha,
-            target_entropy=target_entropy,
             target_entropy_weight=target_entropy_weight,
-            reduction=reduction,
         )
         largest = [math.log(max(count, 1)) for count in range(num_actions + 1)]
         self.register_buffer("_largest_entropy", self.log_alpha.detach().new_tensor(largest))
-        wanted = [
-            target_entropy_weight * entropy if target_entropy == "auto" else target_entropy
-            for entropy in largest
-        ]
+        wanted = [target_entropy_weight * entropy for entropy in largest]
         self.register_buffer("target_entropy_by_count", self.log_alpha.detach().new_tensor(wanted))
 
     @dispatch

@@ -36,10 +36,6 @@ def _starts(x_bl: float, *without: str) -> Callable[..., TensorDict]:
     return starts_from
 
 
-def test_the_task_that_these_are_made_of_is_right() -> None:
-    _step(_make())
-
-
 @pytest.mark.parametrize(
     ("member", "gives", "said"),
     [

@@ -52,19 +52,6 @@ def test_the_specs_hold(task: AbstractTask) -> None:
     check_env_specs(make_env(task=task, num_envs=3, compile=False), seed=0)
 
 
-def test_observation_stack_and_mask_have_the_sizes_of_policies(
-    task: AbstractTask,
-) -> None:
-    env = make_env(task=task, num_envs=2, compile=False)
-    rollout = env.rollout(3, break_when_any_done=False)
-    assert rollout["observation"].shape == (2, 3, task.n_obs)
-    assert rollout["observation"].dtype == torch.float32
-    assert rollout["observation_stack"].shape == (2, 3, task.n_obs * task.num_stacked)
-    assert rollout["action_mask"].shape == (2, 3, task.num_actions)
-    assert rollout["action"].shape == (2, 3)
-    assert rollout["start_index"].shape == (2, 3)
-
-
 def test_no_state_is_without_a_legal_action_and_random_actions_are_legal(
     task: AbstractTask,
 ) -> None:
@@ -105,14 +92,3 @@ def test_measuring_changes_nothing_and_shares_no_memory_with_the_flows(
     assert all(torch.equal(before[k], v) for k, v in env.solver.state_dict().items())
     env.step(TensorDict({"action": torch.ones(2, dtype=torch.int64)}, [2]))
     assert (first == kept).all()
-
-
-def test_reward_and_ends_are_one_number_a_row_and_reports_begin_with_the_rows(
-    task: AbstractTask,
-) -> None:
-    env = FlowEnv(task=task, num_envs=5, compile_flow=False)
-    env.reset()
-    assert task.reward(env.now, env.now).shape == (5,)
-    assert task.is_terminated(env.now).shape == (5,)
-    assert task.is_terminated(env.now).dtype == torch.bool
-    assert all(value.shape[0] == 5 for value in task.report(env.now).values())

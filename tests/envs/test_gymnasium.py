@@ -13,7 +13,7 @@ from gymnasium.error import Error, ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
-from fishrl.envs import AbstractTask, KarmanGait, Predation, TrueFlowLabel, make_env
+from fishrl.envs import AbstractTask, Predation, make_env
 from fishrl.envs.gymnasium import FlowVectorEnv
 from tests.envs.conftest import SMALL
 from tests.envs.masked_task import MaskedTask
@@ -193,15 +193,6 @@ def test_wrappers_of_gymnasium_fit() -> None:
     rows = DictInfoToList(make())
     _, infos = rows.reset(seed=0)
     assert [info["step_count"] for info in infos] == [0, 0]
-
-
-def test_a_transform_labels_the_flow() -> None:
-    task = KarmanGait(**SMALL, checks_per_action=30)
-    envs = make(task=task, transforms=[TrueFlowLabel(num_flows=3)])
-    observations, infos = envs.reset(seed=0)
-    for _ in range(4):
-        observations, *_, infos = envs.step(infos["action_mask"].argmax(-1))
-    assert observations in envs.observation_space
 
 
 def test_what_cannot_be_is_refused() -> None:

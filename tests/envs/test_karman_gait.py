@@ -219,13 +219,6 @@ def test_a_free_stream_needs_no_disc_and_no_wake() -> None:
     assert act(env, CRUISE, CRUISE)["observation"].isfinite().all()
 
 
-def test_the_fastest_beat_and_the_fastest_stream_keep_the_speed_budget() -> None:
-    slow, fast = KarmanGait(), KarmanGait(stream=Stream(speeds_bl=(1.0, 1.25, 2.5)))
-    for task in (slow, fast):
-        assert max(task.scales.tail_speed, task.scales.stream_speed) <= 0.1 + 1e-12
-    assert fast.scales.period > slow.scales.period
-
-
 @pytest.mark.parametrize(
     ("bad", "message"),
     [
@@ -260,9 +253,3 @@ def test_starts_that_cannot_be_are_refused(key: str, value: float, message: str)
     starts[key].fill_(value)
     with pytest.raises(ValueError, match=message):
         task.check_starts(starts)
-
-
-def test_flows_are_labelled_for_classifiers_in_the_order_of_their_index() -> None:
-    labels = make_task().flow_labels
-    assert [label["name"] for label in labels] == ["1 L/T", "1.25 L/T", "1.5 L/T"]
-    assert {label["reynolds"] for label in labels} == {500.0}

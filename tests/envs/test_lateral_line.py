@@ -54,15 +54,6 @@ def test_neuromasts_sit_beside_the_skin_right_and_left_and_one_ahead_of_the_nose
     torch.testing.assert_close(normal.square().sum(-1), torch.ones(2, 5).double())
 
 
-@pytest.mark.parametrize("num", [1, 2, 3, 8])
-def test_there_may_be_any_number_of_neuromasts(num: int) -> None:
-    features = tuple(name for name in LOCAL if num > 1 or name != "pressure")
-    line = LateralLine(num_neuromasts=num, features=features)
-    signal, velocity = line.feel(make_solver(), KEYS, body_length=LENGTH, period=PERIOD)
-    assert signal.shape == (2, num, len(features)) and signal.dtype == torch.float32
-    assert velocity.shape == (2, 2)
-
-
 def test_an_onlooker_sees_time_place_velocity_pressure_and_speed() -> None:
     line = LateralLine(features=PAPER)
     solver = make_solver(ux=0.03, uy=-0.04, rho=0.006)
@@ -171,12 +162,6 @@ def test_a_delay_hands_over_what_was_felt_so_many_samples_ago() -> None:
     before, now = torch.arange(4).view(1, 4, 1), torch.arange(4, 8).view(1, 4, 1)
     late = [LateralLine(num_samples=4, delay=d).delay_series(before, now) for d in (0, 1, 4)]
     assert [each.flatten().tolist() for each in late] == [[4, 5, 6, 7], [3, 4, 5, 6], [0, 1, 2, 3]]
-
-
-def test_the_layout_tells_what_a_classifier_must_know_and_not_how_the_sensor_errs() -> None:
-    assert LateralLine(noise=0.1, silence=0.2, delay=1).layout == LateralLine().layout
-    assert LateralLine().layout["features"] == list(LOCAL)
-    assert LateralLine(distance=3.0).layout != LateralLine().layout
 
 
 @pytest.mark.parametrize(

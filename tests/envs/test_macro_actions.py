@@ -46,15 +46,11 @@ def test_chosen_directly_every_frequency_is_legal_and_the_flow_does_not_matter()
     assert DIRECT.num_flows is None and DIRECT.num_actions == 3
 
 
-def test_lists_from_a_file_will_do() -> None:
-    assert FrequencyBank(rows=[[1, 2], [2, 3]]).rows == ((1.0, 2.0), (2.0, 3.0))
-
-
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
         (((1.0, 2.0), (1.0, 2.0, 3.0)), r"have \[2, 3\] frequencies: give all the same number"),
-        (((2.0, 1.0),), "must be rising"),
+        (((2.0, 1.0),), "must be two or more, .* rising"),
     ],
 )
 def test_a_bank_without_a_choice_is_refused(rows: tuple, message: str) -> None:
@@ -66,5 +62,3 @@ def test_a_bank_without_a_choice_is_refused(rows: tuple, message: str) -> None:
 def test_a_gear_that_there_is_not_is_refused(gear: int) -> None:
     with pytest.raises(ValueError, match=rf"first_gear = {gear}: allowed is 0 to 3"):
         MacroActions(bank=MACRO.bank, first_gear=gear)
-    with pytest.raises(ValueError, match=rf"first_gear = {gear}: allowed is 0 to 2"):
-        DirectFrequencies(frequencies=(0.0, 1.0, 2.5), first_gear=gear)

@@ -37,9 +37,3 @@ def test_drift_work_nearness_and_danger_add_up_as_in_the_paper(
 ) -> None:
     reward = StationReward(work_reference=2.0).compute(**QUIET | what)
     assert reward.item() == pytest.approx(expected)
-
-
-@pytest.mark.parametrize("bad", [{"near_bl": 4.0}, {"rim_bl": -0.1}])
-def test_an_area_with_nothing_in_it_is_refused(bad: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=next(iter(bad))):
-        SafeArea(**bad)

@@ -18,44 +18,42 @@ def observe_series(steering: Steering, y: list[float], heading: float = pi) -> T
     seen = [steering.observe(each, each, heads) for each in place]
     return torch.stack(seen[-steering.num_stacked :], 1)
 
-
-def test_a_fish_above_the_line_turns_downwards_and_one_below_upwards() -> None:
-    steering = PIDSteering(num_stacked=2, gain=0.5, integral_gain=0.0)
-    turn = steering.turn(torch.cat([observe_series(steering, [y, y]) for y in (0.2, -0.2, 0.0)]))
-    torch.testing.assert_close(turn, torch.tensor([0.1, -0.1, 0.0]).double())
     # heading pi + 0.1 points to (-cos 0.1, -sin 0.1): down
+
+
+@pytest.mark.parametrize(
+    ("gains", "offsets", "heading", "expected"),
+    [
+        ((0.5, 0.0, 0.0), [0.2, 0.2], pi, 0.1),  # above the line: pi + 0.1 points down
+        ((0.5, 0.0, 0.0), [-0.2, -0.2], pi, -0.1),
+        ((0.5, 0.0, 0.0), [0.0, 0.0], pi - 0.15, 0.15),  # back upstream
+        ((0.0, 0.0, 1.0), [0.0, 0.1], pi, 0.1),  # against a growing offset
+        ((0.0, 0.5, 0.0), [0.9, 0.3, 0.2, 0.1, 0.0], pi, 0.5 * 0.15),  # four are remembered
+        ((5.0, 0.0, 0.0), [1.0, 1.0], pi, radians(8.0)),  # the turn is bounded
+        ((5.0, 0.0, 0.0), [1.0, 1.0], pi + radians(19.0), radians(1.0)),  # so is the target angle
+    ],
+)
+def test_a_pid_controller_turns_towards_the_line_within_its_bounds(
+    gains: tuple[float, ...], offsets: list[float], heading: float, expected: float
+) -> None:
+    gain, integral_gain, damping = gains
+    steering = PIDSteering(
+        num_stacked=min(4, len(offsets)),
+        gain=gain,
+        integral_gain=integral_gain,
+        damping=damping,
+        max_angle_degrees=20.0,
+        max_turn_degrees=9.0 if expected == 0.15 else 8.0,
+    )
+    assert steering.turn(observe_series(steering, offsets, heading)).item() == pytest.approx(
+        expected
+    )
 
 
 def test_the_sway_of_the_nose_is_not_steered_against() -> None:
     nose, middle = torch.tensor([[1.5, 0.1]]).double(), torch.tensor([[2.0, 0.0]]).double()
     seen = PIDSteering().observe(nose, middle, torch.tensor([pi], dtype=torch.float64))
     assert PIDSteering().turn(seen[:, None].expand(-1, 32, -1)).item() == pytest.approx(0.0)
-
-
-def test_a_fish_that_heads_elsewhere_is_turned_back_upstream() -> None:
-    steering = PIDSteering()
-    turn = steering.turn(observe_series(steering, [0.0, 0.0], heading=pi - 0.15))
-    assert turn.item() == pytest.approx(0.15)
-
-
-def test_damping_turns_against_a_growing_offset() -> None:
-    steering = PIDSteering(gain=0.0, integral_gain=0.0, damping=1.0)
-    assert steering.turn(observe_series(steering, [0.0, 0.1])).item() == pytest.approx(0.1)
-
-
-def test_a_fish_that_long_was_beside_the_line_aims_across_it() -> None:
-    steering = PIDSteering(num_stacked=4, gain=0.0, integral_gain=0.5)
-    turn = steering.turn(
-        observe_series(steering, [0.9, 0.3, 0.2, 0.1, 0.0])
-    )  # of which four are kept
-    assert turn.item() == pytest.approx(0.5 * 0.15)
-
-
-def test_the_turn_of_an_interval_and_the_angle_off_upstream_are_bounded() -> None:
-    steering = PIDSteering(gain=5.0, max_angle_degrees=20.0, max_turn_degrees=8.0)
-    assert steering.turn(observe_series(steering, [1.0, 1.0])).item() == pytest.approx(radians(8.0))
-    there = observe_series(steering, [1.0, 1.0], heading=pi + radians(19.0))
-    assert steering.turn(there).item() == pytest.approx(radians(1.0))
 
 
 def test_a_heading_and_the_same_a_turn_further_are_steered_alike() -> None:

@@ -200,11 +200,6 @@ def test_a_classifier_for_other_flows_or_sensors_is_refused_when_it_is_attached(
         TransformedEnv(SineEnv(), PredictedFlowLabel(machine=untrained(flows=FLOWS[:2])))
 
 
-def test_an_oracle_of_another_number_of_flows_is_refused() -> None:
-    with pytest.raises(ValueError, match="3 labelled flows, expected 2"):
-        make(TrueFlowLabel(num_flows=2))
-
-
 @pytest.mark.usefixtures("kinematic")
 def test_a_task_without_a_lateral_line_is_refused() -> None:
     env = TransformedEnv(FlowEnv(task=Predation(**SMALL), num_envs=1, compile_flow=False))

@@ -54,12 +54,6 @@ def test_everything_that_a_scene_names_can_be_read(kind: str) -> None:
     assert values["vorticity"].float().mean() == pytest.approx(0.02 * task.scales.period, rel=1e-3)
 
 
-def test_only_predation_has_a_goal() -> None:
-    goal = make_task("predation").make_scene().goal
-    assert goal is not None and goal.key == "food"
-    assert make_task("gait").make_scene().goal is None
-
-
 def test_the_danger_area_of_the_scene_is_that_of_the_task() -> None:
     task = make_task("gait")
     assert isinstance(task, KarmanGait)

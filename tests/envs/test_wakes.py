@@ -88,12 +88,6 @@ def test_a_wake_without_vortices_is_an_error(
     assert "wakes   0%" in shown and "/4 D/U [" in shown
 
 
-def test_a_phase_names_the_snapshot_before_it(bank: WakeBank) -> None:
-    flow = torch.zeros(3, dtype=torch.int64)
-    taken = bank.take(flow, torch.tensor([0.0, 0.49, 0.999]))
-    assert torch.equal(taken, bank.populations[0, [0, 1, 3]])
-
-
 def test_a_file_is_made_once_and_read_the_next_time(
     bank: WakeBank,
     tmp_path: Path,
@@ -137,16 +131,3 @@ def test_a_wake_that_diverges_is_an_error_with_a_remedy() -> None:
     outside = replace(RECIPE, position=(1.0, 23.5), num_travels=1.0)
     with pytest.raises(ValueError, match=r"the wake at 0.1200 nodes per step diverged: lower"):
         develop_wakes(outside, compile=False)
-
-
-@pytest.mark.parametrize(
-    ("bad", "message"),
-    [
-        ({"speeds": ()}, r"speeds = \(\): give at least one"),
-        ({"num_phases": 0}, "num_phases = 0: must be at least 1"),
-        ({"config": replace(RECIPE.config, bodies=())}, "has 0 bodies: give the obstacle alone"),
-    ],
-)
-def test_recipes_that_cannot_be_are_refused(bad: dict, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        replace(RECIPE, **bad)

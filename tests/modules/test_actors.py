@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from fishrl.modules import make_actor, make_mlp, make_twin_critics
+from fishrl.modules import make_actor, make_twin_critics
 
 
 def states(num: int, *, num_actions: int = 3) -> TensorDict:
@@ -15,14 +15,6 @@ def states(num: int, *, num_actions: int = 3) -> TensorDict:
     mask[torch.arange(num), torch.randint(num_actions, (num,), generator=generator)] = True
     stack = torch.randn(num, 16, generator=generator)
     return TensorDict({"observation_stack": stack, "action_mask": mask}, [num])
-
-
-def test_network_of_the_paper_is_16_256_256_3() -> None:
-    network = make_mlp((16, 256, 256, 3))
-    shapes = [
-        tuple(weight.shape) for name, weight in network.named_parameters() if "weight" in name
-    ]
-    assert shapes == [(256, 16), (256, 256), (3, 256)]
 
 
 def test_sampled_and_greedy_actions_are_legal() -> None:

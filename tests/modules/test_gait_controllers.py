@@ -1,7 +1,5 @@
 """Frequency controllers, and the action that follows a commanded frequency."""
 
-from typing import Any
-
 import pytest
 import torch
 from tensordict import TensorDict
@@ -86,9 +84,3 @@ def test_the_integral_grows_is_bounded_and_begins_anew_with_an_episode() -> None
 
     assert [want(True), want(), want(), want()] == pytest.approx([1.25, 1.5, 1.6, 1.6])
     assert want(True) == pytest.approx(1.25)
-
-
-@pytest.mark.parametrize("bad", [{"rows": ()}, {"rows": ROWS, "is_direct": True}])
-def test_rows_that_do_not_fit_the_actions_are_refused(bad: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match="give one row per flow, and with is_direct exactly one"):
-        GaitPolicy(controller=BangBang(), **bad)

@@ -21,12 +21,6 @@ def noise(*shape: int) -> torch.Tensor:
     return torch.randn(*shape, 5, 6, generator=torch.Generator().manual_seed(1))
 
 
-def test_it_gives_one_logit_per_flow_and_any_batch() -> None:
-    classifier = make()
-    assert classifier(noise(16)).shape == (3,)
-    assert classifier(noise(2, 7, 16)).shape == (2, 7, 3)
-
-
 def test_clock_and_place_are_left_out_unless_asked_for() -> None:
     signal = noise(4, 16)
     other = signal.clone()

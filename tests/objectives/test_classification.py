@@ -76,13 +76,6 @@ def test_one_generator_gives_one_split() -> None:
     assert torch.equal(first, again) and not torch.equal(first, other)
 
 
-@pytest.mark.parametrize("shares", [(0.5, 0.6), (1.0, 0.0), (1.2, -0.2)])
-def test_shares_that_are_none_are_refused(shares: tuple[float, ...]) -> None:
-    episode = torch.arange(4)
-    with pytest.raises(ValueError, match="must be positive and sum to 1"):
-        split_episodes(episode, 0 * episode, shares=shares, generator=generator())
-
-
 def test_too_few_episodes_of_a_class_are_refused() -> None:
     data = make_samples(8)  # two of class 2
     with pytest.raises(ValueError, match="class 2 has 2 episodes for 3 parts"):
@@ -148,17 +141,3 @@ def test_noise_on_a_feature_keeps_the_fit_from_relying_on_it() -> None:
     network = make_network()
     fit(network, parts, noise=names)
     assert score_classifier(network, parts[0]).accuracy < 0.6
-
-
-def test_the_settings_of_the_paper() -> None:
-    paper = FitSettings.of_the_paper()
-    assert (paper.learning_rate, paper.batch_size) == (0.01, 64)  # the paper, lateral-line machine
-    assert (paper.num_epochs, paper.patience) == (1000, None)
-
-
-@pytest.mark.parametrize("empty", [0, 1])
-def test_parts_without_samples_are_refused(empty: int) -> None:
-    parts = make_parts(9)
-    parts[empty] = parts[empty][:0]
-    with pytest.raises(ValueError, match="holds no samples"):
-        fit(make_network(), parts)

@@ -49,8 +49,3 @@ def test_the_stream_rises_smoothly_to_its_speed() -> None:
 def test_a_flow_that_cannot_run_is_refused(bad: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         FlowConfig(**({"width": 128, "height": 64, "tau": 0.6} | bad))  # type: ignore[arg-type]
-
-
-def test_a_sponge_without_length_is_refused() -> None:
-    with pytest.raises(ValueError, match="length = 0"):
-        Sponge(length=0)

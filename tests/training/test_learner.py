@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from fishrl.training import DRQN, DiscreteSAC
-from fishrl.training.metrics import Counters, measure_memory_mb
+from fishrl.training.metrics import measure_memory_mb
 from tests.training.conftest import QUICK, Toy
 
 
@@ -19,11 +19,6 @@ def test_a_state_without_legal_action_is_refused(toy: Toy) -> None:
     batch["next", "action_mask"][3] = False
     with pytest.raises(ValueError, match="a state has no legal action"):
         training.learner.remember(batch)
-
-
-def test_counters_of_something_else_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"\['config'\]"):
-        Counters().load_state_dict({**Counters().state_dict(), "config": {}})
 
 
 def count_tensors() -> int:

@@ -11,7 +11,6 @@ import pytest
 from fishrl.viewer import (
     FieldFormat,
     find_recording,
-    has_screen,
     open_recording,
     photograph_views,
     start_drawing,
@@ -142,13 +141,3 @@ def test_a_run_folder_stands_for_its_capture(
     (command,) = opened
     assert command[-1] == str(tmp_path / "capture.rrd")
     assert command[command.index("--bind") + 1] == "127.0.0.1"
-
-
-@pytest.mark.parametrize("variable", ["DISPLAY", "WAYLAND_DISPLAY"])
-def test_a_screen_is_known_by_its_variable(monkeypatch: pytest.MonkeyPatch, variable: str) -> None:
-    monkeypatch.setattr(sys, "platform", "linux")
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    assert not has_screen()
-    monkeypatch.setenv(variable, ":0")
-    assert has_screen()

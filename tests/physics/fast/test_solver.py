@@ -304,12 +304,6 @@ def test_wrong_calls_are_refused(call: object, message: str) -> None:
         call(solver)  # type: ignore[operator]
 
 
-@pytest.mark.parametrize("bad", [{"num_envs": 0}, {"num_workers": -1}])
-def test_an_impossible_batch_is_refused(bad: dict[str, int]) -> None:
-    with pytest.raises(ValueError, match=next(iter(bad))):
-        InPlaceSolver(**({"config": FlowConfig(width=32, height=32, tau=0.6), "num_envs": 1} | bad))
-
-
 def test_saved_states_keep_the_names_that_earlier_runs_wrote() -> None:
     solver = make_solver(make_swimmer_config(SCALES, length_bl=4, height_bl=3))
     assert "params.shapes[0].axial" in solver.state_dict()

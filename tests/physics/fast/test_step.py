@@ -137,11 +137,6 @@ def test_flows_in_one_launch_equal_flows_alone() -> None:
         )
 
 
-def test_launches_of_unequal_size_are_refused() -> None:
-    with pytest.raises(ValueError, match="must divide the number of flows 3"):
-        start(make_config(), flows_per_launch=2)
-
-
 def test_half_precision_storage_stays_near_single_precision() -> None:
     """Eleven bits of the deviation: a hundredth of the stream after 400 steps is ample.
 
