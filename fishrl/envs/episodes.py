@@ -60,7 +60,7 @@ def run_episodes(
     on_step: Callable[[Tensor, TensorDictBase], None] | None = None,
     on_frame: Callable[[Tensor, FlowEnv], None] | None = None,
 ) -> Episodes:
-    """Run one episode from each of E starts.
+    """Run one episode from each of E starts, and return their outcome.
 
     Starts go to the B rows in order, each to the first row that is free. A row without a start
     rests: its flow stands still, and what it reports is undefined.
@@ -69,21 +69,18 @@ def run_episodes(
     rows that do not concern the call.
 
     Args:
-        env: of a ``FlowEnv``; episodes under way in it are given up.
+        env: of a ``FlowEnv``; its current episodes are abandoned.
         policy: writes ``action`` ``[B]``.
         starts: ``[E]``, as ``task.sample_starts`` returns.
         max_decisions: after which all episodes are left; those still open then count as neither
             succeeded nor terminated. By default the time limit of the env ends them.
         exploration: how a learned policy chooses: greedily by default, or drawn at random.
-        on_begin: called with the rows that have just begun an episode, and the state ``[B]`` after
-            their reset.
-        on_step: called after each decision with the rows that were running in it, and the step
-            ``[B]`` as the env returns it; flows and ``FlowEnv.now`` are still those of its end.
-        on_frame: called ``frames_per_action`` times within a decision, at equal distances, with the
-            rows that are running and the ``FlowEnv``; without it, ``FlowEnv.on_frame`` stays.
-
-    Returns:
-        The outcome of each start.
+        on_begin: called with the rows that have just begun, and the state ``[B]`` after their
+            reset.
+        on_step: called after each decision with the rows that ran, and the step ``[B]`` as the env
+            returns it; flows and ``FlowEnv.now`` are still those of its end.
+        on_frame: called ``frames_per_action`` times within a decision, at equal intervals, with the
+            running rows and the ``FlowEnv``; without it, ``FlowEnv.on_frame`` stays.
     """
     base, num_starts = env.base_env, starts.shape[0]
     device, num_rows = base.device, env.batch_size[0]

@@ -184,7 +184,7 @@ class FlowVectorEnv(VectorEnv):
         )
         return fresh.exclude("_reset")
 
-    def _read(self, name: str, given: Any, kind: type[np.generic]) -> Array:
+    def _read(self, name: str, given: Any, kind: Any) -> Array:
         """Return one value of a ``kind`` per row."""
         values = np.asarray(given)
         if values.shape != (self.num_envs,) or not np.issubdtype(values.dtype, kind):

@@ -48,10 +48,10 @@ class Marks:
         key: of their tensor.
         radius: of a point, nodes.
         colour: where no value gives one.
-        value: key of the values ``[P]``; they are drawn in diverging colours around zero.
-        name: of the value, for the legend.
+        value: key of the values ``[P]``, drawn in diverging colours that saturate at ``limit``.
+        name: of the value, for the legend, like ``unit``.
         unit: of the value.
-        limit: value at which the colours saturate.
+        limit: see ``value``.
         reach: radius of a circle around each, nodes; 0 draws none.
     """
 
@@ -141,17 +141,8 @@ class Choice:
 class Scene:
     """What is drawn of each flow of a task on a grid of ``width`` x ``height`` nodes.
 
-    Args:
-        body_length: L, nodes.
-        width: nodes along x.
-        height: nodes along y.
-        field: the flow.
-        curves: bodies and lines, from below to above.
-        marks: points; one with a ``reach`` is the goal.
-        trails: paths of points.
-        areas: rectangles.
-        panels: plots beside the flow.
-        note: what else one should know, markdown.
+    ``body_length`` L is in nodes. ``curves`` lie from below to above; one of ``marks`` with a
+    ``reach`` is the goal; ``panels`` are plots beside the flow; ``note`` is markdown.
     """
 
     body_length: float

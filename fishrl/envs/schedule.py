@@ -5,14 +5,10 @@ from typing import NamedTuple
 
 
 class Stretch(NamedTuple):
-    """Steps up to the next event.
+    """Steps up to the next event, an even number, and what happens after them.
 
-    Attributes:
-        num_steps: number of steps, even.
-        is_check: check for termination after them.
-        is_frame: call ``on_frame`` after them.
-        is_sample: record sensor samples after them.
-        is_last: the action ends after them.
+    ``is_check``: termination is checked; ``is_frame``: ``on_frame`` is called; ``is_sample``:
+    sensors are read; ``is_last``: the action ends.
     """
 
     num_steps: int

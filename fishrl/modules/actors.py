@@ -50,15 +50,7 @@ def make_actor(
     Reads ``observation_stack`` ``[..., num_inputs]`` and ``action_mask`` ``[..., num_actions]``
     (bool), writes ``logits`` ``[..., num_actions]`` and the integer ``action`` ``[...]``. Under
     ``ExplorationType.DETERMINISTIC`` the action is the most probable legal one, otherwise a sample.
-
-    Args:
-        num_inputs: length of the stacked observation.
-        num_actions: number of actions, legal or not.
-        hidden: widths of the hidden layers.
-        generator: source of the initial weights.
-
-    Raises:
-        ValueError: if a width is smaller than 1.
+    ``hidden`` are the widths of the hidden layers; ``generator`` draws the initial weights.
     """
     network = make_mlp([num_inputs, *hidden, num_actions], generator=generator)
     return ProbabilisticActor(

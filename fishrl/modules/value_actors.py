@@ -49,15 +49,9 @@ def make_recurrent_value_actor(
 ) -> TensorDictSequential:
     """Build a network of action values whose last hidden layer is an LSTM.
 
-    It reads one ``observation``, ``action_mask``, ``is_init`` ``[..., 1]``, which resets the LSTM
-    state, and that state, ``MEMORY`` ``[..., 1, hidden[-1]]``; the new state is written under
-    ``next``. It writes the keys of ``make_value_actor``.
-
-    Args:
-        num_inputs: length of one observation.
-        num_actions: number of actions, legal or not.
-        hidden: widths of the hidden layers; the last is the size of the LSTM.
-        generator: source of the initial weights.
+    It reads one ``observation`` of length ``num_inputs``, ``action_mask``, ``is_init`` ``[...,
+    1]``, which resets the LSTM state, and that state, ``MEMORY`` ``[..., 1, hidden[-1]]``; the new
+    state is written under ``next``. It writes the keys of ``make_value_actor``.
 
     Raises:
         ValueError: if there is no hidden layer, or a width is smaller than 1.
@@ -130,14 +124,8 @@ class EpsilonGreedy(EGreedyModule):
     """Epsilon-greedy exploration: replace a decaying share of actions by random legal ones.
 
     Append it to a greedy policy. Under ``ExplorationType.DETERMINISTIC`` it does nothing. The
-    current epsilon is the buffer ``eps`` and part of the ``state_dict``.
-
-    Args:
-        num_actions: number of actions, legal or not.
-        start: initial epsilon.
-        end: final epsilon.
-        num_frames: decisions over which epsilon decays linearly.
-        device: of the actions.
+    current epsilon, which decays linearly from ``start`` to ``end`` over ``num_frames`` decisions,
+    is the buffer ``eps`` and part of the ``state_dict``.
     """
 
     def __init__(

@@ -89,8 +89,8 @@ class RecurrentDQNLoss(MaskedDQNLoss):
     def _set_in_keys(self) -> None:
         """List the entries that a transition must have (no LSTM state of the next state)."""
         after = (*self._SEEN, "reward", "done", "terminated")
-        self._in_keys = ["action", "is_init", *self._MEMORY, *self._SEEN]
-        self._in_keys += [("next", key) for key in after]
+        following = (("next", key) for key in after)
+        self._in_keys = ["action", "is_init", *self._MEMORY, *self._SEEN, *following]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
         """Compute ``loss_qvalue``, the mean over real transitions of a batch ``[N * L]``."""

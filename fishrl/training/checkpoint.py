@@ -42,14 +42,8 @@ def save_checkpoint(
 ) -> None:
     """Write the components' states to a folder, replacing it only once they are on the disk.
 
-    Args:
-        path: the folder.
-        components: objects with ``state_dict`` and ``load_state_dict``.
-        spec: task and sizes, compared on loading.
-        frames: env frames so far.
-        config: the whole configuration of the run.
-        keep: how many checkpoints are kept, this one included; older ones get their frames behind
-            their name.
+    Components have ``state_dict`` and ``load_state_dict``. Of checkpoints before, ``keep`` - 1
+    stay, with their frames behind their name.
 
     Raises:
         CheckpointNotWritten: if the disk is full or the folder cannot be written.

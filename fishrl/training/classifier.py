@@ -26,10 +26,7 @@ def load_recognition(choice: Recognition, folder: Path = Path()) -> Recognition:
 
 
 def find_classifier(choice: str | None, folder: Path) -> str | None:
-    """Return the setting of a run with its own classifier as a path, wherever the run lies now.
-
-    ``folder`` is that of the run, or one of its checkpoints.
-    """
+    """Return the setting of a run with its own classifier as a path, wherever the run lies now."""
     if choice != OWN:
         return choice
     places = [place / OWN for place in (folder, *folder.resolve().parents[:2])]

@@ -87,13 +87,7 @@ def make_collector(
 ) -> Any:
     """Make the collector of a run, in this process or in those of a cluster.
 
-    Args:
-        plan: settings of the run.
-        task: its task, as ``recognition`` equips it.
-        learner: its explorer acts.
-        make_env: makes the env of a task, such as ``fishrl.envs.make_env``.
-        recognition: source of flow labels, see there.
-        seed: of the flows.
+    ``task`` is that of the plan, as ``recognition`` equips it; the learner's explorer acts.
     """
     settings, device = plan.learning, plan.run.device
     given: dict[str, Any] = {} if recognition is None else {"recognition": recognition}

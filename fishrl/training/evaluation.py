@@ -33,13 +33,10 @@ class Evaluator:
         on_episodes: Callable[[int], None] | None = None,
         on_step: Callable[[TensorDictBase], None] | None = None,
     ) -> Episodes:
-        """Run one episode from each start.
+        """Run one episode from each of the ``starts`` ``[E]``; a learned policy acts greedily.
 
-        Args:
-            policy: writes ``action``; a learned one acts greedily.
-            starts: ``[E]``, as ``fixed_starts`` gives.
-            on_episodes: called after each decision with the number of episodes that it ended.
-            on_step: called after each decision with what the env returned.
+        After each decision ``on_episodes`` gets the number of episodes that it ended, and
+        ``on_step`` what the env returned.
         """
 
         def follow(start_of: Tensor, step: TensorDictBase) -> None:

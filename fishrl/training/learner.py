@@ -21,8 +21,8 @@ class Learner:
     """Replay buffer, loss with target networks, and optimiser; the same for every algorithm.
 
     Args:
-        actor: the policy that is evaluated and saved; under ``ExplorationType.DETERMINISTIC`` it
-            acts greedily.
+        actor: the policy that is evaluated and saved, greedy under
+            ``ExplorationType.DETERMINISTIC``.
         explorer: the policy that collects, with the same weights; the collector saves its state.
         loss: the sum of its entries ``loss_...`` is minimised; all are logged as ``train/<name>``.
         settings: settings that all algorithms share.

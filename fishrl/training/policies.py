@@ -93,8 +93,7 @@ def evaluate(
         **hooks: ``make_env``, ``observer`` and ``progress``, see ``Hooks``.
 
     Returns:
-        ``success_rate``, ``mean_return``, ``mean_length_T``, ``mean_time_to_success_T``,
-        ``episodes`` and ``diverged``.
+        The numbers of ``Episodes.metrics``.
 
     Raises:
         ValueError: for invalid settings, and checkpoints that do not fit the task.

@@ -65,12 +65,8 @@ def name_panel(panel: Panel | Choice) -> str:
 class Drawing:
     """Flows of one task, drawn frame by frame into a stream that goes to a file or a viewer.
 
-    Args:
-        stream: rerun's ``RecordingStream``, with its sinks.
-        scene: what is drawn.
-        flows: titles of the flows, by their index.
-        field_format: how the field is stored.
-        is_live: whether it goes to a viewer too, which may end earlier.
+    ``stream`` is rerun's ``RecordingStream`` with its sinks, ``flows`` the titles of the flows by
+    index; with ``is_live`` it goes to a viewer too, which may end earlier.
     """
 
     def __init__(

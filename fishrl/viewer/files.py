@@ -30,14 +30,10 @@ def start_drawing(
     url: str | None = None,
     field_format: FieldFormat | str = FieldFormat.JPEG,
 ) -> Drawing:
-    """Begin to draw flows into a file, a viewer, or both.
+    """Begin to draw flows, given their titles by index, into a file, a viewer, or both.
 
-    Args:
-        scene: what is drawn.
-        flows: titles of the flows, by their index.
-        save: path of the ``.rrd`` file; one that exists is replaced.
-        url: of a viewer's server, see ``live.Server``.
-        field_format: ``jpeg`` or ``u8``.
+    ``save`` is the path of the ``.rrd`` file (one that exists is replaced), ``url`` that of a
+    viewer's server, see ``live.Server``; ``field_format`` is ``jpeg`` or ``u8``.
 
     Raises:
         ValueError: if the format is unknown, or neither file nor viewer is given.

@@ -121,16 +121,9 @@ def solve_body_force(
 ) -> tuple[Tensor, list[RigidUpdate]]:
     """Find the marker force and the new rigid velocities of all bodies together.
 
-    ``config.force_solve`` is P. Explicit coupling is the paper's with corrected sign: the body
+    ``config.force_solve`` is P, ``velocity`` ``[B, 2, N]`` and ``rho`` ``[B, N]`` are those of the
+    unforced fluid at the markers. Explicit coupling is the paper's with corrected sign: the body
     feels minus the force on the fluid.
-
-    Args:
-        config: of the flows.
-        params: of each body.
-        states: of each body at the start of the step.
-        geometry: of the bodies at this step.
-        velocity: ``[B, 2, N]`` unforced fluid velocity at the markers.
-        rho: ``[B, N]`` fluid density at the markers.
 
     Returns:
         g ``[B, 2, N]``, with F = 2 rho g per unit length, and an update per body.

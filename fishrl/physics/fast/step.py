@@ -63,13 +63,8 @@ class Scratch:
 class FlowGroup:
     """One group of flows that advance together: the views of its memory that a step needs.
 
-    Args:
-        config: of the flows.
-        layout: of the group.
-        scratch: that it shares.
-        populations: ``[num_slots]`` of the group.
-        omega: ``[B, 1]`` or ``[B, cells]`` relaxation rates.
-        flow: the group's numbers, views of the batch.
+    ``populations`` ``[num_slots]``, ``omega`` ``[B, 1]`` or ``[B, cells]`` and ``flow`` are the
+    group's own part of the batch.
 
     Attributes:
         arguments: of each kernel, at even and odd steps.
