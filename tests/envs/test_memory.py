@@ -103,18 +103,6 @@ def test_memory_lasts_from_decision_to_decision_and_begins_anew_with_its_row() -
     assert act(env, 0, 1)["total"].squeeze(-1).tolist() == [0.0, 2.0]
 
 
-def test_a_diverged_row_keeps_what_it_sensed_and_remembered_before() -> None:
-    env = make(2)
-    env.reset()
-    act(env, 1, 1)
-    before = env.now.clone()
-    env.solver.body.position[1] = torch.nan
-    after = act(env, 1, 1)
-    assert after["diverged"].squeeze(-1).tolist() == [False, True]
-    assert (env.now[1] == before[1]).all()
-    assert after["total"].squeeze(-1).tolist() == [2.0, 1.0]
-
-
 def test_what_a_transform_says_reaches_the_command_and_the_stack() -> None:
     task = MemoryTask(**SMALL)
     env = make_env(task=task, num_envs=2, compile=False, transforms=[AddHint()])
@@ -125,15 +113,6 @@ def test_what_a_transform_says_reaches_the_command_and_the_stack() -> None:
     turned = env.base_env.now["heading"] - heading
     expected = torch.stack((torch.zeros(()), state["hint"][1])).double()
     torch.testing.assert_close(turned, expected, rtol=0, atol=1e-12)
-
-
-def test_a_saved_environment_goes_on_with_its_memory() -> None:
-    env, other = make(2), make(2)
-    env.reset()
-    act(env, 1, 0)
-    other.load_state_dict(env.state_dict())
-    assert (act(env, 1, 1) == act(other, 1, 1)).all()
-    assert (env.now == other.now).all()
 
 
 def test_the_specs_hold_with_series_of_several_dimensions() -> None:

@@ -15,41 +15,10 @@ from torchrl.objectives import DiscreteSACLoss, SoftUpdate
 
 from fishrl.modules import make_actor, make_mlp, make_twin_critics
 from fishrl.objectives import MaskedDiscreteSACLoss
+from tests.objectives.transitions import NUM_ACTIONS, NUM_INPUTS, make_transitions
 
-NUM_ACTIONS, NUM_INPUTS = 4, 6
 pytestmark = pytest.mark.filterwarnings("ignore:No target network updater")
 LOSSES = ("loss_actor", "loss_qvalue", "loss_alpha", "entropy")
-
-
-def random_mask(num: int, generator: torch.Generator) -> torch.Tensor:
-    mask = torch.rand(num, NUM_ACTIONS, generator=generator) > 0.5
-    mask[torch.arange(num), torch.randint(NUM_ACTIONS, (num,), generator=generator)] = True
-    return mask
-
-
-def transitions(num: int = 64, *, is_all_legal: bool = False) -> TensorDict:
-    generator = torch.Generator().manual_seed(3)
-    mask, next_mask = random_mask(num, generator), random_mask(num, generator)
-    if is_all_legal:
-        mask, next_mask = torch.ones_like(mask), torch.ones_like(mask)
-    terminated = torch.rand(num, 1, generator=generator) < 0.2
-    truncated = torch.rand(num, 1, generator=generator) < 0.2
-    following = {
-        "observation_stack": torch.randn(num, NUM_INPUTS, generator=generator),
-        "action_mask": next_mask,
-        "reward": torch.randn(num, 1, generator=generator),
-        "done": terminated | truncated,
-        "terminated": terminated,
-    }
-    return TensorDict(
-        {
-            "observation_stack": torch.randn(num, NUM_INPUTS, generator=generator),
-            "action_mask": mask,
-            "action": torch.multinomial(mask.float(), 1, generator=generator).squeeze(-1),
-            "next": TensorDict(following, [num]),
-        },
-        [num],
-    )
 
 
 def actor_with(neg_inf: float) -> ProbabilisticActor:
@@ -110,7 +79,7 @@ def is_finite(out: TensorDict, gradients: dict[str, torch.Tensor]) -> bool:
 
 
 def test_equals_the_parent_bit_for_bit_when_every_action_is_legal() -> None:
-    data = transitions(is_all_legal=True)
+    data = make_transitions(is_all_legal=True)
     ours, our_gradients = backward(make_loss(), data)
     theirs, their_gradients = backward(make_parent(), data)
     for key in (*LOSSES, "alpha"):
@@ -122,16 +91,16 @@ def test_equals_the_parent_bit_for_bit_when_every_action_is_legal() -> None:
 
 @pytest.mark.parametrize("neg_inf", [-math.inf, -1e9])
 def test_losses_and_gradients_are_finite_under_masks(neg_inf: float) -> None:
-    assert is_finite(*backward(make_loss(neg_inf=neg_inf), transitions()))
+    assert is_finite(*backward(make_loss(neg_inf=neg_inf), make_transitions()))
 
 
 def test_d1_the_parent_gives_nan_under_masks_with_its_default_logit() -> None:
-    assert not is_finite(*backward(make_parent(neg_inf=-math.inf), transitions()))
+    assert not is_finite(*backward(make_parent(neg_inf=-math.inf), make_transitions()))
 
 
 def test_actor_gradients_equal_the_parents_with_finite_illegal_logits() -> None:
-    _, ours = backward(make_loss(), transitions())
-    _, theirs = backward(make_parent(), transitions())
+    _, ours = backward(make_loss(), make_transitions())
+    _, theirs = backward(make_parent(), make_transitions())
     for name in ours:
         if "alpha" not in name:
             assert torch.allclose(ours[name], theirs[name], atol=1e-6), name
@@ -157,7 +126,7 @@ def reference_target(loss: DiscreteSACLoss, data: TensorDict) -> torch.Tensor:
 
 
 def test_d3_the_target_bootstraps_truncated_states_but_not_terminated_ones() -> None:
-    data, loss = transitions(), make_loss()
+    data, loss = make_transitions(), make_loss()
     with torch.no_grad():
         target = loss._compute_target(data)
         assert torch.allclose(target, reference_target(loss, data), atol=1e-5)
@@ -170,7 +139,7 @@ def test_d3_the_target_bootstraps_truncated_states_but_not_terminated_ones() -> 
 
 
 def test_the_target_obeys_the_mask_of_the_next_state_and_of_no_other() -> None:
-    data, loss = transitions(), make_loss()
+    data, loss = make_transitions(), make_loss()
     target = loss._compute_target(data)
     changed = data.clone()
     changed["action_mask"] = torch.ones_like(changed["action_mask"])
@@ -191,7 +160,7 @@ def alpha_after(loss: DiscreteSACLoss, data: TensorDict, *, num_steps: int) -> t
 
 
 def test_d4_the_temperature_settles_where_the_parents_runs_away() -> None:
-    data = transitions()
+    data = make_transitions()
     num_legal = data["action_mask"].sum(-1)
     largest = num_legal.double().log()
     assert largest.mean() < 0.98 * math.log(NUM_ACTIONS)  # the parent asks for the unreachable
@@ -203,7 +172,7 @@ def test_d4_the_temperature_settles_where_the_parents_runs_away() -> None:
 
 
 def test_states_without_a_choice_say_nothing_about_the_temperature() -> None:
-    data = transitions()
+    data = make_transitions()
     data["action_mask"] = nn.functional.one_hot(data["action"], NUM_ACTIONS).bool()
     loss = make_loss()
     out, gradients = backward(loss, data)
@@ -213,7 +182,7 @@ def test_states_without_a_choice_say_nothing_about_the_temperature() -> None:
 
 
 def test_d5_a_row_without_legal_actions_stays_finite_and_moves_no_policy() -> None:
-    data = transitions()
+    data = make_transitions()
     data["action_mask"][0] = False
     data["next", "action_mask"][0] = False
     loss = make_loss()

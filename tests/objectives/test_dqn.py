@@ -12,36 +12,10 @@ from torchrl.objectives import SoftUpdate
 
 from fishrl.modules import make_recurrent_value_actor, make_value_actor
 from fishrl.objectives import MaskedDQNLoss, RecurrentDQNLoss
+from tests.objectives.transitions import NUM_ACTIONS, NUM_INPUTS, make_transitions
 
-NUM_ACTIONS, NUM_INPUTS, GAMMA, LENGTH, WIDTH = 4, 5, 0.9, 6, 7
+GAMMA, LENGTH, WIDTH = 0.9, 6, 7
 pytestmark = pytest.mark.filterwarnings("ignore:No target network updater")
-
-
-def random_mask(*shape: int) -> Tensor:
-    mask = torch.rand(*shape, NUM_ACTIONS) > 0.5
-    return mask.scatter(-1, torch.randint(NUM_ACTIONS, (*shape, 1)), True)
-
-
-def transitions(num: int = 64, key: str = "observation_stack") -> TensorDict:
-    torch.manual_seed(3)
-    mask, terminated = random_mask(num), torch.rand(num, 1) < 0.2
-    truncated = torch.rand(num, 1) < 0.2
-    following = {
-        key: torch.randn(num, NUM_INPUTS),
-        "action_mask": random_mask(num),
-        "reward": torch.randn(num, 1),
-        "done": terminated | truncated,
-        "terminated": terminated,
-    }
-    return TensorDict(
-        {
-            key: torch.randn(num, NUM_INPUTS),
-            "action_mask": mask,
-            "action": torch.multinomial(mask.float(), 1).squeeze(-1),
-            "next": TensorDict(following, [num]),
-        },
-        [num],
-    )
 
 
 def shift_targets(loss: MaskedDQNLoss) -> None:
@@ -71,7 +45,7 @@ def values_of(loss: MaskedDQNLoss, states: Tensor, *, is_target: bool) -> Tensor
 
 @pytest.mark.parametrize("is_double", [False, True])
 def test_the_loss_is_that_of_the_papers_among_legal_actions(is_double: bool) -> None:
-    loss, batch = make_loss(is_double=is_double), transitions()
+    loss, batch = make_loss(is_double=is_double), make_transitions()
     after = batch["next"]
     with torch.no_grad():
         target = values_of(loss, after["observation_stack"], is_target=True)
@@ -85,7 +59,7 @@ def test_the_loss_is_that_of_the_papers_among_legal_actions(is_double: bool) -> 
 
 @pytest.mark.parametrize("is_double", [False, True])
 def test_values_of_illegal_actions_change_nothing(is_double: bool) -> None:
-    loss, batch = make_loss(is_double=is_double), transitions()
+    loss, batch = make_loss(is_double=is_double), make_transitions()
     for td in (batch, batch["next"]):
         td["action_mask"] = torch.tensor([True, True, True, False]).expand(64, -1)
     batch["action"] = batch["action"] % 3
@@ -120,7 +94,8 @@ def make_recurrent_loss(
 
 def stretches(num: int = 5) -> TensorDict:
     """Return stretches of 6 decisions, as the sampler gives them; the second is 3 long."""
-    batch = transitions(num * LENGTH, "observation").reshape(num, LENGTH)
+    torch.manual_seed(3)
+    batch = make_transitions(num * LENGTH, key="observation").reshape(num, LENGTH)
     for key in ("observation", "action_mask"):
         batch[key][:, 1:] = batch["next", key][:, :-1]
     batch["action"] = torch.multinomial(batch["action_mask"].flatten(0, 1).float(), 1).reshape(

@@ -32,9 +32,7 @@ def test_the_stream_rises_smoothly_to_its_speed() -> None:
     [
         ({"tau": 0.5}, "tau = 0.50000 lies outside the validated range"),
         ({"width": 8.5}, "width = 8.5: .* whole number"),
-        ({"height": math.nan}, "height = nan: must be finite, at least 4"),
         ({"stream_speed": math.nan}, "stream_speed = nan: must be finite"),
-        ({"ramp_steps": -1}, "ramp_steps = -1"),
         ({"bodies": (Fish(body_length=70),)}, "does not fit into 128 x 64 nodes"),
         (
             {"bodies": (Cylinder(diameter=9), Fish(body_length=24))},

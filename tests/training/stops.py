@@ -1,8 +1,12 @@
-"""Trainings that receive SIGTERM in the middle of a step."""
+"""Trainings that receive a signal in the middle of a step."""
 
 from __future__ import annotations
 
+import os
 import signal
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,11 +18,7 @@ from fishrl.training.loop import Training
 def run_and_stop(training: Training, env: Any, *, step: int, evaluating: bool = False) -> None:
     """Run a training that gets a SIGTERM in one step of its flows, and fail unless it obeys.
 
-    Args:
-        training: to run.
-        env: class of its environment.
-        step: the number, from 1, of the step among those that collect, or that evaluate.
-        evaluating: count the steps of evaluations, which have starts of their own.
+    ``step`` is counted, from 1, among those that collect, or that evaluate with starts of its own.
     """
     original, left = env._step, [step]
 
@@ -32,3 +32,37 @@ def run_and_stop(training: Training, env: Any, *, step: int, evaluating: bool = 
         patch.setattr(env, "_step", step_and_count)
         with pytest.raises(Interrupted, match="SIGTERM"):
             training.run()
+
+
+SIGNALLED_RUN = """
+import os, sys
+from pathlib import Path
+from fishrl.training import Interrupted, begin, complete
+from tests.training.conftest import QUICK, make_toy_plan
+from tests.training.toy_fish import ToyFishEnv, make_toy_env
+step, num_steps = ToyFishEnv._step, [0]
+def step_and_signal(self, td):
+    num_steps[0] += self.starts is None  # not of evaluations
+    if num_steps[0] == int(sys.argv[3]):
+        os.kill(os.getpid(), int(sys.argv[2]))
+    return step(self, td)
+ToyFishEnv._step = step_and_signal
+plan = make_toy_plan(Path(sys.argv[1]), name="run", **QUICK)
+try:
+    complete(begin(plan, make_env=make_toy_env))
+except Interrupted as end:
+    sys.exit(128 + end.number)
+"""
+
+
+def run_and_signal(folder: Path, number: int, *, step: int) -> tuple[int, str]:
+    """Return exit status and errors of a run in another process, signalled in one of its steps."""
+    done = subprocess.run(
+        [sys.executable, "-c", SIGNALLED_RUN, str(folder), str(int(number)), str(step)],
+        cwd=Path(__file__).parents[2],
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    return done.returncode, done.stderr

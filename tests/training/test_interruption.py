@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -13,39 +12,12 @@ import pytest
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children
 from tests.training.conftest import Toy
-from tests.training.test_runs import ROOT
-
-SIGNALLED_RUN = """
-import os, signal, sys
-from pathlib import Path
-from fishrl.training import Interrupted, begin, complete
-from tests.training.conftest import QUICK, make_toy_plan
-from tests.training.toy_fish import ToyFishEnv, make_toy_env
-step, num_steps = ToyFishEnv._step, [0]
-def step_and_signal(self, td):
-    num_steps[0] += 1
-    if num_steps[0] == 5:
-        os.kill(os.getpid(), signal.SIGTERM)
-    return step(self, td)
-ToyFishEnv._step = step_and_signal
-plan = make_toy_plan(Path(sys.argv[1]), name="run", **QUICK)
-try:
-    complete(begin(plan, make_env=make_toy_env))
-except Interrupted as end:
-    sys.exit(128 + end.number)
-"""
+from tests.training.stops import run_and_signal
 
 
 def test_a_signal_ends_a_run_with_everything_saved(toy: Toy) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", SIGNALLED_RUN, str(toy.folder)],
-        cwd=ROOT,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-        check=False,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 128 + signal.SIGTERM, done.stderr
+    code, said = run_and_signal(toy.folder, signal.SIGTERM, step=5)
+    assert code == 128 + signal.SIGTERM, said
     run = toy.folder / "run"
     assert read_metadata(run, which="last")[1]["frames"] == 40
     assert not (run / "failure.txt").exists()

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +25,8 @@ from fishrl.training import (
 from fishrl.training.run_folder import read_config, write_yaml
 from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
 from tests.training.conftest import QUICK, Toy, assert_equal_weights, make_toy_plan
-from tests.training.stops import run_and_stop
+from tests.training.stops import run_and_signal, run_and_stop
 from tests.training.toy_fish import ToyFishEnv, make_toy_env
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.usefixtures("kinematic")
@@ -50,39 +45,16 @@ def test_a_library_user_trains_evaluates_and_resumes_in_ten_lines(tmp_path: Path
     assert (summary["frames"], longer["frames"]) == (40, 48)
 
 
-KILLED_RUN = """
-import os, signal, sys
-from pathlib import Path
-from fishrl.training import begin
-from tests.training.conftest import make_toy_plan
-from tests.training.toy_fish import ToyFishEnv, make_toy_env
-step, num_steps = ToyFishEnv._step, [0]
-def step_or_die(self, td):
-    num_steps[0] += self.starts is None  # not of evaluations
-    if num_steps[0] == 23:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return step(self, td)
-ToyFishEnv._step = step_or_die
-begin(make_toy_plan(Path(sys.argv[1]), name="killed"), make_env=make_toy_env).run()
-"""
-
-
 def test_a_run_killed_and_resumed_equals_one_that_was_not(toy: Toy) -> None:
-    whole = toy.begin(name="whole")
+    whole = toy.begin(name="whole", **QUICK)
     whole.run()
-    killed = subprocess.run(
-        [sys.executable, "-c", KILLED_RUN, str(toy.folder)],
-        cwd=ROOT,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-        check=False,
-        capture_output=True,
-    )
-    assert killed.returncode == -signal.SIGKILL, killed.stderr.decode()
-    assert toy.rows("killed")[-1]["frames"] == "160"  # killed at 184, last checkpoint at 160
-    resumed = toy.reopen("killed")
+    code, said = run_and_signal(toy.folder, signal.SIGKILL, step=23)
+    assert code == -signal.SIGKILL, said
+    assert toy.rows("run")[-1]["frames"] == "160"  # killed at 184, last checkpoint at 160
+    resumed = toy.reopen("run")
     assert resumed.counters.frames == 160
     resumed.run()
-    assert toy.rows("killed") == toy.rows("whole")
+    assert toy.rows("run") == toy.rows("whole")
     assert_equal_weights(resumed, whole)
 
 

@@ -24,9 +24,7 @@ def test_every_number_of_both_has_bounds_and_none_is_in_both() -> None:
     [
         {"gamma": nan},
         {"learning_rate": inf},
-        {"learning_rate": 0.0},
         {"tau": 1.5},
-        {"seed": -1},
         {"hidden": [16, 0]},
         {"batch_size": 65, "buffer_size": 64},
         {"num_envs": 8, "ray_collectors": 3},

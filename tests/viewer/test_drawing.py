@@ -53,11 +53,6 @@ def test_a_rate_is_the_change_per_T_and_an_episode_begins_without_one(notes: Not
     assert notes.numbers("flow_2/plots/power_x_T/0") == [(0.25, 2.0), (0.75, 2.0)]
 
 
-def test_a_rate_needs_time_to_pass(notes: Notes) -> None:
-    draw(notes, make_frame(0), make_frame(0))
-    assert "flow_2/plots/power_x_T/0" not in notes.logged
-
-
 def test_only_legal_actions_get_a_dot(notes: Notes) -> None:
     draw(notes, make_frame(0), make_frame(1))
     path = "flow_2/plots/action_line_among_the_legal_ones_dots"

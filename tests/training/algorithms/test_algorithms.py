@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from math import nan
 from typing import Any
 
 import pytest
@@ -29,10 +28,8 @@ def test_each_has_a_label_of_its_own_and_is_the_same_after_a_trip_through_a_file
     ("kind", "wrong"),
     [
         (DiscreteSAC, {"alpha_init": 0.0}),
-        (DiscreteSAC, {"alpha_init": nan}),
         (DiscreteSAC, {"target_entropy_weight": 1.1}),
         (DQN, {"epsilon_end": 0.2, "epsilon_start": 0.1}),
-        (DQN, {"epsilon_frames": 0}),
         (DRQN, {"sequence_length": 0}),
     ],
 )

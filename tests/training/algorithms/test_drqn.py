@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from fishrl.training import DRQN, evaluate
-from tests.training.conftest import QUICK, Toy
-from tests.training.toy_fish import make_toy_env
+from fishrl.training import DRQN
+from tests.training.conftest import Toy
 
 ALGORITHM = DRQN(sequence_length=4, epsilon_frames=60)
 
@@ -31,10 +30,3 @@ def test_sequences_are_pieces_of_one_episode_each(toy: Toy) -> None:
         follows = batch["next", "observation"][:, :-1] == batch["observation"][:, 1:]
         assert follows[is_real[:, 1:]].all()
     assert num_short > 0
-
-
-def test_a_recurrent_policy_is_evaluated_as_at_the_end_of_its_run(toy: Toy) -> None:
-    summary = toy.begin(name="run", algorithm=ALGORITHM, **QUICK | {"final_episodes": 10}).run()
-    result = evaluate(toy.folder / "run", episodes=10, compile=False, make_env=make_toy_env)
-    assert result["mean_return"] == summary["mean_return"]
-    assert result["success_rate"] == summary["success_rate"]
