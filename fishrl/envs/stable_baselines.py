@@ -84,11 +84,7 @@ class FlowVecEnv(VecEnv):
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Raise an error: all rows share one environment.
-
-        Raises:
-            ValueError: always.
-        """
+        """Raise ValueError: all rows share one environment."""
         raise ValueError(
             f"{attr_name} = {value}: rows share one environment; make another with make_env"
         )

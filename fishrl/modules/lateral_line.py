@@ -28,26 +28,22 @@ _SENSOR_KEYS = ("num_neuromasts", "features", "num_samples")
 class LateralLineClassifier(nn.Module):
     """Classifier of flows; maps ``lateral_line`` ``[..., W, P, F]`` to logits ``[..., n]``.
 
-    W samples (oldest first, equally spaced in time), P neuromasts, F features, n flows.
+    W samples (oldest first, equally spaced in time), P neuromasts, F features, n flows. What is
+    read becomes (value - ``mean``) / ``scale``, ``[P, F']`` each; see ``set_normalisation``.
 
     Args:
         flows: parameters that distinguish the n flows, one mapping per class, by ``flow_index``,
             each with a ``name`` and numbers such as ``stream_speed_bl``.
-        sensors: description of the lateral line: ``num_neuromasts``, the names of its
-            ``features``, ``num_samples`` per control interval, and other parameters it depends on.
+        sensors: description of the lateral line: ``num_neuromasts``, the names of its ``features``,
+            ``num_samples`` per control interval, and other parameters it depends on.
         features: names of those that are read; by default all but time and position.
         num_samples: how many of the newest samples are read; by default those of one control
             interval. More need the concatenated signals of several intervals.
         hidden: widths of the hidden layers.
         generator: source of the initial weights.
 
-    Attributes:
-        mean, scale: ``[P, F']`` of what is read, which becomes (value - mean) / scale; see
-            ``set_normalisation``.
-
     Raises:
-        ValueError: for fewer than two flows, flows of one name, features that the sensors do not
-            have, or fewer than one sample.
+        ValueError: for flows that cannot be told apart, or features that the sensors do not have.
     """
 
     mean: Tensor

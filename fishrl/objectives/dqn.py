@@ -21,7 +21,6 @@ class MaskedDQNLoss(DQNLoss):
     Args:
         value_network: writes ``action_value`` and the greedy legal ``action``.
         is_double: select the next action by the online network and evaluate it by the target.
-        loss_function: distance between values and targets: smooth_l1, l2 or l1.
 
     Raises:
         ValueError: if the network does not read the mask.
@@ -29,13 +28,7 @@ class MaskedDQNLoss(DQNLoss):
 
     out_keys = ["loss_qvalue"]
 
-    def __init__(
-        self,
-        value_network: TensorDictSequential,
-        *,
-        is_double: bool = False,
-        loss_function: str = "smooth_l1",
-    ) -> None:
+    def __init__(self, value_network: TensorDictSequential, *, is_double: bool = False) -> None:
         if "action_mask" not in value_network.in_keys:
             raise ValueError(
                 f"value_network reads {value_network.in_keys}, not 'action_mask': targets could be "
@@ -43,7 +36,7 @@ class MaskedDQNLoss(DQNLoss):
             )
         super().__init__(
             value_network,
-            loss_function=loss_function,
+            loss_function="smooth_l1",
             double_dqn=is_double,
             action_space="categorical",
         )
@@ -69,21 +62,16 @@ class RecurrentDQNLoss(MaskedDQNLoss):
         sequence_length: transitions L of a sequence. A batch ``[N * L]`` holds N consecutive
             sequences; shorter ones are padded, and ``("collector", "mask")`` ``[N * L]`` is true
             for real transitions.
-        is_double, loss_function: see ``MaskedDQNLoss``.
+        is_double: see ``MaskedDQNLoss``.
     """
 
     _MEMORY = ("recurrent_state_h", "recurrent_state_c")
     _SEEN = ("observation", "action_mask")
 
     def __init__(
-        self,
-        value_network: TensorDictSequential,
-        *,
-        sequence_length: int,
-        is_double: bool = False,
-        loss_function: str = "smooth_l1",
+        self, value_network: TensorDictSequential, *, sequence_length: int, is_double: bool = False
     ) -> None:
-        super().__init__(value_network, is_double=is_double, loss_function=loss_function)
+        super().__init__(value_network, is_double=is_double)
         self.sequence_length = sequence_length
 
     def _set_in_keys(self) -> None:

@@ -47,13 +47,7 @@ class CsvLogger:
         write_whole(self._path, self._render(rows))
 
     def log(self, metrics: Mapping[str, float]) -> None:
-        """Add a row.
-
-        Raises:
-            ValueError: if a metric is not among the columns, or the logger is not open.
-        """
-        if self._path is None:
-            raise ValueError("the logger is not open: call open(folder, ...) first")
+        """Add a row; raise ValueError for a metric that is not among the columns."""
         unknown = sorted(set(metrics) - set(self._columns))
         if unknown:
             raise ValueError(f"metrics {unknown}: not among the columns {self._columns}")

@@ -39,13 +39,10 @@ def train(
     extra: Mapping[str, Any] | None = None,
     **hooks: Unpack[Hooks],
 ) -> dict[str, Any]:
-    """Train a policy and compare it with the baselines of the task.
+    """Train a policy, compare it with the baselines of the task, and return the summary.
 
     Arguments are those of ``Plan``, but ``recognition`` may be a classifier, too, and ``hooks`` are
     ``make_env``, ``observer``, ``progress`` and ``began``, see ``Hooks``.
-
-    Returns:
-        The summary, as in ``summary.json``.
 
     Raises:
         ValueError: for invalid settings.
@@ -66,16 +63,13 @@ def train(
 def resume(
     folder: str | Path, /, *, modules: Collection[str] = (), **changes: Any
 ) -> dict[str, Any]:
-    """Resume a run from its last checkpoint; a finished run is left unchanged.
+    """Resume a run from its last checkpoint, or leave a finished one; return its summary.
 
     Args:
         folder: of the run.
         modules: modules outside fishrl that may be imported, see ``description.make``.
         **changes: new values of ``RunSettings``, such as ``total_frames=8000``, and hooks, see
             ``train``.
-
-    Returns:
-        The summary.
 
     Raises:
         ValueError: if there is no run, its files do not load, or a change is not possible.

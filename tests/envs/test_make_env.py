@@ -5,12 +5,9 @@ import math
 import pytest
 import torch
 from tensordict import TensorDict
-from torchrl.collectors import Collector
 
 from fishrl.envs import Predation, make_env
-from fishrl.modules import RandomPolicy
 from tests.envs.conftest import SMALL
-from tests.envs.masked_task import MaskedTask
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
@@ -69,18 +66,3 @@ def test_the_return_adds_up_over_an_episode_and_restarts_with_its_row() -> None:
     assert rollout.shape == (2, 3)  # 1.3 L to the food, 0.25 L of it for free, at 0.4 L an action
     assert rollout["next", "episode_reward"][0].squeeze(-1).tolist() == [1.0, 2.0, 23.0]
     assert rollout["next", "captured"][0].squeeze(-1).tolist() == [False, False, True]
-
-
-def test_random_actions_respect_a_mask_and_so_do_collectors_warming_up() -> None:
-    task = MaskedTask(**SMALL)
-    env = make_env(task=task, num_envs=3, compile=False)
-    collector = Collector(
-        env, RandomPolicy(seed=1), frames_per_batch=30, total_frames=120, init_random_frames=60
-    )
-    num_illegal = 0
-    for batch in collector:
-        is_legal = batch["action_mask"].gather(-1, batch["action"].unsqueeze(-1))
-        num_illegal += int((~is_legal).sum())
-        assert not batch["action_mask"].all()
-    collector.shutdown()
-    assert num_illegal == 0

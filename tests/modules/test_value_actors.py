@@ -63,17 +63,6 @@ def test_epsilon_falls_with_every_decision_but_not_with_those_of_an_evaluation()
     assert float(chance.eps) == pytest.approx(0.1)
 
 
-def test_one_seed_gives_one_network() -> None:
-    made = []
-    for seed in (1, 1, 2):
-        torch.rand(seed)
-        generator = torch.Generator().manual_seed(seed)
-        network = make_recurrent_value_actor(num_inputs=4, num_actions=3, generator=generator)
-        made.append(torch.cat([weight.flatten() for weight in network.parameters()]))
-    assert torch.equal(made[0], made[1])
-    assert not torch.equal(made[0], made[2])
-
-
 def test_a_policy_remembers_each_rows_own_episode() -> None:
     network = make_recurrent_value_actor(num_inputs=4, num_actions=3, hidden=(8, 16))
     policy, alone = RecurrentPolicy(network), RecurrentPolicy(network)

@@ -67,15 +67,6 @@ def test_every_part_has_episodes_of_every_class_in_about_its_share() -> None:
         assert per_flow == [pytest.approx(20 * share, abs=1)] * 3
 
 
-def test_one_generator_gives_one_split() -> None:
-    episode, label = torch.arange(30), torch.zeros(30, dtype=torch.int64)
-    first, again, other = (
-        split_episodes(episode, label, shares=(0.5, 0.5), generator=generator(seed))[0]
-        for seed in (0, 0, 1)
-    )
-    assert torch.equal(first, again) and not torch.equal(first, other)
-
-
 def test_too_few_episodes_of_a_class_are_refused() -> None:
     data = make_samples(8)  # two of class 2
     with pytest.raises(ValueError, match="class 2 has 2 episodes for 3 parts"):

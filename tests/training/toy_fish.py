@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -32,33 +33,21 @@ from fishrl.training.baselines import find_baselines, find_pursuers
 STATE = ("position", "heading", "food", "direction", "age", "distance", "error", "start_index")
 
 
+@dataclass(kw_only=True)
 class ToyPredation:
     """What the training loop asks of a task."""
 
     n_obs, num_actions, num_stacked, n_substeps, checks_per_action = 4, 3, 4, 10, 1
-    interval_T = 1.0
-    turn_degrees, food_limits_bl, food_y_bl = 15.0, (1.5, 3.5), 2.5
-    food_still_T, food_direction = 5.0, "up"
-    success = "captured"
+    interval_T, turn_degrees, food_limits_bl, food_y_bl = 1.0, 15.0, (1.5, 3.5), 2.5
+    food_still_T, food_direction, success = 5.0, "up", "captured"
     flow_labels, num_label_inputs = (), 0
+    scales = SimpleNamespace(period=10, body_length=10)
 
-    def __init__(
-        self,
-        *,
-        time_limit: int = 30,
-        capture_radius_bl: float = 0.4,
-        food_speed_bl: float = 0.3,
-        divergence_rate: float = 0.0,
-        banned_action: int = -1,
-    ) -> None:
-        if time_limit < 1:
-            raise ValueError(f"time_limit = {time_limit}: must be at least 1")
-        self.time_limit = time_limit
-        self.capture_radius_bl = capture_radius_bl
-        self.food_speed_bl = food_speed_bl
-        self.divergence_rate = divergence_rate
-        self.banned_action = banned_action
-        self.scales = SimpleNamespace(period=10, body_length=10)
+    time_limit: int = 30
+    capture_radius_bl: float = 0.4
+    food_speed_bl: float = 0.3
+    divergence_rate: float = 0.0
+    banned_action: int = -1
 
     def flow_config(self) -> SimpleNamespace:
         return SimpleNamespace(width=100, height=50)

@@ -29,8 +29,8 @@ class MidlineParams(NamedTuple):
         step: ``[B, S]`` arc length from each midline point to the one before (first: 0).
         weight: ``[B, S]`` arc length that each midline point represents.
         half: ``[B, S]`` half-thickness.
-        modes: ``[B, 3, 3, S]`` the three modes (sine, cosine, bend) and their first and second
-            derivatives along the midline: Z, Z', Z''.
+        modes: ``[B, 3, 3, S]`` the three modes (sine, cosine, bend), Z, and Z', Z'' along the
+            midline.
         area: ``[B]`` of the body.
         density_ratio: ``[B]`` body density over fluid density.
     """

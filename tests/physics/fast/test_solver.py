@@ -260,15 +260,6 @@ def test_without_a_compiler_the_flow_runs_eagerly_and_says_so_once(
     assert not solver.is_diverged().any()
 
 
-def test_markers_of_a_flow_without_a_fish_are_refused() -> None:
-    solver = InPlaceSolver(
-        config=FlowConfig(width=32, height=32, tau=0.6), num_envs=1, compile=False
-    )
-    solver.advance_(2)
-    with pytest.raises(ValueError, match="body 0 of a flow with 0"):
-        solver.markers()
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [
