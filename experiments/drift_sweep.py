@@ -32,8 +32,6 @@ from fishrl.training.run_folder import write_json
 #: by the recirculation, far from it the wake carries less.
 BANDS = ((0.8, 1.4), (1.4, 2.0), (2.0, 2.6), (2.6, 3.5))
 
-Row = dict[str, float]
-
 
 @dataclass(kw_only=True)
 class DriftSettings(trials.GaitSettings):
@@ -52,7 +50,7 @@ class DriftSettings(trials.GaitSettings):
     folder: str = "runs/drift_sweep"
 
 
-def tabulate(task: KarmanGait, histories: trials.Histories) -> list[Row]:
+def tabulate(task: KarmanGait, histories: trials.Histories) -> list[dict[str, float]]:
     """Return drift in L / T and work per T for each flow, frequency and band of distances.
 
     The first T of each episode is left out, in which the beat begins.
@@ -86,7 +84,7 @@ def tabulate(task: KarmanGait, histories: trials.Histories) -> list[Row]:
 
 
 def draw(
-    path: Path, table: Sequence[Row], speeds: Sequence[float], shedding: Sequence[float]
+    path: Path, table: list[dict[str, float]], speeds: Sequence[float], shedding: Sequence[float]
 ) -> None:
     """Draw drift against frequency, one panel per flow, one line per band of distances."""
     with flow_panels(path, speeds, height=3.6, width=3.4 * len(speeds) + 0.6) as grid:

@@ -15,6 +15,7 @@ from torch import nn
 
 from experiments.program import program
 from fishrl.envs.steering import PolicySteering, save_weights
+from fishrl.files import staged
 from fishrl.training.policies import load_plan, load_policy
 
 
@@ -34,16 +35,12 @@ class ExportSettings:
 @program(ExportSettings)
 def main(settings: ExportSettings) -> None:
     """Write the weights of a run's best actor, or nothing if it cannot steer."""
-    path = Path(settings.path)
     checkpoint, plan = load_plan(settings.run)
     layers = [m for m in load_policy(checkpoint).modules() if isinstance(m, nn.Linear)]
-    save_weights([(layer.weight, layer.bias) for layer in layers], path)
-    try:
-        PolicySteering(path=str(path), turn_degrees=getattr(plan.task, "turn_degrees", 15.0))
-    except ValueError:
-        path.unlink()
-        raise
-    print(f"written to {path}")
+    with staged(Path(settings.path)) as stage:
+        save_weights([(layer.weight, layer.bias) for layer in layers], stage)
+        PolicySteering(path=str(stage), turn_degrees=getattr(plan.task, "turn_degrees", 15.0))
+    print(f"written to {settings.path}")
 
 
 if __name__ == "__main__":

@@ -104,16 +104,9 @@ def draw_transfer(folder: str, runs: Sequence[str], pictures: Path) -> None:
 
 def write_free_stream(free: Any, in_wake: Any) -> str:
     """Return the comparison of work with a transfer test."""
-    rows = [
-        [
-            f"{speed:g}",
-            f"{row['frequency']:.2f}",
-            f"{row['drift']:+.4f}",
-            f"{row['lean']:.1f}",
-            f"{row['held']:.0f} of {row['episodes']:.0f}",
-        ]
-        for speed, row in zip(free["speeds_bl"], free["flows"], strict=True)
-    ]
+    form = "{frequency:.2f}|{drift:+.4f}|{lean:.1f}|{held} of {episodes}"
+    flows = zip(free["speeds_bl"], free["flows"], strict=True)
+    rows = [[f"{speed:g}", *form.format(**flow).split("|")] for speed, flow in flows]
     held = write_table(("stream, L/T", "beats per T", "drift, L/T", "lean, °", "held"), rows)
     work = tables.write_work(in_wake, free["flows"], free["speeds_bl"])
     return f"{held}\n{work}\nFree stream: T = {free['steps_per_T']} steps, Mach {free['mach']:.2f}."

@@ -85,10 +85,7 @@ def trace_work(histories: Histories, *, interval_T: float) -> dict[str, list[flo
 
 
 def measure_sway(aside: Tensor, *, frames_per_T: float) -> float:
-    """Return the amplitude of the nose's lateral oscillation ``[E, frames]``, body lengths.
-
-    Root of twice the variance about the mean of each 2 T.
-    """
+    """Return the amplitude of a lateral oscillation, root of twice the variance within each 2 T."""
     swings: list[float] = []
     span = round(2 * frames_per_T)
     for row in aside:
@@ -99,10 +96,7 @@ def measure_sway(aside: Tensor, *, frames_per_T: float) -> float:
 
 
 def measure_lean(histories: Histories, *, interval_T: float) -> tuple[Tensor, Tensor]:
-    """Return tail beats per T and lean ``[n]`` of all whole windows of 8 T.
-
-    The lean is the magnitude of the mean angle of attack, degrees.
-    """
+    """Return tail beats per T and lean (|mean angle of attack|, degrees) ``[n]`` of each 8 T."""
     span = max(1, round(8.0 / interval_T))
     num = histories.frequency.shape[1] // span * span
     rates, angles = (

@@ -96,23 +96,14 @@ def stack(parts: Sequence[Histories]) -> Histories:
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """A policy to try in every flow.
+    """A policy to try in every flow; trials of one arm differ in their seed."""
 
-    Args:
-        name: of the policy, for tables; trials of one ``arm`` differ in their seed.
-        arm: kind of policy.
-        task: with all flows and the duration of the trial, see ``prolong``.
-        make_policy: creates it.
-        identity: what determines its behaviour besides the task, as text.
-        recognition: gives it flow labels, see ``make_env``.
-    """
-
-    name: str
-    arm: str
-    task: KarmanGait
+    name: str  #: of the policy, for tables
+    arm: str  #: kind of policy
+    task: KarmanGait  #: with all flows and the duration of the trial, see ``prolong``
     make_policy: Callable[[], Any]
-    identity: str
-    recognition: LateralLineClassifier | str | None = None
+    identity: str  #: what determines its behaviour besides the task
+    recognition: LateralLineClassifier | str | None = None  #: gives it flow labels
 
 
 def prolong(task: KarmanGait, periods: float) -> KarmanGait:

@@ -107,14 +107,10 @@ def write_page(findings: Mapping[str, Any]) -> str:
     """Return the Markdown page of a study, of findings as ``describe`` returns."""
     num_splits, sample_T = findings["num_splits"], findings["data"]["sample_T"]
     divided = f", mean over {num_splits} divisions of the episodes [least-largest]"
+    form = "{fitted_accuracy:.1%}|{held_out_accuracy:.1%}|{held_out_samples} of "
+    form += "{held_out_episodes} episodes|{number} of {epochs}"
     fits = [
-        (
-            name,
-            f"{fit['fitted_accuracy']:.1%}",
-            f"{fit['held_out_accuracy']:.1%}",
-            f"{fit['held_out_samples']} of {fit['held_out_episodes']} episodes",
-            f"{fit['chosen_epoch'] + 1} of {fit['epochs']}",
-        )
+        [name, *form.format(**fit, number=fit["chosen_epoch"] + 1).split("|")]
         for name, fit in (("this one", findings["classifier"]), (_PAPER, findings["paper"]))
     ]
     corners = {"memory": "memory", "noise": "noise", "leaks": "input", "rows": "classifier"}

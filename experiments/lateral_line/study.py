@@ -176,29 +176,17 @@ def _divide_known(samples: TensorDict, is_known: Tensor, seed: int) -> list[Tens
 
 @dataclass(frozen=True, kw_only=True)
 class Question:
-    """What a classifier reads, and how it is fitted.
+    """What a classifier reads, and how it is fitted."""
 
-    Args:
-        features: that it reads, names from ``KNOWN``.
-        num_samples: length of the window.
-        is_averaged: read the mean over the neuromasts.
-        sensed: features of its lateral line, if there are more than it reads.
-        noise: standard deviation of the noise added while fitting, as a share of each feature's.
-        split: divides the samples.
-        settings: of the fit, if not those of the study.
-        max_samples: to fit on at most.
-        is_mirrored: fit on the mirror image of each sample too.
-    """
-
-    features: tuple[str, ...]
-    num_samples: int = 1
-    is_averaged: bool = False
-    sensed: tuple[str, ...] | None = None
-    noise: float = 0.0
+    features: tuple[str, ...]  #: names from ``KNOWN``
+    num_samples: int = 1  #: length of the window
+    is_averaged: bool = False  #: read the mean over the neuromasts
+    sensed: tuple[str, ...] | None = None  #: features of its lateral line, if more than it reads
+    noise: float = 0.0  #: added while fitting, in shares of each feature's standard deviation
     split: Split = split_by_episode
-    settings: FitSettings | None = None
-    max_samples: int | None = None
-    is_mirrored: bool = True
+    settings: FitSettings | None = None  #: by default those of the study
+    max_samples: int | None = None  #: to fit on at most
+    is_mirrored: bool = True  #: fit on the mirror image of each sample too
 
     @property
     def columns(self) -> tuple[str, ...]:

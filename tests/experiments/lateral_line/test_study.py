@@ -18,7 +18,7 @@ from experiments.lateral_line.study import (
     split_by_start,
     split_by_time,
 )
-from experiments.train_lateral_line import main, study_lateral_line
+from experiments.train_lateral_line import study_lateral_line
 from fishrl.envs.lateral_line import LOCAL
 from fishrl.modules import LateralLineClassifier
 from fishrl.training.progress import Progress
@@ -112,10 +112,3 @@ def test_a_study_writes_page_numbers_figures_and_a_classifier_that_the_task_take
 def test_accuracies_are_written_with_their_range() -> None:
     values = ([0.9, 0.8], [0.5], [float("nan")])
     assert [*map(format_accuracies, values)] == ["85.0% [80.0-90.0]", "50.0%", "-"]
-
-
-@pytest.mark.parametrize("argument", ["num_samples=0", "windows=[0]", "window=x"])
-def test_settings_out_of_range_are_refused(argument: str) -> None:
-    assert main.read([]).num_samples == 6000
-    with pytest.raises(ValueError, match=argument.split("=")[0]):
-        main.read([argument])
