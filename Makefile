@@ -4,16 +4,16 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 DOCS_STAMP := $(VENV)/.docs
 ARGS ?=
-# The first of these that is Python 3.11; or choose one: make setup PYTHON=/path/to/python3.11
-PYTHON ?= $(shell for p in python3 python3.11; do \
-	$$p -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null \
+# The first of these that is Python 3.11 to 3.14; or choose one: make setup PYTHON=/path/to/python3.13
+PYTHON ?= $(shell for p in python3 python3.11 python3.12 python3.13 python3.14; do \
+	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 15))' 2>/dev/null \
 	&& { echo $$p; break; }; done)
 # Tests that need CUDA are skipped without it.
 MARKERS ?= not slow and not smoke
 # One process per core; files keep their order, so that physics and environments come first.
 PARALLEL ?= -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup train test test-gpu test-all smoke docs check bench bench-peers validate validate-quick format clean
+.PHONY: help setup demo train test test-gpu test-all smoke docs check bench bench-peers validate validate-quick format clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -22,7 +22,7 @@ setup: $(STAMP) ## install everything into .venv
 
 # torch is installed first and pinned, so that no dependency replaces its build.
 $(STAMP): pyproject.toml constraints.txt
-	@test -n "$(PYTHON)" || { echo "no Python 3.11 found: install it, or set PYTHON=..."; exit 1; }
+	@test -n "$(PYTHON)" || { echo "no Python 3.11 to 3.14 found: install one, or set PYTHON=..."; exit 1; }
 	@echo "setting up $(VENV) with $(PYTHON): a few minutes, once"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "1/2 torch"
@@ -33,6 +33,9 @@ $(STAMP): pyproject.toml constraints.txt
 
 train: $(STAMP) ## train a policy to catch moving food; ARGS="seed=1 ..." sets any setting
 	$(BIN)/python -m experiments.train $(ARGS)
+
+demo: $(STAMP) ## film two trained policies: one catches food, one holds station
+	$(BIN)/python -m fishrl.demo $(ARGS)
 
 test: $(STAMP) ## run the tests, including a short training; ARGS="tests/physics" selects some
 	$(BIN)/python -m pytest $(PARALLEL) -m "$(MARKERS)" $(ARGS)

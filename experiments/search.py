@@ -31,6 +31,7 @@ from experiments.sweeps.jobs import LOOK_SECONDS, find_or_begin, run_alone
 from experiments.sweeps.runs import read_run
 from experiments.train_settings import TRAINING
 from fishrl.bounds import bounded, check_bounds
+from fishrl.extras import show_install
 from fishrl.training.run_folder import HeldError, RunFolder
 
 logger = logging.getLogger(__name__)
@@ -78,7 +79,7 @@ class SearchSettings:
     def space(self) -> dict[str, Any]:
         """Return Optuna's distribution of each setting that is searched."""
         if optuna is None:
-            raise ImportError("the search needs Optuna: pip install -e '.[sweep]'")
+            raise ImportError(f"the search needs Optuna: {show_install('sweep')}")
         made: Any = optuna.distributions
         space: dict[str, Any] = {}
         for override in parse(TRAINING.prepare(self.overrides)):

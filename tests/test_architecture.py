@@ -20,6 +20,7 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/bounds.py", set()),
     ("fishrl/children.py", set()),
     ("fishrl/files.py", {"torch"}),
+    ("fishrl/extras.py", {"packaging"}),
     ("fishrl/physics/", TENSORS | {"fishrl.physics"}),
     ("fishrl/envs/__init__.py", TASK_SIDE),
     ("fishrl/envs/scene.py", {"torch"}),
@@ -27,16 +28,29 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/envs/episodes.py", TENSORS | {"torchrl"} | TASK_SIDE),
     ("fishrl/envs/transforms.py", TENSORS | {"torchrl"} | TASK_SIDE),
     ("fishrl/envs/wakes.py", TENSORS | {"tqdm"} | TASK_SIDE),
-    ("fishrl/envs/gymnasium.py", TENSORS | {"torchrl", "gymnasium"} | TASK_SIDE),
-    ("fishrl/envs/stable_baselines.py", {"numpy", "torchrl", "stable_baselines3"} | TASK_SIDE),
+    ("fishrl/envs/gymnasium.py", TENSORS | {"torchrl", "gymnasium", "fishrl.extras"} | TASK_SIDE),
+    (
+        "fishrl/envs/stable_baselines.py",
+        {"numpy", "torchrl", "stable_baselines3", "fishrl.extras"} | TASK_SIDE,
+    ),
     ("fishrl/envs/", TENSORS | TASK_SIDE),
     ("fishrl/modules/", TENSORS | {"torchrl", "fishrl.modules"}),
     ("fishrl/objectives/", TENSORS | {"torchrl", "fishrl.objectives"}),
     ("fishrl/training/", TENSORS | {"torchrl", "tqdm", "yaml", "wandb", "ray", "fishrl"}),
+    ("fishrl/zoo/", TENSORS | {"fishrl"}),
+    ("fishrl/demo.py", TENSORS | {"fishrl"}),
     (
         "fishrl/viewer/",
         TENSORS
-        | {"torchrl", "rerun", "matplotlib", "PIL", "fishrl.viewer", "fishrl.bounds"}
+        | {
+            "torchrl",
+            "rerun",
+            "matplotlib",
+            "PIL",
+            "imageio_ffmpeg",
+            "fishrl.viewer",
+            "fishrl.bounds",
+        }
         | TASK_SIDE,
     ),
 )

@@ -1,6 +1,6 @@
 """A ``gymnasium.vector.VectorEnv`` of flows.
 
-Needs ``pip install 'fishrl[gymnasium]'``; import it by its full name:
+Needs the extra ``gymnasium``; import it by its full name:
 ``from fishrl.envs.gymnasium import FlowVectorEnv``.
 """
 
@@ -15,6 +15,8 @@ from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import step_mdp
 
+from fishrl.extras import show_install
+
 try:
     from gymnasium.error import ResetNeeded
     from gymnasium.spaces import Box, Discrete
@@ -22,7 +24,7 @@ try:
     from gymnasium.vector.utils import batch_space
 except ImportError as error:
     raise ImportError(
-        "fishrl.envs.gymnasium needs gymnasium: pip install 'fishrl[gymnasium]'"
+        f"fishrl.envs.gymnasium needs gymnasium: {show_install('gymnasium')}"
     ) from error
 
 if TYPE_CHECKING:

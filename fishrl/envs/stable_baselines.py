@@ -1,6 +1,6 @@
 """A ``VecEnv`` of flows for Stable-Baselines3.
 
-Needs ``pip install 'fishrl[stable-baselines3]'``; import it by its full name:
+Needs the extra ``stable-baselines3``; import it by its full name:
 ``from fishrl.envs.stable_baselines import FlowVecEnv``.
 """
 
@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 from torchrl.envs import TransformedEnv
 
+from fishrl.extras import show_install
+
 try:
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError as error:
     raise ImportError(
-        "fishrl.envs.stable_baselines needs Stable-Baselines3: "
-        "pip install 'fishrl[stable-baselines3]'"
+        "fishrl.envs.stable_baselines needs Stable-Baselines3: " + show_install("stable-baselines3")
     ) from error
 
 from fishrl.envs.gymnasium import FlowVectorEnv

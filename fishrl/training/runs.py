@@ -13,6 +13,7 @@ from typing import Any, Unpack
 
 from fishrl.envs import AbstractTask
 from fishrl.envs.transforms import equip
+from fishrl.extras import show_install
 from fishrl.training.algorithms import Algorithm, DiscreteSAC
 from fishrl.training.baselines import make_baselines
 from fishrl.training.checkpoint import read_metadata
@@ -184,6 +185,6 @@ def _check(plan: Plan, recognition: Recognition) -> None:
         if plan.run.device != "cpu":
             raise ValueError(f"device = {plan.run.device}: with ray_collectors it must be cpu")
         if find_spec("ray") is None:
-            raise ValueError("ray_collectors: needs Ray; pip install 'fishrl[cluster]'")
+            raise ValueError(f"ray_collectors: needs Ray: {show_install('cluster')}")
     task, _ = equip(plan.task, recognition)
     make_baselines(plan.run.baselines, task=task, seed=0)

@@ -6,6 +6,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import imageio_ffmpeg
 import matplotlib as mpl
 import numpy as np
 import torch
@@ -14,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import Colormap, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
+from numpy.typing import NDArray
 from PIL import Image
 
 from fishrl.viewer.recording import Recording
@@ -170,6 +172,25 @@ def write_flow(recording: Recording, path: str | PathLike[str]) -> None:
         figure.savefig(path)
 
 
+def write_film(recording: Recording, path: str | PathLike[str], *, dpi: float = 100.0) -> None:
+    """Write the episode as an MP4 (H.264), with the ffmpeg that imageio-ffmpeg brings.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    pictures = render_frames(recording, dpi)
+    height, width = (2 * (side // 2) for side in pictures[0].shape[:2])  # H.264 wants even sides
+    writer = imageio_ffmpeg.write_frames(
+        str(path), (width, height), fps=1000.0 / _FRAME_MS, macro_block_size=2, quality=7
+    )
+    writer.send(None)
+    try:
+        for picture in pictures:
+            writer.send(np.ascontiguousarray(picture[:height, :width]))
+    finally:
+        writer.close()
+
+
 def write_animation(
     recording: Recording, path: str | PathLike[str], *, max_bytes: int = 6_000_000
 ) -> None:
@@ -180,7 +201,8 @@ def write_animation(
     """
     dpi = 100.0
     while True:
-        data = _encode_gif(_render(recording, dpi))
+        pictures = render_frames(recording, dpi, num_levels=_GIF_LEVELS)
+        data = _encode_gif([Image.fromarray(picture) for picture in pictures])
         if len(data) <= max_bytes:
             Path(path).write_bytes(data)
             return
@@ -204,11 +226,22 @@ def make_single(recording: Recording, cmap: str | Colormap = "RdBu_r") -> tuple[
     return figure, flow
 
 
-def _render(recording: Recording, dpi: float) -> list[Image.Image]:
-    """Draw every frame; few colour levels, so that the GIF compresses."""
+def render_frames(
+    recording: Recording, dpi: float = 100.0, *, num_levels: int = 256
+) -> list[NDArray[np.uint8]]:
+    """Draw every frame of a recording.
+
+    Args:
+        recording: the episode.
+        dpi: dots per inch; a picture is 8 inches wide.
+        num_levels: number of colours of the vorticity.
+
+    Returns:
+        A picture ``[height, width, 3]`` per frame.
+    """
     pictures = []
     with mpl.rc_context(STYLE):
-        figure, flow = make_single(recording, mpl.colormaps["RdBu_r"].resampled(_GIF_LEVELS))
+        figure, flow = make_single(recording, mpl.colormaps["RdBu_r"].resampled(num_levels))
         figure.set_dpi(dpi)
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
@@ -216,7 +249,7 @@ def _render(recording: Recording, dpi: float) -> list[Image.Image]:
         for frame in range(len(recording.frames)):
             flow.show(frame)
             canvas.draw()
-            pictures.append(Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB"))
+            pictures.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
     return pictures
 
 

@@ -1,0 +1,133 @@
+"""Write the policy of a run into a small folder of its own, with a model card."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from shutil import copyfile
+from typing import Any
+
+import yaml
+
+from fishrl import __version__
+from fishrl.files import staged
+from fishrl.training.checkpoint import read_metadata, save_checkpoint
+from fishrl.training.classifier import find_classifier, keep_recognition
+from fishrl.training.plan import Plan
+from fishrl.training.policies import load_plan, load_policy
+from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.run_folder import RunFolder
+
+#: Results on the card, by their names in ``summary.json``.
+_RESULTS = {
+    "success_rate": "success rate",
+    "mean_return": "mean return",
+    "mean_length_T": "mean length [T]",
+    "mean_time_to_success_T": "mean time to success [T]",
+    "episodes": "episodes",
+}
+
+
+def export_policy(
+    run: str | Path,
+    folder: str | Path,
+    *,
+    title: str | None = None,
+    revision: str | None = None,
+    modules: Collection[str] = (),
+) -> Path:
+    """Write the best policy of a run, without what only its training needs.
+
+    The folder is a checkpoint: ``load_policy``, ``evaluate`` and the programs take it. It holds the
+    weights with their SHA-256, the settings, the run's classifier if it has one, ``metrics.csv``
+    and ``summary.json``, and a model card, ``README.md``.
+
+    Args:
+        run: run folder.
+        folder: to write; must not exist, or be empty.
+        title: of the card; by default the name of the run.
+        revision: commit of the code that trained it, for the card.
+        modules: modules outside fishrl that may be imported, see ``description.make``.
+
+    Returns:
+        The folder.
+
+    Raises:
+        ValueError: if there is no such run or checkpoint, or the folder holds something.
+    """
+    source, folder = RunFolder(Path(run).expanduser()), Path(folder).expanduser()
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ValueError(f"folder = {folder}: exists; name a new one")
+    path, plan = load_plan(source.path, modules=modules)
+    metadata = read_metadata(path)[1]
+    actor = load_policy(path, modules=modules)
+    spec = PolicySpec.for_task(plan.task, has_labels=plan.recognition is not None)
+    config = {**plan.to_config(), "folder": "runs", "name": folder.name}
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    save_checkpoint(folder, {"actor": actor}, spec=spec, frames=metadata["frames"], config=config)
+    keep_recognition(find_classifier(plan.recognition, path), folder)
+    for file in (source.metrics, source.summary):
+        if file.is_file():
+            copyfile(file, folder / file.name)
+    summary = json.loads(source.summary.read_text()) if source.summary.is_file() else {}
+    card = write_card(
+        plan, summary, title=title or folder.name, frames=metadata["frames"], revision=revision
+    )
+    with staged(folder / "README.md") as stage:
+        stage.write_text(card, encoding="utf-8")
+    return folder
+
+
+def write_card(
+    plan: Plan,
+    summary: Mapping[str, Any],
+    *,
+    title: str,
+    frames: int,
+    revision: str | None = None,
+) -> str:
+    """Return the model card of a policy, as Markdown.
+
+    Args:
+        plan: of its run.
+        summary: of its run; may be empty.
+        title: of the card.
+        frames: env frames after which the policy was saved.
+        revision: commit of the code.
+    """
+    header = {"library_name": "fishrl", "license": "mit", "tags": ["reinforcement-learning"]}
+    task = type(plan.task).__name__
+    recognition = {None: "none", "oracle": "true flow labels"}.get(
+        plan.recognition, "lateral-line classifier"
+    )
+    about = {
+        "task": task,
+        "algorithm": plan.algorithm.label,
+        "seed": plan.learning.seed,
+        "env frames": f"{frames:,} of {plan.run.total_frames:,}",
+        "recognition of the flow": recognition,
+        "fishrl": " ".join(filter(None, (__version__, revision))),
+    }
+    names = ["policy", *summary.get("baselines", [])]
+    results = [
+        (
+            label,
+            [_show(summary.get(key if name == "policy" else f"{name}_{key}")) for name in names],
+        )
+        for key, label in _RESULTS.items()
+    ]
+    lines = ["---", yaml.safe_dump(header, sort_keys=False).rstrip(), "---", f"# {title}", ""]
+    lines += [f"- {name}: {value}" for name, value in about.items()]
+    lines += ["", "Final evaluation from fixed starts that were not used to choose it:", ""]
+    lines += [f"| | {' | '.join(names)} |", "|---|" + "---|" * len(names)]
+    lines += [f"| {label} | {' | '.join(values)} |" for label, values in results]
+    lines += ["", "`metrics.csv` holds the learning curve. Settings:", "", "```yaml"]
+    config = plan.to_config()
+    lines += [yaml.safe_dump(config, sort_keys=False, allow_unicode=True).rstrip(), "```", ""]
+    lines += [f"`fishrl.training.load_policy({title!r})` loads the policy from this folder.", ""]
+    return "\n".join(lines)
+
+
+def _show(value: Any) -> str:
+    return "–" if value is None else f"{value:.4g}"
