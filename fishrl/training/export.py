@@ -110,11 +110,9 @@ def write_card(
         "fishrl": " ".join(filter(None, (__version__, revision))),
     }
     names = ["policy", *summary.get("baselines", [])]
+    prefixes = ["", *(f"{name}_" for name in names[1:])]
     results = [
-        (
-            label,
-            [_show(summary.get(key if name == "policy" else f"{name}_{key}")) for name in names],
-        )
+        (label, [_show(summary.get(prefix + key)) for prefix in prefixes])
         for key, label in _RESULTS.items()
     ]
     lines = ["---", yaml.safe_dump(header, sort_keys=False).rstrip(), "---", f"# {title}", ""]
