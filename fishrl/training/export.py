@@ -103,7 +103,7 @@ def write_card(
     )
     about = {
         "task": task,
-        "algorithm": plan.algorithm.label,
+        "algorithm": type(plan.algorithm).__name__,
         "seed": plan.learning.seed,
         "env frames": f"{frames:,} of {plan.run.total_frames:,}",
         "recognition of the flow": recognition,
