@@ -48,7 +48,7 @@ def evaluate(
 ) -> dict[str, Any]:
     """Run one episode from each of the fixed starts, and return the result with its policy."""
     task = make(config.task, kind=AbstractTask)
-    source = str(config.policy) if config.checkpoint is None else Path(config.checkpoint)
+    source = str(config.policy) if config.learned is None else Path(config.learned)
     result = run_evaluation(
         source,
         task=task,

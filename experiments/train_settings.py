@@ -18,6 +18,7 @@ from fishrl.training.classifier import find_classifier
 from fishrl.training.description import make, to_plain
 from fishrl.training.logger import CsvLogger
 from fishrl.training.plan import LEARNING, PARTS, RUN, Plan
+from fishrl.training.policy_zoo import PREFIX
 from fishrl.training.run_folder import RunFolder, read_config
 from fishrl.training.runs import make_folder
 from fishrl.training.settings import LearningSettings, RunSettings
@@ -67,7 +68,7 @@ class PolicySettings(ViewerSettings):
             ``preset`` is given, and ``task.<argument>`` changes it.
         preset: name of the preset.
         checkpoint: run folder or checkpoint of the policy.
-        policy: baseline to run instead, see ``fishrl.training.baselines``.
+        policy: baseline to run instead, see ``fishrl.training.baselines``, or ``zoo/<name>``.
         recognition: as for training; a run brings its own.
         episodes: fixed starts, one episode each.
         seed: of the starts and of random actions; 0 gives those of every run's final evaluation, 1
@@ -85,6 +86,12 @@ class PolicySettings(ViewerSettings):
     seed: int = 0
     device: str = "cpu"
     compile: bool = True
+
+    @property
+    def learned(self) -> str | None:
+        """Where the learned policy lies, if it is no baseline."""
+        is_in_zoo = self.policy is not None and self.policy.startswith(PREFIX)
+        return self.policy if is_in_zoo else self.checkpoint
 
 
 def read_resumed(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -106,7 +113,9 @@ def read_task(given: Mapping[str, Any]) -> dict[str, Any]:
 
     The task is left out where the command line, ``given``, names a task or a preset.
     """
+    policy = str(given.get("policy"))
     source = given.get("run") or given.get("checkpoint")
+    source = policy if policy.startswith(PREFIX) else source
     if source is None:
         return {}
     path, metadata = read_metadata(str(source))

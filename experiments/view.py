@@ -86,7 +86,7 @@ def record(
     check_device(settings.device)
     recognition = load_recognition(settings.recognition)
     task, _ = equip(make(settings.task, kind=AbstractTask), recognition)
-    source = settings.run or settings.checkpoint
+    source = settings.run or settings.learned
     flows = settings.choose_flows(settings.episodes, default=settings.episodes)
     if source is not None:
         has_labels = recognition is not None

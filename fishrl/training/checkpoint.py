@@ -18,6 +18,7 @@ from typing import Any
 from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointAdapter
 
 from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.policy_zoo import PREFIX, find_policy
 from fishrl.training.run_folder import refuse_many
 
 SUMS = "SHA256SUMS"
@@ -80,13 +81,13 @@ def save_checkpoint(
 def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[str, Any]]:
     """Find a checkpoint and read its metadata.
 
-    ``path`` is a checkpoint, or the folder of a run, of which ``which`` chooses ``best`` (if
-    missing, the last) or ``last``.
+    ``path`` is a checkpoint, ``zoo/<name>`` (see ``fishrl.zoo``), or the folder of a run, of which
+    ``which`` chooses ``best`` (if missing, the last) or ``last``.
 
     Raises:
         ValueError: if it is missing or corrupt.
     """
-    folder = Path(path).expanduser()
+    folder = find_policy(str(path)) if str(path).startswith(PREFIX) else Path(path).expanduser()
     if (folder / "config.yaml").is_file() or (folder / "checkpoints").is_dir():
         folder = folder / "checkpoints"
         folder /= which if (folder / which).exists() else "last"

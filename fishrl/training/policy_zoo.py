@@ -1,0 +1,28 @@
+"""Where the trained policies lie that come with the package, see ``fishrl.zoo``."""
+
+from pathlib import Path
+
+from fishrl.bounds import suggest
+
+_ROOT = Path(__file__).parents[1] / "zoo"
+PREFIX = "zoo/"
+
+
+def list_policies() -> list[str]:
+    """List the names of the policies."""
+    return sorted(path.parent.name for path in _ROOT.glob("*/manifest.json"))
+
+
+def find_policy(name: str) -> Path:
+    """Return the folder of a policy, which is a checkpoint.
+
+    Args:
+        name: such as ``gait_small`` or ``zoo/gait_small``.
+
+    Raises:
+        ValueError: if there is none of that name.
+    """
+    known, wanted = list_policies(), name.removeprefix(PREFIX)
+    if wanted not in known:
+        raise ValueError(f"{PREFIX}{wanted}: there is no such policy{suggest(wanted, known)}")
+    return _ROOT / wanted
