@@ -26,6 +26,7 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/envs/scene.py", {"torch"}),
     ("fishrl/envs/flow_env.py", TENSORS | {"torchrl"} | TASK_SIDE),
     ("fishrl/envs/episodes.py", TENSORS | {"torchrl"} | TASK_SIDE),
+    ("fishrl/envs/one_hot.py", TENSORS | {"torchrl"}),
     ("fishrl/envs/transforms.py", TENSORS | {"torchrl"} | TASK_SIDE),
     ("fishrl/envs/wakes.py", TENSORS | {"tqdm"} | TASK_SIDE),
     ("fishrl/envs/gymnasium.py", TENSORS | {"torchrl", "gymnasium", "fishrl.extras"} | TASK_SIDE),

@@ -2,6 +2,7 @@
 
 from fishrl.envs.episodes import run_episodes
 from fishrl.envs.flow_env import FlowEnv, make_env
+from fishrl.envs.one_hot import OneHotAction
 from fishrl.envs.task import AbstractTask, Command
 from fishrl.envs.tasks import KarmanGait, Predation
 from fishrl.envs.transforms import PredictedFlowLabel, TrueFlowLabel, make_recognition
@@ -11,6 +12,7 @@ __all__ = [
     "Command",
     "FlowEnv",
     "KarmanGait",
+    "OneHotAction",
     "Predation",
     "PredictedFlowLabel",
     "TrueFlowLabel",

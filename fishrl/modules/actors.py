@@ -43,6 +43,7 @@ def make_actor(
     num_inputs: int,
     num_actions: int,
     hidden: Sequence[int] = (256, 256),
+    return_log_prob: bool = False,
     generator: torch.Generator | None = None,
 ) -> ProbabilisticActor:
     """Build a softmax policy over the legal actions.
@@ -50,7 +51,8 @@ def make_actor(
     Reads ``observation_stack`` ``[..., num_inputs]`` and ``action_mask`` ``[..., num_actions]``
     (bool), writes ``logits`` ``[..., num_actions]`` and the integer ``action`` ``[...]``. Under
     ``ExplorationType.DETERMINISTIC`` the action is the most probable legal one, otherwise a sample.
-    ``hidden`` are the widths of the hidden layers; ``generator`` draws the initial weights.
+    ``hidden`` are the widths of the hidden layers; ``generator`` draws the initial weights. With
+    ``return_log_prob`` it also writes ``action_log_prob`` ``[...]``, which ``ClipPPOLoss`` reads.
     """
     network = make_mlp([num_inputs, *hidden, num_actions], generator=generator)
     return ProbabilisticActor(
@@ -61,6 +63,7 @@ def make_actor(
         distribution_class=MaskedCategorical,
         distribution_kwargs={"neg_inf": ILLEGAL_LOGIT},
         default_interaction_type=InteractionType.RANDOM,
+        return_log_prob=return_log_prob,
     )
 
 

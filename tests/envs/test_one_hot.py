@@ -1,0 +1,135 @@
+"""TorchRL's own losses train on one-hot actions, and masks hold."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+from tensordict.nn import InteractionType, TensorDictModule, TensorDictSequential
+from torch import nn
+from torchrl.collectors import Collector
+from torchrl.data import LazyTensorStorage, OneHot, TensorDictReplayBuffer
+from torchrl.envs import TransformedEnv
+from torchrl.envs.utils import check_env_specs
+from torchrl.modules import MLP, OneHotCategorical, ProbabilisticActor, QValueActor
+from torchrl.objectives import ClipPPOLoss, DiscreteSACLoss, DQNLoss, SoftUpdate
+from torchrl.objectives.value import GAE
+
+from fishrl.envs import KarmanGait, OneHotAction, Predation, make_env
+from fishrl.modules import make_actor
+
+pytestmark = pytest.mark.usefixtures("kinematic")
+
+
+@pytest.fixture
+def env() -> TransformedEnv:
+    task = KarmanGait(body_length=32, max_wall_speed=0.15)
+    return make_env(task=task, num_envs=2, compile=False, transforms=[OneHotAction()])
+
+
+def collect(env: TransformedEnv, policy: nn.Module | None) -> TensorDict:
+    collector = Collector(env, policy, frames_per_batch=16, total_frames=16)
+    (batch,) = list(collector)
+    return batch.reshape(-1)
+
+
+def test_the_spec_is_one_hot_and_samples_are_legal(env: TransformedEnv) -> None:
+    check_env_specs(env)
+    assert isinstance(env.action_spec, OneHot)
+    num_actions = env.action_spec.shape[-1]
+    assert num_actions == env.base_env.task.num_actions
+    batch = env.rollout(12)
+    assert (batch["action"].sum(-1) == 1).all()
+    assert batch["action_mask"][batch["action"].bool()].all()
+
+
+def test_the_index_of_the_entry_that_is_set_reaches_the_flow(env: TransformedEnv) -> None:
+    state = env.reset()
+    legal = state["action_mask"].int().argmax(-1)
+    one_hot = nn.functional.one_hot(legal, env.action_spec.shape[-1])
+    step = env.step(state.set("action", one_hot))
+    assert torch.equal(step["action"], one_hot)  # what a buffer keeps is what the policy chose
+
+
+def test_torchrl_trains_discrete_sac_where_all_actions_are_legal() -> None:
+    """Its script knows no masks."""
+    env = make_env(
+        task=Predation(body_length=20, reynolds=500.0, max_wall_speed=0.15, wall_margin_bl=0.15),
+        num_envs=2,
+        compile=False,
+        transforms=[OneHotAction()],
+    )
+    num_inputs = env.observation_spec["observation_stack"].shape[-1]
+    num_actions = env.action_spec.shape[-1]
+    actor = ProbabilisticActor(
+        TensorDictModule(
+            MLP(num_inputs, num_actions, num_cells=[16]), ["observation_stack"], ["logits"]
+        ),
+        in_keys=["logits"],
+        distribution_class=OneHotCategorical,
+        default_interaction_type=InteractionType.RANDOM,
+    )
+    qvalue = TensorDictModule(
+        MLP(num_inputs, num_actions, num_cells=[16]), ["observation_stack"], ["action_value"]
+    )
+    loss = DiscreteSACLoss(
+        actor_network=actor, qvalue_network=qvalue, num_actions=num_actions, num_qvalue_nets=2,
+        action_space=env.action_spec,
+    )  # fmt: skip
+    loss.make_value_estimator(gamma=0.99)
+    target = SoftUpdate(loss, eps=0.99)
+    buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(64), batch_size=8)
+    buffer.extend(collect(env, None))
+    optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
+    for _ in range(2):
+        losses = loss(buffer.sample())
+        total = losses["loss_actor"] + losses["loss_qvalue"] + losses["loss_alpha"]
+        optimiser.zero_grad()
+        total.backward()
+        optimiser.step()
+        target.step()
+        assert total.isfinite()
+
+
+def test_torchrl_trains_dqn_on_it(env: TransformedEnv) -> None:
+    num_inputs = env.observation_spec["observation_stack"].shape[-1]
+    policy = QValueActor(
+        MLP(num_inputs, env.action_spec.shape[-1], num_cells=[16]),
+        in_keys=["observation_stack"],
+        spec=env.action_spec_unbatched,
+        action_mask_key="action_mask",
+    )
+    loss = DQNLoss(policy, action_space=env.action_spec, delay_value=True)
+    loss.make_value_estimator(gamma=0.99)
+    optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
+    batch = collect(env, policy)
+    assert batch["action_mask"][batch["action"].bool()].all()
+    for _ in range(2):
+        value = loss(batch)["loss"]
+        optimiser.zero_grad()
+        value.backward()
+        optimiser.step()
+        assert value.isfinite()
+
+
+def test_torchrl_trains_ppo_with_our_actor() -> None:
+    task = KarmanGait(body_length=32, max_wall_speed=0.15)
+    env = make_env(task=task, num_envs=2, compile=False)
+    num_inputs = env.observation_spec["observation_stack"].shape[-1]
+    actor = make_actor(
+        num_inputs=num_inputs, num_actions=task.num_actions, hidden=[16], return_log_prob=True
+    )
+    value = TensorDictModule(
+        MLP(num_inputs, 1, num_cells=[16]), ["observation_stack"], ["state_value"]
+    )
+    loss = ClipPPOLoss(actor, value)
+    batch = collect(env, actor)
+    assert "action_log_prob" in batch
+    GAE(gamma=0.99, lmbda=0.95, value_network=value)(batch)
+    optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
+    for _ in range(2):
+        losses = loss(batch)
+        total = losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]
+        optimiser.zero_grad()
+        total.backward()
+        optimiser.step()
+        assert total.isfinite()
+    assert isinstance(actor, TensorDictSequential)
