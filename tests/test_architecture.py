@@ -29,7 +29,10 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/envs/one_hot.py", TENSORS | {"torchrl"}),
     ("fishrl/envs/transforms.py", TENSORS | {"torchrl"} | TASK_SIDE),
     ("fishrl/envs/wakes.py", TENSORS | {"tqdm"} | TASK_SIDE),
-    ("fishrl/envs/gymnasium.py", TENSORS | {"torchrl", "gymnasium", "fishrl.extras"} | TASK_SIDE),
+    (
+        "fishrl/envs/gymnasium.py",
+        TENSORS | {"torchrl", "gymnasium", "fishrl.extras", "fishrl.viewer"} | TASK_SIDE,
+    ),
     (
         "fishrl/envs/stable_baselines.py",
         {"numpy", "torchrl", "stable_baselines3", "fishrl.extras"} | TASK_SIDE,

@@ -15,7 +15,10 @@ from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import step_mdp
 
+from fishrl.envs.scene import Frame
 from fishrl.extras import show_install
+from fishrl.viewer import make_scene
+from fishrl.viewer.film import FramePainter
 
 try:
     from gymnasium.error import ResetNeeded
@@ -58,6 +61,9 @@ class FlowVectorEnv(VectorEnv):
     Args:
         env: an environment of ``make_env``, which this wrapper owns and closes.
         autoreset_mode: a ``gymnasium.vector.AutoresetMode`` or its value.
+        render_mode: ``rgb_array``, and ``render`` returns pictures, for instance for Gymnasium's
+            ``RecordVideo``; or None.
+        vorticity_limit: at which the colours of these pictures saturate, 1/T.
     """
 
     def __init__(
@@ -65,7 +71,11 @@ class FlowVectorEnv(VectorEnv):
         env: TransformedEnv,
         *,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        vorticity_limit: float = 15.0,
     ) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode = {render_mode!r}: must be 'rgb_array' or None")
         self.env = env
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.num_envs = int(env.batch_size[0])
@@ -75,7 +85,16 @@ class FlowVectorEnv(VectorEnv):
         self.single_action_space = Discrete(int(specs["action_mask"].shape[-1]))
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": []}
+        self.render_mode = render_mode
+        self.metadata = {
+            "autoreset_mode": self.autoreset_mode,
+            "render_modes": ["rgb_array"],
+            "render_fps": 8,
+        }
+        self._painters = [
+            FramePainter(make_scene(env), limit=vorticity_limit, dpi=60.0)
+            for _ in range(self.num_envs if render_mode else 0)
+        ]
         self._reported = [name for name in specs.keys(True, True) if name not in OBSERVED]
         self._state: TensorDictBase | None = None
         self._is_over = np.zeros(self.num_envs, dtype=np.bool_)
@@ -154,6 +173,27 @@ class FlowVectorEnv(VectorEnv):
         """Return the currently legal actions, ``[B, num_actions]`` bool."""
         mask: Array = self._need_state()["action_mask"].cpu().numpy()
         return mask.copy()
+
+    def render(self) -> tuple[Array, ...]:
+        """Return a picture ``[height, width, 3]``, uint8, of each row's flow.
+
+        Raises:
+            ValueError: without ``render_mode="rgb_array"``.
+        """
+        if not self._painters:
+            raise ValueError("render: make the environment with render_mode='rgb_array'")
+        solver, task = self.flows.solver, self.flows.task
+        values = task.read_scene(solver, self.flows.start)
+        steps = self._need_state()["step_count"].flatten().tolist()
+        frames = [
+            Frame(
+                time=float(solver.body.age[row]) / task.scales.period,
+                values={name: value[row].cpu() for name, value in values.items()},
+                begins=steps[row] == 0,
+            )
+            for row in range(self.num_envs)
+        ]
+        return tuple(p.paint(frame) for p, frame in zip(self._painters, frames, strict=True))
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the solver's processes, if any."""

@@ -1,6 +1,7 @@
 """Pictures and films of a recorded flow: vorticity, bodies, goal and path (matplotlib)."""
 
 import io
+from collections.abc import Sequence
 from math import floor, log10
 from os import PathLike
 from pathlib import Path
@@ -18,6 +19,7 @@ from matplotlib.patches import Circle, Polygon
 from numpy.typing import NDArray
 from PIL import Image
 
+from fishrl.envs.scene import Frame, Scene
 from fishrl.viewer.recording import Recording
 
 #: Settings of matplotlib for all figures.
@@ -67,19 +69,19 @@ def choose_vorticity_limit(recording: Recording) -> float:
 
 
 class FlowAxes:
-    """One set of axes that shows a recording's vorticity, bodies, goal and path, frame by frame.
+    """One set of axes that shows a scene's vorticity, bodies, goal and paths, frame by frame.
 
     Args:
         axes: to draw on.
-        recording: what to draw.
+        scene: what to draw.
         limit: vorticity at which the colours saturate, 1/T.
         cmap: colours of the vorticity.
     """
 
     def __init__(
-        self, axes: Axes, recording: Recording, *, limit: float, cmap: str | Colormap = "RdBu_r"
+        self, axes: Axes, scene: Scene, *, limit: float, cmap: str | Colormap = "RdBu_r"
     ) -> None:
-        self.recording, scene = recording, recording.scene
+        self.scene = scene
         length, x, y = scene.body_length, scene.width, scene.height
         edges = (-0.5 / length, (x - 0.5) / length, -0.5 / length, (y - 0.5) / length)
         self.image = axes.imshow(
@@ -97,10 +99,10 @@ class FlowAxes:
             for curve in scene.curves
             if curve.is_closed
         }
-        goals = [marks for marks in scene.marks if marks.reach > 0.0]
         self.circles = [
             (goal.key, circle)
-            for goal in goals
+            for goal in scene.marks
+            if goal.reach > 0.0
             for circle in (
                 Circle((0, 0), goal.reach / length, fill=False, edgecolor=FISH, lw=0.8, ls=":"),
                 Circle((0, 0), 0.07, facecolor=FOOD, edgecolor=FISH, lw=0.8, zorder=4),
@@ -108,8 +110,6 @@ class FlowAxes:
         ]
         for patch in (*self.bodies.values(), *(circle for _, circle in self.circles)):
             axes.add_patch(patch)
-        keys = {*self.paths, *self.bodies, *(goal.key for goal in goals)}
-        self.places = {key: recording.stack_bl(key).numpy() for key in keys}
         self.clock = axes.text(
             0.015, 0.955, "", transform=axes.transAxes, ha="left", va="top",
             bbox={"boxstyle": "round,pad=0.3", "facecolor": "white", "alpha": 0.85, "lw": 0},
@@ -119,17 +119,55 @@ class FlowAxes:
         axes.set_yticks(np.arange(0, y / length + 0.01, 1))
         axes.tick_params(length=2.5)
 
-    def show(self, frame: int) -> None:
-        """Move everything to a frame."""
-        scene, now = self.recording.scene, self.recording.frames[frame]
-        self.image.set_data(now.values[scene.field.key].float().numpy())
+    def show(self, frames: Sequence[Frame]) -> None:
+        """Move everything to the last of some frames; the others give the path to it."""
+        now = frames[-1]
+        self.image.set_data(now.values[self.scene.field.key].float().numpy())
         for key, body in self.bodies.items():
-            body.set_xy(self.places[key][frame])
+            body.set_xy(self._place(now, key))
         for key, circle in self.circles:
-            circle.center = tuple(self.places[key][frame])
+            circle.center = tuple(self._place(now, key))
         for key, path in self.paths.items():
-            path.set_data(*self.places[key][: frame + 1].T)
+            path.set_data(*np.stack([self._place(frame, key) for frame in frames]).T)
         self.clock.set_text(f"t = {now.time:.1f} T")
+
+    def _place(self, frame: Frame, key: str) -> NDArray[np.float32]:
+        """Return places in body lengths."""
+        place: NDArray[np.float32] = frame.values[key].float().numpy() / self.scene.body_length
+        return place
+
+
+class FramePainter:
+    """Paint frames of one scene as pictures, one after the other.
+
+    Args:
+        scene: what to draw.
+        limit: vorticity at which the colours saturate, 1/T.
+        dpi: dots per inch; a picture is 8 inches wide.
+        num_levels: number of colours of the vorticity.
+    """
+
+    def __init__(
+        self, scene: Scene, *, limit: float, dpi: float = 100.0, num_levels: int = 256
+    ) -> None:
+        self._frames: list[Frame] = []
+        with mpl.rc_context(STYLE):
+            cmap = mpl.colormaps["RdBu_r"].resampled(num_levels)
+            figure, self._flow = make_single(scene, limit=limit, cmap=cmap)
+            figure.set_dpi(dpi)
+            self._canvas = FigureCanvasAgg(figure)
+            self._canvas.draw()
+            figure.set_layout_engine("none")
+
+    def paint(self, frame: Frame) -> NDArray[np.uint8]:
+        """Return a picture ``[height, width, 3]``; the path begins anew with an episode."""
+        if frame.begins:
+            self._frames.clear()
+        self._frames.append(frame)
+        self._flow.show(self._frames)
+        with mpl.rc_context(STYLE):
+            self._canvas.draw()
+        return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
 
 
 def find_frames(recording: Recording, num: int = _NUM_SNAPSHOTS) -> list[int]:
@@ -155,8 +193,8 @@ def write_snapshots(recording: Recording, path: str | PathLike[str]) -> None:
             if i >= len(frames):
                 axes.set_visible(False)
                 continue
-            flow = FlowAxes(axes, recording, limit=limit)
-            flow.show(frames[i])
+            flow = FlowAxes(axes, recording.scene, limit=limit)
+            flow.show(recording.frames[: frames[i] + 1])
             label_axes(axes, x=i + columns >= len(frames), y=i % columns == 0)
         figure.colorbar(
             flow.image, ax=grid, label=VORTICITY_LABEL, extend="both", aspect=40, pad=0.015
@@ -167,8 +205,9 @@ def write_snapshots(recording: Recording, path: str | PathLike[str]) -> None:
 def write_flow(recording: Recording, path: str | PathLike[str]) -> None:
     """Write one large picture of the flow in the last frame."""
     with mpl.rc_context(STYLE):
-        figure, flow = make_single(recording)
-        flow.show(len(recording.frames) - 1)
+        limit = choose_vorticity_limit(recording)
+        figure, flow = make_single(recording.scene, limit=limit)
+        flow.show(recording.frames)
         figure.savefig(path)
 
 
@@ -214,13 +253,15 @@ def write_animation(
         dpi *= min(0.9, max(0.5, 0.95 * (max_bytes / len(data)) ** 0.5))
 
 
-def make_single(recording: Recording, cmap: str | Colormap = "RdBu_r") -> tuple[Figure, FlowAxes]:
-    """Return a figure with one set of axes."""
-    ratio = recording.scene.height / recording.scene.width
+def make_single(
+    scene: Scene, *, limit: float, cmap: str | Colormap = "RdBu_r"
+) -> tuple[Figure, FlowAxes]:
+    """Return a figure with one set of axes, see ``FlowAxes``."""
     width = _GIF_WIDTH_INCHES
-    figure = Figure(figsize=(width, 0.86 * width * ratio + 0.6), layout="constrained")
+    size = (width, 0.86 * width * scene.height / scene.width + 0.6)
+    figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots()
-    flow = FlowAxes(axes, recording, limit=choose_vorticity_limit(recording), cmap=cmap)
+    flow = FlowAxes(axes, scene, limit=limit, cmap=cmap)
     label_axes(axes)
     figure.colorbar(flow.image, ax=axes, label=VORTICITY_LABEL, extend="both", pad=0.015)
     return figure, flow
@@ -229,28 +270,10 @@ def make_single(recording: Recording, cmap: str | Colormap = "RdBu_r") -> tuple[
 def render_frames(
     recording: Recording, dpi: float = 100.0, *, num_levels: int = 256
 ) -> list[NDArray[np.uint8]]:
-    """Draw every frame of a recording.
-
-    Args:
-        recording: the episode.
-        dpi: dots per inch; a picture is 8 inches wide.
-        num_levels: number of colours of the vorticity.
-
-    Returns:
-        A picture ``[height, width, 3]`` per frame.
-    """
-    pictures = []
-    with mpl.rc_context(STYLE):
-        figure, flow = make_single(recording, mpl.colormaps["RdBu_r"].resampled(num_levels))
-        figure.set_dpi(dpi)
-        canvas = FigureCanvasAgg(figure)
-        canvas.draw()
-        figure.set_layout_engine("none")
-        for frame in range(len(recording.frames)):
-            flow.show(frame)
-            canvas.draw()
-            pictures.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
-    return pictures
+    """Return a picture ``[height, width, 3]`` of every frame, see ``FramePainter``."""
+    limit = choose_vorticity_limit(recording)
+    painter = FramePainter(recording.scene, limit=limit, dpi=dpi, num_levels=num_levels)
+    return [painter.paint(frame) for frame in recording.frames]
 
 
 def _encode_gif(pictures: list[Image.Image]) -> bytes:

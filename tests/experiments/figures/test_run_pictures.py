@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
+import imageio_ffmpeg
 import numpy as np
 import pytest
 import torch
@@ -80,8 +81,8 @@ def test_colours_are_symmetric_about_zero_and_saturate_at_a_round_number(
 
 def test_flows_are_drawn_in_body_lengths(make_recording: Maker) -> None:
     recording = make_recording(num_frames=5)
-    figure, flow = film.make_single(recording)
-    flow.show(4)
+    figure, flow = film.make_single(recording.scene, limit=5.0)
+    flow.show(recording.frames)
     x, y = flow.paths["head"].get_data()
     assert np.allclose([x[-1], y[-1]], recording.stack_bl("head")[-1].numpy())
     assert flow.clock.get_text() == "t = 1.0 T"
@@ -108,3 +109,21 @@ def test_metrics_without_a_known_column_are_refused(tmp_path: Path, text: str) -
     (tmp_path / "metrics.csv").write_text(text)
     with pytest.raises(ValueError, match="needs"):
         write_learning_curve(tmp_path / "metrics.csv", tmp_path / "x.png")
+
+
+def test_a_film_has_every_frame(make_recording: Maker, tmp_path: Path) -> None:
+    recording = make_recording(num_frames=5)
+    film.write_film(recording, tmp_path / "film.mp4", dpi=50.0)
+    num_frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "film.mp4"))
+    assert num_frames == 5
+    assert seconds == pytest.approx(5 / 14, abs=0.05)
+
+
+def test_a_path_begins_anew_with_an_episode(make_recording: Maker) -> None:
+    recording = make_recording(num_frames=4)
+    painter = film.FramePainter(recording.scene, limit=5.0, dpi=40.0)
+    first = painter.paint(dataclasses.replace(recording.frames[0], begins=True))
+    later = painter.paint(recording.frames[3])
+    again = painter.paint(dataclasses.replace(recording.frames[0], begins=True))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, later)
