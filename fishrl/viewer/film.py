@@ -133,7 +133,7 @@ class FlowAxes:
 
     def _place(self, frame: Frame, key: str) -> NDArray[np.float32]:
         """Return places in body lengths."""
-        place: NDArray[np.float32] = frame.values[key].float().numpy() / self.scene.body_length
+        place: NDArray[np.float32] = (frame.values[key].float() / self.scene.body_length).numpy()
         return place
 
 

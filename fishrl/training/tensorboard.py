@@ -1,0 +1,55 @@
+"""A logger for TensorBoard."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from fishrl.extras import show_install
+from fishrl.training.logger import CsvLogger
+
+
+class TensorboardLogger(CsvLogger):
+    """TensorBoard's event files in the run folder, beside the CSV file.
+
+    Raises:
+        ImportError: if tensorboard is not installed.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError as error:
+            raise ImportError(
+                f"logger=tensorboard needs a package: {show_install('tensorboard')}; or logger=csv"
+            ) from error
+        self._make_writer = SummaryWriter
+        self._writer: Any = None
+
+    def open(
+        self, folder: Path, *, columns: Sequence[str], config: Mapping[str, Any], step: int = 0
+    ) -> None:
+        """Start event files as well; after a resume, later steps of earlier files are hidden."""
+        super().open(folder, columns=columns, config=config, step=step)
+        self._step_key = columns[0]
+        self._writer = self._make_writer(
+            str(folder / "tensorboard"), purge_step=step + 1 if step else None
+        )
+
+    def log(self, metrics: Mapping[str, float]) -> None:
+        """Add a row here and there."""
+        super().log(metrics)
+        step = int(metrics[self._step_key])
+        for name, value in metrics.items():
+            if name != self._step_key and not math.isnan(value):
+                self._writer.add_scalar(name, value, step)
+        self._writer.flush()
+
+    def close(self) -> None:
+        """End the files."""
+        super().close()
+        if self._writer is not None:
+            self._writer.close()

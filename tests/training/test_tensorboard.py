@@ -1,0 +1,28 @@
+"""TensorBoard reads what the logger wrote, also after a resume."""
+
+from pathlib import Path
+
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from fishrl.training.tensorboard import TensorboardLogger
+
+COLUMNS = ["frames", "train/return", "eval/return"]
+
+
+def test_tensorboard_reads_every_step_once(tmp_path: Path) -> None:
+    logger = TensorboardLogger()
+    logger.open(tmp_path, columns=COLUMNS, config={})
+    for frames in (10, 20, 30):
+        values = {"frames": frames, "train/return": frames / 10, "eval/return": float("nan")}
+        logger.log(values)
+    logger.close()
+    logger = TensorboardLogger()  # continues from frame 20
+    logger.open(tmp_path, columns=COLUMNS, config={}, step=20)
+    logger.log({"frames": 40, "train/return": 7.0, "eval/return": 1.0})
+    logger.close()
+    events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    assert set(events.Tags()["scalars"]) == {"train/return", "eval/return"}
+    curve = [(event.step, event.value) for event in events.Scalars("train/return")]
+    assert curve == [(10, 1.0), (20, 2.0), (40, 7.0)]
+    rows = (tmp_path / "metrics.csv").read_text().splitlines()
+    assert [row.split(",")[0] for row in rows] == ["frames", "10", "20", "40"]
