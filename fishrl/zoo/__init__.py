@@ -5,11 +5,12 @@ Example::
     from fishrl.envs import make_env
     from fishrl.zoo import load_policy, load_recognition
 
-    policy, task = load_policy("gait_small")
-    env = make_env(task=task, recognition=load_recognition("gait_small"), num_envs=3)
+    policy, task = load_policy("predation_small")
+    recognition = load_recognition("predation_small")
+    env = make_env(task=task, recognition=recognition, num_envs=3)
 
-Wherever a run folder or a checkpoint is accepted, ``zoo/gait_small`` names one of them, and the
-programs take ``policy=zoo/gait_small``. Each folder below this one was written by
+Wherever a run folder or a checkpoint is accepted, ``zoo/predation_small`` names one of them, and
+the programs take ``policy=zoo/predation_small``. Each folder below this one was written by
 ``python -m experiments.export_policy``; its ``README.md`` says how the policy was trained and
 evaluated.
 """
@@ -30,7 +31,7 @@ def load_policy(name: str, *, device: str = "cpu") -> tuple[TensorDictModuleBase
     """Load a policy and the task that it was trained for.
 
     Args:
-        name: such as ``gait_small``, one of ``list_policies()``.
+        name: such as ``predation_small``, one of ``list_policies()``.
         device: of the policy.
 
     Raises:
