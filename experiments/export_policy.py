@@ -1,9 +1,7 @@
 """Export a learned policy: ``python -m experiments.export_policy run=runs/<name> folder=<folder>``.
 
 Writes its weights, settings, learning curve, final evaluation and model card, without what only its
-training needs; every program takes the folder as ``checkpoint=<folder>``. ``upload=<user>/<name>``
-sends it to a repository of the Hugging Face Hub, which needs the package ``huggingface_hub`` and
-its log-in.
+training needs; every program takes the folder as ``checkpoint=<folder>``.
 """
 
 from __future__ import annotations
@@ -26,13 +24,11 @@ class ExportPolicySettings:
         run: folder of a run.
         folder: to write.
         title: of the model card; by default the name of the folder.
-        upload: repository of the Hugging Face Hub to send it to.
     """
 
     run: str = MISSING
     folder: str = MISSING
     title: str | None = None
-    upload: str | None = None
 
 
 def read_revision() -> str | None:
@@ -44,18 +40,12 @@ def read_revision() -> str | None:
 
 @program(ExportPolicySettings)
 def main(settings: ExportPolicySettings) -> None:
-    """Export, say where, and upload if asked for."""
+    """Export and say where."""
     folder = export_policy(
         settings.run, settings.folder, title=settings.title, revision=read_revision()
     )
     size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
     print(f"written to {folder}: {size / 1e6:.2f} MB")
-    if settings.upload is not None:
-        from huggingface_hub import HfApi
-
-        api = HfApi()
-        api.create_repo(settings.upload, exist_ok=True)
-        print(api.upload_folder(repo_id=settings.upload, folder_path=folder))
 
 
 if __name__ == "__main__":

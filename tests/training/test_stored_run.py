@@ -13,8 +13,10 @@ import tarfile
 from pathlib import Path
 
 import pytest
+import torch
 
-from fishrl.training import DRQN, evaluate, load_plan, resume
+from fishrl.training import DRQN, evaluate, load_plan, load_policy, resume
+from fishrl.training.export import export_policy
 from tests.training.test_goldens import GOLDENS, read
 
 
@@ -39,3 +41,17 @@ def test_a_stored_run_is_evaluated_and_goes_on_exactly(stored: Path) -> None:
     whole = next(r for r in read(GOLDENS / "drqn_run_24_frames.csv") if r["frames"] == 20)
     learned = [name for name in whole if not name.startswith("eval/")]
     assert [row[n] for n in learned] == pytest.approx([whole[n] for n in learned], rel=1e-5)
+
+
+def test_an_exported_policy_is_the_best_one_and_small(stored: Path, tmp_path: Path) -> None:
+    folder = export_policy(stored, tmp_path / "policies" / "drqn", revision="abc")
+    exported, best = load_policy(folder), load_policy(stored)
+    for one, other in zip(exported.parameters(), best.parameters(), strict=True):
+        assert torch.equal(one, other)
+    assert load_plan(folder)[1].task == load_plan(stored)[1].task
+    size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+    assert size < 0.2 * sum(f.stat().st_size for f in stored.rglob("*") if f.is_file())
+    card = (folder / "README.md").read_text()
+    assert all(words in card for words in ("Predation", "DRQN", "abc", "| success rate |"))
+    with pytest.raises(ValueError, match="exists; name a new one"):
+        export_policy(stored, folder)
