@@ -6,38 +6,20 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 
-def start_child(
-    code: str, *arguments: str, env: Mapping[str, str] | None = None, **options: Any
-) -> subprocess.Popen[bytes]:
+def start_child(code: str, *arguments: str, **options: Any) -> subprocess.Popen[bytes]:
     """Run Python code in a process group that is killed when the pipe to its stdin closes.
 
     The kernel closes that pipe when this process ends, so that even SIGKILL leaves nothing behind.
-
-    Args:
-        code: Python code.
-        *arguments: its ``sys.argv[1:]``.
-        env: added to the environment.
-        **options: of ``subprocess.Popen``.
+    ``options`` are those of ``subprocess.Popen``.
     """
-    root = str(Path(__file__).parents[1])
-    path = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
-    return subprocess.Popen(
-        [
-            sys.executable,
-            "-c",
-            f"import fishrl.children as c; c.end_with_pipe(); {code}",
-            *arguments,
-        ],
-        stdin=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": path, **(env or {})},
-        start_new_session=True,
-        **options,
-    )
+    start = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})"
+    code = f"{start}; import fishrl.children; fishrl.children.end_with_pipe(); {code}"
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True, **options)
 
 
 def end_with_pipe() -> None:

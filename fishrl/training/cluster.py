@@ -117,13 +117,9 @@ class ClusterCollector:
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything the next batch depends on, from all machines."""
+        state = {"frames": self._frames, "explorer": self._explorer.state_dict()}
         with noticing_losses():
-            collectors = self._flows.state_dict()
-        return {
-            "frames": self._frames,
-            "explorer": self._explorer.state_dict(),
-            "collectors": collectors,
-        }
+            return {**state, "collectors": self._flows.state_dict()}
 
     def load_state_dict(self, state_dict: Any) -> None:
         """Restore what ``state_dict`` returned into as many collectors."""

@@ -56,8 +56,7 @@ class Training:
         **hooks: Unpack[Hooks],
     ) -> None:
         self._lock = folder.hold()
-        self.plan, self.folder, self.config = plan, folder, plan.to_config()
-        self.hooks = hooks
+        self.plan, self.folder, self.config, self.hooks = plan, folder, plan.to_config(), hooks
         self.observer = hooks.get("observer") or Observer()
         self.progress = hooks.get("progress") or Progress(is_shown=False)
         began = hooks.get("began")

@@ -7,7 +7,7 @@ import socket
 import subprocess
 import sys
 import time
-from typing import Self
+from typing import Any, Self
 
 from fishrl.children import start_child
 from fishrl.viewer.drawing import import_rerun
@@ -15,6 +15,7 @@ from fishrl.viewer.drawing import import_rerun
 HOST = "127.0.0.1"
 _PATIENCE_S = 30.0
 _MAX_PORT = 65535
+_SILENT: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
 
 
 class Viewer:
@@ -36,8 +37,7 @@ class Viewer:
         self._process = start_child(
             "import rerun_cli.__main__ as r, sys; sys.exit(r.main())",
             *("--bind", HOST, "--port", str(self.port), *options),
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
+            **_SILENT,
         )
         deadline = time.monotonic() + _PATIENCE_S
         while time.monotonic() < deadline and self._process.poll() is None:
@@ -78,12 +78,7 @@ class Viewer:
 
 def open_window(*options: str) -> None:
     """Start rerun in a window that outlives this process."""
-    subprocess.Popen(
-        [sys.executable, "-m", "rerun", *options],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    subprocess.Popen([sys.executable, "-m", "rerun", *options], start_new_session=True, **_SILENT)
 
 
 def find_port(first: int) -> int:

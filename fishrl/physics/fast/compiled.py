@@ -102,14 +102,10 @@ def compile_inplace(
     from torch.fx.experimental.proxy_tensor import make_fx
 
     twins = [_make_twin(t) for t in example]
-    graph = make_fx(function)(*twins)
+    graph, options = make_fx(function)(*twins), {"config_patches": settings}
     try:
         compiled = standalone_compile(
-            graph,
-            [*twins],
-            dynamic_shapes="from_example_inputs",
-            aot=True,
-            options={"config_patches": settings},
+            graph, [*twins], dynamic_shapes="from_example_inputs", aot=True, options=options
         )
     except RuntimeError as error:
         said = str(error).rpartition("Output:")[2].strip()  # by the C++ compiler

@@ -79,7 +79,7 @@ class Workers:
         self._processes = [
             start_child(
                 "from fishrl.physics.fast.workers import serve; serve()",
-                env={"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
+                env=os.environ | {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
                 stdout=subprocess.PIPE,
                 pass_fds=[job.file],
             )
@@ -90,11 +90,7 @@ class Workers:
         self._wait()
 
     def advance_(self, num_steps: int, groups: Sequence[int]) -> None:
-        """Advance those of the workers' flows that are in ``groups``, and wait for them.
-
-        Raises:
-            ChildProcessError: if a worker has ended; the flows are then undefined.
-        """
+        """Advance those of the workers' flows that are in ``groups``, and wait for them."""
         if not self._processes:
             raise ChildProcessError("the flow workers have ended: make a new solver")
         for process in self._processes:
