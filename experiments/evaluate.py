@@ -14,7 +14,7 @@ from experiments.live import LiveObserver
 from experiments.program import program
 from experiments.train_settings import PolicySettings, read_task
 from fishrl.bounds import bounded
-from fishrl.envs import AbstractTask, make_env
+from fishrl.envs import AbstractTask
 from fishrl.training import evaluate as run_evaluation
 from fishrl.training.description import make, to_plain
 from fishrl.training.progress import Progress
@@ -43,9 +43,7 @@ class EvaluateConfig(PolicySettings):
             )
 
 
-def evaluate(
-    config: EvaluateConfig, *, make_env: Any = make_env, progress: Progress | None = None
-) -> dict[str, Any]:
+def evaluate(config: EvaluateConfig, *, progress: Progress | None = None) -> dict[str, Any]:
     """Run one episode from each of the fixed starts, and return the result with its policy."""
     task = make(config.task, kind=AbstractTask)
     source = str(config.policy) if config.learned is None else Path(config.learned)
@@ -58,7 +56,6 @@ def evaluate(
         seed=config.seed,
         device=config.device,
         compile=config.compile,
-        make_env=make_env,
         observer=LiveObserver(config, num_flows=min(config.num_envs, config.episodes)),
         progress=progress,
     )

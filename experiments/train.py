@@ -20,7 +20,6 @@ from experiments.program import program, show_command
 from experiments.sweeps.jobs import sweep
 from experiments.sweeps.runs import list_arguments
 from experiments.train_settings import TRAINING, TrainConfig, make_plan
-from fishrl.envs import make_env
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.description import to_plain
 from fishrl.training.evaluation import fixed_starts
@@ -66,18 +65,13 @@ class RunObserver(LiveObserver):
 
 
 def set_up(
-    config: TrainConfig,
-    *,
-    make_env: Any = make_env,
-    progress: Progress | None = None,
-    began: float | None = None,
+    config: TrainConfig, *, progress: Progress | None = None, began: float | None = None
 ) -> Training:
     """Set up a run, new or resumed; invalid settings raise an error here, not later.
 
     ``began`` is ``time.perf_counter()`` when the program started.
     """
-    observer = RunObserver(config)
-    hooks: Any = {"make_env": make_env, "progress": progress, "began": began, "observer": observer}
+    hooks: Any = {"progress": progress, "began": began, "observer": RunObserver(config)}
     if config.resume:
         return reopen(config.resume, **hooks, **list_changes(config))
     return begin(make_plan(config), recognition=config.recognition, **hooks)

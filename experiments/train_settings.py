@@ -20,7 +20,6 @@ from fishrl.training.logger import CsvLogger
 from fishrl.training.plan import LEARNING, PARTS, RUN, Plan
 from fishrl.training.policy_zoo import PREFIX
 from fishrl.training.run_folder import RunFolder, read_config
-from fishrl.training.runs import make_folder
 from fishrl.training.settings import LearningSettings, RunSettings
 from fishrl.viewer import ViewerSettings
 
@@ -146,8 +145,3 @@ def make_plan(config: TrainConfig) -> Plan:
         preset=config.preset,
         extra={n: v for n, v in plain.items() if n not in (*LEARNING, *RUN, *PARTS, "resume")},
     )
-
-
-def begin_run(config: TrainConfig, folder: RunFolder) -> RunFolder:
-    """Write a plan into a new run folder; ``resume=<folder>`` then starts the run."""
-    return make_folder(make_plan(config), recognition=config.recognition, folder=folder)[0]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -148,8 +147,14 @@ def wait_for_interrupt() -> None:
             time.sleep(1.0)
 
 
-def view(settings: ViewConfig, *, wait: Callable[[], None] = wait_for_interrupt) -> None:
-    """Open, record, stream or take a screenshot; a live view ends when ``wait`` returns."""
+@program(
+    ViewConfig,
+    groups={"task": "predation", "preset": None},
+    stored=read_task,
+    positional="recording",
+)
+def main(settings: ViewConfig) -> None:
+    """Open, record, stream or take a screenshot, as the settings say."""
     opens = not (settings.live or settings.save or settings.screenshot)
     with ExitStack() as stack:
         folder = stack.enter_context(TemporaryDirectory(prefix="fishrl-"))
@@ -170,23 +175,12 @@ def view(settings: ViewConfig, *, wait: Callable[[], None] = wait_for_interrupt)
                 size = record(settings, save=path, url=url, progress=progress)
             print(f"{settings.save}: {size}" if settings.save else size)
             if server is not None:
-                wait()
+                wait_for_interrupt()
         if settings.screenshot is not None:
             write_screenshot(path, settings.screenshot, time_T=settings.time)
             print(f"written: {settings.screenshot}")
         elif opens:
             open_recording(path)
-
-
-@program(
-    ViewConfig,
-    groups={"task": "predation", "preset": None},
-    stored=read_task,
-    positional="recording",
-)
-def main(settings: ViewConfig) -> None:
-    """Open, record or stream."""
-    view(settings)
 
 
 if __name__ == "__main__":

@@ -39,12 +39,13 @@ from experiments.sweeps.runs import (
     read_run,
     read_runs,
 )
-from experiments.train_settings import TRAINING, TrainConfig, begin_run
+from experiments.train_settings import TRAINING, TrainConfig, make_plan
 from fishrl.training.aliases import update_names
 from fishrl.training.description import to_plain
 from fishrl.training.interruption import SIGNALS
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, read_config
+from fishrl.training.runs import make_folder
 
 logger = logging.getLogger(__name__)
 
@@ -151,7 +152,8 @@ def find_or_begin(config: TrainConfig, *, name: str) -> RunFolder:
             if not path.exists():
                 folder = RunFolder.create(parent=config.folder, name=path.name)
             with folder.checked().noting_failure():
-                return begin_run(config, folder)
+                plan = make_plan(config)
+                return make_folder(plan, recognition=config.recognition, folder=folder)[0]
 
 
 def is_same(config: TrainConfig, folder: RunFolder) -> bool:

@@ -1,4 +1,4 @@
-"""A frozen fish in a changed task: settings of the task go on top of those of its own run."""
+"""A trained policy in a changed task: settings of the task override those of its own run."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ OWN = [*SETTINGS, "task.stream.speeds_bl=[1.0,1.2,1.4]", "task.observes_flow=tru
 
 
 def store(folder: Path, *overrides: str, recognition: str | None = None) -> str:
-    """Make what an untrained fish of a gait leaves, as far as settings are concerned."""
+    """Write the checkpoint of an untrained policy of the gait."""
     config = TRAINING.read([*OWN, *overrides])
     config = replace(config, recognition=recognition)
     task = make(config.task, kind=AbstractTask)

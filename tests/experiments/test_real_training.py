@@ -14,7 +14,6 @@ from PIL import Image
 
 from experiments.train import main, set_up
 from experiments.train_settings import TrainConfig
-from fishrl.envs import make_env
 from tests.envs.test_real_flow import TINY
 
 pytestmark = pytest.mark.learning
@@ -41,12 +40,10 @@ def test_a_real_run_goes_on_exactly_in_the_middle_of_an_episode(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("fishrl.training.loop.Training._summarize", lambda training: {})
-    whole = set_up(config_of(tmp_path, name="whole", total_frames=4), make_env=make_env)
+    whole = set_up(config_of(tmp_path, name="whole", total_frames=4))
     whole.run()
-    set_up(config_of(tmp_path, name="part", total_frames=2), make_env=make_env).run()
-    resumed = set_up(
-        config_of(tmp_path, resume=str(tmp_path / "part"), total_frames=4), make_env=make_env
-    )
+    set_up(config_of(tmp_path, name="part", total_frames=2)).run()
+    resumed = set_up(config_of(tmp_path, resume=str(tmp_path / "part"), total_frames=4))
     assert resumed.counters.frames == 2
     resumed.run()
     expected = dict(whole.learner.loss.state_dict())

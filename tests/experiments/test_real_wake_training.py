@@ -10,7 +10,7 @@ import torch
 
 from experiments.train import set_up
 from experiments.train_settings import TrainConfig
-from fishrl.envs import FlowEnv, make_env
+from fishrl.envs import FlowEnv
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.loop import Training
 from tests.experiments.real_wake import gait_settings
@@ -43,7 +43,7 @@ def begin(folder: Path, wakes: Path, **settings: Any) -> Training:
         picture_episodes=0,
         **settings,
     )
-    return set_up(config, make_env=make_env)
+    return set_up(config)
 
 
 def read_states(run: Path) -> dict[str, Any]:

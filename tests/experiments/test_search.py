@@ -1,4 +1,4 @@
-"""The search with Optuna: what is searched, that it goes on, that a failed trial is one of many."""
+"""The search with Optuna: its ranges, resumed studies, and failed trials."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_a_trial_that_was_cut_off_is_finished_before_new_ones(tmp_path: Path) ->
         search.run_seed(plan_of(tmp_path, *line, metric="mean_retrun"), 0, [gamma], 0)
 
 
-def test_a_search_that_is_told_to_end_has_its_trial_saved_and_leaves_it_unfinished(
+def test_a_search_that_is_ended_saves_its_trial_and_leaves_it_unfinished(
     tmp_path: Path,
 ) -> None:
     line = [*SETTINGS, f"logger._target_={HERE}.Lingering", "gamma=interval(0.9,1)"]
@@ -130,7 +130,7 @@ def test_a_run_that_outlived_its_search_is_waited_for(
         assert search.run_seed(plan, 0, ["gamma=0.95"], 0) == 2.5
 
 
-def test_failed_trials_are_told_and_others_follow(
+def test_failed_trials_are_recorded_and_others_follow(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(search, "run_seed", lambda *_: None)

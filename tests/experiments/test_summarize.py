@@ -1,4 +1,4 @@
-"""From run folders to tables and curves: who belongs together, what is said, who is to be rerun."""
+"""From run folders to tables and curves: groups, statistics, and which runs to repeat."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_runs_of_different_classifiers_are_different_groups(tmp_path: Path) -> N
     ]
 
 
-def test_groups_are_told_by_the_fewest_settings(tmp_path: Path) -> None:
+def test_groups_are_labelled_by_the_fewest_settings(tmp_path: Path) -> None:
     for preset, frames, length in (("small", 10, 50), ("paper", 20, 100)):
         for gamma in (0.9, 0.99):
             task = {"_target_": "fishrl.envs.Predation", "body_length": length}
@@ -263,7 +263,7 @@ def test_a_run_is_held_by_one_process_until_that_is_killed(tmp_path: Path) -> No
     RunFolder(path).hold().close()
 
 
-def test_a_file_system_without_locks_is_put_up_with(
+def test_a_file_system_without_locks_is_tolerated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = write_run(tmp_path, "run", summary=summary_of(1.0))

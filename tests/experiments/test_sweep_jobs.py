@@ -1,4 +1,4 @@
-"""Jobs of a sweep: what they are called, where they lie, and that each fails for itself."""
+"""Jobs of a sweep: their names and folders, and that a failed one does not affect the others."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ def test_a_killed_job_leaves_the_others_and_goes_on_alone(
     assert (whole / "summary.json").stat().st_mtime_ns == before
 
 
-def test_a_sweep_that_is_told_to_end_saves_what_runs(tmp_path: Path) -> None:
+def test_a_sweep_that_is_ended_saves_its_runs(tmp_path: Path) -> None:
     command = ["-m", "experiments.train", "--multirun", *SETTINGS, f"folder={tmp_path}", "seed=0,1"]
     command.append(f"logger._target_={HERE}.Ending")
     done = subprocess.run(
@@ -183,7 +183,7 @@ def test_a_sweep_that_is_told_to_end_saves_what_runs(tmp_path: Path) -> None:
     assert "0 of 2 runs finished" in done.stdout
 
 
-def test_a_run_that_was_told_to_end_has_not_failed(
+def test_a_run_that_was_ended_has_not_failed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = jobs.find_or_begin(settings_in(tmp_path), name="run")

@@ -85,7 +85,7 @@ def test_a_path_alone_opens_the_recording_there(
 
 
 def test_a_live_view_streams_and_stays_until_an_interrupt(
-    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = view.main.read([*GAIT, "policy=pid", "live=true", "periods=1", "port=29600"])
     waited: list[bool] = []
@@ -94,7 +94,8 @@ def test_a_live_view_streams_and_stays_until_an_interrupt(
         socket.create_connection(("127.0.0.1", 29600), timeout=2.0).close()
         waited.append(True)
 
-    view.view(config, wait=wait)
+    monkeypatch.setattr(view, "wait_for_interrupt", wait)
+    view.main.run(config)
     assert waited == [True]
     said = capsys.readouterr().out
     assert " MB for " in said
@@ -127,20 +128,6 @@ def test_errors_are_one_line(
     assert "\n" not in str(error.value)
 
 
-class Notes:
-    """Notes the frames that a drawing gets, and lets it draw them."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.frames: list[tuple[int, Frame]] = []
-        draw = Drawing.draw
-
-        def note(drawing: Drawing, flow: int, frame: Frame) -> None:
-            self.frames.append((flow, frame))
-            draw(drawing, flow, frame)
-
-        monkeypatch.setattr(Drawing, "draw", note)
-
-
 def test_a_training_with_a_live_view_learns_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -148,20 +135,27 @@ def test_a_training_with_a_live_view_learns_the_same(
     settings += ["total_frames=32", "warmup_frames=8", "eval_frames=16", "eval_episodes=2"]
     settings += ["final_episodes=1", "baselines=[]", "task.time_limit=4"]
     finish(set_up(TRAINING.read([*settings, "name=alone"])))
-    drawn = Notes(monkeypatch)
+    drawn: list[tuple[int, Frame]] = []
+    draw = Drawing.draw
+
+    def note(drawing: Drawing, flow: int, frame: Frame) -> None:
+        drawn.append((flow, frame))
+        draw(drawing, flow, frame)
+
+    monkeypatch.setattr(Drawing, "draw", note)
     seen = ["name=seen", "live=true", "flows=[1,2]", "port=29620", "live_share=1.0"]
     summary = finish(set_up(TRAINING.read([*settings, *seen])))
     assert read_rows(tmp_path / "seen") == read_rows(tmp_path / "alone")
     assert summary["frames"] == 32
     for flow in (1, 2):
-        frames = [frame for own, frame in drawn.frames if own == flow]
+        frames = [frame for own, frame in drawn if own == flow]
         # 8 decisions of a quarter of a T each in training alone, about 8 frames in a T
         assert len(frames) > 8 * 0.25 * 8 * 0.7
         times = [frame.time for frame in frames]
         assert times == sorted(times)
         assert sum(frame.begins for frame in frames) > 1  # evaluations, and training again
         assert {"flow_probabilities", "action_mask", "felt"} <= set(frames[0].values)
-    assert {flow for flow, _ in drawn.frames} == {1, 2}
+    assert {flow for flow, _ in drawn} == {1, 2}
 
 
 def test_a_resumed_run_is_live_only_on_request(tmp_path: Path) -> None:

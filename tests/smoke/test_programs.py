@@ -23,6 +23,7 @@ from experiments.program import list_choices
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
 from tests.docs.pages import DOCS
+from tests.docs.test_tutorials import BRIEF, CHANNEL
 from tests.envs.conftest import SMALL
 from tests.envs.kinematic_solver import KinematicSolver
 from tests.envs.test_real_flow import TINY
@@ -32,21 +33,9 @@ ROOT = Path(__file__).parents[2]
 GROUPS = list_choices()
 
 #: Actions of a few steps, in flows that are hardly larger than the fish.
-BRIEF = {"control_interval_T": 0.1, "checks_per_action": 4}
 REAL: dict[str, dict[str, Any]] = {
     "predation": TINY | BRIEF,
-    "free_stream": {
-        **BRIEF,
-        "body_length": 20,
-        "reynolds": 300.0,
-        "max_wall_speed": 0.15,
-        "wall_margin_bl": 0.3,
-        "domain_bl": (4.0, 2.4),
-        "start_x_bl": (-1.6, -1.4),
-        "safe_area.near_bl": -2.0,
-        "safe_area.far_bl": 1.0,
-        "safe_area.aside_bl": 0.5,
-    },
+    "free_stream": CHANNEL | {"safe_area": "{near_bl:-2.0,far_bl:1.0,aside_bl:0.5}"},
 }
 KINEMATIC: dict[str, Any] = SMALL | BRIEF | {"wall_margin_bl": 0.25}
 FEW = [
