@@ -19,13 +19,9 @@ Policy = Callable[[TensorDictBase], TensorDictBase]
 class Episodes:
     """Outcome of E episodes, in the order of their starts; on the CPU.
 
-    Args:
-        returns: ``[E]`` sum of rewards.
-        lengths: ``[E]`` number of decisions, int64.
-        succeeded: ``[E]`` bool, whether the task was accomplished, see ``has_succeeded``.
-        terminated: ``[E]`` bool, whether the task itself ended the episode.
-        diverged: ``[E]`` bool, whether the flow diverged; such an episode is no success.
-        interval_T: duration of a decision, tail beats.
+    ``returns`` ``[E]`` are sums of rewards, ``lengths`` ``[E]`` int64 numbers of decisions of
+    ``interval_T`` tail beats. Bool ``[E]``: ``succeeded``, see ``has_succeeded``; ``terminated`` by
+    the task itself; ``diverged``, which is no success.
     """
 
     returns: Tensor

@@ -130,8 +130,7 @@ class FlowEnv(EnvBase):
     ) -> Iterator[None]:
         """Use other starts, from the first one, in a ``with`` block; arguments as for the class.
 
-        On exit the previous starts and ``on_frame`` are restored and no row rests. The flows are
-        not restored.
+        On exit the previous starts and ``on_frame`` are back and no row rests, but not the flows.
         """
         self.task.check_starts(starts)
         before = self.starts, self._next_start, self.on_frame

@@ -110,9 +110,8 @@ class FlowVectorEnv(VectorEnv):
     ) -> tuple[Array, dict[str, Any]]:
         """Start new episodes; return observations ``[B, ...]`` and infos of all rows.
 
-        Args:
-            seed: one seed of all further starts, which depend on seed, row and episode.
-            options: ``reset_mask`` ``[B]`` bool, the rows to reset; by default all.
+        ``seed`` is that of all further starts, which depend on seed, row and episode; ``options``
+        may hold ``reset_mask`` ``[B]`` bool, the rows to reset.
 
         Raises:
             ValueError: for an invalid mask.

@@ -1,8 +1,8 @@
 """The interface of a solver to tasks: their sensors and views reach the flow only through it.
 
-``InPlaceSolver`` fulfils it; so does any stand-in with these methods, such as one without a flow
-that tests run in milliseconds. All quantities are in lattice units, with a leading batch axis B;
-arguments are those of ``InPlaceSolver``.
+``InPlaceSolver`` fulfils it and documents the arguments; so does any stand-in with these methods,
+such as one without a flow in tests. All quantities are in lattice units, with a leading batch axis
+B.
 """
 
 from collections.abc import Sequence
@@ -16,13 +16,10 @@ from fishrl.physics.flow import FlowConfig
 
 
 class Solver(Protocol):
-    """B flows and the bodies in them, advanced in place.
+    """B flows and the bodies in them, advanced in place; ``config`` is that of the first flow.
 
-    Tensors that the solver returns from ``body`` and ``bodies`` change in place: copy what is kept.
-
-    Attributes:
-        config: of the first flow; grid and bodies are the same in all.
-        num_envs: number of flows B.
+    Grid and bodies are the same in all. Tensors from ``body`` and ``bodies`` change in place: copy
+    what is kept.
     """
 
     config: FlowConfig

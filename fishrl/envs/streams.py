@@ -30,7 +30,7 @@ class Stream:
         has_disc: include the half disc; positions refer to its location in a free stream too.
         diameter_bl: D of the half disc, body lengths.
         face_bl: distance of its flat side from the inflow.
-        num_phases: number of wake snapshots per shedding period from which episodes start.
+        num_phases: wake snapshots per shedding period from which episodes start.
         num_travels: development time of a wake, D / U; see ``wakes.WakeRecipe``.
         wake_folder: cache of developed wakes.
     """

@@ -110,8 +110,7 @@ class GaitPolicy(TensorDictModuleBase):
         rows: available frequencies, rising, one row per flow; one row with ``is_direct``.
         is_direct: actions are indices into the only row; otherwise decelerate (0), cruise (1) or
             accelerate (2) from the current ``gear``.
-        flow_key: key of the row to use, ``[B]`` or ``[B, 1]``: the true ``flow_index``, or the
-            ``flow_class`` predicted by a classifier.
+        flow_key: key of the row to use: ``flow_index``, or the predicted ``flow_class``.
     """
 
     def __init__(

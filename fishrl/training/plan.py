@@ -72,10 +72,7 @@ class Plan:
     def from_config(cls, config: Mapping[str, Any], *, modules: Collection[str] = ()) -> Plan:
         """Make a plan from ``config.yaml`` or the metadata of a checkpoint; see ``to_config``.
 
-        Missing entries keep their defaults; ``modules`` see ``description.make``.
-
-        Raises:
-            ValueError: for a class that is not allowed, and invalid values.
+        Missing entries keep their defaults; ``modules`` see ``description.make``, like the errors.
         """
         algorithm = dict(config.get("algorithm") or describe(DiscreteSAC()))
         algorithm |= {name: config[name] for name in FORMER_SETTINGS if name in config}

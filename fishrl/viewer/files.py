@@ -86,7 +86,7 @@ def write_screenshot(
 ) -> None:
     """Write what the viewer shows of a ``.rrd`` file as a PNG, without a window.
 
-    It needs a Vulkan driver. ``time_T`` is by default the middle of the recording.
+    ``time_T`` is by default the middle of the recording.
 
     Raises:
         FileNotFoundError: if there is no recording, or no folder for the picture.

@@ -1,7 +1,6 @@
 """Predation, the paper's first task: catch moving food without touching a wall."""
 
 from dataclasses import dataclass
-from enum import Enum
 from functools import cached_property
 from math import ceil, floor, pi, radians
 from typing import ClassVar, final
@@ -17,22 +16,8 @@ from fishrl.envs.scene import Marks, Panel, Scene, Series
 from fishrl.envs.sensors import compute_clearance, sense_target
 from fishrl.envs.task import AbstractTask, Command, as_pair
 
-
-class FoodDirection(Enum):
-    """First direction of the food; the value is the probability of up."""
-
-    UP = 1.0
-    DOWN = 0.0
-    RANDOM = 0.5
-
-    @classmethod
-    def parse(cls, name: str) -> "FoodDirection":
-        """Find a direction by its name in lower case."""
-        known = [direction.name.lower() for direction in cls]
-        if name not in known:
-            hint = suggest(str(name).lower(), known)
-            raise ValueError(f"food_direction = {name!r}: allowed is one of {known}{hint}")
-        return cls[name.upper()]
+#: Probability that the food first moves up.
+CHANCE_UP = {"up": 1.0, "down": 0.0, "random": 0.5}
 
 
 @final
@@ -82,7 +67,10 @@ class Predation(AbstractTask):
         for name in ("start_x_bl", "start_y_bl", "food_limits_bl"):
             object.__setattr__(self, name, as_pair(name, getattr(self, name)))
         super().__post_init__()
-        FoodDirection.parse(self.food_direction)
+        if self.food_direction not in CHANCE_UP:
+            hint = suggest(str(self.food_direction), CHANCE_UP)
+            known = ", ".join(CHANCE_UP)
+            raise ValueError(f"food_direction = {self.food_direction!r}: allowed is {known}{hint}")
         low, high = self.food_limits_bl
         width, height = self.domain_bl
         if not 0.0 < low <= self.food_y_bl <= high < height or low == high:
@@ -133,8 +121,7 @@ class Predation(AbstractTask):
         """Draw nose positions (on nodes, facing -x) and the food's first direction."""
         low, high = torch.tensor(self.start_range, dtype=torch.float64, device=uniform.device).T
         head = low + torch.floor(uniform[:, :2] * (high - low + 1.0))
-        chance_up = FoodDirection.parse(self.food_direction).value
-        is_up = uniform[:, 2] < chance_up
+        is_up = uniform[:, 2] < CHANCE_UP[self.food_direction]
         return TensorDict(
             {
                 "head": head,

@@ -30,16 +30,10 @@ MAX_SPEED = 0.5
 class BodyArguments(NamedTuple):
     """What the bodies' part of a step reads and writes.
 
-    Attributes:
-        data: populations of the group.
-        force_x: ``[cells]``, zero between steps, like ``force_y``.
-        force_y: the same.
-        offsets: ``[Q]`` of the outgoing populations' slots.
-        first_cell: ``[B]`` cell of each flow's node (0, 0).
-        omega: ``[B, 1]`` or ``[B, cells]`` relaxation rates.
-        bodies: states of the bodies.
-        params: of the bodies.
-        geometry: of bodies that stay still, else nothing.
+    ``force_x`` and ``force_y`` ``[cells]`` are zero between steps, ``offsets`` ``[Q]`` those of the
+    outgoing populations' slots, ``first_cell`` ``[B]`` is the cell of each flow's node (0, 0),
+    ``omega`` ``[B, 1]`` or ``[B, cells]``; ``geometry`` is that of bodies that stay still, else
+    nothing.
     """
 
     data: Tensor

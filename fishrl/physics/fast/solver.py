@@ -176,12 +176,12 @@ class InPlaceSolver:
         *,
         velocity: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        """Put the bodies of some flows at rest into a fluid without vortices.
+        """Put the bodies of the flows in ``rows`` ``[B]`` bool at rest, without vortices around.
 
-        Their commands, totals and clock start from zero; their parameters stay.
+        Their commands, totals and clock start from zero; their parameters stay, as do other flows.
 
         Args:
-            rows: ``[B]`` bool, which flows; the others keep their state.
+            rows: which flows.
             position: centre of mass in nodes, ``[B, 2]`` or for several bodies ``[B, M, 2]``, read
                 where ``rows`` is true; None is the middle of the domain.
             heading: direction that the nose faces, radians, ``[B]`` or ``[B, M]``; None is 0.
