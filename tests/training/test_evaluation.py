@@ -1,4 +1,4 @@
-"""The evaluation counts the first episode of every start, once, whatever the batch."""
+"""The evaluation of a policy repeats, and its metrics are means over the starts."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
-import pytest
 import torch
-from tensordict import TensorDict
 
 from fishrl.envs.episodes import Episodes, Policy
 from fishrl.modules import PursuitPolicy, RandomPolicy
@@ -28,16 +26,6 @@ class Fixed:
         return self.evaluator.run(policy, starts=self.starts, **kwargs)
 
 
-@pytest.mark.parametrize("num_envs", [1, 4, 12, 20])
-def test_the_result_of_each_start_does_not_depend_on_the_batch(num_envs: int) -> None:
-    alone = Fixed(1, 12).run(PursuitPolicy())
-    result = Fixed(num_envs, 12).run(PursuitPolicy())
-    assert torch.equal(result.succeeded, alone.succeeded)
-    assert torch.equal(result.returns, alone.returns)
-    assert torch.equal(result.lengths, alone.lengths)
-    assert 0 < int(result.succeeded.sum()) < 12
-
-
 def test_an_evaluation_repeats_even_on_an_env_that_was_used() -> None:
     evaluator, ended = Fixed(5, 12), list[int]()
     first = evaluator.run(RandomPolicy(seed=1), on_episodes=ended.append)
@@ -50,27 +38,6 @@ def test_an_evaluation_repeats_even_on_an_env_that_was_used() -> None:
     assert (env.reset()["start_index"] == -1).all()
     starts = [fixed_starts(ToyPredation(), 6, seed=seed)["position"] for seed in (0, 0, 1)]
     assert torch.equal(starts[0], starts[1]) and not torch.equal(starts[0], starts[2])
-
-
-def test_only_the_first_episode_of_a_start_counts() -> None:
-    """Ends of later rounds come earlier here: a policy that fails at once after its first go."""
-
-    class FirstGoodThenBad:
-        def __init__(self) -> None:
-            self.num_steps = 0
-
-        def __call__(self, td: TensorDict) -> TensorDict:
-            self.num_steps += 1
-            td = PursuitPolicy()(td)
-            # Row 0 ends early by turning in place; its next rounds must not overwrite row 1's.
-            td["action"][0] = 0
-            return td
-
-    evaluator = Fixed(2, 2, time_limit=30)
-    result = evaluator.run(FirstGoodThenBad())
-    second_alone = Fixed(2, 2).run(PursuitPolicy())
-    assert result.returns[1] == second_alone.returns[1]
-    assert result.lengths[1] == second_alone.lengths[1]
 
 
 def test_diverged_episodes_are_counted_as_no_success() -> None:

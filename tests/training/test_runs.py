@@ -103,16 +103,6 @@ def test_every_algorithm_goes_on_exactly_with_equal_effort_and_legal_actions(
     assert all(torch.equal(value, other[key]) for key, value in mine.items())
 
 
-def test_rows_after_the_last_checkpoint_are_written_once(toy: Toy) -> None:
-    toy.begin(name="run", total_frames=160, **QUICK).run()
-    before = toy.rows("run")
-    with (toy.folder / "run" / "metrics.csv").open("a") as file:
-        file.write("200,1,2\n24")  # of a run that went on and was killed while writing
-    toy.reopen("run", total_frames=200).run()
-    frames = [row["frames"] for row in toy.rows("run")]
-    assert frames == [*(row["frames"] for row in before), "200"]
-
-
 def test_changes_of_a_resume_stay_and_what_is_learned_is_fixed(toy: Toy) -> None:
     folder = toy.folder / "run"
     toy.begin(name="run", total_frames=80, extra={"pictures": 6}, **QUICK).run()
