@@ -24,11 +24,7 @@ def check_starts_of(task: AbstractTask) -> None:
 
 
 def check_answers(task: AbstractTask, now: TensorDictBase) -> None:
-    """Check observation, mask, termination and report of a first measurement ``[B]``.
-
-    Raises:
-        ValueError: naming the method, its output and the expected one.
-    """
+    """Raise ValueError for a wrong observation, mask, termination or report of measurements."""
     rows = tuple(now.shape)
     observed = check_rows(task, "observe", task.observe(now), (*rows, task.n_obs), torch.float32)
     is_finite = bool(observed.isfinite().all())
@@ -68,11 +64,7 @@ def check_rows(
 
 
 def check_command(task: AbstractTask, order: Any, rows: tuple[int, ...]) -> None:
-    """Check the output ``order`` of ``task.command`` for rows ``(B,)``, in particular its units.
-
-    Raises:
-        ValueError: if it is no ``Command``, or a value is out of range.
-    """
+    """Raise ValueError for a wrong output of ``task.command``, in particular wrong units."""
     expected = "Command(turn=..., frequency=...)"
     _require(task, "command", isinstance(order, Command), order, expected)
     turn = check_rows(task, "command turn", order.turn, rows)

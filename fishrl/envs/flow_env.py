@@ -319,11 +319,7 @@ class FlowEnv(EnvBase):
         self._seed, self._next_start = int(state["seed"]), int(state["next_start"])
 
     def to(self, device: torch.device | str) -> "FlowEnv":
-        """Return itself if ``device`` is of the same kind; flows cannot move.
-
-        Raises:
-            ValueError: if ``device`` is of another kind.
-        """
+        """Return itself; raise ValueError for another kind of device, as flows cannot move."""
         if torch.device(device).type != self.device.type:
             raise ValueError(f"flows on {self.device} cannot move to {device}: make another env")
         return self

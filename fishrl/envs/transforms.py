@@ -55,11 +55,7 @@ class FlowLabelTransform(Transform):
         """Attach to an environment, and check its task by ``check_task``."""
         super().set_container(container)
         if self.container is not None:
-            self.attach(self.container)
-
-    def attach(self, env: EnvBase) -> None:
-        """Prepare for an environment."""
-        self.check_task(getattr(env.base_env, "task", None))
+            self.check_task(getattr(self.container.base_env, "task", None))
 
     def check_task(self, task: Any) -> None:
         """Raise ValueError unless the task has ``num_flows`` labelled flows."""
@@ -140,10 +136,11 @@ class PredictedFlowLabel(FlowLabelTransform):
         self.memory = memory
         self.register_buffer("evidence", torch.zeros(0, self.num_flows))
 
-    def attach(self, env: EnvBase) -> None:
+    def set_container(self, container: Transform | EnvBase) -> None:
         """Also begin without evidence in each row."""
-        super().attach(env)
-        self.evidence = torch.zeros(*env.batch_size, self.num_flows, device=env.device)
+        super().set_container(container)
+        if (env := self.container) is not None:
+            self.evidence = torch.zeros(*env.batch_size, self.num_flows, device=env.device)
 
     def check_task(self, task: Any) -> None:
         """Raise ValueError unless the classifier was trained for flows and sensors of the task."""

@@ -79,11 +79,7 @@ class WakeBank:
 
 
 def load_wakes(recipe: WakeRecipe, folder: str | Path, *, compile: bool = True) -> WakeBank:
-    """Read the bank of a recipe from its file in ``folder``, or compute and store it.
-
-    Raises:
-        ValueError: if the file cannot be read, or holds the wakes of something else.
-    """
+    """Read the bank of a recipe from its file in ``folder``, or compute and store it."""
     path = Path(folder).expanduser() / f"wakes-{recipe.key}.pt"
     if not path.is_file():
         logger.info("developing %d wakes; they will be stored in %s", len(recipe.speeds), path)

@@ -95,11 +95,7 @@ class LateralLineClassifier(nn.Module):
         return -(-self.num_samples // int(self.sensors["num_samples"]))
 
     def read(self, lateral_line: Tensor) -> Tensor:
-        """Select the network's input: ``[..., W, P, F]`` to ``[..., num_samples, P, F']``.
-
-        Raises:
-            ValueError: if there are too few samples, or other neuromasts or features.
-        """
+        """Select the network's input: ``[..., W, P, F]`` to ``[..., num_samples, P, F']``."""
         expected = (int(self.sensors["num_neuromasts"]), len(self.sensors["features"]))
         got = tuple(lateral_line.shape[-3:])
         if len(got) < 3 or got[0] < self.num_samples or got[1:] != expected:

@@ -34,14 +34,12 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
 
     Args:
         actor_network: policy with a mask, see ``fishrl.modules.make_actor``.
-        qvalue_network: list of critics of the observation, ``action_value`` ``[..., num_actions]``.
-            A list keeps the initial weights; the parent resamples those of a single module.
+        qvalue_network: list of two or more critics of the observation, ``action_value`` ``[...,
+            num_actions]``. A list keeps the initial weights; the parent resamples those of a single
+            module.
         num_actions: number of actions, legal or not.
         alpha_init: initial temperature.
         target_entropy_weight: target entropy as a share of the maximum entropy, log(num_legal).
-
-    Raises:
-        ValueError: if fewer than two critics are given.
     """
 
     out_keys = [*DiscreteSACLoss.out_keys, "entropy_fraction"]

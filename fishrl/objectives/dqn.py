@@ -19,11 +19,8 @@ class MaskedDQNLoss(DQNLoss):
     are bootstrapped, terminated ones are not.
 
     Args:
-        value_network: writes ``action_value`` and the greedy legal ``action``.
+        value_network: writes ``action_value`` and the greedy legal ``action``; must read the mask.
         is_double: select the next action by the online network and evaluate it by the target.
-
-    Raises:
-        ValueError: if the network does not read the mask.
     """
 
     out_keys = ["loss_qvalue"]

@@ -195,11 +195,7 @@ def make_uniform(drho: Tensor, ux: Tensor, uy: Tensor) -> Tensor:
 
 
 def make_params(configs: Sequence[FlowConfig], device: torch.device | str = "cpu") -> FlowParams:
-    """Return the parameters of one flow per configuration.
-
-    Raises:
-        ValueError: if the flows differ in anything that a batch must share.
-    """
+    """Return the parameters of one flow per configuration; ValueError if not for one batch."""
     for i, config in enumerate(configs):
         if config.get_structure() != configs[0].get_structure():
             raise ValueError(

@@ -66,11 +66,7 @@ def make_baselines(
 
 
 def make_baseline(name: str, *, task: Any, seed: int) -> TensorDictModuleBase:
-    """Make a baseline of a task; ``seed`` is of random actions.
-
-    Raises:
-        ValueError: if the task has none of that name.
-    """
+    """Make a baseline of a task, or raise ValueError; ``seed`` is of random actions."""
     known = find_baselines(task)
     if name not in known:
         raise ValueError(

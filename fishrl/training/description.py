@@ -26,9 +26,8 @@ TARGET = "_target_"
 def describe(made: Any) -> dict[str, Any]:
     """Return class and constructor arguments of an object; the inverse of ``make``.
 
-    Raises:
-        ValueError: if the object does not keep each constructor argument as an attribute of the
-            same name, or one cannot be written into a file.
+    An object keeps each constructor argument as an attribute of the same name; else, and for what
+    cannot be written into a file, a ValueError is raised.
     """
     kind = type(made)
     target = f"{kind.__module__}.{kind.__qualname__}"

@@ -95,11 +95,7 @@ class Plan:
         )
 
     def change(self, **changes: Any) -> Plan:
-        """Return the plan with other settings of ``RunSettings`` or ``extra``.
-
-        Raises:
-            ValueError: for a setting that is fixed in a run, and for unknown ones.
-        """
+        """Return the plan with other settings of ``RunSettings`` or ``extra``, which may change."""
         for name in changes:
             if name in (*LEARNING, *PARTS):
                 raise ValueError(f"{name}: is fixed in a run that has begun; start a new run")
