@@ -269,7 +269,8 @@ class FlowEnv(EnvBase):
         if missing:
             raise ValueError(
                 f"{type(self.task).__name__} reads {missing}, which this step's tensordict lacks: "
-                "append the transform that writes it (make_env(transforms=[...]))"
+                "append the transform that writes it (make_env(transforms=[...])), or configure "
+                "the task not to read it"
             )
         return {name: tensordict[name].reshape(self.batch_size) for name in self.task.inputs}
 

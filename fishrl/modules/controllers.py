@@ -19,7 +19,7 @@ from torch import Tensor
 CLOCKWISE, KEEP, COUNTER_CLOCKWISE = 0, 1, 2
 #: Numbers in one observation.
 NUM_FEATURES = 4
-#: Of the paper's fish: cruising speed, body lengths per tail beat, and radius of its tightest turn.
+#: Cruising speed of a fish, body lengths per tail beat, and radius of its tightest turn.
 SWIM_SPEED_BL, TURN_RADIUS_BL = 0.4, 1.7
 HORIZON_T = 40.0
 

@@ -22,10 +22,13 @@ DEFAULT_WALL_SPEED = 0.07
 def check_tau(tau: float) -> None:
     """Raise if ``tau`` lies outside the validated range."""
     if not MIN_TAU <= tau <= MAX_TAU:
-        more, less = ("raise", "lower") if tau < MIN_TAU else ("lower", "raise")
         raise ValueError(
             f"tau = {tau:.5f} lies outside the validated range [{MIN_TAU}, {MAX_TAU}]: "
-            f"{more} body_length, {more} max_wall_speed or {less} reynolds"
+            + (
+                "raise body_length, raise max_wall_speed or lower reynolds"
+                if tau < MIN_TAU
+                else "lower body_length, lower max_wall_speed or raise reynolds"
+            )
         )
 
 
