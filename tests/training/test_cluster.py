@@ -19,7 +19,7 @@ def test_flows_that_cannot_be_shared_are_refused(toy: Toy, monkeypatch: pytest.M
     for wrong, said in (
         ({"ray_collectors": 3}, "num_envs = 8: must be a multiple of"),
         ({"ray_collectors": -1}, "ray_collectors = -1: must be at least 0"),
-        ({"ray_collectors": 2}, r"pip install 'fishrl\[cluster\]'"),
+        ({"ray_collectors": 2}, "needs Ray: pip install 'ray"),
     ):
         with pytest.raises(ValueError, match=said):
             toy.begin(**wrong)
