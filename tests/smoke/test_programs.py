@@ -144,6 +144,10 @@ def test_a_learned_policy_is_evaluated_shown_listed_and_exported(
 ) -> None:
     _run("evaluate", f"checkpoint={predation_run}", "episodes=1", "num_envs=1", "compile=false")
     _run("export_steering", f"run={predation_run}", f"path={tmp_path / 'steering.pt'}")
+    _run("export_policy", f"run={predation_run}", f"folder={tmp_path / 'policy'}")
+    exported = [f"checkpoint={tmp_path / 'policy'}", f"save={tmp_path / 'flow.nc'}"]
+    _run("export", *exported, "periods=1", "frames_per_T=2", "compile=false")
+    assert (tmp_path / "flow.nc").stat().st_size > 1000
     verified = []
 
     def verify(command: list[str], **options: Any) -> None:
