@@ -19,9 +19,13 @@ Policy = Callable[[TensorDictBase], TensorDictBase]
 class Episodes:
     """Outcome of E episodes, in the order of their starts; on the CPU.
 
-    ``returns`` ``[E]`` are sums of rewards, ``lengths`` ``[E]`` int64 numbers of decisions of
-    ``interval_T`` tail beats. Bool ``[E]``: ``succeeded``, see ``has_succeeded``; ``terminated`` by
-    the task itself; ``diverged``, which is no success.
+    Args:
+        returns: ``[E]`` sum of rewards.
+        lengths: ``[E]`` number of decisions, int64.
+        succeeded: ``[E]`` bool, whether the task was accomplished, see ``has_succeeded``.
+        terminated: ``[E]`` bool, whether the task itself ended the episode.
+        diverged: ``[E]`` bool, whether the flow diverged; such an episode counts as no success.
+        interval_T: duration of a decision in tail beats.
     """
 
     returns: Tensor

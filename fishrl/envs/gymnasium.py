@@ -120,6 +120,8 @@ class FlowVectorEnv(VectorEnv):
         if seed is not None:
             super().reset(seed=seed)
             self.env.set_seed(int(seed), static_seed=True)
+        if unknown := sorted(set(options or {}) - {"reset_mask"}):
+            raise ValueError(f"options = {unknown}: there is only 'reset_mask'")
         if not options:
             self._state = self.env.reset()
             self._is_over[:] = False

@@ -7,10 +7,15 @@ from torch import Tensor
 def reward_approach(
     distance_before: Tensor, distance: Tensor, error_before: Tensor, error: Tensor
 ) -> Tensor:
-    """Return +1 where distance or bearing error decreased, else -1; all ``[B]``.
+    """Return +1 where distance or bearing error decreased, else -1.
 
-    Either suffices, as in the paper ("bearing or distance shrinks"). No change gives -1. Distances
-    and signed bearing errors, radians, are those at the last decision and now.
+    Either suffices, as in the paper ("bearing or distance shrinks"). No change gives -1.
+
+    Args:
+        distance_before: ``[B]`` distance at the last decision.
+        distance: ``[B]`` distance now.
+        error_before: ``[B]`` signed bearing error at the last decision, radians.
+        error: ``[B]`` bearing error now.
     """
     is_nearer = distance < distance_before
     is_better_aimed = error.abs() < error_before.abs()

@@ -15,9 +15,14 @@ Colour = tuple[int, int, int]
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """A field over the grid, tensor ``key`` ``[Y, X]``, drawn in diverging colours around zero.
+    """A field over the whole grid, ``[Y, X]``, drawn in diverging colours around zero.
 
-    The colours saturate at ``limit``; ``note`` says what the sign means.
+    Args:
+        key: of its tensor in each frame.
+        name: for the legend.
+        unit: of its values.
+        limit: value at which the colours saturate.
+        note: what the sign means.
     """
 
     key: str
@@ -26,12 +31,20 @@ class Field:
     limit: float
     note: str = ""
 
+    def __post_init__(self) -> None:
+        if not self.limit > 0.0:
+            raise ValueError(f"the limit of {self.name} is {self.limit}: must be positive")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
     """A curve ``[N, 2]``: closed and filled, or an open line such as a midline.
 
-    Curves of higher ``order`` lie above.
+    Args:
+        key: of its tensor.
+        colour: of it.
+        is_closed: whether it encloses something, which is filled by lines from side to side.
+        order: curves of higher order lie above.
     """
 
     key: str
@@ -48,10 +61,10 @@ class Marks:
         key: of their tensor.
         radius: of a point, nodes.
         colour: where no value gives one.
-        value: key of the values ``[P]``, drawn in diverging colours that saturate at ``limit``.
-        name: of the value, for the legend, like ``unit``.
+        value: key of the values ``[P]``; they are drawn in diverging colours around zero.
+        name: of the value, for the legend.
         unit: of the value.
-        limit: see ``value``.
+        limit: value at which the colours saturate.
         reach: radius of a circle around each, nodes; 0 draws none.
     """
 
@@ -67,7 +80,13 @@ class Marks:
 
 @dataclass(frozen=True, kw_only=True)
 class Trail:
-    """The path of a point ``[2]`` since its episode began, at most over the last ``length_T``."""
+    """The path of a point ``[2]`` since its episode began.
+
+    Args:
+        key: of the point.
+        colour: of the line.
+        length_T: how far back it reaches.
+    """
 
     key: str
     colour: Colour = (90, 90, 90)
@@ -76,7 +95,14 @@ class Trail:
 
 @dataclass(frozen=True, kw_only=True)
 class Area:
-    """A fixed rectangle between two corners in nodes that the fish must not leave."""
+    """A fixed rectangle that the fish must not leave.
+
+    Args:
+        key: its name.
+        low: corner (x, y) in nodes.
+        high: the opposite corner.
+        colour: of its border, and of the strokes on its outer side.
+    """
 
     key: str
     low: tuple[float, float]
@@ -125,10 +151,13 @@ class Panel:
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """The plot of the action ``key``: a line for the chosen one, dots for the legal ones.
+    """The plot of the action: a line for the chosen one, dots for those that were legal.
 
-    ``names`` are those of the actions in their order, ``mask`` is the key of ``[num_actions]``
-    bool.
+    Args:
+        names: of the actions, in their order.
+        key: of the action.
+        mask: key of ``[num_actions]`` bool.
+        name: of the plot.
     """
 
     names: tuple[str, ...]
@@ -139,10 +168,19 @@ class Choice:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """What is drawn of each flow of a task on a grid of ``width`` x ``height`` nodes.
+    """What is drawn of each flow of a task.
 
-    ``body_length`` L is in nodes. ``curves`` lie from below to above; one of ``marks`` with a
-    ``reach`` is the goal; ``panels`` are plots beside the flow; ``note`` is markdown.
+    Args:
+        body_length: L, nodes.
+        width: of the grid, nodes along x.
+        height: of the grid, nodes along y.
+        field: the flow.
+        curves: bodies and lines, from below to above.
+        marks: points; one with a ``reach`` is the goal.
+        trails: paths of points.
+        areas: rectangles.
+        panels: plots beside the flow.
+        note: what else one should know, markdown.
     """
 
     body_length: float
@@ -180,10 +218,12 @@ class Scene:
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """One moment of one flow, at ``time`` in T, not before that of the previous frame.
+    """One moment of one flow.
 
-    ``values`` are tensors by the keys of the scene; those that are missing are not drawn. An
-    episode ``begins`` here or not.
+    Args:
+        time: in T, not before that of the previous frame.
+        values: tensors by the keys of the scene; those that are missing are not drawn.
+        begins: whether an episode begins here.
     """
 
     time: float

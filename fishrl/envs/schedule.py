@@ -5,10 +5,14 @@ from typing import NamedTuple
 
 
 class Stretch(NamedTuple):
-    """Steps up to the next event, an even number, and what happens after them.
+    """Steps up to the next event.
 
-    ``is_check``: termination is checked; ``is_frame``: ``on_frame`` is called; ``is_sample``:
-    sensors are read; ``is_last``: the action ends.
+    Attributes:
+        num_steps: number of steps, even.
+        is_check: check for termination after them.
+        is_frame: call ``on_frame`` after them.
+        is_sample: record sensor samples after them.
+        is_last: the action ends after them.
     """
 
     num_steps: int
@@ -21,9 +25,13 @@ class Stretch(NamedTuple):
 def make_schedule(
     num_steps: int, *, checks: int, frames: int = 1, samples: int = 0
 ) -> list[Stretch]:
-    """Divide an action of ``num_steps`` into stretches that end at evenly spaced events.
+    """Divide an action into stretches that end at evenly spaced checks, frames or samples.
 
-    These are ``checks``, ``frames`` and ``samples``, as many as given, the last of each at the end.
+    Args:
+        num_steps: steps of the action, even.
+        checks: number of checks, the last at the end.
+        frames: number of frames, the last at the end.
+        samples: number of samples, the last at the end; may be 0.
 
     Raises:
         ValueError: if a number exceeds that of pairs of steps, or is too small.

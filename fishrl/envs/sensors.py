@@ -17,9 +17,14 @@ def wrap_angle(angle: Tensor) -> Tensor:
 
 
 def compute_bearing_error(heading: Tensor, away: Tensor) -> Tensor:
-    """Return the angle from the heading ``[B]``, radians, to a direction ``away`` ``[B, 2]``.
+    """Return the angle between the heading and a direction.
 
-    It lies in (-pi, pi], positive to the left (counter-clockwise), and is 0 for a zero vector.
+    Args:
+        heading: ``[B]`` heading of the fish, radians.
+        away: ``[B, 2]`` direction (x, y), not normalised.
+
+    Returns:
+        ``[B]`` in (-pi, pi] radians, positive to the left (counter-clockwise); 0 for a zero vector.
     """
     cos, sin = torch.cos(heading), torch.sin(heading)
     ahead = cos * away[:, 0] + sin * away[:, 1]
@@ -31,13 +36,17 @@ def compute_bearing_error(heading: Tensor, away: Tensor) -> Tensor:
 
 
 def sense_target(head: Tensor, heading: Tensor, target: Tensor, *, body_length: float) -> Tensor:
-    """Return x, y, distance (body lengths) and bearing error of a target, ``[B, 4]``.
+    """Return the position of a target relative to the head.
 
     Args:
-        head: ``[B, 2]`` nose (x, y) in nodes, from which the target is seen.
+        head: ``[B, 2]`` nose (x, y) in nodes.
         heading: ``[B]`` heading of the fish, radians.
         target: ``[B, 2]`` (x, y) in nodes.
         body_length: L in nodes.
+
+    Returns:
+        ``[B, 4]``: x and y of the target from the head and their distance in body lengths, and the
+        bearing error in (-pi, pi] radians.
     """
     away = (target - head) / body_length
     distance = (away * away).sum(-1).sqrt()
@@ -46,9 +55,15 @@ def sense_target(head: Tensor, heading: Tensor, target: Tensor, *, body_length: 
 
 
 def compute_clearance(markers: Tensor, *, width: int, height: int) -> Tensor:
-    """Return the distance ``[B]`` of outlines ``[B, N, 2]`` from the nearest edge node, in nodes.
+    """Return the distance of an outline from the nearest edge node; negative outside.
 
-    It is negative outside, and NaN if a marker is NaN.
+    Args:
+        markers: ``[B, N, 2]`` (x, y) in nodes.
+        width: nodes along x.
+        height: nodes along y.
+
+    Returns:
+        ``[B]`` in nodes; NaN if a marker is NaN.
     """
     last = torch.tensor([width - 1.0, height - 1.0], dtype=markers.dtype, device=markers.device)
     return torch.minimum(markers, last - markers).flatten(1).amin(-1)

@@ -43,7 +43,7 @@ class LateralLineClassifier(nn.Module):
         generator: source of the initial weights.
 
     Raises:
-        ValueError: for flows that cannot be told apart, or features that the sensors do not have.
+        ValueError: for flows that share a name, or features that the sensors do not have.
     """
 
     mean: Tensor

@@ -65,8 +65,10 @@ class Curves:
 class Score:
     """How well a classifier does on some data.
 
-    Loss is the mean cross-entropy in nats; ``confusion`` ``[n, n]`` int64 counts the samples of
-    each true class (row) by predicted class.
+    Attributes:
+        accuracy: share of samples named rightly.
+        loss: mean cross-entropy, in nats.
+        confusion: ``[n, n]`` int64, how many samples of each true class (row) got each name.
     """
 
     accuracy: float
@@ -133,6 +135,9 @@ def fit_classifier(
         noise: standard deviation of what is added to the signals of each batch, of a shape that
             broadcasts over them.
     """
+    for name, part in (("training", training), ("validation", validation)):
+        if part.shape[0] == 0:
+            raise ValueError(f"{name} holds no samples: collect more, or change the shares")
     signals, labels = training["lateral_line"], training["flow_index"]
     has_noise = bool(torch.as_tensor(noise).any())
     optimiser = torch.optim.Adam(

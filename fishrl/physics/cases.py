@@ -19,9 +19,14 @@ PERIODIC = Boundaries(left=Periodic(), right=Periodic(), bottom=Periodic(), top=
 def make_taylor_green(size: int, speed: float, time: float, nu: float) -> tuple[Tensor, Tensor]:
     """Return density deviation ``[1, Y, X]`` and velocity ``[1, 2, Y, X]`` of Taylor's vortices.
 
-    u = -U cos kx sin ky, v = U sin kx cos ky, both times exp(-2 nu k^2 t); p = -U^2/4 (cos 2kx +
-    cos 2ky) exp(-4 nu k^2 t), k = 2 pi / size (Taylor & Green 1937), at a time t in steps, with the
-    speed U in nodes per step.
+    u = -U cos kx sin ky, v = U sin kx cos ky, both times exp(-2 nu k^2 t);
+    p = -U^2/4 (cos 2kx + cos 2ky) exp(-4 nu k^2 t), k = 2 pi / size (Taylor & Green 1937).
+
+    Args:
+        size: nodes along each axis of the periodic box.
+        speed: U.
+        time: steps.
+        nu: kinematic viscosity.
     """
     k = 2.0 * pi / size
     x = k * torch.arange(size, dtype=torch.float64)[None, None, :]
@@ -35,8 +40,11 @@ def make_taylor_green(size: int, speed: float, time: float, nu: float) -> tuple[
 def measure_taylor_green_error(size: int, *, reynolds: float = 20.0, speed: float = 0.64) -> float:
     """Return the relative L2 velocity error after one decay time, diffusive scaling.
 
-    With N = ``size`` nodes along each axis U is ``speed`` / N, so the Mach number falls with the
-    grid and the error is second order; ``reynolds`` is U N / nu.
+    Args:
+        size: nodes N along each axis; the speed is ``speed`` / N, so the Mach number falls with
+            the grid and the error is second order.
+        reynolds: U N / nu.
+        speed: U N.
     """
     u0 = speed / size
     nu = u0 * size / reynolds

@@ -143,10 +143,13 @@ def compute_force_increment(
     """Return what a body force adds to the post-collision populations.
 
     Forced collision (Guo, Zheng & Shi 2002 in moment form, equal to the paper's eq. 1 with Cheng's
-    forcing after the change of variable f - g/2) minus unforced collision reduces to delta m = M
-    g(u* + F / 2 rho, F) - (s / 4 rho) Q(F, F), Q being the quadratic form of m_eq, because M g(u +
-    F / 2 rho, F) = m_eq(u + F / rho) - m_eq(u). Given the node's total force it is linear in
-    ``share``, so the contributions of several markers to one node may be added one by one.
+    forcing after the change of variable f - g/2) minus unforced collision reduces to
+
+        delta m = M g(u* + F / 2 rho, F) - (s / 4 rho) Q(F, F),
+
+    Q being the quadratic form of m_eq, because M g(u + F / 2 rho, F) = m_eq(u + F / rho) - m_eq(u).
+    Given the node's total force it is linear in ``share``, so the contributions of several markers
+    to one node may be added one by one.
 
     Args:
         fluid: density and unforced velocity at the nodes.

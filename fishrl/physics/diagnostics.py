@@ -31,15 +31,25 @@ def compute_pressure(rho: Tensor) -> Tensor:
 def compute_coefficient(force: Tensor, *, length: float, speed: float, rho: float = 1.0) -> Tensor:
     """Return 2 F / (rho U^2 D): drag or lift coefficient of a force per unit depth.
 
-    F may have any shape; ``length`` D is in nodes, ``speed`` U in nodes per step.
+    Args:
+        force: on the body, any shape, lattice units.
+        length: D in nodes.
+        speed: U in nodes per step.
+        rho: density of the stream.
     """
     return 2.0 * force / (rho * speed * speed * length)
 
 
 class Cycles(NamedTuple):
-    """Statistics of a signal over whole periods: mean, rms deviation, means of the extremes.
+    """Statistics of a signal over whole periods.
 
-    ``frequency`` is in periods per unit of time, from the zero crossings.
+    Attributes:
+        frequency: periods per unit of time, from its zero crossings.
+        num_cycles: number of periods.
+        mean: over whole periods.
+        rms: root mean square deviation from the mean.
+        low: mean of the periods' minima.
+        high: mean of the periods' maxima.
     """
 
     frequency: float
@@ -63,12 +73,17 @@ def find_crossings(signal: Tensor) -> Tensor:
 
 
 def measure_cycles(signal: Tensor, interval: float, *, clock: Tensor | None = None) -> Cycles:
-    """Measure a signal ``[n]``, sampled every ``interval``, over its whole periods.
+    """Measure a periodic signal over its whole periods.
 
-    A period runs from one upward crossing of the mean of ``clock`` ``[n]`` to the next; by default
-    that is the signal itself, for the drag, which has two periods in one of the lift, it is the
-    lift. The mean, too, is taken over whole periods, so that a partial period does not shift it.
-    Extremes are those of parabolas through three samples.
+    A period runs from one upward crossing of the clock's mean to the next. The mean, too, is taken
+    over whole periods, so that a partial period does not shift it. Extremes are those of parabolas
+    through three samples.
+
+    Args:
+        signal: ``[n]`` evenly sampled.
+        interval: time between samples.
+        clock: ``[n]`` signal that defines the periods, such as the lift for the drag, which has two
+            periods in one of the lift; ``signal`` itself by default.
 
     Raises:
         ValueError: if there are not two whole periods.
@@ -100,19 +115,29 @@ def measure_cycles(signal: Tensor, interval: float, *, clock: Tensor | None = No
 
 
 def compute_strouhal(lift: Tensor, interval: float, *, length: float, speed: float) -> float:
-    """Return f D / U from the zero crossings of the lift ``[n]``, see ``measure_cycles``.
+    """Return f D / U from the zero crossings of the lift.
 
-    The lift may have any unit, ``interval`` is in steps, D = ``length`` in nodes, U = ``speed`` in
-    nodes per step.
+    Args:
+        lift: ``[n]`` evenly sampled, in any unit.
+        interval: steps between samples.
+        length: D in nodes.
+        speed: U in nodes per step.
+
+    Raises:
+        ValueError: if there are not two whole periods.
     """
     return measure_cycles(lift, interval).frequency * length / speed
 
 
 def compute_spectral_frequency(signal: Tensor, interval: float) -> float:
-    """Return the frequency of the strongest line of the spectrum of a signal ``[n]``.
+    """Return the frequency of the strongest line of a signal's spectrum.
 
     Hann window; the frequency between bins is that of a parabola through the logarithm of three
-    bins, accurate to about 1 % of a bin. ``interval`` is the time between samples.
+    bins, accurate to about 1 % of a bin.
+
+    Args:
+        signal: ``[n]`` evenly sampled.
+        interval: time between samples.
     """
     values = signal.double() - signal.double().mean()
     window = torch.hann_window(len(values), periodic=True, dtype=torch.float64)

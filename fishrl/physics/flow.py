@@ -175,8 +175,10 @@ class FlowParams(NamedTuple):
 class FlowState(NamedTuple):
     """State of a batch of flows.
 
-    ``f`` ``[B, Q, Y, X]`` are incoming populations, shifted by the weights, ``clock`` ``[B]`` the
-    steps since the start; None means that the stream's ramp is over.
+    Attributes:
+        f: ``[B, Q, Y, X]`` incoming populations, shifted by the weights.
+        bodies: in each flow.
+        clock: ``[B]`` steps since the start; None means that the stream's ramp is over.
     """
 
     f: Tensor

@@ -21,8 +21,11 @@ from fishrl.physics.delta import Kernel
 class Stencil(NamedTuple):
     """The nodes around each marker; S is the kernel's support. Markers come last in memory.
 
-    ``x`` and ``y`` ``[B, N]`` are column and row of the first node, whole numbers in the weights'
-    type, ``weight_x`` and ``weight_y`` ``[B, S, N]`` the kernel weights along each axis.
+    Attributes:
+        x: ``[B, N]`` column of the first node, a whole number in the weights' type.
+        y: ``[B, N]`` row of the first node.
+        weight_x: ``[B, S, N]`` kernel weights along x.
+        weight_y: ``[B, S, N]`` kernel weights along y.
     """
 
     x: Tensor
@@ -46,10 +49,15 @@ class Stencil(NamedTuple):
 def make_stencil(
     markers: Tensor, kernel: Kernel, width: int, height: int, dtype: torch.dtype
 ) -> Stencil:
-    """Find nodes and weights (of ``dtype``) of markers ``[B, N, 2]``, (x, y) in nodes.
+    """Find each marker's nodes and weights.
 
-    Markers outside the grid of ``width`` x ``height`` are clamped to its edge, so that a body
-    outside the domain (reported as diverged) reads no other flow's memory.
+    Args:
+        markers: ``[B, N, 2]`` positions (x, y) in nodes.
+        kernel: the delta kernel.
+        width: number of nodes along x; markers outside are clamped to the edge, so that a body
+            outside the domain (reported as diverged) reads no other flow's memory.
+        height: number of nodes along y.
+        dtype: of the weights.
     """
     reach = 0.5 * kernel.support
     steps = torch.arange(kernel.support, device=markers.device, dtype=dtype)[:, None]

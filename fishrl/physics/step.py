@@ -50,6 +50,11 @@ def step(
     Source: the paper's eqs. 1 to 6, with the changes listed in the theory page: force-free implicit
     coupling and the force increment of ``compute_force_increment``.
     """
+    if len(state.bodies) != len(config.bodies):
+        raise ValueError(
+            f"the state has {len(state.bodies)} bodies, the config {len(config.bodies)}: give "
+            "FlowConfig(bodies=...) and FlowState(f, bodies) the same number"
+        )
     f = state.f.unbind(1)
     fluid = compute_macroscopic(f)
     force = torch.zeros_like(state.f[:, :2]) if external_force is None else external_force

@@ -33,11 +33,20 @@ def check_tau(tau: float) -> None:
 
 
 def compute_tau(*, length: float, speed: float, reynolds: float) -> float:
-    """Return the relaxation time at ``reynolds`` = U D / nu; lengths in nodes, U in nodes per step.
+    """Return the relaxation time of a flow around a body.
+
+    Args:
+        length: D or L in nodes.
+        speed: U in nodes per step.
+        reynolds: U D / nu.
 
     Raises:
-        ValueError: if the result lies outside the validated range.
+        ValueError: if one is not positive, or the result lies outside the validated range.
     """
+    if min(length, speed, reynolds) <= 0.0:
+        raise ValueError(
+            f"length, speed, reynolds = {length}, {speed}, {reynolds}: must be positive"
+        )
     tau = 3.0 * speed * length / reynolds + 0.5
     check_tau(tau)
     return tau

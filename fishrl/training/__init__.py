@@ -1,4 +1,22 @@
-"""Train a policy for any task, evaluate it, load it again; see the README for an example."""
+"""Train a policy for any task, evaluate it, load it again.
+
+Example::
+
+    from fishrl.envs import Predation
+    from fishrl.training import DiscreteSAC, LearningSettings, RunSettings, evaluate, train
+    from pathlib import Path
+
+    summary = train(
+        task=Predation(body_length=40, reynolds=2000),
+        algorithm=DiscreteSAC(target_entropy_weight=0.1),
+        learning=LearningSettings(seed=1, num_envs=8),
+        run=RunSettings(total_frames=2000, folder="runs", name="first"),
+    )
+    print(summary["success_rate"], summary["random_success_rate"])
+    print(evaluate(Path("runs/first"), episodes=64))
+
+``resume("runs/first", total_frames=4000)`` continues a finished or interrupted run exactly.
+"""
 
 from fishrl.training.algorithms import DQN, DRQN, Algorithm, DiscreteSAC
 from fishrl.training.baselines import Baseline, find_baselines

@@ -123,7 +123,7 @@ def write_card(
     lines += ["", "`metrics.csv` holds the learning curve. Settings:", "", "```yaml"]
     config = plan.to_config()
     lines += [yaml.safe_dump(config, sort_keys=False, allow_unicode=True).rstrip(), "```", ""]
-    lines += [f"`fishrl.training.load_policy({title!r})` loads the policy from this folder.", ""]
+    lines += ["`fishrl.training.load_policy(<this folder>)` loads the policy.", ""]
     return "\n".join(lines)
 
 

@@ -105,11 +105,14 @@ def evaluate(
         raise ValueError("evaluate: give a task, or the Path of a checkpoint, which brings its own")
     recognition = load_recognition(recognition)
     task, _ = equip(task, recognition)
-    has_labels, act = recognition is not None, policy
+    has_labels = recognition is not None
+    act: Policy
     if isinstance(policy, Path):
         act = load_policy(policy, task=task, has_labels=has_labels, device=device, modules=modules)
     elif isinstance(policy, str):
         act = make_baseline(policy, task=task, seed=seed)
+    else:
+        act = policy
     progress.rename("compilation" if compile else "set-up")
     make: Any = hooks.get("make_env") or make_env
     env = make(
@@ -125,7 +128,7 @@ def evaluate(
         observer.begin(env)
         progress.start("evaluation", total=episodes)
         result = Evaluator(env).run(
-            act,  # type: ignore[arg-type]
+            act,
             starts=fixed_starts(task, episodes, seed=seed),
             on_episodes=progress.advance,
             on_step=observer.settle,

@@ -14,7 +14,11 @@ from fishrl.envs import AbstractTask
 class PolicySpec:
     """Task and sizes of a policy; it fits no others.
 
-    ``num_inputs`` is the length of the stacked observation, ``num_stacked`` that of the stack.
+    Args:
+        task: name of the task's class.
+        num_inputs: length of the stacked observation.
+        num_actions: number of actions.
+        num_stacked: observations in a stack.
     """
 
     task: str

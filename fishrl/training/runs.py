@@ -42,8 +42,16 @@ def train(
 ) -> dict[str, Any]:
     """Train a policy, compare it with the baselines of the task, and return the summary.
 
-    Arguments are those of ``Plan``, but ``recognition`` may be a classifier, too, and ``hooks`` are
-    ``make_env``, ``observer``, ``progress`` and ``began``, see ``Hooks``.
+    Args:
+        task: the task.
+        algorithm: the learning algorithm; by default ``DiscreteSAC()``.
+        learning: settings that determine the result.
+        run: where the run is written, and how often it evaluates, logs and saves.
+        recognition: source of flow labels, see ``fishrl.envs.make_env``, or a classifier file.
+        logger: writes the metrics; by default to a CSV file.
+        preset: name for these settings; part of the name of the run folder.
+        extra: further settings to keep in ``config.yaml``.
+        **hooks: ``make_env``, ``observer``, ``progress`` and ``began``, see ``Hooks``.
 
     Raises:
         ValueError: for invalid settings.
@@ -142,6 +150,8 @@ def complete(training: Training) -> dict[str, Any]:
             with folder.noting_failure(), closing(training), interruption:
                 return training.run()
         except ChildProcessError as error:
+            if not folder.last.exists():  # it died before the first checkpoint
+                raise
             frames = read_metadata(folder.path, which="last")[1]["frames"]
             if frames == resumed_at:
                 raise

@@ -58,6 +58,8 @@ class Recorder:
         frames_per_T: int,
         give: Callable[[int, Frame], None],
     ) -> None:
+        if frames_per_T < 1:
+            raise ValueError(f"frames_per_T = {frames_per_T}: must be at least 1")
         self._task, self._scene, self._give = task, scene, give
         self._stride = max(1, round(task.checks_per_action / task.interval_T / frames_per_T))
         self._num_checks = 0

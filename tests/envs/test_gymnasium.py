@@ -210,6 +210,8 @@ def test_what_cannot_be_is_refused() -> None:
             envs.step(actions)
     with pytest.raises(ValueError, match="reset_mask of shape"):
         envs.reset(options={"reset_mask": np.ones(3, bool)})
+    with pytest.raises(ValueError, match="options = "):
+        envs.reset(options={"reset_msk": np.ones(2, bool)})
     with pytest.raises(Error):
         envs.reset(seed=-1)
 

@@ -141,6 +141,15 @@ def test_the_lateral_line_is_handed_over_as_a_series() -> None:
     assert layout["num_samples"] == 4 and layout["interval_T"] == 0.25
 
 
+def test_a_late_lateral_line_holds_the_interval_before() -> None:
+    line = LateralLine(num_samples=4, features=("t",), delay=2)
+    env = make(1, lateral_line=line)
+    env.reset()
+    act(env, CRUISE)
+    time = act(env, CRUISE)["lateral_line"][0, :, 0, 0]
+    torch.testing.assert_close(time, torch.tensor([0.75, 1.0, 1.25, 1.5]), rtol=0, atol=0.01)
+
+
 def test_steering_turns_the_fish_back_to_the_middle_line() -> None:
     env = make(2, steering=PIDSteering(gain=0.5, integral_gain=0.0), start_y_bl=(0.1, 0.1))
     env.reset()

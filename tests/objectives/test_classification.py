@@ -73,7 +73,15 @@ def test_too_few_episodes_of_a_class_are_refused() -> None:
         split_episodes(data["episode"], data["flow_index"], shares=SHARES, generator=generator())
 
 
-def test_a_fit_tells_sines_of_unseen_episodes_apart() -> None:
+@pytest.mark.parametrize("empty", [0, 1])
+def test_parts_without_samples_are_refused(empty: int) -> None:
+    parts = make_parts(9)
+    parts[empty] = parts[empty][:0]
+    with pytest.raises(ValueError, match="holds no samples"):
+        fit(make_network(), parts)
+
+
+def test_a_fit_classifies_sines_of_unseen_episodes() -> None:
     parts, network = make_parts(), make_network()
     before = score_classifier(network, parts[2])
     curves = fit(network, parts)

@@ -54,3 +54,9 @@ def test_a_budget_at_its_limit_is_kept_although_it_rounds() -> None:
     )
     assert scales.period == 200
     assert scales.stream_speed == pytest.approx(0.15, rel=1e-12)
+
+
+@pytest.mark.parametrize("bad", ["length", "speed", "reynolds"])
+def test_a_relaxation_time_needs_positive_numbers(bad: str) -> None:
+    with pytest.raises(ValueError, match="must be positive"):
+        compute_tau(**({"length": 40.0, "speed": 0.05, "reynolds": 100.0} | {bad: 0.0}))

@@ -20,7 +20,7 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, limited_disk: Lim
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a", "before")]
 
 
-@pytest.mark.parametrize("name", ["../run", "a/b", "/tmp/run", ".."])
+@pytest.mark.parametrize("name", ["../run", "a/b", "/run", ".."])
 def test_a_run_does_not_leave_its_folder(tmp_path: Path, name: str) -> None:
     with pytest.raises(ValueError, match="is the name of a folder"):
         RunFolder.create(parent=str(tmp_path / "runs"), name=name)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from fishrl.envs.scene import Field
 from fishrl.viewer import Drawing, FieldFormat
 from fishrl.viewer.colours import PURPLE_GREEN, RED_BLUE, paint, quantise
 from fishrl.viewer.drawing import TIMELINE, place
@@ -97,3 +98,9 @@ def test_colours_are_diverging_and_zero_is_their_middle(table: Any) -> None:
     levels = quantise(np.array([-2.0, 0.0, np.nan, 2.0], np.float32), 2.0)
     assert levels.tolist() == [1, 128, 128, 255]
     assert paint(levels, table).tolist() == [list(table[i]) for i in (0, 5, 5, 10)]
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, float("nan")])
+def test_colours_without_a_range_are_refused(limit: float) -> None:
+    with pytest.raises(ValueError, match="must be positive"):
+        Field(key="v", name="vorticity", unit="1/T", limit=limit)

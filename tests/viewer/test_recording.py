@@ -89,6 +89,11 @@ def test_rows_that_stand_still_give_no_further_frame() -> None:
     assert flows.times(0) == sorted(set(flows.times(0)))
 
 
+def test_less_than_a_frame_per_period_is_refused() -> None:
+    with pytest.raises(ValueError, match="frames_per_T = 0"):
+        FakeFlows(frames_per_T=0)
+
+
 def keep_straight(td: TensorDict) -> TensorDict:
     return td.set("action", torch.ones(td.shape, dtype=torch.int64, device=td.device))
 

@@ -26,17 +26,17 @@ _Pair = tuple[Tensor | None, Tensor | None]
 
 
 class RigidUpdate(NamedTuple):
-    """What one coupled solve gives for one body, ``[B]`` or ``[B, 2]``.
+    """What one coupled solve gives for one body.
 
     Attributes:
-        velocity: of the centre of mass.
-        angular_velocity: Omega.
-        slip_error: largest remaining velocity error at a marker.
-        force: total force on the fluid.
-        torque: total torque on the fluid.
-        power: sum of F . u_def.
-        positive_power: the same over those markers where it is positive.
-        lateral_power: its part along the body's own lateral axis, without -H/I.
+        velocity: ``[B, 2]`` new velocity of the centre of mass.
+        angular_velocity: ``[B]`` new Omega.
+        slip_error: ``[B]`` largest remaining velocity error at a marker.
+        force: ``[B, 2]`` total force on the fluid.
+        torque: ``[B]`` total torque on the fluid.
+        power: ``[B]`` sum of F . u_def.
+        positive_power: ``[B]`` the same over those markers where it is positive.
+        lateral_power: ``[B]`` its part along the body's own lateral axis, without -H/I.
     """
 
     velocity: Tensor
@@ -121,9 +121,14 @@ def solve_body_force(
 ) -> tuple[Tensor, list[RigidUpdate]]:
     """Find the marker force and the new rigid velocities of all bodies together.
 
-    ``config.force_solve`` is P, ``velocity`` ``[B, 2, N]`` and ``rho`` ``[B, N]`` are those of the
-    unforced fluid at the markers. Explicit coupling is the paper's with corrected sign: the body
-    feels minus the force on the fluid.
+    Args:
+        config: of the flows; ``force_solve`` is P. Explicit coupling is the paper's with corrected
+            sign: the body feels minus the force on the fluid.
+        params: of each body.
+        states: of each body at the start of the step.
+        geometry: of the bodies at this step.
+        velocity: ``[B, 2, N]`` unforced fluid velocity at the markers.
+        rho: ``[B, N]`` fluid density at the markers.
 
     Returns:
         g ``[B, 2, N]``, with F = 2 rho g per unit length, and an update per body.

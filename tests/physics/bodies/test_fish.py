@@ -53,6 +53,12 @@ def run(config: FlowConfig, body: BodyState, num_steps: int) -> FlowState:
     return state
 
 
+def test_a_state_with_other_bodies_than_the_config_is_refused() -> None:
+    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
+    with pytest.raises(ValueError, match="bodies"):
+        step(FlowState(make_rest(config, 1)), config, make_params([config]))
+
+
 def measure_momentum(f: torch.Tensor) -> torch.Tensor:
     _, jx, jy = compute_moments(f.unbind(1))
     return torch.stack((jx.sum((-1, -2)), jy.sum((-1, -2))), -1)
