@@ -19,28 +19,28 @@ from fishrl.training import evaluate as run_evaluation
 from fishrl.training.description import make, to_plain
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
-from fishrl.viewer import check_folder
+from fishrl.viewer import ViewerSettings, check_folder
 
 
 @dataclass(frozen=True, kw_only=True)
-class EvaluateConfig(PolicySettings):
-    """Settings of an evaluation, besides those of ``PolicySettings``.
+class EvaluateConfig(PolicySettings, ViewerSettings):
+    """Settings of an evaluation.
 
     Args:
+        episodes: fixed starts, one episode each; with ``seed=0`` those of every run's final
+            evaluation, with 1 those that selected its checkpoint.
         num_envs: flows that advance together.
         save: file for the result and all these settings as JSON, or nothing.
     """
 
+    episodes: int = bounded(32, least=1)
     num_envs: int = bounded(16, least=1)
     save: str | None = None
 
     def __post_init__(self) -> None:
-        """Check the bounds, and that there is one policy."""
-        super().__post_init__()
-        if (self.checkpoint is None) == (self.policy is None):
-            raise ValueError(
-                "give one of checkpoint=<run folder> and policy=<baseline>, such as policy=random"
-            )
+        """Check both kinds of settings."""
+        for settings in (PolicySettings, ViewerSettings):
+            settings.__post_init__(self)
 
 
 def evaluate(config: EvaluateConfig, *, progress: Progress | None = None) -> dict[str, Any]:

@@ -19,18 +19,12 @@ from omegaconf import MISSING
 from torch import Tensor
 
 from experiments.program import program
-from experiments.train_settings import read_task
-from fishrl.bounds import bounded, check_bounds
-from fishrl.envs import AbstractTask, FlowEnv, make_env, run_episodes
-from fishrl.envs.transforms import equip
+from experiments.train_settings import PolicySettings, read_task
+from fishrl.bounds import bounded
+from fishrl.envs import FlowEnv, make_env, run_episodes
 from fishrl.extras import show_install
 from fishrl.physics.diagnostics import compute_pressure, compute_vorticity
-from fishrl.training.baselines import make_baseline
-from fishrl.training.classifier import load_recognition
-from fishrl.training.description import make
 from fishrl.training.evaluation import fixed_starts
-from fishrl.training.policies import load_policy
-from fishrl.training.policy_zoo import PREFIX
 from fishrl.training.progress import Progress
 from fishrl.viewer import check_folder
 
@@ -47,54 +41,29 @@ FIELDS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportSettings:
+class ExportSettings(PolicySettings):
     """Settings of an export.
 
     Args:
-        task: ``_target_`` and arguments of the task; a checkpoint brings its own unless ``task``
-            or ``preset`` is given, and ``task.<argument>`` changes it.
-        preset: name of the preset.
-        checkpoint: run folder or checkpoint of the policy.
-        policy: baseline instead, see ``fishrl.training.baselines``, or ``zoo/<name>``.
-        recognition: as for training; a checkpoint brings its own.
         save: file or folder to write, ending in ``.nc``, ``.zarr`` or ``.pvd``.
         periods: T after which the episode is cut; ``null`` runs it to its end.
         frames_per_T: moments per period, approximately.
-        seed: of the start, and of random actions.
-        device: cpu or cuda.
-        compile: compile the flow solver.
     """
 
-    task: Any = MISSING
-    preset: str | None = None
-    checkpoint: str | None = None
-    policy: str | None = None
-    recognition: str | None = None
     save: str = MISSING
     periods: float | None = bounded(5.0, greater=0)
     frames_per_T: int = bounded(8, least=1)
-    seed: int = bounded(0, least=0)
-    device: str = "cpu"
-    compile: bool = True
 
     def __post_init__(self) -> None:
-        """Check the bounds, and that there is one policy and a known format."""
-        check_bounds(self)
-        if (self.checkpoint is None) == (self.policy is None):
-            raise ValueError("give one of checkpoint=<run folder> and policy=<baseline>")
+        """Check that the format is known, too."""
+        super().__post_init__()
         if Path(self.save).suffix not in WRITERS:
             raise ValueError(f"save = {self.save}: must end in one of {', '.join(WRITERS)}")
 
 
 def simulate(settings: ExportSettings, *, progress: Progress) -> xr.Dataset:
     """Run one episode and return its fields ``(time, y, x)`` and outlines ``(time, marker)``."""
-    recognition = load_recognition(settings.recognition)
-    task, _ = equip(make(settings.task, kind=AbstractTask), recognition)
-    source = settings.checkpoint or str(settings.policy)
-    if settings.checkpoint is not None or source.startswith(PREFIX):
-        policy = load_policy(source, task=task, has_labels=recognition is not None)
-    else:
-        policy = make_baseline(source, task=task, seed=settings.seed)
+    task, recognition, policy = settings.make_policy()
     cut = math.inf if settings.periods is None else settings.periods / task.interval_T
     max_decisions = math.ceil(min(task.time_limit, cut) - 1e-9)
     stride = max(1, round(task.checks_per_action / task.interval_T / settings.frames_per_T))

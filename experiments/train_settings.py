@@ -9,18 +9,22 @@ from typing import Any
 from omegaconf import MISSING
 
 from experiments.configuration import CommandLine
-from fishrl.bounds import bounded
+from fishrl.bounds import bounded, check_bounds
 from fishrl.envs import AbstractTask
+from fishrl.envs.episodes import Policy
+from fishrl.envs.transforms import equip
 from fishrl.training.algorithms import Algorithm
 from fishrl.training.aliases import FORMER_SETTINGS
+from fishrl.training.baselines import make_baseline
 from fishrl.training.checkpoint import read_metadata
-from fishrl.training.classifier import find_classifier
+from fishrl.training.classifier import Recognition, find_classifier, load_recognition
 from fishrl.training.description import make, to_plain
 from fishrl.training.logger import CsvLogger
 from fishrl.training.plan import LEARNING, PARTS, RUN, Plan
+from fishrl.training.policies import load_policy
 from fishrl.training.policy_zoo import PREFIX
 from fishrl.training.run_folder import RunFolder, read_config
-from fishrl.training.settings import LearningSettings, RunSettings
+from fishrl.training.settings import LearningSettings, RunSettings, check_device
 from fishrl.viewer import ViewerSettings
 
 #: Of stored runs that name none.
@@ -59,8 +63,8 @@ class TrainConfig(LearningSettings, RunSettings, ViewerSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PolicySettings(ViewerSettings):
-    """Settings of a program that runs a policy.
+class PolicySettings:
+    """Which policy a program runs, and in what.
 
     Args:
         task: ``_target_`` and arguments of the task; a run brings its own unless ``task`` or
@@ -69,7 +73,6 @@ class PolicySettings(ViewerSettings):
         checkpoint: run folder or checkpoint of the policy.
         policy: baseline to run instead, see ``fishrl.training.baselines``, or ``zoo/<name>``.
         recognition: as for training; a run brings its own.
-        episodes: fixed starts, one episode each.
         seed: of the starts and of random actions; 0 gives those of every run's final evaluation, 1
             those that selected its checkpoint.
         device: cpu or cuda.
@@ -81,16 +84,40 @@ class PolicySettings(ViewerSettings):
     checkpoint: str | None = None
     policy: str | None = None
     recognition: str | None = None
-    episodes: int = bounded(32, least=1)
-    seed: int = 0
+    seed: int = bounded(0, least=0)
     device: str = "cpu"
     compile: bool = True
+
+    def __post_init__(self) -> None:
+        """Check the bounds, and that there is one source."""
+        check_bounds(self)
+        if sum(source is not None for source in self.sources.values()) != 1:
+            raise ValueError(f"give one of {', '.join(self.sources)}")
+
+    @property
+    def sources(self) -> dict[str, str | None]:
+        """Return the settings of which one names the policy."""
+        return {
+            "checkpoint=<run folder>": self.checkpoint,
+            "policy=<baseline>, such as policy=random": self.policy,
+        }
 
     @property
     def learned(self) -> str | None:
         """Where the learned policy lies, if it is no baseline."""
         is_in_zoo = self.policy is not None and self.policy.startswith(PREFIX)
         return self.policy if is_in_zoo else self.checkpoint
+
+    def make_policy(self) -> tuple[AbstractTask, Recognition, Policy]:
+        """Return the task, equipped with the source of its flow labels, and the policy."""
+        check_device(self.device)
+        recognition = load_recognition(self.recognition)
+        task, _ = equip(make(self.task, kind=AbstractTask), recognition)
+        if self.learned is None:
+            return task, recognition, make_baseline(str(self.policy), task=task, seed=self.seed)
+        has_labels = recognition is not None
+        policy = load_policy(self.learned, task=task, has_labels=has_labels, device=self.device)
+        return task, recognition, policy
 
 
 def read_resumed(given: Mapping[str, Any]) -> dict[str, Any]:

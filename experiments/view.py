@@ -16,18 +16,13 @@ from tempfile import TemporaryDirectory
 from experiments.program import program
 from experiments.train_settings import PolicySettings, read_task
 from fishrl.bounds import bounded
-from fishrl.envs import AbstractTask, make_env
+from fishrl.envs import make_env
 from fishrl.envs.scene import Frame
-from fishrl.envs.transforms import equip
-from fishrl.training.baselines import make_baseline
-from fishrl.training.classifier import load_recognition
-from fishrl.training.description import make
 from fishrl.training.evaluation import fixed_starts
-from fishrl.training.policies import load_policy
 from fishrl.training.progress import Progress
-from fishrl.training.settings import check_device
 from fishrl.viewer import (
     Server,
+    ViewerSettings,
     check_folder,
     find_recording,
     has_screen,
@@ -41,8 +36,8 @@ from fishrl.viewer import (
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewConfig(PolicySettings):
-    """Settings of the viewer program, besides those of ``PolicySettings``.
+class ViewConfig(PolicySettings, ViewerSettings):
+    """Settings of the viewer program.
 
     Args:
         recording: a ``.rrd`` file, or a run folder with one, to open as it is.
@@ -63,14 +58,20 @@ class ViewConfig(PolicySettings):
     time: float | None = bounded(None, least=0)
 
     def __post_init__(self) -> None:
-        """Check the bounds, and that there is one thing to show."""
-        super().__post_init__()
-        sources = (self.recording, self.run, self.checkpoint, self.policy)
-        if sum(source is not None for source in sources) != 1:
-            raise ValueError(
-                "give one of run=<run folder>, checkpoint=<checkpoint>, policy=<baseline>, such as "
-                "policy=pid preset=gait_small, and the path of a .rrd file"
-            )
+        """Check both kinds of settings."""
+        for settings in (PolicySettings, ViewerSettings):
+            settings.__post_init__(self)
+
+    @property
+    def sources(self) -> dict[str, str | None]:
+        """Add ``run`` and ``recording``."""
+        recording = {"the path of a .rrd file": self.recording}
+        return {"run=<run folder>": self.run} | recording | super().sources
+
+    @property
+    def learned(self) -> str | None:
+        """Where the learned policy lies, if it is no baseline."""
+        return self.run or super().learned
 
 
 def record(
@@ -82,16 +83,8 @@ def record(
     """
     progress = progress or Progress(is_shown=False)
     check_folder(save)
-    check_device(settings.device)
-    recognition = load_recognition(settings.recognition)
-    task, _ = equip(make(settings.task, kind=AbstractTask), recognition)
-    source = settings.run or settings.learned
     flows = settings.choose_flows(settings.episodes, default=settings.episodes)
-    if source is not None:
-        has_labels = recognition is not None
-        policy = load_policy(source, task=task, has_labels=has_labels, device=settings.device)
-    else:
-        policy = make_baseline(str(settings.policy), task=task, seed=settings.seed)
+    task, recognition, policy = settings.make_policy()
     starts = fixed_starts(task, settings.episodes, seed=settings.seed)
     periods = math.inf if settings.periods is None else settings.periods / task.interval_T
     max_decisions = math.ceil(min(task.time_limit, periods) - 1e-9)
