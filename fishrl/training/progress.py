@@ -7,26 +7,43 @@ from typing import TextIO
 
 from tqdm import tqdm
 
-_FORMAT = "{desc} {percentage:3.0f}%|{bar:20}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"
+_LINE = "{desc} {percentage:3.0f}% {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"
+_BAR = _LINE.replace("%", "%|{bar:20}|")
+
+
+class _Lines:
+    """A stream in which a bar becomes lines; each state that has something done is one."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> None:
+        if (line := text.strip()) and "   0%" not in line:
+            self._stream.write(f"{line}\n")
+
+    def flush(self) -> None:
+        self._stream.flush()
 
 
 class Progress:
     """A bar in frames with the phase at its left: set-up, compilation, warm-up, training, ...
 
     Args:
-        stream: where the bar is drawn. Anything but a terminal gets a line every few seconds.
+        stream: where the bar is drawn. Anything but a terminal gets a line at the end of a phase
+            and every minute.
         is_shown: draw at all.
     """
 
     def __init__(self, *, stream: TextIO | None = None, is_shown: bool = True) -> None:
         stream = stream or sys.stderr
+        self._is_terminal = stream.isatty()
         self._bar = tqdm(
             total=1,
             desc=f"{'set-up':<12}",
-            file=stream,
+            file=stream if self._is_terminal else _Lines(stream),
             disable=not is_shown,
-            mininterval=0.2 if stream.isatty() else 10.0,
-            bar_format=_FORMAT,
+            mininterval=0.2 if self._is_terminal else 60.0,
+            bar_format=_BAR if self._is_terminal else _LINE,
             leave=True,
         )
         self.phase = "set-up"
@@ -53,8 +70,10 @@ class Progress:
     def rename(self, phase: str) -> None:
         """Go over to another phase on the same bar."""
         if phase != self.phase:
+            if not self._is_terminal:
+                self._bar.refresh()
             self.phase = phase
-            self._bar.set_description_str(f"{phase:<12}")
+            self._bar.set_description_str(f"{phase:<12}", refresh=self._is_terminal)
 
     def advance(self, amount: int, **shown: float) -> None:
         """Count ``amount`` more and show some numbers beside the bar."""
@@ -64,5 +83,5 @@ class Progress:
             text = ", ".join(f"{name} {value}" for name, value in words.items())
             self._bar.set_postfix_str(text, refresh=False)
         self._bar.update(amount)
-        if amount and self._bar.n == self._bar.total:
+        if amount and self._bar.n == self._bar.total and self._is_terminal:
             self._bar.refresh()

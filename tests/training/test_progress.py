@@ -1,0 +1,47 @@
+"""The progress of a run, on a terminal and in a log."""
+
+import io
+
+from fishrl.training.progress import Progress
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def run(progress: Progress) -> None:
+    """Go through the phases of a training with one evaluation."""
+    with progress:
+        progress.rename("compilation")
+        progress.start("training", total=200)
+        for _ in range(100):
+            progress.advance(1, speed=3.0)
+        progress.rename("evaluation")
+        progress.rename("training")
+        for _ in range(100):
+            progress.advance(1, speed=4.0)
+
+
+def test_a_log_gets_one_line_per_phase_and_no_bar() -> None:
+    log = io.StringIO()
+    run(Progress(stream=log))
+    lines = log.getvalue().splitlines()
+    assert [line.split()[:2] for line in lines] == [
+        ["training", "50%"],
+        ["evaluation", "50%"],
+        ["training", "100%"],
+    ]
+    assert "speed 3" in lines[0] and "speed 4" in lines[2] and "\r" not in log.getvalue()
+
+
+def test_a_terminal_gets_a_bar_in_place() -> None:
+    terminal = Terminal()
+    run(Progress(stream=terminal))
+    assert terminal.getvalue().count("\r") >= 5 and terminal.getvalue().count("\n") == 1
+
+
+def test_nothing_is_shown_unless_asked_for() -> None:
+    log = io.StringIO()
+    run(Progress(stream=log, is_shown=False))
+    assert log.getvalue() == ""
