@@ -32,10 +32,10 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import ConfigKeyError, OmegaConfBaseException
 from yaml import YAMLError  # type: ignore[import-untyped]
 
-from fishrl.bounds import suggest
+from fishrl.bounds import check_bounds, suggest
 from fishrl.envs import AbstractTask
 from fishrl.training.algorithms import Algorithm
-from fishrl.training.description import TARGET, find_class, list_classes
+from fishrl.training.description import TARGET, find_class, list_classes, make
 from fishrl.training.logger import CsvLogger
 
 CONF = Path(__file__).parent / "conf"
@@ -73,7 +73,12 @@ class CommandLine:
         config = self.compose(arguments)
         for name in sorted(OmegaConf.missing_keys(config)):
             raise ValueError(f"{name}: has no default; give {name}=<value>")
-        return self.schema(**cast(dict[str, Any], OmegaConf.to_container(config)))
+        settings = self.schema(**cast(dict[str, Any], OmegaConf.to_container(config)))
+        check_bounds(settings)
+        for name in self.groups:
+            if name in KINDS:
+                make(getattr(settings, name), kind=KINDS[name])  # checks what is below it
+        return settings
 
     def compose(self, arguments: Sequence[str] = ()) -> DictConfig:
         """Compose a command line, check keys and types, and fill in the defaults.

@@ -23,7 +23,6 @@ import os
 import re
 import shlex
 import shutil
-import signal
 import sys
 import sysconfig
 import traceback
@@ -40,6 +39,7 @@ from omegaconf import OmegaConf
 from tqdm import tqdm
 
 from experiments.configuration import CONF, CommandLine, split_options
+from fishrl.training.interruption import exit_status
 
 
 @dataclass(frozen=True)
@@ -160,9 +160,9 @@ def plain_errors() -> Iterator[None]:
         if os.environ.get("FISHRL_DEBUG"):
             raise
         sys.exit(f"error: {error}{_find_line(error)}")
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as end:
         print("interrupted", file=sys.stderr)
-        sys.exit(128 + signal.SIGINT)
+        sys.exit(exit_status(end))
 
 
 def _find_line(error: Exception) -> str:

@@ -6,7 +6,6 @@ unless ``total_frames`` extends it, or another final evaluation is asked for.
 
 from __future__ import annotations
 
-import signal
 import sys
 import time
 from collections.abc import Mapping
@@ -23,7 +22,7 @@ from experiments.train_settings import TRAINING, TrainConfig, make_plan
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.description import to_plain
 from fishrl.training.evaluation import fixed_starts
-from fishrl.training.interruption import Interrupted
+from fishrl.training.interruption import Interrupted, exit_status
 from fishrl.training.loop import FINAL_SEED, Training
 from fishrl.training.plan import LEARNING, PARTS, RUN
 from fishrl.training.progress import Progress
@@ -132,9 +131,9 @@ def main(settings: TrainConfig) -> None:
             frames = read_metadata(training.folder.path, which="last")[1]["frames"]
             print(f"{end}: saved at frame {frames}; {hint}", file=sys.stderr)
             sys.exit(128 + end.number)
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as end:
             print(f"interrupted; {hint}", file=sys.stderr)
-            sys.exit(128 + signal.SIGINT)
+            sys.exit(exit_status(end))
         except OSError as error:
             sys.exit(f"error: {error}\n{hint}")
 

@@ -61,6 +61,8 @@ class ViewConfig(PolicySettings, ViewerSettings):
         """Check both kinds of settings."""
         for settings in (PolicySettings, ViewerSettings):
             settings.__post_init__(self)
+        if self.recording is not None and (self.save or self.live):
+            raise ValueError("save and live: are for policies; a recording is only opened")
 
     @property
     def sources(self) -> dict[str, str | None]:

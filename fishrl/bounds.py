@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import MISSING, field, fields
+from collections.abc import Iterable, Iterator
+from dataclasses import MISSING, field, fields, is_dataclass
 from difflib import SequenceMatcher
 from typing import Any
 
@@ -15,6 +15,7 @@ def bounded(
     least: float | None = None,
     greater: float | None = None,
     largest: float | None = None,
+    entries: int | None = None,
 ) -> Any:
     """Return a dataclass field whose numbers ``check_bounds`` keeps within bounds.
 
@@ -23,16 +24,22 @@ def bounded(
         least: smallest allowed value.
         greater: the value must be greater than this.
         largest: largest allowed value.
+        entries: smallest number of values in a sequence.
     """
-    bounds = {"least": least, "greater": greater, "largest": largest}
+    bounds = {"least": least, "greater": greater, "largest": largest, "entries": entries}
     return field(default=default, metadata={k: v for k, v in bounds.items() if v is not None})
 
 
-def check_bounds(settings: Any) -> None:
-    """Check every number in a dataclass, those in sequences too: finite, whole, within bounds.
+def check_bounds(settings: Any, *, path: str = "") -> None:
+    """Check every number in a dataclass: finite, whole, within 64 bits and its bounds.
 
-    Call it in ``__post_init__``. A field without bounds may hold anything but NaN and infinity; an
-    optional one may be None.
+    Those in sequences and in dataclasses that it holds are checked, too. Call it in
+    ``__post_init__``. A field without bounds may hold anything but NaN and infinity; an optional
+    one may be None.
+
+    Args:
+        settings: the dataclass.
+        path: of a dataclass within another, such as ``gait.``, for messages.
 
     Raises:
         ValueError: naming the field, its value and what is allowed.
@@ -43,21 +50,37 @@ def check_bounds(settings: Any) -> None:
         for kind in reversed(type(settings).__mro__):
             inherited = getattr(kind, "__dataclass_fields__", {}).get(entry.name)
             bounds |= inherited.metadata if inherited else {}
-        for number in value if isinstance(value, list | tuple) else (value,):
-            allowed = _find_violation(number, kind=str(entry.type), bounds=bounds)
-            if allowed:
-                raise ValueError(f"{entry.name} = {value}: must be {allowed}")
+        kind = str(entry.type).removeprefix("<class '").removesuffix("'>")
+        numbers = list(_flatten(value))
+        allowed = "" if len(numbers) >= bounds.get("entries", 0) else _describe(bounds)
+        for number in numbers:
+            if is_dataclass(number) and not isinstance(number, type):
+                check_bounds(number, path=f"{path}{entry.name}.")
+            allowed = allowed or _find_violation(number, kind=kind, bounds=bounds)
+        if allowed:
+            raise ValueError(f"{path}{entry.name} = {value}: must be {allowed}")
+
+
+def _flatten(value: Any) -> Iterator[Any]:
+    """Return the values in nested sequences one by one."""
+    if isinstance(value, list | tuple):
+        for entry in value:
+            yield from _flatten(entry)
+    else:
+        yield value
 
 
 def _find_violation(number: Any, *, kind: str, bounds: Any) -> str:
     """Return what the number should be and is not; nothing if all is well."""
     is_number = isinstance(number, int | float) and not isinstance(number, bool)
-    if number is None or not (is_number or bounds):
+    if "None" in kind and number is None:
         return ""
     if not is_number:
-        return "a number"
+        return "a number" if bounds or kind in ("int", "float") else ""
+    if isinstance(number, int) and abs(number) >= 2**63:
+        return "a number of at most 64 bits"
     if not math.isfinite(number):
-        return ", ".join(("finite", *_describe(bounds)))
+        return _describe(bounds, "finite")
     is_whole = "int" in kind and "float" not in kind
     if is_whole and not isinstance(number, int):
         return "a whole number"
@@ -66,12 +89,15 @@ def _find_violation(number: Any, *, kind: str, bounds: Any) -> str:
         and number > bounds.get("greater", -math.inf)
         and number <= bounds.get("largest", math.inf)
     )
-    return "" if is_allowed else ", ".join(_describe(bounds))
+    return "" if is_allowed else _describe(bounds)
 
 
-def _describe(bounds: Any) -> list[str]:
+def _describe(bounds: Any, *first: str) -> str:
     words = {"least": "at least", "greater": "greater than", "largest": "at most"}
-    return [f"{word} {bounds[name]}" for name, word in words.items() if name in bounds]
+    words["entries"] = "a list with a length of at least"
+    return ", ".join(
+        (*first, *(f"{word} {bounds[name]}" for name, word in words.items() if name in bounds))
+    )
 
 
 def suggest(word: str, known: Iterable[str]) -> str:

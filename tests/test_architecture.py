@@ -12,7 +12,10 @@ ROOT = Path(__file__).parents[1]
 FORBIDDEN_NAMES = {"utils", "util", "common", "core", "helpers", "helper", "misc"}
 MAX_LINES = 400
 
-TENSORS = {"torch", "tensordict", "numpy", "fishrl.bounds", "fishrl.children", "fishrl.files"}
+TENSORS = {
+    *("torch", "tensordict", "numpy"),
+    *("fishrl.bounds", "fishrl.children", "fishrl.files", "fishrl.memory"),
+}
 TASK_SIDE = {"fishrl.physics", "fishrl.envs"}
 # The first pattern that matches a file rules it; "a.b" allows "a.b" and "a.b.c".
 LAYERS: tuple[tuple[str, set[str]], ...] = (
@@ -21,6 +24,7 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/children.py", set()),
     ("fishrl/files.py", {"torch"}),
     ("fishrl/extras.py", {"packaging"}),
+    ("fishrl/memory.py", {"torch"}),
     ("fishrl/physics/", TENSORS | {"fishrl.physics"}),
     ("fishrl/envs/__init__.py", TASK_SIDE),
     ("fishrl/envs/scene.py", {"torch"}),

@@ -16,7 +16,9 @@ class Settings:
     rate: float = bounded(1.0, greater=0)
     free: float = 0.0
     limit: float | None = bounded(None, greater=0)
-    sizes: tuple[int, ...] = bounded((1, 2), least=1)
+    sizes: tuple[int, ...] = bounded((1, 2), least=1, entries=1)
+    rows: tuple[tuple[float, ...], ...] = bounded(((1.0,),), greater=0)
+    part: Any = None
     is_on: bool = True
     name: str = "nan"
 
@@ -35,6 +37,10 @@ class Settings:
         {"limit": 0},
         {"sizes": (3, 0)},
         {"sizes": [3, nan]},
+        {"sizes": ()},
+        {"rows": ((1.0, nan),)},
+        {"count": 2**63},
+        {"free": "x"},
     ],
     ids=str,
 )
@@ -48,6 +54,13 @@ def test_a_number_out_of_bounds_is_refused_by_name_and_value(wrong: dict[str, An
 def test_numbers_at_their_bounds_and_things_that_are_no_numbers_pass() -> None:
     Settings(count=1, share=0, rate=1e-300, free=-5, limit=None, sizes=[1], is_on=False)
     Settings(share=1, limit=3)
+
+
+def test_what_a_dataclass_holds_is_checked_with_it() -> None:
+    part = Settings()
+    object.__setattr__(part, "rate", nan)
+    with pytest.raises(ValueError, match=r"^part\.rate = nan: must be finite, greater than 0$"):
+        Settings(part=part)
 
 
 def test_the_most_similar_word_is_suggested() -> None:

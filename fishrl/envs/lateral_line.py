@@ -42,7 +42,7 @@ class LateralLine:
         delay: delay of the signals in samples; at most W.
     """
 
-    num_neuromasts: int = bounded(5, least=1)
+    num_neuromasts: int = bounded(5, least=1, largest=10_000)
     features: tuple[str, ...] = LOCAL
     num_samples: int = bounded(2, least=1)
     first_bl: float = bounded(0.2, greater=0)
@@ -51,7 +51,7 @@ class LateralLine:
     is_averaged: bool = False
     noise: float = bounded(0.0, least=0)
     silence: float = bounded(0.0, least=0, largest=1)
-    delay: int = bounded(0, least=0)
+    delay: int = bounded(0, least=0, largest=10_000)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "features", tuple(self.features))

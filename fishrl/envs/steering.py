@@ -110,7 +110,7 @@ class PolicySteering(Steering):
     """
 
     path: str = str(Path(__file__).with_name("steering.pt"))
-    turn_degrees: float = 15.0
+    turn_degrees: float = bounded(15.0, least=0, largest=180)
     ahead_bl: float = bounded(2.0, greater=0)
     decisions_per_T: int = bounded(4, least=1)
 

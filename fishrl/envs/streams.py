@@ -35,20 +35,18 @@ class Stream:
         wake_folder: cache of developed wakes.
     """
 
-    speeds_bl: tuple[float, ...] = bounded((1.0, 1.25, 1.5), greater=0)
+    speeds_bl: tuple[float, ...] = bounded((1.0, 1.25, 1.5), greater=0, entries=1)
     has_disc: bool = True
-    diameter_bl: float = 0.4
-    face_bl: float = 2.5
-    num_phases: int = 8
-    num_travels: float = 100.0
+    diameter_bl: float = bounded(0.4, greater=0)
+    face_bl: float = bounded(2.5, greater=0)
+    num_phases: int = bounded(8, least=1)
+    num_travels: float = bounded(100.0, greater=0)
     wake_folder: str = "runs/wakes"
 
     def __post_init__(self) -> None:
         speeds = tuple(float(speed) for speed in self.speeds_bl)
         object.__setattr__(self, "speeds_bl", speeds)
         check_bounds(self)
-        if not speeds:
-            raise ValueError("speeds_bl = (): give at least one")
 
     @property
     def labels(self) -> list[dict[str, Any]]:

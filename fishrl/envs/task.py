@@ -71,15 +71,15 @@ class AbstractTask(ABC):
     inputs: ClassVar[tuple[str, ...]] = ()
     num_samples: ClassVar[int] = 0
 
-    body_length: int = 50
-    reynolds: float = 7000.0
-    max_wall_speed: float = DEFAULT_WALL_SPEED
-    domain_bl: tuple[float, float] = (10.0, 5.0)
-    wall_margin_bl: float = 0.1
-    num_stacked: int = bounded(4, least=1)
+    body_length: int = bounded(50, least=16, largest=100_000)
+    reynolds: float = bounded(7000.0, greater=0)
+    max_wall_speed: float = bounded(DEFAULT_WALL_SPEED, greater=0)
+    domain_bl: tuple[float, float] = bounded((10.0, 5.0), greater=0, largest=1e6)
+    wall_margin_bl: float = bounded(0.1, least=0, largest=1e6)
+    num_stacked: int = bounded(4, least=1, largest=10_000)
     time_limit: int = bounded(30, least=1)
     control_interval_T: float = bounded(1.0, greater=0, largest=10)
-    checks_per_action: int = 25
+    checks_per_action: int = bounded(25, least=1)
 
     def __post_init__(self) -> None:
         for name in ("n_obs", "num_actions", "num_draws"):

@@ -18,6 +18,7 @@ from tqdm import tqdm
 
 from fishrl.bounds import bounded, check_bounds
 from fishrl.files import load_tensors, staged
+from fishrl.memory import check_memory
 from fishrl.physics.bodies.motion import Fixed
 from fishrl.physics.cache_key import hash_sources, make_key
 from fishrl.physics.diagnostics import find_crossings, measure_cycles
@@ -47,7 +48,7 @@ class WakeRecipe:
     config: FlowConfig
     position: tuple[float, float]
     heading: float
-    speeds: tuple[float, ...] = bounded(greater=0)
+    speeds: tuple[float, ...] = bounded(greater=0, entries=1)
     num_phases: int = bounded(8, least=1)
     num_travels: float = bounded(100.0, greater=0)
 
@@ -109,6 +110,7 @@ def develop_wakes(recipe: WakeRecipe, *, compile: bool = True) -> WakeBank:
         ValueError: if too few vortices are shed to measure the frequency, or a flow diverges.
     """
     config, (body,) = recipe.config, recipe.config.bodies
+    check_memory(wakes=len(recipe.speeds) * recipe.num_phases * config.num_bytes)
     size, fastest = body.size, max(recipe.speeds)
     kick = Fixed(kick_speed=0.3 * fastest, kick_steps=round(3.0 * size / fastest))
     config = replace(config, bodies=(replace(body, motion=kick),), stream_speed=fastest)

@@ -31,7 +31,7 @@ class FitSettings:
         weight_decay: of Adam (L2).
     """
 
-    learning_rate: float = bounded(1e-3, greater=0)
+    learning_rate: float = bounded(1e-3, greater=0, largest=1)
     batch_size: int = bounded(64, least=1)
     num_epochs: int = bounded(300, least=1)
     patience: int | None = bounded(30, least=1)

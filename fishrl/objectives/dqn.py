@@ -89,9 +89,10 @@ class RecurrentDQNLoss(MaskedDQNLoss):
         judge = values.detach()[:, 1:] if self.double_dqn else target
         next_value = target.gather(-1, judge.argmax(-1, keepdim=True))
         wanted = self.value_estimator.value_estimate(batch, next_value=next_value).squeeze(-1)
-        loss = distance_loss(chosen, wanted, self.loss_function)
-        is_real = batch["collector", "mask"].reshape(loss.shape)
-        return TensorDict({"loss_qvalue": (loss * is_real).sum() / is_real.sum()})
+        is_real = batch["collector", "mask"].reshape(chosen.shape)
+        # The action of padding may be illegal, and its value squared would be infinite.
+        loss = distance_loss(chosen.where(is_real, wanted), wanted, self.loss_function)
+        return TensorDict({"loss_qvalue": loss.sum() / is_real.sum()})
 
     def _states(self, batch: TensorDictBase) -> TensorDict:
         """Return the states of sequences ``[N, L]`` and the one after each, ``[N, L + 1]``.

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from fishrl.bounds import bounded, check_bounds
+from fishrl.memory import check_memory
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
@@ -73,8 +74,8 @@ class FlowConfig:
             traffic, for GPUs (a CPU gains nothing).
     """
 
-    width: int = bounded(least=4)
-    height: int = bounded(least=4)
+    width: int = bounded(least=4, largest=2**31 - 1)
+    height: int = bounded(least=4, largest=2**31 - 1)
     tau: float
     stream_speed: float = 1.0
     ramp_steps: int = bounded(0, least=0)
@@ -110,6 +111,11 @@ class FlowConfig:
     def nu(self) -> float:
         """Kinematic viscosity in lattice units."""
         return (self.tau - 0.5) / 3.0
+
+    @property
+    def num_bytes(self) -> int:
+        """Size of the populations."""
+        return Q * self.width * self.height * self.storage.dtype.itemsize
 
     @property
     def fish(self) -> Fish | None:
@@ -226,13 +232,20 @@ def compute_stream_speed(params: FlowParams, clock: Tensor) -> Tensor:
 
 
 def list_configs(
-    config: FlowConfig | Sequence[FlowConfig], num_envs: int | None
+    config: FlowConfig | Sequence[FlowConfig],
+    num_envs: int | None,
+    device: torch.device | str = "cpu",
 ) -> list[FlowConfig]:
-    """Return one configuration per flow; raise ValueError unless there are ``num_envs``."""
+    """Return one configuration per flow.
+
+    Raises:
+        ValueError: unless there are ``num_envs``, and their populations fit into memory.
+    """
     if isinstance(config, FlowConfig):
         num_envs = 1 if num_envs is None else num_envs
         if num_envs < 1:
             raise ValueError(f"num_envs = {num_envs}: at least one flow is needed")
+        check_memory(device=device, flows=num_envs * config.num_bytes)
         return [config] * num_envs
     if not config or num_envs not in (None, len(config)):
         raise ValueError(

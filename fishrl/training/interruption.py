@@ -25,6 +25,11 @@ class Interrupted(Exception):
         self.number = number
 
 
+def exit_status(end: KeyboardInterrupt) -> int:
+    """Return the exit status of a process that a signal ended at once: 130, or 143 for SIGTERM."""
+    return 128 + (int(end.args[0]) if end.args else signal.SIGINT)
+
+
 class Interruption:
     """Remembers a signal until the next ``check``; a second one ends at once.
 
@@ -59,7 +64,7 @@ class Interruption:
         if self._number is not None:
             if number == self._number and time.monotonic() - self._received < TWICE_SECONDS:
                 return
-            raise KeyboardInterrupt
+            raise KeyboardInterrupt(number)
         self.request(number)
         self._received = time.monotonic()
         name = signal.Signals(number).name

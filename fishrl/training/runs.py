@@ -8,12 +8,14 @@ from collections.abc import Collection, Mapping
 from contextlib import closing
 from dataclasses import replace
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Unpack
 
 from fishrl.envs import AbstractTask
 from fishrl.envs.transforms import equip
 from fishrl.extras import show_install
+from fishrl.memory import check_memory
 from fishrl.training.algorithms import Algorithm, DiscreteSAC
 from fishrl.training.baselines import make_baselines
 from fishrl.training.checkpoint import read_metadata
@@ -22,6 +24,7 @@ from fishrl.training.logger import CsvLogger
 from fishrl.training.loop import Training
 from fishrl.training.observer import Hooks
 from fishrl.training.plan import Plan
+from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import RunFolder, read_config, write_yaml
 from fishrl.training.settings import LearningSettings, RunSettings, check_device
 
@@ -195,4 +198,13 @@ def _check(plan: Plan, recognition: Recognition) -> None:
         if find_spec("ray") is None:
             raise ValueError(f"ray_collectors: needs Ray: {show_install('cluster')}")
     task, _ = equip(plan.task, recognition)
+    learning, sizes = plan.learning, PolicySpec.for_task(task, has_labels=recognition is not None)
+    transition = 2 * (sizes.num_inputs + sizes.num_actions)
+    weights = sum(a * b for a, b in pairwise((sizes.num_observed, *learning.hidden)))
+    check_memory(
+        device=plan.run.device,
+        flows=task.flow_config().num_bytes * learning.num_envs / max(1, learning.ray_collectors),
+        buffer=4 * transition * learning.buffer_size,
+        networks=4 * 4 * weights,  # values, gradients and Adam's two means
+    )
     make_baselines(plan.run.baselines, task=task, seed=0)

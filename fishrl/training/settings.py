@@ -30,13 +30,13 @@ class LearningSettings:
 
     seed: int = bounded(0, least=0, largest=2**32 - 1)
     num_envs: int = bounded(16, least=1)
-    ray_collectors: int = bounded(0, least=0)
+    ray_collectors: int = bounded(0, least=0, largest=10_000)
     warmup_frames: int = bounded(320, least=0)
-    updates_per_frame: float = bounded(4.0, least=0)
+    updates_per_frame: float = bounded(4.0, least=0, largest=1e6)
     batch_size: int = bounded(64, least=1)
     buffer_size: int = bounded(20_000, least=1)
     gamma: float = bounded(0.99, least=0, largest=1)
-    learning_rate: float = bounded(5e-4, greater=0)
+    learning_rate: float = bounded(5e-4, greater=0, largest=1)
     tau: float = bounded(0.01, least=0, largest=1)
     hidden: tuple[int, ...] = bounded((256, 256), least=1)
 
@@ -84,8 +84,8 @@ class RunSettings:
     checkpoint_frames: int = bounded(350, least=1)
     keep_checkpoints: int = bounded(2, least=1)
     eval_frames: int = bounded(700, least=1)
-    eval_episodes: int = bounded(16, least=1)
-    final_episodes: int = bounded(32, least=1)
+    eval_episodes: int = bounded(16, least=1, largest=10**6)
+    final_episodes: int = bounded(32, least=1, largest=10**6)
     baselines: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:

@@ -43,7 +43,7 @@ CHANGES = [
     "task.stream.has_disc=false",
     "task.safe_area.far_bl=2.75",
     "task.safe_area={near_bl:0.1}",
-    "task.control.bank.rows=[[0.1,0.2],[0.1,0.2],[0.1,0.2]]",
+    "task.control.bank.rows=[[0.1,2.1],[0.1,2.1],[0.1,2.1]]",
     "task.start_flows=[2]",
     "task.time_limit=7",
 ]
@@ -57,7 +57,7 @@ def test_what_is_not_given_stays_as_in_the_run(tmp_path: Path) -> None:
     assert view.main.read([checkpoint, *CHANGES]).task == changed
     own["stream"]["has_disc"] = False
     own["safe_area"] |= {"far_bl": 2.75, "near_bl": 0.1}
-    own["control"]["bank"]["rows"] = [[0.1, 0.2]] * 3
+    own["control"]["bank"]["rows"] = [[0.1, 2.1]] * 3
     own["start_flows"], own["time_limit"] = [2], 7
     assert changed == own
 

@@ -100,7 +100,10 @@ def write_task(folder: Path, text: str) -> str:
     return f"--config-dir={folder}"
 
 
-OWN = "{_target_: fishrl.envs.tasks.predation.Predation, body_length: 20, reynolds: 500.0}"
+OWN = (
+    "{_target_: fishrl.envs.tasks.predation.Predation, body_length: 20, reynolds: 500.0, "
+    "wall_margin_bl: 0.3}"
+)
 
 
 def test_settings_win_in_the_order_default_task_file_preset_command_line(tmp_path: Path) -> None:

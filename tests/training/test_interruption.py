@@ -10,7 +10,12 @@ import threading
 import pytest
 
 from fishrl.training.checkpoint import read_metadata
-from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children
+from fishrl.training.interruption import (
+    Interrupted,
+    Interruption,
+    exit_status,
+    ignore_signals_in_children,
+)
 from tests.training.conftest import Toy
 from tests.training.stops import run_and_signal
 
@@ -32,8 +37,10 @@ def test_a_second_signal_ends_it_at_once(monkeypatch: pytest.MonkeyPatch) -> Non
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
         monkeypatch.setattr("fishrl.training.interruption.TWICE_SECONDS", 0.0)
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(KeyboardInterrupt) as end:
             signal.raise_signal(signal.SIGTERM)
+        assert exit_status(end.value) == 143
+    assert exit_status(KeyboardInterrupt()) == 130
     assert signal.getsignal(signal.SIGINT) is before
     with pytest.raises(Interrupted):
         interruption.check()

@@ -52,14 +52,14 @@ class Predation(AbstractTask):
     num_draws: ClassVar[int] = 3
     success: ClassVar[str] = "captured"
 
-    turn_degrees: float = 15.0
+    turn_degrees: float = bounded(15.0, least=0, largest=180)
     start_x_bl: tuple[float, float] = (5.0, 7.5)
     start_y_bl: tuple[float, float] = (0.25, 4.75)
     food_x_bl: float = 2.5
     food_y_bl: float = 2.5
     food_limits_bl: tuple[float, float] = (1.5, 3.5)
     food_still_T: float = bounded(5.0, least=0)
-    food_speed_bl: float = bounded(0.3, least=0)
+    food_speed_bl: float = bounded(0.3, least=0, largest=100)
     food_direction: str = "up"
     capture_radius_bl: float = bounded(0.25, greater=0)
 

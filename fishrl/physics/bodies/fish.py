@@ -35,7 +35,7 @@ class Fish(BodyConfig):
 
     body_length: float = bounded(least=16)
     section: Section = Section.NACA
-    thickness: float = 0.12
+    thickness: float = bounded(0.12, greater=0, largest=1)
     gait: Gait = CARLING
     keeps_length: bool = False
     inset: float = 0.0

@@ -45,7 +45,7 @@ class BodyConfig(ABC):
     density_ratio: float = bounded(1.0, least=1)
     marker_spacing: float = bounded(1.0, least=0.5, largest=2)
     inset: float = bounded(0.45, least=0, largest=1)
-    num_markers: int = 0
+    num_markers: int = bounded(0, least=0)
     motion: Motion = field(default_factory=Fixed)
 
     def __post_init__(self) -> None:
@@ -220,7 +220,7 @@ class Foil(BodyConfig):
     """
 
     chord: float = bounded(least=8)
-    thickness: float = 0.12
+    thickness: float = bounded(0.12, greater=0, largest=1)
 
     def draw(self) -> list[Points]:
         """Return the upper side to the trailing edge and the lower side back."""

@@ -92,7 +92,8 @@ class FlowBatch:
         """Read density and velocity between the nodes, bilinearly, before an even step.
 
         Args:
-            points: ``[B, P, 2]`` (x, y) in nodes; those outside the grid are moved to its edge.
+            points: ``[B, P, 2]`` (x, y) in nodes; those outside the grid are moved to its edge,
+                and where one is NaN, so is the result.
 
         Returns:
             Density ``[B, P]`` and velocity ``[B, P, 2]``, float32.
@@ -116,6 +117,7 @@ class FlowBatch:
         fluid = compute_macroscopic(f)
         values = torch.stack((fluid.rho, fluid.ux, fluid.uy), -1)
         mean = (weights[..., None] * values).sum(1)
+        mean = mean.masked_fill(points.isnan().any(-1, keepdim=True), torch.nan)
         return mean[..., 0], mean[..., 1:]
 
     def name_state(self) -> list[tuple[str, Tensor]]:

@@ -17,6 +17,7 @@ from fishrl.physics.fast.batch import FlowBatch
 from fishrl.physics.fast.compiled import Kernel, find_compiler_problem
 from fishrl.physics.fast.workers import Job, Workers, count_cores, map_shared, open_shared
 from fishrl.physics.flow import FlowConfig, list_configs
+from fishrl.physics.lattice import Q
 
 logger = logging.getLogger(__name__)
 
@@ -49,9 +50,9 @@ class InPlaceSolver:
         num_workers: int | None = None,
         flows_per_launch: int | None = None,
     ) -> None:
-        configs = list_configs(config, num_envs)
-        num_envs = len(configs)
         device = torch.device(device)
+        configs = list_configs(config, num_envs, device)
+        num_envs = len(configs)
         is_cpu = device.type == "cpu"
         torch.set_flush_denormal(True)  # still water decays into denormals, which are slow
         if num_workers is None:
@@ -161,11 +162,7 @@ class InPlaceSolver:
         """Return ``rows`` ``[B]`` on the device of the flows, all of them for None."""
         if rows is None:
             return torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        if rows.shape != (self.num_envs,) or rows.dtype != torch.bool:
-            raise ValueError(
-                f"rows has shape {tuple(rows.shape)} and type {rows.dtype}: give a bool tensor of "
-                f"shape ({self.num_envs},)"
-            )
+        _check_tensor("rows", rows, (self.num_envs,), dtype=torch.bool)
         return rows.to(self.device)
 
     def reset_(
@@ -191,6 +188,8 @@ class InPlaceSolver:
         position, heading = _spread_starts(
             position, heading, self.config, self.num_envs, self.device
         )
+        _check_tensor("position", position, where=rows)
+        _check_tensor("heading", heading, where=rows)
         flow = self._batch.flow
         fresh = []
         for m in range(len(self.bodies)):
@@ -214,12 +213,14 @@ class InPlaceSolver:
 
     def set_stream_speed_(self, speed: Tensor, rows: Tensor | None = None) -> None:
         """Set the stream speed of all flows, or of those in ``rows`` ``[B]``, nodes per step."""
-        own = self.stream_speed
-        own.copy_(torch.where(self._choose(rows), speed, own))
+        own, rows = self.stream_speed, self._choose(rows)
+        _check_tensor("speed", speed, (self.num_envs,), where=rows)
+        own.copy_(torch.where(rows, speed, own))
 
     def set_populations_(self, f: Tensor, rows: Tensor | None = None) -> None:
         """Set all flows, or those of ``rows`` ``[B]``, to shifted populations ``[B, Q, Y, X]``."""
         rows = self._choose(rows)
+        _check_tensor("f", f, (self.num_envs, Q, self.config.height, self.config.width))
         for number, group in self._batch.groups.items():
             own = self._batch.rows_of(number)
             group.write_(rows[own], f[own].unbind(1))
@@ -232,6 +233,10 @@ class InPlaceSolver:
         """
         if num_steps < 2:
             raise ValueError(f"num_steps = {num_steps}: a turn takes at least two steps")
+        every_row = self._choose(None)
+        _check_tensor("turn", turn, (self.num_envs,), where=every_row)
+        if frequency is not None:
+            _check_tensor("frequency", frequency, (self.num_envs,), where=every_row)
         body = self.body
         body.turn.copy_(turn)
         body.turn_steps.fill_(float(num_steps))
@@ -250,12 +255,11 @@ class InPlaceSolver:
         return torch.cat([fluid.rho for fluid in fluids]), torch.cat(velocities)
 
     def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Return density ``[B, P]`` and velocity ``[B, P, 2]`` at points ``[B, P, 2]`` (x, y)."""
-        if points.dim() != 3 or (points.shape[0], points.shape[2]) != (self.num_envs, 2):
-            raise ValueError(
-                f"points have shape {tuple(points.shape)}: give ({self.num_envs}, P, 2), some for "
-                "each flow"
-            )
+        """Return density ``[B, P]`` and velocity ``[B, P, 2]`` at points ``[B, P, 2]`` (x, y).
+
+        Both are NaN at points that are.
+        """
+        _check_tensor("points", points, (self.num_envs, None, 2))
         return self._batch.sample(points.to(self.device))
 
     def markers(self, index: int = 0) -> Tensor:
@@ -318,6 +322,35 @@ class InPlaceSolver:
         """Replace each part of the step in this process by ``wrap(name, part)``, to measure it."""
         kernels = self._batch.stepper.kernels
         kernels |= {name: wrap(name, kernels[name]) for name in self.list_calls()}
+
+
+def _check_tensor(
+    name: str,
+    value: object,
+    shape: tuple[int | None, ...] | None = None,
+    *,
+    dtype: torch.dtype | None = None,
+    where: Tensor | None = None,
+) -> None:
+    """Check shape (None fits any length), type and, in rows ``where`` ``[B]``, that it is finite.
+
+    That is read on a CPU only: on a GPU the host would have to wait.
+    """
+    wanted = f"a tensor of shape {shape}" + (f" and type {dtype}" if dtype else "")
+    if not isinstance(value, Tensor):
+        raise ValueError(f"{name} = {value!r}: give {wanted}")
+    sizes = value.shape if shape is None else shape
+    is_fit = len(sizes) == value.dim() and all(
+        size in (None, own) for size, own in zip(sizes, value.shape, strict=True)
+    )
+    if not is_fit or dtype not in (None, value.dtype):
+        raise ValueError(
+            f"{name} has shape {tuple(value.shape)} and type {value.dtype}: give {wanted}"
+        )
+    if where is None or where.device.type != "cpu":
+        return
+    if not value.to(where.device)[where].isfinite().all():
+        raise ValueError(f"{name} = {value.tolist()}: must be finite in every chosen row")
 
 
 def _spread_starts(

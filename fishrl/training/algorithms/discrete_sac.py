@@ -24,7 +24,7 @@ class DiscreteSAC(Algorithm):
         target_entropy_weight: target entropy as a share of the largest possible one.
     """
 
-    alpha_init: float = bounded(1.0, greater=0)
+    alpha_init: float = bounded(1.0, greater=0, largest=1e6)
     target_entropy_weight: float = bounded(0.1, least=0, largest=1)
 
     def __post_init__(self) -> None:

@@ -265,8 +265,18 @@ def test_without_a_compiler_the_flow_runs_eagerly_and_says_so_once(
     [
         (lambda s: s.advance_(3), "num_steps = 3: must be even"),
         (lambda s: s.command_(TURN, 1), "num_steps = 1: a turn takes at least two steps"),
-        (lambda s: s.sample(torch.zeros(1, 5, 2)), r"shape \(1, 5, 2\): give \(3, P, 2\)"),
-        (lambda s: s.reset_(torch.ones(2), STARTS, HEADINGS), r"bool tensor of shape \(3,\)"),
+        (lambda s: s.advance_(2, rows=[True]), r"rows = \[True\]: give a tensor"),
+        (lambda s: s.advance_(2, rows=torch.ones(3)), "type torch.float32: give .* torch.bool"),
+        (lambda s: s.command_(TURN[:1], 2), r"turn has shape \(1,\)"),
+        (lambda s: s.command_(TURN * torch.nan, 2), "turn = .*: must be finite"),
+        (lambda s: s.sample(torch.zeros(1, 5, 2)), r"points has shape \(1, 5, 2\)"),
+        (lambda s: s.set_stream_speed_(torch.ones(1)), r"speed has shape \(1,\)"),
+        (lambda s: s.set_populations_(torch.zeros(3, 9, 2, 2)), "f has shape"),
+        (lambda s: s.reset_(torch.ones(2), STARTS, HEADINGS), "rows has shape"),
+        (
+            lambda s: s.reset_(torch.ones(3) > 0, STARTS * torch.inf, HEADINGS),
+            "position = .*: must be finite in every chosen row",
+        ),
         (lambda s: s.load_state_dict({}), "state 'data' is nothing, expected torch.float32"),
     ],
 )

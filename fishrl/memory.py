@@ -1,0 +1,29 @@
+"""The memory that flows, buffers and networks need, compared with that of the machine."""
+
+from __future__ import annotations
+
+import os
+
+import torch
+
+
+def check_memory(*, device: torch.device | str = "cpu", **needed: float) -> None:
+    """Check that parts fit into memory together, before any of them is made.
+
+    Args:
+        device: where they will lie.
+        **needed: least size of each part, bytes.
+
+    Raises:
+        ValueError: with the estimate and the memory of the machine, if they do not.
+    """
+    total = sum(needed.values())
+    if torch.device(device).type == "cuda":
+        size = torch.cuda.get_device_properties(device).total_memory
+    else:
+        size = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if total > size:
+        parts = ", ".join(f"{name} {part / 1e9:.3g} GB" for name, part in needed.items())
+        raise ValueError(
+            f"{parts}: more than the {size / 1e9:.3g} GB of {device}; lower their number or size"
+        )

@@ -1,0 +1,101 @@
+"""Simulate for long and look for drift: ``python -m tests.campaigns.soak steps=1000000``.
+
+Two flows of L = 32, random legal actions and resets of random rows. Prints memory and open files of
+all processes, shared memory, the drift of mass and the speed; ends with status 1 if they change.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from tensordict import TensorDictBase
+
+from experiments.program import program
+from fishrl.bounds import bounded, check_bounds
+from fishrl.envs import Predation, make_env
+from fishrl.training.metrics import measure_memory_mb
+
+SMALL = {"body_length": 32, "reynolds": 2000.0, "max_wall_speed": 0.1, "wall_margin_bl": 0.15}
+LIMITS = {"memory_mb": 20.0, "files": 0.0, "shm_mb": 0.0}
+
+
+@dataclass(kw_only=True)
+class SoakSettings:
+    """Settings of the campaign.
+
+    Args:
+        steps: lattice steps of each flow.
+        rows: of the table.
+        reset_share: share of decisions after which random rows are reset.
+        compile: compile the flow solver.
+        seed: of starts, actions and resets.
+    """
+
+    steps: int = bounded(1_000_000, least=1)
+    rows: int = bounded(40, least=2)
+    reset_share: float = bounded(0.02, least=0, largest=1)
+    compile: bool = True
+    seed: int = bounded(0, least=0)
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
+
+
+def count_files() -> int:
+    """Count the open files of this process and its children."""
+    tasks = Path("/proc/self/task").iterdir()
+    children = [pid for task in tasks for pid in (task / "children").read_text().split()]
+    return sum(len(os.listdir(f"/proc/{pid}/fd")) for pid in ("self", *children))
+
+
+def measure(env: TensorDictBase) -> dict[str, float]:
+    """Return what must not change."""
+    density, _ = env.base_env.solver.macroscopic()
+    shared = sum(path.stat().st_size for path in Path("/dev/shm").glob("fishrl*"))
+    return {
+        "memory_mb": measure_memory_mb(),
+        "files": count_files(),
+        "shm_mb": shared / 1e6,
+        "mass_drift": float((density.double().mean((1, 2)) - 1.0).abs().max()),
+    }
+
+
+@program(SoakSettings)
+def main(settings: SoakSettings) -> None:
+    """Simulate, print rows, compare the last with the first."""
+    task = Predation(**SMALL, time_limit=200)
+    env = make_env(task=task, num_envs=2, seed=settings.seed, compile=settings.compile)
+    torch.manual_seed(settings.seed)
+    state, rows, episodes, diverged = env.reset(), [], 0, 0
+    decisions = -(-settings.steps // task.n_substeps)
+    interval = max(1, decisions // settings.rows)
+    began = time.perf_counter()
+    for decision in range(1, decisions + 1):
+        after, state = env.step_and_maybe_reset(env.rand_action(state))
+        episodes += int(after["next", "done"].sum())
+        diverged += int(after["next", "diverged"].sum())
+        if torch.rand(()) < settings.reset_share:
+            state = env.reset(state.set("_reset", torch.rand(2, 1) < 0.5))
+        if decision % interval == 0:
+            seconds, began = time.perf_counter() - began, time.perf_counter()
+            speed = interval * task.n_substeps / seconds
+            rows.append(measure(env) | {"steps_per_s": speed})
+            shown = "  ".join(f"{name} {value:.6g}" for name, value in rows[-1].items())
+            print(f"{decision * task.n_substeps:>9} steps  {shown}", flush=True)
+    env.close()
+    first, last = rows[min(1, len(rows) - 1)], rows[-1]
+    drift = max(row["mass_drift"] for row in rows)
+    print(f"{episodes} episodes, {diverged} diverged, largest drift of mass {drift:.2g}")
+    grown = [n for n, most in LIMITS.items() if last[n] - first[n] > most]
+    if grown or diverged:
+        sys.exit(f"not flat: {grown}, diverged: {diverged}")
+
+
+if __name__ == "__main__":
+    main()
