@@ -41,7 +41,7 @@ def store(folder: Path, *overrides: str, recognition: str | None = None) -> str:
 
 CHANGES = [
     "task.stream.has_disc=false",
-    "task.safe_area.far_bl=2.75",
+    "task.safe_area.far_bl=3.75",
     "task.safe_area={near_bl:0.1}",
     "task.control.bank.rows=[[0.1,2.1],[0.1,2.1],[0.1,2.1]]",
     "task.start_flows=[2]",
@@ -56,7 +56,7 @@ def test_what_is_not_given_stays_as_in_the_run(tmp_path: Path) -> None:
     changed = evaluate.main.read([checkpoint, *CHANGES]).task
     assert view.main.read([checkpoint, *CHANGES]).task == changed
     own["stream"]["has_disc"] = False
-    own["safe_area"] |= {"far_bl": 2.75, "near_bl": 0.1}
+    own["safe_area"] |= {"far_bl": 3.75, "near_bl": 0.1}
     own["control"]["bank"]["rows"] = [[0.1, 2.1]] * 3
     own["start_flows"], own["time_limit"] = [2], 7
     assert changed == own
