@@ -50,13 +50,13 @@ def check_bounds(settings: Any, *, path: str = "") -> None:
         for kind in reversed(type(settings).__mro__):
             inherited = getattr(kind, "__dataclass_fields__", {}).get(entry.name)
             bounds |= inherited.metadata if inherited else {}
-        kind = str(entry.type).removeprefix("<class '").removesuffix("'>")
+        hint = str(entry.type).removeprefix("<class '").removesuffix("'>")
         numbers = list(_flatten(value))
         allowed = "" if len(numbers) >= bounds.get("entries", 0) else _describe(bounds)
         for number in numbers:
             if is_dataclass(number) and not isinstance(number, type):
                 check_bounds(number, path=f"{path}{entry.name}.")
-            allowed = allowed or _find_violation(number, kind=kind, bounds=bounds)
+            allowed = allowed or _find_violation(number, kind=hint, bounds=bounds)
         if allowed:
             raise ValueError(f"{path}{entry.name} = {value}: must be {allowed}")
 
