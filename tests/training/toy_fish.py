@@ -50,7 +50,7 @@ class ToyPredation:
     banned_action: int = -1
 
     def flow_config(self) -> SimpleNamespace:
-        return SimpleNamespace(width=100, height=50)
+        return SimpleNamespace(width=100, height=50, num_bytes=0)
 
     def sample_starts(self, num: int, generator: torch.Generator) -> TensorDict:
         draw = torch.rand(num, 2, generator=generator)
