@@ -89,9 +89,10 @@ class Counters:
 
 
 def measure_memory_mb() -> float:
-    """Return the memory of this process and its children in MB; NaN where the system hides it.
+    """Return the memory that this process and its children hold in MB; NaN where it is hidden.
 
-    What several of them share counts once (proportional set size).
+    What several of them share counts once (proportional set size). Pages of files, such as the
+    libraries, are left out: how many of them count depends on other programs that use them, too.
     """
     total_kb = 0.0
     try:
@@ -100,7 +101,8 @@ def measure_memory_mb() -> float:
         for pid in ("self", *children):
             with suppress(FileNotFoundError, ProcessLookupError):  # it has just ended
                 text = Path(f"/proc/{pid}/smaps_rollup").read_text()
-                total_kb += float(text.partition("\nPss:")[2].split()[0])
+                for kind in ("Pss_Anon", "Pss_Shmem"):
+                    total_kb += float(text.partition(f"\n{kind}:")[2].split()[0])
     except OSError:
         return float("nan")
     return total_kb / 1e3
