@@ -128,7 +128,8 @@ def list_choices() -> dict[str, list[str]]:
 
 def set_up_logging() -> None:
     """Print log lines above the progress bar, of TorchRL only warnings."""
-    os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # read when torchrl is imported
+    level = os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # for other processes, too
+    logging.getLogger("torchrl").setLevel(level)
     logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[_AboveBar()])
     logging.getLogger("hydra").setLevel(logging.CRITICAL)  # its errors are raised too
 

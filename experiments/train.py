@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from experiments.figures.run_pictures import record_run
 from experiments.live import LiveObserver
 from experiments.program import program, show_command
 from experiments.sweeps.jobs import sweep
-from experiments.sweeps.runs import list_arguments
+from experiments.sweeps.runs import list_arguments, name_modules
 from experiments.train_settings import TRAINING, TrainConfig, make_plan
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.description import to_plain
@@ -88,12 +88,16 @@ def finish(training: Training) -> dict[str, Any]:
     """Run a training to its end, draw its pictures, print the table, and return the summary."""
     summary = complete(training)
     training.progress.close()
-    report(summary, folder=training.folder.path)
+    modules = name_modules(training.plan.to_config())
+    report(summary, folder=training.folder.path, modules=modules)
     return summary
 
 
-def report(summary: dict[str, Any], *, folder: Path) -> None:
-    """Print results of all policies, the files written, and commands to continue with."""
+def report(summary: dict[str, Any], *, folder: Path, modules: Sequence[str]) -> None:
+    """Print results of all policies, the files written, and commands to continue with.
+
+    ``modules`` are the arguments that those commands need for classes outside fishrl.
+    """
     word = summary["success"]
     heads = f"{word:>14}{'mean return':>14}{'mean duration':>16}{f'until {word}':>18}"
     print(f"\n{'policy':<12}{heads}")
@@ -107,9 +111,11 @@ def report(summary: dict[str, Any], *, folder: Path) -> None:
     for path in sorted(folder.iterdir()):
         if not path.name.startswith("."):
             print(f"  {path}")
-    shown = str(folder) if (folder / "capture.rrd").is_file() else f"run={folder}"
-    print(f"\nevaluate: {show_command('experiments.evaluate', f'checkpoint={folder}')}")
-    print(f"view: {show_command('experiments.view', shown)}")
+    has_recording = (folder / "capture.rrd").is_file()
+    shown = [str(folder)] if has_recording else [f"run={folder}", *modules]
+    evaluated = [f"checkpoint={folder}", *modules]
+    print(f"\nevaluate: {show_command('experiments.evaluate', *evaluated)}")
+    print(f"view: {show_command('experiments.view', *shown)}")
 
 
 @program(TRAINING, sweep=sweep)

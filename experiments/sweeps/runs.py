@@ -55,8 +55,13 @@ class Run:
 
 def list_arguments(path: Path | str, config: Mapping[str, Any]) -> list[str]:
     """Return the arguments that resume a run, with the modules outside fishrl that it needs."""
+    return [f"resume={path}", *name_modules(config)]
+
+
+def name_modules(config: Mapping[str, Any]) -> list[str]:
+    """Return ``modules=[...]`` with the modules outside fishrl that a run needs, if any."""
     own = sorted({name for name in list_modules(config) if name.split(".")[0] != "fishrl"})
-    return [f"resume={path}", *([f"modules=[{','.join(own)}]"] if own else [])]
+    return [f"modules=[{','.join(own)}]"] if own else []
 
 
 def read_runs(folder: Path) -> list[Run]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import subprocess
 import sys
@@ -13,7 +14,7 @@ import pytest
 import yaml
 
 from experiments import evaluate, summarize, train
-from experiments.program import plain_errors, show_command
+from experiments.program import plain_errors, set_up_logging, show_command
 
 ROOT = Path(__file__).parents[2]
 
@@ -66,6 +67,17 @@ def test_the_traceback_of_an_error_is_shown_on_request(monkeypatch: pytest.Monke
     monkeypatch.setenv("FISHRL_DEBUG", "1")
     with pytest.raises(ValueError, match="there is no 'totl_frames'"):
         train.main(["totl_frames=3"])
+
+
+def test_a_program_shows_only_warnings_of_torchrl(monkeypatch: pytest.MonkeyPatch) -> None:
+    torchrl = logging.getLogger("torchrl")
+    monkeypatch.setattr(torchrl, "level", logging.INFO)
+    monkeypatch.delenv("RL_LOGGING_LEVEL", raising=False)
+    set_up_logging()
+    assert not torchrl.isEnabledFor(logging.INFO)
+    monkeypatch.setenv("RL_LOGGING_LEVEL", "DEBUG")
+    set_up_logging()
+    assert torchrl.isEnabledFor(logging.DEBUG)
 
 
 def test_an_interrupt_ends_a_program_with_its_code() -> None:

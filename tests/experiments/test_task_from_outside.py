@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import sys
 from pathlib import Path
 
@@ -48,7 +49,10 @@ SETTINGS = [
 
 @pytest.mark.usefixtures("kinematic")
 def test_a_task_from_outside_is_trained_and_evaluated_without_any_edit(
-    outside: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    outside: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     run = tmp_path / "runs" / "mine"
     own = ["algorithm=dqn", "algorithm._target_=my_learning.MyDQN", f"folder={run.parent}"]
@@ -57,6 +61,7 @@ def test_a_task_from_outside_is_trained_and_evaluated_without_any_edit(
     summary = json.loads((run / "summary.json").read_text())
     assert (summary["frames"], summary["baselines"]) == (8, ["random"])
     assert (run / "learning_curve.png").is_file()
+    advice = next(x for x in capsys.readouterr().out.splitlines() if x.startswith("evaluate: "))
     saved = tmp_path / "result.json"
     given = [f"checkpoint={run}", "episodes=2", "compile=false", f"save={saved}"]
     trusted = "modules=[hold_station,my_learning]"
@@ -65,6 +70,7 @@ def test_a_task_from_outside_is_trained_and_evaluated_without_any_edit(
         with pytest.raises(SystemExit, match=r"if you trust it, give modules=\[my_learning\]"):
             evaluate.main([*given, *needed])
     forget(monkeypatch)
+    assert trusted in shlex.split(advice)
     evaluate.main([*given, trusted])
     assert json.loads(saved.read_text())["task"] == "HoldStation"
     forget(monkeypatch)
