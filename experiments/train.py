@@ -112,10 +112,10 @@ def report(summary: dict[str, Any], *, folder: Path, modules: Sequence[str]) -> 
         if not path.name.startswith("."):
             print(f"  {path}")
     has_recording = (folder / "capture.rrd").is_file()
-    shown = [str(folder)] if has_recording else [f"run={folder}", *modules]
+    viewed = [str(folder)] if has_recording else [f"run={folder}", *modules]
     evaluated = [f"checkpoint={folder}", *modules]
     print(f"\nevaluate: {show_command('experiments.evaluate', *evaluated)}")
-    print(f"view: {show_command('experiments.view', *shown)}")
+    print(f"view: {show_command('experiments.view', *viewed)}")
 
 
 @program(TRAINING, sweep=sweep)
