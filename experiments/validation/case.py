@@ -153,6 +153,8 @@ class Case:
         judge: yields the checks of the finished runs, perhaps the quick ones alone.
         draw: draws the results beside the reference into an empty figure.
         size: of the figure, width and height in inches.
+        headline: quantity of the check that stands for the case in the summary table; by default
+            that of the first.
     """
 
     name: str
@@ -162,6 +164,7 @@ class Case:
     judge: Callable[[Runs], Iterable[Check]]
     draw: Callable[[Figure, Runs], None]
     size: tuple[float, float] = (5.6, 3.8)
+    headline: str = ""
 
     @property
     def title(self) -> str:

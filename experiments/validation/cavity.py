@@ -1,12 +1,13 @@
 """Lid-driven cavity.
 
-Square box of N × N node distances whose top slides at U = 0.1, Re = U N / ν. Judged with half-way
-bounce-back walls; beside it, for the record, the same cavity with non-equilibrium extrapolation on
-all four edges, lid at full speed up to its corners. The fast step in single precision runs until no
-velocity changes by more than 10⁻⁵ U while the lid travels the width. Extremes along the centre
-lines are those of parabolas through three nodes; flow is the sum of u over the vertical centre
-line, which should be nothing. The references are Chebyshev solutions of incompressible flow; what
-is left of the error at Re = 100 is compressibility, and falls as U².
+The lid of a square cavity of N × N node distances slides at U = 0.1; Re = U N / ν. The acceptance
+criteria apply to half-way bounce-back walls. For comparison, the same cavity is run with
+non-equilibrium extrapolation on all four edges, where the lid has full speed up to its corners. The
+fast step runs in single precision until no velocity changes by more than 10⁻⁵ U while the lid
+travels one cavity width. Extrema along the centre lines are those of parabolas through three nodes;
+"flow" is the sum of u over the vertical centre line, which is zero if mass is conserved. The
+references are Chebyshev solutions of incompressible flow. The remaining error at Re = 100 is due to
+compressibility and decreases as U².
 """
 
 from collections.abc import Iterator
@@ -64,8 +65,8 @@ WALLS = {True: "bounce-back", False: "extrapolation"}  # by whether they are hal
 # what the figure shows: size, whether bounce-back, line
 LINES = ((256, True, "-"), (256, False, "--"), (64, True, ":"))
 LEAK = (
-    "with edges by extrapolation the error of the extremes falls no faster than 1 / N and grows "
-    "with the lid speed: they conserve no mass, and beside a sliding wall that flow is lost."
+    "with extrapolation at the edges, the error of the extrema decreases no faster than 1 / N "
+    "and grows with the lid speed, because these edges do not conserve mass."
 )
 
 

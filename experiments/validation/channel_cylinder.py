@@ -1,12 +1,13 @@
 """Cylinder in a channel (Schäfer–Turek 2D-1 and 2D-2).
 
-Channel 22 D long and 4.1 D high between half-way bounce-back walls; the cylinder stands 2 D behind
-a parabolic inflow, 2 D above the lower wall. Re and coefficients by the mean speed, 2/3 of the peak
-U = 0.05, and by the density at the inflow. The outflow lets plane sound waves out. Markers lie 0.45
-nodes inside the outline, no slip is solved exactly. The start is Poiseuille flow with its pressure,
-at Re = 100 with a kick of the cylinder; 60 and 80 D / U_mean, of which the second half is measured,
-over whole periods. The pressure on the surface is a parabola through the nodes 2, 3 and 4 outside
-it.
+The channel is 22 D long and 4.1 D high, with half-way bounce-back walls. The cylinder lies 2 D
+behind a parabolic inflow and 2 D above the lower wall. Re and coefficients are based on the mean
+speed, 2/3 of the peak U = 0.05, and on the density at the inflow. The outflow is open to plane
+sound waves. Markers lie 0.45 nodes inside the outline; the no-slip condition is solved directly.
+The flow starts as Poiseuille flow with its pressure, at Re = 100 with a perturbation of the
+cylinder, and runs for 60 and 80 D / U_mean, of which the second half is evaluated over whole
+periods. The surface pressure is extrapolated by a parabola through the second, third and fourth
+nodes outside the surface.
 """
 
 from collections.abc import Iterator, Mapping
@@ -30,7 +31,7 @@ MEAN_SPEED = {20: 0.2, 100: 1.0}  # of the benchmark, m/s, which gives its press
 INFLOW = NonEquilibrium(velocity=(1.0, 0.0), profile=Profile.PARABOLA)
 SIZES = (20, 40, 60)
 VARIANTS: Mapping[str, Mapping[str, float | bool]] = {
-    "as judged": {},
+    "standard": {},
     "U = 0.1": {"speed": 0.1},
     "markers on the outline": {"inset": 0.0},
     "pinned outlet": {"is_pinned": True},
@@ -39,10 +40,10 @@ TRAVELS = {20: 60.0, 100: 80.0}  # by Reynolds number
 INTERVALS = "Schäfer & Turek 1996"
 NABH = "Nabh 1998, spectral"
 FEATFLOW = "FeatFlow, level 6"
-FINER = "the interval of 1996 does not hold what finer runs found since, 0.9866."
+FINER = "the interval of 1996 does not contain the value of later, finer computations, 0.9866."
 ORGAN_PIPE = (
-    "between an inflow that pins velocity and an outflow that pins density sound runs to and fro "
-    "like in an organ pipe; its tones lie near the drag's and shake the cylinder."
+    "between an inflow of fixed velocity and an outflow of fixed density, sound forms standing "
+    "waves with frequencies close to that of the drag."
 )
 # quantity, Reynolds number, name in the results, reference, source, tolerance, note
 TARGETS = (
@@ -52,15 +53,15 @@ TARGETS = (
     ("C_d,max, Re = 100", 100, "drag_max", (3.22, 3.24), INTERVALS, 0.03, ""),
     ("C_l,max, Re = 100", 100, "lift_max", (0.99, 1.01), INTERVALS, 0.03, FINER),
     ("St, Re = 100", 100, "strouhal", (0.295, 0.305), INTERVALS, 0.015, ""),
-    ("C_d,max, Re = 100, again", 100, "drag_max", 3.227393, FEATFLOW, None, ""),
-    ("C_l,max, Re = 100, again", 100, "lift_max", 0.986571, FEATFLOW, None, ""),
-    ("C_l, crest to trough, Re = 100", 100, "lift_swing", 2.007871, FEATFLOW, None, ""),
-    ("St, Re = 100, again", 100, "strouhal", 0.30184, FEATFLOW, None, ""),
+    ("C_d,max, Re = 100, finer reference", 100, "drag_max", 3.227393, FEATFLOW, None, ""),
+    ("C_l,max, Re = 100, finer reference", 100, "lift_max", 0.986571, FEATFLOW, None, ""),
+    ("C_l, peak to peak, Re = 100", 100, "lift_swing", 2.007871, FEATFLOW, None, ""),
+    ("St, Re = 100, finer reference", 100, "strouhal", 0.30184, FEATFLOW, None, ""),
 )
 VARIANT_TARGETS = (
     ("C_d, Re = 20", 20, "drag", 5.57953523, NABH, ""),
     ("C_d,max, Re = 100", 100, "drag_max", 3.227393, FEATFLOW, ""),
-    ("C_d, crest to trough, Re = 100", 100, "drag_swing", 0.063129, FEATFLOW, ORGAN_PIPE),
+    ("C_d, peak to peak, Re = 100", 100, "drag_swing", 0.063129, FEATFLOW, ORGAN_PIPE),
 )
 FORCE_EXTREMES = (0.986571, -1.021288, 0.227393, 0.164264)  # C_l and C_d - 3, FeatFlow
 
@@ -157,7 +158,7 @@ def judge(runs: Runs) -> Iterator[Check]:
         if len(row) > 1:
             options: Any = {"resolution": f"D = {SIZES[0]}", "refinement": row, "note": note}
             name = f"{quantity}, D = {SIZES[0]}"
-            yield Check(name, row["as judged"], reference, source, **options)
+            yield Check(name, row["standard"], reference, source, **options)
 
 
 def draw(figure: Figure, runs: Runs) -> None:
@@ -181,7 +182,7 @@ def draw(figure: Figure, runs: Runs) -> None:
     for quantity, reynolds, key, reference, *_ in (TARGETS[0], *TARGETS[6:8], TARGETS[9]):
         values = runs.read(key, "diameter", reynolds=reynolds)
         errors = [100.0 * (value / reference - 1.0) for value in values.values()]
-        name = quantity.removesuffix(", again")
+        name = quantity.removesuffix(", finer reference")
         axes.plot([*values], errors, "o-", markerfacecolor="none", label=name)
     axes.axhline(0.0, color=GREY, linewidth=0.9)
     axes.set(xlabel="diameter D  [nodes]", ylabel="error  [%]", xticks=list(SIZES))
@@ -191,6 +192,6 @@ def draw(figure: Figure, runs: Runs) -> None:
 
 SOURCE = (
     "Schäfer & Turek 1996, NNFM 52, 547 (intervals); Nabh 1998 and the FeatFlow group's finest "
-    "runs (numbers), all as others quote them"
+    "runs (numbers), all as quoted in secondary sources"
 )
 CASE = Case("channel-cylinder", __doc__, SOURCE, JOBS, judge, draw, size=(7.6, 6.2))

@@ -1,10 +1,10 @@
 """Compressibility.
 
-The swimmer (L = 70 to 140, Re = 7142, free) with its tail, and a cylinder (D = 20, Re = 100, domain
-20 D × 10 D, open to sound on all sides but the inflow) with its stream, at 0.14, 0.07 (the default
-budget, Mach 0.12) and 0.035 nodes per step. Reynolds number and grid are fixed, so viscosity and
-the length of a step follow. Swimming speed over beat 8; drag over 40 D of travel, lift as root mean
-square.
+The free swimmer (L = 70 to 140, Re = 7142) and a cylinder (D = 20, Re = 100, domain 20 D × 10 D,
+all edges but the inflow open to sound) are run at 0.14, 0.07 (the default, Mach 0.12) and 0.035
+nodes per step; this is the speed of the tail and of the stream. Reynolds number and grid are fixed,
+so that viscosity and time step change with the speed. The swimming speed is that of beat 8. Drag is
+averaged over 40 D of travel, and lift is its root mean square.
 """
 
 from collections.abc import Iterator
@@ -26,9 +26,10 @@ DIAMETER = 20
 REYNOLDS = 100.0
 TRAVELS = 120  # diameters that the stream travels; the last third is measured
 TOLERANCE = 0.02
+HEADLINE = f"swimming speed, L = {JUDGED_LENGTH}: default speed / half of it"
 SWIMMER_NOTE = (
-    " It falls with the resolution, so it is the body's resolution that depends on the time step "
-    "here; at L = 50 tau leaves no room to halve the speed."
+    " The effect decreases with resolution, so it comes from the resolution of the body, which "
+    "depends on the time step. At L = 50, τ does not permit half the speed."
 )
 
 
@@ -85,8 +86,8 @@ def judge(runs: Runs) -> Iterator[Check]:
         fast, default, slow = values.values()
         note = (
             f"The first halving changes it {(fast - default) / (default - slow):.2g} times as much "
-            "as the second; an effect of the Mach number, which goes with its square, makes that "
-            "4, an error of first order in the time step 2."
+            "as the second (4 for a Mach-number effect, which is quadratic; 2 for a first-order "
+            "error in the time step)."
         )
         is_judged = resolution in (f"D = {DIAMETER}", f"L = {JUDGED_LENGTH}")
         yield Check(
@@ -114,4 +115,4 @@ def draw(figure: Figure, runs: Runs) -> None:
 
 
 SOURCE = "own criterion: halving the speed changes forces and swimming speed by less than 2 %"
-CASE = Case("compressibility", __doc__, SOURCE, JOBS, judge, draw)
+CASE = Case("compressibility", __doc__, SOURCE, JOBS, judge, draw, headline=HEADLINE)

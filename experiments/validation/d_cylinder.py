@@ -1,13 +1,13 @@
 """Half disc: the three flows of the Kármán gait.
 
-The paper's domain, 25 D × 12.5 D (1000 × 500 nodes with D = 40; blockage 8 %), the flat side of the
-half disc 6.25 D behind the inflow; streams of 0.1, 0.125 and 0.15 nodes per step make Re = 200, 250
-and 300 (conditions I, II, III). Flat side downstream, inflow and sides move with the stream, the
-outflow lets plane sound waves out; markers 0.45 nodes inside the outline, no slip solved directly.
-A kick, then 120 D / U, of which the second half is measured over whole periods. St = f D / U of the
-lift, by its zero crossings and by its spectrum. At D = 20 beside it: sides that let sound out as
-well, no-slip walls, half the speed at the same Re, the flat side upstream, and a pinned density at
-the outflow.
+The domain is that of the paper, 25 D × 12.5 D (1000 × 500 nodes with D = 40; blockage 8 %), with
+the flat side of the half disc 6.25 D behind the inflow. Streams of 0.1, 0.125 and 0.15 nodes per
+step give Re = 200, 250 and 300 (conditions I, II, III). The flat side faces downstream, inflow and
+sides move with the stream, and the outflow is open to plane sound waves. Markers lie 0.45 nodes
+inside the outline; the no-slip condition is solved directly. After a perturbation the flow runs for
+120 D / U, of which the second half is evaluated over whole periods. St = f D / U is that of the
+lift, from its zero crossings and from its spectrum. Variants at D = 20 have open sides, no-slip
+walls, half the speed at the same Re, the flat side upstream, or a fixed density at the outflow.
 """
 
 from collections.abc import Iterator, Mapping
@@ -45,10 +45,11 @@ QUANTITIES = {
     "lift_amplitude": "C_l amplitude",
 }
 NOTE = (
-    "The paper's shedding frequencies are exactly 1/1500, 1/1250 and 1/1000 per step: bins 10, 12 "
-    "and 15 of a spectrum of 15000 steps would give them, 7 to 10 % apart, and they are not "
-    "monotone in Re as Strouhal numbers; it does not say how they were found or which way the "
-    "half disc faces. No other measured value at these Re was found."
+    "the paper's shedding frequencies are exactly 1/1500, 1/1250 and 1/1000 per step, which are "
+    "bins 10, 12 and 15 of a spectrum of 15000 steps, where neighbouring bins are 7 to 10 % "
+    "apart. As Strouhal numbers they are not monotone in Re. The paper states neither how they "
+    "were determined nor which way the half disc faces. We found no other measured value at "
+    "these Re."
 )
 
 
@@ -138,5 +139,5 @@ def draw(figure: Figure, runs: Runs) -> None:
     lift.legend(ncols=3, loc="upper right")
 
 
-SOURCE = "recorded; beside it the shedding frequencies in the paper's table"
+SOURCE = "none; the shedding frequencies in the paper's table are listed for comparison"
 CASE = Case("d-cylinder", __doc__, SOURCE, JOBS, judge, draw, size=(7.6, 8.2))

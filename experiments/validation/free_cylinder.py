@@ -1,12 +1,13 @@
 """Cylinder in an unbounded stream.
 
-Box of height H, 20 D to 60 D; the cylinder stands H / 2 behind an inflow of uniform velocity U, and
-the outflow 20 D or more behind it. Sides and outflow let sound out. Markers lie 0.45 nodes inside
-the outline, no slip is solved exactly. 50 to 140 D / U, of which the last 40 % are measured, over
-whole periods. Judged is the value on a fine grid, at no Mach number and at D / H = 1 / 100, the
-blockage of the references' own domains: by two larger heights at D = 16, and by D = 16 and 32 at
-both U and U / 2. The wake length L_w runs from the rear stagnation point to where the flow on the
-axis stops returning.
+The domain has height H, from 20 D to 60 D. The cylinder lies H / 2 behind an inflow of uniform
+velocity U, and the outflow is at least 20 D behind it. Sides and outflow are open to sound. Markers
+lie 0.45 nodes inside the outline; the no-slip condition is solved directly. Of 50 to 140 D / U, the
+last 40 % are evaluated over whole periods. The acceptance criteria apply to values extrapolated to
+a fine grid, Mach number zero and D / H = 1 / 100, the blockage of the domains used in the
+references. The extrapolation uses two greater heights at D = 16, and D = 16 and 32 at both U and U
+/ 2. The wake length L_w extends from the rear stagnation point to the end of reversed flow on the
+axis.
 """
 
 from collections.abc import Iterator, Mapping
@@ -51,9 +52,9 @@ REFERENCES = (
 )
 NOTES = {
     (20, "wake_length"): (
-        "the wake is 15 to 30 nodes long here and begins at a surface that markers 0.45 nodes "
-        "inside place to about a tenth of a node, which is about what is missing; D = 32, a third "
-        "height and half the speed were tried and left it there."
+        "the wake is only 15 to 30 nodes long, and markers 0.45 nodes inside the outline place "
+        "its surface to about a tenth of a node, which is about the size of the deviation. D = "
+        "32, a third height and half the speed did not remove it."
     ),
 }
 VIEW_D = (-3.0, 15.0, -4.0, 4.0)  # left, right, low, high
@@ -171,5 +172,7 @@ def draw(figure: Figure, runs: Runs) -> None:
             axes.set_visible(False)
 
 
-SOURCE = "what others found, as third parties quote them: the range of each number"
-CASE = Case("free-cylinder", __doc__, SOURCE, JOBS, judge, draw, size=(9.6, 4.6))
+SOURCE = "ranges of published values, as quoted in secondary sources"
+CASE = Case(
+    "free-cylinder", __doc__, SOURCE, JOBS, judge, draw, (9.6, 4.6), headline="C_d, Re = 100"
+)

@@ -1,10 +1,10 @@
 """Gait library.
 
-The swimmer of the case above, L = 100, with every gait of the library at Re = L² / (T ν) = 500 (the
-paper's Task 2) and 7142 (Tasks 0 and 1), Carling's at Reynolds numbers between. Speed over the
-tenth beat; the tail's speed is 0.07 nodes per step in all. The cost of transport is the power of
-the muscles over ρ L² U, in L / T²; the swimming number is Sw = 2π a(1) L² / (T ν), the Reynolds
-number of the motion U L / ν.
+The swimmer of the previous case, L = 100, swims with every gait of the library at Re = L² / (T ν) =
+500 (the paper's Task 2) and 7142 (Tasks 0 and 1), and with Carling's gait at Reynolds numbers in
+between. Speed is that of the tenth beat; the tail speed is 0.07 nodes per step throughout. The cost
+of transport is the muscle power divided by ρ L² U, in L / T². The swimming number is Sw = 2π a(1)
+L² / (T ν); the Reynolds number of the motion is U L / ν.
 """
 
 from collections.abc import Iterator
@@ -56,7 +56,7 @@ def judge(runs: Runs) -> Iterator[Check]:
             tolerance=0.1,
             resolution=resolution,
             refinement={f"Re = {re}": speed for re, speed in speeds.items()},
-            note="The refinement row holds the speeds in L / T.",
+            note="its values by run are speeds in L / T.",
         )
     for gait in GAITS:
         tail = GAITS[gait].tail_speed / pi  # peak to peak, L

@@ -1,10 +1,11 @@
 """Invariance.
 
-Cylinder and half disc (D = 20, Re = 100, the half disc tilted by 0.4 rad) are put into a stream of
-U = 0.05 that fills a domain of 30 D × 20 D; force averaged from 4 to 8 D / U. A free fish (L = 50,
-Re_f = 1000) swims from rest in 6 L × 4 L; speed over beats 3 and 4 of 4. Moving frame: the cylinder
-moves through fluid at rest; the fish swims against a stream of 0.02 with all edges moving along,
-speed relative to it. Compared is the force as a vector, and the size of the fish's velocity.
+A cylinder and a half disc tilted by 0.4 rad (D = 20, Re = 100) are placed in a stream of U = 0.05
+in a domain of 30 D × 20 D; the force is averaged from 4 to 8 D / U. A free fish (L = 50, Re_f =
+1000) swims from rest in 6 L × 4 L; its speed is averaged over beats 3 and 4 of 4. In the moving
+frame, the cylinder moves through fluid at rest, and the fish swims against a stream of 0.02 while
+all edges move with the stream; its speed is relative to the stream. Forces are compared as vectors,
+and the velocities of the fish by magnitude.
 """
 
 from collections.abc import Callable, Iterator, Sequence

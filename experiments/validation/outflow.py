@@ -1,14 +1,15 @@
 """Outflow reflection.
 
-Uniform stream U = 0.1, τ = 0.53, 240 × 320 nodes, periodic across. A Taylor vortex of radius 10
-nodes and speed 0.3 U (no circulation, pressure in balance), a plane pulse of sound and a round
-pulse of density (1 %, standard deviation 10 nodes) start 80 nodes ahead of the outflow. The error
-is the largest difference from a domain twice as long, ahead of the sponge where there is one, in
-the middle 100 rows, from when the disturbance has gone through until a vortex would be 80 nodes
-behind and reflected sound 128 nodes ahead: of the velocity relative to the vortex's, of the density
-relative to the pulse's height at the outflow. Outflows: density pinned by non-equilibrium
-extrapolation, also behind sponges in which τ rises to 1; open to plane waves, a density that lets
-waves out by the means along the edge; and the same at each node by itself.
+A uniform stream of U = 0.1 with τ = 0.53 flows through 240 × 320 nodes, periodic across the stream.
+A Taylor vortex of radius 10 nodes and speed 0.3 U (no circulation, balanced pressure), a plane
+sound pulse and a round density pulse (1 %, standard deviation 10 nodes) start 80 nodes upstream of
+the outflow. The error is the largest difference from a domain twice as long, upstream of the sponge
+if there is one, in the middle 100 rows. It is taken from the time at which the disturbance has left
+until a vortex would be 80 nodes past the outflow and reflected sound 128 nodes upstream of it. For
+the vortex it is a velocity difference relative to the velocity of the vortex; for the pulses, a
+density difference relative to the amplitude of the pulse at the outflow. The outflows are: density
+fixed by non-equilibrium extrapolation, also with sponges in which τ rises to 1; open to plane
+waves, with a density from means along the edge; and open at each node individually.
 """
 
 from collections.abc import Iterator, Mapping

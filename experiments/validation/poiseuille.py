@@ -1,11 +1,10 @@
 """Poiseuille flow.
 
-Channel of H nodes across, periodic along x, driven by a uniform body force; τ = 0.9, peak speed 1.6
-/ H. Two kinds of walls: half-way bounce-back, which stands half a node outside the edge nodes, and
-non-equilibrium extrapolation, which stands on them. Run for six decay times of the slowest mode
-with the readable step; the error is the largest difference from the parabola, as a share of its
-peak. The order is taken over the width between the walls: H node distances with the first kind, H −
-1 with the second.
+A channel H nodes wide, periodic along x, is driven by a uniform body force with τ = 0.9 and a peak
+speed of 1.6 / H. Its walls are either half-way bounce-back, half a node outside the edge nodes, or
+non-equilibrium extrapolation, on the edge nodes. The readable step runs for six decay times of the
+slowest mode. The error is the largest difference from the parabola relative to its peak. Its order
+refers to the distance of the walls: H node distances for the first kind, H − 1 for the second.
 """
 
 from collections.abc import Iterator

@@ -14,7 +14,13 @@ from experiments.pages import write_table
 from experiments.validation.case import MISSED, PASS, RECORDED, Check, as_range
 from experiments.validation.runner import FIGURE_STYLE, Outcome
 
-HEADS = ("case", "quantity", "ours", "reference", "error", "tolerance", "verdict", "resolution")
+HEADS = ("quantity", "ours", "reference", "error", "tolerance", "verdict", "resolution")
+SUMMARY = ("case", "quantity", "ours", "literature", "deviation", "verdict", "all criteria")
+LONGEST_SOURCE = 40  # characters in the summary table; the tables below have all
+INTRODUCTION = """\
+The flow solver and the swimming fish, compared with exact solutions, other codes and experiments.
+The summary table has one quantity of each case; the sections below have all quantities, missed
+criteria included."""
 
 
 def write_report(outcomes: Sequence[Outcome], *, page: Path, json_path: Path, command: str) -> None:
@@ -49,16 +55,18 @@ def render(outcomes: Sequence[Outcome], command: str) -> str:
     total = sum(outcome.seconds for outcome in outcomes) / 60
     parts = [
         "# Validation",
-        f"Made by `{command}`; every case beside its reference, missed criteria included.",
-        f"Run on: {'; '.join(sorted(machines)) or 'nothing'}.",
-        f"Minutes of one core: {minutes}; together {total:.1f}.",
+        INTRODUCTION.replace("\n", " "),
+        f"```sh\n{command}\n```",
+        render_summary(outcomes),
         summarise(outcomes),
-        render_table(outcomes),
-        "Errors and tolerances are shares of the reference unless marked ±; of a range, the "
-        "distance from its near end. *Recorded*: measured without an acceptance criterion.",
+        "Errors, deviations and tolerances are relative to the reference unless marked ±; for a "
+        "range, they are measured from its nearer end. *Recorded* quantities have no acceptance "
+        "criterion.",
+        f"Run on {'; '.join(sorted(machines)) or 'nothing'}. CPU time on one core, in minutes: "
+        f"{minutes}; {total:.1f} in total.",
         *(part for outcome in outcomes for part in _render_case(outcome)),
     ]
-    return "\n\n".join(part.strip() for part in parts) + "\n"
+    return "\n\n".join(part.strip() for part in parts if part) + "\n"
 
 
 def summarise(outcomes: Sequence[Outcome]) -> str:
@@ -71,14 +79,36 @@ def summarise(outcomes: Sequence[Outcome]) -> str:
     )
 
 
+def render_summary(outcomes: Sequence[Outcome]) -> str:
+    """Return the summary table: a row per case, with its headline quantity."""
+    return write_table(SUMMARY, [_summarise_case(o) for o in outcomes if o.checks])
+
+
 def render_table(outcomes: Sequence[Outcome]) -> str:
-    """Return the summary table, a row per check."""
-    return write_table(
-        HEADS, [_make_row(outcome.case.name, c) for outcome in outcomes for c in outcome.checks]
-    )
+    """Return a row for each check, with the name of its case."""
+    rows = [(outcome.case.name, *_make_row(c)) for outcome in outcomes for c in outcome.checks]
+    return write_table(("case", *HEADS), rows)
 
 
-def _make_row(case: str, check: Check) -> Sequence[str]:
+def _summarise_case(outcome: Outcome) -> Sequence[str]:
+    named = [check for check in outcome.checks if check.quantity == outcome.case.headline]
+    quantity, ours, reference, error, _, verdict, _ = _make_row((named or outcome.checks)[0])
+    literature, _, source = reference.partition(" (")
+    if len(source) <= LONGEST_SOURCE:
+        literature = reference
+    verdicts = [check.verdict for check in outcome.checks]
+    met, missed = verdicts.count(PASS), verdicts.count(MISSED)
+    criteria = f"{met} of {met + missed} met" if met + missed else "none"
+    link = f"[{outcome.case.title}](#{make_anchor(outcome.case.title)})"
+    return (link, quantity, ours, literature, error, verdict, criteria)
+
+
+def make_anchor(heading: str) -> str:
+    """Return the anchor that Markdown gives a heading."""
+    return "".join(c for c in heading.lower() if c.isalnum() or c in " -_").replace(" ", "-")
+
+
+def _make_row(check: Check) -> Sequence[str]:
     is_range = isinstance(check.reference, tuple)
     error = "inside" if is_range and check.error == 0.0 else _format_share(check, check.error)
     tolerance = _format_share(check, check.tolerance)
@@ -86,28 +116,40 @@ def _make_row(case: str, check: Check) -> Sequence[str]:
         tolerance = "inside"
     numbers = (format_number(check.ours), _format_reference(check), error, tolerance)
     verdict = f"**{MISSED}**" if check.verdict == MISSED else check.verdict
-    return (case, check.quantity, *numbers, verdict, check.resolution or "–")
+    return (check.quantity, *numbers, verdict, check.resolution or "–")
 
 
 def _render_case(outcome: Outcome) -> list[str]:
     case = outcome.case
     parts = [f"## {case.title}", case.setup, f"Reference: {case.source}."]
-    refined = [check for check in outcome.checks if check.refinement]
-    for columns in dict.fromkeys(tuple(check.refinement) for check in refined):
-        rows = [
-            (check.quantity, *map(format_number, check.refinement.values()), reference)
-            for check in refined
-            if tuple(check.refinement) == columns and (reference := _format_reference(check))
-        ]
-        parts.append(write_table(("quantity", *columns, "reference"), rows))
     if outcome.figure is not None:
         parts.append(f"![{case.title}](figures/validation/{case.name}.png)")
+    parts.append(write_table(HEADS, [_make_row(check) for check in outcome.checks]))
     notes: dict[tuple[str, str], list[str]] = {}
     for check in outcome.checks:
         mark = f"**{MISSED}**: " if check.verdict == MISSED else ""
         if note := check.note or (mark and "reason not known."):
             notes.setdefault((mark, note), []).append(check.quantity)
-    return parts + [f"{mark}{'; '.join(names)}: {note}" for (mark, note), names in notes.items()]
+    listed = [f"- {mark}*{'; '.join(names)}*: {note}" for (mark, note), names in notes.items()]
+    parts.append("\n".join(listed))
+    if tables := _render_refinement(outcome.checks):
+        fold = "<details>\n<summary>Values of all runs</summary>"
+        parts += [fold, *tables, "</details>"]
+    return parts
+
+
+def _render_refinement(checks: Sequence[Check]) -> list[str]:
+    """Return a table for each set of runs: quantities by run."""
+    refined = [check for check in checks if check.refinement]
+    tables = []
+    for columns in dict.fromkeys(tuple(check.refinement) for check in refined):
+        rows = [
+            (check.quantity, *map(format_number, check.refinement.values()))
+            for check in refined
+            if tuple(check.refinement) == columns
+        ]
+        tables.append(write_table(("quantity", *columns), rows))
+    return tables
 
 
 def format_number(value: float) -> str:

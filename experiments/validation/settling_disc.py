@@ -1,14 +1,15 @@
 """Settling disc.
 
-A disc of d = 0.25 cm is let go at (1, 4) cm in a closed box of 2 × 6 cm, g = 980 cm/s², fluid
-density 1 g/cm³: *slow*: density ratio 1.25, μ = 0.1 g/(cm s); *fast*: 1.5, 0.01. *Channel*: W = 4
-d, 80 d high, ratio 1.5, ν = 0.008088, g = 10 (d = 1), let go a quarter of the width from the wall;
-mean over the last third of the time. Half-way bounce-back walls, free body, implicit coupling, top
-speed about 0.05 nodes per step. The load is weight less buoyancy of the true disc. Peak Reynolds
-numbers of the box are formed with the disc's density, ρ_s v d / μ: with the fluid's, the published
-17.2 would mean a drag coefficient of 2.0 between walls 8 d apart, less than that of an unbounded
-cylinder (2.00–2.09 at Re = 20). No source that we could see says which is meant. The channel's is v
-d / ν, and its drag coefficient agrees with it.
+A disc of d = 0.25 cm is released at (1, 4) cm in a closed box of 2 × 6 cm with g = 980 cm/s² and a
+fluid density of 1 g/cm³. *Slow*: density ratio 1.25, μ = 0.1 g/(cm s). *Fast*: density ratio 1.5, μ
+= 0.01 g/(cm s). *Channel*: W = 4 d, 80 d high, density ratio 1.5, ν = 0.008088, g = 10 (d = 1),
+released at a quarter of the width from the wall; mean over the last third of the time. Walls are
+half-way bounce-back, the body is free with implicit coupling, and the greatest speed is about 0.05
+nodes per step. The load is the weight minus the buoyancy of the exact disc. The peak Reynolds
+numbers of the box use the density of the disc, ρ_s v d / μ. With that of the fluid, the published
+17.2 would imply a drag coefficient of 2.0 between walls 8 d apart, less than that of an unbounded
+cylinder (2.00–2.09 at Re = 20); no source available to us states which density is used. In the
+channel the Reynolds number is v d / ν, which is consistent with its drag coefficient.
 """
 
 from collections.abc import Iterator

@@ -1,13 +1,14 @@
 """Ellipse in Couette flow.
 
-A neutrally buoyant ellipse, b = 2c, turns freely in the middle between walls H apart that slide in
-opposite directions (half-way bounce-back, periodic along the flow over 2 H), Re = G (2b)² / ν. The
-flow begins as the undisturbed shear; half a turn is measured, from the long axis across the flow
-on, after a start of 0.5 rad before it. Judged is Re = 0.1, τ = 1.4, H = 5 and 10 (2b), extrapolated
-to no walls (quadratic in 2b / H). Re must be this low: the flow needs a time of Re (H / 2b)² / G to
-reach the walls, and a period extrapolated linearly from Re = 0.5 and 1 came out 1.4 % shorter. For
-the record: refinement and τ at Re = 0.5, τ = 1.1 unless said, and the slowest rate at Re = 15–24 in
-Ding & Aidun's channel (H = 10 b, length 50 b, τ = 0.6); they find that rotation ends at Re ≈ 29.
+A neutrally buoyant ellipse with b = 2c rotates freely in the middle between walls a distance H
+apart that slide in opposite directions (half-way bounce-back, periodic along the flow over 2 H); Re
+= G (2b)² / ν. The flow starts as undisturbed shear. Half a turn is timed, beginning with the long
+axis across the flow, after a run-up of 0.5 rad. The acceptance criterion applies to Re = 0.1 and τ
+= 1.4, extrapolated from H = 5 and 10 (2b) to infinite H (quadratic in 2b / H). Re must be this low:
+the flow needs a time of Re (H / 2b)² / G to reach the walls, and a period extrapolated linearly
+from Re = 0.5 and 1 was 1.4 % shorter. Recorded only: grid refinement and τ at Re = 0.5 (τ = 1.1
+unless stated), and the slowest rate of rotation at Re = 15–24 in the channel of Ding & Aidun (H =
+10 b, length 50 b, τ = 0.6), who find that rotation ends at Re ≈ 29.
 """
 
 from collections.abc import Iterator, Mapping
@@ -37,11 +38,13 @@ TAUS = (0.8, 1.4)
 SLOWEST = {15.0: 0.055, 20.0: 0.032, 24.0: 0.017}
 INERTIAL: dict[str, Any] = {"length": 32, "period_length": 25.0, "tau": 0.6}
 SLOW_NOTE = (
-    "one resolution only. At Re = 0.5, H = 5 (2b) markers 0.45 nodes inside lengthen the period by "
-    "an amount of first order in 1 / 2b, 3.6 % here, more than the error: this flow does better "
-    "with markers on the surface."
+    "one resolution only. At Re = 0.5 and H = 5 (2b), markers 0.45 nodes inside lengthen the "
+    "period by an amount of first order in 1 / 2b: 3.6 % at this resolution, more than the "
+    "error. This flow is more accurate with markers on the surface."
 )
-INERTIA_NOTE = "ours is of the first half turn after the start, theirs of a periodic rotation."
+INERTIA_NOTE = (
+    "our value is that of the first half turn after the start, theirs that of a periodic rotation."
+)
 
 
 def tumble(
@@ -173,7 +176,7 @@ def draw(figure: Figure, runs: Runs) -> None:
 
 SOURCE = (
     "Jeffery 1922: period 2π (b / c + c / b) / G and rate (b² cos² χ + c² sin² χ) / (b² + c²) "
-    "G at Re = 0 without walls; Ding & Aidun 2000, J. Fluid Mech. 423, 317, for what inertia "
-    "does, as a digest of the paper quotes them"
+    "G at Re = 0 without walls; Ding & Aidun 2000, J. Fluid Mech. 423, 317, for the effect "
+    "of inertia, as quoted in a summary of the paper"
 )
 CASE = Case("sheared-ellipse", __doc__, SOURCE, JOBS, judge, draw, size=(6.4, 4.0))

@@ -1,10 +1,10 @@
 """Slip at the boundary.
 
-A free fish (L = 50, Re_f = 7000) beats for 0.7 T from rest, a cylinder (D = 20) stands in a stream
-for 1.5 D / U after a smooth start, Re = 100. From there each way to solve for the force goes on for
-40 readable steps; slip is the largest difference at a marker between the velocity interpolated from
-the nodes, force included, and the body's, averaged over the second half, as a share of the tail's
-or the stream's speed.
+A free fish (L = 50, Re_f = 7000) swims for 0.7 T from rest, and a cylinder (D = 20, Re = 100) is
+held in a stream for 1.5 D / U after a smooth start. From these states, each force solve runs for 40
+readable steps. Slip is the largest difference at a marker between the velocity interpolated from
+the nodes, force included, and the velocity of the body, averaged over the second half and divided
+by the speed of the tail or the stream.
 """
 
 from collections.abc import Iterator

@@ -1,11 +1,11 @@
 """Where the method holds.
 
-Fish (Re = 7000, heading commanded) turn by −15°, 0 or 15° at random every beat, up to 14 beats or
-until 0.3 L from a wall; what counts is whether the flow diverges (not finite, or faster than 0.5
-nodes per step). The map of collision rates is taken at the speed of the paper's own scale, T = 600
-at L = 100, where the tail runs at 0.131 nodes per step. Beside it a cylinder in a stream that
-starts at once, 12 D × 8 D with pinned edges, which reflect the sound of the start: whether it runs
-for 6 D of travel. Refused is a tau too near to one half.
+Fish (Re = 7000, commanded heading) turn by −15°, 0 or 15° at random in each beat, for up to 14
+beats or until 0.3 L from a wall. A flow has diverged if it is not finite or faster than 0.5 nodes
+per step. The map of collision rates is measured at the speed of the paper's scale, T = 600 at L =
+100, where the tail moves at 0.131 nodes per step. In addition, a cylinder in an impulsively started
+stream (12 D × 8 D, with fixed velocity or density at the edges, which reflects the sound of the
+start) is run for 6 D of travel. A case is refused if τ is too close to one half.
 """
 
 from collections.abc import Iterator, Mapping
@@ -36,8 +36,8 @@ PAPER_SPEED = 0.785 / 6.0  # of the tail at the paper's L = 100, T = 600
 PRESETS = {
     "small, L = 50": (50, 0.07, 64),
     "paper, L = 100": (100, 0.07, 8),
-    "the paper's own T, L = 50": (50, PAPER_SPEED, 64),
-    "the paper's own T, L = 100": (100, PAPER_SPEED, 8),
+    "the paper's T, L = 50": (50, PAPER_SPEED, 64),
+    "the paper's T, L = 100": (100, PAPER_SPEED, 8),
 }
 MAX_SHARE = 0.001
 DIAMETERS, SPEEDS = (10, 20, 40), (0.05, 0.1, 0.15, 0.2)
@@ -149,8 +149,8 @@ def judge(runs: Runs) -> Iterator[Check]:
             "own criterion",
             resolution=f"{num} episodes",
             note=(
-                f"Largest speed seen {run['fastest']:.2f} nodes per step. With none of "
-                f"{num} diverged the share lies below {3.0 / num:.3f} at 95 % confidence."
+                f"Largest speed {run['fastest']:.2f} nodes per step. With no divergence in "
+                f"{num} episodes, the share is below {3.0 / num:.3f} at 95 % confidence."
             ),
         )
     shares = _read_shares(runs)
@@ -166,7 +166,7 @@ def judge(runs: Runs) -> Iterator[Check]:
         for fate in runs.read("fate", "reynolds", diameter=d, speed=u).values()
     ]
     yield Check(
-        "cylinders started at once that diverge, of those that are not refused",
+        "impulsively started cylinders that diverge, of those accepted",
         float(fates.count(DIVERGED)),
         resolution=f"of {len(fates) - fates.count(REFUSED)}",
     )

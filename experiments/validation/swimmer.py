@@ -1,11 +1,11 @@
 """Self-propelled anguilliform swimmer.
 
 A NACA0012 fish with Carling's gait (a(x) = 0.125 (x + 0.03125) / 1.03125, wavelength L) starts from
-rest, amplitude rising over the first beat, in a closed tank of 10 L × 5 L at L² / (T ν) = 7142, the
-tail's speed at 0.07 nodes per step (Mach 0.12). The flow moves and turns it; body and water have
-equal density, so the skin is free of net force and torque in every step. Speed is the displacement
-of the centre of mass along the tank over each beat, power what the muscles give, Σ F · u_def, mean
-over the beat.
+rest in a closed tank of 10 L × 5 L at L² / (T ν) = 7142; the tail speed is 0.07 nodes per step
+(Mach 0.12) and the amplitude rises over the first beat. The flow moves and turns the fish. Body and
+water have equal density, so net force and torque on the skin vanish in every step. Speed is the
+displacement of the centre of mass along the tank in a beat; power is that of the muscles, Σ F ·
+u_def, averaged over a beat.
 """
 
 from collections.abc import Iterator
@@ -39,11 +39,11 @@ GRID_CHANGE = 0.05
 WAVE_SPEED = 1.0  # of Carling's gait, wavelength L, in L / T
 CARLING = "Carling, Williams & Bowtell 1998, J. Exp. Biol. 201, 3143: 0.77 of the wave speed, 2D"
 NO_SOURCE = (
-    "No other published two-dimensional speed of this swimmer could be found in text: Gazzola et "
-    "al. 2011 and Zhu et al. 2021, whom the paper compares with, give curves only, IBAMR's eel2d "
-    "(the same case) states no speed, and Kern & Koumoutsakos 2006 is three-dimensional. So the "
-    "speed is judged by its convergence and stands beside Carling's, whose creature is thinner and "
-    "whose envelope is another."
+    "we found no other two-dimensional speed of this swimmer published as a number. Gazzola et "
+    "al. 2011 and Zhu et al. 2021, with which the paper compares, show curves only; IBAMR's "
+    "eel2d (the same case) states no speed; Kern & Koumoutsakos 2006 is three-dimensional. The "
+    "acceptance criterion is therefore convergence. Carling's swimmer is thinner and has a "
+    "different amplitude envelope, so its speed is listed for comparison only."
 )
 
 
@@ -151,9 +151,9 @@ def judge(runs: Runs) -> Iterator[Check]:
         resolution="L = 140–200",
         note=(
             f"Doubling L from 50 and from 100 changes the speed by {middle - coarse:.3f} "
-            f"and {fine - middle:.3f} L / T, a ratio of {ratio:.2f}; carried on, it would "
-            f"end at {fine + (fine - middle) / (ratio - 1.0):.3f} L / T. A coarse fish "
-            "swims more slowly: its boundary layer is a few nodes thick."
+            f"and {fine - middle:.3f} L / T, a ratio of {ratio:.2f}; extrapolated, the "
+            f"limit is {fine + (fine - middle) / (ratio - 1.0):.3f} L / T. On coarse grids "
+            "the fish is slower, because its boundary layer is only a few nodes thick."
         ),
     )
     for name, run in _get_variants(runs).items():

@@ -1,10 +1,11 @@
 """Taylor–Green vortices.
 
-One pair of vortices each way in a periodic box of N × N nodes, u = −U cos kx sin ky, v = U sin kx
-cos ky, k = 2π/N, at U N / ν = 20. The exact solution decays as exp(−2νk²t). Diffusive scaling: U =
-0.64 / N at the same τ = 0.596 on all grids, so that compressibility errors fall as the grid's do.
-Run for one decay time 1 / (2νk²) with the readable step in double and in single precision (shifted
-populations). Viscosity is read from what the amplitude loses over the second half.
+One pair of vortices in each direction of a periodic box of N × N nodes: u = −U cos kx sin ky, v = U
+sin kx cos ky, k = 2π/N, U N / ν = 20. The exact solution decays as exp(−2νk²t). Scaling is
+diffusive: U = 0.64 / N at the same τ = 0.596 on all grids, so that compressibility errors decrease
+with the grid spacing squared. The readable step runs for one decay time 1 / (2νk²) in double and in
+single precision (shifted populations). The viscosity follows from the loss of amplitude in the
+second half.
 """
 
 from collections.abc import Iterator

@@ -1,9 +1,9 @@
 """Heading modes.
 
-The swimmer at L = 50, Re = 7000 swims straight for 4 beats, is commanded to turn left by 15° in
-each of the next 4, and swims on. Commanded, its heading follows and the torque comes from outside;
-bending, its midline bends and the flow turns it. The rate is the mean turn of the body axis over
-the last two of the commanded beats.
+The swimmer (L = 50, Re = 7000) swims straight for 4 beats, is commanded to turn left by 15° in each
+of the next 4, and continues to swim. In the commanded mode the heading follows the command and the
+torque is external; in the bending mode the midline bends and the flow turns the fish. The rate is
+the mean rotation of the body axis in the last two of the commanded beats.
 """
 
 from collections.abc import Iterator
@@ -24,6 +24,7 @@ TURN = 15.0  # degrees per beat
 NUM_BEFORE, NUM_TURNS, NUM_AFTER = 4, 4, 2
 START_BL = (8.0, 3.5)
 GAINS = (None, 0.5, 1.0, 2.0)
+HEADLINE = "turn of the body axis, degrees per beat, bending, gain 1"
 
 
 def turn(*, gain: float | None) -> Result:
@@ -82,4 +83,4 @@ def draw(figure: Figure, runs: Runs) -> None:
     axes.legend()
 
 
-CASE = Case("turning", __doc__, "none: measured for the record", JOBS, judge, draw, (6.5, 3.8))
+CASE = Case("turning", __doc__, "none", JOBS, judge, draw, (6.5, 3.8), HEADLINE)

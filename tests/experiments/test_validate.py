@@ -109,11 +109,13 @@ def test_a_full_run_writes_page_figure_and_checks_and_fails_with_a_missed_criter
     status, docs = run_program(reference=8.0, note="nine is not eight.")
     page = (docs / "validation.md").read_text()
     assert status == 1
-    row = "| squares | square of the last | 9 | 8 (arithmetic) | 12 % | 1 % | **MISSED** | x = 3 |"
+    row = "| square of the last | 9 | 8 (arithmetic) | 12 % | 1 % | **MISSED** | x = 3 |"
     assert row in page
-    assert "| squares | square of the first | 4 | – | – | – | recorded | – |" in page
-    assert "| quantity | x = 2 | x = 3 | reference |" in page
-    assert "**MISSED**: square of the last: nine is not eight." in page
+    summary = "| [Squares](#squares) | square of the last | 9 | 8 (arithmetic) | 12 % "
+    assert f"{summary}| **MISSED** | 0 of 1 met |" in page
+    assert "| square of the first | 4 | – | – | – | recorded | – |" in page
+    assert "| quantity | x = 2 | x = 3 |" in page
+    assert "**MISSED**: *square of the last*: nine is not eight." in page
     assert "## Squares\n\nNumbers are multiplied by themselves.\n" in page
     assert "(figures/validation/squares.png)" in page
     assert (docs / "figures" / "validation" / "squares.png").stat().st_size > 1000
