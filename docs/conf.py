@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import Any
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE)]
@@ -37,4 +38,15 @@ napoleon_use_ivar = True
 html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = f"fishrl {release}"
-html_static_path: list[str] = []
+html_static_path = ["static"]
+html_css_files = ["style.css"]
+
+
+def skip(_app: Any, _what: str, _name: str, entry: Any, _skip: bool, _options: Any) -> bool | None:
+    """Leave out the fields of named tuples, which the docstring of the class describes."""
+    return True if (getattr(entry, "__doc__", "") or "").startswith("Alias for field") else None
+
+
+def setup(app: Any) -> None:
+    """Connect the above."""
+    app.connect("autodoc-skip-member", skip)

@@ -1,7 +1,8 @@
 """Generate the configuration reference from constructors.
 
-It lists the settings of each program and the arguments of each task, algorithm and logger, and of
-the objects inside them: name, type, default, and the description from the docstring.
+It lists the arguments of each task and algorithm and of the objects inside them, the settings of
+learning, run and viewer, and those of each program: name, type, default, and the description from
+the docstring. What several of them share is listed once.
 """
 
 import inspect
@@ -16,17 +17,40 @@ from hydra.utils import get_object
 from omegaconf import OmegaConf
 
 from experiments.configuration import CONF
+from experiments.gait.trials import GaitSettings
 from experiments.program import Program, list_choices, read_arguments
+from experiments.train_settings import PolicySettings
+from fishrl.envs import AbstractTask
+from fishrl.training import LearningSettings, RunSettings
+from fishrl.viewer import ViewerSettings
 
 HEAD = """# Configuration reference
 
-Every setting is an argument of a constructor. Set it on the command line by `key=value`; a dot
-selects an argument of an object (`task.body_length=64`). An unknown key is reported with the
-nearest existing one, an invalid value with the allowed range.
+Every setting is an argument of a constructor, set on the command line by `key=value`. A dot selects
+an argument of an object:
 
-Choices: {groups}. Add your own by `--config-dir <folder>`; see
+```sh
+python -m experiments.train task=karman_gait task.body_length=64 algorithm.alpha_init=0.5 gamma=0.98
+```
+
+An unknown key is reported with the nearest existing one, an invalid value with the allowed range.
+`python -m experiments.<program> --help` lists the settings of one program. These groups choose an
+object, or a bundle of settings (`preset`); `--config-dir <folder>` adds your own, as described in
 [A task of your own](tutorials/new_task.md).
+
+{groups}
 """
+#: Settings that several programs or objects share, and the heading under which they are listed.
+SHARED = {
+    AbstractTask: "All tasks",
+    LearningSettings: "Learning",
+    RunSettings: "Run",
+    ViewerSettings: "Viewer",
+    PolicySettings: "Programs that run a policy",
+    GaitSettings: "Programs of the Kármán gait",
+}
+#: Programs in the order of their use; the others follow by name.
+FIRST = ("train", "evaluate", "view", "summarize", "search", "export", "export_policy")
 
 
 def write_reference(path: Path) -> None:
@@ -37,22 +61,38 @@ def write_reference(path: Path) -> None:
 
 
 def make_reference() -> str:
-    """Return the page as Markdown."""
+    """Return the page as Markdown, in the order of a training: task, algorithm, learning, run."""
     groups = list_choices()
-    said = "; ".join(f"`{name}=` {', '.join(f'`{o}`' for o in groups[name])}" for name in groups)
-    parts = [HEAD.format(groups=said)]
-    for name, program in list_programs().items():
-        schema = program.command_line.schema
-        parts.append(f"## python -m experiments.{name}\n\n{describe(schema)}")
-    for group in groups:
-        targets = sorted(set(_find_targets(group)))
-        if targets:
-            parts.append(f"## In {group}\n")
-        parts += [
-            f"### {target.rsplit('.', 1)[-1]}\n\n{describe(get_object(target))}"
-            for target in targets
-        ]
+    chosen = [f"| `{name}=` | {', '.join(f'`{o}`' for o in groups[name])} |" for name in groups]
+    parts = [HEAD.format(groups="\n".join(["| group | choices |", "|---|---|", *chosen]))]
+    parts += ["## Task\n", *_describe_shared(AbstractTask, level=3), *_describe_group("task")]
+    parts += ["## Algorithm\n", *_describe_group("algorithm")]
+    for kind in (LearningSettings, RunSettings, ViewerSettings):
+        parts += _describe_shared(kind, level=2)
+    parts += ["## Logger\n", *_describe_group("logger"), "## Programs\n"]
+    for kind in (PolicySettings, GaitSettings):
+        parts += _describe_shared(kind, level=3)
+    programs = list_programs()
+    for name in sorted(programs, key=_rank):
+        own = describe_own(programs[name].command_line.schema)
+        parts.append(f"### python -m experiments.{name}\n\n{own}")
     return "\n".join(parts)
+
+
+def _rank(program: str) -> tuple[int, str]:
+    return (FIRST.index(program) if program in FIRST else len(FIRST), program)
+
+
+def _describe_shared(kind: type, *, level: int) -> list[str]:
+    return [f"{'#' * level} {SHARED[kind]}\n\n{describe(kind)}"]
+
+
+def _describe_group(group: str) -> list[str]:
+    """Return the objects that a group chooses, then those inside them."""
+    targets = [get_object(name) for name in sorted(set(_find_targets(group)))]
+    chosen = {get_object(name) for name in _find_targets(group, is_outer=True)}
+    targets.sort(key=lambda kind: kind not in chosen)
+    return [f"### {kind.__name__}\n\n{describe_own(kind)}" for kind in targets]
 
 
 def list_programs() -> dict[str, Program]:
@@ -68,22 +108,40 @@ def list_programs() -> dict[str, Program]:
 
 def describe(kind: type) -> str:
     """Return the summary of a class and a table of its arguments."""
+    return _write(kind, _make_rows(kind))
+
+
+def describe_own(kind: type) -> str:
+    """Return the same without the rows of ``SHARED`` bases, to which it refers."""
+    rows, shared = _make_rows(kind), []
+    for base, heading in SHARED.items():
+        if issubclass(kind, base):
+            rows = [row for row in rows if row not in _make_rows(base)]
+            shared.append(f"[{heading}](#{heading.lower().replace(' ', '-')})")
+    table = _write(kind, rows)
+    return f"{table}\nAlso the settings of {', '.join(shared)}.\n" if shared else table
+
+
+def _write(kind: type, rows: list[str]) -> str:
     summary = (inspect.getdoc(kind) or "").split("\n\n")[0].replace("\n", " ")
-    texts = read_arguments(kind)
-    rows = ["| argument | type | default | meaning |", "|---|---|---|---|"]
-    for name, parameter in inspect.signature(kind).parameters.items():
-        type_name = _show_type(parameter.annotation)
-        rows.append(
-            f"| `{name}` | {_code(type_name)} | {_code(_show_default(kind, parameter))} "
-            f"| {_escape(texts.get(name, ''))} |"
-        )
     where = f"`{kind.__module__}.{kind.__qualname__}`"
-    return f"{_escape(summary)} {where}\n\n" + "\n".join(rows) + "\n"
+    head = ["| argument | type | default | meaning |", "|---|---|---|---|"] if rows else []
+    return f"{_escape(summary)} {where}\n\n" + "\n".join([*head, *rows]) + "\n"
 
 
-def _find_targets(group: str) -> Iterator[str]:
+def _make_rows(kind: type) -> list[str]:
+    texts = read_arguments(kind)
+    return [
+        f"| `{name}` | {_code(_show_type(parameter.annotation))} "
+        f"| {_code(_show_default(kind, parameter))} | {_escape(texts.get(name, ''))} |"
+        for name, parameter in inspect.signature(kind).parameters.items()
+    ]
+
+
+def _find_targets(group: str, *, is_outer: bool = False) -> Iterator[str]:
     for path in sorted((CONF / group).glob("*.yaml")):
-        yield from _walk(OmegaConf.to_container(OmegaConf.load(path)))
+        found = list(_walk(OmegaConf.to_container(OmegaConf.load(path))))
+        yield from found[:1] if is_outer else found
 
 
 def _walk(node: Any) -> Iterator[str]:
@@ -117,4 +175,6 @@ def _code(text: str) -> str:
 
 
 def _escape(text: str) -> str:
-    return text.replace("``", "`").replace("|", "\\|").replace("<", "&lt;")
+    """Escape what Markdown would read as HTML or as a cell's end; code keeps its brackets."""
+    parts = text.replace("``", "`").replace("|", "\\|").split("`")
+    return "`".join(p if i % 2 else p.replace("<", "&lt;") for i, p in enumerate(parts))
