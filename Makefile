@@ -34,7 +34,7 @@ $(STAMP): pyproject.toml constraints.txt
 train: $(STAMP) ## train a policy to catch moving food; ARGS="seed=1 ..." sets any setting
 	$(BIN)/python -m experiments.train $(ARGS)
 
-demo: $(STAMP) ## film a trained policy that catches moving food
+demo: $(STAMP) ## film trained policies that catch food and hold station
 	$(BIN)/python -m fishrl.demo $(ARGS)
 
 test: $(STAMP) ## run the tests, including a short training; ARGS="tests/physics" selects some

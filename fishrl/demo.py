@@ -28,7 +28,7 @@ from fishrl.viewer.film import write_animation, write_film, write_flow
 from fishrl.zoo import find_policy, load_policy, load_recognition
 
 #: Policy, name of its files, and after how many T its film ends.
-SHOWS = (("predation_small", "catching_food", 30.0),)
+SHOWS = (("predation_small", "catching_food", 30.0), ("gait_small", "holding_station", 12.0))
 _FRAMES_PER_T = 6
 
 logger = logging.getLogger(__name__)
@@ -71,7 +71,7 @@ def show(name: str, title: str, periods: float, *, folder: Path, compile: bool =
     write_flow(recording, folder / f"{title}.png")
     write_film(recording, folder / f"{title}.mp4")
     write_animation(recording, folder / f"{title}.gif")
-    ending = "was not done yet"
+    ending = "still swims"
     if bool(episodes.terminated):
         ending = "succeeded" if bool(episodes.succeeded) else "failed"
     return (

@@ -118,7 +118,9 @@ def develop_wakes(recipe: WakeRecipe, *, compile: bool = True) -> WakeBank:
     wakes: list[Tensor] = []
     frequencies: list[float] = []
     total = recipe.num_travels * len(recipe.speeds)
-    with tqdm(total=total, desc="wakes", unit=" D/U", bar_format=_BAR, leave=False) as bar:
+    with tqdm(
+        total=total, desc="wakes", unit=" D/U", bar_format=_BAR, leave=False, disable=None
+    ) as bar:
         for speed in recipe.speeds:
             snapshots, frequency = _develop(solver, recipe, speed, bar)
             logger.info("wake %d: Strouhal %.4f", len(wakes) + 1, frequency * size / speed)
