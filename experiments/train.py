@@ -55,7 +55,7 @@ class RunObserver(LiveObserver):
         record_run(
             training.folder.path,
             training.collector.env,
-            training.watch(training.learner.actor),  # stops on SIGINT or SIGTERM
+            training.make_interruptible(training.learner.actor),
             starts,
             settings=self.config,
             baselines={name: summary[f"{name}_success_rate"] for name in summary["baselines"]},

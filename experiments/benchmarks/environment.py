@@ -122,7 +122,7 @@ def make_training(
     num_updates = round(learning.updates_per_frame * learning.num_envs)
 
     def collect() -> None:
-        learner.remember(next(batches).reshape(-1))
+        learner.store(next(batches).reshape(-1))
 
     def learn(num_steps: int) -> None:
         with one_thread():

@@ -41,6 +41,9 @@ from fishrl.envs.transforms import equip
 
 logger = logging.getLogger(__name__)
 
+#: Entries of measurements in checkpoints of earlier versions -> their present names.
+_FORMER_ENTRIES = {"felt": "sensed", "felt_velocity": "sensed_velocity", "sights": "steering"}
+
 
 class FlowEnv(EnvBase):
     """A batch of B flows with one fish each.
@@ -204,16 +207,16 @@ class FlowEnv(EnvBase):
         action = tensordict["action"]
         check_action(action, self.task.action_mask(self.now))
         before = self.now.copy().update(self._read_inputs(tensordict))
-        order, rows = self.task.command(action, before), tuple(self.batch_size)
-        check_command(self.task, order, rows)
-        self.solver.command_(order.turn, self.task.n_substeps, order.frequency)
+        command, rows = self.task.command(action, before), tuple(self.batch_size)
+        check_command(self.task, command, rows)
+        self.solver.command_(command.turn, self.task.n_substeps, command.frequency)
         now, diverged = self._advance(before)
         now.update(self.task.remember(before, action, now))
         self.now = _merge(~diverged, now, self.now)
         self._count(diverged)
         terminated = self.task.is_terminated(self.now) & ~diverged
-        earned = check_rows(self.task, "reward", self.task.reward(before, self.now), rows)
-        reward = earned.float().masked_fill(diverged, 0.0)
+        reward = check_rows(self.task, "reward", self.task.reward(before, self.now), rows)
+        reward = reward.float().masked_fill(diverged, 0.0)
         result = self._write(
             diverged=diverged,
             done=terminated | diverged,
@@ -229,28 +232,28 @@ class FlowEnv(EnvBase):
         sensor series (undefined in diverged rows), and ``[B]`` bool, the diverged rows.
         """
         now, diverged = before, torch.zeros_like(self._rows, dtype=torch.bool)
-        is_decided = self.is_resting
+        has_ended = self.is_resting
         samples: list[TensorDict] = []
-        felt_at_end: TensorDict | None = None  # by rows that end before the first sample
+        sensed_at_end: TensorDict | None = None  # by rows that end before the first sample
         for stretch in self._schedule:
-            self.solver.advance_(stretch.num_steps, ~is_decided)
+            self.solver.advance_(stretch.num_steps, ~has_ended)
             if stretch.is_sample:
                 sensed = self._sense()
-                kept = samples[-1] if samples else felt_at_end
-                samples.append(sensed if kept is None else _merge(is_decided, kept, sensed))
+                kept = samples[-1] if samples else sensed_at_end
+                samples.append(sensed if kept is None else _merge(has_ended, kept, sensed))
             if stretch.is_check:
-                seen = self.measure()
-                is_ending = self.task.is_terminated(seen) | stretch.is_last
-                is_new = is_ending & ~is_decided
+                measured = self.measure()
+                is_ending = self.task.is_terminated(measured) | stretch.is_last
+                is_new = is_ending & ~has_ended
                 if is_new.any():
                     # Checking whole fields is expensive: only for rows that have just ended.
                     diverged = diverged | is_new & self.solver.is_diverged()
-                    now = _merge(is_new, seen, now.select(*seen.keys()))
-                    is_decided = is_decided | is_new
+                    now = _merge(is_new, measured, now.select(*measured.keys()))
+                    has_ended = has_ended | is_new
                     if self.task.num_samples and not samples:
                         sensed = self._sense()
-                        kept = sensed if felt_at_end is None else felt_at_end
-                        felt_at_end = _merge(is_new, sensed, kept)
+                        kept = sensed if sensed_at_end is None else sensed_at_end
+                        sensed_at_end = _merge(is_new, sensed, kept)
             if stretch.is_frame and self.on_frame is not None:
                 self.on_frame(self)
         return now.update(torch.stack(samples, 1)) if samples else now, diverged
@@ -313,7 +316,8 @@ class FlowEnv(EnvBase):
         """Restore a state, bit for bit."""
         self.solver.load_state_dict(state["solver"])
         for name in ("start", "now"):
-            restored = TensorDict(state[name], self.batch_size, device=self.device)
+            entries = {_FORMER_ENTRIES.get(key, key): value for key, value in state[name].items()}
+            restored = TensorDict(entries, self.batch_size, device=self.device)
             setattr(self, name, restored.clone())
         for name in ("start_index", "episode", "num_diverged"):
             setattr(self, f"_{name}", state[name].to(self.device).clone())

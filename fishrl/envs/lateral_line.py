@@ -116,7 +116,7 @@ class LateralLine:
             own += [round(at * half), num_markers - round(at * half)]
         return own
 
-    def feel(
+    def sense(
         self, solver: Solver, key: Tensor, *, body_length: float, period: int
     ) -> tuple[Tensor, Tensor]:
         """Return the current signals ``[B, P, F]`` (P = 1 if averaged) and the water's velocity.

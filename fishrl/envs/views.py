@@ -94,7 +94,7 @@ def read_flow_scene(solver: Solver, scales: Scales) -> dict[str, Tensor]:
 
 
 def describe_lateral_line(line: LateralLine, *, body_length: float) -> tuple[Marks, Panel]:
-    """Return neuromasts coloured by what they sense, and a plot of it; keys: neuromasts, felt.
+    """Return neuromasts coloured by what they sense, and a plot of it; keys: neuromasts, signal.
 
     Of several features it is the pressure, or the first one.
     """
@@ -105,13 +105,13 @@ def describe_lateral_line(line: LateralLine, *, body_length: float) -> tuple[Mar
     marks = Marks(
         key="neuromasts",
         radius=2.0 * body_length / 50.0,
-        value="felt",
-        name=f"{feature} felt",
+        value="signal",
+        name=f"{feature} at neuromasts",
         unit=unit,
         limit=limit,
     )
-    series = tuple(Series(key="felt", column=i, label=name) for i, name in enumerate(names))
-    return marks, Panel(name=f"{feature} felt [{unit}]", series=series)
+    series = tuple(Series(key="signal", column=i, label=name) for i, name in enumerate(names))
+    return marks, Panel(name=f"{feature} at neuromasts [{unit}]", series=series)
 
 
 def describe_flow_label(names: Sequence[str]) -> Panel:

@@ -63,7 +63,7 @@ class RecurrentDQNLoss(MaskedDQNLoss):
     """
 
     _MEMORY = ("recurrent_state_h", "recurrent_state_c")
-    _SEEN = ("observation", "action_mask")
+    _OBSERVED = ("observation", "action_mask")
 
     def __init__(
         self, value_network: TensorDictSequential, *, sequence_length: int, is_double: bool = False
@@ -73,9 +73,9 @@ class RecurrentDQNLoss(MaskedDQNLoss):
 
     def _set_in_keys(self) -> None:
         """List the entries that a transition must have (no LSTM state of the next state)."""
-        after = (*self._SEEN, "reward", "done", "terminated")
+        after = (*self._OBSERVED, "reward", "done", "terminated")
         following = (("next", key) for key in after)
-        self._in_keys = ["action", "is_init", *self._MEMORY, *self._SEEN, *following]
+        self._in_keys = ["action", "is_init", *self._MEMORY, *self._OBSERVED, *following]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
         """Compute ``loss_qvalue``, the mean over real transitions of a batch ``[N * L]``."""
@@ -86,12 +86,12 @@ class RecurrentDQNLoss(MaskedDQNLoss):
             with torch.no_grad():
                 target = self._values(states, self.target_value_network_params)[:, 1:]
         chosen = values[:, :-1].gather(-1, batch["action"].unsqueeze(-1)).squeeze(-1)
-        judge = values.detach()[:, 1:] if self.double_dqn else target
-        next_value = target.gather(-1, judge.argmax(-1, keepdim=True))
-        wanted = self.value_estimator.value_estimate(batch, next_value=next_value).squeeze(-1)
+        selecting = values.detach()[:, 1:] if self.double_dqn else target
+        next_value = target.gather(-1, selecting.argmax(-1, keepdim=True))
+        td_target = self.value_estimator.value_estimate(batch, next_value=next_value).squeeze(-1)
         is_real = batch["collector", "mask"].reshape(chosen.shape)
         # The action of padding may be illegal, and its value squared would be infinite.
-        loss = distance_loss(chosen.where(is_real, wanted), wanted, self.loss_function)
+        loss = distance_loss(chosen.where(is_real, td_target), td_target, self.loss_function)
         return TensorDict({"loss_qvalue": loss.sum() / is_real.sum()})
 
     def _states(self, batch: TensorDictBase) -> TensorDict:
@@ -101,7 +101,9 @@ class RecurrentDQNLoss(MaskedDQNLoss):
         padding repeats the last transition.
         """
         begins = batch["is_init"][:, :1]
-        states = {key: torch.cat((batch[key][:, :1], batch["next", key]), 1) for key in self._SEEN}
+        states = {
+            key: torch.cat((batch[key][:, :1], batch["next", key]), 1) for key in self._OBSERVED
+        }
         for key in self._MEMORY:  # only that of the first state is read
             first = batch[key][:, :1] * ~begins.unsqueeze(-1)
             states[key] = first.expand(-1, self.sequence_length + 1, *first.shape[2:])

@@ -125,6 +125,7 @@ class NonEquilibrium(Boundary):
         """Return all nine populations."""
         fluid = compute_macroscopic(neighbour)
         drho, ux, uy = fluid
+        # what is not given is the neighbour's; 0.0 * ... gives a number the shape of the edge
         drho_b = drho if self.density is None else 0.0 * drho + (self.density - 1.0)
         ux_b = ux if self.velocity is None else 0.0 * ux + self.velocity[0] * speed[:, 1:-1]
         uy_b = uy if self.velocity is None else 0.0 * uy + self.velocity[1] * speed[:, 1:-1]

@@ -9,6 +9,17 @@ each to the next node along its own direction (streaming) and sets those that co
 A body is a closed line of markers that exchanges velocity and force with the nodes around it: the
 fluid velocity is interpolated to the markers, the force that removes the slip between fluid and
 body is solved for, together with the motion of bodies that move freely, and spread to the nodes.
+
+In symbols, in lattice units (distance of nodes and time step 1), with the paper's equation numbers;
+A_kl = ds sum_x W_k W_l, and m_f is the mass of the fluid inside a body:
+
+    rho = sum_i f_i,  rho u* = sum_i c_i f_i      fluid before this step's force
+    U*_l = sum_x W_l u*                           at marker l, weights W_l      (eq. 2)
+    A g = U_d - U*                                no slip: U_d is the body's    (eq. 4)
+    (M - m_f) dU/dt = -sum_l 2 rho g_l ds         rigid motion, with eq. 4      (eqs. 5, 6)
+    F = 2 rho sum_l W_l g_l ds                    force on the fluid            (eq. 3)
+    f' = f - M^-1 S (m - m_eq) + increment(F)     collision                     (eq. 1)
+    f_i(x + c_i, t + 1) = f'_i(x, t)              streaming, then the edges
 """
 
 from collections.abc import Sequence
@@ -43,12 +54,16 @@ def step(
 
     Args:
         state: populations ``[B, Q, Y, X]`` and bodies.
-        config: of the flows. Its ``tau``, ``stream_speed`` and ``ramp_steps`` are not read here.
-        params: those, per flow, and the parameters of the bodies, from ``make_params``.
+        config: of the flows. ``tau``, ``stream_speed`` and ``ramp_steps`` are read from ``params``
+            instead, which has them for each flow.
+        params: of each flow and of the bodies, from ``make_params``.
         external_force: ``[B, 2, Y, X]`` body-force density, added to the bodies'.
 
-    Source: the paper's eqs. 1 to 6, with the changes listed in the theory page: force-free implicit
-    coupling and the force increment of ``compute_force_increment``.
+    Returns:
+        The state one step later; the argument is unchanged.
+
+    Source: the paper's eqs. 1 to 6, with the changes listed in the theory page: implicit coupling
+    and the force increment of ``compute_force_increment``.
     """
     if len(state.bodies) != len(config.bodies):
         raise ValueError(
@@ -57,20 +72,23 @@ def step(
         )
     f = state.f.unbind(1)
     fluid = compute_macroscopic(f)
+    # bodies: from the fluid at their markers to their motion and the force on the fluid
     force = torch.zeros_like(state.f[:, :2]) if external_force is None else external_force
     bodies = state.bodies
     if bodies:
         geometry = locate_bodies(config, params.bodies, bodies, f[0].dtype)
         nodes = geometry.stencil.index_nodes(config.width)
-        seen = gather_fluid(fluid, nodes)
-        bodies, share_x, share_y = exchange(config, params.bodies, bodies, geometry, seen)
+        nearby = gather_fluid(fluid, nodes)
+        bodies, share_x, share_y = exchange(config, params.bodies, bodies, geometry, nearby)
         spread_x, spread_y = spread(share_x, nodes, fluid.rho), spread(share_y, nodes, fluid.rho)
         force = force + torch.stack((spread_x, spread_y), 1)
+    # collision: of the fluid alone, plus what the whole force at each node adds to it
     fx, fy = force.unbind(1)
     omega = config.compute_omega(params.tau).to(fluid.drho)
     increment = compute_force_increment(fluid, (fx, fy), (fx, fy), omega, config.rates)
     collided = collide_mrt(f, omega, config.rates)
     outgoing = [a + b for a, b in zip(collided, increment, strict=True)]
+    # streaming, and the edges at the speed that the stream has by now (no clock: its full speed)
     incoming = stream(outgoing)
     clock = torch.full_like(params.ramp_steps, inf) if state.clock is None else state.clock + 1.0
     apply_boundaries_(incoming, outgoing, config.boundaries, compute_stream_speed(params, clock))
@@ -86,11 +104,11 @@ def exchange(
 ) -> tuple[tuple[BodyState, ...], Tensor, Tensor]:
     """Let fluid and bodies act on each other: solve force and rigid motion together.
 
-    ``fluid`` is that at the nodes of the markers' stencils, ``[B, S * S, N]``.
+    ``fluid`` is that at the S x S nodes around each of the N markers, ``[B, S * S, N]``.
 
     Returns:
         The bodies after the step and each marker's share of the nodes' force density along x and y,
-        ``[B, S * S, N]``: F = 2 rho W g ds.
+        ``[B, S * S, N]``: F = 2 rho W g ds, with g from ``solve_body_force``.
     """
     weights = geometry.stencil.weights
     velocity = torch.stack((interpolate(fluid.ux, weights), interpolate(fluid.uy, weights)), 1)
@@ -98,8 +116,8 @@ def exchange(
     g, updates = solve_body_force(config, params, states, geometry, velocity, rho)
     bodies = zip(config.bodies, params, states, geometry.deformations, updates, strict=True)
     moved = tuple(
-        move_body(body, own, state, deformation, update)
-        for body, own, state, deformation, update in bodies
+        move_body(body, body_params, state, deformation, update)
+        for body, body_params, state, deformation, update in bodies
     )
     strength = 2.0 * geometry.spacing[:, None] * fluid.rho * weights
     return moved, strength * g[:, None, 0], strength * g[:, None, 1]

@@ -60,7 +60,7 @@ class Learner:
             prefetch=0,
         )
 
-    def remember(self, transitions: TensorDictBase) -> int:
+    def store(self, transitions: TensorDictBase) -> int:
         """Store transitions ``[N]`` except diverged ones, and return how many those were."""
         if not transitions["next", "action_mask"].any(-1).all():
             raise ValueError(

@@ -173,7 +173,7 @@ class Training:
         self.observer.settle(batch)
         counters.collect_seconds += seconds
         counters.frames += batch.numel()
-        counters.diverged += self.learner.remember(batch)
+        counters.diverged += self.learner.store(batch)
         counters.count(batch, success=self.task.success)
         losses = self._update()
         return {
@@ -288,7 +288,7 @@ class Training:
         try:
             with self.collector.lend_env():
                 return self.evaluator.run(
-                    self.watch(policy),
+                    self.make_interruptible(policy),
                     starts=starts,
                     on_episodes=on_episodes,
                     on_step=self.observer.settle,
@@ -296,7 +296,7 @@ class Training:
         finally:
             self.observer.restart()
 
-    def watch(self, policy: Policy) -> Policy:
+    def make_interruptible(self, policy: Policy) -> Policy:
         """Return a policy that raises ``Interrupted`` after SIGINT or SIGTERM."""
 
         def act(state: TensorDictBase) -> TensorDictBase:

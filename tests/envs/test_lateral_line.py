@@ -30,7 +30,7 @@ def make_solver(
 
 
 def feel(line: LateralLine, solver: InPlaceSolver, keys: Tensor = KEYS) -> dict[str, Tensor]:
-    signal, _ = line.feel(solver, keys, body_length=LENGTH, period=PERIOD)
+    signal, _ = line.sense(solver, keys, body_length=LENGTH, period=PERIOD)
     return dict(zip(line.features, signal.double().unbind(-1), strict=True))
 
 
@@ -136,12 +136,12 @@ def test_noise_has_its_deviation_and_depends_on_key_and_time_alone() -> None:
     signals = []
     for age in range(200):
         solver.body.age.fill_(age)
-        signals.append(line.feel(solver, keys, body_length=LENGTH, period=PERIOD)[0])
+        signals.append(line.sense(solver, keys, body_length=LENGTH, period=PERIOD)[0])
     noise = torch.stack(signals)
     assert noise.mean().abs() < 0.01 and noise.std().item() == pytest.approx(0.1, rel=0.05)
     correlation = torch.corrcoef(noise.flatten(1).T)  # of neuromasts and features, 200 samples
     assert (correlation - torch.eye(len(correlation))).abs().max() < 5 / 200**0.5
-    again, _ = line.feel(solver, keys.flip(0), body_length=LENGTH, period=PERIOD)
+    again, _ = line.sense(solver, keys.flip(0), body_length=LENGTH, period=PERIOD)
     assert torch.equal(again, noise[-1].flip(0))
     assert not torch.equal(noise[0], noise[1])
 
@@ -149,9 +149,9 @@ def test_noise_has_its_deviation_and_depends_on_key_and_time_alone() -> None:
 def test_silent_neuromasts_stay_silent_for_an_episode() -> None:
     solver = make_solver(ux=0.03, uy=0.01)
     line = LateralLine(num_neuromasts=40, features=("u_x", "speed"), silence=0.4)
-    first, _ = line.feel(solver, KEYS, body_length=LENGTH, period=PERIOD)
+    first, _ = line.sense(solver, KEYS, body_length=LENGTH, period=PERIOD)
     solver.body.age.fill_(7.0)
-    later, _ = line.feel(solver, KEYS, body_length=LENGTH, period=PERIOD)
+    later, _ = line.sense(solver, KEYS, body_length=LENGTH, period=PERIOD)
     is_silent = (first == 0.0).all(-1)
     assert torch.equal(is_silent, (later == 0.0).all(-1))
     assert not torch.equal(is_silent[0], is_silent[1])

@@ -154,7 +154,7 @@ def test_a_training_with_a_live_view_learns_the_same(
         times = [frame.time for frame in frames]
         assert times == sorted(times)
         assert sum(frame.begins for frame in frames) > 1  # evaluations, and training again
-        assert {"flow_probabilities", "action_mask", "felt"} <= set(frames[0].values)
+        assert {"flow_probabilities", "action_mask", "signal"} <= set(frames[0].values)
     assert {flow for flow, _ in drawn} == {1, 2}
 
 

@@ -18,7 +18,7 @@ def test_a_state_without_legal_action_is_refused(toy: Toy) -> None:
     batch = next(iter(training.collector)).reshape(-1)
     batch["next", "action_mask"][3] = False
     with pytest.raises(ValueError, match="a state has no legal action"):
-        training.learner.remember(batch)
+        training.learner.store(batch)
 
 
 def count_tensors() -> int:

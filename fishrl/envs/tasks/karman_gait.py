@@ -229,7 +229,7 @@ class KarmanGait(AbstractTask):
         if not ((flow >= 0) & (flow < num)).all():
             raise ValueError(f"flow_class = {flow.tolist()}: allowed is 0 to {num - 1}")
         frequency = self.control.select(self.control.shift(before["gear"], action), flow)
-        return Command(self.steering.turn(before["sights"]), frequency / self.scales.period)
+        return Command(self.steering.turn(before["steering"]), frequency / self.scales.period)
 
     def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
         """Measure position, heading, distance from the edges and the work done so far."""
@@ -255,24 +255,24 @@ class KarmanGait(AbstractTask):
 
     def sense(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
         """Return the signals of the lateral line, before any delay."""
-        felt, velocity = self.lateral_line.feel(
+        signals, velocity = self.lateral_line.sense(
             solver,
             starts["episode_key"],
             body_length=self.body_length,
             period=self.scales.period,
         )
-        return {"felt": felt, "felt_velocity": velocity}
+        return {"sensed": signals, "sensed_velocity": velocity}
 
     def begin(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Start in the first gear of ``control``, at rest."""
-        course = self._observe_course(now)
+        steering_input = self._observe_steering(now)
         return {
             "gear": torch.full_like(now["flow_index"], self.control.start_gear),
             "frequency": torch.zeros_like(now["heading"]),
             "moved": torch.zeros_like(now["place"]),
-            "sights": course[:, None].expand(-1, self.steering.num_stacked, -1),
-            "lateral_line": now["felt"],
-            "velocity": now["felt_velocity"],
+            "steering": steering_input[:, None].expand(-1, self.steering.num_stacked, -1),
+            "lateral_line": now["sensed"],
+            "velocity": now["sensed_velocity"],
         }
 
     def remember(
@@ -284,9 +284,11 @@ class KarmanGait(AbstractTask):
             "gear": gear,
             "frequency": self.control.select(gear, self._name_flow(before)),
             "moved": now["place"] - before["place"],
-            "sights": torch.cat((before["sights"][:, 1:], self._observe_course(now)[:, None]), 1),
-            "lateral_line": line.delay_series(before["felt"], now["felt"]),
-            "velocity": line.delay_series(before["felt_velocity"], now["felt_velocity"]),
+            "steering": torch.cat(
+                (before["steering"][:, 1:], self._observe_steering(now)[:, None]), 1
+            ),
+            "lateral_line": line.delay_series(before["sensed"], now["sensed"]),
+            "velocity": line.delay_series(before["sensed_velocity"], now["sensed_velocity"]),
         }
 
     def observe(self, now: TensorDictBase) -> Tensor:
@@ -344,7 +346,7 @@ class KarmanGait(AbstractTask):
             Series(key="place", column=0, label="x, downstream"),
             Series(key="place", column=1, label="y"),
         )
-        neuromasts, felt = describe_lateral_line(self.lateral_line, body_length=length)
+        neuromasts, signals = describe_lateral_line(self.lateral_line, body_length=length)
         return (
             super()
             .make_scene()
@@ -354,7 +356,7 @@ class KarmanGait(AbstractTask):
                 panels=(
                     describe_flow_label([label["name"] for label in self.flow_labels]),
                     Panel(name="nose from the flat side [L]", series=place),
-                    felt,
+                    signals,
                 ),
                 note="The danger area is outside the rectangle with red strokes.",
             )
@@ -363,17 +365,17 @@ class KarmanGait(AbstractTask):
     def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
         """Add the nose's place and the lateral line."""
         neuromasts = self.lateral_line.place(solver)[0]
-        felt = self.sense(solver, starts)["felt"][..., find_shown_feature(self.lateral_line)]
+        signal = self.sense(solver, starts)["sensed"][..., find_shown_feature(self.lateral_line)]
         return super().read_scene(solver, starts) | {
             "place": self._locate(solver.head()),
             "neuromasts": neuromasts,
-            "felt": felt.expand(neuromasts.shape[:2]),
+            "signal": signal.expand(neuromasts.shape[:2]),
         }
 
     def _locate(self, head: Tensor) -> Tensor:
         return (head - self.origin.to(head.device)) / self.body_length
 
-    def _observe_course(self, now: TensorDictBase) -> Tensor:
+    def _observe_steering(self, now: TensorDictBase) -> Tensor:
         return self.steering.observe(now["place"], now["middle"], now["heading"])
 
     def _name_flow(self, before: TensorDictBase) -> Tensor:

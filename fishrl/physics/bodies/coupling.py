@@ -74,8 +74,8 @@ class _Freedom(NamedTuple):
         return None if x is None else solution[:, x], None if y is None else solution[:, y]
 
 
-class _Walls(NamedTuple):
-    """What the bodies ask of the fluid at their markers.
+class _Surface(NamedTuple):
+    """How the bodies' surface moves if the flow changes no rate, and the rates that it may change.
 
     Attributes:
         rates: (U_x, U_y, Omega) ``[B]`` of each body: prescribed, or as in the last step.
@@ -134,28 +134,28 @@ def solve_body_force(
         g ``[B, 2, N]``, with F = 2 rho g per unit length, and an update per body.
     """
     markers = _MarkerMass(2.0 * rho * geometry.spacing, _slice_markers(config.bodies))
-    walls = _move_walls(config, params, states, geometry, velocity.dtype)
-    residual = walls.velocity - velocity
-    right = torch.stack([*residual.unbind(1), *walls.units], 1)
+    surface = _prescribe_surface(config, params, states, geometry, velocity.dtype)
+    residual = surface.velocity - velocity
+    right = torch.stack([*residual.unbind(1), *surface.units], 1)
     solution, rest = config.force_solve(geometry.operator, right)
     is_implicit = config.coupling is Coupling.IMPLICIT
-    changes = _solve_rigid_motion(walls.freedoms, markers, solution, is_implicit)
+    changes = _solve_rigid_motion(surface.freedoms, markers, solution, is_implicit)
     g, slip = list(solution[:, :2].unbind(1)), list(rest[:, :2].unbind(1))
-    for freedom, change in zip(walls.freedoms, changes, strict=True):
-        rates = walls.rates[freedom.body]
+    for freedom, change in zip(surface.freedoms, changes, strict=True):
+        rates = surface.rates[freedom.body]
         rates[freedom.axis] = rates[freedom.axis] + change
         if is_implicit:
             weight = change.to(velocity.dtype)[:, None]
-            for values, of in ((g, solution), (slip, rest)):
-                for axis, answer in enumerate(freedom.respond(of)):
-                    if answer is not None:
-                        values[axis] = values[axis] + weight * answer
+            for values, rows in ((g, solution), (slip, rest)):
+                for axis, response in enumerate(freedom.respond(rows)):
+                    if response is not None:
+                        values[axis] = values[axis] + weight * response
     square = slip[0] * slip[0] + slip[1] * slip[1]
     updates = [
         _report(
             states[m],
             geometry.markers[m],
-            rates=walls.rates[m],
+            rates=surface.rates[m],
             lateral_velocity=geometry.deformations[m].lateral_velocity,
             mass=markers.mass[:, own],
             g=(g[0][:, own], g[1][:, own]),
@@ -172,14 +172,14 @@ def _slice_markers(bodies: Sequence[BodyConfig]) -> list[slice]:
     return [slice(end - body.num_markers, end) for end, body in zip(ends, bodies, strict=True)]
 
 
-def _move_walls(
+def _prescribe_surface(
     config: FlowConfig,
     params: Sequence[BodyParams],
     states: Sequence[BodyState],
     geometry: BodyGeometry,
     dtype: torch.dtype,
-) -> _Walls:
-    """Return how the markers move if the flow changes nothing, and what it may change."""
+) -> _Surface:
+    """Return the motion of all markers with the rates prescribed, or as in the last step."""
     own, num_markers = _slice_markers(config.bodies), geometry.spacing.shape[-1]
     displaced = 1.0 if config.coupling is Coupling.IMPLICIT else 0.0
 
@@ -214,7 +214,7 @@ def _move_walls(
             inertia = excess * deformation.inertia
             push = -(excess * deformation.inertia_rate * state.angular_velocity)
             freedoms.append(_Freedom(m, 2, turning, (row, row + 1), inertia, push))
-    return _Walls(rates, torch.cat(velocities, -1), freedoms, units)
+    return _Surface(rates, torch.cat(velocities, -1), freedoms, units)
 
 
 def _solve_rigid_motion(

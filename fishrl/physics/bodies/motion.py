@@ -134,6 +134,6 @@ class Bending(Motion):
 
     def compute_bend_rate(self, body: BodyState) -> Tensor:
         """Return the relaxation towards the command."""
-        is_asked = body.turn_clock < body.turn_steps
-        goal = torch.where(is_asked, -self.gain * body.turn, torch.zeros_like(body.turn))
+        is_commanded = body.turn_clock < body.turn_steps
+        goal = torch.where(is_commanded, -self.gain * body.turn, torch.zeros_like(body.turn))
         return (goal - body.bend) * 6.0 / body.turn_steps.clamp_min(6.0)

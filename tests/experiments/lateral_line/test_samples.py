@@ -50,7 +50,7 @@ def test_a_mirrored_signal_is_what_a_mirrored_fish_feels() -> None:
         solver.set_populations_(
             make_uniform(*(field if sign > 0 else field.flip(1) for field in flow))
         )
-        signal, _ = line.feel(solver, torch.zeros(1).long(), body_length=length, period=200)
+        signal, _ = line.sense(solver, torch.zeros(1).long(), body_length=length, period=200)
         felt.append(signal[:, None])
     image = mirror(felt[0], features=KNOWN, middle_bl=24.5 / length)
     torch.testing.assert_close(image, felt[1], rtol=1e-4, atol=1e-4)

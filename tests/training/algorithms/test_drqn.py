@@ -14,7 +14,7 @@ def test_sequences_are_pieces_of_one_episode_each(toy: Toy) -> None:
     training = toy.begin(algorithm=ALGORITHM, task={"divergence_rate": 0.05}, updates_per_frame=0.0)
     batches = iter(training.collector)
     for _ in range(40):
-        training.learner.remember(next(batches).reshape(-1))
+        training.learner.store(next(batches).reshape(-1))
     num_short = 0
     for _ in range(20):
         batch = training.learner.buffer.sample().reshape(-1, 4)
