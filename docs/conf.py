@@ -38,7 +38,7 @@ napoleon_use_ivar = True
 html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = f"fishrl {release}"
-html_static_path = ["static"]
+html_static_path = ["static", "../fishrl/zoo/predation_small/film.mp4"]
 html_css_files = ["style.css"]
 
 

@@ -167,7 +167,7 @@ def make_profile(
     names = {"collide": "collision", "bodies": "bodies: markers, force, motion, spreading"}
     solver.wrap_kernels_(lambda key, kernel: name("flow", names.get(key, "edges"), kernel))
     for owner, attribute, place, part in (
-        (solver, "advance_", "flow", "calls, and what is in no part"),
+        (solver, "advance_", "flow", "calls and remainder"),
         (solver, "is_diverged", "environment", "check for divergence"),
         (stage.base, "measure", "environment", "sensors and measurement"),
         (stage.base, "_step", "environment", "reward, observation, ends"),

@@ -145,14 +145,14 @@ BEYOND = ("case", "ms", "beyond the bare solver, %", "share outside the flow, %"
 PARTS = ("part", "of", "ms / action", "share, %")
 #: Group, heading, line above the table (with facts of its first case), columns.
 TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
-    ("probe", "What the memory does", "", SPEED),
-    ("solver", "The flow", "", (*SPEED, MEMORY)),
+    ("probe", "Memory bandwidth", "", SPEED),
+    ("solver", "Flow without bodies", "", (*SPEED, MEMORY)),
     ("coupled", "A swimming fish in each flow", "T is a tail beat.", (*SPEED, MEMORY, *PRICE)),
     ("peers", "Other codes", "", SPEED),
     ("gpu", "GPU", "", SPEED),
     ("env", "Environment", "Bursts of one action, which lasts a tail beat T.", BEYOND),
     ("train", "Training", "", ("case", "ms", "share of learning, %")),
-    ("profile", "Where the time of an environment step goes", "{size}, one core.", PARTS),
+    ("profile", "Profile of an environment step", "{size}, one core.", PARTS),
     ("compile", "Compilation", "Time until the first step with a fish.", ("case", "seconds")),
 )
 
