@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from shutil import copyfile
 from typing import Any
 
 HERE = Path(__file__).parent
@@ -38,7 +39,7 @@ napoleon_use_ivar = True
 html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = f"fishrl {release}"
-html_static_path = ["static", "../fishrl/zoo/predation_small/film.mp4"]
+html_static_path = ["static"]
 html_css_files = ["style.css"]
 
 
@@ -47,6 +48,14 @@ def skip(_app: Any, _what: str, _name: str, entry: Any, _skip: bool, _options: A
     return True if (getattr(entry, "__doc__", "") or "").startswith("Alias for field") else None
 
 
+def copy_films(app: Any, error: Exception | None) -> None:
+    """Copy the films of the trained policies, which the gallery shows."""
+    if error is None:
+        for film in HERE.parent.glob("fishrl/zoo/*/film.mp4"):
+            copyfile(film, Path(app.outdir) / "_static" / f"{film.parent.name}.mp4")
+
+
 def setup(app: Any) -> None:
     """Connect the above."""
     app.connect("autodoc-skip-member", skip)
+    app.connect("build-finished", copy_films)
