@@ -1,0 +1,99 @@
+"""Every program answers any value of any setting: it takes it, or ends with one line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, fields
+from functools import cache
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from experiments import benchmark, drift_sweep, evaluate, free_stream, search, train
+from experiments import train_lateral_line, transfer, validate, view
+from experiments.configuration import list_keys
+from experiments.program import Program
+from fishrl.envs import Predation
+from fishrl.memory import check_memory
+from fishrl.training import LearningSettings, RunSettings
+from fishrl.training import train as train_policy
+
+PROGRAMS: dict[str, tuple[Program, tuple[str, ...]]] = {
+    "train": (train.main, ()),
+    "train drqn": (train.main, ("algorithm=drqn", "preset=gait_small")),
+    "evaluate": (evaluate.main, ("policy=random",)),
+    "view": (view.main, ("policy=random", "save=x.rrd")),
+    "transfer": (transfer.main, ()),
+    "drift_sweep": (drift_sweep.main, ()),
+    "free_stream": (free_stream.main, ()),
+    "train_lateral_line": (train_lateral_line.main, ()),
+    "benchmark": (benchmark.main, ()),
+    "validate": (validate.main, ()),
+    "search": (search.main, ("folder=x", "gamma=interval(0.9,1)")),
+}
+ODD = ("nan", "inf", "-inf", "-1", "0", "0.5", "1e300", "1e-300", str(10**30), str(10**400))
+WORDS = ("null", "true", "x", "''", "[]", "[nan]", "[1,-1]", "[1e9]", "{a:1}")
+
+
+@cache
+def find_keys(name: str) -> list[str]:
+    main, given_words = PROGRAMS[name]
+    own = [entry.name for entry in fields(main.command_line.schema)]
+    if name == "search":
+        return own
+    return sorted({*list_keys(main.command_line.compose(given_words)), *own} - {"task", "modules"})
+
+
+def flatten(value: Any) -> Iterator[Any]:
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list | tuple):
+        for entry in value:
+            yield from flatten(entry)
+    else:
+        yield value
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+@settings(
+    max_examples=12,
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=list(HealthCheck),
+)
+@given(data=st.data())
+def test_a_program_takes_a_value_or_refuses_it_in_one_line(name: str, data: Any) -> None:
+    main, words = PROGRAMS[name]
+    key = data.draw(st.sampled_from(find_keys(name)))
+    value = data.draw(st.sampled_from((*ODD, *WORDS)))
+    try:
+        taken = main.read([*words, f"{key}={value}"])
+    except (ValueError, ImportError, OSError) as error:
+        assert "\n" not in str(error)
+    else:
+        numbers = [number for number in flatten(asdict(taken)) if isinstance(number, float)]
+        assert all(map(math.isfinite, numbers)), (key, value)
+
+
+@pytest.mark.parametrize(
+    "sizes",
+    [{"num_envs": 10**6}, {"buffer_size": 10**14}, {"hidden": (10**9,)}, {"domain_bl": (1e6, 1e6)}],
+    ids=str,
+)
+def test_what_cannot_fit_into_memory_is_refused_with_the_estimate(
+    sizes: dict[str, Any], tmp_path: Any
+) -> None:
+    given_words = dict(sizes)
+    of_task = {n: given_words.pop(n) for n in sizes if n == "domain_bl"}
+    with pytest.raises(ValueError, match=r"flows .* GB, buffer .* GB, networks .* GB: more than"):
+        train_policy(
+            task=Predation(**of_task),
+            learning=LearningSettings(**given_words),
+            run=RunSettings(folder=str(tmp_path / "runs")),
+        )
+    assert not (tmp_path / "runs").exists()
+    check_memory(flows=1e6)
