@@ -32,7 +32,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import ConfigKeyError, OmegaConfBaseException
 from yaml import YAMLError  # type: ignore[import-untyped]
 
-from fishrl.bounds import check_bounds, suggest
+from fishrl.bounds import FITTING, check_bounds, is_huge, suggest
 from fishrl.envs import AbstractTask
 from fishrl.training.algorithms import Algorithm
 from fishrl.training.description import TARGET, find_class, list_classes, make
@@ -88,12 +88,15 @@ class CommandLine:
                 files, ``<folder>/task/<name>.yaml``.
         """
         overrides = self.prepare(arguments)
+        given = parse(overrides)
+        for override in given:
+            if override.key_or_group in self.groups and isinstance(override.value(), list | dict):
+                raise ValueError(f"{override.input_line}: must be one name")
         try:
             with initialize_config_dir(str(CONF), version_base="1.3"):
                 config = compose(PRIMARY, overrides)
         except (HydraException, OmegaConfBaseException, YAMLError) as error:
             raise explain(error) from error
-        given = parse(overrides)
         if not self.is_training:
             taken = {override.key_or_group.split(".", 1)[0] for override in given}
             config = OmegaConf.masked_copy(config, [*taken & set(config), *self.groups])
@@ -149,13 +152,16 @@ class CommandLine:
         for name, kind in KINDS.items():
             if name in self.groups and OmegaConf.is_dict(config.get(name)):
                 base[name] = make_schema(config[name], name, kind=kind, modules=modules)
+        given = list(list_values(OmegaConf.to_container(config)))
+        for key, value in given:
+            if is_huge(value):
+                raise ValueError(f"{key}={value}: must be {FITTING}")
         try:
             merged = OmegaConf.merge(base, config)
             OmegaConf.resolve(merged)
         except OmegaConfBaseException as error:
             raise explain(error, list_keys(base), config) from error
-        for key in list_keys(config):
-            value = OmegaConf.select(config, key)
+        for key, value in given:
             if type(value) is int and isinstance(OmegaConf.select(merged, key), bool):
                 raise ValueError(f"{key}={value}: must be true or false")
         return cast(DictConfig, merged)
@@ -271,6 +277,18 @@ def parse(overrides: Iterable[str]) -> list[Override]:
         raise explain(error) from error
 
 
+def list_values(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """List the plain values in nested settings, those in lists one by one, each with its key."""
+    if isinstance(node, Mapping):
+        for name, value in node.items():
+            yield from list_values(value, f"{path}.{name}" if path else str(name))
+    elif isinstance(node, list):
+        for value in node:
+            yield from list_values(value, path)
+    else:
+        yield path, node
+
+
 def list_keys(config: DictConfig, prefix: str = "") -> list[str]:
     """List all keys, those below others with dots."""
     keys = []
@@ -296,8 +314,8 @@ def explain(
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     if not key:
         return ValueError(" ".join(lines))
-    value = None if config is None else OmegaConf.select(config, key)
-    return ValueError(f"{key}={value}: {lines[0]}")
+    given = "" if config is None else f"={OmegaConf.select(config, key)}"
+    return ValueError(f"{key}{given}: {lines[0]}")
 
 
 def unknown(key: str, known: Iterable[str]) -> ValueError:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -69,8 +68,6 @@ def main(settings: EvaluateConfig) -> None:
     path = None if settings.save is None else Path(settings.save).expanduser()
     if path is not None:
         check_folder(path)
-        if path.is_dir() or not os.access(path.absolute().parent, os.W_OK | os.X_OK):
-            raise ValueError(f"save={path}: cannot be written; choose another file")
     with Progress() as progress:
         result = evaluate(settings, progress=progress)
     for name, value in result.items():

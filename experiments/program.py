@@ -23,6 +23,7 @@ import os
 import re
 import shlex
 import shutil
+import signal
 import sys
 import sysconfig
 import traceback
@@ -30,6 +31,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 from hydra import initialize_config_dir
@@ -58,7 +60,7 @@ class Program:
         """Run a command line, by default that of the process."""
         set_up_logging()
         words = list(sys.argv[1:] if arguments is None else arguments)
-        with plain_errors():
+        with plain_errors(), ending_as_by_ctrl_c():
             options = split_options(words)
             if options.help:
                 print(self.describe(words))
@@ -146,6 +148,20 @@ def show_command(module: str, *arguments: str) -> str:
     if on_path.parent != here.parent:
         python = str(here.relative_to(Path.cwd()) if here.is_relative_to(Path.cwd()) else here)
     return shlex.join([python, "-m", module, *arguments])
+
+
+@contextmanager
+def ending_as_by_ctrl_c() -> Iterator[None]:
+    """Let SIGTERM raise KeyboardInterrupt, so that the program cleans up behind itself."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt(number)
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager

@@ -9,7 +9,6 @@ jobs that a change to the physics or to a case affects. Exits with status 1 if a
 from __future__ import annotations
 
 import os
-import signal
 import sys
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -65,7 +64,6 @@ class ValidateSettings:
 @program(ValidateSettings)
 def main(settings: ValidateSettings) -> None:
     """Run, check and report the cases."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends like Ctrl-C
     folder = Path(settings.folder)
     outcomes = run_cases(
         [case for case in CASES if case.name in settings.cases or not settings.cases],

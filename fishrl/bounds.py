@@ -8,6 +8,9 @@ from dataclasses import MISSING, field, fields, is_dataclass
 from difflib import SequenceMatcher
 from typing import Any
 
+#: What an integer must be; neither omegaconf nor torch takes others.
+FITTING = "a number of at most 64 bits"
+
 
 def bounded(
     default: Any = MISSING,
@@ -70,6 +73,11 @@ def _flatten(value: Any) -> Iterator[Any]:
         yield value
 
 
+def is_huge(number: Any) -> bool:
+    """Tell whether a value is a whole number of more than 64 bits."""
+    return isinstance(number, int) and abs(number) >= 2**63
+
+
 def _find_violation(number: Any, *, kind: str, bounds: Any) -> str:
     """Return what the number should be and is not; nothing if all is well."""
     is_number = isinstance(number, int | float) and not isinstance(number, bool)
@@ -77,8 +85,8 @@ def _find_violation(number: Any, *, kind: str, bounds: Any) -> str:
         return ""
     if not is_number:
         return "a number" if bounds or kind in ("int", "float") else ""
-    if isinstance(number, int) and abs(number) >= 2**63:
-        return "a number of at most 64 bits"
+    if is_huge(number):
+        return FITTING
     if not math.isfinite(number):
         return _describe(bounds, "finite")
     is_whole = "int" in kind and "float" not in kind

@@ -12,8 +12,10 @@ def test_files_that_cannot_be_read_are_refused_with_the_remedy(tmp_path: Path) -
     path = tmp_path / "tensors.pt"
     torch.save({"a": torch.ones(2)}, path)
     assert load_tensors(path, what="wakes", remedy="delete it")["a"].sum() == 2.0
-    path.write_text("not a file of torch")
-    with pytest.raises(ValueError, match=r"wakes .*: cannot be read; delete it"):
-        load_tensors(path, what="wakes", remedy="delete it")
+    whole = path.read_bytes()
+    for damaged in (b"not a file of torch", b"root:x:0:0:root:/root:/bin/sh", b"", whole[:-99]):
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"wakes .*: cannot be read; delete it"):
+            load_tensors(path, what="wakes", remedy="delete it")
     with pytest.raises(ValueError, match="no such file; delete it"):
         load_tensors(tmp_path / "none", what="wakes", remedy="delete it")

@@ -8,6 +8,7 @@ import logging
 import multiprocessing
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed, wait
@@ -176,6 +177,7 @@ def _open_pool(num_workers: int) -> Iterator[ProcessPoolExecutor]:
 
 def _set_up_process() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; the parent decides
+    tqdm.set_lock(threading.RLock())  # its own is a named semaphore, which termination leaves
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)
 

@@ -14,6 +14,7 @@ import typing
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import is_dataclass
 from pathlib import Path
+from types import UnionType
 from typing import Any, TypeVar
 
 from fishrl.bounds import suggest
@@ -84,17 +85,23 @@ def make(node: Any, *, kind: type[T] | tuple[type[T], ...], modules: Collection[
 
 def _make_parts(value: Any, owner: type, name: str, *, modules: Collection[str]) -> Any:
     """Make the descriptions in an argument, of the kinds that its annotation allows."""
-    if isinstance(value, list):
-        return [_make_parts(item, owner, name, modules=modules) for item in value]
-    if not isinstance(value, Mapping) or TARGET not in value:
-        return value
     hints = typing.get_type_hints(owner if is_dataclass(owner) else owner.__init__)  # type: ignore[misc]
-    return make(value, kind=tuple(list_classes(hints.get(name))), modules=modules)
+    hint = hints.get(name)
+    kinds = tuple(list_classes(hint))
+    if isinstance(value, list):
+        value = [_make_parts(item, owner, name, modules=modules) for item in value]
+    elif isinstance(value, Mapping) and TARGET in value:
+        value = make(value, kind=kinds, modules=modules)
+    is_union = typing.get_origin(hint) in (typing.Union, UnionType)
+    choices = typing.get_args(hint) if is_union else (hint,)
+    if kinds and {*choices} <= {*kinds, type(None)} and not isinstance(value, choices):
+        raise ValueError(f"{name} = {value}: must be {' or '.join(k.__name__ for k in choices)}")
+    return value
 
 
 def list_classes(hint: Any) -> Iterator[type]:
     """List the classes in an annotation such as ``Steering | None`` that an object may be of."""
-    plain = (object, str, int, float, bool, bytes, type(None))
+    plain = (Any, object, str, int, float, bool, bytes, type(None))
     if isinstance(hint, type) and typing.get_origin(hint) is None and hint not in plain:
         yield hint
     for part in typing.get_args(hint):

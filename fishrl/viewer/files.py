@@ -150,10 +150,13 @@ def _settle(viewer: Any) -> bytes:
 
 
 def check_folder(path: str | os.PathLike[str]) -> Path:
-    """Return the path of a file to write; raise FileNotFoundError if there is no folder for it."""
+    """Return the path of a file to write; raise OSError if it cannot be written there."""
     target = Path(path)
-    if not target.absolute().parent.is_dir():
+    folder = target.absolute().parent
+    if not folder.is_dir():
         raise FileNotFoundError(f"no folder {target.parent}: make it first")
+    if target.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        raise OSError(f"{target}: cannot be written; choose another file")
     return target
 
 

@@ -115,6 +115,7 @@ def test_a_live_view_streams_and_stays_until_an_interrupt(
             [*GAIT, "policy=pid", "save=x.rrd", "screenshot=nowhere/x.png"],
             "error: no folder nowhere: make it first",
         ),
+        ([*GAIT, "policy=pid", "save=x.rrd", "screenshot=/"], "error: /: cannot be written"),
         ([*GAIT, "policy=pid"], "error: no screen to open a window on: give save="),
     ],
 )
