@@ -57,7 +57,7 @@ class WakeRecipe:
 
     @property
     def key(self) -> str:
-        """A word that changes when the wakes may: this recipe, the physics, or this file."""
+        """Key that changes with whatever may change the wakes: recipe, physics, or this file."""
         return make_key(self, hash_sources(__name__), torch.__version__)
 
 

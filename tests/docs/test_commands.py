@@ -40,6 +40,7 @@ RUNS = {
     "runs/predation/seed_0": [],
     "runs/gait-run": ["preset=gait_small", "recognition=oracle"],
     "runs/gammas/gamma_0.99-seed_1": ["gamma=0.99", "seed=1"],
+    "runs/predation-boltzmann-seed0": ["algorithm._target_=boltzmann.Boltzmann"],
     "runs/holdstation-seed0": ["--config-dir=my_fish/conf", "task=hold_station"],
     "its-folder": [],
 }
@@ -64,9 +65,9 @@ class _Read(BaseException):
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Stand in a folder with the runs and the task from outside that the pages speak of."""
+    """Stand in a folder with the runs, task and algorithm from outside that the pages speak of."""
     folder = tmp_path_factory.mktemp("home")
-    for block in read_blocks("tutorials/new_task.md"):
+    for block in (*read_blocks("tutorials/new_task.md"), *read_blocks("algorithms.md")):
         if block.file is not None:
             path = folder / "my_fish" / block.file
             path.parent.mkdir(parents=True, exist_ok=True)
