@@ -146,7 +146,11 @@ class Training:
         self._lock.close()
 
     def _learn(self) -> None:
-        """Run the loop until ``total_frames`` is reached."""
+        """Run the loop until ``total_frames`` is reached.
+
+        Each round collects a frame of every flow and learns, then evaluates, logs and saves if due.
+        An interrupt in between leaves ``counters.pending``, which a resumed run completes first.
+        """
         counters, run = self.counters, self.plan.run
         self.progress.start(self._phase(), total=run.total_frames, done=counters.frames)
         batches = iter(self.collector)

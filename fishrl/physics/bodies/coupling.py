@@ -50,7 +50,7 @@ class RigidUpdate(NamedTuple):
 
 
 class _Freedom(NamedTuple):
-    """One rigid degree of freedom that the flow decides.
+    """One rigid degree of freedom that the flow determines.
 
     Attributes:
         body: index of its body.
@@ -80,7 +80,7 @@ class _Surface(NamedTuple):
     Attributes:
         rates: (U_x, U_y, Omega) ``[B]`` of each body: prescribed, or as in the last step.
         velocity: ``[B, 2, N]`` of the markers at these rates.
-        freedoms: rates that the flow decides.
+        freedoms: rates that the flow determines.
         units: ``[B, N]`` right-hand sides of the force solve for the freedoms.
     """
 
@@ -220,7 +220,7 @@ def _prescribe_surface(
 def _solve_rigid_motion(
     freedoms: Sequence[_Freedom], markers: _MarkerMass, solution: Tensor, is_implicit: bool
 ) -> list[Tensor]:
-    """Return the change ``[B]`` of each rate that the flow decides, from Newton's second law.
+    """Return the change ``[B]`` of each rate that the flow determines, by Newton's second law.
 
     Implicit: (inertia + added mass) dU = -F + push. The added mass is the force that dU itself
     causes, the projection of the other rows of the force solve. Explicit: without it.

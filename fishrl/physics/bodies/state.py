@@ -18,7 +18,7 @@ class BodyState(NamedTuple):
         phase: of the body wave or oscillation, radians.
         frequency: tail beats or oscillations per step.
         beats: tail beats or oscillations since reset.
-        age: steps since the body began to move.
+        age: steps since reset.
         bend: kappa of the midline's bend kappa L x^2; see ``Bending``.
         turn: commanded change of heading, radians.
         turn_steps: steps over which the turn is spread.

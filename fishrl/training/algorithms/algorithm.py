@@ -43,7 +43,10 @@ class Algorithm(ABC):
         return policy
 
     def choose_sampling(self, policy: Any, settings: LearningSettings) -> dict[str, Any]:
-        """Return arguments of ``Learner`` about transitions; by default none, uniform sampling."""
+        """Return ``keys``, ``sampler`` and ``transforms`` of ``Learner``; by default none of them.
+
+        Without a sampler transitions are drawn uniformly; ``DRQN`` draws sequences.
+        """
         return {}
 
     def make_learner(
