@@ -11,7 +11,7 @@ from experiments.pages import write_table
 #: Work in a free stream over that in the wake, conditions I to III: Zhang et al. 2023, Table 4.
 PAPER_WORK_RATIO = (7577.94 / 1526.73, 14682.95 / 2145.74, 51520.26 / 3057.03)
 #: Of each table: heading, entry of ``diagnose``, format.
-COLUMNS = (
+STATION = (
     ("episodes", "episodes", ".0f"),
     ("survival, T", "survival_T", ".1f"),
     ("lasted", "survivors", ".0%"),
@@ -20,6 +20,8 @@ COLUMNS = (
     ("beat / shedding", "frequency_over_shedding", ".2f"),
     ("in street", "in_street", ".0%"),
     ("in gait", "in_gait", ".0%"),
+)
+MOTION = (
     ("up", "accelerations", ".0%"),
     ("down", "decelerations", ".0%"),
     ("angle mean, °", "angle_mean", ".1f"),
@@ -54,12 +56,12 @@ def show(value: float, form: str, error: float = nan) -> str:
 
 
 def write_results(results: Results, speeds: Sequence[float]) -> str:
-    """Return two Markdown tables, a row per arm and flow: all diagnostics, and how episodes ended.
+    """Return Markdown tables of station, motion and ends of episodes, a row per arm and flow.
 
     ``speeds`` are those of the flows, L / T.
     """
     tables = []
-    for columns in (COLUMNS, ENDS):
+    for columns in (STATION, MOTION, ENDS):
         rows = []
         for name, flows in results.items():
             for speed, flow in zip(speeds, flows, strict=True):

@@ -58,17 +58,17 @@ def _describe_fit(fit: Fit) -> dict[str, Any]:
     }
 
 
-_PAGE = """# What the lateral line tells
+_PAGE = """# Flow classification by the lateral line
 
 Flows: {flows}; chance is {chance:.0%}. Accuracies are those on held-out episodes{divisions}.
 
-Data: {samples} decisions in {episodes} episodes, half of the actions random and half of them
-holding some station; {num_samples} samples per decision at {num_neuromasts} neuromasts. The row of
-frequencies is drawn independently of the flow. All classifiers but the paper's are fitted on the
-mirror image of each sample too.
+Data: {samples} decisions in {episodes} episodes; half of the actions are random, the other half
+hold some station. There are {num_samples} samples per decision at {num_neuromasts} neuromasts. The
+row of frequencies is drawn independently of the flow. Except for the classifier of the paper, the
+mirror image of each sample is used in the fit, too.
 
 {fits}
-This classifier reads {features} over {window_T:.3g} T.
+Input of this classifier: {features}, over {window_T:.3g} T.
 
 ![accuracy and loss](curves.png)
 
@@ -78,7 +78,8 @@ This classifier reads {features} over {window_T:.3g} T.
 
 ## Memory
 
-Predictions from all signals of the episode so far; memory 0 uses the current signal alone.
+Accuracy of predictions that accumulate the signals of an episode; with memory 0 only the current
+signal is used.
 
 {memory}
 ## Window
@@ -86,19 +87,19 @@ Predictions from all signals of the episode so far; memory 0 uses the current si
 {windows}
 ## Noise
 
-Added to each feature, as a share of its standard deviation.
+The noise is added to each feature, as a share of its standard deviation.
 
 {noise}
 ## Leakage
 
-*New starts*: those farthest downstream, none of them in the fit. *Later times*: decisions later in
-their episodes than any in the fit.
+Accuracy on data unlike those of the fit. *New starts* are those farthest downstream, none of which
+is in the fit. *Later times* are decisions later in their episodes than any in the fit.
 
 {leaks}
-## Own tail beat
+## Influence of the tail beat
 
-After a wrong prediction a fish beats in the wrong flow's row. *Right row* fits use only data in the
-row of the true label.
+After a wrong prediction, the tail-beat frequency is from the row of another flow. The last fit uses
+only data with frequencies from the row of the true flow.
 
 {rows}"""
 

@@ -140,7 +140,7 @@ def test_recordings_of_different_length_go_together() -> None:
 def test_tables_have_a_row_per_policy_and_flow_and_ratios_of_work() -> None:
     result = reduce(make_histories(lengths=[40, 23]))
     table = write_results({"pid": [result, result], "passive": [result, result]}, (1.0, 1.5))
-    assert len(table.splitlines()) == 2 * 6 + 1
+    assert len(table.splitlines()) == 3 * 6 + 2
     assert "| pid | 1.5 | 2 | 31.5 ±" in table
     assert "| passive | 1 | 50% | 0% | 50% | 0% | 0 |" in table
     free = [{"work": 8.0, "positive_work": 9.0, "lateral_work": 5.0}]
