@@ -131,6 +131,8 @@ def read_resumed(given: Mapping[str, Any]) -> dict[str, Any]:
     stored = read_config(folder.config)
     algorithm = {**(stored.get("algorithm") or DEFAULT_ALGORITHM)}
     algorithm |= {name: stored.pop(name) for name in FORMER_SETTINGS if name in stored}
+    if "vorticity_limit" in stored:
+        stored["field_limit"] = stored.pop("vorticity_limit")
     return {**stored, "algorithm": algorithm, "live": False}
 
 

@@ -103,7 +103,7 @@ def record(
             frames_per_action=task.checks_per_action,
         )
         stack.callback(env.close)
-        scene = make_scene(env, vorticity_limit=settings.vorticity_limit)
+        scene = make_scene(env, field=settings.field, field_limit=settings.field_limit)
         names = name_flows(task, flows, starts)
         drawing = stack.enter_context(
             start_drawing(

@@ -44,7 +44,8 @@ def record_run(
 
     ``on_episodes`` is called with the number of episodes that have just ended.
     """
-    task, scene = env.base_env.task, make_scene(env, vorticity_limit=settings.vorticity_limit)
+    task = env.base_env.task
+    scene = make_scene(env, field=settings.field, field_limit=settings.field_limit)
     flows, max_decisions = list(range(min(_MAX_FLOWS, len(starts)))), None
     if scene.goal is None:
         starts, max_decisions = starts[flows], math.ceil(_MAX_PERIODS / task.interval_T - 1e-9)
@@ -95,8 +96,9 @@ def write_run_pictures(
     if recordings[0].scene.goal is not None:
         shown = next((r for r in recordings if r.has_succeeded), recordings[0])
         write_trajectories(recordings, folder / "trajectories.png")
-        write_snapshots(shown, folder / "vorticity_sequence.png")
-        write_flow(shown, folder / "vorticity_last.png")
+        field = shown.scene.field.key
+        write_snapshots(shown, folder / f"{field}_sequence.png")
+        write_flow(shown, folder / f"{field}_last.png")
         write_animation(shown, folder / "capture.gif")
 
 

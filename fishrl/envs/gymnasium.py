@@ -19,6 +19,7 @@ from fishrl.envs.scene import Frame
 from fishrl.extras import show_install
 from fishrl.viewer import make_scene
 from fishrl.viewer.film import FramePainter
+from fishrl.viewer.recording import read_values
 
 try:
     from gymnasium.error import ResetNeeded
@@ -63,7 +64,7 @@ class FlowVectorEnv(VectorEnv):
         autoreset_mode: a ``gymnasium.vector.AutoresetMode`` or its value.
         render_mode: ``rgb_array``, and ``render`` returns pictures, for instance for Gymnasium's
             ``RecordVideo``; or None.
-        vorticity_limit: at which the colours of these pictures saturate, 1/T.
+        field: what these pictures show: vorticity, pressure or speed.
     """
 
     def __init__(
@@ -72,7 +73,7 @@ class FlowVectorEnv(VectorEnv):
         *,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
-        vorticity_limit: float = 15.0,
+        field: str = "vorticity",
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode = {render_mode!r}: must be 'rgb_array' or None")
@@ -91,8 +92,9 @@ class FlowVectorEnv(VectorEnv):
             "render_modes": ["rgb_array"],
             "render_fps": 8,
         }
+        self._scene = make_scene(env, field=field)
         self._painters = [
-            FramePainter(make_scene(env), limit=vorticity_limit, dpi=60.0)
+            FramePainter(self._scene, limit=self._scene.field.limit, dpi=60.0)
             for _ in range(self.num_envs if render_mode else 0)
         ]
         self._reported = [name for name in specs.keys(True, True) if name not in OBSERVED]
@@ -184,7 +186,7 @@ class FlowVectorEnv(VectorEnv):
         if not self._painters:
             raise ValueError("render: make the environment with render_mode='rgb_array'")
         solver, task = self.flows.solver, self.flows.task
-        values = task.read_scene(solver, self.flows.start)
+        values = read_values(task, self._scene, self.flows)
         steps = self._need_state()["step_count"].flatten().tolist()
         frames = [
             Frame(

@@ -15,7 +15,7 @@ Colour = tuple[int, int, int]
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """A field over the whole grid, ``[Y, X]``, drawn in diverging colours around zero.
+    """A field over the whole grid, ``[Y, X]``.
 
     Args:
         key: of its tensor in each frame.
@@ -23,6 +23,8 @@ class Field:
         unit: of its values.
         limit: value at which the colours saturate.
         note: what the sign means.
+        is_signed: colours diverge around zero; otherwise they begin at zero.
+        saturated: share of the values beyond the limit, where a film chooses the limit.
     """
 
     key: str
@@ -30,10 +32,17 @@ class Field:
     unit: str
     limit: float
     note: str = ""
+    is_signed: bool = True
+    saturated: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.limit > 0.0:
             raise ValueError(f"the limit of {self.name} is {self.limit}: must be positive")
+
+    @property
+    def low(self) -> float:
+        """The value at the lower end of the colours."""
+        return -self.limit if self.is_signed else 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +85,23 @@ class Marks:
     unit: str = ""
     limit: float = 1.0
     reach: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arrow:
+    """A vector ``[2]`` drawn as an arrow, such as the force on a body.
+
+    Args:
+        key: of the vector.
+        at: key of the point ``[2]`` where it begins.
+        scale: nodes per unit of the vector.
+        colour: of it.
+    """
+
+    key: str
+    at: str
+    scale: float
+    colour: Colour = (0, 158, 115)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,6 +166,7 @@ class Panel:
         is_step: values hold since the previous frame, rather than at an instant.
         is_output: the keys are entries of the env's output rather than of ``task.read_scene``; the
             plot is left out where the env has no such entry.
+        is_log: draw sign(x) log2(1 + |x|), in which 1 is 1 and small values show beside large ones.
     """
 
     name: str
@@ -147,6 +174,7 @@ class Panel:
     span: tuple[float, float] | None = None
     is_step: bool = False
     is_output: bool = False
+    is_log: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,9 +202,10 @@ class Scene:
         body_length: L, nodes.
         width: of the grid, nodes along x.
         height: of the grid, nodes along y.
-        field: the flow.
+        fields: of the flow; the first one is drawn, the others can be chosen instead.
         curves: bodies and lines, from below to above.
         marks: points; one with a ``reach`` is the goal.
+        arrows: forces, velocities.
         trails: paths of points.
         areas: rectangles.
         panels: plots beside the flow.
@@ -186,13 +215,19 @@ class Scene:
     body_length: float
     width: int
     height: int
-    field: Field
+    fields: tuple[Field, ...]
     curves: tuple[Curve, ...] = ()
     marks: tuple[Marks, ...] = ()
+    arrows: tuple[Arrow, ...] = ()
     trails: tuple[Trail, ...] = ()
     areas: tuple[Area, ...] = ()
     panels: tuple[Panel | Choice, ...] = ()
     note: str = ""
+
+    @property
+    def field(self) -> Field:
+        """The field that is drawn."""
+        return self.fields[0]
 
     @property
     def goal(self) -> Marks | None:
@@ -210,8 +245,22 @@ class Scene:
                 keys |= {series.key for series in panel.series}
         return keys
 
+    def choose_field(self, key: str, *, limit: float | None = None) -> Self:
+        """Return this scene with one of its fields drawn, its colours saturated at ``limit``.
+
+        Raises:
+            ValueError: for a field that the scene does not have.
+        """
+        chosen = [field for field in self.fields if field.key == key]
+        if not chosen:
+            known = [field.key for field in self.fields]
+            raise ValueError(f"field = {key}: must be one of {', '.join(known)}")
+        first = chosen[0] if limit is None else replace(chosen[0], limit=limit)
+        others = [field for field in self.fields if field.key != key]
+        return replace(self, fields=(first, *others))
+
     def extend(self, *, note: str = "", **parts: tuple[object, ...]) -> Self:
-        """Return this scene with more curves, marks, trails, areas or panels, and a longer note."""
+        """Return this scene with more of its parts, such as curves or marks, and a longer note."""
         longer = {name: getattr(self, name) + more for name, more in parts.items()}
         return replace(self, note="\n\n".join(filter(None, (self.note, note))), **longer)
 

@@ -1,21 +1,37 @@
-"""What is drawn of every task: the flow, the bodies, the edges, reward and action."""
+"""What is drawn of every task: the flow, the bodies and forces, the edges, reward and action."""
 
 from collections.abc import Sequence
-from math import pi
 
 import torch
 from torch import Tensor
 
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.protocol import Solver
-from fishrl.envs.scene import Area, Choice, Curve, Field, Marks, Panel, Scene, Series, Trail
+from fishrl.envs.scene import (
+    Area,
+    Arrow,
+    Choice,
+    Curve,
+    Field,
+    Marks,
+    Panel,
+    Scene,
+    Series,
+    Trail,
+)
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.diagnostics import compute_vorticity
+from fishrl.physics.diagnostics import compute_pressure, compute_vorticity
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import Scales
 
+#: Fields of every scene.
+FIELDS = ("vorticity", "pressure", "speed")
 FISH, MIDLINE, OBSTACLE = (32, 37, 43), (240, 240, 240), (110, 110, 110)
-#: Below this speed, L / T, a fish in still water has no direction of swimming.
+#: Length of an arrow for a force of rho U^2 L, body lengths, with the fastest stream U.
+_FORCE_BL = 3.0
+#: What stands for U in still water, L / T: about the speed of a fish.
+_SWIMMING = 0.5
+#: Below this speed, L / T, neither a stream nor a fish has a direction.
 _MIN_SPEED = 0.05
 _PRESSURES = ("pressure", "p")
 #: Unit of each feature of a neuromast, and the value at which its colour saturates.
@@ -37,21 +53,26 @@ def make_flow_scene(
         ("power [ρ L⁴/T³]", Series(key="work", label="power", is_rate=True), True),
     )
     reward = Series(key="reward", label="reward")
+    force_bl = _FORCE_BL / _find_fastest(config, scales) ** 2
+    obstacles = _name_obstacles(config)
+    forces = tuple(
+        Series(key=f"{body}_impulse", column=column, label=f"{body}, {axis}", is_rate=True)
+        for body in ("fish", *obstacles)
+        for column, axis in enumerate("xy")
+    )
     return Scene(
         body_length=float(scales.body_length),
         width=config.width,
         height=config.height,
-        field=Field(
-            key="vorticity",
-            name="vorticity",
-            unit="1/T",
-            limit=15.0,
-            note="positive turns counter-clockwise",
-        ),
+        fields=make_fields(config, scales),
         curves=(
             Curve(key="fish", colour=FISH),
             Curve(key="midline", colour=MIDLINE, is_closed=False, order=5.0),
-            *(Curve(key=key, colour=OBSTACLE) for key in _name_obstacles(config)),
+            *(Curve(key=key, colour=OBSTACLE) for key in obstacles),
+        ),
+        arrows=tuple(
+            Arrow(key=f"{body}_force", at=f"{body}_centre", scale=force_bl * scales.body_length)
+            for body in ("fish", *obstacles)
         ),
         trails=(Trail(key="head"),),
         areas=(
@@ -62,13 +83,57 @@ def make_flow_scene(
             ),
         ),
         panels=(
-            Panel(name="reward", series=(reward,), is_step=True, is_output=True),
+            Panel(
+                name="reward r, as ±log₂(1 + |r|)",
+                series=(reward,),
+                is_step=True,
+                is_output=True,
+                is_log=True,
+            ),
             Choice(names=action_names),
             *(Panel(name=name, series=(line,), is_step=step) for name, line, step in plots),
+            Panel(name="force of the fluid [ρ L³/T²]", series=forces, is_step=True),
         ),
         note="Angle of attack: of the heading, from upstream; in still water from the direction of "
-        "swimming. Power: of the muscles, mean since the previous frame.",
+        "swimming. Power of the muscles and force: means since the previous frame. Arrows: the "
+        f"force now, {force_bl:.3g} L for 1 ρ L³/T².",
     )
+
+
+def make_fields(config: FlowConfig, scales: Scales) -> tuple[Field, ...]:
+    """Return the fields that ``read_fields`` reads, with limits that suit the fastest stream."""
+    speed = _find_fastest(config, scales)
+    return (
+        Field(
+            key="vorticity",
+            name="vorticity",
+            unit="1/T",
+            limit=15.0,
+            note="positive: counter-clockwise",
+            saturated=0.2,
+        ),
+        Field(
+            key="pressure",
+            name="pressure",
+            unit="ρ (L/T)²",
+            limit=speed**2,
+            note="above that of the fluid at rest",
+            saturated=0.02,
+        ),
+        Field(key="speed", name="speed", unit="L/T", limit=1.5 * speed, is_signed=False),
+    )
+
+
+def read_fields(solver: Solver, scales: Scales) -> dict[str, Tensor]:
+    """Return the fields ``[B, Y, X]`` of ``make_fields``, float16."""
+    rho, u = solver.macroscopic()
+    speed = scales.reference_speed
+    fields = {
+        "vorticity": compute_vorticity(u) * scales.period,
+        "pressure": compute_pressure(rho) / speed**2,
+        "speed": u.norm(dim=1) / speed,
+    }
+    return {key: field.half() for key, field in fields.items()}
 
 
 def read_flow_scene(solver: Solver, scales: Scales) -> dict[str, Tensor]:
@@ -77,19 +142,21 @@ def read_flow_scene(solver: Solver, scales: Scales) -> dict[str, Tensor]:
     length, period = scales.body_length, scales.period
     half = markers.shape[1] // 2
     other_side = -torch.arange(half + 1, device=markers.device) % markers.shape[1]
-    obstacles = enumerate(_name_obstacles(solver.config)[: len(solver.bodies) - 1], 1)
-    return {
-        "vorticity": (compute_vorticity(solver.macroscopic()[1]) * period).half(),
-        "fish": markers,
+    names = ("fish", *_name_obstacles(solver.config))[: len(solver.bodies)]
+    values = read_fields(solver, scales)
+    for index, name in enumerate(names):
+        values |= _read_body(solver, index, name, scales)
+    return values | {
         "midline": 0.5 * (markers[:, : half + 1] + markers[:, other_side]),
         "head": markers[:, 0],
         "heading": body.heading,
         "frequency": body.frequency * period,
         "work": body.work / (length * length / period) ** 2,
         "angle_of_attack": _measure_angle(
-            body, min_speed=_MIN_SPEED * length / period, is_stream=solver.config.fastest_edge > 0.0
+            body,
+            stream=solver.stream_speed[:, None] * body.velocity.new_tensor(solver.config.inflow),
+            min_speed=_MIN_SPEED * scales.reference_speed,
         ),
-        **{key: solver.markers(index) for index, key in obstacles},
     }
 
 
@@ -130,20 +197,36 @@ def find_shown_feature(line: LateralLine) -> int:
     return next((i for i, name in enumerate(line.features) if name in _PRESSURES), 0)
 
 
+def _find_fastest(config: FlowConfig, scales: Scales) -> float:
+    """Return the speed that sets the scale of pressures and forces, L / T."""
+    return max(_SWIMMING, config.fastest_edge / scales.reference_speed)
+
+
 def _name_obstacles(config: FlowConfig) -> list[str]:
     bodies = enumerate(config.bodies[1:], 1)
     return [f"{type(body).__name__.lower()}_{index}" for index, body in bodies]
 
 
-def _measure_angle(body: BodyState, *, min_speed: float, is_stream: bool) -> Tensor:
+def _read_body(solver: Solver, index: int, name: str, scales: Scales) -> dict[str, Tensor]:
+    """Return outline and centre of a body, the force on it and its time integral."""
+    body, length = solver.bodies[index], scales.body_length
+    force = length * scales.reference_speed**2  # per unit depth
+    return {
+        name: solver.markers(index),
+        f"{name}_centre": body.position,
+        f"{name}_force": body.hydro_force / force,
+        f"{name}_impulse": body.impulse / (force * scales.period),
+    }
+
+
+def _measure_angle(body: BodyState, *, stream: Tensor, min_speed: float) -> Tensor:
     """Return the angle ``[B]`` between heading and oncoming water, degrees.
 
-    Without a stream along +x the water comes from where the fish swims to; NaN below ``min_speed``.
+    It comes from upstream of ``stream`` ``[B, 2]``; in still water from where the fish swims to.
+    NaN below ``min_speed``, nodes per step.
     """
-    upstream = torch.full_like(body.heading, pi)
-    if not is_stream:
-        x, y = body.velocity.unbind(-1)
-        is_slow = (x * x + y * y).sqrt() < min_speed
-        upstream = torch.atan2(y, x).masked_fill(is_slow, torch.nan)
-    angle = body.heading - upstream
+    is_stream = stream.norm(dim=-1, keepdim=True) >= min_speed
+    x, y = torch.where(is_stream, -stream, body.velocity).unbind(-1)
+    is_slow = torch.hypot(x, y) < min_speed
+    angle = body.heading - torch.atan2(y, x).masked_fill(is_slow, torch.nan)
     return torch.rad2deg(torch.atan2(torch.sin(angle), torch.cos(angle)))

@@ -135,6 +135,15 @@ class FlowConfig:
         speeds = [(x * x + y * y) ** 0.5 for x, y in (v for v in edges if v is not None)]
         return abs(self.stream_speed) * max(speeds, default=0.0)
 
+    @property
+    def inflow(self) -> tuple[float, float]:
+        """Mean velocity (x, y) of the edges where fluid enters, in units of ``stream_speed``."""
+        edges = [edge for group in self.boundaries.in_order() for edge in group]
+        given = [(side.value, boundary.velocity) for side, boundary in edges if boundary.velocity]
+        entering = [v for normal, v in given if normal[0] * v[0] + normal[1] * v[1] > 0.0]
+        num = max(1, len(entering))
+        return sum(x for x, _ in entering) / num, sum(y for _, y in entering) / num
+
     def get_structure(self) -> object:
         """Return what all flows of one batch must share."""
         bodies = tuple(body.get_structure() for body in self.bodies)

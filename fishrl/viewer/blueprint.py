@@ -27,12 +27,13 @@ def make_blueprint(scene: Scene, flows: Mapping[int, str], *, is_live: bool = Fa
 
 def _lay_out(rrb: Any, scene: Scene, flow: int, title: str, is_live: bool) -> Any:
     root = name_flow(flow)
-    margin = 0.01 * scene.width
+    margin = 0.06 * scene.width  # for the axes
     world = rrb.Spatial2DView(
         origin=f"{root}/world",
         name=title,
         visual_bounds=rrb.VisualBounds2D(
-            x_range=[-margin, scene.width + margin], y_range=[-margin, scene.height + margin]
+            x_range=[-margin, scene.width + 0.5 * margin],
+            y_range=[-margin, scene.height + margin],
         ),
         background=rrb.Background(color=[255, 255, 255]),
     )

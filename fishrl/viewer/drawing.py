@@ -4,6 +4,7 @@ The y axis points down on a screen and up in the flow: rows are flipped here and
 The only timeline is ``sim_time``, on which one second is one period T.
 """
 
+import io
 import logging
 from collections import deque
 from collections.abc import Mapping
@@ -14,10 +15,19 @@ from typing import Any, Self
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from PIL import Image
 from torch import Tensor
 
-from fishrl.envs.scene import Area, Choice, Curve, Frame, Marks, Panel, Scene, Trail
-from fishrl.viewer.colours import LINES, PURPLE_GREEN, RED_BLUE, paint, quantise
+from fishrl.envs.scene import Area, Arrow, Choice, Curve, Field, Frame, Marks, Panel, Scene, Trail
+from fishrl.viewer.colours import (
+    LINES,
+    PURPLE_GREEN,
+    RED_BLUE,
+    WHITE_BLUE,
+    paint,
+    quantise,
+    space_ticks,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -27,6 +37,7 @@ LEGEND = "legend"
 _LEGEND_SIZE = (256, 12)
 _LEGAL, _CHOSEN = (120, 170, 130), (230, 159, 0)
 _RIM = (20, 20, 20)
+_THIN = -0.5
 Points = NDArray[np.float32]
 
 
@@ -106,10 +117,14 @@ class Drawing:
         """Draw a moment of a flow, given its index."""
         rr, scene, root = self._rerun, self.scene, name_flow(flow)
         self.stream.set_time(TIMELINE, duration=frame.time)
-        field = frame.values.get(scene.field.key)
-        if field is not None:
-            levels = quantise(_to_numpy(field.flip(-2)), scene.field.limit)
-            self._log(f"{root}/world/{scene.field.key}", _encode(rr, levels, self.field_format))
+        shown = scene.field
+        if shown.key in frame.values:
+            values = _to_numpy(frame.values[shown.key].flip(-2))
+            image = _encode(rr, quantise(values, shown.low, shown.limit), shown, self.field_format)
+            self._log(f"{root}/world/{shown.key}", image)
+        place, text = (0.5 * scene.width, -0.03 * scene.width), f"t = {frame.time:.2f} T"
+        clock = rr.Points2D([place], radii=0.0, colors=[_RIM], labels=[text])
+        self._log(f"{root}/world/clock", clock)
         for trail in scene.trails:
             if trail.key in frame.values:
                 self._draw_trail(flow, frame, trail)
@@ -119,6 +134,9 @@ class Drawing:
         for marks in scene.marks:
             if marks.key in frame.values:
                 self._draw_marks(root, marks, frame.values)
+        for arrow in scene.arrows:
+            if arrow.key in frame.values:
+                self._draw_arrow(root, arrow, frame.values)
         for panel in scene.panels:
             path = f"{root}/{name_panel(panel)}"
             if isinstance(panel, Choice):
@@ -148,8 +166,8 @@ class Drawing:
         points = self._place(values[marks.key].reshape(-1, 2))
         colours = np.tile(np.array(marks.colour, np.uint8), (len(points), 1))
         if marks.value is not None:
-            levels = quantise(_to_numpy(values[marks.value].reshape(-1)), marks.limit)
-            colours = paint(levels, PURPLE_GREEN)
+            felt = _to_numpy(values[marks.value].reshape(-1))
+            colours = paint(quantise(felt, -marks.limit, marks.limit), PURPLE_GREEN)
         rims = np.tile(np.array(_RIM, np.uint8), (len(points), 1))
         discs = self._rerun.Points2D(
             np.concatenate((points, points)),
@@ -164,6 +182,17 @@ class Drawing:
             circles = [(point + circle).astype(np.float32) for point in points]
             shape = self._make_lines(circles, marks.colour, 0.6, 2.0)
             self._log(f"{root}/world/{marks.key}_reach", shape)
+
+    def _draw_arrow(self, root: str, arrow: Arrow, values: Mapping[str, Tensor]) -> None:
+        x, y = (arrow.scale * values[arrow.key]).tolist()
+        shape = self._rerun.Arrows2D(
+            origins=[self._place(values[arrow.at])],
+            vectors=[(x, -y)],
+            colors=[arrow.colour],
+            radii=0.6 * self.scene.body_length / 50.0,
+            draw_order=7.0,
+        )
+        self._log(f"{root}/world/{arrow.key}", shape)
 
     def _draw_trail(self, flow: int, frame: Frame, trail: Trail) -> None:
         points = self._trails.setdefault((flow, trail.key), deque())
@@ -192,6 +221,8 @@ class Drawing:
                     continue
                 change = value - _pick(before, series.key, series.column)
                 value = change / (frame.time - before.time)
+            if panel.is_log:
+                value = float(np.copysign(np.log2(1.0 + abs(value)), value))
             if np.isfinite(value):
                 self._plot(f"{path}/{number}", value)
 
@@ -199,10 +230,11 @@ class Drawing:
         self._log(path, self._rerun.Scalars(value))
 
     def _draw_constants(self, root: str, title: str) -> None:
-        """Draw what does not change: areas, styles of the plots, the text."""
+        """Draw what does not change: axes, areas, styles of the plots, the text."""
         rr, scene = self._rerun, self.scene
+        self._draw_axes(f"{root}/world/axes")
         for area in scene.areas:
-            shape = self._make_lines(self._hatch(area), area.colour, 0.4, 1.5)
+            shape = self._make_lines(self._hatch(area), area.colour, _THIN, 1.5)
             self._log(f"{root}/world/{area.key}", shape, static=True)
         for panel in scene.panels:
             path = f"{root}/{name_panel(panel)}"
@@ -224,14 +256,18 @@ class Drawing:
                     names=series.label, widths=1.6, colors=[colour], interpolation_mode=mode
                 )
                 self._log(f"{path}/{number}", style, static=True)
-        levels = f"A stored value v means (v - 128) / 127 × {scene.field.limit:g}."
+        field = scene.field
+        levels = (
+            f"A stored value v means {field.low:g} + (v - 1) / 254 × {field.limit - field.low:g}."
+        )
         if self.field_format is FieldFormat.JPEG:
             levels = "The colours are stored."
+        name = ", ".join(filter(None, (field.name, field.note)))
         about = (
             f"**{title}**\n\nOne second of `{TIMELINE}` is one period T. Body length "
-            f"L = {scene.body_length:g} nodes; the picture is in nodes.\n\n"
-            f"{scene.field.name}: {scene.field.note}; colours saturate at ±{scene.field.limit:g} "
-            f"{scene.field.unit}. {levels}\n\n{scene.note}"
+            f"L = {scene.body_length:g} nodes; the mouse shows nodes.\n\n"
+            f"{name}; colours from {field.low:g} to {field.limit:g} {field.unit}. {levels}\n\n"
+            f"{scene.note}"
         )
         document = rr.TextDocument(about, media_type="text/markdown")
         self._log(f"{root}/about", document, static=True)
@@ -240,7 +276,7 @@ class Drawing:
         """Return a rectangle's border and short strokes on its outer side."""
         (x0, y0), (x1, y1) = area.low, area.high
         length = self.scene.body_length
-        step, stroke = 0.125 * length, 0.08 * length
+        step, stroke = 0.125 * length, 0.06 * length
         corners = torch.tensor([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)])
         xs, ys = np.arange(x0, x1, step).tolist(), np.arange(y0, y1, step).tolist()
         strokes = [(x, y, -sign * stroke) for x in xs for y, sign in ((y0, -1.0), (y1, 1.0))]
@@ -248,21 +284,44 @@ class Drawing:
         lines = [torch.tensor([(x, y), (x + dx, y - dx)]) for x, y, dx in strokes]
         return [self._place(line) for line in (corners, *lines)]
 
+    def _draw_axes(self, path: str) -> None:
+        """Draw the picture's frame, and ticks outside of it that count body lengths."""
+        length, width, height = self.scene.body_length, self.scene.width, self.scene.height
+        step, out = space_ticks(max(width, height) / length) * length, 0.012 * width
+        corner = torch.tensor([-0.5, -0.5])
+        sides = torch.tensor([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]])
+        frame = corner + sides * torch.tensor([width, height])
+        xs, ys = (torch.arange(0.0, size, step) for size in (width, height))
+        below = [torch.tensor([[x, -0.5], [x, -0.5 - out]]) for x in xs]
+        beside = [torch.tensor([[-0.5, y], [-0.5 - out, y]]) for y in ys]
+        lines = [self._place(line) for line in (frame, *below, *beside)]
+        self._log(f"{path}/lines", self._make_lines(lines, _RIM, _THIN, 1.2), static=True)
+        labels = self._rerun.Points2D(
+            [self._place(line)[1] for line in below]
+            + [self._place(line)[1] - np.array([out, out]) for line in beside],
+            radii=0.0,
+            colors=[_RIM],
+            labels=[f"{float(value) / length:g} L" for value in (*xs, *ys)],
+            show_labels=True,
+        )
+        self._log(f"{path}/labels", labels, static=True)
+
     def _draw_legends(self) -> None:
         """Draw a ramp of colours with ticks for the field, and for each coloured set of points."""
         rr, (width, height) = self._rerun, _LEGEND_SIZE
-        ramp = np.tile(quantise(np.linspace(-1.0, 1.0, width, dtype=np.float32), 1.0), (height, 1))
+        ramp = np.tile(quantise(np.linspace(0.0, 1.0, width, dtype=np.float32), 0, 1), (height, 1))
         field = self.scene.field
-        bars = [(field.key, field.limit, _encode(rr, ramp, self.field_format))]
+        image = _encode(rr, ramp, field, self.field_format)
+        bars = [(field.key, (field.low, field.limit), image)]
         for marks in self.scene.marks:
             if marks.value is not None:
                 image = rr.Image(paint(ramp, PURPLE_GREEN), opacity=1.0, draw_order=0.0)
-                bars.append((marks.key, marks.limit, image))
-        for key, limit, image in bars:
+                bars.append((marks.key, (-marks.limit, marks.limit), image))
+        for key, (low, high), image in bars:
             self._log(f"{LEGEND}/{key}/ramp", image, static=True)
-            ticks = [-1.0, -0.5, 0.0, 0.5, 1.0]
-            places = [((0.5 + 0.5 * tick) * width, height + 1.0) for tick in ticks]
-            labels = [f"{tick * limit:.3g}" for tick in ticks]
+            ticks = [0.0, 0.25, 0.5, 0.75, 1.0]
+            places = [(tick * width, height + 1.0) for tick in ticks]
+            labels = [f"{low + tick * (high - low):.3g}" for tick in ticks]
             points = rr.Points2D(
                 places, radii=0.6, colors=[_RIM], labels=labels, show_labels=True, draw_order=1.0
             )
@@ -271,7 +330,8 @@ class Drawing:
     def _make_lines(
         self, strips: list[Points], colour: tuple[int, ...], width: float, order: float
     ) -> Any:
-        radius = width * self.scene.body_length / 50.0
+        """Return lines of a width in L / 50, or of as many pixels on the screen if negative."""
+        radius = width if width < 0.0 else width * self.scene.body_length / 50.0
         return self._rerun.LineStrips2D(strips, colors=[colour], radii=radius, draw_order=order)
 
 
@@ -284,11 +344,19 @@ def place(points: Tensor, height: int) -> Points:
     return torch.stack((x + 0.5, height - 0.5 - y), -1).cpu().numpy()
 
 
-def _encode(rr: ModuleType, levels: NDArray[np.uint8], field_format: FieldFormat) -> Any:
-    """Encode levels ``[Y, X]``, top row first."""
+def _encode(
+    rr: ModuleType, levels: NDArray[np.uint8], field: Field, field_format: FieldFormat
+) -> Any:
+    """Encode levels ``[Y, X]`` of a field, top row first."""
+    looks: dict[str, Any] = {"draw_order": 0.0, "magnification_filter": "Linear"}
     if field_format is FieldFormat.JPEG:
-        return rr.Image(paint(levels, RED_BLUE), opacity=1.0, draw_order=0.0).compress(85)
-    return rr.DepthImage(levels, colormap="Spectral", depth_range=(1, 255), draw_order=0.0)
+        buffer = io.BytesIO()
+        colours = paint(levels, RED_BLUE if field.is_signed else WHITE_BLUE)
+        # colours at full resolution: at half of it, the few nodes of a vortex become blocks
+        Image.fromarray(colours).save(buffer, format="JPEG", quality=90, subsampling=0)
+        return rr.EncodedImage(contents=buffer.getvalue(), media_type="image/jpeg", **looks)
+    colormap = "Spectral" if field.is_signed else "Viridis"
+    return rr.DepthImage(levels, colormap=colormap, depth_range=(1, 255), **looks)
 
 
 def _to_numpy(values: Tensor) -> NDArray[np.float32]:

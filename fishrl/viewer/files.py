@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +15,8 @@ from fishrl.viewer.drawing import TIMELINE, Drawing, FieldFormat, import_rerun
 from fishrl.viewer.process import Viewer
 
 _APPLICATION = "fishrl"
-_PATIENCE_S = 60.0
+_PATIENCE_S = 900.0
+_IDLE_S = 5.0  # after which a viewer that loads nothing has read the whole file
 _PORT = 29870
 _GREETING_S = 4.5  # duration of the viewer's welcome message
 _MAX_SIZE = 1920
@@ -66,10 +67,20 @@ def start_drawing(
 
 
 def open_recording(path: str | os.PathLike[str]) -> None:
-    """Open a ``.rrd`` file in a window and wait until it is closed."""
+    """Open a ``.rrd`` file in a window and wait until it is closed.
+
+    Raises:
+        FileNotFoundError: if there is no recording.
+        ValueError: if the viewer fails.
+    """
     import_rerun()
-    command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", "--port", "auto"]
-    subprocess.run([*command, str(find_recording(path))], check=True)
+    words = ["-m", "rerun", "--bind", "127.0.0.1", "--port", "auto", str(find_recording(path))]
+    status = subprocess.run([sys.executable, *words], check=False).returncode
+    if status:
+        raise ValueError(
+            f"the viewer ended with status {status}: its window needs a screen and a graphics "
+            "driver; screenshot=<file.png> needs no window"
+        )
 
 
 class Picture(NamedTuple):
@@ -86,67 +97,112 @@ def write_screenshot(
 ) -> None:
     """Write what the viewer shows of a ``.rrd`` file as a PNG, without a window.
 
-    ``time_T`` is by default the middle of the recording.
+    ``time_T`` is by default the middle of the recording. It waits until the viewer has read the
+    file and drawn it, however busy the machine is.
 
     Raises:
         FileNotFoundError: if there is no recording, or no folder for the picture.
-        ValueError: if the viewer does not start, or ends, as it does without a Vulkan driver.
+        ValueError: if the viewer does not start, or ends, as it does without a Vulkan driver; for a
+            file without moments in time.
     """
     check_folder(picture)
     with _headless(path, time_T) as viewer:
-        Path(picture).write_bytes(_settle(viewer))
+        Path(picture).write_bytes(viewer.settle())
 
 
 def photograph_views(path: str | os.PathLike[str], *, time_T: float | None = None) -> list[Picture]:
     """Return a picture of each view in the tab on top, at a time; see ``write_screenshot``."""
     pictures = []
     with _headless(path, time_T) as viewer:
-        _settle(viewer)
-        for view in viewer.get_state().views:
-            try:
-                png = viewer.take_screenshot(view.view_id)
-            except ConnectionError as error:
-                if "not found" not in str(error):
-                    raise
-                continue  # in a tab behind
+        viewer.settle()
+        for view in viewer.ask(lambda client: client.get_state()).views:
+            png = viewer.photograph(view.view_id)
             reports = [f"{report.severity}: {report.summary}" for report in view.reports]
-            pictures.append(Picture(view.name, view.origin, png, reports))
+            if png is not None:
+                pictures.append(Picture(view.name, view.origin, png, reports))
     return pictures
 
 
+class _Client:
+    """Asks a running viewer; one that is too busy to answer is asked again.
+
+    Raises:
+        ValueError: if the viewer ends, or does not answer for a quarter of an hour.
+    """
+
+    def __init__(self, process: Viewer) -> None:
+        from rerun.experimental import ViewerClient
+
+        self._process = process
+        self._client = self._retry(lambda: ViewerClient.connect(process.url))
+
+    def ask(self, call: Callable[[Any], Any]) -> Any:
+        """Return what a call of rerun's client returns."""
+        return self._retry(lambda: call(self._client))
+
+    def _retry(self, call: Callable[[], Any]) -> Any:
+        deadline = time.monotonic() + _PATIENCE_S
+        while True:
+            try:
+                return call()
+            except (ConnectionError, RuntimeError) as error:
+                # without a driver the program listens first, and then ends
+                if not self._process.is_running or time.monotonic() > deadline:
+                    raise ValueError(self._process.explain_failure()) from error
+                time.sleep(0.5)
+
+    def load(self, recording: Path) -> tuple[float, float]:
+        """Open a file and return its first and last time in T."""
+        self.ask(lambda client: client.open(str(recording.resolve())))
+        idle_since = time.monotonic()
+        while time.monotonic() < idle_since + _IDLE_S:
+            state = self.ask(lambda client: client.get_state())
+            lines = [line for loaded in state.recordings for line in loaded.timelines]
+            ends = [1e-9 * end for x in lines if x.name == TIMELINE for end in (x.start, x.end)]
+            if ends and not state.loading:
+                return min(ends), max(ends)
+            if state.loading:
+                idle_since = time.monotonic()
+            time.sleep(0.2)
+        raise ValueError(f"{recording} has no moments on the timeline {TIMELINE}: record it anew")
+
+    def settle(self) -> bytes:
+        """Return the first screenshot that equals the one before: it draws while it reads."""
+        before, deadline = b"", time.monotonic() + _PATIENCE_S
+        time.sleep(_GREETING_S)
+        while True:
+            time.sleep(0.5)
+            shot: bytes = self.ask(lambda client: client.take_screenshot(max_size=_MAX_SIZE))
+            if shot == before or time.monotonic() > deadline:
+                return shot
+            before = shot
+
+    def photograph(self, view_id: str) -> bytes | None:
+        """Return a picture of a view, None if it is in a tab behind."""
+
+        def take(client: Any) -> bytes | None:
+            try:
+                picture: bytes = client.take_screenshot(view_id)
+            except ConnectionError as error:
+                if "not found" not in str(error):
+                    raise
+                return None
+            return picture
+
+        picture: bytes | None = self.ask(take)
+        return picture
+
+
 @contextmanager
-def _headless(path: str | os.PathLike[str], time_T: float | None) -> Iterator[Any]:
+def _headless(path: str | os.PathLike[str], time_T: float | None) -> Iterator[_Client]:
     recording = find_recording(path)
     import_rerun()
-    from rerun.experimental import ViewerClient
-
     with Viewer("--headless", "--hide-welcome-screen", port=_PORT) as process:
-        try:
-            viewer = ViewerClient.connect(process.url)
-            viewer.open(str(recording.resolve()))
-            deadline = time.monotonic() + _PATIENCE_S
-            while viewer.get_state().loading and time.monotonic() < deadline:
-                time.sleep(0.2)
-            if time_T is None:  # the middle of what has been loaded
-                (loaded, *_) = viewer.get_state().recordings
-                times: Any = next(line for line in loaded.timelines if line.name == TIMELINE)
-                time_T = 0.5e-9 * (times.start + times.end)
-            viewer.set_time(TIMELINE, duration=time_T, play_state="paused")
-            yield viewer
-        except ConnectionError as error:  # without a driver it listens first, and then ends
-            raise ValueError(process.explain_failure()) from error
-
-
-def _settle(viewer: Any) -> bytes:
-    """Return the first screenshot that equals the one before: the viewer draws while it reads."""
-    before, deadline = b"", time.monotonic() + _PATIENCE_S
-    time.sleep(_GREETING_S)
-    while True:
-        time.sleep(0.5)
-        shot: bytes = viewer.take_screenshot(max_size=_MAX_SIZE)
-        if shot == before or time.monotonic() > deadline:
-            return shot
-        before = shot
+        viewer = _Client(process)
+        first, last = viewer.load(recording)
+        moment = 0.5 * (first + last) if time_T is None else time_T
+        viewer.ask(lambda it: it.set_time(TIMELINE, duration=moment, play_state="paused"))
+        yield viewer
 
 
 def check_folder(path: str | os.PathLike[str]) -> Path:

@@ -1,8 +1,7 @@
-"""Pictures and films of a recorded flow: vorticity, bodies, goal and path (matplotlib)."""
+"""Pictures and films of a recorded flow: field, bodies, goal and path (matplotlib)."""
 
 import io
 from collections.abc import Sequence
-from math import floor, log10
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -13,13 +12,14 @@ import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import Colormap, to_rgb
+from matplotlib.colors import LinearSegmentedColormap, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from numpy.typing import NDArray
 from PIL import Image
 
-from fishrl.envs.scene import Frame, Scene
+from fishrl.envs.scene import Field, Frame, Scene
+from fishrl.viewer.colours import RED_BLUE, WHITE_BLUE, round_up, space_ticks
 from fishrl.viewer.recording import Recording
 
 #: Settings of matplotlib for all figures.
@@ -35,9 +35,7 @@ STYLE: Any = {
 }
 FISH = "#20252b"
 FOOD = "#f2b134"
-VORTICITY_LABEL = "vorticity  [1/T]   (red: counter-clockwise)"
 
-_NICE_STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0)
 _NUM_SNAPSHOTS = 6
 _GIF_LEVELS = 49
 _FRAME_MS = 71  # 14 frames per second
@@ -50,43 +48,46 @@ def label_axes(axes: Axes, *, x: bool = True, y: bool = True) -> None:
     axes.tick_params(labelbottom=x, labelleft=y)
 
 
-def choose_vorticity_limit(recording: Recording) -> float:
-    """Return the vorticity, in 1/T, at which the colours saturate: a round number.
+def choose_limit(recording: Recording) -> float:
+    """Return the value of the field at which the colours saturate: a round number.
 
     The boundary layer on the fish is many times stronger than the wake, so the limit is a
-    percentile of the vorticity that is not negligible, in the later half of the episode.
+    percentile (``Field.saturated``) of what is not negligible, in the later half of the episode.
     """
-    key, frames = recording.scene.field.key, recording.frames
-    late = torch.stack([f.values[key][::2, ::2] for f in frames[len(frames) // 2 :: 4]])
+    field, frames = recording.scene.field, recording.frames
+    late = torch.stack([f.values[field.key][::2, ::2] for f in frames[len(frames) // 2 :: 4]])
     late = late.float().abs().flatten()
-    rotating = late[late > 0.02 * late.max()]
-    if rotating.numel() == 0:
+    visible = late[late > 0.02 * late.max()]
+    if visible.numel() == 0:
         return 1.0
     # torch.quantile is limited to 16 million values; numpy is not
-    wanted = float(np.quantile(rotating.numpy(), 0.8))
-    scale = 10.0 ** floor(log10(wanted))
-    return next(step * scale for step in _NICE_STEPS if step * scale >= wanted * (1 - 1e-9))
+    return round_up(float(np.quantile(visible.numpy(), 1.0 - field.saturated)))
+
+
+def make_colours(field: Field, num_levels: int = 256) -> LinearSegmentedColormap:
+    """Return the colours of a field."""
+    table = np.array(RED_BLUE if field.is_signed else WHITE_BLUE) / 255.0
+    return LinearSegmentedColormap.from_list(field.key, table, N=num_levels)
 
 
 class FlowAxes:
-    """One set of axes that shows a scene's vorticity, bodies, goal and paths, frame by frame.
+    """One set of axes that shows a scene's field, bodies, goal and paths, frame by frame.
 
     Args:
         axes: to draw on.
         scene: what to draw.
-        limit: vorticity at which the colours saturate, 1/T.
-        cmap: colours of the vorticity.
+        limit: value of the field at which the colours saturate.
+        num_levels: number of colours of the field.
     """
 
-    def __init__(
-        self, axes: Axes, scene: Scene, *, limit: float, cmap: str | Colormap = "RdBu_r"
-    ) -> None:
+    def __init__(self, axes: Axes, scene: Scene, *, limit: float, num_levels: int = 256) -> None:
         self.scene = scene
         length, x, y = scene.body_length, scene.width, scene.height
         edges = (-0.5 / length, (x - 0.5) / length, -0.5 / length, (y - 0.5) / length)
         self.image = axes.imshow(
-            np.zeros((y, x)), extent=edges, origin="lower", cmap=cmap,
-            vmin=-limit, vmax=limit, interpolation="bilinear",
+            np.zeros((y, x)), extent=edges, origin="lower",
+            cmap=make_colours(scene.field, num_levels),
+            vmin=-limit if scene.field.is_signed else 0.0, vmax=limit, interpolation="bilinear",
         )  # fmt: skip
         self.paths = {
             trail.key: axes.plot([], [], color=FISH, linewidth=0.9, linestyle=(0, (4, 2)))[0]
@@ -115,9 +116,16 @@ class FlowAxes:
             bbox={"boxstyle": "round,pad=0.3", "facecolor": "white", "alpha": 0.85, "lw": 0},
         )  # fmt: skip
         axes.set(xlim=edges[:2], ylim=edges[2:], aspect="equal")
-        axes.set_xticks(np.arange(0, x / length + 0.01, 2))
-        axes.set_yticks(np.arange(0, y / length + 0.01, 1))
+        axes.set_xticks(np.arange(0, x / length + 0.01, space_ticks(x / length)))
+        axes.set_yticks(np.arange(0, y / length + 0.01, space_ticks(y / length)))
         axes.tick_params(length=2.5)
+
+    def add_colourbar(self, figure: Figure, axes: Any, **looks: Any) -> None:
+        """Draw the colours of the field beside some axes."""
+        field = self.scene.field
+        label = f"{field.name}  [{field.unit}]" + f"   ({field.note})" * bool(field.note)
+        extend = "both" if field.is_signed else "max"
+        figure.colorbar(self.image, ax=axes, label=label, extend=extend, pad=0.015, **looks)
 
     def show(self, frames: Sequence[Frame]) -> None:
         """Move everything to the last of some frames; the others give the path to it."""
@@ -142,9 +150,9 @@ class FramePainter:
 
     Args:
         scene: what to draw.
-        limit: vorticity at which the colours saturate, 1/T.
+        limit: value of the field at which the colours saturate.
         dpi: dots per inch; a picture is 8 inches wide.
-        num_levels: number of colours of the vorticity.
+        num_levels: number of colours of the field.
     """
 
     def __init__(
@@ -152,8 +160,7 @@ class FramePainter:
     ) -> None:
         self._frames: list[Frame] = []
         with mpl.rc_context(STYLE):
-            cmap = mpl.colormaps["RdBu_r"].resampled(num_levels)
-            figure, self._flow = make_single(scene, limit=limit, cmap=cmap)
+            figure, self._flow = make_single(scene, limit=limit, num_levels=num_levels)
             figure.set_dpi(dpi)
             self._canvas = FigureCanvasAgg(figure)
             self._canvas.draw()
@@ -179,7 +186,7 @@ def find_frames(recording: Recording, num: int = _NUM_SNAPSHOTS) -> list[int]:
 
 
 def write_snapshots(recording: Recording, path: str | PathLike[str]) -> None:
-    """Write vorticity at several times on one sheet, as the paper shows its predation."""
+    """Write the field at several times on one sheet, as the paper shows its predation."""
     frames = find_frames(recording)
     columns = min(2, len(frames))
     rows = -(-len(frames) // columns)
@@ -188,7 +195,7 @@ def write_snapshots(recording: Recording, path: str | PathLike[str]) -> None:
         size = (1.2 + 4.6 * columns, 0.9 + 4.6 * ratio * rows)
         figure = Figure(figsize=size, layout="constrained")
         grid = figure.subplots(rows, columns, squeeze=False)
-        limit = choose_vorticity_limit(recording)
+        limit = choose_limit(recording)
         for i, axes in enumerate(grid.flat):
             if i >= len(frames):
                 axes.set_visible(False)
@@ -196,16 +203,14 @@ def write_snapshots(recording: Recording, path: str | PathLike[str]) -> None:
             flow = FlowAxes(axes, recording.scene, limit=limit)
             flow.show(recording.frames[: frames[i] + 1])
             label_axes(axes, x=i + columns >= len(frames), y=i % columns == 0)
-        figure.colorbar(
-            flow.image, ax=grid, label=VORTICITY_LABEL, extend="both", aspect=40, pad=0.015
-        )
+        flow.add_colourbar(figure, grid, aspect=40)
         figure.savefig(path)
 
 
 def write_flow(recording: Recording, path: str | PathLike[str]) -> None:
     """Write one large picture of the flow in the last frame."""
     with mpl.rc_context(STYLE):
-        limit = choose_vorticity_limit(recording)
+        limit = choose_limit(recording)
         figure, flow = make_single(recording.scene, limit=limit)
         flow.show(recording.frames)
         figure.savefig(path)
@@ -241,7 +246,7 @@ def write_animation(
     dpi = 100.0
     while True:
         pictures = render_frames(recording, dpi, num_levels=_GIF_LEVELS)
-        data = _encode_gif([Image.fromarray(picture) for picture in pictures])
+        data = _encode_gif(recording.scene.field, [Image.fromarray(one) for one in pictures])
         if len(data) <= max_bytes:
             Path(path).write_bytes(data)
             return
@@ -253,17 +258,15 @@ def write_animation(
         dpi *= min(0.9, max(0.5, 0.95 * (max_bytes / len(data)) ** 0.5))
 
 
-def make_single(
-    scene: Scene, *, limit: float, cmap: str | Colormap = "RdBu_r"
-) -> tuple[Figure, FlowAxes]:
+def make_single(scene: Scene, *, limit: float, num_levels: int = 256) -> tuple[Figure, FlowAxes]:
     """Return a figure with one set of axes, see ``FlowAxes``."""
     width = _GIF_WIDTH_INCHES
     size = (width, 0.86 * width * scene.height / scene.width + 0.6)
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots()
-    flow = FlowAxes(axes, scene, limit=limit, cmap=cmap)
+    flow = FlowAxes(axes, scene, limit=limit, num_levels=num_levels)
     label_axes(axes)
-    figure.colorbar(flow.image, ax=axes, label=VORTICITY_LABEL, extend="both", pad=0.015)
+    flow.add_colourbar(figure, axes)
     return figure, flow
 
 
@@ -271,14 +274,14 @@ def render_frames(
     recording: Recording, dpi: float = 100.0, *, num_levels: int = 256
 ) -> list[NDArray[np.uint8]]:
     """Return a picture ``[height, width, 3]`` of every frame, see ``FramePainter``."""
-    limit = choose_vorticity_limit(recording)
+    limit = choose_limit(recording)
     painter = FramePainter(recording.scene, limit=limit, dpi=dpi, num_levels=num_levels)
     return [painter.paint(frame) for frame in recording.frames]
 
 
-def _encode_gif(pictures: list[Image.Image]) -> bytes:
+def _encode_gif(field: Field, pictures: list[Image.Image]) -> bytes:
     """Encode all frames with one palette and no dithering, so that parts at rest cost nothing."""
-    palette = _make_palette()
+    palette = _make_palette(field)
     first, *rest = (p.quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures)
     buffer = io.BytesIO()
     first.save(
@@ -288,12 +291,14 @@ def _encode_gif(pictures: list[Image.Image]) -> bytes:
     return buffer.getvalue()
 
 
-def _make_palette() -> Image.Image:
-    """Return the vorticity's colours, greys, and the food's from dark to white."""
-    field = mpl.colormaps["RdBu_r"].resampled(_GIF_LEVELS)(np.arange(_GIF_LEVELS))[:, :3]
+def _make_palette(field: Field) -> Image.Image:
+    """Return the field's colours, greys, and the food's from dark to white."""
+    shades = make_colours(field, _GIF_LEVELS)(np.arange(_GIF_LEVELS))[:, :3]
     greys = np.linspace(to_rgb(FISH), (1.0, 1.0, 1.0), 48)
     food = [np.linspace(to_rgb(end), to_rgb(FOOD), 8) for end in (FISH, "white")]
-    colours = np.concatenate((field, np.linspace(0.0, 1.0, 32)[:, None] * np.ones(3), greys, *food))
+    colours = np.concatenate(
+        (shades, np.linspace(0.0, 1.0, 32)[:, None] * np.ones(3), greys, *food)
+    )
     palette = Image.new("P", (1, 1))
     palette.putpalette((255 * colours).round().astype(np.uint8).tobytes())
     return palette

@@ -66,7 +66,7 @@ class LiveView:
     def __init__(self, env: TransformedEnv, settings: ViewerSettings) -> None:
         self._base: FlowEnv = env.base_env
         self._flows = settings.choose_flows(env.batch_size[0], default=1)
-        scene = make_scene(env, vorticity_limit=settings.vorticity_limit)
+        scene = make_scene(env, field=settings.field, field_limit=settings.field_limit)
         self._recorder = Recorder(
             self._base.task, scene, frames_per_T=settings.frames_per_T, give=self._draw
         )

@@ -13,7 +13,7 @@ from fishrl.children import start_child
 from fishrl.viewer.drawing import import_rerun
 
 HOST = "127.0.0.1"
-_PATIENCE_S = 30.0
+_PATIENCE_S = 300.0
 _MAX_PORT = 65535
 _SILENT: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
 
@@ -40,7 +40,7 @@ class Viewer:
             **_SILENT,
         )
         deadline = time.monotonic() + _PATIENCE_S
-        while time.monotonic() < deadline and self._process.poll() is None:
+        while time.monotonic() < deadline and self.is_running:
             if self._listens():
                 return
             time.sleep(0.05)
@@ -52,6 +52,11 @@ class Viewer:
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the program has not ended."""
+        return self._process.poll() is None
 
     def explain_failure(self) -> str:
         """Return the message for a program that does not start, or ends too early."""

@@ -17,10 +17,15 @@ from fishrl.envs.scene import Choice, Frame, Scene
 from fishrl.envs.task import AbstractTask
 
 
-def make_scene(env: TransformedEnv, *, vorticity_limit: float = 15.0) -> Scene:
+def make_scene(
+    env: TransformedEnv, *, field: str = "vorticity", field_limit: float | None = None
+) -> Scene:
     """Return the scene of an env's task, with the plots of those outputs that the env has.
 
-    The field's colours saturate at ``vorticity_limit``, 1/T.
+    ``field`` is drawn; its colours saturate at ``field_limit``, by default that of the field.
+
+    Raises:
+        ValueError: for a field that the scene does not have.
     """
     scene: Scene = env.base_env.task.make_scene()
     outputs = {*env.observation_spec.keys(), "reward"}
@@ -31,7 +36,7 @@ def make_scene(env: TransformedEnv, *, vorticity_limit: float = 15.0) -> Scene:
         or not panel.is_output
         or all(series.key in outputs for series in panel.series)
     )
-    return replace(scene, panels=panels, field=replace(scene.field, limit=vorticity_limit))
+    return replace(scene, panels=panels).choose_field(field, limit=field_limit)
 
 
 def name_flows(
@@ -40,6 +45,13 @@ def name_flows(
     """Return titles of flows by their index, from the starts ``[E]`` they begin with, if known."""
     names = {flow: "" if starts is None else task.name_start(starts[flow]) for flow in flows}
     return {flow: f"flow {flow}" + f": {name}" * bool(name) for flow, name in names.items()}
+
+
+def read_values(task: AbstractTask, scene: Scene, base: FlowEnv) -> dict[str, Tensor]:
+    """Return what a task's scene shows now, ``[B, ...]``, without the fields that it does not."""
+    hidden = {field.key for field in scene.fields[1:]}
+    values = task.read_scene(base.solver, base.start)
+    return {key: value for key, value in values.items() if key not in hidden}
 
 
 class Recorder:
@@ -81,7 +93,7 @@ class Recorder:
         """Read a frame of some rows; those that have not moved since the last one are left out."""
         if not rows:
             return
-        values = self._task.read_scene(base.solver, base.start)
+        values = read_values(self._task, self._scene, base)
         ages = base.solver.body.age.tolist()
         for row in rows:
             time, last = ages[row] / self._task.scales.period, self._last_T[row]

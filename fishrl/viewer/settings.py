@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from fishrl.bounds import bounded, check_bounds, suggest
+from fishrl.envs.views import FIELDS
 from fishrl.viewer.drawing import FieldFormat
 
 
@@ -14,8 +15,10 @@ class ViewerSettings:
         live: stream to a viewer on this machine (127.0.0.1) while the flows run.
         flows: which flows of the batch to show, each in a tab of its own.
         frames_per_T: frames per period, approximately; they coincide with checks for termination.
-        field_format: of the vorticity: jpeg (small) or u8 (values under the mouse).
-        vorticity_limit: at which the colours saturate, 1/T.
+        field: vorticity (1/T), pressure (rho L^2/T^2) or speed (L/T).
+        field_format: of the field: jpeg (small) or u8 (values under the mouse).
+        field_limit: value at which the field's colours saturate; by default 15 for the vorticity,
+            and limits that follow from the fastest stream for pressure and speed.
         port: of the live viewer; the next free one if it is taken.
         live_share: of the wall time that a live view may take from a training or an evaluation.
     """
@@ -23,20 +26,22 @@ class ViewerSettings:
     live: bool = False
     flows: list[int] | None = None
     frames_per_T: int = bounded(8, least=1)
+    field: str = "vorticity"
     field_format: str = "jpeg"
-    vorticity_limit: float = bounded(15.0, greater=0)
+    field_limit: float | None = bounded(None, greater=0)
     port: int = bounded(9876, least=1024, largest=65000)
     live_share: float = bounded(0.1, greater=0, largest=1)
 
     def __post_init__(self) -> None:
-        """Check the bounds and the format."""
+        """Check the bounds, the field and its format."""
         check_bounds(self)
-        known = [str(one) for one in FieldFormat]
-        if self.field_format not in known:
-            raise ValueError(
-                f"field_format = {self.field_format}: must be one of {', '.join(known)}"
-                f"{suggest(self.field_format, known)}"
-            )
+        choices = {"field": FIELDS, "field_format": [str(one) for one in FieldFormat]}
+        for name, known in choices.items():
+            value = getattr(self, name)
+            if value not in known:
+                raise ValueError(
+                    f"{name} = {value}: must be one of {', '.join(known)}{suggest(value, known)}"
+                )
 
     def choose_flows(self, num: int, *, default: int) -> list[int]:
         """Return which of ``num`` flows to show, by default the first ``default`` ones."""

@@ -100,7 +100,8 @@ class KinematicSolver:
     def head(self) -> Tensor:
         return self.markers()[:, 0]
 
-    def markers(self) -> Tensor:
+    def markers(self, index: int = 0) -> Tensor:
+        assert index == 0
         still = torch.zeros_like(self.body.phase)
         straight = self.body._replace(phase=still, frequency=still, beats=still)
         assert self.config.fish is not None

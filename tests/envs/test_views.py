@@ -1,6 +1,7 @@
 """What is drawn of each task, and that all of it can be read."""
 
 import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
@@ -11,6 +12,8 @@ from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.scene import Choice, Scene
 from fishrl.envs.streams import Stream
+from fishrl.envs.views import FIELDS
+from fishrl.physics import Boundaries, FlowConfig, NonEquilibrium, OpenEdge
 from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
 from tests.envs.masked_task import MaskedTask
 
@@ -34,7 +37,8 @@ def make_task(kind: str) -> AbstractTask:
 
 def list_keys(scene: Scene) -> set[str]:
     """Return every key that is read by ``read_scene``."""
-    keys = {scene.field.key, *(one.key for one in (*scene.curves, *scene.marks, *scene.trails))}
+    drawn = (*scene.fields, *scene.curves, *scene.marks, *scene.trails, *scene.arrows)
+    keys = {*(one.key for one in drawn), *(arrow.at for arrow in scene.arrows)}
     keys |= {marks.value for marks in scene.marks if marks.value}
     for panel in scene.panels:
         if not isinstance(panel, Choice) and not panel.is_output:
@@ -48,10 +52,15 @@ def test_everything_that_a_scene_names_can_be_read(kind: str) -> None:
     env = make_env(task=task, num_envs=2, compile=False)
     base, scene = env.base_env, task.make_scene()
     values = task.read_scene(base.solver, base.start)
-    assert list_keys(scene) <= set(values) | {DISC}
+    absent = {DISC, *(f"{DISC}_{name}" for name in ("centre", "force", "impulse"))}
+    assert list_keys(scene) <= set(values) | absent
+    assert tuple(field.key for field in scene.fields) == FIELDS
     assert all(len(value) == 2 for value in values.values())
     assert values["vorticity"].shape == (2, scene.height, scene.width)
     assert values["vorticity"].float().mean() == pytest.approx(0.02 * task.scales.period, rel=1e-3)
+    assert values["pressure"].abs().max() == 0.0
+    corner = 0.01 * math.hypot(scene.width - 1, scene.height - 1) / task.scales.reference_speed
+    assert values["speed"].max().item() == pytest.approx(corner, rel=1e-3)
 
 
 def test_the_danger_area_of_the_scene_is_that_of_the_task() -> None:
@@ -70,6 +79,29 @@ def test_the_midline_of_a_straight_fish_is_its_axis() -> None:
     assert midline[:, 1].tolist() == pytest.approx([head[1].item()] * len(midline))
     assert midline[0].tolist() == pytest.approx(head.tolist())
     assert midline[-1, 0] - head[0] == pytest.approx(20.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AcrossStream(Predation):
+    """Food in a stream along +y, which is nothing but a boundary of the flow."""
+
+    def flow_config(self) -> FlowConfig:
+        stream = NonEquilibrium(velocity=(0.0, 1.0))
+        edges = Boundaries(
+            left=stream, right=stream, bottom=stream, top=OpenEdge(velocity=(0.0, 1.0))
+        )
+        speed = 0.5 * self.scales.reference_speed
+        return replace(super().flow_config(), boundaries=edges, stream_speed=speed)
+
+
+def test_the_angle_of_attack_follows_the_stream_of_the_flow() -> None:
+    base = make_env(task=AcrossStream(**SMALL), num_envs=2, compile=False).base_env
+    base.solver.body.heading.fill_(0.2 - 0.5 * math.pi)
+    base.solver.body.velocity[:, 0] = -0.5 * base.task.scales.reference_speed
+    base.solver.set_stream_speed_(torch.zeros(2), torch.tensor([False, True]))
+    angle = base.task.read_scene(base.solver, base.start)["angle_of_attack"].tolist()
+    # without a stream the fish heads across its way
+    assert angle == pytest.approx([math.degrees(0.2), math.degrees(0.2 + 0.5 * math.pi)])
 
 
 @pytest.mark.parametrize("turn", [0.1, -0.3])

@@ -25,11 +25,11 @@ def test_every_view_of_a_fish_in_a_real_flow_draws(
     path = tmp_path / "fish.rrd"
     if policy == "intercept":  # half a picture of nothing; compression would mix its few nodes
         task, recognition = HUNT, None
-        looks = {"periods": 2.0, "vorticity_limit": 6.0, "field_format": "u8"}
+        looks = {"periods": 2.0, "field_limit": 6.0, "field_format": "u8"}
         least = 0.001
     else:
         task, recognition = gait_settings(real_wake), "oracle"
-        looks = {"periods": 0.6, "vorticity_limit": 30.0, "frames_per_T": 30}
+        looks = {"periods": 0.6, "field_limit": 30.0, "frames_per_T": 30}
         least = 0.005
     config = ViewConfig(
         task=task,

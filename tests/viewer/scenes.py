@@ -4,6 +4,7 @@ import torch
 
 from fishrl.envs.scene import (
     Area,
+    Arrow,
     Choice,
     Curve,
     Field,
@@ -23,7 +24,10 @@ def make_scene(*, limit: float = 10.0) -> Scene:
         body_length=LENGTH,
         width=WIDTH,
         height=HEIGHT,
-        field=Field(key="vorticity", name="vorticity", unit="1/T", limit=limit),
+        fields=(
+            Field(key="vorticity", name="vorticity", unit="1/T", limit=limit),
+            Field(key="speed", name="speed", unit="L/T", limit=2.0, is_signed=False),
+        ),
         curves=(
             Curve(key="fish", colour=(32, 37, 43)),
             Curve(key="midline", colour=(240, 240, 240), is_closed=False, order=5.0),
@@ -32,10 +36,16 @@ def make_scene(*, limit: float = 10.0) -> Scene:
             Marks(key="food", radius=2.0, colour=(242, 177, 52), reach=6.0),
             Marks(key="neuromasts", radius=1.0, value="felt", name="pressure", unit="ρ"),
         ),
+        arrows=(Arrow(key="force", at="centre", scale=40.0),),
         trails=(Trail(key="head", length_T=1.0),),
         areas=(Area(key="danger_area", low=(10.0, 10.0), high=(90.0, 50.0)),),
         panels=(
-            Panel(name="reward", series=(Series(key="reward", label="reward"),), is_step=True),
+            Panel(
+                name="reward",
+                series=(Series(key="reward", label="reward"),),
+                is_step=True,
+                is_log=True,
+            ),
             Choice(names=("left", "keep", "right")),
             Panel(
                 name="class probabilities",
@@ -61,6 +71,9 @@ def make_frame(number: int, *, begins: bool = False, time: float | None = None) 
         begins=begins,
         values={
             "vorticity": stripes.half(),
+            "speed": stripes.abs().half() / 6.0,
+            "centre": outline.mean(0),
+            "force": torch.tensor([0.25, 0.5]),
             "fish": outline,
             "midline": 0.5 * (outline[:21] + outline[-torch.arange(21) % 40]),
             "head": outline[0],

@@ -10,7 +10,7 @@ from fishrl.envs.scene import Field
 from fishrl.viewer import Drawing, FieldFormat
 from fishrl.viewer.colours import PURPLE_GREEN, RED_BLUE, paint, quantise
 from fishrl.viewer.drawing import TIMELINE, place
-from tests.viewer.scenes import HEIGHT, make_frame, make_scene
+from tests.viewer.scenes import HEIGHT, LENGTH, make_frame, make_scene
 
 
 class Notes:
@@ -18,13 +18,16 @@ class Notes:
 
     def __init__(self) -> None:
         self.time, self.logged = 0.0, dict[str, list[tuple[float, Any]]]()
+        self.static = dict[str, list[Any]]()
 
     def set_time(self, timeline: str, *, duration: float) -> None:
         assert timeline == TIMELINE
         self.time = duration
 
     def log(self, path: str, what: Any, *, static: bool = False) -> None:
-        if not static:
+        if static:
+            self.static.setdefault(path, []).append(what)
+        else:
             self.logged.setdefault(path, []).append((self.time, what))
 
     def numbers(self, path: str) -> list[tuple[float, float]]:
@@ -95,9 +98,62 @@ def test_u8_keeps_levels_that_turn_back_into_values(notes: Notes) -> None:
 
 @pytest.mark.parametrize("table", [RED_BLUE, PURPLE_GREEN])
 def test_colours_are_diverging_and_zero_is_their_middle(table: Any) -> None:
-    levels = quantise(np.array([-2.0, 0.0, np.nan, 2.0], np.float32), 2.0)
+    levels = quantise(np.array([-2.0, 0.0, np.nan, 2.0], np.float32), -2.0, 2.0)
     assert levels.tolist() == [1, 128, 128, 255]
     assert paint(levels, table).tolist() == [list(table[i]) for i in (0, 5, 5, 10)]
+
+
+def test_colours_of_a_field_without_sign_begin_at_zero(notes: Notes) -> None:
+    scene = make_scene().choose_field("speed", limit=4.0)
+    drawing = Drawing(notes, scene, flows={2: "flow 2"}, field_format=FieldFormat.U8)
+    drawing.draw(2, make_frame(0))
+    assert "flow_2/world/vorticity" not in notes.logged
+    ((_, image),) = notes.logged["flow_2/world/speed"]
+    stored = np.array(image.buffer.as_arrow_array()[0].as_py(), np.uint8).reshape(HEIGHT, -1)
+    speed = make_frame(0).values["speed"][0].float().numpy()
+    assert stored[0, 0] == 1 and speed[0] == 0.0
+    assert np.abs((stored[0] - 1.0) / 254.0 * 4.0 - speed).max() <= 0.5 * 4.0 / 254.0 + 1e-6
+
+
+def test_a_field_that_the_scene_does_not_have_is_refused() -> None:
+    with pytest.raises(ValueError, match="field = sped: must be one of vorticity, speed"):
+        make_scene().choose_field("sped")
+
+
+def test_arrows_begin_at_their_point_and_point_up_in_the_picture_for_positive_y(
+    notes: Notes,
+) -> None:
+    draw(notes, make_frame(0))
+    ((_, arrow),) = notes.logged["flow_2/world/force"]
+    assert arrow.vectors.as_arrow_array().to_pylist() == [[10.0, -20.0]]
+    (origin,) = arrow.origins.as_arrow_array().to_pylist()
+    assert origin == pytest.approx(place(make_frame(0).values["centre"], HEIGHT).tolist())
+
+
+def test_small_rewards_show_beside_large_ones(notes: Notes) -> None:
+    frames = [make_frame(i) for i in range(3)]
+    rewards = (1.0, -1.0, 31.0)
+    draw(
+        notes,
+        *(
+            type(frame)(time=frame.time, values={"reward": torch.tensor(reward)})
+            for frame, reward in zip(frames, rewards, strict=True)
+        ),
+    )
+    assert [value for _, value in notes.numbers("flow_2/plots/reward/0")] == [1.0, -1.0, 5.0]
+
+
+def test_ticks_count_body_lengths_and_the_clock_periods(notes: Notes) -> None:
+    drawing = Drawing(notes, make_scene(), flows={2: "flow 2"})
+    drawing.draw(2, make_frame(2))
+    (labels,) = notes.static["flow_2/world/axes/labels"]
+    texts, places = (
+        column.as_arrow_array().to_pylist() for column in (labels.labels, labels.positions)
+    )
+    x, _ = places[texts.index("5 L")]
+    assert x == pytest.approx(5.0 * LENGTH + 0.5)
+    ((_, clock),) = notes.logged["flow_2/world/clock"]
+    assert clock.labels.as_arrow_array().to_pylist() == ["t = 0.50 T"]
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, float("nan")])

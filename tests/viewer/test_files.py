@@ -17,6 +17,7 @@ from fishrl.viewer import (
     write_screenshot,
 )
 from fishrl.viewer import files as files_module
+from fishrl.viewer.drawing import TIMELINE
 from fishrl.viewer.process import Viewer
 from tests.viewer.pictures import check_views, needs_vulkan
 from tests.viewer.scenes import make_frame, make_scene
@@ -38,8 +39,16 @@ class Unstarted(Viewer):
     def __init__(self, *options: str, port: int) -> None:
         self._options, self.port, self.url = options, port, "nowhere"
 
+    @property
+    def is_running(self) -> bool:
+        return False
+
     def close(self) -> None:
         """Do nothing."""
+
+
+LINE = SimpleNamespace(name=TIMELINE, start=0, end=2_000_000_000)
+STATE = SimpleNamespace(loading=[], recordings=[SimpleNamespace(timelines=[LINE])])
 
 
 def write(path: Path, *, num_frames: int = 3, field_format: str = "jpeg") -> None:
@@ -95,7 +104,7 @@ def test_a_viewer_that_ends_while_it_is_needed_says_what_it_needs(
 
     client = SimpleNamespace(
         open=lambda url: None,
-        get_state=lambda: SimpleNamespace(loading=False),
+        get_state=lambda: STATE,
         set_time=lambda *_, **__: None,
     )
     client.connect = lambda url: client
@@ -107,6 +116,46 @@ def test_a_viewer_that_ends_while_it_is_needed_says_what_it_needs(
     with pytest.raises(ValueError, match=r"rerun does not run .* --headless.* a Vulkan driver"):
         write_screenshot(tmp_path / "flows.rrd", tmp_path / "x.png", time_T=0.0)
     assert not (tmp_path / "x.png").exists()
+
+
+def test_a_viewer_that_is_too_busy_to_answer_is_asked_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times: list[float] = []
+    failures = dict.fromkeys(("connect", "open", "get_state", "set_time", "take_screenshot"), 2)
+
+    def answer(name: str, value: Any) -> Any:
+        def call(*_: Any, duration: float = -1.0, **__: Any) -> Any:
+            failures[name] -= 1
+            if failures[name] >= 0:
+                raise ConnectionError("no answer within 15 seconds")
+            times.append(duration)
+            return value
+
+        return call
+
+    client = SimpleNamespace()
+    answers = {"connect": client, "open": None, "get_state": STATE, "set_time": None}
+    for name, value in (answers | {"take_screenshot": b"picture"}).items():
+        setattr(client, name, answer(name, value))
+    monkeypatch.setattr("rerun.experimental.ViewerClient", client)
+    monkeypatch.setattr(Unstarted, "is_running", True)
+    monkeypatch.setattr(files_module, "Viewer", Unstarted)
+    monkeypatch.setattr(files_module, "_GREETING_S", 0.0)
+    monkeypatch.setattr(files_module.time, "sleep", lambda seconds: None)
+    write(tmp_path / "flows.rrd", num_frames=1)
+    write_screenshot(tmp_path / "flows.rrd", tmp_path / "x.png")
+    assert (tmp_path / "x.png").read_bytes() == b"picture"
+    assert max(times) == 1.0  # the middle
+
+
+@needs_vulkan
+def test_a_damaged_file_has_no_picture_and_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "flows.rrd"
+    write(path)
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(ValueError, match=r"flows\.rrd has no moments on the timeline"):
+        write_screenshot(path, tmp_path / "x.png")
 
 
 def test_a_file_needs_a_folder_and_a_drawing_a_place(tmp_path: Path) -> None:
@@ -134,10 +183,16 @@ def test_a_run_folder_stands_for_its_capture(
     write(tmp_path / "capture.rrd", num_frames=1)
     assert find_recording(tmp_path) == tmp_path / "capture.rrd"
     opened: list[list[str]] = []
-    monkeypatch.setattr(
-        files_module.subprocess, "run", lambda command, check: opened.append(command)
-    )
+    status = [0, 1]
+
+    def run(command: list[str], check: bool) -> Any:
+        opened.append(command)
+        return SimpleNamespace(returncode=status.pop(0))
+
+    monkeypatch.setattr(files_module.subprocess, "run", run)
     open_recording(tmp_path)
     (command,) = opened
     assert command[-1] == str(tmp_path / "capture.rrd")
     assert command[command.index("--bind") + 1] == "127.0.0.1"
+    with pytest.raises(ValueError, match="ended with status 1: its window needs a screen"):
+        open_recording(tmp_path)

@@ -176,3 +176,5 @@ def test_flows_that_are_not_there_and_unknown_formats_are_refused(flows: list[in
         ViewerSettings(flows=flows).choose_flows(2, default=1)
     with pytest.raises(ValueError, match="must be one of jpeg, u8"):
         ViewerSettings(field_format="png")
+    with pytest.raises(ValueError, match=r"pressure, speed; did you mean 'speed'\?"):
+        ViewerSettings(field="sped")

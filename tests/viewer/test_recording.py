@@ -38,7 +38,7 @@ class FakeFlows:
         self.given: dict[int, list[Frame]] = {0: [], 1: []}
         self.recorder = Recorder(
             FakeTask(),  # type: ignore[arg-type]
-            Scene(body_length=1.0, width=2, height=2, field=FIELD),
+            Scene(body_length=1.0, width=2, height=2, fields=(FIELD,)),
             frames_per_T=frames_per_T,
             give=lambda row, frame: self.given[row].append(frame),
         )
@@ -132,7 +132,8 @@ def test_episodes_are_recorded_from_their_starts_to_the_capture(num_envs: int) -
         assert recording.stack_bl("head")[0].tolist() == pytest.approx([5.0, y])
         assert recording.time[0] == 0.0 and (recording.time.diff() > 0.0).all()
         assert torch.equal(recording.stack("fish")[:, 0], recording.stack("head"))
-        assert {"action", "action_mask"} <= set(recording.frames[0].values)
+        assert {"action", "action_mask", "vorticity"} <= set(recording.frames[0].values)
+        assert not {"pressure", "speed"} & set(recording.frames[0].values)  # not shown
 
 
 @pytest.mark.gpu
@@ -151,11 +152,11 @@ def test_flows_on_a_gpu_are_recorded_on_the_cpu(monkeypatch: pytest.MonkeyPatch)
 def test_plots_of_outputs_that_the_env_does_not_have_are_left_out(recognition: str | None) -> None:
     task = KarmanGait(**{**SMALL, "wall_margin_bl": 0.25})
     env = make_env(task=task, num_envs=1, compile=False, recognition=recognition)
-    scene = make_scene(env, vorticity_limit=7.0)
+    scene = make_scene(env, field="pressure", field_limit=7.0)
     names = {panel.name for panel in scene.panels}
     assert ("class probabilities" in names) == (recognition is not None)
-    assert "reward" in names
-    assert scene.field.limit == 7.0
+    assert any(name.startswith("reward") for name in names)
+    assert (scene.field.key, scene.field.limit) == ("pressure", 7.0)
 
 
 @pytest.mark.usefixtures("kinematic")

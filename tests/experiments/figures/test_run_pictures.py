@@ -73,10 +73,10 @@ def test_colours_are_symmetric_about_zero_and_saturate_at_a_round_number(
     make_recording: Maker,
 ) -> None:
     recording = make_recording()
-    limit = film.choose_vorticity_limit(recording)
-    assert limit == film.choose_vorticity_limit(scale_vorticity(recording, -1.0))
+    limit = film.choose_limit(recording)
+    assert limit == film.choose_limit(scale_vorticity(recording, -1.0))
     assert limit in (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
-    assert film.choose_vorticity_limit(scale_vorticity(recording, 0.0)) == 1.0
+    assert film.choose_limit(scale_vorticity(recording, 0.0)) == 1.0
 
 
 def test_flows_are_drawn_in_body_lengths(make_recording: Maker) -> None:
@@ -87,6 +87,23 @@ def test_flows_are_drawn_in_body_lengths(make_recording: Maker) -> None:
     assert np.allclose([x[-1], y[-1]], recording.stack_bl("head")[-1].numpy())
     assert flow.clock.get_text() == "t = 1.0 T"
     assert figure.axes[0].get_xlabel() == "x / L"
+
+
+def test_a_film_shows_the_field_that_its_scene_has_chosen(make_recording: Maker) -> None:
+    recording = make_recording(num_frames=5)
+    recording.scene = recording.scene.choose_field("speed")
+    recording.frames = [
+        dataclasses.replace(
+            frame, values={**frame.values, "speed": 0.1 * frame.values["vorticity"].abs()}
+        )
+        for frame in recording.frames
+    ]
+    limit = film.choose_limit(recording)
+    assert limit == pytest.approx(1.5)  # nothing is beyond it; the strongest vortex turns by 12
+    figure, flow = film.make_single(recording.scene, limit=limit)
+    flow.show(recording.frames)
+    assert flow.image.get_clim() == (0.0, limit)
+    assert figure.axes[1].get_ylabel() == "speed  [L/T]"
 
 
 def test_snapshots_are_spread_over_the_episode(make_recording: Maker) -> None:
