@@ -11,6 +11,9 @@ from typing import Any
 #: What an integer must be; neither omegaconf nor torch takes others.
 FITTING = "a number of at most 64 bits"
 
+#: How deep sequences are searched for numbers where the annotation does not say.
+MAX_DEPTH = 8
+
 
 def bounded(
     default: Any = MISSING,
@@ -54,7 +57,7 @@ def check_bounds(settings: Any, *, path: str = "") -> None:
             inherited = getattr(kind, "__dataclass_fields__", {}).get(entry.name)
             bounds |= inherited.metadata if inherited else {}
         hint = str(entry.type).removeprefix("<class '").removesuffix("'>")
-        numbers = list(_flatten(value))
+        numbers = list(_flatten(value, depth=hint.count("[") or MAX_DEPTH))
         allowed = "" if len(numbers) >= bounds.get("entries", 0) else _describe(bounds)
         for number in numbers:
             if is_dataclass(number) and not isinstance(number, type):
@@ -64,11 +67,11 @@ def check_bounds(settings: Any, *, path: str = "") -> None:
             raise ValueError(f"{path}{entry.name} = {value}: must be {allowed}")
 
 
-def _flatten(value: Any) -> Iterator[Any]:
-    """Return the values in nested sequences one by one."""
-    if isinstance(value, list | tuple):
+def _flatten(value: Any, *, depth: int) -> Iterator[Any]:
+    """Return the values in sequences one by one, nested no deeper than the annotation allows."""
+    if isinstance(value, list | tuple) and depth:
         for entry in value:
-            yield from _flatten(entry)
+            yield from _flatten(entry, depth=depth - 1)
     else:
         yield value
 

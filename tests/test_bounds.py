@@ -38,6 +38,7 @@ class Settings:
         {"sizes": (3, 0)},
         {"sizes": [3, nan]},
         {"sizes": ()},
+        {"sizes": ((1,),)},
         {"rows": ((1.0, nan),)},
         {"count": 2**63},
         {"free": "x"},

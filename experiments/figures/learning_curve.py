@@ -1,6 +1,5 @@
 """Learning curves: of a run, from its metrics.csv, and of the groups of a sweep."""
 
-import csv
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -11,6 +10,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from experiments.figures.style import COLOURS, panels, tidy
+from fishrl.training.logger import read_rows
 
 FRAMES = "frames"
 #: Title of the panel in percent, which shows baselines too.
@@ -42,10 +42,9 @@ class Curve(NamedTuple):
 
 def read_metrics(path: str | PathLike[str]) -> dict[str, tuple[Numbers, Numbers]]:
     """Return the frames and values of each column of numbers; blank cells are left out."""
-    with Path(path).open(newline="", encoding="utf-8") as lines:
-        rows = list(csv.DictReader(lines))
-    if not rows or FRAMES not in rows[0]:
-        raise ValueError(f"{path} has {len(rows)} rows: needs some, with a column '{FRAMES}'")
+    rows = read_rows(Path(path), step=FRAMES)
+    if not rows:
+        raise ValueError(f"{path}: has no rows yet")
     series = {}
     for name in rows[0]:
         points = [(row[FRAMES], row[name]) for row in rows if row[name] and row[FRAMES]]

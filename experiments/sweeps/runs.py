@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import fcntl
 import json
 from collections.abc import Iterable, Mapping
@@ -13,6 +12,7 @@ from typing import Any
 from experiments.configuration import list_modules
 from experiments.program import show_command
 from fishrl.training.aliases import update_names
+from fishrl.training.logger import read_rows
 from fishrl.training.run_folder import RunFolder, read_config
 from fishrl.viewer import ViewerSettings
 
@@ -108,10 +108,8 @@ def count_frames(path: Path) -> int:
     metrics = RunFolder(path).metrics
     if not metrics.is_file():
         return 0
-    with metrics.open(newline="", encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if None not in row.values()]
-    last = rows[-1].get("frames", "") if rows else ""
-    return int(last) if last.isdigit() else 0
+    rows = read_rows(metrics)
+    return int(rows[-1]["frames"]) if rows else 0
 
 
 def is_held(path: Path) -> bool:

@@ -17,6 +17,35 @@ from fishrl.training.run_folder import write_whole
 logger = logging.getLogger(__name__)
 
 
+def read_rows(path: Path, *, step: str = "frames") -> list[dict[str, str]]:
+    """Read a ``metrics.csv``, but for a last row that a kill has cut.
+
+    Args:
+        path: of the file.
+        step: column of the step, which every row has.
+
+    Raises:
+        ValueError: naming the file and the line that is damaged.
+    """
+    rows: list[dict[str, str]] = []
+    problem = ""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            lines = csv.DictReader(file)
+            if step not in (lines.fieldnames or ()):
+                raise ValueError(f"there is no column {step!r}")
+            for row in lines:
+                if problem:
+                    raise ValueError(problem)
+                if None in row or None in row.values() or not row[step].isdigit():
+                    problem = f"line {lines.line_num} is not a row of its columns"
+                else:
+                    rows.append(row)
+    except (ValueError, csv.Error) as error:
+        raise ValueError(f"{path}: damaged ({error}); mend or delete it") from error
+    return rows
+
+
 class CsvLogger:
     """One row per log step, one column per metric; what a step did not measure is left empty.
 
@@ -39,11 +68,8 @@ class CsvLogger:
         self._path, self._columns = folder / "metrics.csv", list(columns)
         rows: list[Mapping[str, Any]] = [{name: name for name in columns}]
         if step > 0 and self._path.is_file():
-            with self._path.open(newline="", encoding="utf-8") as file:
-                for row in csv.DictReader(file):  # a kill may cut the last one
-                    number = row[columns[0]]
-                    if None not in row.values() and number.isdigit() and int(number) <= step:
-                        rows.append(row)
+            written = read_rows(self._path, step=columns[0])
+            rows += [row for row in written if int(row[columns[0]]) <= step]
         write_whole(self._path, self._render(rows))
 
     def log(self, metrics: Mapping[str, float]) -> None:

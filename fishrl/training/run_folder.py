@@ -86,7 +86,7 @@ class RunFolder:
             return True
         if not self.metrics.is_file():
             return False
-        return len(self.metrics.read_text(encoding="utf-8").splitlines()) > 1
+        return len(self.metrics.read_bytes().splitlines()) > 1
 
     def hold(self) -> TextIO:
         """Lock the run until the file is closed or the process ends, or raise HeldError."""

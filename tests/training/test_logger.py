@@ -56,6 +56,23 @@ def test_rows_have_a_cell_per_metric_and_empty_ones_for_what_was_not_measured(
     ]
 
 
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"", "no column 'frames'"),
+        (b"a,b\n1,2\n", "no column 'frames'"),
+        (b"frames,a\n1,2\nx,y,z\n3,4\n", "line 3"),
+        (b"frames,a\n1,2\n3\n4,5\n", "line 3"),
+        (b"\x93\xe7\x00\xff", "decode"),
+    ],
+)
+def test_damaged_metrics_are_refused_and_stay(tmp_path: Path, content: bytes, problem: str) -> None:
+    (tmp_path / "metrics.csv").write_bytes(content)
+    with pytest.raises(ValueError, match=rf"metrics\.csv: damaged \(.*{problem}.*delete it"):
+        CsvLogger().open(tmp_path, columns=["frames", "a"], config={}, step=4)
+    assert (tmp_path / "metrics.csv").read_bytes() == content
+
+
 def test_a_log_that_goes_on_forgets_what_came_after_the_checkpoint(tmp_path: Path) -> None:
     log = CsvLogger()
     log.open(tmp_path, columns=["frames", "a"], config={})
