@@ -32,6 +32,7 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 python_display_short_literal_types = True
+python_maximum_signature_line_length = 100
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
@@ -48,6 +49,12 @@ def skip(_app: Any, _what: str, _name: str, entry: Any, _skip: bool, _options: A
     return True if (getattr(entry, "__doc__", "") or "").startswith("Alias for field") else None
 
 
+def tidy(*event: Any) -> tuple[str, str] | None:
+    """Write ``...`` for defaults that a factory makes, which Sphinx cannot parse."""
+    signature, annotation = event[-2:]
+    return (signature.replace("<factory>", "..."), annotation) if signature else None
+
+
 def copy_films(app: Any, error: Exception | None) -> None:
     """Copy the films of the trained policies, which the gallery shows."""
     if error is None:
@@ -58,4 +65,5 @@ def copy_films(app: Any, error: Exception | None) -> None:
 def setup(app: Any) -> None:
     """Connect the above."""
     app.connect("autodoc-skip-member", skip)
+    app.connect("autodoc-process-signature", tidy)
     app.connect("build-finished", copy_films)
