@@ -245,8 +245,9 @@ class FlowEnv(EnvBase):
                 measured = self.measure()
                 is_ending = self.task.is_terminated(measured) | stretch.is_last
                 is_new = is_ending & ~has_ended
-                if is_new.any():
-                    # Checking whole fields is expensive: only for rows that have just ended.
+                # Checking whole fields is expensive: on a CPU only where rows have just ended; to
+                # ask a GPU whether any have would be to wait for it.
+                if is_new.is_cuda or is_new.any():
                     diverged = diverged | is_new & self.solver.is_diverged()
                     now = _merge(is_new, measured, now.select(*measured.keys()))
                     has_ended = has_ended | is_new

@@ -125,4 +125,4 @@ class Stream:
             heading = torch.stack((heading, torch.full_like(heading, pi)), 1)
         solver.reset_(rows, position, heading, velocity=(1.0, 0.0))
         if wakes is not None:
-            solver.set_populations_(wakes.take(flow, starts["wake_phase"]), rows)
+            solver.set_populations_(wakes.take(flow[rows], starts["wake_phase"][rows]), rows)

@@ -8,7 +8,7 @@ upwards.
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -72,11 +72,17 @@ class WakeBank:
 
     populations: Tensor
     shedding_frequencies: Tensor
+    _copies: dict[torch.device, Tensor] = field(default_factory=dict, init=False, repr=False)
 
     def take(self, flow: Tensor, phase: Tensor) -> Tensor:
-        """Return the wakes ``[B, Q, Y, X]`` of flows ``[B]`` at phases ``[B]`` in [0, 1)."""
-        snapshot = (phase * self.populations.shape[1]).long().to(self.populations.device)
-        return self.populations[flow.to(self.populations.device), snapshot]
+        """Return the wakes ``[N, Q, Y, X]`` of flows ``[N]`` at phases ``[N]`` in [0, 1).
+
+        They are on the device of ``flow``, where the bank keeps a copy of itself from then on.
+        """
+        if flow.device not in self._copies:
+            self._copies[flow.device] = self.populations.to(flow.device)
+        bank = self._copies[flow.device]
+        return bank[flow, (phase * bank.shape[1]).long()]
 
 
 def load_wakes(recipe: WakeRecipe, folder: str | Path, *, compile: bool = True) -> WakeBank:
@@ -87,7 +93,11 @@ def load_wakes(recipe: WakeRecipe, folder: str | Path, *, compile: bool = True) 
         bank = develop_wakes(recipe, compile=compile)
         path.parent.mkdir(parents=True, exist_ok=True)
         with staged(path) as stage:
-            torch.save({"format": _FORMAT, "key": recipe.key, **vars(bank)}, stage)
+            content = {
+                "populations": bank.populations,
+                "shedding_frequencies": bank.shedding_frequencies,
+            }
+            torch.save({"format": _FORMAT, "key": recipe.key, **content}, stage)
         return bank
     content = load_tensors(path, what="wakes", remedy="delete the file")
     if not isinstance(content, dict) or content.pop("format", None) != _FORMAT:

@@ -79,13 +79,9 @@ def test_each_flow_of_a_bank_has_the_wake_of_its_own_speed(
         torch.testing.assert_close(measured, torch.full_like(measured, speed), rtol=1e-4, atol=0)
 
 
-def test_a_wake_without_vortices_is_an_error(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_wake_without_vortices_is_an_error() -> None:
     with pytest.raises(ValueError, match="sheds too few vortices"):
         develop_wakes(replace(RECIPE, num_travels=4.0), compile=False)
-    shown = capsys.readouterr().err
-    assert "wakes   0%" in shown and "/4 D/U [" in shown
 
 
 def test_a_file_is_made_once_and_read_the_next_time(
@@ -122,7 +118,11 @@ def test_files_that_hold_something_else_are_refused(bank: WakeBank, tmp_path: Pa
     torch.save({"populations": bank.populations}, path)
     with pytest.raises(ValueError, match="there are no wakes in it; delete the file"):
         load_wakes(RECIPE, tmp_path)
-    torch.save({"format": "fishrl wakes, 1", "key": "another", **vars(bank)}, path)
+    content = {
+        "populations": bank.populations,
+        "shedding_frequencies": bank.shedding_frequencies,
+    }
+    torch.save({"format": "fishrl wakes, 1", "key": "another", **content}, path)
     with pytest.raises(ValueError, match=f"those of recipe another .* expected {RECIPE.key}"):
         load_wakes(RECIPE, tmp_path)
 

@@ -1,5 +1,7 @@
 """Environments on a GPU, or on the pretended one of ``tests/pretend``: ``make test-gpu``."""
 
+import sys
+
 import pytest
 import torch
 from tensordict import TensorDictBase
@@ -62,6 +64,44 @@ def test_an_environment_on_a_gpu_does_what_it_does_on_a_cpu(
         )
 
 
+@pytest.mark.parametrize("name", ["predation", "karman_gait"])
+def test_the_host_does_not_wait_within_a_decision(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It waits to check action and command before the flow advances, and for its end."""
+    if "device" not in sys.modules:
+        pytest.skip("only the pretended device counts waits")
+    task = make_task(name, monkeypatch)
+    env = make_env(task=task, num_envs=2, seed=0, device="cuda", compile=False)
+    state = first_legal(env.reset())
+    with sys.modules["device"].Waits() as waits:
+        env.step(state)
+    assert waits.total == (4 if name == "karman_gait" else 3), waits.lines
+    env.close()
+
+
+@pytest.mark.parametrize(("first", "second"), [("cuda", "cpu"), ("cpu", "cuda")])
+def test_flows_go_on_from_a_state_of_another_device(first: str, second: str) -> None:
+    config = Predation(**FLOW).flow_config()
+    solvers = [
+        InPlaceSolver(config=config, num_envs=2, device=device, compile=False)
+        for device in (first, second)
+    ]
+    rows = torch.tensor([True, True])
+    for solver in solvers:
+        solver.reset_(rows)
+        solver.body.frequency.fill_(1e-3)
+    solvers[0].advance_(4)
+    state = {name: value.to(second) for name, value in solvers[0].state_dict().items()}
+    solvers[1].load_state_dict(state)
+    assert torch.equal(solvers[0].populations().to(second), solvers[1].populations())
+    for solver in solvers:
+        solver.advance_(4)
+    torch.testing.assert_close(
+        solvers[0].populations().to(second), solvers[1].populations(), rtol=0, atol=1e-6
+    )
+
+
 @pytest.fixture
 def solver() -> InPlaceSolver:
     config = Predation(**FLOW).flow_config()
@@ -72,7 +112,7 @@ def test_a_solver_on_a_gpu_takes_rows_and_fields_from_the_host(solver: InPlaceSo
     rows = torch.tensor([True, False])
     f = solver.populations().cpu() + 1e-3
     solver.reset_(rows)
-    solver.set_populations_(f, rows)
+    solver.set_populations_(f[rows], rows)
 
     torch.testing.assert_close(solver.populations().cpu()[0], f[0])
     solver.advance_(2, rows)

@@ -373,7 +373,8 @@ class KarmanGait(AbstractTask):
         }
 
     def _locate(self, head: Tensor) -> Tensor:
-        return (head - self.origin.to(head.device)) / self.body_length
+        x, y = self.stream.find_origin(self.flow_config(), self.scales)
+        return torch.stack((head[..., 0] - x, head[..., 1] - y), -1) / self.body_length
 
     def _observe_steering(self, now: TensorDictBase) -> Tensor:
         return self.steering.observe(now["place"], now["middle"], now["heading"])

@@ -1,6 +1,6 @@
 """All flows of a batch in one block of memory, and the step that advances them in this process."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -120,13 +120,33 @@ class FlowBatch:
         mean = mean.masked_fill(points.isnan().any(-1, keepdim=True), torch.nan)
         return mean[..., 0], mean[..., 1:]
 
-    def name_state(self) -> list[tuple[str, Tensor]]:
-        """Return everything that the future depends on, by name."""
+    def name_state(self) -> dict[str, list[Tensor]]:
+        """Return everything that the future depends on, by name, each in groups of flows.
+
+        ``f0`` to ``f8`` are the incoming populations ``[B, Y, X]`` before an even step, as stored.
+        """
         pairs, _ = pytree.tree_flatten_with_path(self.flow)
-        named = [(pytree.keystr(path).lstrip("."), leaf) for path, leaf in pairs]
+        named = {pytree.keystr(path).lstrip("."): [leaf] for path, leaf in pairs}
         # states saved so far call the bodies' parameters "shapes"
-        named = [(n.replace("params.bodies", "params.shapes"), leaf) for n, leaf in named]
-        return [("data", self._data), ("omega", self._omega), *named]
+        named = {n.replace("params.bodies", "params.shapes"): leaf for n, leaf in named.items()}
+        nodes = zip(*(group.nodes for group in self.groups.values()), strict=True)
+        populations = {f"f{q}": list(views) for q, views in enumerate(nodes)}
+        return {**populations, "omega": [self._omega], **named}
+
+    def read_former(self, state: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        """Return a state with ``f0`` to ``f8`` for one that holds ``data``, as saved formerly.
+
+        ``data`` ``[groups, slots]`` is the memory of the populations itself.
+        """
+        if "data" not in state:
+            return state
+        data, height, width = state["data"], self.layout.height, self.layout.width
+        size = len(self.flow.clock) // len(data)
+        layout = InPlaceLayout(num_envs=size, height=height, width=width)
+        if data.shape[1] != layout.num_slots:
+            return state
+        groups = zip(*(layout.nodes(row, 0, False) for row in data), strict=True)
+        return {**state, **{f"f{q}": torch.cat(views) for q, views in enumerate(groups)}}
 
 
 def _make_fresh(configs: Sequence[FlowConfig], device: torch.device) -> FlowData:

@@ -120,7 +120,7 @@ def _locate_artefact(name: str, example: Sequence[Tensor], settings: dict[str, o
 
     device = example[0].device
     if device.type == "cuda":
-        machine = torch.cuda.get_device_name(device)
+        machine = f"{torch.cuda.get_device_name(device)}, {device}"  # the code holds its index
     else:
         machine = f"{torch.backends.cpu.get_cpu_capability()}, {torch.get_num_threads()} threads"
     arguments = [(tuple(t.shape), t.stride(), t.dtype) for t in example]

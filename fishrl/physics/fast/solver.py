@@ -218,12 +218,13 @@ class InPlaceSolver:
         own.copy_(torch.where(rows, speed, own))
 
     def set_populations_(self, f: Tensor, rows: Tensor | None = None) -> None:
-        """Set all flows, or those of ``rows`` ``[B]``, to shifted populations ``[B, Q, Y, X]``."""
-        rows = self._choose(rows)
-        _check_tensor("f", f, (self.num_envs, Q, self.config.height, self.config.width))
-        for number, group in self._batch.groups.items():
-            own = self._batch.rows_of(number)
-            group.write_(rows[own], f[own].unbind(1))
+        """Set all flows, or the N of ``rows`` ``[B]``, to shifted populations ``[N, Q, Y, X]``."""
+        chosen = self._choose(rows).nonzero()[:, 0]
+        _check_tensor("f", f, (len(chosen), Q, self.config.height, self.config.width))
+        f = f.to(self.device)
+        for number in sorted(set((chosen // self._group_size).tolist())):
+            is_own = chosen // self._group_size == number
+            self._batch.groups[number].write_(chosen[is_own] % self._group_size, f[is_own])
 
     def command_(self, turn: Tensor, num_steps: int, frequency: Tensor | None = None) -> None:
         """Command the first body to turn and, optionally, to beat at a new frequency.
@@ -287,21 +288,28 @@ class InPlaceSolver:
         """Return ``[B]``: not finite, too fast for the method, or a body outside the grid."""
         batch = self._batch
         fine = torch.cat([batch.stepper.is_fine(group) for group in batch.groups.values()])
-        size = torch.tensor([self.config.width, self.config.height], device=self.device)
         for index in range(len(self.bodies)):
-            markers = self.markers(index)
-            fine = fine & ((markers > 0.5) & (markers < size - 1.5)).all(-1).all(-1)
+            x, y = self.markers(index).unbind(-1)
+            is_inside = (x > 0.5) & (x < self.config.width - 1.5)
+            is_inside = is_inside & (y > 0.5) & (y < self.config.height - 1.5)
+            fine = fine & is_inside.all(-1)
         return ~fine
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Return everything that the future depends on, as copies."""
-        return {name: own.clone() for name, own in self._batch.name_state()}
+        """Return everything that the future depends on, as copies, flow by flow ``[B, ...]``."""
+        return {name: torch.cat(own) for name, own in self._batch.name_state().items()}
 
     def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
-        """Restore ``state_dict()`` exactly."""
+        """Restore ``state_dict()`` exactly, on whatever device it was saved.
+
+        Raises:
+            ValueError: for a state of another grid, batch, storage or version.
+        """
+        state = self._batch.read_former(state)
         own_state = self._batch.name_state()
-        for name, own in own_state:
-            expected = f"{own.dtype} of shape {tuple(own.shape)}"
+        for name, own in own_state.items():
+            shape = (self.num_envs, *own[0].shape[1:])
+            expected = f"{own[0].dtype} of shape {shape}"
             saved = state.get(name)
             got = "nothing" if saved is None else f"{saved.dtype} of shape {tuple(saved.shape)}"
             if got != expected:
@@ -309,8 +317,9 @@ class InPlaceSolver:
                     f"state '{name}' is {got}, expected {expected}: it was saved by a solver of "
                     "another grid, batch, storage or version"
                 )
-        for name, own in own_state:
-            own.copy_(state[name])
+        for name, own in own_state.items():
+            for part, saved in zip(own, torch.split(state[name], len(own[0])), strict=True):
+                part.copy_(saved)
 
     def list_calls(self) -> dict[str, list[tuple[Kernel, Sequence[Tensor]]]]:
         """Return the calls that an even and an odd step of the first group make, by part."""

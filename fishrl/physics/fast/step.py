@@ -67,6 +67,7 @@ class FlowGroup:
     group's own part of the batch.
 
     Attributes:
+        nodes: the nine stored populations ``[B, Y, X]`` that come in at an even step.
         arguments: of each kernel, at even and odd steps.
         crossings: (to, from) views of what crosses periodic edges, at even and odd steps.
         graphs: CUDA graphs by number of pairs of steps.
@@ -84,11 +85,11 @@ class FlowGroup:
     ) -> None:
         self._storage = config.storage
         self._cells = layout.cells(populations, 0)
-        self._nodes = layout.nodes(populations, 0, False)
+        self.nodes = layout.nodes(populations, 0, False)
         self.graphs: dict[int, torch.cuda.CUDAGraph] = {}
         self.arguments: dict[str, list[Sequence[Tensor]]] = {
             "collide": [(flow.clock, omega, *layout.cells(populations, p)) for p in (0, 1)],
-            "check": [(scratch.is_fine, *self._nodes)],
+            "check": [(scratch.is_fine, *self.nodes)],
         }
         self.crossings: list[list[tuple[Tensor, Tensor]]] = []
         for parity in (0, 1):
@@ -126,13 +127,12 @@ class FlowGroup:
 
     def read(self) -> list[Tensor]:
         """Return the nine incoming populations ``[B, Y, X]``, before an even step."""
-        return [self._storage.decode(f) for f in self._nodes]
+        return [self._storage.decode(f) for f in self.nodes]
 
-    def write_(self, rows: Tensor, f: Sequence[Tensor]) -> None:
-        """Set the incoming populations ``[B, Y, X]`` of the flows in ``rows`` ``[B]``."""
-        for view, values in zip(self._nodes, f, strict=True):
-            stored = self._storage.encode(values.to(view.device))
-            view.copy_(torch.where(rows.view(-1, 1, 1), stored, view))
+    def write_(self, rows: Tensor, f: Tensor) -> None:
+        """Set the incoming populations ``[N, Q, Y, X]`` of the flows ``rows`` ``[N]``, indices."""
+        for view, values in zip(self.nodes, f.unbind(1), strict=True):
+            view[rows] = self._storage.encode(values)
 
     def fill_(self, rows: Tensor, f: Sequence[Tensor]) -> None:
         """Set all cells of the flows in ``rows`` ``[B]`` to the populations ``[B]``."""
@@ -150,6 +150,7 @@ class Stepper:
 
     def __init__(self, config: FlowConfig, layout: InPlaceLayout, example: FlowGroup) -> None:
         self._config, self._example = config, example
+        self._device = example.nodes[0].device
         self.kernels: dict[str, Kernel] = {"collide": make_collide(config)}
         if config.bodies:
             self.kernels["bodies"] = make_bodies(config, layout, example.body_form)
@@ -183,7 +184,7 @@ class Stepper:
         if "locate" in self.kernels:
             self.kernels["locate"](*group.arguments["bodies"][0])
         num_pairs = num_steps // 2
-        if group.arguments["collide"][0][0].is_cuda and num_pairs:
+        if self._device.type == "cuda" and num_pairs:
             if not group.graphs:  # kernels are built in a first call, which cannot be captured
                 self._advance_pairs_(group, 1)
                 num_pairs -= 1
@@ -200,12 +201,13 @@ class Stepper:
 
     def _replay_(self, group: FlowGroup, num_pairs: int) -> None:
         """Advance by pairs of steps that are launched as one CUDA graph, recorded once."""
-        if num_pairs not in group.graphs:
-            graph = torch.cuda.CUDAGraph()
-            with torch.cuda.graph(graph):
-                self._advance_pairs_(group, num_pairs)
-            group.graphs[num_pairs] = graph
-        group.graphs[num_pairs].replay()
+        with torch.cuda.device(self._device):
+            if num_pairs not in group.graphs:
+                graph = torch.cuda.CUDAGraph()
+                with torch.cuda.graph(graph):
+                    self._advance_pairs_(group, num_pairs)
+                group.graphs[num_pairs] = graph
+            group.graphs[num_pairs].replay()
 
     def step_(self, group: FlowGroup, parity: int) -> None:
         """Advance one group by one step."""

@@ -277,7 +277,7 @@ def test_without_a_compiler_the_flow_runs_eagerly_and_says_so_once(
             lambda s: s.reset_(torch.ones(3) > 0, STARTS * torch.inf, HEADINGS),
             "position = .*: must be finite in every chosen row",
         ),
-        (lambda s: s.load_state_dict({}), "state 'data' is nothing, expected torch.float32"),
+        (lambda s: s.load_state_dict({}), "state 'f0' is nothing, expected torch.float32"),
     ],
 )
 def test_wrong_calls_are_refused(call: object, message: str) -> None:

@@ -145,7 +145,7 @@ def test_half_precision_storage_stays_near_single_precision() -> None:
     single, half = (start(make_config(storage=each), flows_per_launch=3) for each in Storage)
     for solver in (single, half):
         solver.advance_(400)
-    assert half.state_dict()["data"].dtype == torch.float16
+    assert half.state_dict()["f0"].dtype == torch.float16
     error = (half.macroscopic()[1] - single.macroscopic()[1]).abs().max()
     assert 0.0 < float(error) < 0.01 * SPEED
     assert float((half.body.position - single.body.position).abs().max()) < 0.01
