@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -13,7 +12,7 @@ from experiments.configuration import list_modules
 from experiments.program import show_command
 from fishrl.training.aliases import update_names
 from fishrl.training.logger import read_rows
-from fishrl.training.run_folder import RunFolder, read_config
+from fishrl.training.run_folder import RunFolder, read_config, read_summary
 from fishrl.viewer import ViewerSettings
 
 #: Settings that change neither what a run learns nor how it is evaluated: where it lies, and what
@@ -86,7 +85,7 @@ def read_run(path: Path) -> Run:
     config: dict[str, Any] = {}
     try:
         if folder.summary.is_file():
-            summary = dict(json.loads(folder.summary.read_text(encoding="utf-8")))
+            summary = read_summary(folder.summary)
         if folder.config.is_file():
             config = update_names(read_config(folder.config))
     except Exception as error:

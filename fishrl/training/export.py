@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from shutil import copyfile
@@ -17,7 +16,7 @@ from fishrl.training.classifier import find_classifier, keep_recognition
 from fishrl.training.plan import Plan
 from fishrl.training.policies import load_plan, load_policy
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.run_folder import RunFolder
+from fishrl.training.run_folder import RunFolder, read_summary
 
 #: Results on the card, by their names in ``summary.json``.
 _RESULTS = {
@@ -70,7 +69,7 @@ def export_policy(
     for file in (source.metrics, source.summary):
         if file.is_file():
             copyfile(file, folder / file.name)
-    summary = json.loads(source.summary.read_text()) if source.summary.is_file() else {}
+    summary = read_summary(source.summary) if source.summary.is_file() else {}
     card = write_card(
         plan, summary, title=title or folder.name, frames=metadata["frames"], revision=revision
     )

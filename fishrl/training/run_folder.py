@@ -136,6 +136,17 @@ def read_config(path: Path) -> dict[str, Any]:
     return config
 
 
+def read_summary(path: Path) -> dict[str, Any]:
+    """Read the ``summary.json`` of a run; raise ValueError if it is damaged."""
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(values, dict) or not isinstance(values.get("frames", 0), int):
+            raise ValueError("it holds no results of a run")
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: damaged ({error}); mend or delete it") from error
+    return values
+
+
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
     """Write nested numbers and words; NaN, which JSON lacks, becomes null."""
     write_whole(path, json.dumps(_replace_nan(values), indent=2) + "\n")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Collection, Mapping
 from contextlib import closing
@@ -25,7 +24,7 @@ from fishrl.training.loop import Training
 from fishrl.training.observer import Hooks
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.run_folder import RunFolder, read_config, write_yaml
+from fishrl.training.run_folder import RunFolder, read_config, read_summary, write_yaml
 from fishrl.training.settings import LearningSettings, RunSettings, check_device
 
 logger = logging.getLogger(__name__)
@@ -174,10 +173,7 @@ def find_summary(
     run = RunFolder.of_existing(folder)
     if not run.summary.is_file() or run.failure.is_file():
         return None
-    try:
-        summary = json.loads(run.summary.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{run.summary}: damaged ({error}); delete it") from error
+    summary = read_summary(run.summary)
     stored = Plan.from_config(read_config(run.config), modules=modules)
     plan = stored.change(**changes)
     same = (

@@ -8,7 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from fishrl.training.run_folder import RunFolder, read_config, write_whole, write_yaml
+from fishrl.training.run_folder import (
+    RunFolder,
+    read_config,
+    read_summary,
+    write_whole,
+    write_yaml,
+)
 
 Limit = Callable[[int], AbstractContextManager[None]]
 
@@ -42,3 +48,10 @@ def test_settings_are_the_same_after_a_trip_through_a_file(tmp_path: Path) -> No
         (tmp_path / "config.yaml").write_text(text)
         with pytest.raises(ValueError, match="not the configuration of a run"):
             read_config(tmp_path / "config.yaml")
+
+
+@pytest.mark.parametrize("content", [b"{", b"[]", b"3", b'{"frames": "x"}', b"\xff", b"[" * 10**5])
+def test_a_damaged_summary_is_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "summary.json").write_bytes(content)
+    with pytest.raises(ValueError, match=r"summary\.json: damaged .*mend or delete it"):
+        read_summary(tmp_path / "summary.json")
