@@ -41,7 +41,7 @@ from omegaconf import OmegaConf
 from tqdm import tqdm
 
 from experiments.configuration import CONF, CommandLine, split_options
-from fishrl.training.interruption import exit_status
+from fishrl.training.interruption import SIGNALS, exit_status
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Program:
         """Run a command line, by default that of the process."""
         set_up_logging()
         words = list(sys.argv[1:] if arguments is None else arguments)
-        with plain_errors(), ending_as_by_ctrl_c():
+        with plain_errors(), interruptible():
             options = split_options(words)
             if options.help:
                 print(self.describe(words))
@@ -151,17 +151,23 @@ def show_command(module: str, *arguments: str) -> str:
 
 
 @contextmanager
-def ending_as_by_ctrl_c() -> Iterator[None]:
-    """Let SIGTERM raise KeyboardInterrupt, so that the program cleans up behind itself."""
+def interruptible() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM raise KeyboardInterrupt, so that the program cleans up behind itself.
+
+    A signal that is ignored, as with ``nohup``, stays so.
+    """
 
     def end(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt(number)
 
-    before = signal.signal(signal.SIGTERM, end)
+    before = {n: signal.getsignal(n) for n in SIGNALS if signal.getsignal(n) != signal.SIG_IGN}
+    for number in before:
+        signal.signal(number, end)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager

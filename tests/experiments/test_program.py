@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import subprocess
 import sys
 from importlib import import_module
@@ -14,7 +15,8 @@ import pytest
 import yaml
 
 from experiments import evaluate, summarize, train
-from experiments.program import plain_errors, set_up_logging, show_command
+from experiments.configuration import CommandLine
+from experiments.program import Program, plain_errors, set_up_logging, show_command
 
 ROOT = Path(__file__).parents[2]
 
@@ -78,6 +80,29 @@ def test_a_program_shows_only_warnings_of_torchrl(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("RL_LOGGING_LEVEL", "DEBUG")
     set_up_logging()
     assert torchrl.isEnabledFor(logging.DEBUG)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_program_as_an_interrupt(number: signal.Signals) -> None:
+    before = signal.getsignal(number)
+    with pytest.raises(SystemExit) as ended:
+        Program(
+            lambda _: signal.raise_signal(number), CommandLine(schema=summarize.SummarizeSettings)
+        )(["folder=x"])
+    assert ended.value.code == 128 + number
+    assert signal.getsignal(number) is before
+
+
+def test_ctrl_c_while_a_program_is_imported_leaves_no_traceback(tmp_path: Path) -> None:
+    (tmp_path / "torch.py").write_text("import signal\nsignal.raise_signal(signal.SIGINT)")
+    done = subprocess.run(
+        [sys.executable, "-m", "experiments.train"],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        check=False,
+        capture_output=True,
+    )
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, b"")
 
 
 def test_an_interrupt_ends_a_program_with_its_code() -> None:
