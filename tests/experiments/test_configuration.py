@@ -157,6 +157,16 @@ def test_a_resumed_run_brings_its_settings_and_takes_new_ones(tmp_path: Path) ->
     assert (settings.num_envs, settings.seed, settings.total_frames) == (5, 3, 9000)
 
 
+def test_a_resumed_run_of_before_fields_could_be_chosen_keeps_its_limit(tmp_path: Path) -> None:
+    path = stored_run(tmp_path) / "config.yaml"
+    stored = OmegaConf.load(path)
+    del stored["field"], stored["field_limit"]
+    stored["vorticity_limit"] = 7.0
+    OmegaConf.save(stored, path)
+    settings = read([f"resume='{tmp_path}'"])
+    assert (settings.field, settings.field_limit) == ("vorticity", 7.0)
+
+
 @pytest.mark.parametrize("argument", ["num_envs=4", "preset=paper", "task.time_limit=3"])
 def test_what_makes_the_result_is_fixed_in_a_run(tmp_path: Path, argument: str) -> None:
     with pytest.raises(ValueError, match="is fixed in"):

@@ -11,6 +11,7 @@ from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.geometry import Markers, deform_body, locate_markers, place_markers
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
+from fishrl.physics.bodies.placement import check_placement, lies_inside
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
 from fishrl.physics.fast.batch import FlowBatch
@@ -75,6 +76,7 @@ class InPlaceSolver:
         self._workers: Workers | None = None
         self._shared: IO[bytes] | None = None
         self._is_closed = self._is_ready = False
+        self._is_placed = len(self.config.bodies) < 2
         self._batch = FlowBatch(configs, group_size=size, device=device, allocate=self._allocate)
         self._batch.initialise_()
         for body in self.bodies:
@@ -143,12 +145,17 @@ class InPlaceSolver:
         advances, since the host would have to wait to see whether any row must.
 
         Raises:
-            ValueError: for an odd number of steps, and for ``rows`` that are not ``[B]`` bool.
+            ValueError: for an odd number of steps, for ``rows`` that are not ``[B]`` bool, and for
+                several bodies that have not been placed.
         """
         if num_steps < 0 or num_steps % 2:
             raise ValueError(f"num_steps = {num_steps}: must be even and not negative")
         if self._is_closed:
             raise RuntimeError("this solver is closed and cannot advance: make a new one")
+        if not self._is_placed:
+            raise ValueError(
+                f"this flow has {len(self.bodies)} bodies, all in the middle: place them by reset_"
+            )
         self.compile()
         is_one_launch = self.device.type == "cuda" and self._group_size == self.num_envs
         chosen = self._choose(rows).view(-1, self._group_size).any(-1)
@@ -183,6 +190,10 @@ class InPlaceSolver:
                 where ``rows`` is true; None is the middle of the domain.
             heading: direction that the nose faces, radians, ``[B]`` or ``[B, M]``; None is 0.
             velocity: of the fluid everywhere, in units of the stream speed.
+
+        Raises:
+            ValueError: for wrong shapes, and for bodies that overlap or reach beyond the grid; then
+                nothing has changed.
         """
         rows = self._choose(rows)
         position, heading = _spread_starts(
@@ -195,6 +206,8 @@ class InPlaceSolver:
         for m in range(len(self.bodies)):
             frequency = torch.zeros_like(heading[:, m]) + self._frequency
             fresh.append(make_body(position[:, m], heading[:, m], frequency))
+        check_placement(self.config, flow.params.bodies, fresh, rows)
+        self._is_placed = True
         new = flow._replace(clock=torch.zeros_like(flow.clock), bodies=tuple(fresh))
         for own, value in zip(pytree.tree_leaves(flow), pytree.tree_leaves(new), strict=True):
             own.copy_(torch.where(rows.view(-1, *(1,) * (own.dim() - 1)), value, own))
@@ -289,10 +302,7 @@ class InPlaceSolver:
         batch = self._batch
         fine = torch.cat([batch.stepper.is_fine(group) for group in batch.groups.values()])
         for index in range(len(self.bodies)):
-            x, y = self.markers(index).unbind(-1)
-            is_inside = (x > 0.5) & (x < self.config.width - 1.5)
-            is_inside = is_inside & (y > 0.5) & (y < self.config.height - 1.5)
-            fine = fine & is_inside.all(-1)
+            fine = fine & lies_inside(self.markers(index), self.config)
         return ~fine
 
     def state_dict(self) -> dict[str, Tensor]:
@@ -320,6 +330,7 @@ class InPlaceSolver:
         for name, own in own_state.items():
             for part, saved in zip(own, torch.split(state[name], len(own[0])), strict=True):
                 part.copy_(saved)
+        self._is_placed = True
 
     def list_calls(self) -> dict[str, list[tuple[Kernel, Sequence[Tensor]]]]:
         """Return the calls that an even and an odd step of the first group make, by part."""

@@ -1,0 +1,83 @@
+"""Bodies that lie in each other or beyond the grid at the start are refused."""
+
+from math import pi
+
+import pytest
+import torch
+
+from fishrl.physics import Cylinder, Ellipse, Fish, FlowConfig, InPlaceSolver
+
+EVERY = torch.tensor([True, True])
+
+
+def make_solver(*bodies: Cylinder | Ellipse | Fish) -> InPlaceSolver:
+    config = FlowConfig(width=100, height=60, tau=0.6, bodies=bodies)
+    return InPlaceSolver(config=config, num_envs=2, compile=False)
+
+
+def place(solver: InPlaceSolver, *places: tuple[float, float], heading: float = 0.0) -> None:
+    """Reset both flows: the first with bodies that are well apart, the second as told."""
+    apart = [(25.0 + 40.0 * number, 30.0) for number in range(len(places))]
+    headings = torch.tensor([[0.0] * len(places), [heading] * len(places)])
+    solver.reset_(EVERY, torch.tensor([apart, list(places)]), headings)
+
+
+@pytest.mark.parametrize("gap", [1.5, 0.5, -3.0])
+def test_two_discs_may_be_close_but_not_in_each_other(gap: float) -> None:
+    solver = make_solver(Cylinder(diameter=12, inset=0.0), Cylinder(diameter=16, inset=0.0))
+    places = (30.0, 30.0), (30.0 + 14.0 + gap, 30.0)
+    if gap > 1.0:
+        place(solver, *places)
+        solver.advance_(2)
+        return
+    with pytest.raises(
+        ValueError, match=r"flow 1: bodies 0 \(Cylinder\) and 1 \(Cylinder\) overlap"
+    ):
+        place(solver, *places)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_body_within_another_is_refused_though_their_outlines_are_far_apart(order: int) -> None:
+    solver = make_solver(*(Cylinder(diameter=8), Cylinder(diameter=40))[::order])
+    with pytest.raises(ValueError, match="overlap"):
+        place(solver, (40.0, 30.0), (42.0, 31.0))
+
+
+def test_a_heading_may_bring_two_bodies_together() -> None:
+    fish, ellipse = Fish(body_length=32), Ellipse(length=40, width=8)
+    solver = make_solver(fish, ellipse)
+    place(solver, (50.0, 30.0), (50.0, 45.0))
+    with pytest.raises(ValueError, match=r"0 \(Fish\) and 1 \(Ellipse\) overlap"):
+        place(solver, (50.0, 30.0), (50.0, 38.0), heading=0.5 * pi)
+
+
+@pytest.mark.parametrize("at", [(6.0, 30.0), (94.5, 30.0), (50.0, 5.0), (50.0, 60.0)])
+def test_a_body_that_reaches_beyond_the_grid_is_refused(at: tuple[float, float]) -> None:
+    solver = make_solver(Cylinder(diameter=12, inset=0.0))
+    with pytest.raises(ValueError, match=r"flow 1: body 0 \(Cylinder\) reaches beyond the grid"):
+        place(solver, at)
+
+
+def test_a_refused_start_changes_nothing_and_other_rows_are_not_looked_at() -> None:
+    solver = make_solver(Cylinder(diameter=12), Cylinder(diameter=16))
+    place(solver, (25.0, 30.0), (65.0, 30.0))
+    before = solver.state_dict()
+    with pytest.raises(ValueError, match="overlap"):
+        place(solver, (25.0, 30.0), (30.0, 30.0))
+    assert all(torch.equal(value, before[name]) for name, value in solver.state_dict().items())
+    nowhere = torch.full((2, 2, 2), torch.nan)
+    nowhere[0] = torch.tensor([[30.0, 30.0], [60.0, 30.0]])
+    solver.reset_(torch.tensor([True, False]), nowhere, torch.zeros(2, 2))
+    assert solver.bodies[1].position.tolist() == [[60.0, 30.0], [65.0, 30.0]]
+
+
+def test_several_bodies_need_a_place_before_they_move() -> None:
+    solver = make_solver(Cylinder(diameter=12), Cylinder(diameter=16))
+    with pytest.raises(ValueError, match="2 bodies, all in the middle"):
+        solver.advance_(2)
+    with pytest.raises(ValueError, match="overlap"):
+        solver.reset_(EVERY)
+    place(solver, (25.0, 30.0), (65.0, 30.0))
+    other = make_solver(Cylinder(diameter=12), Cylinder(diameter=16))
+    other.load_state_dict(solver.state_dict())
+    other.advance_(2)
