@@ -112,10 +112,17 @@ def _(task: KarmanGait) -> dict[str, Baseline]:
         "bang_bang": follow(BangBang()),
         **find_baselines(None),
     }
-    if task.wakes is not None:  # in a free stream no vortices are shed
-        frequencies = task.wakes.shedding_frequencies * task.scales.period
-        known["shedding"] = follow(FixedFrequency(frequencies.tolist()))
+    if task.stream.has_disc:  # in a free stream no vortices are shed
+        known["shedding"] = Baseline(lambda seed: make_shedding(task), is_default=False)
     return known
+
+
+def make_shedding(task: KarmanGait) -> GaitPolicy:
+    """Make the policy that beats with the shedding frequency of each flow; develops the wakes."""
+    if task.wakes is None:
+        raise ValueError("baseline 'shedding': in a free stream no vortices are shed")
+    frequencies = task.wakes.shedding_frequencies * task.scales.period
+    return make_gait_policy(FixedFrequency(frequencies.tolist()), task)
 
 
 def make_pid(task: KarmanGait, *, station_bl: float | Tensor = 2.1) -> GaitPolicy:

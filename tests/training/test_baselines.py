@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from fishrl.envs import KarmanGait, Predation
@@ -41,3 +43,10 @@ def test_an_unknown_baseline_is_refused_with_those_there_are() -> None:
         make_baseline("pursiut", task=Predation(), seed=0)
     with pytest.raises(ValueError, match="has random"):
         make_baseline("intercept", task=Predation(control_interval_T=0.5), seed=0)
+
+
+def test_an_unknown_baseline_is_refused_before_wakes_are_developed(tmp_path: Path) -> None:
+    task = KarmanGait(stream=Stream(wake_folder=str(tmp_path / "wakes")))
+    with pytest.raises(ValueError, match="has pid, passive, bang_bang, random, shedding"):
+        make_baseline("nobody", task=task, seed=0)
+    assert not list(tmp_path.iterdir())
