@@ -20,7 +20,7 @@ copyright = author
 release = version = fishrl.__version__
 
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "mathml",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
@@ -28,6 +28,10 @@ extensions = [
 ]
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
+nb_execution_mode = "force"
+nb_execution_timeout = 600
+nb_execution_raise_on_error = True
+nb_merge_streams = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
