@@ -41,5 +41,5 @@ def test_memory_stays_flat(toy: Toy, algorithm: DiscreteSAC | DRQN) -> None:
     training.plan = replace(training.plan, run=replace(training.plan.run, total_frames=400))
     training.run()
     assert count_tensors() <= tensors + 5
-    assert measure_memory_mb() < megabytes + 2.0  # allocators keep some; a frame is 5 kB
+    assert measure_memory_mb() < megabytes + 10.0  # allocators keep some; a frame is 5 kB
     assert megabytes > 50.0
