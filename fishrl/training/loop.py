@@ -6,7 +6,7 @@ import logging
 import math
 import random
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -38,6 +38,20 @@ logger = logging.getLogger(__name__)
 #: Training draws its starts from generators far from those of the fixed starts, which choose the
 #: best checkpoint and end a run.
 TRAIN_SEED, SELECTION_SEED, FINAL_SEED = 1000, 1, 0
+
+
+class RNGState(GlobalRNGState):
+    """The state of all random number generators.
+
+    Those of GPUs that are not there are left out: a run goes on with other GPUs or on a CPU, though
+    not bit for bit.
+    """
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
+        """Restore the generators of this machine."""
+        gpus = state_dict.get("torch_cuda", [])[: torch.cuda.device_count()]
+        others = {name: value for name, value in state_dict.items() if name != "torch_cuda"}
+        super().load_state_dict(others | ({"torch_cuda": gpus} if gpus else {}))
 
 
 class Training:
@@ -89,7 +103,7 @@ class Training:
         return {
             **self.learner.components(),
             "collector": self.collector,
-            "rng": GlobalRNGState(),
+            "rng": RNGState(),
             "counters": self.counters,
         }
 
