@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 import math
 import os
@@ -17,7 +16,6 @@ import pytest
 from fishrl.training import complete
 from fishrl.training.description import make
 from fishrl.training.logger import CsvLogger, WandbLogger
-from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, write_json
 from tests.training.conftest import Toy
 
@@ -138,16 +136,3 @@ def test_numbers_that_json_does_not_know_become_null(tmp_path: Path) -> None:
     write_json(tmp_path / "summary.json", nested)
     written = json.loads((tmp_path / "summary.json").read_text())
     assert written == {"a": None, "b": [1.5, {"c": None}], "d": "x"}
-
-
-def test_the_bar_shows_phase_counts_and_numbers() -> None:
-    stream = io.StringIO()
-    with Progress(stream=stream) as progress:
-        assert "set-up" in stream.getvalue()  # at once
-        progress.start("training", total=100, done=40)
-        progress.advance(60, frames_per_s=12.5, captured=0.75)
-    said = stream.getvalue()
-    assert "training" in said
-    assert "100/100" in said
-    assert "frames per s 12.5" in said
-    assert "captured 0.75" in said

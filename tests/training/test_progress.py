@@ -41,6 +41,17 @@ def test_a_terminal_gets_a_bar_in_place() -> None:
     assert terminal.getvalue().count("\r") >= 5 and terminal.getvalue().count("\n") == 1
 
 
+def test_the_bar_shows_phase_counts_and_numbers() -> None:
+    terminal = Terminal()
+    with Progress(stream=terminal) as progress:
+        assert "set-up" in terminal.getvalue()  # at once
+        progress.start("training", total=100, done=40)
+        progress.advance(60, frames_per_s=12.5, captured=0.75)
+    shown = terminal.getvalue()
+    assert "training" in shown and "100/100" in shown
+    assert "frames per s 12.5" in shown and "captured 0.75" in shown
+
+
 def test_nothing_is_shown_unless_asked_for() -> None:
     log = io.StringIO()
     run(Progress(stream=log, is_shown=False))
