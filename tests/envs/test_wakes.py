@@ -128,6 +128,6 @@ def test_files_that_hold_something_else_are_refused(bank: WakeBank, tmp_path: Pa
 
 
 def test_a_wake_that_diverges_is_an_error_with_a_remedy() -> None:
-    outside = replace(RECIPE, position=(1.0, 23.5), num_travels=1.0)
-    with pytest.raises(ValueError, match=r"the wake at 0.1200 nodes per step diverged: lower"):
-        develop_wakes(outside, compile=False)
+    thin = replace(RECIPE, config=replace(RECIPE.config, tau=0.501), speeds=(0.3,), num_travels=10.0)
+    with pytest.raises(ValueError, match=r"the wake at 0.3000 nodes per step diverged: lower"):
+        develop_wakes(thin, compile=False)
