@@ -67,5 +67,5 @@ def test_the_page_takes_the_tables_of_several_transfer_tests(tmp_path: Path) -> 
     lasted = results["arms"]["pid"][0]["survival_T"]
     assert f"| half T | 2 | {lasted:.0f} ± " in page.read_text()
     rows = [line.split(" | ")[0] for line in page.read_text().splitlines()]
-    assert [rows.count(f"| {name}") for name in ("pid", "fixed-0.6")] == [6, 6]
+    assert [rows.count(f"| {name}") for name in ("pid", "fixed-0.6")] == [9, 9]
     assert rows.index("| pid") < rows.index("| fixed-0.6")
