@@ -128,6 +128,8 @@ def test_files_that_hold_something_else_are_refused(bank: WakeBank, tmp_path: Pa
 
 
 def test_a_wake_that_diverges_is_an_error_with_a_remedy() -> None:
-    thin = replace(RECIPE, config=replace(RECIPE.config, tau=0.501), speeds=(0.3,), num_travels=10.0)
+    thin = replace(
+        RECIPE, config=replace(RECIPE.config, tau=0.501), speeds=(0.3,), num_travels=10.0
+    )
     with pytest.raises(ValueError, match=r"the wake at 0.3000 nodes per step diverged: lower"):
         develop_wakes(thin, compile=False)

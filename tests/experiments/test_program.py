@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from textwrap import dedent
@@ -82,6 +83,15 @@ def test_a_program_shows_only_warnings_of_torchrl(monkeypatch: pytest.MonkeyPatc
     assert torchrl.isEnabledFor(logging.DEBUG)
 
 
+@pytest.fixture
+def heeds_ctrl_c() -> Iterator[None]:
+    """Undo that SIGINT is ignored, as where the tests run in the background of a shell."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("heeds_ctrl_c")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_a_program_as_an_interrupt(number: signal.Signals) -> None:
     before = signal.getsignal(number)
@@ -93,6 +103,7 @@ def test_a_signal_ends_a_program_as_an_interrupt(number: signal.Signals) -> None
     assert signal.getsignal(number) is before
 
 
+@pytest.mark.usefixtures("heeds_ctrl_c")
 def test_ctrl_c_while_a_program_is_imported_leaves_no_traceback(tmp_path: Path) -> None:
     (tmp_path / "torch.py").write_text("import signal\nsignal.raise_signal(signal.SIGINT)")
     done = subprocess.run(
