@@ -148,12 +148,15 @@ def test_a_learned_policy_is_evaluated_shown_listed_and_exported(
     exported = [f"checkpoint={tmp_path / 'policy'}", f"save={tmp_path / 'flow.nc'}"]
     _run("export", *exported, "periods=1", "frames_per_T=2", "compile=false")
     assert (tmp_path / "flow.nc").stat().st_size > 1000
+    data = [f"checkpoint={tmp_path / 'policy'}", "name=catches-v0", f"folder={tmp_path / 'data'}"]
+    _run("export_data", *data, "episodes=1", "num_envs=1", "compile=false")
+    assert (tmp_path / "data/catches-v0/data/main_data.hdf5").is_file()
     verified = []
 
-    def verify(command: list[str], **options: Any) -> None:
+    def verify(command: list[str], **options: Any) -> subprocess.CompletedProcess[bytes]:
         """Let rerun verify the file instead of opening a window on it."""
         verified.append(command[-1])
-        subprocess.run([*command[:3], "rrd", "verify", command[-1]], **options)
+        return subprocess.run([*command[:3], "rrd", "verify", command[-1]], **options)
 
     monkeypatch.setattr(
         fishrl.viewer.files, "subprocess", type("", (), {"run": staticmethod(verify)})
