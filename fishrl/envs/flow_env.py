@@ -41,9 +41,6 @@ from fishrl.envs.transforms import equip
 
 logger = logging.getLogger(__name__)
 
-#: Entries of measurements in checkpoints of earlier versions -> their present names.
-_FORMER_ENTRIES = {"felt": "sensed", "felt_velocity": "sensed_velocity", "sights": "steering"}
-
 
 class FlowEnv(EnvBase):
     """A batch of B flows with one fish each.
@@ -317,7 +314,8 @@ class FlowEnv(EnvBase):
         """Restore a state, bit for bit."""
         self.solver.load_state_dict(state["solver"])
         for name in ("start", "now"):
-            entries = {_FORMER_ENTRIES.get(key, key): value for key, value in state[name].items()}
+            former = self.task.former_names
+            entries = {former.get(key, key): value for key, value in state[name].items()}
             restored = TensorDict(entries, self.batch_size, device=self.device)
             setattr(self, name, restored.clone())
         for name in ("start_index", "episode", "num_diverged"):

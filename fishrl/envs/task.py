@@ -49,8 +49,9 @@ class AbstractTask(ABC):
     Class attributes of every task: ``n_obs``, length of one observation; ``num_actions``; and
     ``num_draws``, random numbers per start. Optional ones: ``success``, the boolean entry of
     ``report`` that marks success (default "survived": reaching the time limit is success);
-    ``inputs``, names of entries ``[B]`` that a transform writes and ``command`` reads; and
-    ``num_samples``, calls of ``sense`` per action.
+    ``inputs``, names of entries ``[B]`` that a transform writes and ``command`` reads;
+    ``num_samples``, calls of ``sense`` per action; and ``former_names``, names of measurements in
+    checkpoints of earlier versions and what each is called now.
 
     Args:
         body_length: L in nodes; at Reynolds number 7000 at least 50 for a useful swimming speed.
@@ -70,6 +71,7 @@ class AbstractTask(ABC):
     success: ClassVar[str] = "survived"
     inputs: ClassVar[tuple[str, ...]] = ()
     num_samples: ClassVar[int] = 0
+    former_names: ClassVar[Mapping[str, str]] = {}
 
     body_length: int = bounded(50, least=16, largest=100_000)
     reynolds: float = bounded(7000.0, greater=0)

@@ -66,9 +66,9 @@ class Score:
     """How well a classifier does on some data.
 
     Attributes:
-        accuracy: share of samples named rightly.
+        accuracy: share of samples that are classified correctly.
         loss: mean cross-entropy, in nats.
-        confusion: ``[n, n]`` int64, how many samples of each true class (row) got each name.
+        confusion: ``[n, n]`` int64, samples of each true class (row) by predicted class (column).
     """
 
     accuracy: float

@@ -260,4 +260,5 @@ def list_configs(
         raise ValueError(
             f"num_envs = {num_envs} with {len(config)} configurations: give one per flow"
         )
+    check_memory(device=device, flows=sum(one.num_bytes for one in config))
     return list(config)

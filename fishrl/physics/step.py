@@ -62,6 +62,9 @@ def step(
     Returns:
         The state one step later; the argument is unchanged.
 
+    Raises:
+        ValueError: for a state with more or fewer bodies than ``config``.
+
     Source: the paper's eqs. 1 to 6, with the changes listed in the theory page: implicit coupling
     and the force increment of ``compute_force_increment``.
     """

@@ -12,13 +12,13 @@ _BAR = _LINE.replace("%", "%|{bar:20}|")
 
 
 class _Lines:
-    """A stream in which a bar becomes lines; each state that has something done is one."""
+    """A stream in which a bar becomes lines, one for each state with something done."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
 
     def write(self, text: str) -> None:
-        if (line := text.strip()) and "   0%" not in line:
+        if (line := text.strip()) and "% 0/" not in line:
             self._stream.write(f"{line}\n")
 
     def flush(self) -> None:

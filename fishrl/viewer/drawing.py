@@ -166,8 +166,8 @@ class Drawing:
         points = self._place(values[marks.key].reshape(-1, 2))
         colours = np.tile(np.array(marks.colour, np.uint8), (len(points), 1))
         if marks.value is not None:
-            felt = _to_numpy(values[marks.value].reshape(-1))
-            colours = paint(quantise(felt, -marks.limit, marks.limit), PURPLE_GREEN)
+            signals = _to_numpy(values[marks.value].reshape(-1))
+            colours = paint(quantise(signals, -marks.limit, marks.limit), PURPLE_GREEN)
         rims = np.tile(np.array(_RIM, np.uint8), (len(points), 1))
         discs = self._rerun.Points2D(
             np.concatenate((points, points)),

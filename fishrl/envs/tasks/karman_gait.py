@@ -60,6 +60,7 @@ class KarmanGait(AbstractTask):
     """
 
     num_draws = 5
+    former_names = {"felt": "sensed", "felt_velocity": "sensed_velocity", "sights": "steering"}
 
     body_length: int = 40
     reynolds: float = 500.0
@@ -167,11 +168,14 @@ class KarmanGait(AbstractTask):
         """Return the flow with the fastest stream."""
         return self.stream.make_config(self.fish, self.scales, self.domain_bl)
 
-    @cached_property
+    @property
     def origin(self) -> Tensor:
         """Middle of the disc's flat side, ``[2]`` (x, y) in nodes, float64."""
-        place = self.stream.find_origin(self.flow_config(), self.scales)
-        return torch.tensor(place, dtype=torch.float64)
+        return torch.tensor(self._origin, dtype=torch.float64)
+
+    @cached_property
+    def _origin(self) -> tuple[float, float]:
+        return self.stream.find_origin(self.flow_config(), self.scales)
 
     @cached_property
     def wakes(self) -> WakeBank | None:
@@ -373,7 +377,7 @@ class KarmanGait(AbstractTask):
         }
 
     def _locate(self, head: Tensor) -> Tensor:
-        x, y = self.stream.find_origin(self.flow_config(), self.scales)
+        x, y = self._origin  # numbers: a tensor would have to be copied to a GPU each time
         return torch.stack((head[..., 0] - x, head[..., 1] - y), -1) / self.body_length
 
     def _observe_steering(self, now: TensorDictBase) -> Tensor:

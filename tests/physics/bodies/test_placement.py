@@ -16,7 +16,7 @@ def make_solver(*bodies: Cylinder | Ellipse | Fish) -> InPlaceSolver:
 
 
 def place(solver: InPlaceSolver, *places: tuple[float, float], heading: float = 0.0) -> None:
-    """Reset both flows: the first with bodies that are well apart, the second as told."""
+    """Reset both flows: the first with bodies that are well apart, the second as given."""
     apart = [(25.0 + 40.0 * number, 30.0) for number in range(len(places))]
     headings = torch.tensor([[0.0] * len(places), [heading] * len(places)])
     solver.reset_(EVERY, torch.tensor([apart, list(places)]), headings)
