@@ -17,5 +17,8 @@ def test_files_that_cannot_be_read_are_refused_with_the_remedy(tmp_path: Path) -
         path.write_bytes(damaged)
         with pytest.raises(ValueError, match=r"wakes .*: cannot be read; delete it"):
             load_tensors(path, what="wakes", remedy="delete it")
+    path.write_bytes(whole)
+    with pytest.raises(ValueError, match="the file holds something else; delete it"):
+        load_tensors(path, what="wakes", remedy="delete it", entries=("a", "b"))
     with pytest.raises(ValueError, match="no such file; delete it"):
         load_tensors(tmp_path / "none", what="wakes", remedy="delete it")

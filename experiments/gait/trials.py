@@ -200,7 +200,9 @@ def run_trial(
     key = make_key(task, trial.identity, episodes, samples_actions, FRAMES, sources)
     path = folder / "histories" / f"{trial.name}-{key}.pt"
     if path.is_file():
-        kept = load_tensors(path, what="histories", remedy="delete the file")
+        kept = load_tensors(
+            path, what="histories", remedy="delete the file", entries=Histories._fields
+        )
         return [pick(Histories(**kept), kept["flow"] == flow) for flow in range(flows)]
     starts: TensorDict = task.sample_starts(flows * episodes, torch.Generator().manual_seed(0))
     # the same noses, phases and keys in each flow, whatever the policy

@@ -30,6 +30,10 @@ from fishrl.training.progress import Progress
 
 #: Share of random actions.
 RANDOM_SHARE = 0.5
+_ENTRIES = (
+    *("lateral_line", "frequency", "is_decision"),
+    *("flow_index", "named_flow", "start"),
+)
 _SOURCES = ("fishrl.envs", "fishrl.modules", "fishrl.training.baselines", __name__)
 
 
@@ -105,7 +109,7 @@ def collect(settings: CollectionSettings, progress: Progress | None = None) -> T
             )
             with staged(path) as stage:
                 torch.save(record_piece(env, len(pieces), seed=s.seed).to_dict(), stage)
-        content = load_tensors(path, what="data", remedy="delete the file")
+        content = load_tensors(path, what="data", remedy="delete the file", entries=_ENTRIES)
         pieces.append(TensorDict(content, content["is_decision"].shape))
         num_new = int(pieces[-1]["is_decision"].sum())
         progress.advance(min(num_new, s.num_samples - num_done), episodes=sum(map(len, pieces)))

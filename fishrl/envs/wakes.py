@@ -99,8 +99,9 @@ def load_wakes(recipe: WakeRecipe, folder: str | Path, *, compile: bool = True) 
             }
             torch.save({"format": _FORMAT, "key": recipe.key, **content}, stage)
         return bank
-    content = load_tensors(path, what="wakes", remedy="delete the file")
-    if not isinstance(content, dict) or content.pop("format", None) != _FORMAT:
+    entries = ("format", "key", "populations", "shedding_frequencies")
+    content = load_tensors(path, what="wakes", remedy="delete the file", entries=entries)
+    if content.pop("format") != _FORMAT:
         raise ValueError(f"wakes {path}: there are no wakes in it; delete the file")
     config, key = recipe.config, content.pop("key")
     shape = (len(recipe.speeds), recipe.num_phases, 9, config.height, config.width)

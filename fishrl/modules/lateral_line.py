@@ -155,8 +155,9 @@ class LateralLineClassifier(nn.Module):
     def load(cls, path: str | Path) -> LateralLineClassifier:
         """Read a classifier, on the CPU and in ``eval`` mode; raise ValueError for other files."""
         what, remedy = "lateral-line classifier", "write one with experiments.train_lateral_line"
-        content = load_tensors(path, what=what, remedy=remedy)
-        if not isinstance(content, dict) or content.get("format") != _FORMAT:
+        entries = ("format", "settings", "state")
+        content = load_tensors(path, what=what, remedy=remedy, entries=entries)
+        if content["format"] != _FORMAT:
             raise ValueError(f"{what} {path}: the file holds something else; {remedy}")
         classifier = cls(**content["settings"])
         classifier.load_state_dict(content["state"])

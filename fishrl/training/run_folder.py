@@ -20,6 +20,9 @@ from fishrl.training.interruption import Interrupted
 
 logger = logging.getLogger(__name__)
 
+#: Entries of a summary that are words; lists and mappings apart, all others are numbers.
+_WORDS = ("task", "success", "preset")
+
 
 class HeldError(ValueError):
     """Another process writes the run."""
@@ -142,6 +145,9 @@ def read_summary(path: Path) -> dict[str, Any]:
         values = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(values, dict) or not isinstance(values.get("frames", 0), int):
             raise ValueError("it holds no results of a run")
+        for name, value in values.items():
+            if isinstance(value, str) and name not in _WORDS:
+                raise ValueError(f"{name} = {value!r} is no number")
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: damaged ({error}); mend or delete it") from error
     return values

@@ -116,7 +116,7 @@ def test_files_that_hold_something_else_are_refused(bank: WakeBank, tmp_path: Pa
     with pytest.raises(ValueError, match=r"wakes .*: cannot be read; delete the file"):
         load_wakes(RECIPE, tmp_path)
     torch.save({"populations": bank.populations}, path)
-    with pytest.raises(ValueError, match="there are no wakes in it; delete the file"):
+    with pytest.raises(ValueError, match="the file holds something else; delete the file"):
         load_wakes(RECIPE, tmp_path)
     content = {
         "populations": bank.populations,

@@ -50,7 +50,10 @@ def test_settings_are_the_same_after_a_trip_through_a_file(tmp_path: Path) -> No
             read_config(tmp_path / "config.yaml")
 
 
-@pytest.mark.parametrize("content", [b"{", b"[]", b"3", b'{"frames": "x"}', b"\xff", b"[" * 10**5])
+@pytest.mark.parametrize(
+    "content",
+    [b"{", b"[]", b"3", b'{"frames": "x"}', b'{"mlups": "fast"}', b"\xff", b"[" * 10**5],
+)
 def test_a_damaged_summary_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "summary.json").write_bytes(content)
     with pytest.raises(ValueError, match=r"summary\.json: damaged .*mend or delete it"):

@@ -76,7 +76,8 @@ class InPlaceSolver:
         self._workers: Workers | None = None
         self._shared: IO[bytes] | None = None
         self._is_closed = self._is_ready = False
-        self._is_placed = len(self.config.bodies) < 2
+        every = torch.ones(num_envs, dtype=torch.bool, device=device)
+        self._unplaced = every if len(self.config.bodies) > 1 else None  # bodies in the middle
         self._batch = FlowBatch(configs, group_size=size, device=device, allocate=self._allocate)
         self._batch.initialise_()
         for body in self.bodies:
@@ -152,14 +153,12 @@ class InPlaceSolver:
             raise ValueError(f"num_steps = {num_steps}: must be even and not negative")
         if self._is_closed:
             raise RuntimeError("this solver is closed and cannot advance: make a new one")
-        if not self._is_placed:
-            raise ValueError(
-                f"this flow has {len(self.bodies)} bodies, all in the middle: place them by reset_"
-            )
-        self.compile()
         is_one_launch = self.device.type == "cuda" and self._group_size == self.num_envs
         chosen = self._choose(rows).view(-1, self._group_size).any(-1)
         groups = [0] if is_one_launch else chosen.nonzero()[:, 0].tolist()
+        if self._unplaced is not None and self._unplaced.view(-1, self._group_size)[groups].any():
+            raise ValueError(f"{len(self.bodies)} bodies, all in the middle: place them by reset_")
+        self.compile()
         if self._workers is not None:
             self._workers.advance_(num_steps, groups)
         else:
@@ -207,7 +206,9 @@ class InPlaceSolver:
             frequency = torch.zeros_like(heading[:, m]) + self._frequency
             fresh.append(make_body(position[:, m], heading[:, m], frequency))
         check_placement(self.config, flow.params.bodies, fresh, rows)
-        self._is_placed = True
+        if self._unplaced is not None:
+            left = self._unplaced & ~rows
+            self._unplaced = left if left.any() else None
         new = flow._replace(clock=torch.zeros_like(flow.clock), bodies=tuple(fresh))
         for own, value in zip(pytree.tree_leaves(flow), pytree.tree_leaves(new), strict=True):
             own.copy_(torch.where(rows.view(-1, *(1,) * (own.dim() - 1)), value, own))
@@ -330,7 +331,7 @@ class InPlaceSolver:
         for name, own in own_state.items():
             for part, saved in zip(own, torch.split(state[name], len(own[0])), strict=True):
                 part.copy_(saved)
-        self._is_placed = True
+        self._unplaced = None
 
     def list_calls(self) -> dict[str, list[tuple[Kernel, Sequence[Tensor]]]]:
         """Return the calls that an even and an odd step of the first group make, by part."""

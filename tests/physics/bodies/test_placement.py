@@ -77,6 +77,11 @@ def test_several_bodies_need_a_place_before_they_move() -> None:
         solver.advance_(2)
     with pytest.raises(ValueError, match="overlap"):
         solver.reset_(EVERY)
+    only_first = torch.tensor([True, False])
+    solver.reset_(only_first, torch.tensor([[[25.0, 30.0], [65.0, 30.0]]] * 2))
+    solver.advance_(2, only_first)
+    with pytest.raises(ValueError, match="2 bodies, all in the middle"):
+        solver.advance_(2)
     place(solver, (25.0, 30.0), (65.0, 30.0))
     other = make_solver(Cylinder(diameter=12), Cylinder(diameter=16))
     other.load_state_dict(solver.state_dict())
