@@ -25,10 +25,10 @@ from torchrl.objectives import DiscreteSACLoss
 class MaskedDiscreteSACLoss(DiscreteSACLoss):
     """Discrete SAC loss for actors with an action mask.
 
-    With every action legal it equals TorchRL's ``DiscreteSACLoss`` bit for bit. Actions are
-    integers (categorical). An additional output, ``entropy_fraction``, is the mean of entropy /
-    log(number of legal actions) over states with more than one legal action: 0 for a deterministic
-    policy, 1 for a uniform one.
+    With every action legal it equals TorchRL's ``DiscreteSACLoss`` with ``deactivate_vmap`` bit for
+    bit. Actions are integers (categorical). An additional output, ``entropy_fraction``, is the mean
+    of entropy / log(number of legal actions) over states with more than one legal action: 0 for a
+    deterministic policy, 1 for a uniform one.
 
     Every state, including terminal ones, must have at least one legal action.
 
@@ -67,6 +67,7 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
             num_qvalue_nets=len(qvalue_network),
             alpha_init=alpha_init,
             target_entropy_weight=target_entropy_weight,
+            deactivate_vmap=True,  # two small critics are faster one after the other
         )
         largest = [math.log(max(count, 1)) for count in range(num_actions + 1)]
         self.register_buffer("_largest_entropy", self.log_alpha.detach().new_tensor(largest))

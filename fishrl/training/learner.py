@@ -9,12 +9,14 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.data.replay_buffers.samplers import Sampler
 from torchrl.envs import Transform
 from torchrl.objectives import LossModule, SoftUpdate
 
 from fishrl.training.settings import LearningSettings
+from fishrl.training.tracing import Traced
 
 
 class Learner:
@@ -30,6 +32,7 @@ class Learner:
         keys: entries of a transition that the sampler reads besides those of the loss.
         sampler: draws from the buffer; by default uniformly.
         transforms: of the environment that collects.
+        is_traced: see ``Algorithm``.
     """
 
     def __init__(
@@ -43,14 +46,15 @@ class Learner:
         keys: Sequence[Any] = (),
         sampler: Sampler | None = None,
         transforms: Sequence[Transform] = (),
+        is_traced: bool = False,
     ) -> None:
         self.actor, self.explorer, self.loss = actor, explorer, loss
         self.reports, self.transforms = tuple(loss.out_keys), tuple(transforms)
         self.loss.make_value_estimator(gamma=settings.gamma)
         self.targets = SoftUpdate(self.loss, tau=settings.tau)
-        self.optimiser = torch.optim.Adam(
-            self.loss.parameters(), lr=settings.learning_rate, fused=True
-        )
+        self._parameters = list(self.loss.parameters())
+        self.optimiser = torch.optim.Adam(self._parameters, lr=settings.learning_rate, fused=True)
+        self._step = Traced(self._take_step) if is_traced else self._take_step
         self._keys = [*self.loss.in_keys, *keys]
         # No prefetch: its threads would draw batches in an order that no seed fixes.
         self.buffer = TensorDictReplayBuffer(
@@ -72,14 +76,26 @@ class Learner:
             self.buffer.extend(valid)
         return transitions.shape[0] - valid.shape[0]
 
-    def update(self) -> TensorDict:
-        """Take one gradient step and return all outputs of the loss."""
-        losses = self.loss(self.buffer.sample())
+    def update(self) -> dict[str, Tensor]:
+        """Take one gradient step and return all outputs of the loss by name."""
+        batch = self.buffer.sample()
+        self._names, values = zip(*batch.items(True, True), strict=True)
+        states = [self.optimiser.state.get(p, {}) for p in self._parameters]
+        losses = self._step(*values, *(value for state in states for value in state.values()))
+        return dict(zip(self.reports, losses, strict=True))
+
+    def _take_step(self, *tensors: Tensor) -> list[Tensor]:
+        """Take a gradient step on the entries ``_names`` of a batch, which come first.
+
+        The optimiser's state follows, which it reads by itself: a checkpoint replaces its tensors.
+        """
+        batch = TensorDict(dict(zip(self._names, tensors, strict=False)), tensors[0].shape[:1])
+        losses = self.loss(batch)
         self.optimiser.zero_grad()
         sum(loss for name, loss in losses.items() if name.startswith("loss_")).backward()
         self.optimiser.step()
         self.targets.step()
-        return losses.detach()
+        return [losses[name].detach() for name in self.reports]
 
     def components(self) -> dict[str, Any]:
         """Return by name what a checkpoint holds of the learner."""

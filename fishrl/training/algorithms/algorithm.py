@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from tensordict.nn import TensorDictModuleBase
@@ -16,7 +16,14 @@ from fishrl.training.settings import LearningSettings
 
 
 class Algorithm(ABC):
-    """Base of all algorithms: a frozen dataclass of the settings that only this algorithm has."""
+    """Base of all algorithms: a frozen dataclass of the settings that only this algorithm has.
+
+    With the class attribute ``is_traced`` the tensor operations of one gradient step are repeated
+    at all others (``tracing.Traced``), with the same numbers in half the time. The loss must then
+    do the same at every step: neither branch on the values of tensors nor read numbers that change.
+    """
+
+    is_traced: ClassVar[bool] = False
 
     @property
     @abstractmethod
@@ -62,5 +69,6 @@ class Algorithm(ABC):
             loss=loss,
             settings=settings,
             device=device,
+            is_traced=self.is_traced,
             **self.choose_sampling(policy, settings),
         )

@@ -24,6 +24,8 @@ class DiscreteSAC(Algorithm):
         target_entropy_weight: target entropy as a share of the largest possible one.
     """
 
+    is_traced = True
+
     alpha_init: float = bounded(1.0, greater=0, largest=1e6)
     target_entropy_weight: float = bounded(0.1, least=0, largest=1)
 

@@ -30,6 +30,8 @@ class DQN(Algorithm):
         epsilon_frames: env frames after the warm-up over which the share falls.
     """
 
+    is_traced = True
+
     is_double: bool = False
     epsilon_start: float = bounded(1.0, least=0, largest=1)
     epsilon_end: float = bounded(0.05, least=0, largest=1)

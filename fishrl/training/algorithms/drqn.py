@@ -33,6 +33,8 @@ class DRQN(DQN):
         sequence_length: decisions in a sequence; what remains of an episode gives a shorter one.
     """
 
+    is_traced = False  # TorchRL's LSTM looks where episodes begin
+
     sequence_length: int = bounded(8, least=1)
 
     @property

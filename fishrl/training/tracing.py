@@ -1,0 +1,74 @@
+"""A function whose tensor operations are traced once and then run without the Python around them.
+
+A gradient step of a small network spends most of its time in Python: modules with exchanged
+weights, tensordicts, distributions, autograd. Its tensor operations are the same at each step.
+"""
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+from torch.fx import Graph, GraphModule
+from torch.fx.experimental.proxy_tensor import make_fx
+
+Function = Callable[..., Sequence[Tensor]]
+
+# Without autograd and profiler they do nothing.
+_IDLE = (
+    torch.ops.aten.detach.default,
+    torch.ops.profiler._record_function_enter_new.default,
+    torch.ops.profiler._record_function_exit._RecordFunction,
+)
+
+
+class Traced:
+    """Call ``function``, and once traced run its tensor operations alone.
+
+    These are the same operations in the same order, backward passes included, on the arguments and
+    on the tensors that ``function`` reads or changes beside them, such as parameters. Whatever else
+    changes from call to call must therefore be an argument.
+
+    The second call in a row with arguments of the same number and shapes is traced: the first may
+    have created something. Later calls with others go to ``function`` itself.
+
+    Args:
+        function: of tensors, which it may change in place; returns tensors. What it does must not
+            depend on their values: torch raises a RuntimeError while it is traced otherwise.
+    """
+
+    def __init__(self, function: Function) -> None:
+        self._function = function
+        self._operations: Function | None = None
+        self._form: list[torch.Size] = []
+
+    def __call__(self, *tensors: Tensor) -> Sequence[Tensor]:
+        """Return what the function returns."""
+        form = [tensor.shape for tensor in tensors]
+        if form != self._form:
+            if self._operations is None:
+                self._form = form
+            return self._function(*tensors)
+        if self._operations is not None:
+            return self._operations(*tensors)
+        results: Sequence[Tensor] = ()
+
+        def run(*given: Tensor) -> Sequence[Tensor]:
+            nonlocal results
+            results = self._function(*given)
+            return results
+
+        self._operations = _strip(make_fx(run)(*tensors))
+        return results
+
+
+def _strip(traced: GraphModule) -> Function:
+    """Return the operations of a graph that do something."""
+    graph = Graph()  # flat arguments and results, which cost less than those of any structure
+    graph.output(graph.graph_copy(traced.graph, {}))
+    for node in reversed(graph.nodes):
+        if node.target in _IDLE:
+            if node.users:
+                node.replace_all_uses_with(node.args[0])
+            graph.erase_node(node)
+    graph.eliminate_dead_code()
+    return torch.no_grad()(GraphModule(traced, graph))

@@ -1,0 +1,90 @@
+"""A traced gradient step is the gradient step."""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+import torch
+from torch import Tensor
+
+from fishrl.training import DQN, Algorithm, DiscreteSAC
+from fishrl.training.learner import Learner
+from fishrl.training.tracing import Traced
+from tests.training.conftest import Toy
+
+ALGORITHMS = [DiscreteSAC(), DQN(is_double=True)]
+
+
+@pytest.fixture(params=ALGORITHMS, ids=lambda algorithm: type(algorithm).__name__)
+def learner(request: pytest.FixtureRequest, toy: Toy) -> Learner:
+    """Return a learner with transitions, and a few steps taken."""
+    algorithm: Algorithm = request.param
+    training = toy.begin(algorithm=algorithm, warmup_frames=10_000)
+    batches = iter(training.collector)
+    for _ in range(20):
+        training.learner.store(next(batches).reshape(-1))
+    for _ in range(4):
+        training.learner.update()
+    return training.learner
+
+
+def step(learner: Learner, seed: int) -> dict[str, Tensor]:
+    torch.manual_seed(seed)  # of the batch
+    return learner.update()
+
+
+def test_a_traced_step_gives_the_numbers_of_the_step(learner: Learner) -> None:
+    plain = copy.deepcopy(learner.loss.state_dict())
+    optimiser = copy.deepcopy(learner.optimiser.state_dict())
+    traced = [step(learner, seed) for seed in range(3)]
+    end = copy.deepcopy(learner.loss.state_dict())
+    # a checkpoint replaces the tensors of the optimiser
+    learner.loss.load_state_dict(plain)
+    learner.optimiser.load_state_dict(copy.deepcopy(optimiser))
+    again = [step(learner, seed) for seed in range(3)]
+    learner.loss.load_state_dict(plain)
+    learner.optimiser.load_state_dict(optimiser)
+    learner._step = learner._take_step
+    expected = [step(learner, seed) for seed in range(3)]
+    for runs in zip(traced, again, expected, strict=True):
+        for name in learner.reports:
+            assert torch.equal(runs[0][name], runs[2][name]), name
+            assert torch.equal(runs[1][name], runs[2][name]), name
+    for name, value in learner.loss.state_dict().items():
+        assert torch.equal(value, end[name]), name
+    assert len({float(run["loss_qvalue"]) for run in expected}) == 3
+
+
+def test_a_traced_step_runs_no_python_of_the_loss(
+    learner: Learner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise AssertionError("the loss was called")
+
+    monkeypatch.setattr(learner.loss, "forward", fail)
+    step(learner, 0)
+
+
+def test_arguments_of_other_shapes_go_to_the_function() -> None:
+    calls: list[int] = []
+
+    def double(x: Tensor) -> list[Tensor]:
+        calls.append(len(x))
+        return [2.0 * x]
+
+    traced = Traced(double)
+    for size in (2, 3, 3, 3, 2, 3):
+        (result,) = traced(torch.ones(size))
+        assert torch.equal(result, torch.full((size,), 2.0))
+    assert calls == [2, 3, 3, 2]
+
+
+def test_a_function_that_branches_on_values_is_refused() -> None:
+    def branch(x: Tensor) -> list[Tensor]:
+        return [x if x.sum() > 0.0 else -x]
+
+    traced = Traced(branch)
+    traced(torch.ones(2))
+    with pytest.raises(RuntimeError, match="tracing tensor"):
+        traced(torch.ones(2))
