@@ -3,6 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 DOCS_STAMP := $(VENV)/.docs
+TRITON_STAMP := $(VENV)/.triton
 ARGS ?=
 # The first of these that is Python 3.11 to 3.14; or choose one: make setup PYTHON=/path/to/python3.13
 PYTHON ?= $(shell for p in python3 python3.11 python3.12 python3.13 python3.14; do \
@@ -13,7 +14,7 @@ MARKERS ?= not slow and not smoke
 # One process per core; files keep their order, so that physics and environments come first.
 PARALLEL ?= -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup demo train test test-gpu test-all smoke docs check bench bench-peers validate validate-quick format clean
+.PHONY: help setup demo train test test-gpu test-gpu-proxy test-all smoke docs check bench bench-peers validate validate-quick format clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -40,8 +41,19 @@ demo: $(STAMP) ## film trained policies that catch food and hold station
 test: $(STAMP) ## run the tests, including a short training; ARGS="tests/physics" selects some
 	$(BIN)/python -m pytest $(PARALLEL) -m "$(MARKERS)" $(ARGS)
 
-test-gpu: $(STAMP) ## run the tests for a GPU, on a pretended one where torch has no CUDA
-	PRETEND_CUDA=1 PYTHONPATH=tests/pretend $(BIN)/python -m pytest -m gpu $(ARGS) tests/gpu
+# Triton comes with torch's builds for CUDA; elsewhere it runs and compiles their kernels on the host.
+$(TRITON_STAMP): $(STAMP)
+	@$(BIN)/python -m pip install --quiet -e '.[triton]' -c constraints.txt
+	@touch $@
+
+GPU_TESTS := PRETEND_CUDA=1 SMOKE_DEVICE=cuda PYTHONPATH=tests/pretend $(BIN)/python -m pytest $(PARALLEL)
+GPU_FOLDERS := tests/gpu tests/smoke tests/physics/fast tests/viewer
+
+test-gpu: $(TRITON_STAMP) ## run smoke tests and those for a GPU there; without one, on a pretended one
+	$(GPU_TESTS) -m "(gpu or smoke) and not slow" $(ARGS) $(GPU_FOLDERS)
+
+test-gpu-proxy: $(TRITON_STAMP) ## the same with the slow ones
+	$(GPU_TESTS) -m "gpu or smoke" $(ARGS) $(GPU_FOLDERS)
 
 test-all: $(STAMP) ## run all tests, including the slow ones and those of make smoke
 	$(BIN)/python -m pytest $(ARGS)

@@ -1,6 +1,7 @@
 """Things that tests of several packages share."""
 
 import os
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from math import pi
@@ -13,6 +14,7 @@ import fishrl.envs.task
 from fishrl.envs import Predation
 from fishrl.envs.scene import Frame
 from fishrl.physics import InPlaceSolver
+from fishrl.physics.fast.step import Stepper
 from fishrl.viewer import Recording
 from tests.experiments.real_wake import develop
 
@@ -61,6 +63,15 @@ def make_recording() -> Callable[..., Recording]:
 def one_thread_in_fixtures() -> None:
     """Run torch on one thread in fixtures of modules and of the session too."""
     torch.set_num_threads(1)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def launched_one_by_one() -> Iterator[None]:
+    """Record no eager steps as graphs of the pretended device: they have some 1,000 operators."""
+    with pytest.MonkeyPatch.context() as patch:
+        if "device" in sys.modules:
+            patch.setattr(Stepper, "_replay_", Stepper._advance_pairs_)
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -20,14 +20,6 @@ pytestmark = [
 ]
 
 
-@pytest.fixture(autouse=True)
-def eager_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Launch each operator by itself: ``test_cuda`` records steps, which takes long unless real."""
-    monkeypatch.setattr(
-        Stepper, "_replay_", lambda self, group, num: self._advance_pairs_(group, num)
-    )
-
-
 def make_task(name: str, monkeypatch: pytest.MonkeyPatch) -> AbstractTask:
     if name == "predation":
         return Predation(**FLOW)
@@ -78,6 +70,23 @@ def test_the_host_does_not_wait_within_a_decision(
         env.step(state)
     assert waits.total == (4 if name == "karman_gait" else 3), waits.lines
     env.close()
+
+
+@pytest.mark.parametrize(("name", "budget"), [("predation", 5000), ("karman_gait", 4000)])
+def test_a_decision_launches_few_operators_beside_the_steps_of_the_flow(
+    name: str, budget: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The steps are recorded as graphs."""
+    if "device" not in sys.modules:
+        pytest.skip("only the pretended device counts launches")
+    monkeypatch.setattr(Stepper, "advance_", lambda *_: None)
+    task = make_task(name, monkeypatch)
+    env = make_env(task=task, num_envs=2, seed=0, device="cuda", compile=False)
+    state = first_legal(env.reset())
+    with sys.modules["device"].Waits() as waits:
+        env.step(state)
+    env.close()
+    assert waits.launches <= budget
 
 
 @pytest.mark.parametrize(("first", "second"), [("cuda", "cpu"), ("cpu", "cuda")])

@@ -116,6 +116,7 @@ _WAITING = {"_local_scalar_dense", "nonzero", "masked_select", "_unique2", "uniq
             "unique_consecutive", "equal", "repeat_interleave", "multinomial"}  # fmt: skip
 _INDEXING = {"index", "index_put", "index_put_", "_index_put_impl_", "_unsafe_index",
              "_unsafe_index_put"}  # fmt: skip
+_FREE = {"_unsafe_view", "lift_fresh", "resize_", "set_"}
 
 
 def _is_gpu(thing: object) -> bool:
@@ -147,12 +148,22 @@ def find_wait(func: Any, args: Any, kwargs: Any) -> str | None:
     return None
 
 
+def launches(func: Any, leaves: list[Any]) -> bool:
+    """Return whether an operator launches something on the device, and is no view."""
+    is_view = any(
+        value.alias_info and not value.alias_info.is_write for value in func._schema.returns
+    )
+    name = func._schema.name.removeprefix("aten::")
+    is_free = is_view or name in _FREE or name.removeprefix("new_").startswith("empty")
+    return not is_free and any(map(_is_gpu, leaves))
+
+
 class Waits(TorchDispatchMode):
-    """Count what makes the host wait, by the innermost line of ``within``."""
+    """Count what makes the host wait, by the innermost line of ``within``, and all launches."""
 
     def __init__(self, within: str = "fishrl") -> None:
         super().__init__()
-        self.within, self.lines = within, collections.Counter()
+        self.within, self.lines, self.launches = within, collections.Counter(), 0
 
     @property
     def total(self) -> int:
@@ -170,7 +181,9 @@ class Waits(TorchDispatchMode):
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         if why := find_wait(func, args, kwargs or {}):
             self.note(why)
-        return func(*args, **(kwargs or {}))
+        result = func(*args, **(kwargs or {}))
+        self.launches += launches(func, pytree.tree_leaves((args, kwargs, result)))
+        return result
 
 
 capturing: CUDAGraph | None = None
@@ -208,6 +221,14 @@ class CUDAGraph:
 
     def reset(self) -> None:
         self.calls.clear()
+
+
+def do_or_record(call: Any) -> None:
+    """Launch what is no operator of torch, such as a Triton kernel; or record it in a graph."""
+    if capturing is None:
+        call()
+    else:
+        capturing.calls.append((call, (), {}, None))
 
 
 class _Capture(TorchDispatchMode):

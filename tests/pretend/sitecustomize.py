@@ -1,6 +1,6 @@
 """Give every Python process the pretended device, where ``PRETEND_CUDA=1`` asks for it.
 
-A torch that was built with CUDA is left alone.
+Triton's kernels are interpreted there. A torch that was built with CUDA is left alone.
 """
 
 import os
@@ -15,3 +15,4 @@ if os.environ.get("PRETEND_CUDA") == "1":
         import device
 
         device.install()
+        os.environ.setdefault("TRITON_INTERPRET", "1")

@@ -7,6 +7,7 @@ glide, as a wake takes minutes to develop; ``tests/envs/test_real_wake.py`` has 
 from __future__ import annotations
 
 import importlib
+import os
 import re
 import shutil
 import subprocess
@@ -38,8 +39,10 @@ REAL: dict[str, dict[str, Any]] = {
     "free_stream": CHANNEL | {"safe_area": "{near_bl:-2.0,far_bl:1.0,aside_bl:0.5}"},
 }
 KINEMATIC: dict[str, Any] = SMALL | BRIEF | {"wall_margin_bl": 0.25}
+#: Eager flows, on the device that ``make test-gpu`` names.
+EAGER = ["compile=false", f"device={os.environ.get('SMOKE_DEVICE', 'cpu')}"]
 FEW = [
-    *("compile=false", "num_envs=2", "total_frames=4", "warmup_frames=2", "updates_per_frame=1"),
+    *(*EAGER, "num_envs=2", "total_frames=4", "warmup_frames=2", "updates_per_frame=1"),
     *("batch_size=2", "hidden=[8]", "log_frames=2", "checkpoint_frames=4", "eval_frames=4"),
     *("eval_episodes=1", "final_episodes=1", "task.time_limit=2"),
 ]
@@ -136,20 +139,20 @@ def test_every_baseline_is_evaluated(task: str, policy: str) -> None:
     chosen = [f"policy={policy}", f"task={task}", *_set_task(KINEMATIC), "task.time_limit=2"]
     if task == "predation":  # pursuers decide once per T
         chosen += ["task.control_interval_T=1", "task.checks_per_action=25"]
-    _run("evaluate", *chosen, "episodes=2", "num_envs=2", "compile=false")
+    _run("evaluate", *chosen, "episodes=2", "num_envs=2", *EAGER)
 
 
 def test_a_learned_policy_is_evaluated_shown_listed_and_exported(
     predation_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _run("evaluate", f"checkpoint={predation_run}", "episodes=1", "num_envs=1", "compile=false")
+    _run("evaluate", f"checkpoint={predation_run}", "episodes=1", "num_envs=1", *EAGER)
     _run("export_steering", f"run={predation_run}", f"path={tmp_path / 'steering.pt'}")
     _run("export_policy", f"run={predation_run}", f"folder={tmp_path / 'policy'}")
     exported = [f"checkpoint={tmp_path / 'policy'}", f"save={tmp_path / 'flow.nc'}"]
-    _run("export", *exported, "periods=1", "frames_per_T=2", "compile=false")
+    _run("export", *exported, "periods=1", "frames_per_T=2", *EAGER)
     assert (tmp_path / "flow.nc").stat().st_size > 1000
     data = [f"checkpoint={tmp_path / 'policy'}", "name=catches-v0", f"folder={tmp_path / 'data'}"]
-    _run("export_data", *data, "episodes=1", "num_envs=1", "compile=false")
+    _run("export_data", *data, "episodes=1", "num_envs=1", *EAGER)
     assert (tmp_path / "data/catches-v0/data/main_data.hdf5").is_file()
     verified = []
 
@@ -198,7 +201,7 @@ def test_a_lateral_line_is_studied(tmp_path: Path) -> None:
     few = ["num_samples=96", "max_decisions=2", "num_envs=6", "num_splits=1", "num_epochs=2"]
     few += ["paper_epochs=1", "windows=[1]", "noises=[0.0]", "memories=[0.0]", "hidden=[8]"]
     places = [f"folder={tmp_path}", "name=line", f"data_folder={tmp_path / 'data'}"]
-    _run("train_lateral_line", *few, *places, *_set_task(KINEMATIC), "compile=false")
+    _run("train_lateral_line", *few, *places, *_set_task(KINEMATIC), *EAGER)
     assert (tmp_path / "line" / "machine.pt").is_file()
 
 

@@ -104,7 +104,11 @@ def record(num_envs: int, *, device: str = "cpu") -> tuple[Predation, list[Recor
     starts = task.sample_starts(2, torch.Generator().manual_seed(0))
     starts["head"] = torch.tensor([[5.0, 2.5], [5.0, 3.75]], dtype=torch.float64) * 20
     env = make_env(
-        task=task, num_envs=num_envs, device=device, frames_per_action=task.checks_per_action
+        task=task,
+        num_envs=num_envs,
+        device=device,
+        compile=False,
+        frames_per_action=task.checks_per_action,
     )
     env.rollout(1)  # whatever it did before
     scene = make_scene(env)
@@ -137,7 +141,6 @@ def test_episodes_are_recorded_from_their_starts_to_the_capture(num_envs: int) -
 
 
 @pytest.mark.gpu
-@pytest.mark.compile
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA")
 def test_flows_on_a_gpu_are_recorded_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(TASK, "time_limit", 1)

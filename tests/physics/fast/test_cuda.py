@@ -1,38 +1,61 @@
-"""Flows on a GPU, whose steps are launched as CUDA graphs, against the eager ones of a CPU."""
+"""Steps that are compiled for a GPU and launched as CUDA graphs, against the eager ones of a CPU.
 
+On the pretended device of ``tests/pretend`` Triton's interpreter runs the kernels that Inductor
+writes: a second a step.
+"""
+
+import json
 import math
-from collections.abc import Sequence
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import torch
+from torch import Tensor
 
-from fishrl.physics import Cylinder, Fish, FlowConfig, InPlaceSolver
+from fishrl.physics import Cylinder, DCylinder, Fish, FlowConfig, InPlaceSolver
 from fishrl.physics.bodies.motion import Free
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
+from fishrl.physics.fast.step import Stepper
+from fishrl.physics.storage import Storage
 
+IS_PRETENDED = "device" in sys.modules
+IS_INTERPRETED = os.environ.get("TRITON_INTERPRET") == "1"
 pytestmark = [
     pytest.mark.gpu,
     pytest.mark.compile,
     pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA"),
+    pytest.mark.skipif(IS_PRETENDED and not IS_INTERPRETED, reason="Triton is not interpreted"),
 ]
 STREAM = NonEquilibrium(velocity=(1.0, 0.0))
-PLACES = torch.tensor([[40.3, 30.2], [38.0, 31.7]], dtype=torch.float64)
-HEADINGS = torch.tensor([math.pi, 2.8], dtype=torch.float64)
-BODIES = {"free fish": Fish(body_length=20, motion=Free()), "cylinder": Cylinder(diameter=10)}
+#: What swims or lies in two flows, where its centre and its nose are, and how populations are kept.
+FISH = [[40.3, 30.2], [38.0, 31.7]], [math.pi, 2.8]
+DISC = [[15.0, 30.0], [15.0, 30.0]], [math.pi, math.pi]
+CASES = {
+    "free fish": ([(Fish(body_length=20, motion=Free()), *FISH)], Storage.FLOAT32),
+    "cylinder": ([(Cylinder(diameter=10), *FISH)], Storage.FLOAT16),
+    "gait with disc": (
+        [(Fish(body_length=20), *FISH), (DCylinder(diameter=8), *DISC)],
+        Storage.FLOAT32,
+    ),
+}
+REPLAY = Stepper._replay_  # recorded here, and nowhere else on the pretended device
 
 
-def make_config(name: str) -> FlowConfig:
-    return FlowConfig(
+def make_solver(name: str, *, device: str, compile: bool) -> InPlaceSolver:
+    bodies, storage = CASES[name]
+    config = FlowConfig(
         width=90,
         height=60,
         tau=0.56,
         stream_speed=0.03,
-        bodies=(BODIES[name],),
+        bodies=tuple(body for body, *_ in bodies),
         boundaries=Boundaries(left=STREAM, right=OpenEdge(), bottom=STREAM, top=STREAM),
+        storage=storage,
     )
-
-
-def run(config: FlowConfig, parts: Sequence[int], *, device: str, compile: bool) -> InPlaceSolver:
     solver = InPlaceSolver(
         config=config,
         num_envs=2,
@@ -41,21 +64,85 @@ def run(config: FlowConfig, parts: Sequence[int], *, device: str, compile: bool)
         compile=compile,
         num_workers=0,
     )
+    places, headings = (
+        torch.tensor([body[i] for body in bodies], dtype=torch.float64).transpose(0, 1)
+        for i in (1, 2)
+    )
     rows = torch.ones(2, dtype=torch.bool, device=device)
-    solver.reset_(rows, PLACES, HEADINGS, velocity=(1.0, 0.0))
-    for num_steps in parts:
-        solver.advance_(num_steps)
+    solver.reset_(rows, places, headings, velocity=(1.0, 0.0))
     return solver
 
 
-@pytest.mark.parametrize("name", BODIES)
-def test_a_flow_on_a_gpu_equals_the_flow_on_a_cpu(name: str) -> None:
-    """After 240 steps, in parts, so that graphs are recorded and replayed; single precision."""
-    there = run(make_config(name), (80, 80, 80), device="cuda", compile=True)
-    here = run(make_config(name), (240,), device="cpu", compile=False)
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Compile anew; the processes of these tests share what Inductor writes."""
+    folder = tmp_path_factory.mktemp("inductor")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TORCHINDUCTOR_CACHE_DIR", str(folder))
+        if IS_PRETENDED:
+            import triton_host
+
+            triton_host.interpret()
+            patch.setattr(Stepper, "_replay_", REPLAY)
+        yield folder
+
+
+def compute_error(there: Tensor, here: Tensor) -> float:
+    """Return the norm of the difference, relative to what is expected."""
+    return float((there.cpu() - here).norm() / here.norm())
+
+
+@pytest.mark.usefixtures("cache")
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    ("parts", "tolerance"),
+    [
+        pytest.param([4], 1e-6, id="4 steps"),
+        pytest.param(
+            [80, 80, 80],
+            1e-4,
+            id="240 steps",
+            marks=pytest.mark.skipif(IS_PRETENDED, reason="takes minutes in an interpreter"),
+        ),
+    ],
+)
+def test_a_flow_on_a_gpu_equals_the_flow_on_a_cpu(
+    name: str, parts: list[int], tolerance: float
+) -> None:
+    """In parts, so that graphs are recorded and replayed; single precision."""
+    there = make_solver(name, device="cuda", compile=True)
+    here = make_solver(name, device="cpu", compile=False)
+    for num_steps in parts:
+        there.advance_(num_steps)
+        here.advance_(num_steps)
     assert there.populations().device.type == "cuda"
-    f, expected = there.populations().cpu(), here.populations()
-    assert float((f - expected).abs().max()) < 1e-4 * float(expected.abs().max())
-    assert float((there.markers().cpu() - here.markers()).abs().max()) < 1e-4
-    torch.testing.assert_close(there.body.impulse.cpu(), here.body.impulse, rtol=1e-4, atol=1e-4)
+    assert compute_error(there.populations(), here.populations()) < tolerance
+    for body, expected in zip(there.bodies, here.bodies, strict=True):
+        assert compute_error(body.impulse, expected.impulse) < tolerance
+        assert compute_error(body.position, expected.position) < tolerance
     assert not there.is_diverged().any()
+
+
+COMPILE = """
+import json, sys, triton_host
+triton_host.compile_only(80, 90)
+from tests.physics.fast.test_cuda import make_solver
+make_solver(sys.argv[1], device="cuda", compile=True).compile()
+print(json.dumps(triton_host.USAGE))
+"""
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_kernels_for_sm_80_and_sm_90_do_not_spill_registers(name: str, cache: Path) -> None:
+    """ptxas needs no device."""
+    done = subprocess.run(
+        [sys.executable, "-c", COMPILE, name],
+        env=os.environ | {"TRITON_INTERPRET": "0", "TRITON_CACHE_DIR": str(cache / "triton")},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    usage: dict[str, str] = json.loads(done.stdout.splitlines()[-1])
+    assert {kernel[:5] for kernel in usage} == {"sm_80", "sm_90"}
+    for kernel, said in usage.items():
+        assert "0 bytes spill stores, 0 bytes spill loads" in said, f"{kernel}: {said}"
