@@ -5,6 +5,8 @@ from pathlib import Path
 from shutil import copyfile
 from typing import Any
 
+from docutils import nodes
+
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE)]
 
@@ -59,6 +61,13 @@ def tidy(*event: Any) -> tuple[str, str] | None:
     return (signature.replace("<factory>", "..."), annotation) if signature else None
 
 
+def drop_object(_app: Any, page: nodes.document) -> None:
+    """Leave out the base of all classes."""
+    for line in list(page.findall(nodes.paragraph)):
+        if line.astext() == "Bases: object":
+            line.parent.remove(line)
+
+
 def copy_films(app: Any, error: Exception | None) -> None:
     """Copy the films of the trained policies, which the gallery shows."""
     if error is None:
@@ -70,4 +79,5 @@ def setup(app: Any) -> None:
     """Connect the above."""
     app.connect("autodoc-skip-member", skip)
     app.connect("autodoc-process-signature", tidy)
+    app.connect("doctree-read", drop_object)
     app.connect("build-finished", copy_films)

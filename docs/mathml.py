@@ -1,4 +1,4 @@
-"""A Sphinx extension: formulas as MathML, which browsers draw without scripts or web fonts."""
+"""A Sphinx extension: formulas as MathML, which browsers draw without scripts."""
 
 from typing import Any
 

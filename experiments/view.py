@@ -1,7 +1,7 @@
 """Show what a policy does, in the rerun viewer: ``python -m experiments.view run=runs/<name>``.
 
 ``policy=pid preset=gait_small`` shows a baseline, ``live=true`` streams while it runs, ``save=``
-and ``screenshot=`` write files; a path alone opens a recording that exists.
+writes a recording or a film, ``screenshot=`` a picture; a path alone opens a recording that exists.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from fishrl.envs.scene import Frame
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
 from fishrl.viewer import (
+    Recording,
     Server,
     ViewerSettings,
     check_folder,
@@ -33,6 +34,7 @@ from fishrl.viewer import (
     start_drawing,
     write_screenshot,
 )
+from fishrl.viewer.film import FILMS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +46,8 @@ class ViewConfig(PolicySettings, ViewerSettings):
         run: run folder of the policy to show.
         episodes: fixed starts, one flow each, of which ``flows`` are shown; all by default.
         periods: T after which an episode is cut; ``null`` runs it to its end.
-        save: ``.rrd`` file to write; by default one in the temporary folder.
+        save: file to write: a recording ``.rrd``, by default one in the temporary folder, or a film
+            of one flow, ``.mp4`` or ``.gif``.
         screenshot: PNG to write instead of opening a window.
         time: of the picture, in T; by default the middle of the recording.
     """
@@ -63,6 +66,20 @@ class ViewConfig(PolicySettings, ViewerSettings):
             settings.__post_init__(self)
         if self.recording is not None and (self.save or self.live):
             raise ValueError("save and live: are for policies; a recording is only opened")
+        if self.is_film and (self.screenshot or self.live or len(self.shown) > 1):
+            raise ValueError(
+                f"save = {self.save}: a film is of one flow (flows=[0]); leave out screenshot, live"
+            )
+
+    @property
+    def shown(self) -> list[int]:
+        """The flows that are shown."""
+        return self.choose_flows(self.episodes, default=self.episodes)
+
+    @property
+    def is_film(self) -> bool:
+        """Whether a film is written instead of a recording."""
+        return self.save is not None and Path(self.save).suffix in FILMS
 
     @property
     def sources(self) -> dict[str, str | None]:
@@ -81,11 +98,11 @@ def record(
 ) -> str:
     """Run a policy from fixed starts, draw its flows, and return the size of the recording.
 
-    The flows go to the ``.rrd`` file ``save`` and to the viewer's server at ``url``.
+    The flows go to the file ``save`` and to the viewer's server at ``url``.
     """
     progress = progress or Progress(is_shown=False)
     check_folder(save)
-    flows = settings.choose_flows(settings.episodes, default=settings.episodes)
+    flows = settings.shown
     task, recognition, policy = settings.make_policy()
     starts = fixed_starts(task, settings.episodes, seed=settings.seed)
     periods = math.inf if settings.periods is None else settings.periods / task.interval_T
@@ -105,15 +122,20 @@ def record(
         stack.callback(env.close)
         scene = make_scene(env, field=settings.field, field_limit=settings.field_limit)
         names = name_flows(task, flows, starts)
-        drawing = stack.enter_context(
-            start_drawing(
-                scene, flows=names, save=save, url=url, field_format=settings.field_format
+        film, drawing = Recording(scene=scene), None
+        if not settings.is_film:
+            drawing = stack.enter_context(
+                start_drawing(
+                    scene, flows=names, save=save, url=url, field_format=settings.field_format
+                )
             )
-        )
 
         def draw(start: int, frame: Frame) -> None:
             times[flows[start]].append(frame.time)
-            drawing.draw(flows[start], frame)
+            if drawing is None:
+                film.frames.append(frame)
+            else:
+                drawing.draw(flows[start], frame)
 
         progress.start("recording", total=max_decisions)
         record_episodes(
@@ -126,11 +148,14 @@ def record(
             max_decisions=max_decisions,
             on_step=lambda running, step: progress.advance(1),
         )
+    if settings.is_film:
+        FILMS[save.suffix](film, save)
     periods = sum(max(flow, default=0.0) for flow in times.values())
     rate = sum(map(len, times.values())) / max(periods, 1e-9)
+    written = save.suffix[1:] if settings.is_film else settings.field_format
     return (
         f"{save.stat().st_size / 1e6:.2f} MB for {periods:.1f} T of {len(flows)} flows "
-        f"({settings.field_format}, {rate:.1f} frames per T)"
+        f"({written}, {rate:.1f} frames per T)"
     )
 
 

@@ -24,7 +24,7 @@ import torch
 from fishrl.envs import make_env
 from fishrl.training.evaluation import fixed_starts
 from fishrl.viewer import Recording, make_scene, record_episodes
-from fishrl.viewer.film import write_animation, write_film, write_flow
+from fishrl.viewer.film import FILMS, render_frames, write_flow
 from fishrl.zoo import find_policy, load_policy, load_recognition
 
 #: Policy, name of its files, and after how many T its film ends.
@@ -69,8 +69,9 @@ def show(name: str, title: str, periods: float, *, folder: Path, compile: bool =
         )
     swam = time.perf_counter()
     write_flow(recording, folder / f"{title}.png")
-    write_film(recording, folder / f"{title}.mp4")
-    write_animation(recording, folder / f"{title}.gif")
+    pictures = render_frames(recording)
+    for ending, write in FILMS.items():
+        write(recording, folder / f"{title}{ending}", pictures=pictures)
     ending = "still swims"
     if bool(episodes.terminated):
         ending = "succeeded" if bool(episodes.succeeded) else "failed"

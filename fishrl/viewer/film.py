@@ -1,7 +1,7 @@
 """Pictures and films of a recorded flow: field, bodies, goal and path (matplotlib)."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -216,13 +216,25 @@ def write_flow(recording: Recording, path: str | PathLike[str]) -> None:
         figure.savefig(path)
 
 
-def write_film(recording: Recording, path: str | PathLike[str], *, dpi: float = 100.0) -> None:
+def write_film(
+    recording: Recording,
+    path: str | PathLike[str],
+    *,
+    dpi: float = 100.0,
+    pictures: Sequence[NDArray[np.uint8]] | None = None,
+) -> None:
     """Write the episode as an MP4 (H.264), with the ffmpeg that imageio-ffmpeg brings.
+
+    Args:
+        recording: the episode.
+        path: file to write.
+        dpi: dots per inch; a picture is 8 inches wide.
+        pictures: its frames, if they are painted already; see ``render_frames``.
 
     Raises:
         OSError: if it cannot be written.
     """
-    pictures = render_frames(recording, dpi)
+    pictures = pictures or render_frames(recording, dpi)
     height, width = (2 * (side // 2) for side in pictures[0].shape[:2])  # H.264 wants even sides
     writer = imageio_ffmpeg.write_frames(
         str(path), (width, height), fps=1000.0 / _FRAME_MS, macro_block_size=2, quality=7
@@ -236,16 +248,22 @@ def write_film(recording: Recording, path: str | PathLike[str], *, dpi: float = 
 
 
 def write_animation(
-    recording: Recording, path: str | PathLike[str], *, max_bytes: int = 6_000_000
+    recording: Recording,
+    path: str | PathLike[str],
+    *,
+    max_bytes: int = 6_000_000,
+    pictures: Sequence[NDArray[np.uint8]] | None = None,
 ) -> None:
     """Write the episode as a GIF of at most ``max_bytes``, by lowering its resolution.
+
+    ``pictures`` are its frames, if they are painted already; see ``render_frames``.
 
     Raises:
         ValueError: if it does not fit at the lowest one.
     """
     dpi = 100.0
     while True:
-        pictures = render_frames(recording, dpi, num_levels=_GIF_LEVELS)
+        pictures = pictures or render_frames(recording, dpi, num_levels=_GIF_LEVELS)
         data = _encode_gif(recording.scene.field, [Image.fromarray(one) for one in pictures])
         if len(data) <= max_bytes:
             Path(path).write_bytes(data)
@@ -255,7 +273,11 @@ def write_animation(
                 f"max_bytes = {max_bytes}: {len(recording.frames)} frames take {len(data)} bytes "
                 "at the lowest resolution; raise it, or record fewer frames per period"
             )
-        dpi *= min(0.9, max(0.5, 0.95 * (max_bytes / len(data)) ** 0.5))
+        dpi, pictures = dpi * min(0.9, max(0.5, 0.95 * (max_bytes / len(data)) ** 0.5)), None
+
+
+#: What writes a film, by the ending of the file.
+FILMS: Mapping[str, Callable[..., None]] = {".mp4": write_film, ".gif": write_animation}
 
 
 def make_single(scene: Scene, *, limit: float, num_levels: int = 256) -> tuple[Figure, FlowAxes]:

@@ -9,6 +9,7 @@ import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import imageio_ffmpeg
 import pytest
 
 from experiments import view
@@ -49,6 +50,18 @@ def test_some_flows_of_a_batch_are_recorded_and_their_size_is_said(
     assert "/flow_1/plots/class_probabilities/2" in shown
     assert "/flow_3/world/neuromasts" in shown
     assert "/flow_0/" not in shown
+
+
+@pytest.mark.parametrize("ending", ["mp4", "gif"])
+def test_a_flow_is_filmed(ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    film = f"{tmp_path}/x.{ending}"
+    words = ["policy=pursuit", "compile=false", "periods=1"]
+    view.main([*words, f"save={film}"])
+    assert f"({ending}, " in capsys.readouterr().out
+    num_frames, _ = imageio_ffmpeg.count_frames_and_secs(film)
+    assert num_frames > 4
+    with pytest.raises(SystemExit, match="a film is of one flow"):
+        view.main([*words, "episodes=2", f"save={film}"])
 
 
 def test_the_learned_fish_of_a_run_is_shown_in_its_own_task(
