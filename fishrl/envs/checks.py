@@ -34,6 +34,7 @@ def check_answers(task: AbstractTask, now: TensorDictBase) -> None:
     has_legal = bool(mask.any(-1).all())
     _require(task, "action_mask", has_legal, mask.tolist(), "a legal action in each row")
     check_rows(task, "is_terminated", task.is_terminated(now), rows, torch.bool)
+    check_rows(task, "count_safe_steps", task.count_safe_steps(now), rows)
     report, word = task.report(now), task.success
     _require(task, "report", isinstance(report, dict | TensorDictBase), report, "a dict")
     for name, value in report.items():

@@ -10,6 +10,7 @@ transforms: frame stacking, time limit, action mask.
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from math import inf
 from typing import Any
 
 import torch
@@ -35,6 +36,7 @@ from fishrl.envs.checks import (
     check_starts_of,
 )
 from fishrl.envs.draws import draw_uniform
+from fishrl.envs.rows import merge, repeat
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.task import AbstractTask
 from fishrl.envs.transforms import equip
@@ -145,7 +147,7 @@ class FlowEnv(EnvBase):
         """Measure at the beginning of an episode, with the first sample repeated."""
         now = self.measure()
         if self.task.num_samples:
-            now.update(_repeat(self._sense(), self.task.num_samples))
+            now.update(repeat(self._sense(), self.task.num_samples))
         return now.update(self.task.begin(now))
 
     def _sense(self) -> TensorDict:
@@ -192,11 +194,11 @@ class FlowEnv(EnvBase):
         if tensordict is not None and "_reset" in tensordict:
             rows = tensordict["_reset"].reshape(self.batch_size)
         drawn, index = self._draw_starts(rows)
-        self.start = _merge(rows, drawn, self.start)
+        self.start = merge(rows, drawn, self.start)
         self._start_index = torch.where(rows, index, self._start_index)
         self._episode = self._episode + rows
         self.task.place_(self.solver, rows, self.start)
-        self.now = _merge(rows, self._begin(), self.now)
+        self.now = merge(rows, self._begin(), self.now)
         none = torch.zeros_like(rows)
         return self._write(diverged=none, done=none, terminated=none, truncated=none)
 
@@ -209,7 +211,7 @@ class FlowEnv(EnvBase):
         self.solver.command_(command.turn, self.task.n_substeps, command.frequency)
         now, diverged = self._advance(before)
         now.update(self.task.remember(before, action, now))
-        self.now = _merge(~diverged, now, self.now)
+        self.now = merge(~diverged, now, self.now)
         self._count(diverged)
         terminated = self.task.is_terminated(self.now) & ~diverged
         reward = check_rows(self.task, "reward", self.task.reward(before, self.now), rows)
@@ -232,29 +234,44 @@ class FlowEnv(EnvBase):
         has_ended = self.is_resting
         samples: list[TensorDict] = []
         sensed_at_end: TensorDict | None = None  # by rows that end before the first sample
+        num_due = num_unmeasured = 0  # steps to take, and since the last measurement
+        num_safe = self._count_safe_steps(before, has_ended)
         for stretch in self._schedule:
-            self.solver.advance_(stretch.num_steps, ~has_ended)
+            num_due, num_unmeasured = (n + stretch.num_steps for n in (num_due, num_unmeasured))
+            is_check = stretch.is_check and (stretch.is_last or not num_unmeasured <= num_safe)
+            is_frame = stretch.is_frame and self.on_frame is not None
+            if not (is_check or is_frame or stretch.is_sample):
+                continue
+            self.solver.advance_(num_due, ~has_ended)
+            num_due = 0
             if stretch.is_sample:
                 sensed = self._sense()
                 kept = samples[-1] if samples else sensed_at_end
-                samples.append(sensed if kept is None else _merge(has_ended, kept, sensed))
-            if stretch.is_check:
-                measured = self.measure()
+                samples.append(sensed if kept is None else merge(has_ended, kept, sensed))
+            if is_check:
+                measured, num_unmeasured = self.measure(), 0
                 is_ending = self.task.is_terminated(measured) | stretch.is_last
                 is_new = is_ending & ~has_ended
                 # Checking whole fields is expensive: on a CPU only where rows have just ended; to
                 # ask a GPU whether any have would be to wait for it.
                 if is_new.is_cuda or is_new.any():
                     diverged = diverged | is_new & self.solver.is_diverged()
-                    now = _merge(is_new, measured, now.select(*measured.keys()))
+                    now = merge(is_new, measured, now.select(*measured.keys()))
                     has_ended = has_ended | is_new
                     if self.task.num_samples and not samples:
                         sensed = self._sense()
                         kept = sensed if sensed_at_end is None else sensed_at_end
-                        sensed_at_end = _merge(is_new, sensed, kept)
-            if stretch.is_frame and self.on_frame is not None:
+                        sensed_at_end = merge(is_new, sensed, kept)
+                num_safe = self._count_safe_steps(measured, has_ended)
+            if is_frame:
                 self.on_frame(self)
         return now.update(torch.stack(samples, 1)) if samples else now, diverged
+
+    def _count_safe_steps(self, now: TensorDict, has_ended: Tensor) -> float:
+        """Return for how many steps no row ends; 0 on a GPU, which would have to be waited for."""
+        if has_ended.is_cuda:
+            return 0.0
+        return float(self.task.count_safe_steps(now).masked_fill(has_ended, inf).min())
 
     def _count(self, diverged: Tensor) -> None:
         if diverged.any():
@@ -380,16 +397,3 @@ def make_env(
     ):
         env.append_transform(transform)
     return env
-
-
-def _repeat(sample: TensorDictBase, num: int) -> TensorDict:
-    """Return ``num`` times the same sample ``[B, ...]``, as ``[B, num, ...]``."""
-    return sample.apply(lambda t: t.unsqueeze(1).expand(-1, num, *t.shape[1:]))
-
-
-def _merge(rows: Tensor, new: TensorDictBase, old: TensorDictBase) -> TensorDict:
-    """Return ``new`` in ``rows`` ``[B]`` and ``old`` elsewhere."""
-    return old.apply(
-        lambda kept, fresh: torch.where(rows.view(-1, *(1,) * (kept.dim() - 1)), fresh, kept),
-        new,
-    )

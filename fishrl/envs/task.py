@@ -93,9 +93,8 @@ class AbstractTask(ABC):
             self.n_substeps, checks=self.checks_per_action, samples=self.num_samples
         )
         self.flow_config()  # raises if the domain is too small for the fish
-        # A marker must not leave the grid from the margin between two checks. Swimming and turning
-        # at most double the tail's speed.
-        travel = 2.0 * self.scales.tail_speed * max(s.num_steps for s in stretches)
+        # A marker must not leave the grid from the margin between two checks.
+        travel = self.swimming_speed * max(s.num_steps for s in stretches)
         least = 1.0 + travel
         if self.wall_margin < least:
             raise ValueError(
@@ -132,6 +131,14 @@ class AbstractTask(ABC):
     def wall_margin(self) -> float:
         """Smallest distance of a marker from the edge, in nodes."""
         return self.wall_margin_bl * self.body_length
+
+    @property
+    def swimming_speed(self) -> float:
+        """Bound on the speed of a marker in nodes per step, without commanded turns.
+
+        Swimming at most doubles the tail's speed.
+        """
+        return 2.0 * self.scales.tail_speed
 
     def flow_config(self) -> FlowConfig:
         """Return the flow; the default is a closed tank of still water."""
@@ -256,6 +263,14 @@ class AbstractTask(ABC):
 
         Also called within actions, with the entries of ``measure`` only.
         """
+
+    def count_safe_steps(self, now: TensorDictBase) -> Tensor:
+        """Return a number of steps ``[B]`` in which an episode certainly does not terminate.
+
+        The environment does not measure meanwhile, nor stop the flows if nothing else does. ``now``
+        is as in ``is_terminated``. The default, 0, is always right.
+        """
+        return torch.zeros(now.shape, device=now.device)
 
     def action_mask(self, now: TensorDictBase) -> Tensor:
         """Return ``[B, num_actions]`` bool: legal actions, at least one per row."""

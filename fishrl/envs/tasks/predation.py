@@ -201,6 +201,16 @@ class Predation(AbstractTask):
         hits_wall: Tensor = now["clearance"] < self.wall_margin
         return hits_wall | self._is_captured(now)
 
+    def count_safe_steps(self, now: TensorDictBase) -> Tensor:
+        """Return how long the fish takes at least to the nearest wall and to the food."""
+        # a turn takes the whole interval and is twice as fast at its middle as on average
+        turning = 2.0 * radians(self.turn_degrees) / self.n_substeps * self.body_length
+        speed = self.swimming_speed + turning
+        food_speed = self.food_speed_bl * self.body_length / self.scales.period
+        distance = now["target"][:, 2] * self.body_length - self.capture_radius
+        to_food = distance / (speed + food_speed)
+        return torch.minimum((now["clearance"] - self.wall_margin) / speed, to_food)
+
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return ``captured`` ``[B]``."""
         return {"captured": self._is_captured(now)}

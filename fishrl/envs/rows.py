@@ -1,0 +1,18 @@
+"""TensorDicts of which each row belongs to one flow."""
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+
+def repeat(sample: TensorDictBase, num: int) -> TensorDict:
+    """Return ``num`` times the same sample ``[B, ...]``, as ``[B, num, ...]``."""
+    return sample.apply(lambda t: t.unsqueeze(1).expand(-1, num, *t.shape[1:]))
+
+
+def merge(rows: Tensor, new: TensorDictBase, old: TensorDictBase) -> TensorDict:
+    """Return ``new`` in ``rows`` ``[B]`` and ``old`` elsewhere."""
+    return old.apply(
+        lambda kept, fresh: torch.where(rows.view(-1, *(1,) * (kept.dim() - 1)), fresh, kept),
+        new,
+    )

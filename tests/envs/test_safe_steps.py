@@ -1,0 +1,73 @@
+"""Measurements that distance makes superfluous are left out, and nothing else changes."""
+
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from fishrl.envs import AbstractTask, FlowEnv, Predation
+from tests.envs.conftest import SMALL, make_flows, move_kinematically
+from tests.envs.test_real_flow import TINY
+
+
+def run(task: Predation, num_actions: int, **options: Any) -> tuple[list[TensorDict], int]:
+    """Return every step of random actions, with resets, and the number of measurements."""
+    env, count = make_flows(task, 4, seed=7, **options), 0
+    measure = FlowEnv.measure
+
+    def count_and_measure() -> TensorDict:
+        nonlocal count
+        count += 1
+        return measure(env)
+
+    env.measure = count_and_measure  # type: ignore[method-assign]
+    draw, state, steps = torch.Generator().manual_seed(3), env.reset(), []
+    for _ in range(num_actions):
+        action = torch.randint(3, (4,), generator=draw)
+        step, state = env.step_and_maybe_reset(state.set("action", action))
+        steps.append(step["next"].clone())
+    return steps, count
+
+
+def test_episodes_end_at_the_same_moment_as_with_every_check(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    move_kinematically(monkeypatch)
+    task = Predation(**SMALL, turn_degrees=40.0, food_direction="random")
+    some, num_some = run(task, 60)
+    monkeypatch.setattr(Predation, "count_safe_steps", AbstractTask.count_safe_steps)
+    every, num_every = run(task, 60)
+    for one, other in zip(some, every, strict=True):
+        assert (one == other).all()
+    ended = torch.stack([step["terminated"] for step in every])
+    caught = torch.stack([step["captured"] for step in every])
+    assert caught.any() and (ended & ~caught).any()  # at the food and at walls
+    assert num_some < 0.5 * num_every
+
+
+def test_a_swimming_fish_stays_within_the_speed_that_is_counted_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    task = Predation(**TINY)
+    env = make_flows(task, 2, seed=1)
+    env.reset()
+    largest, last = 0.0, env.solver.markers()
+    step = env.solver.advance_
+
+    def advance_(num_steps: int, rows: torch.Tensor) -> None:
+        nonlocal largest, last
+        for _ in range(num_steps // 2):
+            step(2, rows)
+            moved = (env.solver.markers() - last).norm(dim=-1).max()
+            largest, last = max(largest, float(moved) / 2.0), env.solver.markers()
+
+    monkeypatch.setattr(env.solver, "advance_", advance_)
+    for action in ([0, 2], [0, 1]):  # from rest, turning to both sides
+        env.step(TensorDict({"action": torch.tensor(action)}, env.batch_size))
+    at_rest = {
+        "clearance": torch.tensor([task.wall_margin + 1.0]),
+        "target": torch.full((1, 4), 99.0),
+    }
+    speed = 1.0 / float(task.count_safe_steps(TensorDict(at_rest, [1])))
+    assert 0.2 * speed < largest < 0.9 * speed
