@@ -239,8 +239,8 @@ class FlowEnv(EnvBase):
         for stretch in self._schedule:
             num_due, num_unmeasured = (n + stretch.num_steps for n in (num_due, num_unmeasured))
             is_check = stretch.is_check and (stretch.is_last or not num_unmeasured <= num_safe)
-            is_frame = stretch.is_frame and self.on_frame is not None
-            if not (is_check or is_frame or stretch.is_sample):
+            on_frame = self.on_frame if stretch.is_frame else None
+            if not (is_check or on_frame or stretch.is_sample):
                 continue
             self.solver.advance_(num_due, ~has_ended)
             num_due = 0
@@ -263,8 +263,8 @@ class FlowEnv(EnvBase):
                         kept = sensed if sensed_at_end is None else sensed_at_end
                         sensed_at_end = merge(is_new, sensed, kept)
                 num_safe = self._count_safe_steps(measured, has_ended)
-            if is_frame:
-                self.on_frame(self)
+            if on_frame:
+                on_frame(self)
         return now.update(torch.stack(samples, 1)) if samples else now, diverged
 
     def _count_safe_steps(self, now: TensorDict | None, has_ended: Tensor) -> float:
