@@ -13,6 +13,7 @@ import collections
 import contextlib
 import io
 import sys
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -56,37 +57,39 @@ def _set_up() -> None:
 # ------------------------------------------------------------------------------------- interpreted
 
 
+@cache
 def interpret() -> None:
-    """Let ``compile=True`` work on the pretended device."""
+    """Let ``compile=True`` and kernels written by hand work on the pretended device."""
     import device
 
     assert knobs.runtime.interpret, "TRITON_INTERPRET=1 must be set before triton is imported"
     _set_up()
     torch.utils._triton.triton_hash_with_backend = lambda: "interpreted"
+    triton_helpers.libdevice = _Library()
     # memory of the pretended device is the host's: nothing is copied
     interpreter.GridExecutor._init_args_hst = lambda self, args, kwargs: (args, kwargs)
     interpreter.GridExecutor._restore_args_dev = lambda self, *_: None
-    triton_helpers.libdevice = _Library()
+    execute = interpreter.GridExecutor.__call__
     run = triton_heuristics.CachingAutotuner.run
 
     def launch(self: Any, *args: Any, **kwargs: Any) -> None:
-        LAUNCHES[self.fn.__name__] += 1
-        for t in args:
-            on = t.device if isinstance(t, Tensor) else None
-            assert on is None or on.type == "cuda", f"{self.fn.__name__} got a tensor on {on}"
-        _enlarge_blocks(self, args)
-        device.do_or_record(lambda: run(self, *args, **kwargs) and None)
+        name = self.fn.__name__
+        LAUNCHES[name] += 1
+        for t in (*args, *kwargs.values()):
+            assert not isinstance(t, Tensor) or t.is_cuda, f"{name} got a tensor on {t.device}"
+        device.do_or_record(lambda: execute(self, *args, **kwargs))
 
-    triton_heuristics.CachingAutotuner.run = launch
+    def run_in_large_blocks(self: Any, *args: Any, **kwargs: Any) -> Any:
+        """Choose the largest blocks that Inductor's code allows, but none larger than tensors."""
+        (config,) = self.configs[:1]
+        names = [name for name in self.triton_meta["signature"] if name not in config.kwargs]
+        sizes = dict(zip(names, args, strict=False))
+        if "XBLOCK" in config.kwargs and "xnumel" in sizes:
+            config.kwargs["XBLOCK"] = min(4096, triton.next_power_of_2(sizes["xnumel"]))
+        return run(self, *args, **kwargs)
 
-
-def _enlarge_blocks(kernel: Any, args: tuple[Any, ...]) -> None:
-    """Choose the largest blocks that Inductor's code allows, but none larger than the tensors."""
-    (config,) = kernel.configs[:1]
-    names = [name for name in kernel.triton_meta["signature"] if name not in config.kwargs]
-    sizes = dict(zip(names, args, strict=False))
-    if "xnumel" in sizes:
-        config.kwargs["XBLOCK"] = min(4096, triton.next_power_of_2(sizes["xnumel"]))
+    interpreter.GridExecutor.__call__ = launch
+    triton_heuristics.CachingAutotuner.run = run_in_large_blocks
 
 
 _NUMPY = {
@@ -127,6 +130,7 @@ class _Library:
 USAGE: dict[str, str] = {}
 
 
+@cache
 def compile_only(*capabilities: int) -> None:
     """Let Inductor's kernels be compiled for GPUs of these compute capabilities, such as 90."""
     assert not knobs.runtime.interpret, "TRITON_INTERPRET must not be set"
