@@ -58,9 +58,9 @@ def transfer(
 ) -> dict[str, Any]:
     """Run all trials, write tables and figures, and return the results.
 
-    Those are ``arms``: diagnostics per arm and flow over its seeds; ``trials``: of each policy
-    alone; ``work``: per arm and flow as it adds up in time. ``ValueError`` for equal names and
-    tasks that cannot be compared.
+    Those are ``shedding``: its frequencies, per T; ``arms``: diagnostics per arm and flow over its
+    seeds; ``trials``: of each policy alone; ``work``: per arm and flow as it adds up in time.
+    ``ValueError`` for equal names and tasks that cannot be compared.
     """
     names = [trial.name for trial in tried]
     if not names or len(set(names)) < len(names):
@@ -95,6 +95,7 @@ def transfer(
         work[arm] = [trace_work(flow, interval_T=interval_T) for flow in together]
     results = {
         "speeds_bl": list(speeds),
+        "shedding": shedding,
         "arms": combined,
         "trials": alone,
         "episodes": settings.episodes,

@@ -128,9 +128,10 @@ def load_trial(run: Path, *, periods: float = PERIODS) -> Trial:
     files = sorted(path.rglob("*-actor/*"))
     if isinstance(recognition, LateralLineClassifier):
         files.append(Path(str(choice)))
+    arm = name_arm(task, plan.recognition)
     return Trial(
-        name=run.name,
-        arm=name_arm(task, plan.recognition),
+        name=f"{arm} {run.name}".replace(" ", "-"),
+        arm=arm,
         task=prolong(task, periods),
         recognition=recognition,
         make_policy=partial(load_policy, path, task=task, has_labels=recognition is not None),
@@ -142,7 +143,7 @@ def name_arm(task: KarmanGait, recognition: str | None) -> str:
     """Name the kind of a learned policy."""
     if isinstance(task.control, DirectFrequencies):
         return "ablation" if recognition is None else "lateral line alone"
-    return {None: "true row, unlabelled", ORACLE: "oracle"}.get(recognition, "both modules")
+    return {None: "macro-actions alone", ORACLE: "oracle"}.get(recognition, "both modules")
 
 
 def make_trial(name: str, task: KarmanGait, *, periods: float = PERIODS) -> Trial:

@@ -1,4 +1,4 @@
-"""Every YAML under conf/ trains briefly, on kinematic fish."""
+"""Every YAML of a training under conf/ trains briefly, on kinematic fish."""
 
 from __future__ import annotations
 
@@ -9,11 +9,16 @@ import pytest
 
 from experiments import train
 from experiments.configuration import CONF
+from experiments.train_settings import TRAINING
 from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
-YAMLS = sorted(path.relative_to(CONF).as_posix() for path in CONF.rglob("*.yaml"))
+YAMLS = sorted(
+    path.relative_to(CONF).as_posix()
+    for group in TRAINING.groups
+    for path in (CONF / group).glob("*.yaml")
+)
 TINY = [
     *(f"task.{name}={value}" for name, value in {**SMALL, "wall_margin_bl": 0.25}.items()),
     *("compile=false", "num_envs=2", "task.time_limit=2", "total_frames=4", "warmup_frames=2"),

@@ -81,7 +81,7 @@ def test_trained_gaits_are_tried_in_every_flow(trained: Path, tmp_path: Path) ->
     written = {path.name for path in tmp_path.iterdir()}
     figures = ("survival", "paths", "places", "decisions", "lean", "work")
     assert {"transfer.md", "transfer.json", *(f"{name}.png" for name in figures)} <= written
-    assert name_arm(make_task(), None) == "true row, unlabelled"
+    assert name_arm(make_task(), None) == "macro-actions alone"
     shutil.copytree(trained / "oracle", tmp_path / "oracle")
     for file in (tmp_path / "oracle").rglob("*-actor/*"):
         file.write_bytes(b"other weights")

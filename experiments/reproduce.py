@@ -1,0 +1,291 @@
+"""Reproduce the paper, ours beside theirs: ``python -m experiments.reproduce scale=small``.
+
+``scale=half`` and ``scale=paper`` do the same on finer grids. Each job is another program, run by
+the command that is printed. The same command goes on after an interruption, also after ``kill -9``;
+finished jobs are not repeated unless their settings change. ``plan=true`` only lists what is left
+and how long it takes on this machine. Tables and figures are written to ``reproduction.md`` and
+``reproduction.html`` in the folder, and with ``docs=docs`` into the documentation.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from omegaconf import MISSING
+
+from experiments.benchmarks.machine import describe_machine
+from experiments.free_stream import main as free_stream
+from experiments.program import program, show_command
+from experiments.reproduction.page import ARMS, write_page
+from experiments.sweeps.runs import read_runs
+from experiments.train_lateral_line import main as train_lateral_line
+from experiments.train_settings import TRAINING, make_plan
+from experiments.validation.swimmer import CASE
+from fishrl.bounds import bounded, check_bounds
+from fishrl.envs import AbstractTask, KarmanGait, make_env
+from fishrl.training.description import make
+from fishrl.training.run_folder import write_json
+
+#: Settings of the trainings of each arm, besides those of the scale. Without rows of frequencies a
+#: flow label is of use only to a policy that observes it.
+ARM_SETTINGS = {
+    "both": ("recognition={classifier}",),
+    "macro_actions": (),
+    "lateral_line": (
+        *("task=karman_gait_direct", "recognition={classifier}"),
+        "task.observes_flow=true",
+    ),
+    "ablation": ("task=karman_gait_direct",),
+}
+#: Seconds after which the time that a job has taken is noted.
+NOTE_SECONDS = 30.0
+
+
+@dataclass(kw_only=True)
+class Scale:
+    """What is run at a scale, as settings of the programs.
+
+    Args:
+        name: of the scale.
+        predation: of ``train``, for the first task.
+        gait: of ``train``, for the second.
+        stream: of the task in ``train_lateral_line`` and ``free_stream``.
+        lateral_line: of ``train_lateral_line``.
+        free_stream: of ``free_stream``.
+        swimmer: of ``validate``.
+        seeds: of the trainings.
+        episodes: of each policy in each stream.
+        periods: duration of such an episode in T.
+    """
+
+    name: str = MISSING
+    predation: list[str] = field(default_factory=list)
+    gait: list[str] = field(default_factory=list)
+    stream: list[str] = field(default_factory=list)
+    lateral_line: list[str] = field(default_factory=list)
+    free_stream: list[str] = field(default_factory=list)
+    swimmer: list[str] = field(default_factory=list)
+    seeds: tuple[int, ...] = bounded((0,), entries=1, least=0)
+    episodes: int = bounded(34, least=1)
+    periods: float = bounded(100.0, greater=0)
+
+
+@dataclass(kw_only=True)
+class ReproduceSettings:
+    """Settings of a reproduction.
+
+    Args:
+        scale: what is run; ``scale.<entry>=<value>`` changes an entry.
+        folder: for runs, tables and figures; by default runs/reproduction-<scale>.
+        plan: list what is left, and run nothing.
+        docs: folder of the documentation, whose page is written too.
+    """
+
+    scale: Any = MISSING
+    folder: str | None = None
+    plan: bool = False
+    docs: str | None = None
+
+    def __post_init__(self) -> None:
+        """Make the scale; check the bounds."""
+        self.scale = Scale(**self.scale) if isinstance(self.scale, Mapping) else self.scale
+        self.folder = self.folder or f"runs/reproduction-{self.scale.name}"
+        check_bounds(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """A program to run.
+
+    Args:
+        name: of the job.
+        words: program and settings.
+        updates: of nodes, about, by all flows.
+    """
+
+    name: str
+    words: tuple[str, ...]
+    updates: float = 0.0
+
+
+def count_updates(task: AbstractTask, periods: float) -> float:
+    """Return the node updates of a flow in some T."""
+    flow = task.flow_config()
+    return periods * task.scales.period * flow.width * flow.height
+
+
+def plan_training(name: str, settings: Sequence[str], scale: Scale, folder: Path) -> Job:
+    """Return the job that trains a policy with each seed; ValueError for wrong settings."""
+    plan = make_plan(TRAINING.read(settings))
+    run, task = plan.run, plan.task
+    tests = run.total_frames // run.eval_frames * run.eval_episodes
+    tests += run.final_episodes * (1 + len(run.baselines or ()))
+    decisions = run.total_frames + tests * task.time_limit
+    seeds = f"seed={','.join(map(str, scale.seeds))}"
+    return Job(
+        name=name,
+        words=("train", "--multirun", *settings, seeds, f"folder={folder / name}"),
+        updates=len(scale.seeds) * count_updates(task, decisions * task.interval_T),
+    )
+
+
+def list_jobs(scale: Scale, folder: Path) -> list[Job]:
+    """Return all jobs in their order; ValueError for wrong settings of a training."""
+    classifier = min(folder.glob("classifier*/machine.pt"), default=None)
+    arms = [
+        plan_training(
+            arm,
+            # settings are read before there is a classifier, too
+            [*scale.gait, *(word.format(classifier=classifier or "oracle") for word in settings)],
+            scale,
+            folder,
+        )
+        for arm, settings in ARM_SETTINGS.items()
+    ]
+    task = make(TRAINING.read(scale.gait).task, kind=KarmanGait)
+    begun = [folder / arm for arm in ARMS if (folder / arm).is_dir()]
+    trained = ",".join(str(run.path) for arm in begun for run in read_runs(arm))
+    trials = 3 * scale.episodes * (len(ARMS) * len(scale.seeds) + 2)
+    swims = [job.cost for job in CASE.jobs if job.is_quick or "quick=true" not in scale.swimmer]
+    free = free_stream.read([*scale.stream, *scale.free_stream])
+    num_samples = train_lateral_line.read([*scale.stream, *scale.lateral_line]).num_samples
+    line = (*scale.stream, *scale.lateral_line, f"folder={folder}", "name=classifier")
+    return [
+        Job(
+            name="swimmer",
+            words=("validate", "cases=[swimmer]", *scale.swimmer, f"folder={folder / 'swimmer'}"),
+            updates=sum(swims),
+        ),
+        plan_training("predation", scale.predation, scale, folder),
+        Job(
+            name="classifier",
+            words=("train_lateral_line", *line),
+            updates=count_updates(task, num_samples * task.interval_T),
+        ),
+        *arms,
+        Job(
+            name="transfer",
+            words=(
+                *("transfer", f"runs=[{trained}]", "baselines=[pid,shedding]"),
+                *(f"episodes={scale.episodes}", f"periods={scale.periods:g}"),
+                f"folder={folder / 'transfer'}",
+            ),
+            updates=count_updates(task, trials * scale.periods),
+        ),
+        Job(
+            name="free_stream",
+            words=(
+                *("free_stream", *scale.stream, *scale.free_stream),
+                f"folder={folder / 'free_stream'}",
+            ),
+            # a tail that beats six times faster needs as many more steps
+            updates=6 * count_updates(task, 3 * free.episodes * free.periods),
+        ),
+    ]
+
+
+class Record:
+    """What has been run in a folder, kept in ``jobs.json``."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "jobs.json"
+        text = self.path.read_text(encoding="utf-8") if self.path.is_file() else "{}"
+        self.jobs: dict[str, dict[str, Any]] = json.loads(text)
+
+    def is_finished(self, job: Job) -> bool:
+        """Tell whether a job has been finished with these settings."""
+        entry = self.jobs.get(job.name, {})
+        return entry.get("is_finished", False) and entry["words"] == list(job.words)
+
+    def note(self, job: Job, *, seconds: float, is_finished: bool) -> None:
+        """Add to the time that a job has taken."""
+        entry = self.jobs.get(job.name, {})
+        spent = entry.get("seconds", 0.0) if entry.get("words") == list(job.words) else 0.0
+        machine = describe_machine()
+        self.jobs[job.name] = {
+            "words": list(job.words),
+            "seconds": spent + seconds,
+            "is_finished": is_finished,
+            "machine": {name: machine[name] for name in ("cpu", "cores", "gpu", "torch")},
+        }
+        write_json(self.path, self.jobs)
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[int]:
+    """Hold a folder until the block and all processes started in it have ended; yield the lock."""
+    with (folder / "lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            print(f"waiting for a job that still runs in {folder}", flush=True)
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield lock.fileno()
+
+
+def run_job(job: Job, record: Record, lock: int) -> None:
+    """Run a job; ValueError if it fails."""
+    module = f"experiments.{job.words[0]}"
+    print(f"\n{show_command(module, *job.words[1:])}", flush=True)
+    child = subprocess.Popen([sys.executable, "-m", module, *job.words[1:]], pass_fds=[lock])
+    try:
+        while child.returncode is None:
+            began = time.monotonic()
+            with suppress(subprocess.TimeoutExpired):
+                child.wait(NOTE_SECONDS)
+            seconds = time.monotonic() - began
+            record.note(job, seconds=seconds, is_finished=child.returncode == 0)
+    except KeyboardInterrupt:
+        child.terminate()  # it saves first
+        child.wait()
+        raise
+    if child.returncode:
+        raise ValueError(f"{job.name} ended with status {child.returncode}; repeat the command")
+
+
+def measure_speed(gait: KarmanGait) -> float:
+    """Return the node updates per second of fish in the streams of a task, on this machine."""
+    task = replace(gait, stream=replace(gait.stream, has_disc=False))  # needs no wake
+    env, num = make_env(task=task, num_envs=16), 4
+    env.rollout(1)
+    began = time.perf_counter()
+    env.rollout(num, break_when_any_done=False)
+    seconds = time.perf_counter() - began
+    env.close()
+    return 16 * count_updates(task, num * task.interval_T) / seconds
+
+
+@program(ReproduceSettings, groups={"scale": "small"})
+def main(settings: ReproduceSettings) -> None:
+    """Run what is left, and write the page."""
+    scale, folder = settings.scale, Path(str(settings.folder))
+    folder.mkdir(parents=True, exist_ok=True)
+    with alone(folder) as lock:
+        jobs, record = list_jobs(scale, folder), Record(folder)
+        left = [job for job in jobs if not record.is_finished(job)]
+        if left:
+            speed = measure_speed(make(TRAINING.read(scale.gait).task, kind=KarmanGait))
+            print(f"{speed / 1e6:.0f} million node updates per second; left, about:")
+        for job in left:
+            print(f"  {job.updates / speed / 3600.0:7.2f} h  {job.name}")
+        if settings.plan:
+            return
+        for number in range(len(jobs)):
+            job = list_jobs(scale, folder)[number]  # what the jobs before have made belongs to it
+            if not record.is_finished(job):
+                run_job(job, record, lock)
+        page = write_page(folder, record.jobs, name=scale.name, docs=settings.docs)
+        print(f"written: {page}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,205 @@
+"""The page of a reproduction: the paper's tables, figures and numbers, with ours beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from shutil import copyfile
+from typing import Any
+
+from markdown_it import MarkdownIt
+
+from experiments.gait import figures
+from experiments.gait.tables import PAPER_WORK_RATIO, show, write_results
+from experiments.gait_page import draw_transfer, read, write_free_stream
+from experiments.pages import fill, write_table
+from experiments.program import show_command
+from experiments.statistics import Statistic
+from experiments.summarize import summarize
+from experiments.sweeps.runs import read_runs
+from fishrl.training.run_folder import read_config
+
+#: Folder and name of each kind of policy in the second task.
+ARMS = {
+    "both": "both modules",
+    "macro_actions": "macro-actions alone",
+    "lateral_line": "lateral line alone",
+    "ablation": "ablation",
+}
+#: Figures by their name on the page: file in the folder of the reproduction, caption.
+FIGURES = {
+    "swimmer": ("swimmer/figures/validation/swimmer.png", "Task 0: speed against time"),
+    "classifier": ("classifier*/curves.png", "Accuracy and loss of the classifiers"),
+    "predation": ("predation/curves.png", "Task 1: learning curves"),
+    "trajectories": ("predation/*/trajectories.png", "Task 1: paths to the food"),
+    "vorticity": ("predation/*/vorticity_sequence.png", "Task 1: vorticity before a capture"),
+}
+#: Figures of the second task, which are drawn for the page.
+GAIT_FIGURES = {
+    "training": "Task 2: survival, return and actor loss in training",
+    "survival": "Task 2: survival of each episode",
+    "paths": "Task 2: paths of the nose",
+    "decisions": "Task 2: tail-beat frequency and angle of attack against time",
+    "period": "Task 2: vorticity in one shedding period",
+    "work": "Task 2: work in the wake and in a free stream",
+}
+HEADS = ("quantity", "flow", "paper", "ours", "likely reason of a difference")
+
+
+def compare(transfer: Any, free: Any, line: Any, captures: Sequence[float]) -> str:
+    """Return each number of the paper beside ours, and why they may differ.
+
+    The paper's are from the text and the tables 2 to 4 of Zhang et al. 2023. ``captures`` are the
+    mean times to capture of the predation policies, in T.
+    """
+    arms, speeds = transfer["arms"], transfer["speeds_bl"]
+    both, ablation = arms[ARMS["both"]], arms[ARMS["ablation"]]
+    shedding = [0.4 * rate / u for rate, u in zip(transfer["shedding"], speeds, strict=True)]
+    works = zip(free["flows"], both, strict=True)
+    ratios = [flow["lateral_work"] / wake["lateral_work"] for flow, wake in works]
+    quantities: list[tuple[str, Sequence[float], Sequence[float], str, str]] = [
+        (
+            "Strouhal number of the wake",
+            (0.267, 0.256, 0.267), shedding, ".3f",
+            "theirs lie on a grid of 7 to 10 %; neither facing nor method is stated",
+        ),
+        (
+            "survival without modules, T",
+            (6.54, 39.80, 6.13), [flow["survival_T"] for flow in ablation], ".1f",
+            "their frequencies and danger area are not stated; ours reaches its highest frequency "
+            "in one decision, and observes position and drift",
+        ),
+        (
+            "survival with both, T",
+            (100.0, 100.0, 100.0), [flow["survival_T"] for flow in both], ".1f", "",
+        ),
+        (
+            "time in Kármán gait",
+            (0.955, 0.87, 0.93), [flow["in_gait"] for flow in both], ".0%",
+            "our rows reach far beyond the shedding frequency, theirs stay within 15 %",
+        ),
+        (
+            "tail beat / shedding frequency",
+            (1.0, 1.0, 1.0), [flow["frequency_over_shedding"] for flow in both], ".2f", "as above",
+        ),
+        (
+            "largest angle of attack, °",
+            (14.3, 15.0, 11.7), [flow["angle_max"] for flow in both], ".1f",
+            "ours is limited to 15",
+        ),
+        (
+            "work in a free stream / in the wake",
+            PAPER_WORK_RATIO, ratios, ".1f", "their gait in the free stream is not stated",
+        ),
+    ]  # fmt: skip
+    rows = []
+    for name, theirs, ours, form, reason in quantities:
+        for number, (paper, own) in enumerate(zip(theirs, ours, strict=True), 1):
+            rows.append([name, "I" * number, format(paper, form), show(own, form), reason])
+    capture = Statistic.of(captures).show(".1f")
+    fits = line["paper"]["fitted_accuracy"], line["paper"]["held_out_accuracy"]
+    own = line["classifier"]["held_out_accuracy"]
+    rows += [
+        ["time to capture, T", "", "14.3", capture, "one start there; their food path is unknown"],
+        ["accuracy, paper's classifier, fitted", "", "95%", f"{fits[0]:.0%}", "data differ"],
+        ["the same, held-out episodes", "", "–", f"{fits[1]:.0%}", "not reported"],
+        ["accuracy of our classifier, held-out episodes", "", "–", f"{own:.0%}", ""],
+    ]
+    return write_table(HEADS, rows)
+
+
+def list_settings(folder: Path) -> str:
+    """Return the hyper-parameters and flows of the second task, as tables 1 and 2 of the paper."""
+    config = read_config(read_runs(folder / "both")[0].path / "config.yaml")
+    rows = [
+        ["learning rate", "0.0005", config["learning_rate"]],
+        ["discount", "0.99", config["gamma"]],
+        ["replay buffer", "500000", config["buffer_size"]],
+        ["soft update", "0.01", config["tau"]],
+        ["batch size", "128", config["batch_size"]],
+        ["body length, nodes", "100", config["task"]["body_length"]],
+        ["Re_f", "500", config["task"]["reynolds"]],
+        ["decisions in training", "–", config["total_frames"]],
+    ]
+    return write_table(("setting", "paper", "ours"), rows)
+
+
+def list_jobs(jobs: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return a table of the jobs and what they took."""
+    rows = [
+        [name, f"{job['seconds'] / 3600:.2f}", f"`{show_command(*job['words'])[:150]}`"]
+        for name, job in jobs.items()
+    ]
+    return write_table(("job", "hours", "command"), rows)
+
+
+def draw(folder: Path, pictures: Path) -> None:
+    """Copy and draw the figures."""
+    pictures.mkdir(parents=True, exist_ok=True)
+    for name, (pattern, _) in FIGURES.items():
+        copyfile(min(folder.glob(pattern)), pictures / f"{name}.png")
+    runs = [str(run.path) for arm in ARMS for run in read_runs(folder / arm)]
+    draw_transfer(str(folder / "transfer"), runs, pictures)
+    work = read(str(folder / "transfer"))
+    free = read(str(folder / "free_stream"), "free_stream.json")
+    in_wake = work["work"][ARMS["both"]]
+    figures.write_work(pictures / "work.png", in_wake, free["work"], speeds=work["speeds_bl"])
+
+
+def render(folder: Path, jobs: Mapping[str, Mapping[str, Any]], *, name: str, place: str) -> str:
+    """Return the page of a scale in Markdown; its figures lie in ``place``."""
+    transfer = read(str(folder / "transfer"))
+    free = read(str(folder / "free_stream"), "free_stream.json")
+    line = read(str(min(folder.glob("classifier*/machine.pt")).parent), "lateral_line.json")
+    hunts = read_runs(folder / "predation")
+    captures = [run.summary["mean_time_to_success_T"] for run in hunts]
+    machines = {
+        f"{m['gpu'] or m['cpu']}, {m['cores']} cores, torch {m['torch']}"
+        for m in (job["machine"] for job in jobs.values())
+    }
+    hours = sum(job["seconds"] for job in jobs.values()) / 3600
+    shown = {**{key: text for key, (_, text) in FIGURES.items()}, **GAIT_FIGURES}
+    parts = [
+        f"```sh\n{show_command('experiments.reproduce', f'scale={name}')}\n```",
+        f"{hours:.1f} hours on {'; '.join(sorted(machines))}. Seeds: {len(hunts)}.",
+        "### The paper's numbers and ours",
+        compare(transfer, free, line, captures),
+        "### Settings",
+        list_settings(folder),
+        "### Task 1: predation",
+        summarize(folder / "predation"),
+        "### Task 2: Kármán gait",
+        write_results(transfer["arms"], transfer["speeds_bl"]),
+        write_free_stream(free, transfer["arms"][ARMS["both"]]),
+        "### Figures",
+        *(f"![{text}]({place}/{key}.png)\n\n*{text}*" for key, text in shown.items()),
+        "### Jobs",
+        list_jobs(jobs),
+    ]
+    return "\n\n".join(part.strip() for part in parts) + "\n"
+
+
+def write_page(
+    folder: Path, jobs: Mapping[str, Mapping[str, Any]], *, name: str, docs: str | None = None
+) -> Path:
+    """Write ``reproduction.md`` and ``reproduction.html`` with figures into the folder.
+
+    Args:
+        folder: of the reproduction, all jobs finished.
+        jobs: from ``jobs.json``.
+        name: of the scale.
+        docs: folder of the documentation; its page has marks ``<!-- <name>: begin -->``.
+    """
+    draw(folder, folder / "figures")
+    text = render(folder, jobs, name=name, place="figures")
+    (folder / "reproduction.md").write_text(f"# Reproduction, {name}\n\n{text}", encoding="utf-8")
+    html = MarkdownIt("commonmark").enable("table").render(text)
+    page = folder / "reproduction.html"
+    page.write_text(f"<!doctype html><meta charset='utf-8'>{html}", encoding="utf-8")
+    if docs is not None:
+        place = f"figures/reproduction/{name}"
+        (Path(docs) / place).mkdir(parents=True, exist_ok=True)
+        for picture in (folder / "figures").glob("*.png"):
+            copyfile(picture, Path(docs) / place / picture.name)
+        fill(Path(docs) / "reproduction.md", name, render(folder, jobs, name=name, place=place))
+    return page
