@@ -109,11 +109,11 @@ class FlowEnv(EnvBase):
         self._num_diverged = torch.zeros((), dtype=torch.int64, device=self.device)
         self.is_resting = torch.zeros_like(self._rows, dtype=torch.bool)
         self.solver = task.make_solver(num_envs=num_envs, device=self.device, compile=compile_flow)
-        self.solver.compile()
-        every_row = torch.ones_like(self._rows, dtype=torch.bool)
-        self.start, _ = self._draw_starts(every_row)
+        self.solver.compile(wait=False)  # while wakes are read or developed
+        self.start, _ = self._draw_starts(~self.is_resting)
         self._next_start = 0
-        task.place_(self.solver, every_row, self.start)
+        task.place_(self.solver, ~self.is_resting, self.start)
+        self.solver.compile()
         self.now = self._begin()
         self._make_specs()
 

@@ -34,7 +34,7 @@ class KinematicSolver:
         self.body = BodyState(*(t.clone() for t in fresh))
         self.is_closed = False
 
-    def compile(self) -> None:
+    def compile(self, *, wait: bool = True) -> None:
         """There is nothing to compile."""
 
     def close(self) -> None:

@@ -16,7 +16,7 @@ from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
 from fishrl.physics.fast.batch import FlowBatch
 from fishrl.physics.fast.compiled import Kernel, find_compiler_problem
-from fishrl.physics.fast.workers import Job, Workers, count_cores, map_shared, open_shared
+from fishrl.physics.fast.workers import Workers, count_cores, map_shared, open_shared
 from fishrl.physics.flow import FlowConfig, list_configs
 from fishrl.physics.lattice import Q
 
@@ -76,6 +76,7 @@ class InPlaceSolver:
         self._workers: Workers | None = None
         self._shared: IO[bytes] | None = None
         self._is_closed = self._is_ready = False
+        self._began: float | None = None  # to compile
         every = torch.ones(num_envs, dtype=torch.bool, device=device)
         self._unplaced = every if len(self.config.bodies) > 1 else None  # bodies in the middle
         self._batch = FlowBatch(configs, group_size=size, device=device, allocate=self._allocate)
@@ -101,36 +102,36 @@ class InPlaceSolver:
             raise ValueError("this flow has no body: give FlowConfig(bodies=...)")
         return self.bodies[0]
 
-    def compile(self) -> None:
-        """Compile the step and start the workers; the first ``advance_`` does it otherwise."""
+    def compile(self, *, wait: bool = True) -> None:
+        """Compile the step and start the workers; the first ``advance_`` does it otherwise.
+
+        Without ``wait`` the workers go on compiling meanwhile, until the next call.
+        """
         if self._is_ready or not (self._num_workers or self._wants_compile):
             return
-        start = time.perf_counter()
-        logger.info("compiling the flow step (up to a minute when new) ...")
-        if self._shared is not None:
-            self._workers = self._start_workers(self._shared)
-        else:
-            self._batch.stepper.compile()
+        if self._began is None:
+            start = time.perf_counter()
+            logger.info("compiling the flow step (up to a minute when new) ...")
+            if self._shared is not None:
+                self._workers = Workers(
+                    self.configs,
+                    group_size=self._group_size,
+                    file=self._shared.fileno(),
+                    count=self._num_workers,
+                    compile=self._wants_compile,
+                )
+                self._shared.close()
+            else:
+                self._batch.stepper.compile()
+            self._began = start
+        if not wait:
+            return
+        if self._workers is not None:
+            self._workers.wait()
         if self._wants_compile:
             self._batch.stepper.compile("check")
         self._is_ready = True
-        logger.info("flow step ready after %.1f s", time.perf_counter() - start)
-
-    def _start_workers(self, shared: IO[bytes]) -> Workers:
-        count, num_groups = self._num_workers, self.num_envs // self._group_size
-        jobs = [
-            Job(
-                configs=self.configs,
-                group_size=self._group_size,
-                file=shared.fileno(),
-                groups=range(first, num_groups, count),
-                compile=self._wants_compile,
-            )
-            for first in range(count)
-        ]
-        workers = Workers(jobs)
-        shared.close()
-        return workers
+        logger.info("flow step ready after %.1f s", time.perf_counter() - self._began)
 
     def close(self) -> None:
         """End the workers, if any; the flows can still be read."""

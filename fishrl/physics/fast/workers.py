@@ -69,13 +69,30 @@ class Job(NamedTuple):
 
 
 class Workers:
-    """Subprocesses that advance their share of the flows.
+    """Subprocesses that advance their share of the flows; ``wait`` until they can.
 
     Args:
-        jobs: one per worker.
+        configs: of all flows.
+        group_size: flows per group.
+        file: descriptor of the shared memory.
+        count: number of workers.
+        compile: whether to compile the step.
     """
 
-    def __init__(self, jobs: Sequence[Job]) -> None:
+    def __init__(
+        self,
+        configs: Sequence[FlowConfig],
+        *,
+        group_size: int,
+        file: int,
+        count: int,
+        compile: bool,
+    ) -> None:
+        num_groups = len(configs) // group_size
+        jobs = [
+            Job(configs, group_size, file, range(first, num_groups, count), compile)
+            for first in range(count)
+        ]
         self._processes = [
             start_child(
                 "from fishrl.physics.fast.workers import serve; serve()",
@@ -87,7 +104,6 @@ class Workers:
         ]
         for process, job in zip(self._processes, jobs, strict=True):
             _send(process.stdin, job)
-        self._wait()
 
     def advance_(self, num_steps: int, groups: Sequence[int]) -> None:
         """Advance those of the workers' flows that are in ``groups``, and wait for them."""
@@ -95,9 +111,14 @@ class Workers:
             raise ChildProcessError("the flow workers have ended: make a new solver")
         for process in self._processes:
             _send(process.stdin, (num_steps, frozenset(groups)))
-        self._wait()
+        self.wait()
 
-    def _wait(self) -> None:
+    def wait(self) -> None:
+        """Wait until every worker has compiled the step, or advanced.
+
+        Raises:
+            ChildProcessError: if one fails; all have ended then.
+        """
         for process in self._processes:
             try:
                 problem = pickle.load(process.stdout)  # type: ignore[arg-type]
