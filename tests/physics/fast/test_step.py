@@ -1,7 +1,8 @@
 """The in-place step itself: long runs, odd steps, launches of many flows, memory."""
 
 import math
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 
 import pytest
 import torch
@@ -187,6 +188,14 @@ def test_memory_per_node_and_flow_is_within_45_bytes() -> None:
     assert (solver._batch.num_bytes + force) / (1000 * 500) < 45.5
 
 
+def count_python_calls(function: Callable[..., object], *arguments: object) -> int:
+    events: list[str] = []
+    sys.setprofile(lambda frame, event, argument: events.append(event))
+    function(*arguments)
+    sys.setprofile(None)
+    return events.count("call")
+
+
 @pytest.mark.compile
 def test_a_compiled_function_is_kept_and_loaded_without_tracing(
     tmp_path: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
@@ -200,7 +209,8 @@ def test_a_compiled_function_is_kept_and_loaded_without_tracing(
 
     for _ in range(2):
         x = torch.ones(8)
-        compile_inplace(double, (x,), name="double")(x)
+        compiled = compile_inplace(double, (x,), name="double")
+        assert count_python_calls(compiled, x) < 6  # about 25 with the layers around the code
         assert x.tolist() == [2.0] * 8
     assert len(traced) == 1
     for kept in tmp_path.glob("fishrl/*.bin"):  # type: ignore[attr-defined]
