@@ -126,7 +126,7 @@ def _reach_code(artefact: Kernel) -> Kernel:
     layers: list[Any] = [artefact]
     for layer in layers:  # which grow by what each of them holds
         if isinstance(layer, CompiledFxGraph) and layer.current_callable is not None:
-            graph = layer
+            graph: Any = layer
             return lambda *tensors: graph.current_callable(list(tensors))
         cells = [cell for cell in getattr(layer, "__closure__", None) or () if cell != CellType()]
         held = [*(cell.cell_contents for cell in cells), *getattr(layer, "__dict__", {}).values()]
