@@ -200,7 +200,8 @@ def write_lean(
 def write_period(path: Path, trial: Trial, *, num_decisions: int, periods_T: list[float]) -> None:
     """Draw the flow around a fish at four moments of one shedding period in each flow.
 
-    ``num_decisions`` come before the first moment; ``ValueError`` if the episodes end earlier.
+    ``num_decisions`` come before the first moment. Moments after the end of all episodes show the
+    end.
     """
     task, num = trial.task, len(periods_T)
     length, (x, y) = task.body_length, task.origin.tolist()
@@ -219,8 +220,7 @@ def write_period(path: Path, trial: Trial, *, num_decisions: int, periods_T: lis
     starts = task.sample_starts(1, torch.Generator().manual_seed(0))[[0] * num]
     starts["flow_index"] = torch.arange(num)
     record(replace(trial, task=task), starts, on_frame=keep)
-    if len(frames) < most * FRAMES:
-        raise ValueError(f"{trial.name}: all episodes end before {num_decisions} decisions")
+    frames += frames[-1:] * (most * FRAMES - len(frames))
     shape: Any = {"rows": num, "columns": _NUM_MOMENTS, "size": (12, 2.1 * num + 0.6)}
     with panels(path, **shape, sharex=True, sharey=True) as grid:
         for flow, (row, speed) in enumerate(zip(grid, task.stream.speeds_bl, strict=True)):

@@ -13,7 +13,6 @@ from experiments.gait import figures
 from experiments.gait.tables import PAPER_WORK_RATIO, show, write_results
 from experiments.gait_page import draw_transfer, read, write_free_stream
 from experiments.pages import fill, write_table
-from experiments.program import show_command
 from experiments.statistics import Statistic
 from experiments.summarize import summarize
 from experiments.sweeps.runs import read_runs
@@ -43,7 +42,7 @@ GAIT_FIGURES = {
     "period": "Task 2: vorticity in one shedding period",
     "work": "Task 2: work in the wake and in a free stream",
 }
-HEADS = ("quantity", "flow", "paper", "ours", "likely reason of a difference")
+HEADS = ("quantity, in the flows I, II, III", "paper", "ours", "likely reason of a difference")
 
 
 def compare(transfer: Any, free: Any, line: Any, captures: Sequence[float]) -> str:
@@ -92,18 +91,18 @@ def compare(transfer: Any, free: Any, line: Any, captures: Sequence[float]) -> s
             PAPER_WORK_RATIO, ratios, ".1f", "their gait in the free stream is not stated",
         ),
     ]  # fmt: skip
-    rows = []
-    for name, theirs, ours, form, reason in quantities:
-        for number, (paper, own) in enumerate(zip(theirs, ours, strict=True), 1):
-            rows.append([name, "I" * number, format(paper, form), show(own, form), reason])
+    rows = [
+        [name, *(", ".join(show(value, form) for value in each) for each in (theirs, ours)), reason]
+        for name, theirs, ours, form, reason in quantities
+    ]
     capture = Statistic.of(captures).show(".1f")
     fits = line["paper"]["fitted_accuracy"], line["paper"]["held_out_accuracy"]
     own = line["classifier"]["held_out_accuracy"]
     rows += [
-        ["time to capture, T", "", "14.3", capture, "one start there; their food path is unknown"],
-        ["accuracy, paper's classifier, fitted", "", "95%", f"{fits[0]:.0%}", "data differ"],
-        ["the same, held-out episodes", "", "–", f"{fits[1]:.0%}", "not reported"],
-        ["accuracy of our classifier, held-out episodes", "", "–", f"{own:.0%}", ""],
+        ["time to capture, T", "14.3", capture, "one start there; their food path is unknown"],
+        ["accuracy, paper's classifier, fitted", "95%", f"{fits[0]:.0%}", "data differ"],
+        ["the same, held-out episodes", "–", f"{fits[1]:.0%}", "not reported"],
+        ["accuracy of our classifier, held-out episodes", "–", f"{own:.0%}", ""],
     ]
     return write_table(HEADS, rows)
 
@@ -125,16 +124,16 @@ def list_settings(folder: Path) -> str:
 
 
 def list_jobs(jobs: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return a table of the jobs and what they took."""
+    """Return a table of the jobs and the hours they took."""
     rows = [
-        [name, f"{job['seconds'] / 3600:.2f}", f"`{show_command(*job['words'])[:150]}`"]
-        for name, job in jobs.items()
+        [name, f"`{job['words'][0]}`", f"{job['seconds'] / 3600:.2f}"] for name, job in jobs.items()
     ]
-    return write_table(("job", "hours", "command"), rows)
+    return write_table(("job", "program", "hours"), rows)
 
 
 def draw(folder: Path, pictures: Path) -> None:
     """Copy and draw the figures."""
+    summarize(folder / "predation")
     pictures.mkdir(parents=True, exist_ok=True)
     for name, (pattern, _) in FIGURES.items():
         copyfile(min(folder.glob(pattern)), pictures / f"{name}.png")
@@ -152,7 +151,7 @@ def render(folder: Path, jobs: Mapping[str, Mapping[str, Any]], *, name: str, pl
     free = read(str(folder / "free_stream"), "free_stream.json")
     line = read(str(min(folder.glob("classifier*/machine.pt")).parent), "lateral_line.json")
     hunts = read_runs(folder / "predation")
-    captures = [run.summary["mean_time_to_success_T"] for run in hunts]
+    times = [run.summary["mean_time_to_success_T"] for run in hunts]  # None without a capture
     machines = {
         f"{m['gpu'] or m['cpu']}, {m['cores']} cores, torch {m['torch']}"
         for m in (job["machine"] for job in jobs.values())
@@ -160,14 +159,14 @@ def render(folder: Path, jobs: Mapping[str, Mapping[str, Any]], *, name: str, pl
     hours = sum(job["seconds"] for job in jobs.values()) / 3600
     shown = {**{key: text for key, (_, text) in FIGURES.items()}, **GAIT_FIGURES}
     parts = [
-        f"```sh\n{show_command('experiments.reproduce', f'scale={name}')}\n```",
-        f"{hours:.1f} hours on {'; '.join(sorted(machines))}. Seeds: {len(hunts)}.",
+        f"```sh\npython -m experiments.reproduce scale={name}\n```",
+        f"{hours:.1f} hours on {'; '.join(sorted(machines))}.",
         "### The paper's numbers and ours",
-        compare(transfer, free, line, captures),
+        compare(transfer, free, line, [time for time in times if time is not None]),
         "### Settings",
         list_settings(folder),
         "### Task 1: predation",
-        summarize(folder / "predation"),
+        (folder / "predation" / "summary.md").read_text(encoding="utf-8").partition("\n")[2],
         "### Task 2: Kármán gait",
         write_results(transfer["arms"], transfer["speeds_bl"]),
         write_free_stream(free, transfer["arms"][ARMS["both"]]),

@@ -210,7 +210,7 @@ def test_a_tiny_reproduction_runs_all_jobs_and_writes_its_page(tmp_path: Path) -
     page = (tmp_path / "reproduction.md").read_text(encoding="utf-8")
     pictures = re.findall(r"\]\((figures/\w+\.png)\)", page)
     assert len(pictures) == 11 and all((tmp_path / picture).is_file() for picture in pictures)
-    assert "| survival with both, T | III | 100.0 |" in page
+    assert "| survival with both, T | 100.0, 100.0, 100.0 |" in page
 
 
 def test_the_solver_is_judged_by_a_case(tmp_path: Path) -> None:
