@@ -126,8 +126,8 @@ class _Library:
 
 # ---------------------------------------------------------------------------------------- compiled
 
-#: Of each kernel, architecture and configuration: what ptxas used of registers and memory.
-USAGE: dict[str, str] = {}
+#: Of each architecture and kernel: what ptxas used of registers and memory, by configuration.
+USAGE: dict[str, list[str]] = {}
 
 
 @cache
@@ -145,6 +145,7 @@ def compile_only(*capabilities: int) -> None:
                 log = io.StringIO()
                 with contextlib.redirect_stdout(log):
                     self._precompile_config(config)
-                USAGE[f"sm_{capability} {self.fn.__name__} {config}"] = log.getvalue()
+                said = USAGE.setdefault(f"sm_{capability} {self.fn.__name__}", [])
+                said.append(f"{config}: {log.getvalue()}")
 
     triton_heuristics.CachingAutotuner.precompile = precompile

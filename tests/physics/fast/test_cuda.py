@@ -139,7 +139,7 @@ print(json.dumps(triton_host.USAGE))
 
 @pytest.mark.parametrize("name", CASES)
 def test_kernels_for_sm_80_and_sm_90_do_not_spill_registers(name: str, cache: Path) -> None:
-    """ptxas needs no device."""
+    """In one at least of the configurations among which Inductor chooses by time."""
     root = Path(__file__).parents[3]
     done = subprocess.run(
         [sys.executable, "-c", COMPILE, name],
@@ -154,7 +154,7 @@ def test_kernels_for_sm_80_and_sm_90_do_not_spill_registers(name: str, cache: Pa
         text=True,
         check=True,
     )
-    usage: dict[str, str] = json.loads(done.stdout.splitlines()[-1])
+    usage: dict[str, list[str]] = json.loads(done.stdout.splitlines()[-1])
     assert {kernel[:5] for kernel in usage} == {"sm_80", "sm_90"}
     for kernel, said in usage.items():
-        assert "0 bytes spill stores, 0 bytes spill loads" in said, f"{kernel}: {said}"
+        assert any(" 0 bytes spill stores, 0 bytes spill loads" in log for log in said), kernel
