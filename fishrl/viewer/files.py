@@ -145,7 +145,7 @@ class _Client:
         while True:
             try:
                 return call()
-            except (ConnectionError, RuntimeError) as error:
+            except (OSError, RuntimeError) as error:  # refused, or out of time
                 # without a driver the program listens first, and then ends
                 if not self._process.is_running or time.monotonic() > deadline:
                     raise ValueError(self._process.explain_failure()) from error
