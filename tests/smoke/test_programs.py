@@ -205,6 +205,7 @@ def test_a_lateral_line_is_studied(tmp_path: Path) -> None:
     assert (tmp_path / "line" / "machine.pt").is_file()
 
 
+@pytest.mark.slow  # runs every other program in a process of its own
 def test_a_tiny_reproduction_runs_all_jobs_and_writes_its_page(tmp_path: Path) -> None:
     _run("reproduce", "scale=tiny", f"folder={tmp_path}")
     page = (tmp_path / "reproduction.md").read_text(encoding="utf-8")
