@@ -59,7 +59,7 @@ test-all: $(STAMP) ## run all tests, including the slow ones and those of make s
 	$(BIN)/python -m pytest $(ARGS)
 
 smoke: $(STAMP) ## run each task, algorithm and program for a few steps, under 90 s
-	$(BIN)/python -m pytest -m smoke $(ARGS)
+	$(BIN)/python -m pytest -m "smoke and not slow" $(ARGS)
 
 $(DOCS_STAMP): $(STAMP)
 	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -e '.[docs]' -c constraints.txt
