@@ -200,7 +200,7 @@ def write_lean(
 def write_period(path: Path, trial: Trial, *, num_decisions: int, periods_T: list[float]) -> None:
     """Draw the flow around a fish at four moments of one shedding period in each flow.
 
-    ``num_decisions`` come before the first moment. Moments after the end of all episodes show the
+    ``num_decisions`` come before the first moment. Moments after the end of an episode show its
     end.
     """
     task, num = trial.task, len(periods_T)
@@ -220,13 +220,14 @@ def write_period(path: Path, trial: Trial, *, num_decisions: int, periods_T: lis
     starts = task.sample_starts(1, torch.Generator().manual_seed(0))[[0] * num]
     starts["flow_index"] = torch.arange(num)
     record(replace(trial, task=task), starts, on_frame=keep)
-    frames += frames[-1:] * (most * FRAMES - len(frames))
     shape: Any = {"rows": num, "columns": _NUM_MOMENTS, "size": (12, 2.1 * num + 0.6)}
     with panels(path, **shape, sharex=True, sharey=True) as grid:
         for flow, (row, speed) in enumerate(zip(grid, task.stream.speeds_bl, strict=True)):
+            swum = [frame for frame in frames if frame[2][flow] > 0.0]  # a new start has age 0
             for number, axes in enumerate(row):
                 at = round(number * FRAMES * periods_T[flow] / task.interval_T / _NUM_MOMENTS)
-                vorticity, outlines, time = (v[flow] for v in frames[num_decisions * FRAMES + at])
+                frame = swum[min(num_decisions * FRAMES + at, len(swum) - 1)]
+                vorticity, outlines, time = (values[flow] for values in frame)
                 height, width = vorticity.shape
                 edges = (-0.5 - x, width - 0.5 - x, -0.5 - y, height - 0.5 - y)
                 image = axes.imshow(

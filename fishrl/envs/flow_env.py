@@ -235,7 +235,7 @@ class FlowEnv(EnvBase):
         samples: list[TensorDict] = []
         sensed_at_end: TensorDict | None = None  # by rows that end before the first sample
         num_due = num_unmeasured = 0  # steps to take, and since the last measurement
-        num_safe = self._count_safe_steps(None, has_ended)
+        num_safe = 0.0  # from then on
         for stretch in self._schedule:
             num_due, num_unmeasured = (n + stretch.num_steps for n in (num_due, num_unmeasured))
             is_check = stretch.is_check and (stretch.is_last or not num_unmeasured <= num_safe)
@@ -267,12 +267,11 @@ class FlowEnv(EnvBase):
                 on_frame(self)
         return now.update(torch.stack(samples, 1)) if samples else now, diverged
 
-    def _count_safe_steps(self, now: TensorDict | None, has_ended: Tensor) -> float:
+    def _count_safe_steps(self, now: TensorDict, has_ended: Tensor) -> float:
         """Return for how many steps no row ends; 0 on a GPU, which would have to be waited for."""
         if has_ended.is_cuda:
             return 0.0
-        steps = self.task.count_safe_steps(self.measure() if now is None else now)
-        return float(steps.masked_fill(has_ended, inf).min())
+        return float(self.task.count_safe_steps(now).masked_fill(has_ended, inf).min())
 
     def _count(self, diverged: Tensor) -> None:
         if diverged.any():

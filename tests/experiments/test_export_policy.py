@@ -12,8 +12,6 @@ import pytest
 from experiments.export_policy import upload
 from fishrl.zoo import find_policy
 
-pytest.importorskip("huggingface_hub")
-
 
 class LocalHub(ThreadingHTTPServer):
     """Takes a new repository and one commit, as the Hugging Face Hub does."""
