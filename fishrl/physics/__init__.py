@@ -3,7 +3,15 @@
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.gait import CARANGIFORM, CARLING, LONG_WAVE, Gait
 from fishrl.physics.bodies.geometry import Markers
-from fishrl.physics.bodies.motion import Bending, Commanded, Driven, Fixed, Free, Oscillating
+from fishrl.physics.bodies.motion import (
+    Bending,
+    Commanded,
+    Driven,
+    Fixed,
+    Free,
+    Oscillating,
+    Towed,
+)
 from fishrl.physics.bodies.outline import BodyConfig, Cylinder, DCylinder, Ellipse, Foil
 from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.state import BodyState
@@ -64,6 +72,7 @@ __all__ = [
     "Section",
     "Sponge",
     "Storage",
+    "Towed",
     "compute_area",
     "compute_coefficient",
     "compute_pressure",

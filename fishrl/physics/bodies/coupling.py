@@ -194,21 +194,26 @@ def _prescribe_surface(
     for m, (body, state) in enumerate(zip(config.bodies, states, strict=True)):
         markers, deformation, motion = geometry.markers[m], geometry.deformations[m], body.motion
         linear, omega = motion.prescribe(state)
-        linear = state.velocity if motion.moves_freely else linear
-        omega = state.angular_velocity if motion.turns_freely else omega
-        rates.append([*linear.unbind(-1), omega])
+        own_rates = [*linear.unbind(-1), omega]
+        last = *state.velocity.unbind(-1), state.angular_velocity
+        for axis in motion.free_axes:
+            own_rates[axis] = last[axis]
+        rates.append(own_rates)
+        linear, omega = torch.stack(own_rates[:2], -1), own_rates[2]
         spin = torch.stack((-markers.arm[..., 1], markers.arm[..., 0]), -1) * omega[:, None, None]
         velocities.append((linear[:, None] + spin + markers.deformation_velocity).to(dtype).mT)
         rx, ry = (arm.to(dtype) for arm in markers.arm.unbind(-1))
         excess = params[m].density_ratio - displaced
         row = 2 + len(units)  # the first two rows are the slip itself
-        if motion.moves_freely:
+        shifts = [axis for axis in motion.free_axes if axis < 2]
+        if shifts:
             one, mass = widen(torch.ones_like(rx), m), excess * params[m].area
             units.append(one)
-            freedoms.append(_Freedom(m, 0, (one, None), (row, None), mass, state.load[:, 0]))
-            freedoms.append(_Freedom(m, 1, (None, one), (None, row), mass, state.load[:, 1]))
+            for axis in shifts:
+                unit, rows = ((one, None), (row, None)) if axis == 0 else ((None, one), (None, row))
+                freedoms.append(_Freedom(m, axis, unit, rows, mass, state.load[:, axis]))
             row += 1
-        if motion.turns_freely:
+        if 2 in motion.free_axes:
             turning = widen(-ry, m), widen(rx, m)
             units += turning
             inertia = excess * deformation.inertia

@@ -22,13 +22,12 @@ class Motion:
     """What moves a body.
 
     Attributes:
-        moves_freely: whether the flow moves the centre of mass.
-        turns_freely: whether the flow turns the body.
+        free_axes: rates that the flow determines: 0 and 1 are the velocity of the centre of mass
+            along x and y, 2 is Omega.
         is_still: whether the body never leaves its place.
     """
 
-    moves_freely: ClassVar[bool] = False
-    turns_freely: ClassVar[bool] = False
+    free_axes: ClassVar[tuple[int, ...]] = ()
     is_still: ClassVar[bool] = False
 
     def prescribe(self, body: BodyState) -> tuple[Tensor, Tensor]:
@@ -97,19 +96,25 @@ class Oscillating(Motion):
 class Free(Motion):
     """A body that the flow moves and turns."""
 
-    moves_freely: ClassVar[bool] = True
-    turns_freely: ClassVar[bool] = True
+    free_axes: ClassVar[tuple[int, ...]] = (0, 1, 2)
 
 
 @dataclass(frozen=True)
 class Commanded(Motion):
     """A fish that the flow moves and the command turns; the torque this requires is reported."""
 
-    moves_freely: ClassVar[bool] = True
+    free_axes: ClassVar[tuple[int, ...]] = (0, 1)
 
     def prescribe(self, body: BodyState) -> tuple[Tensor, Tensor]:
         """Return the commanded turn rate."""
         return body.velocity, compute_turn_rate(body)
+
+
+@dataclass(frozen=True)
+class Towed(Commanded):
+    """A commanded fish that keeps its initial velocity along x; the flow moves it along y alone."""
+
+    free_axes: ClassVar[tuple[int, ...]] = (1,)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,8 +132,7 @@ class Bending(Motion):
             larger values only slow it.
     """
 
-    moves_freely: ClassVar[bool] = True
-    turns_freely: ClassVar[bool] = True
+    free_axes: ClassVar[tuple[int, ...]] = (0, 1, 2)
 
     gain: float = 1.0
 

@@ -9,7 +9,14 @@ from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.gait import GAITS, Beat, Deformation, Gait
 from fishrl.physics.bodies.geometry import deform_body, locate_bodies, locate_markers, place_markers
 from fishrl.physics.bodies.midline import MidlineParams
-from fishrl.physics.bodies.motion import Bending, Commanded, Free, Motion, compute_turn_rate
+from fishrl.physics.bodies.motion import (
+    Bending,
+    Commanded,
+    Free,
+    Motion,
+    Towed,
+    compute_turn_rate,
+)
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.collision import compute_moments
@@ -211,6 +218,18 @@ def test_fluid_and_body_conserve_momentum_to_round_off(
     total = measure_momentum(state.f) + excess * state.bodies[0].velocity
     assert state.bodies[0].velocity.abs().max() > 1e-3
     assert total.abs().max() < 1e-11
+
+
+def test_a_towed_fish_keeps_its_speed_and_conserves_momentum_across_it() -> None:
+    config = make_swimmer_config(
+        SCALES, length_bl=4, height_bl=3, boundaries=PERIODIC, motion=Towed()
+    )
+    body = make_fish_body(heading=0.4)
+    body = body._replace(velocity=torch.tensor([[0.01, 0.0]], dtype=torch.float64))
+    state = run(config, body, 150)
+    (after,) = state.bodies
+    assert after.velocity[0, 0] == 0.01 and after.velocity[0, 1].abs() > 1e-4
+    assert measure_momentum(state.f)[0, 1].abs() < 1e-11
 
 
 def test_muscle_power_equals_total_power_on_the_fluid_when_the_fish_is_free() -> None:

@@ -17,7 +17,7 @@ from fishrl.physics import (
     InPlaceSolver,
     Scales,
 )
-from fishrl.physics.bodies.motion import Bending, Commanded, Free
+from fishrl.physics.bodies.motion import Bending, Commanded, Free, Towed
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.boundaries import (
     Boundaries,
@@ -98,6 +98,7 @@ CHANGES: dict[str, dict[str, Any]] = {
     "commanded": {"motion": Commanded()},
     "free": {"motion": Free()},
     "bending": {"motion": Bending()},
+    "towed": {"motion": Towed()},
     "constant length": {"bodies": (Fish(body_length=24, keeps_length=True, motion=Free()),)},
     "sheared": {"boundaries": COUETTE, "stream_speed": 0.03, "ramp_steps": 50},
     "sponges": {
