@@ -208,6 +208,7 @@ class FlowEnv(EnvBase):
         before = self.now.copy().update(self._read_inputs(tensordict))
         command, rows = self.task.command(action, before), tuple(self.batch_size)
         check_command(self.task, command, rows)
+        self.task.prepare_(self.solver, self.start)
         self.solver.command_(command.turn, self.task.n_substeps, command.frequency)
         now, diverged = self._advance(before)
         now.update(self.task.remember(before, action, now))

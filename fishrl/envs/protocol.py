@@ -63,10 +63,15 @@ class Solver(Protocol):
 
     @property
     def stream_speed(self) -> Tensor:
-        """Unit of the velocities that the edges impose ``[B]``, nodes per step."""
+        """Unit of the velocities that the edges impose at present ``[B]``, nodes per step."""
 
-    def set_stream_speed_(self, speed: Tensor, rows: Tensor | None = None) -> None:
-        """Set the stream speed ``[B]`` of the flows of ``rows`` ``[B]``, all by default."""
+    def set_stream_speed_(
+        self, speed: Tensor, rows: Tensor | None = None, *, num_steps: int | None = None
+    ) -> None:
+        """Set the stream speed ``[B]`` of the flows of ``rows`` ``[B]``, all by default.
+
+        It changes smoothly over ``num_steps``, or at once.
+        """
 
     def set_populations_(self, f: Tensor, rows: Tensor) -> None:
         """Set the flows of ``rows`` ``[B]`` to shifted populations ``[B, Q, Y, X]``."""

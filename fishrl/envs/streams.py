@@ -1,4 +1,4 @@
-"""Streams of several speeds, with or without a half disc."""
+"""Streams of several speeds, which may change within an episode, with or without a half disc."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -6,16 +6,19 @@ from math import pi
 from typing import Any
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 
 from fishrl.bounds import bounded, check_bounds
+from fishrl.envs.changes import StreamChanges
 from fishrl.envs.protocol import Solver
+from fishrl.envs.scene import Panel, Series
 from fishrl.envs.wakes import WakeBank, WakeRecipe, load_wakes
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.outline import DCylinder
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
 from fishrl.physics.flow import FlowConfig
-from fishrl.physics.units import Scales
+from fishrl.physics.units import MAX_WALL_SPEED, Scales
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +30,8 @@ class Stream:
 
     Args:
         speeds_bl: stream speeds, L / T; by default the paper's conditions I, II and III.
+        changes: of the speed within an episode, which begins at one of ``speeds_bl``; None for
+            steady streams.
         has_disc: include the half disc; positions refer to its location in a free stream too.
         diameter_bl: D of the half disc, body lengths.
         face_bl: distance of its flat side from the inflow.
@@ -36,6 +41,7 @@ class Stream:
     """
 
     speeds_bl: tuple[float, ...] = bounded((1.0, 1.25, 1.5), greater=0, entries=1)
+    changes: StreamChanges | None = None
     has_disc: bool = True
     diameter_bl: float = bounded(0.4, greater=0)
     face_bl: float = bounded(2.5, greater=0)
@@ -78,6 +84,9 @@ class Stream:
                 f"exceeds the domain of {domain_bl[0]:g} L x {domain_bl[1]:g} L; move it, "
                 "reduce it, or enlarge domain_bl"
             )
+        if self.changes is not None:
+            speeds = torch.tensor(self.changes.range_bl, dtype=torch.float64)
+            _check_speeds(f"stream.changes = {self.changes}", speeds, scales)
         return config
 
     def find_origin(self, config: FlowConfig, scales: Scales) -> tuple[float, float]:
@@ -100,6 +109,62 @@ class Stream:
             num_travels=self.num_travels,
         )
         return load_wakes(recipe, self.wake_folder)
+
+    def draw_changes(self, flow: Tensor, key: Tensor, *, duration_T: float) -> dict[str, Tensor]:
+        """Return ``stream_speeds`` ``[E, K]``, L / T: what the K changes of an episode lead to.
+
+        ``flow`` ``[E]`` is the index of the first flow, ``key`` ``[E]`` int64 that of the episode.
+        """
+        if self.changes is None:
+            return {}
+        first = torch.tensor(self.speeds_bl, dtype=torch.float64, device=flow.device)[flow]
+        num = self.changes.count(duration_T)
+        return {"stream_speeds": self.changes.draw_speeds(first, key, num)}
+
+    def check_starts(self, starts: TensorDictBase, scales: Scales) -> None:
+        """Raise ValueError for changes to speeds beyond the validated range."""
+        if self.changes is not None:
+            _check_speeds("starts['stream_speeds']", starts["stream_speeds"], scales)
+
+    def change_(
+        self, solver: Solver, starts: TensorDictBase, *, scales: Scales, num_steps: int
+    ) -> None:
+        """Begin the changes that fell due within the last ``num_steps``."""
+        if self.changes is None or not starts["stream_speeds"].shape[1]:
+            return
+        speeds, age = starts["stream_speeds"], solver.body.age[:, None]
+        times = speeds.new_tensor(self.changes.list_times(speeds.shape[1])) * scales.period
+        num, num_before = ((times <= now + 1e-6).sum(1) for now in (age, age - num_steps))
+        target = speeds.gather(1, (num[:, None] - 1).clamp_min(0))[:, 0]
+        solver.set_stream_speed_(
+            scales.reference_speed * target,
+            num > num_before,
+            num_steps=round(self.changes.ramp_T * scales.period),
+        )
+
+    def measure(self, solver: Solver, first: Tensor, scales: Scales) -> dict[str, Tensor]:
+        """Return ``flow_index`` ``[B]``, and ``stream_speed`` ``[B]`` in L / T if it changes.
+
+        The flow is that of the nearest speed at present; ``first`` ``[B]`` is that of the start.
+        """
+        if self.changes is None:
+            return {"flow_index": first.clone()}
+        speed = solver.stream_speed / scales.reference_speed
+        known = torch.tensor(self.speeds_bl, dtype=speed.dtype, device=speed.device)
+        return {
+            "flow_index": (speed[:, None] - known).abs().argmin(-1),
+            "stream_speed": speed,
+        }
+
+    def report(self, now: TensorDictBase) -> dict[str, Tensor]:
+        """Return the entries of ``measure`` that only a changing stream has."""
+        return {} if self.changes is None else {"stream_speed": now["stream_speed"]}
+
+    @property
+    def panels(self) -> tuple[Panel, ...]:
+        """A plot of the present speed, if it changes."""
+        series = (Series(key="stream_speed", label="speed"),)
+        return () if self.changes is None else (Panel(name="stream speed [L/T]", series=series),)
 
     def begin_(
         self,
@@ -126,3 +191,15 @@ class Stream:
         solver.reset_(rows, position, heading, velocity=(1.0, 0.0))
         if wakes is not None:
             solver.set_populations_(wakes.take(flow[rows], starts["wake_phase"][rows]), rows)
+
+
+def _check_speeds(name: str, speeds: Tensor, scales: Scales) -> None:
+    """Raise ValueError unless speeds (L / T) are positive and within the validated Mach number."""
+    fastest = MAX_WALL_SPEED / scales.reference_speed
+    if not ((speeds > 0.0) & (speeds <= fastest * (1.0 + 1e-9))).all():
+        low, high = speeds.min().item(), speeds.max().item()
+        raise ValueError(
+            f"{name} reaches from {low:g} to {high:g} L/T: allowed are speeds above 0 and up to "
+            f"{fastest:.3g} L/T, which is {MAX_WALL_SPEED} nodes per step (Mach "
+            f"{MAX_WALL_SPEED * 3**0.5:.2f}); lower the speeds, or max_wall_speed"
+        )

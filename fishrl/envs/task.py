@@ -209,6 +209,12 @@ class AbstractTask(ABC):
         position, heading = place_fish(starts, self.fish)
         solver.reset_(rows, position, heading)
 
+    def prepare_(self, solver: Solver, starts: TensorDictBase) -> None:  # noqa: B027  # optional
+        """Change the flow before an action, such as the speed of its stream; by default nothing.
+
+        ``starts`` ``[B]`` are those of the episodes, ``solver.body.age`` counts the steps since.
+        """
+
     @abstractmethod
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
         """Map legal actions ``[B]`` (int64, in [0, num_actions)) to commands to the body.

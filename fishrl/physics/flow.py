@@ -176,14 +176,18 @@ class FlowParams(NamedTuple):
 
     Attributes:
         tau: ``[B]`` relaxation time.
-        stream_speed: ``[B]`` nodes per step.
-        ramp_steps: ``[B]`` steps of the stream's rise.
+        stream_speed: ``[B]`` nodes per step, once the last change is over.
+        ramp_steps: ``[B]`` steps of that change; at first the stream's rise.
+        former_speed: ``[B]`` nodes per step, where it began; 0 at rest.
+        ramp_start: ``[B]`` when it began, steps since the start.
         bodies: of each body.
     """
 
     tau: Tensor
     stream_speed: Tensor
     ramp_steps: Tensor
+    former_speed: Tensor
+    ramp_start: Tensor
     bodies: tuple[BodyParams, ...]
 
 
@@ -193,7 +197,7 @@ class FlowState(NamedTuple):
     Attributes:
         f: ``[B, Q, Y, X]`` incoming populations, shifted by the weights.
         bodies: in each flow.
-        clock: ``[B]`` steps since the start; None means that the stream's ramp is over.
+        clock: ``[B]`` steps since the start; None means that the stream's changes are over.
     """
 
     f: Tensor
@@ -231,13 +235,18 @@ def make_params(configs: Sequence[FlowConfig], device: torch.device | str = "cpu
         pytree.tree_map(lambda *each: torch.cat(each), *(made[body] for body in counterparts))
         for counterparts in zip(*(config.bodies for config in configs), strict=True)
     )
-    return FlowParams(tau, speed, ramp, bodies)
+    return FlowParams(tau, speed, ramp, torch.zeros_like(speed), torch.zeros_like(speed), bodies)
 
 
 def compute_stream_speed(params: FlowParams, clock: Tensor) -> Tensor:
-    """Return the stream speed ``[B]`` at ``clock``: U (1 - cos(pi t / t_ramp)) / 2, then U."""
-    rise = (clock / params.ramp_steps.clamp_min(1e-9)).clamp(max=1.0)
-    return params.stream_speed * 0.5 * (1.0 - torch.cos(pi * rise))
+    """Return the stream speed ``[B]`` at ``clock``.
+
+    It is U_0 + (U - U_0) (1 - cos(pi t / t_ramp)) / 2, with t since the change began, then U.
+    """
+    age = clock - params.ramp_start
+    part = torch.where(params.ramp_steps > 0.0, age / params.ramp_steps, 1.0).clamp(max=1.0)
+    change = params.stream_speed - params.former_speed
+    return params.former_speed + change * 0.5 * (1.0 - torch.cos(pi * part))
 
 
 def list_configs(

@@ -76,7 +76,9 @@ class KinematicSolver:
         """There is no flow to set."""
         assert f.shape[0] == int(rows.sum())
 
-    def set_stream_speed_(self, speed: Tensor, rows: Tensor) -> None:
+    def set_stream_speed_(
+        self, speed: Tensor, rows: Tensor, *, num_steps: int | None = None
+    ) -> None:
         self.stream_speed.copy_(torch.where(rows, speed, self.stream_speed))
 
     def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:

@@ -27,6 +27,20 @@ def test_the_stream_rises_smoothly_to_its_speed() -> None:
     assert max(b - a for a, b in pairwise(speeds)) < 0.1 * math.pi / 200 * 1.01
 
 
+def test_a_later_change_begins_where_the_speed_is_and_follows_half_a_cosine() -> None:
+    zero = torch.zeros(2, dtype=torch.float64)
+    config = FlowConfig(width=8, height=8, tau=0.6, stream_speed=0.1)
+    params = make_params([config, config])._replace(
+        former_speed=torch.tensor([0.15, 0.1]).double(),
+        ramp_steps=torch.tensor([100.0, 0.0]).double(),
+        ramp_start=torch.tensor([30.0, 30.0]).double(),
+    )
+    speeds = torch.stack([compute_stream_speed(params, zero + t) for t in (30, 55, 80, 130, 999)])
+    part = torch.tensor([0.0, 0.5 - 0.5**1.5, 0.5, 1.0, 1.0]).double()
+    torch.testing.assert_close(speeds[:, 0], 0.15 - 0.05 * part)
+    assert (speeds[:, 1] == 0.1).all()
+
+
 @pytest.mark.parametrize(
     ("bad", "message"),
     [

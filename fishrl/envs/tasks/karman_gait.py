@@ -38,9 +38,10 @@ class KarmanGait(AbstractTask):
     fish. An episode starts at a random phase of a developed wake and terminates in the danger area
     or at an edge.
 
-    Reported beside the observation: ``lateral_line``, the true ``flow_index``, gear, frequency,
-    heading, angle of attack (from upstream, radians), and the work done so far by all, pushing and
-    lateral forces, in rho L^2 (L / T)^2.
+    Reported beside the observation: ``lateral_line``, the true ``flow_index`` (of a changing stream
+    the nearest known speed, and ``stream_speed`` in L / T), gear, frequency, heading, angle of
+    attack (from upstream, radians), and the work done so far by all, pushing and lateral forces, in
+    rho L^2 (L / T)^2.
 
     Args:
         stream: the flows.
@@ -185,26 +186,30 @@ class KarmanGait(AbstractTask):
         return self.stream.load_wakes(self.flow_config(), self.scales)
 
     def starts_from(self, uniform: Tensor) -> TensorDict:
-        """Draw nose position, flow, wake phase, and a key for sensor noise."""
+        """Draw nose position, flow, wake phase, key for sensor noise, and changes of the stream."""
         ranges = torch.tensor((self.start_x_bl, self.start_y_bl)).to(uniform)
         low, high = ranges.T
         place = low + uniform[:, :2] * (high - low)
         flows = torch.tensor(self.start_flows, device=uniform.device)
+        flow, key = flows[(uniform[:, 2] * len(flows)).long()], (uniform[:, 4] * 2.0**53).long()
+        duration_T = self.time_limit * self.interval_T
         return TensorDict(
             {
                 "head": self.origin.to(uniform.device) + self.body_length * place,
                 "heading": torch.full_like(uniform[:, 0], pi),
-                "flow_index": flows[(uniform[:, 2] * len(flows)).long()],
+                "flow_index": flow,
                 "wake_phase": uniform[:, 3].clone(),
-                "episode_key": (uniform[:, 4] * 2.0**53).long(),
+                "episode_key": key,
+                **self.stream.draw_changes(flow, key, duration_T=duration_T),
             },
             uniform.shape[:1],
             device=uniform.device,
         )
 
     def check_starts(self, starts: TensorDictBase) -> None:
-        """Also check flow indices, wake phases, and that no nose is in the danger area."""
+        """Also check flow indices, wake phases, streams, and that no nose is in the danger area."""
         super().check_starts(starts)
+        self.stream.check_starts(starts, self.scales)
         flow, phase = starts["flow_index"], starts["wake_phase"]
         num = len(self.stream.speeds_bl)
         if not ((flow >= 0) & (flow < num)).all():
@@ -226,6 +231,10 @@ class KarmanGait(AbstractTask):
         """Set the stream, wake and fish of each row."""
         place = place_fish(starts, self.fish)
         self.stream.begin_(solver, rows, starts, place, scales=self.scales, wakes=self.wakes)
+
+    def prepare_(self, solver: Solver, starts: TensorDictBase) -> None:
+        """Begin the changes of the stream that are due."""
+        self.stream.change_(solver, starts, scales=self.scales, num_steps=self.n_substeps)
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
         """Shift gear and turn as ``steering`` commands."""
@@ -251,7 +260,7 @@ class KarmanGait(AbstractTask):
                 "work": body.work / unit,
                 "positive_work": body.positive_work / unit,
                 "lateral_work": body.lateral_work / unit,
-                "flow_index": starts["flow_index"].clone(),
+                **self.stream.measure(solver, starts["flow_index"], self.scales),
             },
             starts.batch_size,
             device=starts.device,
@@ -326,6 +335,7 @@ class KarmanGait(AbstractTask):
         names = ("flow_index", "gear", "frequency", "heading", "work", "positive_work")
         return {
             **{name: now[name] for name in (*names, "lateral_work", "lateral_line")},
+            **self.stream.report(now),
             "angle_of_attack": wrap_angle(now["heading"] - pi),
         }
 
@@ -358,6 +368,7 @@ class KarmanGait(AbstractTask):
                 areas=(danger,),
                 marks=(neuromasts,),
                 panels=(
+                    *self.stream.panels,
                     describe_flow_label([label["name"] for label in self.flow_labels]),
                     Panel(name="nose from the flat side [L]", series=place),
                     signals,
@@ -374,6 +385,7 @@ class KarmanGait(AbstractTask):
             "place": self._locate(solver.head()),
             "neuromasts": neuromasts,
             "signal": signal.expand(neuromasts.shape[:2]),
+            "stream_speed": solver.stream_speed / self.scales.reference_speed,
         }
 
     def _locate(self, head: Tensor) -> Tensor:

@@ -53,6 +53,30 @@ def check_placement(
         )
 
 
+def spread_starts(
+    position: Tensor | None,
+    heading: Tensor | None,
+    config: FlowConfig,
+    num_envs: int,
+    device: torch.device,
+) -> tuple[Tensor, Tensor]:
+    """Return positions ``[B, M, 2]`` and headings ``[B, M]`` of all bodies, float64."""
+    shape = num_envs, max(1, len(config.bodies))
+    middle = torch.tensor([0.5 * config.width, 0.5 * config.height]).expand(*shape, 2)
+    position = middle if position is None else position
+    heading = torch.zeros(shape) if heading is None else heading
+    got = tuple(position.shape), tuple(heading.shape)
+    position, heading = position.to(device, torch.float64), heading.to(device, torch.float64)
+    if shape[1] == 1:
+        position, heading = position.reshape(-1, 1, 2), heading.reshape(-1, 1)
+    if position.shape != (*shape, 2) or heading.shape != shape:
+        raise ValueError(
+            f"position and heading have shapes {got[0]} and {got[1]}: give {(*shape, 2)} and "
+            f"{shape}, one for each of the {shape[1]} bodies in {num_envs} flows"
+        )
+    return position, heading
+
+
 def lies_inside(outline: Tensor, config: FlowConfig) -> Tensor:
     """Return ``[B]`` bool: whether the markers ``[B, N, 2]`` of a body lie within the grid."""
     x, y = outline.unbind(-1)

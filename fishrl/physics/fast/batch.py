@@ -134,10 +134,13 @@ class FlowBatch:
         return {**populations, "omega": [self._omega], **named}
 
     def read_former(self, state: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-        """Return a state with ``f0`` to ``f8`` for one that holds ``data``, as saved formerly.
+        """Return a state as of today for one that was saved formerly.
 
-        ``data`` ``[groups, slots]`` is the memory of the populations itself.
+        That held the memory of the populations itself as ``data`` ``[groups, slots]`` in place of
+        ``f0`` to ``f8``, and streams only rose from rest.
         """
+        began = ("params.former_speed", "params.ramp_start")
+        state = {name: torch.zeros_like(self.flow.clock) for name in began} | dict(state)
         if "data" not in state:
             return state
         data, height, width = state["data"], self.layout.height, self.layout.width

@@ -120,12 +120,15 @@ def make_check(config: FlowConfig) -> Kernel:
 
 
 def make_edges(sides: list[tuple[Side, Boundary]], storage: Storage) -> Kernel:
-    """Return: set some edges. Of each side come 9 x 3 views: edge, neighbour, outgoing."""
+    """Return: set some edges.
 
-    def set_edges(
-        clock: Tensor, tau: Tensor, stream_speed: Tensor, ramp_steps: Tensor, *rest: Tensor
-    ) -> None:
-        params = FlowParams(tau=tau, stream_speed=stream_speed, ramp_steps=ramp_steps, bodies=())
+    After the clock and the flows' numbers come the profiles, and of each side 9 x 3 views: edge,
+    neighbour, outgoing.
+    """
+    num_numbers = len(FlowParams._fields) - 1  # all but the bodies
+
+    def set_edges(clock: Tensor, *rest: Tensor) -> None:
+        params, rest = FlowParams._make((*rest[:num_numbers], ())), rest[num_numbers:]
         speed_now = compute_stream_speed(params, clock).float()[:, None]
         profiles, views = rest[: len(sides)], rest[len(sides) :]
         for i, (side, boundary) in enumerate(sides):

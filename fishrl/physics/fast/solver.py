@@ -11,13 +11,13 @@ from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.geometry import Markers, deform_body, locate_markers, place_markers
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
-from fishrl.physics.bodies.placement import check_placement, lies_inside
+from fishrl.physics.bodies.placement import check_placement, lies_inside, spread_starts
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
 from fishrl.physics.fast.batch import FlowBatch
 from fishrl.physics.fast.compiled import Kernel, find_compiler_problem
 from fishrl.physics.fast.workers import Workers, count_cores, map_shared, open_shared
-from fishrl.physics.flow import FlowConfig, list_configs
+from fishrl.physics.flow import FlowConfig, compute_stream_speed, list_configs, make_params
 from fishrl.physics.lattice import Q
 
 logger = logging.getLogger(__name__)
@@ -182,7 +182,8 @@ class InPlaceSolver:
     ) -> None:
         """Put the bodies of the flows in ``rows`` ``[B]`` bool at rest, without vortices around.
 
-        Their commands, totals and clock start from zero; their parameters stay, as do other flows.
+        Their commands, totals and clock start from zero, and the stream has the speed last set, to
+        which it rises from rest if ``ramp_steps`` says so; other parameters and flows stay.
 
         Args:
             rows: which flows.
@@ -196,7 +197,7 @@ class InPlaceSolver:
                 nothing has changed.
         """
         rows = self._choose(rows)
-        position, heading = _spread_starts(
+        position, heading = spread_starts(
             position, heading, self.config, self.num_envs, self.device
         )
         _check_tensor("position", position, where=rows)
@@ -210,10 +211,12 @@ class InPlaceSolver:
         if self._unplaced is not None:
             left = self._unplaced & ~rows
             self._unplaced = left if left.any() else None
-        new = flow._replace(clock=torch.zeros_like(flow.clock), bodies=tuple(fresh))
+        zero, rise = torch.zeros_like(flow.clock), make_params(self.configs, self.device).ramp_steps
+        params = flow.params._replace(ramp_steps=rise, former_speed=zero, ramp_start=zero)
+        new = flow._replace(clock=zero, params=params, bodies=tuple(fresh))
         for own, value in zip(pytree.tree_leaves(flow), pytree.tree_leaves(new), strict=True):
             own.copy_(torch.where(rows.view(-1, *(1,) * (own.dim() - 1)), value, own))
-        speed = self.stream_speed.float()
+        speed = params.stream_speed.float()
         still = torch.zeros_like(speed)
         f = compute_equilibrium(still, velocity[0] * speed, velocity[1] * speed)
         for number, group in self._batch.groups.items():
@@ -223,14 +226,33 @@ class InPlaceSolver:
 
     @property
     def stream_speed(self) -> Tensor:
-        """Stream speed of each flow ``[B]``, nodes per step; change it by ``set_stream_speed_``."""
-        return self._batch.flow.params.stream_speed
+        """What each flow's stream speed is at present ``[B]``, nodes per step; a copy."""
+        return compute_stream_speed(self._batch.flow.params, self._batch.flow.clock)
 
-    def set_stream_speed_(self, speed: Tensor, rows: Tensor | None = None) -> None:
-        """Set the stream speed of all flows, or of those in ``rows`` ``[B]``, nodes per step."""
-        own, rows = self.stream_speed, self._choose(rows)
+    def set_stream_speed_(
+        self, speed: Tensor, rows: Tensor | None = None, *, num_steps: int | None = None
+    ) -> None:
+        """Set the stream speed ``[B]`` of all flows, or of those in ``rows`` ``[B]``.
+
+        Args:
+            speed: nodes per step.
+            rows: which flows.
+            num_steps: over which the speed changes smoothly, from what it is now; by default it is
+                set at once, and a rise from rest goes on.
+        """
+        rows = self._choose(rows)
         _check_tensor("speed", speed, (self.num_envs,), where=rows)
-        own.copy_(torch.where(rows, speed, own))
+        flow = self._batch.flow
+        new = flow.params._replace(stream_speed=speed.to(flow.clock))
+        if num_steps is not None:
+            if num_steps < 0:
+                raise ValueError(f"num_steps = {num_steps}: must be 0 or more")
+            steps = torch.full_like(flow.clock, num_steps)
+            new = new._replace(
+                ramp_steps=steps, former_speed=self.stream_speed, ramp_start=flow.clock.clone()
+            )
+        for own, value in zip(flow.params[:-1], new[:-1], strict=True):
+            own.copy_(torch.where(rows, value, own))
 
     def set_populations_(self, f: Tensor, rows: Tensor | None = None) -> None:
         """Set all flows, or the N of ``rows`` ``[B]``, to shifted populations ``[N, Q, Y, X]``."""
@@ -373,27 +395,3 @@ def _check_tensor(
         return
     if not value.to(where.device)[where].isfinite().all():
         raise ValueError(f"{name} = {value.tolist()}: must be finite in every chosen row")
-
-
-def _spread_starts(
-    position: Tensor | None,
-    heading: Tensor | None,
-    config: FlowConfig,
-    num_envs: int,
-    device: torch.device,
-) -> tuple[Tensor, Tensor]:
-    """Return positions ``[B, M, 2]`` and headings ``[B, M]`` of all bodies, float64."""
-    shape = num_envs, max(1, len(config.bodies))
-    middle = torch.tensor([0.5 * config.width, 0.5 * config.height]).expand(*shape, 2)
-    position = middle if position is None else position
-    heading = torch.zeros(shape) if heading is None else heading
-    got = tuple(position.shape), tuple(heading.shape)
-    position, heading = position.to(device, torch.float64), heading.to(device, torch.float64)
-    if shape[1] == 1:
-        position, heading = position.reshape(-1, 1, 2), heading.reshape(-1, 1)
-    if position.shape != (*shape, 2) or heading.shape != shape:
-        raise ValueError(
-            f"position and heading have shapes {got[0]} and {got[1]}: give {(*shape, 2)} and "
-            f"{shape}, one for each of the {shape[1]} bodies in {num_envs} flows"
-        )
-    return position, heading

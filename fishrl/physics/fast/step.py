@@ -97,8 +97,7 @@ class FlowGroup:
             outgoing = layout.nodes(populations, parity, True)
             crossings = config.boundaries.list_crossings(config.height, config.width)
             self.crossings.append([(incoming[q][to], outgoing[q][at]) for q, to, at in crossings])
-            params = flow.params
-            numbers = flow.clock, params.tau, params.stream_speed, params.ramp_steps
+            numbers = flow.clock, *flow.params._replace(bodies=())[:-1]
             for i, sides in enumerate(config.boundaries.in_order()):
                 views: list[Tensor] = []
                 for side, _ in sides:

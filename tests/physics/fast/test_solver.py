@@ -119,6 +119,38 @@ def test_in_place_step_equals_the_readable_step(name: str) -> None:
     assert_equal_to_reference(solver, run_reference(config, 120))
 
 
+def test_a_stream_that_changes_equals_the_readable_step_and_resumes_on_the_way() -> None:
+    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, **CHANGES["sheared"])
+    solver, other = make_solver(config), make_solver(config)
+    speed = torch.tensor([0.05, 0.06, 0.02], dtype=torch.float64)
+    for each in (solver, other):
+        each.advance_(60)
+        each.set_stream_speed_(speed, torch.tensor([True, False, True]), num_steps=40)
+    solver.advance_(20)
+    middle = torch.tensor([0.04, 0.03, 0.025], dtype=torch.float64)
+    torch.testing.assert_close(solver.stream_speed, middle)
+    other.load_state_dict(solver.state_dict())
+    for each in (solver, other):
+        each.advance_(40)
+    assert torch.equal(solver.populations(), other.populations())
+    torch.testing.assert_close(solver.stream_speed, torch.tensor([0.05, 0.03, 0.02]).double())
+    state = run_reference(config, 60)
+    params = make_params([config] * 3)
+    changed = params._replace(
+        stream_speed=torch.tensor([0.05, 0.03, 0.02]).double(),
+        former_speed=params.stream_speed,
+        ramp_steps=torch.full_like(speed, 40.0),
+        ramp_start=torch.full_like(speed, 60.0),
+    )
+    for _ in range(60):
+        state = step(state, config, changed)
+    assert_equal_to_reference(solver, state)
+    solver.reset_(torch.tensor([True, False, False]), STARTS, HEADINGS)
+    torch.testing.assert_close(solver.stream_speed, torch.tensor([0.0, 0.03, 0.02]).double())
+    solver.advance_(50)  # the rise from rest, as configured
+    torch.testing.assert_close(solver.stream_speed, torch.tensor([0.05, 0.03, 0.02]).double())
+
+
 @pytest.mark.compile
 def test_compiled_step_equals_the_readable_step_and_repeats_bit_for_bit() -> None:
     config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
@@ -290,6 +322,18 @@ def test_wrong_calls_are_refused(call: object, message: str) -> None:
 def test_saved_states_keep_the_names_that_earlier_runs_wrote() -> None:
     solver = make_solver(make_swimmer_config(SCALES, length_bl=4, height_bl=3))
     assert "params.shapes[0].axial" in solver.state_dict()
+
+
+def test_a_state_saved_before_streams_could_change_goes_on_as_it_was() -> None:
+    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, **CHANGES["sheared"])
+    solver, other = make_solver(config), make_solver(config)
+    solver.advance_(20)
+    state = solver.state_dict()
+    del state["params.former_speed"], state["params.ramp_start"]
+    other.load_state_dict(state)
+    for each in (solver, other):
+        each.advance_(20)
+    assert torch.equal(other.populations(), solver.populations())
 
 
 @pytest.mark.compile

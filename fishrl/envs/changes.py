@@ -1,0 +1,220 @@
+"""How the speed of a stream changes within an episode: at given times, or at random.
+
+A change begins with the first decision at or after its time and lasts ``ramp_T``, in which the
+speed follows half a cosine, so that the water is accelerated without a shock. The speeds of random
+changes depend on a key of the episode: they are the same in any batch.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from itertools import pairwise
+from math import ceil
+
+import torch
+from torch import Tensor
+
+from fishrl.bounds import bounded, check_bounds
+from fishrl.envs.draws import draw_uniform
+
+_DRAW = 2  # 0 and 1 are those of the lateral line
+
+
+@dataclass(frozen=True, kw_only=True)
+class StreamChanges(ABC):
+    """Changes of a stream's speed.
+
+    Args:
+        ramp_T: duration of a change.
+    """
+
+    ramp_T: float = bounded(1.0, greater=0)
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    @property
+    @abstractmethod
+    def range_bl(self) -> tuple[float, float]:
+        """Slowest and fastest speed that a change leads to, L / T."""
+
+    @property
+    @abstractmethod
+    def typical_interval_T(self) -> float:
+        """Mean time between two changes; infinite for a single one."""
+
+    @abstractmethod
+    def count(self, duration_T: float) -> int:
+        """Return the number of changes in an episode of ``duration_T``."""
+
+    @abstractmethod
+    def list_times(self, num: int) -> list[float]:
+        """Return when the first ``num`` changes begin, in T."""
+
+    @abstractmethod
+    def draw_speeds(self, first: Tensor, key: Tensor, num: int) -> Tensor:
+        """Return the speeds ``[E, num]`` that the changes lead to, L / T, float64.
+
+        Args:
+            first: ``[E]`` speed at the start, L / T.
+            key: ``[E]`` int64, key of the episode.
+            num: number of changes.
+        """
+
+
+@dataclass(frozen=True, kw_only=True)
+class StreamSteps(StreamChanges):
+    """The same changes in every episode; with a longer ``ramp_T`` they are ramps.
+
+    Args:
+        times_T: when they begin, rising; each after the one before has ended.
+        speeds_bl: speeds that they lead to, L / T.
+    """
+
+    times_T: tuple[float, ...] = bounded(least=0, entries=1)
+    speeds_bl: tuple[float, ...] = bounded(greater=0, entries=1)
+
+    def __post_init__(self) -> None:
+        for name in ("times_T", "speeds_bl"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        super().__post_init__()
+        if len(self.times_T) != len(self.speeds_bl):
+            raise ValueError(
+                f"times_T has {len(self.times_T)} entries, speeds_bl {len(self.speeds_bl)}: give "
+                "one speed for each time"
+            )
+        if any(after - before < self.ramp_T for before, after in pairwise(self.times_T)):
+            raise ValueError(
+                f"times_T = {self.times_T}, ramp_T = {self.ramp_T}: times must rise, each by at "
+                "least ramp_T, the duration of a change"
+            )
+
+    @property
+    def range_bl(self) -> tuple[float, float]:
+        """Slowest and fastest of the speeds."""
+        return min(self.speeds_bl), max(self.speeds_bl)
+
+    @property
+    def typical_interval_T(self) -> float:
+        """Mean of the intervals."""
+        num = len(self.times_T) - 1
+        return (self.times_T[-1] - self.times_T[0]) / num if num else float("inf")
+
+    def count(self, duration_T: float) -> int:
+        """Return the number of times, whatever the duration."""
+        return len(self.times_T)
+
+    def list_times(self, num: int) -> list[float]:
+        """Return the times."""
+        return list(self.times_T[:num])
+
+    def draw_speeds(self, first: Tensor, key: Tensor, num: int) -> Tensor:
+        """Return the speeds."""
+        speeds = torch.tensor(self.speeds_bl, dtype=torch.float64, device=key.device)
+        return speeds[:num].expand(len(key), num).clone()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomChanges(StreamChanges):
+    """Changes at equal intervals.
+
+    Args:
+        interval_T: time between them, and before the first one.
+    """
+
+    interval_T: float = bounded(20.0, greater=0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.interval_T < self.ramp_T:
+            raise ValueError(
+                f"interval_T = {self.interval_T}, ramp_T = {self.ramp_T}: a change must end before "
+                "the next one begins; raise interval_T or lower ramp_T"
+            )
+
+    @property
+    def typical_interval_T(self) -> float:
+        """The interval."""
+        return self.interval_T
+
+    def count(self, duration_T: float) -> int:
+        """Return how many begin before the end of the episode."""
+        return ceil(duration_T / self.interval_T - 1e-9) - 1
+
+    def list_times(self, num: int) -> list[float]:
+        """Return multiples of the interval."""
+        return [self.interval_T * (k + 1) for k in range(num)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StreamSwitches(RandomChanges):
+    """Changes to another one of some speeds, each with equal probability.
+
+    Args:
+        speeds_bl: the speeds, L / T.
+    """
+
+    speeds_bl: tuple[float, ...] = bounded((1.0, 1.25, 1.5), greater=0, entries=2)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "speeds_bl", tuple(self.speeds_bl))
+        super().__post_init__()
+        if len(set(self.speeds_bl)) < len(self.speeds_bl):
+            raise ValueError(f"speeds_bl = {self.speeds_bl}: must differ from each other")
+
+    @property
+    def range_bl(self) -> tuple[float, float]:
+        """Slowest and fastest of the speeds."""
+        return min(self.speeds_bl), max(self.speeds_bl)
+
+    def draw_speeds(self, first: Tensor, key: Tensor, num: int) -> Tensor:
+        """Draw each speed from those that differ from the speed before."""
+        speeds = torch.tensor(self.speeds_bl, dtype=torch.float64, device=key.device)
+        chances = draw_uniform(_DRAW, key, torch.zeros_like(key), num)
+        drawn, now = [], first.double()
+        for chance in chances.unbind(-1):
+            is_other = speeds != now[:, None]
+            rank = (chance * is_other.sum(-1)).long()
+            chosen = is_other & (is_other.cumsum(-1) == rank[:, None] + 1)
+            now = speeds[chosen.int().argmax(-1)]
+            drawn.append(now)
+        return torch.stack(drawn, -1) if drawn else chances
+
+
+@dataclass(frozen=True, kw_only=True)
+class StreamWalk(RandomChanges):
+    """A random walk: each change is drawn uniformly, and reflected at the limits.
+
+    Args:
+        step_bl: largest change, L / T.
+        low_bl: slowest speed, L / T.
+        high_bl: fastest speed, L / T.
+    """
+
+    interval_T: float = 2.0
+    step_bl: float = bounded(0.2, greater=0)
+    low_bl: float = bounded(0.9, greater=0)
+    high_bl: float = bounded(1.6, greater=0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.step_bl <= self.high_bl - self.low_bl:
+            raise ValueError(
+                f"low_bl = {self.low_bl}, high_bl = {self.high_bl}, step_bl = {self.step_bl}: "
+                "high_bl must exceed low_bl by at least step_bl"
+            )
+
+    @property
+    def range_bl(self) -> tuple[float, float]:
+        """The limits."""
+        return self.low_bl, self.high_bl
+
+    def draw_speeds(self, first: Tensor, key: Tensor, num: int) -> Tensor:
+        """Draw the walk; a start beyond the limits is moved to the nearer one first."""
+        changes = self.step_bl * (2.0 * draw_uniform(_DRAW, key, torch.zeros_like(key), num) - 1.0)
+        drawn, now = [], first.double().clamp(self.low_bl, self.high_bl)
+        for change in changes.unbind(-1):
+            now = now + change
+            now = torch.where(now > self.high_bl, 2.0 * self.high_bl - now, now)
+            now = torch.where(now < self.low_bl, 2.0 * self.low_bl - now, now)
+            drawn.append(now)
+        return torch.stack(drawn, -1) if drawn else changes
