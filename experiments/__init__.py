@@ -1,8 +1,12 @@
 """Programs: train a policy, evaluate it, draw its episodes. Nothing imports this package."""
 
+import gc
 import signal
 import sys
 
-if sys.argv[0] == "-m" and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-    # Ctrl-C while torch is imported ends a program without a traceback; see ``Program``.
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+if sys.argv[0] == "-m":
+    # Until ``Program`` begins: searching what imports make for garbage would take seconds, and
+    # Ctrl-C ends the program without a traceback.
+    gc.disable()
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)

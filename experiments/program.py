@@ -17,6 +17,7 @@ line. In Python, ``main.read([...])`` returns the settings of a command line and
 
 from __future__ import annotations
 
+import gc
 import inspect
 import logging
 import os
@@ -58,6 +59,9 @@ class Program:
 
     def __call__(self, arguments: Sequence[str] | None = None) -> None:
         """Run a command line, by default that of the process."""
+        if not gc.isenabled():
+            gc.freeze()  # what imports made is kept to the end
+            gc.enable()
         set_up_logging()
         words = list(sys.argv[1:] if arguments is None else arguments)
         with plain_errors(), interruptible():
