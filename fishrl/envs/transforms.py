@@ -106,14 +106,17 @@ class FlowLabelTransform(Transform):
 class PredictedFlowLabel(FlowLabelTransform):
     """Write the flow label predicted by a lateral-line classifier.
 
-    The flow does not change between decisions, so evidence accumulates over the episode: the
-    log-probabilities of k decisions ago are weighted by ``memory`` to the power of k. See
-    ``FlowLabelTransform`` for the entries.
+    Evidence accumulates over the episode as in a Bayesian filter: the classifier's probabilities p
+    count as likelihoods, and b <- p ((1 - s) b^memory / sum(b^memory) + s / n), normalised. With
+    ``memory`` 1 it is the exact filter of a hidden Markov model whose flow is drawn anew at rate s
+    per decision, and with s = 0 it never forgets; a lower ``memory`` flattens what was believed
+    before (Raftery, Karny & Ettler 2010). See ``FlowLabelTransform`` for the entries.
 
     Args:
         machine: a ``fishrl.modules.LateralLineClassifier``, or a network with its ``num_flows`` and
             ``check``. Its weights are frozen.
         memory: in [0, 1]; 0 uses the current signal only, as the paper does.
+        switching_rate: s in [0, 1], probability that the flow is drawn anew before a decision.
         in_key: key of the signal ``[B, W, P, F]``.
         is_observed: see ``FlowLabelTransform``.
     """
@@ -125,15 +128,17 @@ class PredictedFlowLabel(FlowLabelTransform):
         *,
         machine: nn.Module,
         memory: float = 0.7,
+        switching_rate: float = 0.0,
         in_key: str = LATERAL_LINE,
         is_observed: bool = True,
     ) -> None:
-        if not 0.0 <= memory <= 1.0:
-            raise ValueError(f"memory = {memory}: must lie in [0, 1]")
+        for name, share in (("memory", memory), ("switching_rate", switching_rate)):
+            if not 0.0 <= share <= 1.0:
+                raise ValueError(f"{name} = {share}: must lie in [0, 1]")
         num_flows: int = machine.num_flows  # type: ignore[assignment]
         super().__init__(num_flows=num_flows, in_key=in_key, is_observed=is_observed)
         self.machine = machine.eval().requires_grad_(False)
-        self.memory = memory
+        self.memory, self.switching_rate = memory, switching_rate
         self.register_buffer("evidence", torch.zeros(0, self.num_flows))
 
     def set_container(self, container: Transform | EnvBase) -> None:
@@ -157,11 +162,18 @@ class PredictedFlowLabel(FlowLabelTransform):
         """Return the probabilities ``[B, n]`` given all signals of the episode so far."""
         log_prob = self.machine(now[self.in_keys[0]]).float().log_softmax(-1)
         if begins is None:
-            evidence = self.memory * self.evidence + log_prob
+            evidence = self._predict(self.memory * self.evidence) + log_prob
         else:
             evidence = torch.where(begins.unsqueeze(-1), log_prob, self.evidence)
         self.evidence = evidence
         return evidence.softmax(-1)
+
+    def _predict(self, evidence: Tensor) -> Tensor:
+        """Return the logarithm of what is believed ``[B, n]`` before the next signal."""
+        if self.switching_rate == 0.0:
+            return evidence
+        rate = self.switching_rate
+        return ((1.0 - rate) * evidence.softmax(-1) + rate / self.num_flows).log()
 
 
 class TrueFlowLabel(FlowLabelTransform):
@@ -220,7 +232,11 @@ def equip(
 
 
 def make_recognition(
-    machine: nn.Module, *, memory: float = 0.7, is_observed: bool = True
+    machine: nn.Module,
+    *,
+    memory: float = 0.7,
+    switching_rate: float = 0.0,
+    is_observed: bool = True,
 ) -> list[Transform]:
     """Return the transforms that label flows by a classifier, see ``PredictedFlowLabel``.
 
@@ -229,7 +245,13 @@ def make_recognition(
     """
     num_intervals = int(machine.num_intervals)  # type: ignore[arg-type]
     key = LATERAL_LINE if num_intervals == 1 else HISTORY
-    label = PredictedFlowLabel(machine=machine, memory=memory, in_key=key, is_observed=is_observed)
+    label = PredictedFlowLabel(
+        machine=machine,
+        memory=memory,
+        switching_rate=switching_rate,
+        in_key=key,
+        is_observed=is_observed,
+    )
     if num_intervals == 1:
         return [label]
     return [CatFrames(N=num_intervals, dim=-3, in_keys=[LATERAL_LINE], out_keys=[HISTORY]), label]

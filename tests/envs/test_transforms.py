@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise, product
 from typing import Any
 
 import pytest
@@ -157,6 +158,30 @@ def test_what_the_machine_said_before_counts_less_and_less_and_not_beyond_the_ep
         total = torch.where((age[:, k] == 0.0)[:, None], 0.0, 0.5 * total) + said[:, k]
         assert torch.allclose(rollout["flow_probabilities"][:, k], total.softmax(-1), atol=1e-6)
     assert (age == 0.0).sum(1).tolist() == [3, 2, 2]  # episodes begin at different times
+
+
+def test_with_a_switching_rate_probabilities_are_those_of_the_hidden_markov_model() -> None:
+    """Against the sum over every path of flows, each weighted by its probability."""
+    machine, rate, num = untrained(), 0.3, 5
+    env = make(PredictedFlowLabel(machine=machine, memory=1.0, switching_rate=rate), num_envs=9)
+    rollout = env.rollout(num, break_when_any_done=False)[8]  # a row whose episode does not end
+    said = machine(rollout["lateral_line"]).softmax(-1).double()
+    transition = (1.0 - rate) * torch.eye(3).double() + rate / 3.0
+    for k in range(num):
+        total = torch.zeros(3, dtype=torch.float64)
+        for path in product(range(3), repeat=k + 1):
+            weight = said[0, path[0]]
+            for i, (before, now) in enumerate(pairwise(path), 1):
+                weight = weight * transition[before, now] * said[i, now]
+            total[path[-1]] += weight
+        expected = (total / total.sum()).float()
+        torch.testing.assert_close(rollout["flow_probabilities"][k], expected)
+
+
+@pytest.mark.parametrize("name", ["memory", "switching_rate"])
+def test_a_share_beyond_one_is_refused(name: str) -> None:
+    with pytest.raises(ValueError, match=rf"{name} = 1\.5: must lie in \[0, 1\]"):
+        make_recognition(untrained(), **{name: 1.5})
 
 
 def test_a_saved_environment_names_flows_as_before() -> None:
