@@ -74,7 +74,9 @@ def record(settings: ExportDataSettings, *, progress: Progress) -> MinariDataset
         device=settings.device,
         compile=settings.compile,
     )
-    reported = [name for name in env.base_env.observation_spec if name != "action_mask"]
+    is_continuous = task.action_bounds is not None
+    masked = () if is_continuous else ("action_mask",)
+    reported = [name for name in env.base_env.observation_spec if name not in masked]
 
     def keep(start_of: Tensor, **entries: TensorDictBase) -> None:
         for row, start in enumerate(start_of.tolist()):
@@ -83,7 +85,7 @@ def record(settings: ExportDataSettings, *, progress: Progress) -> MinariDataset
                     episodes[start].setdefault(name, []).append(value.cpu().numpy())
 
     def begin(start_of: Tensor, state: TensorDictBase) -> None:
-        keep(start_of, state=state.select("observation_stack", "action_mask", *reported))
+        keep(start_of, state=state.select("observation_stack", *masked, *reported))
 
     def settle(start_of: Tensor, step: TensorDictBase) -> None:
         after = step["next"]
@@ -114,7 +116,7 @@ def record(settings: ExportDataSettings, *, progress: Progress) -> MinariDataset
                 seed=settings.seed,
                 observations={
                     "observation": series["observation_stack"],
-                    "action_mask": series["action_mask"].astype(np.int8),
+                    **{name: series[name].astype(np.int8) for name in masked},
                 },
                 actions=series["action"],
                 rewards=series["reward"][:, 0],
@@ -129,10 +131,14 @@ def record(settings: ExportDataSettings, *, progress: Progress) -> MinariDataset
         settings.name,
         buffers,
         observation_space=Dict(
-            observation=Box(-np.inf, np.inf, (size,), np.float32),
-            action_mask=MultiBinary(task.num_actions),
+            {
+                "observation": Box(-np.inf, np.inf, (size,), np.float32),
+                **{name: MultiBinary(task.num_actions) for name in masked},
+            }
         ),
-        action_space=Discrete(task.num_actions),
+        action_space=Box(-1.0, 1.0, (task.num_actions,), np.float32)
+        if is_continuous
+        else Discrete(task.num_actions),
         algorithm_name=settings.learned or settings.policy,
         description=f"{settings.episodes} episodes of {task}",
         requirements=["fishrl"],

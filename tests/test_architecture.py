@@ -31,6 +31,7 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/envs/flow_env.py", TENSORS | {"torchrl"} | TASK_SIDE),
     ("fishrl/envs/episodes.py", TENSORS | {"torchrl"} | TASK_SIDE),
     ("fishrl/envs/one_hot.py", TENSORS | {"torchrl"}),
+    ("fishrl/envs/specs.py", TENSORS | {"torchrl"} | TASK_SIDE),
     ("fishrl/envs/transforms.py", TENSORS | {"torchrl"} | TASK_SIDE),
     ("fishrl/envs/wakes.py", TENSORS | {"tqdm"} | TASK_SIDE),
     (

@@ -72,6 +72,8 @@ class CollectionSettings:
                 f"{type(task).__name__} has no two flows to tell apart by a lateral line: take "
                 "task=karman_gait with two or more stream.speeds_bl"
             )
+        if task.action_bounds is not None:
+            raise ValueError("signals are recorded at discrete actions: take task=karman_gait")
         whole = {"features": KNOWN, "is_averaged": False, "noise": 0.0, "silence": 0.0, "delay": 0}
         line = replace(task.lateral_line, **whole)
         limit = self.max_decisions

@@ -1,5 +1,6 @@
 """Checks of what the methods of a task return, so that errors surface early."""
 
+from collections.abc import Sequence
 from math import pi
 from typing import Any
 
@@ -29,10 +30,15 @@ def check_answers(task: AbstractTask, now: TensorDictBase) -> None:
     observed = check_rows(task, "observe", task.observe(now), (*rows, task.n_obs), torch.float32)
     is_finite = bool(observed.isfinite().all())
     _require(task, "observe", is_finite, observed.tolist(), "finite numbers")
-    shape = (*rows, task.num_actions)
-    mask = check_rows(task, "action_mask", task.action_mask(now), shape, torch.bool)
-    has_legal = bool(mask.any(-1).all())
-    _require(task, "action_mask", has_legal, mask.tolist(), "a legal action in each row")
+    bounds, shape = task.action_bounds, (*rows, task.num_actions)
+    if bounds is None:
+        mask = check_rows(task, "action_mask", task.action_mask(now), shape, torch.bool)
+        has_legal = bool(mask.any(-1).all())
+        _require(task, "action_mask", has_legal, mask.tolist(), "a legal action in each row")
+    else:
+        is_right = len(bounds) == task.num_actions and all(a < b for a, b in bounds)
+        expected = f"(least, largest) of {task.num_actions} numbers, as num_actions says"
+        _require(task, "action_bounds", is_right, bounds, expected)
     check_rows(task, "is_terminated", task.is_terminated(now), rows, torch.bool)
     check_rows(task, "count_safe_steps", task.count_safe_steps(now), rows)
     report, word = task.report(now), task.success
@@ -93,6 +99,24 @@ def check_action(action: Tensor, mask: Tensor) -> None:
             f"action = {int(action[row])} in row {row}: legal is {legal}; policies must "
             "honour 'action_mask', and random actions are legal in environments of make_env"
         )
+
+
+def scale_action(action: Tensor, bounds: Sequence[tuple[float, float]]) -> Tensor:
+    """Map actions ``[B, n]`` in [-1, 1] to the ``bounds`` of their n numbers, float64.
+
+    Raises:
+        ValueError: naming the first row with another shape or with a number beyond [-1, 1].
+    """
+    if action.dim() != 2 or action.shape[1] != len(bounds):
+        raise ValueError(
+            f"action of shape {tuple(action.shape)}: must hold {len(bounds)} numbers in each row"
+        )
+    is_legal = (action.abs() <= 1.0).all(-1)
+    if not is_legal.all():
+        row = int(is_legal.int().argmin())
+        raise ValueError(f"action = {action[row].tolist()} in row {row}: allowed is -1 to 1")
+    columns = zip(action.double().unbind(-1), bounds, strict=True)
+    return torch.stack([a + 0.5 * (value + 1.0) * (b - a) for value, (a, b) in columns], -1)
 
 
 def _require(task: AbstractTask, name: str, is_right: bool, got: Any, expected: str) -> None:

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
-from torchrl.data import Binary, Categorical, Composite, Unbounded
+from torchrl.data import Categorical, Composite, Unbounded
 from torchrl.envs import (
     ActionMask,
     CatFrames,
@@ -34,10 +34,12 @@ from fishrl.envs.checks import (
     check_command,
     check_rows,
     check_starts_of,
+    scale_action,
 )
 from fishrl.envs.draws import draw_uniform
 from fishrl.envs.rows import merge, repeat
 from fishrl.envs.schedule import make_schedule
+from fishrl.envs.specs import make_action_spec, make_observation_spec
 from fishrl.envs.task import AbstractTask
 from fishrl.envs.transforms import equip
 
@@ -157,23 +159,10 @@ class FlowEnv(EnvBase):
 
     def _make_specs(self) -> None:
         """Derive the specs from the task and a first measurement."""
-        task = self.task
-        check_answers(task, self.now)
-        reported = {
-            name: Binary(shape[-1], shape=shape, dtype=torch.bool)
-            if value.dtype == torch.bool
-            else Unbounded(shape, dtype=value.dtype)
-            for name, value in task.report(self.now).items()
-            for shape in [tuple(value.shape[1:]) or (1,)]
-        }
-        self.observation_spec_unbatched = Composite(
-            observation=Unbounded((task.n_obs,)),
-            action_mask=Binary(task.num_actions, dtype=torch.bool),
-            diverged=Binary(1, dtype=torch.bool),
-            start_index=Unbounded((), dtype=torch.int64),
-            **reported,
-        ).to(self.device)
-        self.action_spec_unbatched = Categorical(task.num_actions, device=self.device)
+        check_answers(self.task, self.now)
+        observed = make_observation_spec(self.task, self.now)
+        self.observation_spec_unbatched = observed.to(self.device)
+        self.action_spec_unbatched = make_action_spec(self.task).to(self.device)
         self.reward_spec_unbatched = Unbounded((1,), device=self.device)
         flags = ("done", "terminated", "truncated")
         self.done_spec_unbatched = Composite(
@@ -203,8 +192,7 @@ class FlowEnv(EnvBase):
         return self._write(diverged=none, done=none, terminated=none, truncated=none)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        action = tensordict["action"]
-        check_action(action, self.task.action_mask(self.now))
+        action = self._read_action(tensordict["action"])
         before = self.now.copy().update(self._read_inputs(tensordict))
         command, rows = self.task.command(action, before), tuple(self.batch_size)
         check_command(self.task, command, rows)
@@ -282,6 +270,14 @@ class FlowEnv(EnvBase):
                 "flows %s diverged and were truncated; %d so far", rows, self.num_diverged
             )
 
+    def _read_action(self, action: Tensor) -> Tensor:
+        """Return legal actions as the task takes them."""
+        bounds = self.task.action_bounds
+        if bounds is not None:
+            return scale_action(action, bounds)
+        check_action(action, self.task.action_mask(self.now))
+        return action
+
     def _read_inputs(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
         """Return the entries that the task reads beside the action."""
         missing = [name for name in self.task.inputs if name not in tensordict]
@@ -296,10 +292,11 @@ class FlowEnv(EnvBase):
     def _write(self, **flags: Tensor) -> TensorDict:
         """Return observation, mask, reported entries and flags; ``[B]`` become columns."""
         columns = {**self.task.report(self.now), **flags}
+        if self.task.action_bounds is None:
+            columns["action_mask"] = self.task.action_mask(self.now)
         return TensorDict(
             {
                 "observation": self.task.observe(self.now),
-                "action_mask": self.task.action_mask(self.now),
                 "start_index": self._start_index.clone(),
                 **{
                     name: (value.unsqueeze(-1) if value.dim() == 1 else value).clone()
@@ -369,7 +366,8 @@ def make_env(
 
     Adds ``observation_stack`` ``[B, num_stacked * n_obs]`` (oldest first, filled with the first
     observation at reset), ``is_init``, ``step_count`` and ``episode_reward``. Episodes are
-    truncated after ``task.time_limit`` decisions, and random actions respect the action mask.
+    truncated after ``task.time_limit`` decisions, and random actions respect the action mask, which
+    continuous actions do not have.
     ``recognition`` labels each flow, see ``transforms.equip``; ``transforms`` of one's own are
     appended before the frame stack and may lengthen ``observation``.
     """
@@ -394,7 +392,7 @@ def make_env(
         *labelling,
         *transforms,
         CatFrames(N=task.num_stacked, dim=-1, in_keys=[observed], out_keys=[f"{observed}_stack"]),
-        ActionMask(),
+        *([ActionMask()] if task.action_bounds is None else []),
     ):
         env.append_transform(transform)
     return env

@@ -42,10 +42,11 @@ class FlowVectorEnv(VectorEnv):
     """Wrap an environment of ``make_env`` with B flows as a vector environment of B rows.
 
     Observations are ``observation_stack`` ``[B, num_stacked * n_obs]``, float32; actions are
-    integers ``[B]``. ``infos`` holds ``action_mask`` ``[B, num_actions]`` (int8, for
-    ``Discrete.sample``) and all other entries of environment and task, such as ``captured``,
-    ``diverged``, ``step_count`` and ``episode_reward``, each with a ``_``-prefixed array of the
-    rows that have it. A row whose flow diverges is truncated with reward 0.
+    integers ``[B]``, or numbers ``[B, num_actions]`` in [-1, 1] (a ``Box``) where those of the task
+    are continuous. ``infos`` holds ``action_mask`` ``[B, num_actions]`` (int8, for
+    ``Discrete.sample``) of discrete actions and all other entries of environment and task, such as
+    ``captured``, ``diverged``, ``step_count`` and ``episode_reward``, each with a ``_``-prefixed
+    array of the rows that have it. A row whose flow diverges is truncated with reward 0.
 
     ``autoreset_mode`` is one of Gymnasium's three:
 
@@ -83,7 +84,13 @@ class FlowVectorEnv(VectorEnv):
         specs = env.full_observation_spec
         shape = tuple(specs["observation_stack"].shape[1:])
         self.single_observation_space = Box(-np.inf, np.inf, shape, np.float32)
-        self.single_action_space = Discrete(int(specs["action_mask"].shape[-1]))
+        task = self.flows.task
+        self.is_continuous, num_actions = task.action_bounds is not None, task.num_actions
+        self.single_action_space = (
+            Box(-1.0, 1.0, (num_actions,), np.float32)
+            if self.is_continuous
+            else Discrete(num_actions)
+        )
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.render_mode = render_mode
@@ -134,7 +141,7 @@ class FlowVectorEnv(VectorEnv):
         return _observe(self._state), self._tell(self._state)
 
     def step(self, actions: Any) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
-        """Advance all rows by one decision, given legal actions ``[B]``, integers.
+        """Advance all rows by one decision, given legal actions ``[B, ...]``.
 
         Returns observations ``[B, ...]``, rewards ``[B]``, terminations, truncations and infos.
 
@@ -148,7 +155,7 @@ class FlowVectorEnv(VectorEnv):
                 f"rows {waiting.nonzero()[0].tolist()} are over: call "
                 "reset(options={'reset_mask': terminations | truncations}) first"
             )
-        after = self._advance(state, self._read("actions", actions, np.integer), waiting)
+        after = self._advance(state, self._read_actions(actions), waiting)
         rewards, terminations, truncations = (
             np.where(waiting, 0, _row_wise(after[name]))
             for name in ("reward", "terminated", "truncated")
@@ -173,7 +180,13 @@ class FlowVectorEnv(VectorEnv):
         )
 
     def action_masks(self) -> Array:
-        """Return the currently legal actions, ``[B, num_actions]`` bool."""
+        """Return the currently legal actions, ``[B, num_actions]`` bool.
+
+        Raises:
+            ValueError: for a task with continuous actions.
+        """
+        if self.is_continuous:
+            raise ValueError("action_masks: continuous actions have none; use PPO or SAC")
         mask: Array = self._need_state()["action_mask"].cpu().numpy()
         return mask.copy()
 
@@ -210,11 +223,14 @@ class FlowVectorEnv(VectorEnv):
     def _advance(self, state: TensorDictBase, actions: Array, waiting: Array) -> TensorDictBase:
         """Return the next state; ``waiting`` rows do not advance and are undefined."""
         rests = torch.as_tensor(waiting, device=self.env.device)
-        legal = state["action_mask"].int().argmax(-1)
-        chosen = torch.as_tensor(actions, dtype=torch.int64, device=self.env.device)
+        chosen = torch.as_tensor(actions, device=self.env.device)
+        if self.is_continuous:
+            legal = torch.zeros_like(chosen)
+        else:
+            legal = state["action_mask"].int().argmax(-1)
         self.flows.is_resting = rests
         try:
-            action = torch.where(rests, legal, chosen)
+            action = torch.where(rests.view(-1, *(1,) * (chosen.dim() - 1)), legal, chosen)
             stepped = self.env.step(state.copy().set("action", action))
         finally:
             self.flows.is_resting = torch.zeros_like(rests)
@@ -228,6 +244,18 @@ class FlowVectorEnv(VectorEnv):
             state.copy().set("_reset", mask), select_reset_only=1
         )
         return fresh.exclude("_reset")
+
+    def _read_actions(self, given: Any) -> Array:
+        """Return actions of the space's type."""
+        if not self.is_continuous:
+            return self._read("actions", given, np.integer).astype(np.int64)
+        values = np.asarray(given)
+        if values.shape != self.action_space.shape or values.dtype.kind != "f":
+            raise ValueError(
+                f"actions of shape {values.shape}, {values.dtype}: expected "
+                f"{self.action_space.shape}, floating"
+            )
+        return values.astype(np.float32)
 
     def _read(self, name: str, given: Any, kind: Any) -> Array:
         """Return one value of a ``kind`` per row."""
@@ -257,6 +285,8 @@ class FlowVectorEnv(VectorEnv):
 
     def _read_reported(self, state: TensorDictBase) -> dict[str, Array]:
         reported = {name: _row_wise(state[name]) for name in self._reported}
+        if self.is_continuous:
+            return reported
         return reported | {"action_mask": reported["action_mask"].astype(np.int8)}
 
 

@@ -1,4 +1,4 @@
-"""Action spaces for the tail-beat frequency: macro-actions, or direct choice.
+"""Action spaces for the tail-beat frequency: macro-actions, direct choice, or a continuous one.
 
 The state is the *gear*, an index into a row of frequencies. Macro-actions (as in the paper) have
 one row per flow, in which a gear has a similar effect in each flow: gear 0 drifts downstream, the
@@ -86,6 +86,11 @@ class FrequencyControl(ABC):
         return len(self.action_names)
 
     @property
+    def action_bounds(self) -> tuple[tuple[float, float], ...] | None:
+        """Bounds of a continuous action, see ``AbstractTask``; None if actions are discrete."""
+        return None
+
+    @property
     def max_frequency(self) -> float:
         """Highest frequency of all rows, tail beats per T."""
         return max(row[-1] for row in self.rows)
@@ -100,13 +105,18 @@ class FrequencyControl(ABC):
         rows = torch.tensor(self.rows, dtype=torch.float64, device=gear.device)
         return rows[0, gear] if self.num_flows is None else rows[flow, gear]
 
+    def choose(self, gear: Tensor, action: Tensor, flow: Tensor) -> tuple[Tensor, Tensor]:
+        """Return gear and tail beats per T ``[B]`` after legal actions, see ``select``."""
+        gear = self.shift(gear, action)
+        return gear, self.select(gear, flow)
+
     @abstractmethod
     def shift(self, gear: Tensor, action: Tensor) -> Tensor:
         """Return the gear ``[B]`` after legal actions ``[B]``, int64."""
 
-    @abstractmethod
     def mask(self, gear: Tensor) -> Tensor:
-        """Return the legal actions ``[B, num_actions]``, bool."""
+        """Return the legal actions ``[B, num_actions]``, bool; by default all."""
+        return torch.ones(*gear.shape, self.num_actions, dtype=torch.bool, device=gear.device)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,9 +184,53 @@ class DirectFrequencies(FrequencyControl):
         """Return the action itself."""
         return action
 
-    def mask(self, gear: Tensor) -> Tensor:
-        """Return ``[B, n]``, all true."""
-        return torch.ones(*gear.shape, self.num_actions, dtype=torch.bool, device=gear.device)
+
+@dataclass(frozen=True, kw_only=True)
+class ContinuousFrequency(FrequencyControl):
+    """Set the frequency itself, independent of the flow; there are no gears, and it stays 0.
+
+    Args:
+        frequency_range: least and largest frequency, tail beats per T; by default that of the
+            whole bank of the macro-actions.
+    """
+
+    frequency_range: tuple[float, float] = (0.25, 2.6)
+
+    def __post_init__(self) -> None:
+        row = _as_row(self.frequency_range)
+        if len(row) != 2:
+            raise ValueError(f"frequency_range = {row}: give the least and the largest frequency")
+        object.__setattr__(self, "frequency_range", row)
+        super().__post_init__()
+
+    @property
+    def rows(self) -> tuple[tuple[float, ...], ...]:
+        """The ends of the range."""
+        return (self.frequency_range,)
+
+    @property
+    def num_flows(self) -> None:
+        """None: independent of the flow."""
+        return None
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """The only number."""
+        low, high = self.frequency_range
+        return (f"frequency, {low:g} to {high:g} beats/T",)
+
+    @property
+    def action_bounds(self) -> tuple[tuple[float, float], ...]:
+        """The range."""
+        return (self.frequency_range,)
+
+    def choose(self, gear: Tensor, action: Tensor, flow: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the gear as it is, and the action ``[B, 1]`` as the frequency ``[B]``."""
+        return self.shift(gear, action), action.squeeze(-1)
+
+    def shift(self, gear: Tensor, action: Tensor) -> Tensor:
+        """Return the gear as it is."""
+        return gear
 
 
 def _as_row(values: object) -> tuple[float, ...]:

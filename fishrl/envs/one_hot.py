@@ -2,7 +2,7 @@
 
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.data import OneHot, TensorSpec
+from torchrl.data import Categorical, OneHot, TensorSpec
 from torchrl.envs import Transform
 
 
@@ -22,6 +22,10 @@ class OneHotAction(Transform):
     def transform_input_spec(self, input_spec: TensorSpec) -> TensorSpec:
         """Replace the categorical spec of the action."""
         known = input_spec["full_action_spec", "action"]
+        if not isinstance(known, Categorical):
+            raise ValueError(
+                "OneHotAction: this task has continuous actions, which stay as they are"
+            )
         num_actions = int(known.space.n)
         input_spec["full_action_spec", "action"] = OneHot(
             num_actions, shape=(*known.shape, num_actions), device=known.device

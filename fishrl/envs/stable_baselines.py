@@ -30,7 +30,8 @@ class FlowVecEnv(VecEnv):
     """Wrap an environment of ``make_env`` with B flows as a ``VecEnv`` of B rows.
 
     ``env_method("action_masks")`` returns the legal actions, as ``MaskablePPO`` of sb3-contrib
-    expects. Use algorithms without masks for tasks in which all actions are always legal.
+    expects. Use algorithms without masks for tasks in which all actions are always legal, or
+    continuous.
 
     Args:
         env: an environment of ``make_env``, which this wrapper owns and closes.

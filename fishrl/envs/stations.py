@@ -37,6 +37,18 @@ class SafeArea:
         gaps = torch.stack((x - self.near_bl, self.far_bl - x, self.aside_bl - y.abs()))
         return gaps.amin(0)
 
+    def check_starts(self, place: Tensor) -> None:
+        """Raise ValueError for the first start whose nose, at ``place`` ``[E, 2]``, is outside."""
+        is_wrong = ~(self.measure_margin(place) > 0.0)
+        if is_wrong.any():
+            i = int(is_wrong.int().argmax())
+            x, y = place[i].tolist()
+            raise ValueError(
+                f"start {i}, nose at ({x:.2f}, {y:.2f}) L from the disc, is in the danger area: "
+                f"allowed is x in ({self.near_bl}, {self.far_bl}), y within {self.aside_bl} of 0; "
+                "move it (start_x_bl, start_y_bl), or widen safe_area"
+            )
+
 
 @dataclass(frozen=True, kw_only=True)
 class StationReward:

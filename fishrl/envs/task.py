@@ -46,7 +46,8 @@ class Command(NamedTuple):
 class AbstractTask(ABC):
     """Base of all tasks: a fish in a tank of still water with one decision per control interval.
 
-    Class attributes of every task: ``n_obs``, length of one observation; ``num_actions``; and
+    Class attributes of every task: ``n_obs``, length of one observation; ``num_actions``, the
+    number of discrete actions, or of the numbers in a continuous one, see ``action_bounds``; and
     ``num_draws``, random numbers per start. Optional ones: ``success``, the boolean entry of
     ``report`` that marks success (default "survived": reaching the time limit is success);
     ``inputs``, names of entries ``[B]`` that a transform writes and ``command`` reads;
@@ -219,8 +220,9 @@ class AbstractTask(ABC):
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
         """Map legal actions ``[B]`` (int64, in [0, num_actions)) to commands to the body.
 
-        ``before`` is the measurement ``[B]`` at the decision, with the entries of ``sense``,
-        ``remember`` and ``inputs``.
+        Continuous actions are ``[B, num_actions]``, float64, within ``action_bounds``. ``before``
+        is the measurement ``[B]`` at the decision, with the entries of ``sense``, ``remember`` and
+        ``inputs``.
         """
 
     @abstractmethod
@@ -278,8 +280,17 @@ class AbstractTask(ABC):
         """
         return torch.zeros(now.shape, device=now.device)
 
+    @property
+    def action_bounds(self) -> tuple[tuple[float, float], ...] | None:
+        """Least and largest value of each number in a continuous action, in units of its own.
+
+        None, the default, means discrete actions. Policies give each number in [-1, 1], and the
+        environment maps it to these bounds.
+        """
+        return None
+
     def action_mask(self, now: TensorDictBase) -> Tensor:
-        """Return ``[B, num_actions]`` bool: legal actions, at least one per row."""
+        """Return ``[B, num_actions]`` bool: legal discrete actions, at least one per row."""
         return torch.ones(*now.shape, self.num_actions, dtype=torch.bool, device=now.device)
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
@@ -288,7 +299,7 @@ class AbstractTask(ABC):
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """Names of the actions, in their order."""
+        """Names of the actions, or of the numbers in a continuous one, in their order."""
         return tuple(f"action {index}" for index in range(self.num_actions))
 
     def name_start(self, start: TensorDictBase) -> str:
@@ -305,6 +316,7 @@ class AbstractTask(ABC):
             self.scales,
             wall_margin=self.wall_margin,
             action_names=self.action_names,
+            is_continuous=self.action_bounds is not None,
         )
 
     def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:

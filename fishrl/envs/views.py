@@ -44,7 +44,12 @@ _SIDES = ("right", "left")
 
 
 def make_flow_scene(
-    config: FlowConfig, scales: Scales, *, wall_margin: float, action_names: tuple[str, ...]
+    config: FlowConfig,
+    scales: Scales,
+    *,
+    wall_margin: float,
+    action_names: tuple[str, ...],
+    is_continuous: bool = False,
 ) -> Scene:
     """Return the scene of a fish, the first body, ``wall_margin`` nodes off the edges."""
     plots = (
@@ -90,13 +95,24 @@ def make_flow_scene(
                 is_output=True,
                 is_log=True,
             ),
-            Choice(names=action_names),
+            _describe_numbers(action_names) if is_continuous else Choice(names=action_names),
             *(Panel(name=name, series=(line,), is_step=step) for name, line, step in plots),
             Panel(name="force of the fluid [ρ L³/T²]", series=forces, is_step=True),
         ),
         note="Angle of attack: of the heading, from upstream; in still water from the direction of "
         "swimming. Power of the muscles and force: means since the previous frame. Arrows: the "
         f"force now, {force_bl:.3g} L for 1 ρ L³/T².",
+    )
+
+
+def _describe_numbers(names: tuple[str, ...]) -> Panel:
+    """Return the plot of a continuous action."""
+    return Panel(
+        name="action, from the least (−1) to the largest (1)",
+        series=tuple(Series(key="action", column=i, label=name) for i, name in enumerate(names)),
+        span=(-1.1, 1.1),
+        is_step=True,
+        is_output=True,
     )
 
 

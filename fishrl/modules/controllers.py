@@ -3,8 +3,9 @@
 They are baselines and read the same TensorDict as a learned policy: a stack of observations
 ``[x and y of the food from the head, distance, bearing error]``, oldest first, lengths in body
 lengths (``_bl``), angles in radians, positive counter-clockwise; and write one of three actions:
-0 turn clockwise, 1 keep the heading, 2 turn counter-clockwise. The control interval is one tail
-beat (``_T``).
+0 turn clockwise, 1 keep the heading, 2 turn counter-clockwise; or the two numbers of a continuous
+action: the turn, proportional to its largest one, and the highest tail-beat frequency. The control
+interval is one tail beat (``_T``) of a fish at full speed.
 """
 
 from __future__ import annotations
@@ -38,45 +39,66 @@ def _turn_towards(angle: Tensor, half_turn: float) -> Tensor:
     return action
 
 
+def _act(tensordict: TensorDictBase, angle: Tensor, *, turn: float, is_continuous: bool) -> Tensor:
+    """Return the action that turns by ``angle`` ``[B]``, at most ``turn``, at full speed."""
+    if is_continuous:
+        share = (angle / turn).clamp(-1.0, 1.0)
+        return torch.stack((share, torch.ones_like(share)), -1)
+    return _legal(_turn_towards(angle, 0.5 * turn), tensordict["action_mask"])
+
+
 class RandomPolicy(TensorDictModuleBase):
-    """Draw uniformly among the legal actions.
+    """Draw uniformly among the legal actions, or each number of a continuous one in [-1, 1].
 
     Args:
         seed: of the policy's own generator.
+        num_numbers: numbers in a continuous action; None for discrete actions.
     """
 
-    def __init__(self, *, seed: int = 0) -> None:
+    def __init__(self, *, seed: int = 0, num_numbers: int | None = None) -> None:
         super().__init__()
-        self.in_keys, self.out_keys = ["action_mask"], ["action"]
-        self.seed = seed
+        self.in_keys, self.out_keys = ["observation"], ["action"]
+        if num_numbers is None:
+            self.in_keys = ["action_mask"]
+        self.seed, self.num_numbers = seed, num_numbers
         self._generator: torch.Generator | None = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ``action`` ``[B]``."""
-        mask = tensordict["action_mask"]
+        """Write ``action`` ``[B]`` or ``[B, num_numbers]``."""
+        given = tensordict[self.in_keys[0]]
         if self._generator is None:
-            self._generator = torch.Generator(device=mask.device).manual_seed(self.seed)
-        action = torch.multinomial(mask.float(), 1, generator=self._generator)
-        return tensordict.set("action", action.squeeze(-1))
+            self._generator = torch.Generator(device=given.device).manual_seed(self.seed)
+        if self.num_numbers is None:
+            action = torch.multinomial(given.float(), 1, generator=self._generator).squeeze(-1)
+        else:
+            shape = (*tensordict.batch_size, self.num_numbers)
+            drawn = torch.rand(shape, generator=self._generator, device=given.device)
+            action = 2.0 * drawn - 1.0
+        return tensordict.set("action", action)
 
 
 class PursuitPolicy(TensorDictModuleBase):
     """Turn towards the food whenever the bearing error exceeds half the turn of one action.
 
+    With continuous actions the turn equals the bearing error, up to the largest one.
+
     Args:
-        turn: heading change of one action in radians.
+        turn: heading change of one action in radians; the largest one of a continuous action.
+        is_continuous: whether actions are.
     """
 
-    def __init__(self, *, turn: float = math.radians(15.0)) -> None:
+    def __init__(self, *, turn: float = math.radians(15.0), is_continuous: bool = False) -> None:
         super().__init__()
-        self.in_keys, self.out_keys = ["observation_stack", "action_mask"], ["action"]
-        self.turn = turn
+        self.turn, self.is_continuous = turn, is_continuous
+        self.in_keys, self.out_keys = ["observation_stack"], ["action"]
+        if not is_continuous:
+            self.in_keys.append("action_mask")
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ``action`` ``[B]``."""
+        """Write ``action``."""
         bearing_error = tensordict["observation_stack"][..., -1]
-        action = _turn_towards(bearing_error, 0.5 * self.turn)
-        return tensordict.set("action", _legal(action, tensordict["action_mask"]))
+        action = _act(tensordict, bearing_error, turn=self.turn, is_continuous=self.is_continuous)
+        return tensordict.set("action", action)
 
 
 class InterceptPolicy(TensorDictModuleBase):
@@ -100,6 +122,7 @@ class InterceptPolicy(TensorDictModuleBase):
         food_start_bl: y of the food at rest; needed with ``food_limits_bl``.
         food_still_T: tail beats for which the food stays at rest after the start.
         food_direction: +1 if the food first moves up, -1 down, 0 to estimate it.
+        is_continuous: see ``PursuitPolicy``.
     """
 
     def __init__(
@@ -111,18 +134,22 @@ class InterceptPolicy(TensorDictModuleBase):
         food_start_bl: float | None = None,
         food_still_T: float = 5.0,
         food_direction: int = 1,
+        is_continuous: bool = False,
     ) -> None:
         super().__init__()
+        self.is_continuous = is_continuous
         self.turn, self.food_speed_bl, self.food_still_T = turn, food_speed_bl, food_still_T
         self.food_limits_bl, self.food_start_bl = food_limits_bl, food_start_bl
         self.food_direction = food_direction
-        self.in_keys = ["observation_stack", "action_mask"]
+        self.in_keys = ["observation_stack"]
+        if not is_continuous:
+            self.in_keys.append("action_mask")
         if food_limits_bl is not None:
             self.in_keys.append("step_count")
         self.out_keys = ["action"]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ``action`` ``[B]``."""
+        """Write ``action``."""
         stack = tensordict["observation_stack"].unflatten(-1, (-1, NUM_FEATURES))
         food = stack[..., -1, :2]
         heading = _heading(stack[..., -1, :])
@@ -140,8 +167,8 @@ class InterceptPolicy(TensorDictModuleBase):
         # Earliest meeting point; where there is none, the one missed by the least time.
         delay = torch.where(is_in_time, lead - HORIZON_T, length / SWIM_SPEED_BL - lead)
         angle = angle.gather(-1, delay.argmin(-1, keepdim=True)).squeeze(-1)
-        action = _turn_towards(angle, 0.5 * self.turn)
-        return tensordict.set("action", _legal(action, tensordict["action_mask"]))
+        action = _act(tensordict, angle, turn=self.turn, is_continuous=self.is_continuous)
+        return tensordict.set("action", action)
 
     def _food_velocity(self, stack: Tensor) -> Tensor:
         """Estimate the food's velocity in y, ``[B]``: one of minus its speed, zero, its speed."""

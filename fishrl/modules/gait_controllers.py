@@ -107,9 +107,11 @@ class GaitPolicy(TensorDictModuleBase):
 
     Args:
         controller: commands the frequency.
-        rows: available frequencies, rising, one row per flow; one row with ``is_direct``.
+        rows: available frequencies, rising, one row per flow; one row with ``is_direct``, whose
+            ends are the range of a continuous action.
         is_direct: actions are indices into the only row; otherwise decelerate (0), cruise (1) or
             accelerate (2) from the current ``gear``.
+        is_continuous: the action is the frequency itself, mapped to [-1, 1].
         flow_key: key of the row to use: ``flow_index``, or the predicted ``flow_class``.
     """
 
@@ -119,21 +121,26 @@ class GaitPolicy(TensorDictModuleBase):
         controller: FrequencyController,
         rows: Sequence[Sequence[float]],
         is_direct: bool = False,
+        is_continuous: bool = False,
         flow_key: str = "flow_index",
     ) -> None:
         super().__init__()
         self.controller, self.is_direct, self.flow_key = controller, is_direct, flow_key
+        self.is_continuous = is_continuous
         self.in_keys = ["observation", "is_init", "gear", flow_key]
         self.out_keys = ["action"]
         self.rows = torch.tensor(rows, dtype=torch.float64)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ``action`` ``[B]``; it is always legal."""
+        """Write ``action`` ``[B]``, or ``[B, 1]`` if continuous; it is always legal."""
         batch = tensordict.batch_size
         flow = tensordict[self.flow_key].reshape(batch)
         rows = self.rows.to(flow.device)
-        row = rows[0].expand(*batch, -1) if self.is_direct else rows[flow]
         wanted = self.controller(tensordict, flow).clamp(rows.min(), rows.max())
+        if self.is_continuous:
+            share = (wanted - rows.min()) / (rows.max() - rows.min())
+            return tensordict.set("action", (2.0 * share - 1.0).float().unsqueeze(-1))
+        row = rows[0].expand(*batch, -1) if self.is_direct else rows[flow]
         action = (row - wanted[..., None]).abs().argmin(-1)
         if not self.is_direct:
             action = 1 + (action - tensordict["gear"].reshape(batch)).sign()

@@ -4,7 +4,7 @@ Every task has ``random``. Your own task registers further ones::
 
     @find_baselines.register
     def _(task: MyTask) -> dict[str, Baseline]:
-        return {"steady": Baseline(lambda seed: SteadyPolicy()), **find_baselines(None)}
+        return {"steady": Baseline(lambda seed: SteadyPolicy()), **find_random(task)}
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from fishrl.bounds import suggest
-from fishrl.envs import KarmanGait, Predation
-from fishrl.envs.macro_actions import DirectFrequencies, MacroActions
+from fishrl.envs import AbstractTask, KarmanGait, Predation
+from fishrl.envs.macro_actions import ContinuousFrequency, DirectFrequencies, MacroActions
 from fishrl.modules import (
     PID,
     BangBang,
@@ -46,10 +46,16 @@ class Baseline:
     is_default: bool = True
 
 
+def find_random(task: AbstractTask) -> dict[str, Baseline]:
+    """Return random actions, the baseline of every task."""
+    num_numbers = None if task.action_bounds is None else task.num_actions
+    return {"random": Baseline(lambda seed: RandomPolicy(seed=seed, num_numbers=num_numbers))}
+
+
 @singledispatch
 def find_baselines(task: Any) -> dict[str, Baseline]:
     """Return the baselines of a task by name; for a class of tasks register them, see above."""
-    return {"random": Baseline(lambda seed: RandomPolicy(seed=seed))}
+    return find_random(task)
 
 
 def list_baselines(task: Any) -> list[str]:
@@ -79,13 +85,16 @@ def make_baseline(name: str, *, task: Any, seed: int) -> TensorDictModuleBase:
 @find_baselines.register(Predation)
 def find_pursuers(task: Any) -> dict[str, Baseline]:
     """Return the baselines of predation; pursuers decide once per T and exist only there."""
-    random = find_baselines(None)
+    random = find_random(task)
     if not math.isclose(task.interval_T, 1.0, rel_tol=0.01):
         return random
-    turn = math.radians(task.turn_degrees)
+    how: dict[str, Any] = {
+        "turn": math.radians(task.turn_degrees),
+        "is_continuous": task.action_bounds is not None,
+    }
     intercept = partial(
         InterceptPolicy,
-        turn=turn,
+        **how,
         food_speed_bl=task.food_speed_bl,
         food_limits_bl=task.food_limits_bl,
         food_start_bl=task.food_y_bl,
@@ -94,7 +103,7 @@ def find_pursuers(task: Any) -> dict[str, Baseline]:
     )
     return {
         "intercept": Baseline(lambda seed: intercept()),
-        "pursuit": Baseline(lambda seed: PursuitPolicy(turn=turn)),
+        "pursuit": Baseline(lambda seed: PursuitPolicy(**how)),
         **random,
     }
 
@@ -110,7 +119,7 @@ def _(task: KarmanGait) -> dict[str, Baseline]:
         "pid": Baseline(lambda seed: make_pid(task)),
         "passive": follow(FixedFrequency(0.0)),
         "bang_bang": follow(BangBang()),
-        **find_baselines(None),
+        **find_random(task),
     }
     if task.stream.has_disc:  # in a free stream no vortices are shed
         known["shedding"] = Baseline(lambda seed: make_shedding(task), is_default=False)
@@ -139,6 +148,8 @@ def make_gait_policy(controller: FrequencyController, task: KarmanGait) -> GaitP
     control = task.control
     if isinstance(control, DirectFrequencies):
         return GaitPolicy(controller=controller, rows=[control.frequencies], is_direct=True)
+    if isinstance(control, ContinuousFrequency):
+        return GaitPolicy(controller=controller, rows=control.rows, is_continuous=True)
     if not isinstance(control, MacroActions):
         raise ValueError(f"baselines cannot act through {type(control).__name__}")
     flow = "flow_class" if task.reads_flow_class else "flow_index"

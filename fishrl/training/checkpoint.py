@@ -25,7 +25,10 @@ SUMS = "SHA256SUMS"
 #: What may go wrong while a damaged checkpoint is read.
 _DAMAGE = (CheckpointError, OSError, RuntimeError, ValueError, LookupError, TypeError)
 #: Entries of the metadata; ``sha256``: of the states, in checkpoints from before ``SHA256SUMS``.
-_METADATA = {"task", "num_inputs", "num_actions", "preset", "frames", "config", "sums", "sha256"}
+_METADATA = {
+    *("task", "num_inputs", "num_actions", "is_continuous", "preset", "frames", "config"),
+    *("sums", "sha256"),
+}
 
 
 class CheckpointNotWritten(OSError):
@@ -53,6 +56,7 @@ def save_checkpoint(
     metadata = {
         "task": spec.task,
         **spec.sizes,
+        "is_continuous": spec.is_continuous,
         "preset": config.get("preset"),
         "frames": frames,
         "config": config,

@@ -17,14 +17,16 @@ class PolicySpec:
     Args:
         task: name of the task's class.
         num_inputs: length of the stacked observation.
-        num_actions: number of actions.
+        num_actions: number of actions, or of the numbers in a continuous one.
         num_stacked: observations in a stack.
+        is_continuous: whether actions are continuous.
     """
 
     task: str
     num_inputs: int
     num_actions: int
     num_stacked: int = 1
+    is_continuous: bool = False
 
     @property
     def sizes(self) -> dict[str, Any]:
@@ -45,12 +47,14 @@ class PolicySpec:
             num_inputs=(task.n_obs + num_labels) * task.num_stacked,
             num_actions=task.num_actions,
             num_stacked=task.num_stacked,
+            is_continuous=task.action_bounds is not None,
         )
 
     def check(self, metadata: Mapping[str, Any], *, path: Path) -> None:
         """Raise ValueError if the metadata of a checkpoint are of another task or size."""
-        for name in ("task", "num_inputs", "num_actions"):
-            stored, wanted = metadata.get(name), getattr(self, name)
+        for name in ("task", "is_continuous", "num_inputs", "num_actions"):
+            default = getattr(PolicySpec, name, None)  # of checkpoints that do not say
+            stored, wanted = metadata.get(name, default), getattr(self, name)
             if stored != wanted:
                 raise ValueError(
                     f"checkpoint {path}: it is of {name} = {stored!r}, here it is {wanted!r}; use "

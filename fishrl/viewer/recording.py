@@ -28,7 +28,7 @@ def make_scene(
         ValueError: for a field that the scene does not have.
     """
     scene: Scene = env.base_env.task.make_scene()
-    outputs = {*env.observation_spec.keys(), "reward"}
+    outputs = {*env.observation_spec.keys(), "action", "reward"}
     panels = tuple(
         panel
         for panel in scene.panels

@@ -5,6 +5,7 @@ A task that appears in ``fishrl.envs.tasks`` is tested here without further ado.
 
 import dataclasses
 import inspect
+from typing import Any
 
 import pytest
 import torch
@@ -13,6 +14,7 @@ from torchrl.envs import check_env_specs
 
 import fishrl.envs.tasks
 from fishrl.envs import AbstractTask, FlowEnv, make_env
+from fishrl.envs.macro_actions import ContinuousFrequency
 from tests.envs.conftest import SMALL
 from tests.envs.masked_task import MaskedTask
 
@@ -22,9 +24,17 @@ LIBRARY = [getattr(fishrl.envs.tasks, name) for name in fishrl.envs.tasks.__all_
 pytestmark = pytest.mark.usefixtures("kinematic")
 
 
-@pytest.fixture(params=[*LIBRARY, MaskedTask], ids=lambda kind: kind.__name__)
+CHOICES: list[tuple[type, dict[str, Any]]] = [
+    *((kind, {}) for kind in [*LIBRARY, MaskedTask]),
+    (fishrl.envs.tasks.Predation, {"action": "continuous"}),
+    (fishrl.envs.tasks.KarmanGait, {"control": ContinuousFrequency()}),
+]
+
+
+@pytest.fixture(params=CHOICES, ids=lambda choice: "-".join((choice[0].__name__, *choice[1])))
 def task(request: pytest.FixtureRequest) -> AbstractTask:
-    return request.param(**SMALL, **SIZES.get(request.param, {}))
+    kind, settings = request.param
+    return kind(**SMALL, **SIZES.get(kind, {}), **settings)
 
 
 def test_every_task_of_the_package_is_listed() -> None:
@@ -58,6 +68,10 @@ def test_no_state_is_without_a_legal_action_and_random_actions_are_legal(
     env = make_env(task=task, num_envs=4, compile=False)
     rollout = env.rollout(40, break_when_any_done=False)
     assert rollout["next", "done"].any()  # terminal states are among them
+    if task.action_bounds is not None:
+        assert rollout["action"].shape[2:] == (task.num_actions,)
+        assert rollout["action"].abs().max() <= 1.0
+        return
     for mask in (rollout["action_mask"], rollout["next", "action_mask"]):
         assert mask.any(-1).all()
     num_illegal = (~rollout["action_mask"].gather(-1, rollout["action"].unsqueeze(-1))).sum()
@@ -90,5 +104,6 @@ def test_measuring_changes_nothing_and_shares_no_memory_with_the_flows(
     kept = first.clone()
     assert (env.measure() == first).all()
     assert all(torch.equal(before[k], v) for k, v in env.solver.state_dict().items())
-    env.step(TensorDict({"action": torch.ones(2, dtype=torch.int64)}, [2]))
+    action = env.action_spec.zero() if task.action_bounds else env.action_spec.one()
+    env.step(TensorDict({"action": action}, [2]))
     assert (first == kept).all()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.error import Error, ResetNeeded
+from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
@@ -72,6 +73,23 @@ def test_steps_are_those_of_the_torchrl_environment() -> None:
         for row in (terminations | truncations).nonzero()[0]:
             last = after["observation_stack"][row].numpy()
             assert np.array_equal(infos["final_obs"][row], last)
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_continuous_actions_are_numbers_in_a_box(mode: str) -> None:
+    envs = make(mode, Predation(**SMALL, time_limit=LIMIT, action="continuous"), num_envs=3)
+    assert envs.single_action_space == Box(-1.0, 1.0, (2,), np.float32)
+    _, infos = envs.reset(seed=1)
+    assert "action_mask" not in infos
+    envs.action_space.seed(0)
+    for _ in range(LIMIT + 2):  # beyond the end of an episode
+        observations, *_ = envs.step(envs.action_space.sample())
+        assert observations in envs.observation_space
+    for wrong in (np.ones(3, np.float32), np.ones((3, 2), int)):
+        with pytest.raises(ValueError, match=r"actions of shape .*: expected \(3, 2\), floating"):
+            envs.step(wrong)
+    with pytest.raises(ValueError, match="action_masks: continuous actions have none"):
+        envs.action_masks()
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -3,7 +3,12 @@
 import pytest
 import torch
 
-from fishrl.envs.macro_actions import DirectFrequencies, FrequencyBank, MacroActions
+from fishrl.envs.macro_actions import (
+    ContinuousFrequency,
+    DirectFrequencies,
+    FrequencyBank,
+    MacroActions,
+)
 
 ROWS = ((0.5, 1.0, 1.5, 2.0), (0.75, 1.25, 1.75, 2.25), (1.0, 1.5, 2.0, 3.0))
 MACRO = MacroActions(bank=FrequencyBank(rows=ROWS))
@@ -44,6 +49,17 @@ def test_chosen_directly_every_frequency_is_legal_and_the_flow_does_not_matter()
     assert DIRECT.select(gear, torch.tensor([0, 1, 2])).tolist() == [2.5, 0.0, 1.0]
     assert DIRECT.mask(gear).all() and DIRECT.mask(gear).shape == (3, 3)
     assert DIRECT.num_flows is None and DIRECT.num_actions == 3
+
+
+def test_a_continuous_action_is_the_frequency() -> None:
+    control, gear = ContinuousFrequency(frequency_range=(0.5, 2.0)), torch.tensor([0, 0])
+    action, flow = torch.tensor([[0.7], [2.0]], dtype=torch.float64), torch.tensor([0, 1])
+    after, frequency = control.choose(gear, action, flow)
+    assert (after == gear).all() and torch.equal(frequency, action[:, 0])
+    assert control.action_bounds == ((0.5, 2.0),) and control.num_actions == 1
+    for wrong in ((1.0, 1.5, 2.0), (2.0, 1.0)):
+        with pytest.raises(ValueError, match="frequenc"):
+            ContinuousFrequency(frequency_range=wrong)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from torchrl.objectives.value import GAE
 
 from fishrl.envs import KarmanGait, OneHotAction, Predation, make_env
 from fishrl.modules import make_actor
+from tests.envs.conftest import SMALL
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
@@ -133,3 +134,9 @@ def test_torchrl_trains_ppo_with_our_actor() -> None:
         optimiser.step()
         assert total.isfinite()
     assert isinstance(actor, TensorDictSequential)
+
+
+def test_continuous_actions_are_refused() -> None:
+    task = Predation(**SMALL, action="continuous")
+    with pytest.raises(ValueError, match="continuous actions"):
+        check_env_specs(make_env(task=task, num_envs=1, compile=False, transforms=[OneHotAction()]))

@@ -134,6 +134,37 @@ def test_an_action_turns_the_fish_by_fifteen_degrees(small_task: Predation) -> N
 
 
 @pytest.mark.usefixtures("kinematic")
+def test_a_continuous_action_turns_the_fish_and_sets_its_tail_beat() -> None:
+    task = Predation(**SMALL, action="continuous", turn_degrees=10.0, frequency_range=(0.5, 2.0))
+    env = make_env(task, starts_at(*[(6.5, 2.5)] * 3))
+    assert task.scales.max_frequency == 2.0
+    env.reset()
+    action = torch.tensor([[-1.0, -1.0], [0.0, 0.0], [0.5, 1.0]])
+    env.step(TensorDict({"action": action}, [3]))
+    turned = torch.rad2deg(env.solver.body.heading - math.pi)
+    torch.testing.assert_close(turned, torch.tensor([-10.0, 0.0, 5.0], dtype=torch.float64))
+    beats = env.solver.body.frequency * task.scales.period
+    torch.testing.assert_close(beats, torch.tensor([0.5, 1.25, 2.0], dtype=torch.float64))
+
+
+@pytest.mark.usefixtures("kinematic")
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        ([[0.0, 1.1], [0.0, 0.0]], r"1.1.* in row 0: allowed is -1 to 1"),
+        ([[0.0, 1.0], [math.nan, 0.0]], r"nan.* in row 1: allowed is -1 to 1"),
+        ([[0.0], [0.0]], r"shape \(2, 1\): must hold 2 numbers"),
+        ([1, 1], r"shape \(2,\): must hold 2 numbers"),
+    ],
+)
+def test_a_continuous_action_that_cannot_be_is_refused(action: list, message: str) -> None:
+    env = make_env(Predation(**SMALL, action="continuous"), starts_at(*[(6.5, 2.5)] * 2))
+    env.reset()
+    with pytest.raises(ValueError, match=message):
+        env.step(TensorDict({"action": torch.tensor(action)}, [2]))
+
+
+@pytest.mark.usefixtures("kinematic")
 def test_approach_earns_one_and_neither_nearer_nor_better_aimed_costs_one(
     small_task: Predation,
 ) -> None:
@@ -193,6 +224,8 @@ BAD_ARGUMENTS: dict[str, tuple[dict[str, Any], str]] = {
     "direction": ({"food_direction": "upp"}, r"food_direction = 'upp'.*did you mean 'up'"),
     "limits": ({"food_limits_bl": (3.5, 1.5)}, r"lower limit <= food_y_bl <= upper limit"),
     "in reach": ({"start_x_bl": (2.0, 7.5)}, r"may start with its food in reach"),
+    "action": ({"action": "continous"}, r"action = 'continous'.*did you mean 'continuous'"),
+    "frequency": ({"frequency_range": (1.0, 0.5)}, r"give the least, then the largest"),
     "tau": ({"reynolds": 1e6}, r"tau = 0.50.* outside the validated range.*raise body_length"),
 }
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from sb3_contrib import MaskablePPO
-from stable_baselines3 import DQN, PPO
+from stable_baselines3 import DQN, PPO, SAC
 from stable_baselines3.common.vec_env import VecMonitor
 
 from fishrl.envs import Predation, make_env
@@ -72,6 +72,19 @@ def test_algorithms_without_masks_train_a_fish_that_may_do_anything(kind: type) 
     model.learn(64)
     assert model.num_timesteps >= 64
     assert max(episode["l"] for episode in model.ep_info_buffer) == 3
+    after = list(model.policy.parameters())
+    assert any(not torch.equal(a, b) for a, b in zip(before, after, strict=True))
+    assert all(p.isfinite().all() for p in after)
+
+
+@pytest.mark.learning
+@pytest.mark.parametrize("kind", [PPO, SAC])
+def test_algorithms_for_continuous_actions_train_on_them(kind: type) -> None:
+    envs = make(Predation(**SMALL, time_limit=3, action="continuous"), num_envs=2)
+    short = {"n_steps": 8, "batch_size": 8} if kind is PPO else {"learning_starts": 8}
+    model = kind("MlpPolicy", VecMonitor(envs), seed=0, device="cpu", **short)
+    before = [p.detach().clone() for p in model.policy.parameters()]
+    model.learn(24)
     after = list(model.policy.parameters())
     assert any(not torch.equal(a, b) for a, b in zip(before, after, strict=True))
     assert all(p.isfinite().all() for p in after)

@@ -31,6 +31,7 @@ def make_task(kind: str) -> AbstractTask:
         "gait": lambda: KarmanGait(**GAIT),
         "averaged": lambda: KarmanGait(**GAIT, lateral_line=line),
         "free": lambda: KarmanGait(**GAIT, **free),
+        "continuous": lambda: Predation(**SMALL, action="continuous"),
         "own": lambda: MaskedTask(**SMALL),
     }[kind]()
 
@@ -46,7 +47,7 @@ def list_keys(scene: Scene) -> set[str]:
     return keys
 
 
-@pytest.mark.parametrize("kind", ["predation", "gait", "averaged", "free", "own"])
+@pytest.mark.parametrize("kind", ["predation", "gait", "averaged", "free", "continuous", "own"])
 def test_everything_that_a_scene_names_can_be_read(kind: str) -> None:
     task = make_task(kind)
     env = make_env(task=task, num_envs=2, compile=False)

@@ -72,6 +72,27 @@ def test_pursuit_turns_towards_food_more_than_half_a_turn_off(error: float, acti
     assert PursuitPolicy()(td)["action"].tolist() == [action]
 
 
+@pytest.mark.parametrize(("error", "share"), [(0.5 * TURN, 0.5), (-0.2 * TURN, -0.2), (3.0, 1.0)])
+@pytest.mark.parametrize("kind", [PursuitPolicy, InterceptPolicy])
+def test_with_continuous_actions_the_turn_is_the_error_and_the_fish_swims_as_fast_as_it_can(
+    kind: type, error: float, share: float
+) -> None:
+    td = seen(food=(5 * math.cos(error), 5 * math.sin(error)), heading=0.0)
+    action = kind(is_continuous=True)(td.exclude("action_mask"))["action"]
+    if kind is PursuitPolicy:
+        torch.testing.assert_close(action, torch.tensor([[share, 1.0]]))
+    else:  # it aims off food within reach of a turn only
+        assert action.abs().max() <= 1.0 and action[0, 0].sign() == torch.tensor(error).sign()
+
+
+def test_random_numbers_are_uniform_and_repeat_with_the_seed() -> None:
+    td = TensorDict({"observation": torch.zeros(9000, 4)}, [9000])
+    first, second = (RandomPolicy(seed=0, num_numbers=2)(td.clone())["action"] for _ in range(2))
+    assert torch.equal(first, second) and first.shape == (9000, 2)
+    # Mean of uniform numbers: 4.5 standard deviations of 1 / sqrt(3 * 9000) are 0.027.
+    assert first.abs().max() <= 1.0 and (first.mean(0).abs() < 0.027).all()
+
+
 @pytest.mark.parametrize("policy", [PursuitPolicy(), InterceptPolicy()])
 def test_a_banned_action_is_not_taken(policy: PursuitPolicy | InterceptPolicy) -> None:
     td = seen(food=(0.0, 6.0), heading=0.0, mask=(True, True, False))

@@ -50,6 +50,13 @@ def test_chosen_directly_the_nearest_frequency_is_taken_at_once() -> None:
     assert act(policy, see([1.5, 3.0], gear=0, flow=1)) == [1, 1]
 
 
+def test_a_continuous_action_is_the_commanded_frequency_within_its_range() -> None:
+    asked = [0.0, 0.5, 1.0, 9.0]
+    policy = GaitPolicy(controller=FixedFrequency(asked), rows=[(0.5, 1.5)], is_continuous=True)
+    given = [policy(see([1.5], flow=flow))["action"].tolist() for flow in range(4)]
+    assert given == [[[-1.0]], [[-1.0]], [[0.0]], [[1.0]]]
+
+
 def test_each_flow_may_have_a_frequency_of_its_own() -> None:
     policy = GaitPolicy(controller=FixedFrequency((0.5, 1.8)), rows=ROWS)
     assert act(policy, see([1.5], flow=0)) == [0]

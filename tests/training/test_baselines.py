@@ -9,11 +9,17 @@ import pytest
 from fishrl.envs import KarmanGait, Predation
 from fishrl.envs.streams import Stream
 from fishrl.modules import RandomPolicy
-from fishrl.training.baselines import Baseline, find_baselines, list_baselines, make_baseline
+from fishrl.training.baselines import (
+    Baseline,
+    find_baselines,
+    find_random,
+    list_baselines,
+    make_baseline,
+)
 
 
 class Drift:
-    pass
+    action_bounds = None
 
 
 def test_tasks_are_compared_with_their_own_baselines() -> None:
@@ -21,6 +27,7 @@ def test_tasks_are_compared_with_their_own_baselines() -> None:
     assert list_baselines(Predation(control_interval_T=0.5)) == ["random"]  # they decide once per T
     free = KarmanGait(stream=Stream(has_disc=False))
     assert list_baselines(free) == ["pid", "random"]
+    assert list_baselines(Predation(action="continuous")) == list_baselines(Predation())
     assert set(find_baselines(free)) == {"pid", "passive", "bang_bang", "random"}
 
 
@@ -32,7 +39,7 @@ def test_a_new_task_has_random_actions_and_what_is_registered_for_it() -> None:
 
     @find_baselines.register(Station)
     def _(task: Station) -> dict[str, Baseline]:
-        return {"steady": Baseline(lambda seed: RandomPolicy(seed=seed)), **find_baselines(None)}
+        return {"steady": Baseline(lambda seed: RandomPolicy(seed=seed)), **find_random(task)}
 
     assert list_baselines(Station()) == ["steady", "random"]
     assert isinstance(make_baseline("steady", task=Station(), seed=3), RandomPolicy)

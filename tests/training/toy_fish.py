@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Binary, Categorical, Composite, Unbounded
+from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import (
     ActionMask,
     CatFrames,
@@ -37,7 +37,7 @@ STATE = ("position", "heading", "food", "direction", "age", "distance", "error",
 class ToyPredation:
     """What the training loop asks of a task."""
 
-    n_obs, num_actions, num_stacked, n_substeps, checks_per_action = 4, 3, 4, 10, 1
+    n_obs, num_stacked, n_substeps, checks_per_action = 4, 4, 10, 1
     interval_T, turn_degrees, food_limits_bl, food_y_bl = 1.0, 15.0, (1.5, 3.5), 2.5
     food_still_T, food_direction, success = 5.0, "up", "captured"
     flow_labels, num_label_inputs = (), 0
@@ -48,6 +48,15 @@ class ToyPredation:
     food_speed_bl: float = 0.3
     divergence_rate: float = 0.0
     banned_action: int = -1
+    is_continuous: bool = False
+
+    @property
+    def num_actions(self) -> int:
+        return 2 if self.is_continuous else 3
+
+    @property
+    def action_bounds(self) -> tuple[tuple[float, float], ...] | None:
+        return ((-15.0, 15.0), (0.5, 1.0)) if self.is_continuous else None
 
     def flow_config(self) -> SimpleNamespace:
         return SimpleNamespace(width=100, height=50, num_bytes=0)
@@ -74,14 +83,17 @@ class ToyFishEnv(EnvBase):
         self.next_start = 0
         self.on_frame = None
         flag = Binary(1, dtype=torch.bool)
+        masked = {} if task.is_continuous else {"action_mask": Binary(3, dtype=torch.bool)}
         self.observation_spec_unbatched = Composite(
             observation=Unbounded((4,)),
-            action_mask=Binary(3, dtype=torch.bool),
+            **masked,
             diverged=flag,
             captured=flag.clone(),
             start_index=Unbounded((), dtype=torch.int64),
         )
-        self.action_spec_unbatched = Categorical(3)
+        self.action_spec_unbatched = (
+            Bounded(-1.0, 1.0, (2,)) if task.is_continuous else Categorical(3)
+        )
         self.reward_spec_unbatched = Unbounded((1,))
         for name in STATE:
             self.register_buffer(name, torch.zeros(num_envs))
@@ -119,7 +131,7 @@ class ToyFishEnv(EnvBase):
         observation = torch.cat([away, distance[:, None], error[:, None]], -1)
         return {
             "observation": observation,
-            "action_mask": mask,
+            **({} if self.task.is_continuous else {"action_mask": mask}),
             "start_index": self.start_index.clone(),
             **{name: flag.unsqueeze(-1) for name, flag in flags.items()},
         }
@@ -147,9 +159,14 @@ class ToyFishEnv(EnvBase):
         return TensorDict({**self._observe(diverged=none, captured=none), **flags}, self.batch_size)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        turn = (tensordict["action"].float() - 1.0) * math.radians(15.0)
+        action, speed = tensordict["action"], torch.ones_like(self.heading)
+        if self.task.is_continuous:
+            share, speed = action[:, 0], 0.75 + 0.25 * action[:, 1]
+        else:
+            share = action.float() - 1.0
+        turn = share * math.radians(15.0)
         middle = self.heading + 0.5 * turn
-        self.position += 0.4 * torch.stack([middle.cos(), middle.sin()], -1)
+        self.position += 0.4 * speed[:, None] * torch.stack([middle.cos(), middle.sin()], -1)
         self.heading += turn
         self.age += 1.0
         moves = self.task.food_speed_bl * (self.age > 5.0) * self.direction
@@ -198,7 +215,7 @@ def make_toy_env(
         CatFrames(
             N=task.num_stacked, dim=-1, in_keys=["observation"], out_keys=["observation_stack"]
         ),
-        ActionMask(),
+        *([] if task.is_continuous else [ActionMask()]),
     ):
         env.append_transform(transform)
     return env

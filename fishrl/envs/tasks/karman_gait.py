@@ -116,8 +116,13 @@ class KarmanGait(AbstractTask):
 
     @property
     def num_actions(self) -> int:  # type: ignore[override]
-        """Number of actions."""
+        """Number of actions, or of the numbers in one."""
         return self.control.num_actions
+
+    @property
+    def action_bounds(self) -> tuple[tuple[float, float], ...] | None:
+        """Bounds given by ``control``."""
+        return self.control.action_bounds
 
     @property
     def num_samples(self) -> int:  # type: ignore[override]
@@ -216,16 +221,7 @@ class KarmanGait(AbstractTask):
             raise ValueError(f"starts['flow_index'] = {flow.tolist()}: allowed is 0 to {num - 1}")
         if not ((phase >= 0.0) & (phase < 1.0)).all():
             raise ValueError(f"starts['wake_phase'] = {phase.tolist()}: allowed is [0, 1)")
-        place, area = self._locate(starts["head"]), self.safe_area
-        is_wrong = ~(area.measure_margin(place) > 0.0)
-        if is_wrong.any():
-            i = int(is_wrong.int().argmax())
-            x, y = place[i].tolist()
-            raise ValueError(
-                f"start {i}, nose at ({x:.2f}, {y:.2f}) L from the disc, is in the danger area: "
-                f"allowed is x in ({area.near_bl}, {area.far_bl}), y within {area.aside_bl} of 0; "
-                "move it (start_x_bl, start_y_bl), or widen safe_area"
-            )
+        self.safe_area.check_starts(self._locate(starts["head"]))
 
     def place_(self, solver: Solver, rows: Tensor, starts: TensorDictBase) -> None:
         """Set the stream, wake and fish of each row."""
@@ -237,11 +233,11 @@ class KarmanGait(AbstractTask):
         self.stream.change_(solver, starts, scales=self.scales, num_steps=self.n_substeps)
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
-        """Shift gear and turn as ``steering`` commands."""
+        """Choose the frequency and turn as ``steering`` commands."""
         flow, num = self._name_flow(before), len(self.stream.speeds_bl)
         if not ((flow >= 0) & (flow < num)).all():
             raise ValueError(f"flow_class = {flow.tolist()}: allowed is 0 to {num - 1}")
-        frequency = self.control.select(self.control.shift(before["gear"], action), flow)
+        _, frequency = self.control.choose(before["gear"], action, flow)
         return Command(self.steering.turn(before["steering"]), frequency / self.scales.period)
 
     def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
@@ -292,10 +288,11 @@ class KarmanGait(AbstractTask):
         self, before: TensorDictBase, action: Tensor, now: TensorDictBase
     ) -> dict[str, Tensor]:
         """Update gear, frequency, displacement, steering inputs and delayed signals."""
-        gear, line = self.control.shift(before["gear"], action), self.lateral_line
+        flow, line = self._name_flow(before), self.lateral_line
+        gear, frequency = self.control.choose(before["gear"], action, flow)
         return {
             "gear": gear,
-            "frequency": self.control.select(gear, self._name_flow(before)),
+            "frequency": frequency,
             "moved": now["place"] - before["place"],
             "steering": torch.cat(
                 (before["steering"][:, 1:], self._observe_steering(now)[:, None]), 1

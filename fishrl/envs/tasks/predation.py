@@ -15,9 +15,11 @@ from fishrl.envs.rewards import reward_approach
 from fishrl.envs.scene import Marks, Panel, Scene, Series
 from fishrl.envs.sensors import compute_clearance, sense_target
 from fishrl.envs.task import AbstractTask, Command, as_pair
+from fishrl.physics.units import Scales
 
 #: Probability that the food first moves up.
 CHANCE_UP = {"up": 1.0, "down": 0.0, "random": 0.5}
+ACTIONS = ("discrete", "continuous")
 
 
 @final
@@ -25,16 +27,21 @@ CHANCE_UP = {"up": 1.0, "down": 0.0, "random": 0.5}
 class Predation(AbstractTask):
     """Catch food that rests at first and then moves up and down between two limits.
 
-    Actions: 0 turn clockwise, 1 keep the heading, 2 turn counter-clockwise. Observation: x and y of
-    the food relative to the nose and its distance, in body lengths, and the bearing error in
-    (-pi, pi] radians, positive to the left. Reward: +1 if distance or bearing error decreased since
-    the last decision, otherwise -1; +20 on capture. An episode terminates on capture or when a
-    marker comes within ``wall_margin_bl`` of the edge.
+    Actions: 0 turn clockwise, 1 keep the heading, 2 turn counter-clockwise; or two numbers, the
+    turn and the tail-beat frequency, which sets the speed. Observation: x and y of the food
+    relative to the nose and its distance, in body lengths, and the bearing error in (-pi, pi]
+    radians, positive to the left. Reward: +1 if distance or bearing error decreased since the last
+    decision, otherwise -1; +20 on capture. An episode terminates on capture or when a marker comes
+    within ``wall_margin_bl`` of the edge.
 
     The paper (Task 1) gives neither the food's x and limits nor the capture radius.
 
     Args:
-        turn_degrees: heading change of one action, spread smoothly over the interval.
+        action: discrete or continuous.
+        turn_degrees: heading change of one action, spread smoothly over the interval; the largest
+            one of a continuous action.
+        frequency_range: least and largest tail-beat frequency of a continuous action, beats per T;
+            1 is that of discrete actions.
         start_x_bl: range of the initial nose position, in body lengths. Fish start on whole nodes
             and face -x; the range is clipped to keep them clear of the walls.
         start_y_bl: the same along y.
@@ -48,11 +55,12 @@ class Predation(AbstractTask):
     """
 
     n_obs: ClassVar[int] = 4
-    num_actions: ClassVar[int] = 3
     num_draws: ClassVar[int] = 3
     success: ClassVar[str] = "captured"
 
+    action: str = "discrete"
     turn_degrees: float = bounded(15.0, least=0, largest=180)
+    frequency_range: tuple[float, float] = bounded((0.5, 1.0), least=0, largest=10)
     start_x_bl: tuple[float, float] = (5.0, 7.5)
     start_y_bl: tuple[float, float] = (0.25, 4.75)
     food_x_bl: float = 2.5
@@ -64,13 +72,17 @@ class Predation(AbstractTask):
     capture_radius_bl: float = bounded(0.25, greater=0)
 
     def __post_init__(self) -> None:
-        for name in ("start_x_bl", "start_y_bl", "food_limits_bl"):
+        for name in ("start_x_bl", "start_y_bl", "food_limits_bl", "frequency_range"):
             object.__setattr__(self, name, as_pair(name, getattr(self, name)))
+        for name, known in (("food_direction", tuple(CHANCE_UP)), ("action", ACTIONS)):
+            if (value := getattr(self, name)) not in known:
+                hint = suggest(str(value), known)
+                raise ValueError(f"{name} = {value!r}: allowed is {', '.join(known)}{hint}")
+        if not self.frequency_range[0] < self.frequency_range[1]:
+            raise ValueError(
+                f"frequency_range = {self.frequency_range}: give the least, then the largest"
+            )
         super().__post_init__()
-        if self.food_direction not in CHANCE_UP:
-            hint = suggest(str(self.food_direction), CHANCE_UP)
-            known = ", ".join(CHANCE_UP)
-            raise ValueError(f"food_direction = {self.food_direction!r}: allowed is {known}{hint}")
         low, high = self.food_limits_bl
         width, height = self.domain_bl
         if not 0.0 < low <= self.food_y_bl <= high < height or low == high:
@@ -95,6 +107,32 @@ class Predation(AbstractTask):
                 "with its food in reach; move the food or the starts by more than "
                 f"capture_radius_bl = {self.capture_radius_bl}"
             )
+
+    @property
+    def is_continuous(self) -> bool:
+        """Whether actions are numbers."""
+        return self.action == "continuous"
+
+    @property
+    def num_actions(self) -> int:  # type: ignore[override]
+        """Number of actions, or of the numbers in one."""
+        return len(self.action_names)
+
+    @property
+    def action_bounds(self) -> tuple[tuple[float, float], ...] | None:
+        """Turn in degrees and frequency in beats per T of a continuous action."""
+        turns = (-self.turn_degrees, self.turn_degrees)
+        return (turns, self.frequency_range) if self.is_continuous else None
+
+    @cached_property
+    def scales(self) -> Scales:
+        """Lattice units of the task; a beat faster than one per T makes T longer."""
+        return Scales.from_budget(
+            body_length=self.body_length,
+            reynolds=self.reynolds,
+            max_wall_speed=self.max_wall_speed,
+            max_frequency=max(1.0, self.frequency_range[1]) if self.is_continuous else 1.0,
+        )
 
     @cached_property
     def start_range(self) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -162,7 +200,10 @@ class Predation(AbstractTask):
         return self.body_length * torch.stack((torch.full_like(height, self.food_x_bl), height), -1)
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
-        """Turn clockwise, not at all, or counter-clockwise."""
+        """Turn clockwise, not at all, or counter-clockwise; or turn and beat as the action says."""
+        if self.is_continuous:
+            turn, frequency = action.unbind(-1)
+            return Command(turn.deg2rad(), frequency / self.scales.period)
         return Command(turn=radians(self.turn_degrees) * (action.double() - 1.0))
 
     def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
@@ -217,7 +258,10 @@ class Predation(AbstractTask):
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """Names of the turns."""
+        """Names of the turns, or of the two numbers."""
+        if self.is_continuous:
+            low, high = self.frequency_range
+            return f"turn, ±{self.turn_degrees:g}°", f"frequency, {low:g} to {high:g} beats/T"
         return f"turn {-self.turn_degrees:g}°", "keep", f"turn +{self.turn_degrees:g}°"
 
     def make_scene(self) -> Scene:
