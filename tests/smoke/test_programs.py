@@ -185,6 +185,13 @@ def test_a_gait_is_tried_in_all_streams_and_its_page_is_written(
     assert (tmp_path / "figures" / "gait" / "drift.png").is_file()
 
 
+@pytest.mark.usefixtures("kinematic")
+def test_policies_are_tried_in_changing_streams(tmp_path: Path) -> None:
+    few = ["runs=[zoo/gait_small]", "episodes=1", "periods=2", "task.stream.changes.interval_T=1"]
+    _run("changing_streams", *few, f"folder={tmp_path}")
+    assert (tmp_path / "changing.png").is_file()
+
+
 def test_a_sweep_is_summed_up(predation_run: Path) -> None:
     _run("summarize", predation_run.parent)
     assert (predation_run.parent / "summary.md").is_file()

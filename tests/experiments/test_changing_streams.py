@@ -1,0 +1,49 @@
+"""Policies tried in changing streams: what counts as recognised, and the whole on gliding fish."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+import torch
+
+from experiments import changing_streams
+from experiments.changing_streams import Record, find_delays
+from fishrl.envs import KarmanGait
+from fishrl.envs.changes import StreamSteps
+from fishrl.envs.streams import Stream
+from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+
+
+def make_record(named: list[int], length_T: float) -> Record:
+    """Return an episode of half a T per decision."""
+    time, row = 0.5 * torch.arange(1, 25), torch.tensor(named + [1] * 4).double()[None]
+    return Record(time, row, row, row, row, torch.tensor([length_T]))
+
+
+@pytest.mark.parametrize(("length_T", "num"), [(12.0, 2), (9.9, 1)])
+def test_a_change_is_recognised_with_the_first_right_label_after_it_began(
+    length_T: float, num: int
+) -> None:
+    changes = StreamSteps(times_T=(4.0, 8.0, 10.0), speeds_bl=(1.5, 1.0, 1.1))
+    stream = Stream(changes=changes)
+    task = KarmanGait(**SMALL | {"wall_margin_bl": 0.25}, stream=stream, start_flows=(1,))
+    # labels: 1, from 4 T on 2, from 8 T on 0, and at 10 T no other one
+    named = [1, 1, 1, 2, 1, 1, 1, 1, 1, 1, 0, 2, 2, 0, 2, 2, 2, 2, 1, 1]
+    delays = find_delays(make_record(named, length_T), task)
+    assert delays == [2.0, math.inf][:num]
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_all_arms_are_tried_from_the_same_starts(tmp_path: Path) -> None:
+    given = ["runs=[zoo/gait_small]", "episodes=2", "periods=2", "task.stream.changes.interval_T=1"]
+    changing_streams.main.run(changing_streams.main.read([*given, f"folder={tmp_path}"]))
+    results = json.loads((tmp_path / "changing.json").read_text())
+    assert {"true label", "filter", "always the middle flow", "ablation", "pid"} <= set(results)
+    assert results["true label"]["accuracy"] == 1.0
+    assert 0.0 < results["always the middle flow"]["accuracy"] < 1.0
+    assert len(results["filter"]["survival_T"]) == 2
+    assert (tmp_path / "changing.png").stat().st_size > 5000
+    assert len((tmp_path / "changing.md").read_text().splitlines()) == 2 + len(results)

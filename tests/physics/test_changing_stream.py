@@ -1,0 +1,34 @@
+"""A stream that changes smoothly accelerates all of the water, without a shock."""
+
+import pytest
+import torch
+
+from fishrl.physics import FlowConfig, InPlaceSolver
+from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
+
+
+def test_a_smooth_change_sends_no_shock_and_ends_in_the_uniform_stream() -> None:
+    """At once, the density jumps by rho dU / c_s (Joukowsky 1898), as water in a pipe does."""
+    stream = NonEquilibrium(velocity=(1.0, 0.0))
+    edges = Boundaries(left=stream, right=OpenEdge(), bottom=stream, top=stream)
+    config = FlowConfig(width=40, height=24, tau=0.6, stream_speed=0.06, boundaries=edges)
+    solver = InPlaceSolver(config=config, num_envs=2, compile=False, num_workers=0)
+    solver.reset_(torch.ones(2, dtype=torch.bool), velocity=(1.0, 0.0))
+    faster = torch.full((2,), 0.09, dtype=torch.float64)
+    transit = 40 * 3.0**0.5  # of sound, steps
+    solver.set_stream_speed_(faster, torch.tensor([True, False]), num_steps=round(4 * transit))
+    solver.set_stream_speed_(faster, torch.tensor([False, True]), num_steps=0)
+    densities, masses = [], []
+    for _ in range(60):
+        solver.advance_(10)
+        rho, velocity = solver.macroscopic()
+        densities.append((rho - 1.0).abs().amax((1, 2)))
+        masses.append((rho.double() - 1.0).mean((1, 2)))
+    smooth, sudden = torch.stack(densities).amax(0).tolist()
+    assert sudden == pytest.approx(0.03 * 3.0**0.5, rel=0.05)
+    assert smooth < 0.45 * sudden
+    gained = torch.stack(masses)
+    assert gained[:, 0].abs().max() < 0.45 * gained[:, 1].abs().max()
+    assert gained[-1].abs().max() < 1e-4
+    uniform = torch.tensor([0.09, 0.0])[:, None, None].expand_as(velocity)
+    torch.testing.assert_close(velocity, uniform, rtol=0, atol=5e-4)
