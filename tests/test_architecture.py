@@ -25,6 +25,7 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/files.py", {"torch"}),
     ("fishrl/extras.py", {"packaging"}),
     ("fishrl/memory.py", {"torch"}),
+    ("fishrl/physics/fast/body_kernel.py", {"torch", "triton"}),
     ("fishrl/physics/", TENSORS | {"fishrl.physics"}),
     ("fishrl/envs/__init__.py", TASK_SIDE),
     ("fishrl/envs/scene.py", {"torch"}),

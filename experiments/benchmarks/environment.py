@@ -164,7 +164,8 @@ def make_profile(
         places[part] = place
         return record_function(part)(function)
 
-    names = {"collide": "collision", "bodies": "bodies: markers, force, motion, spreading"}
+    bodies = "bodies: markers, force, motion, spreading"
+    names = {"collide": "collision", **dict.fromkeys(("bodies", "place", "couple", "move"), bodies)}
     solver.wrap_kernels_(lambda key, kernel: name("flow", names.get(key, "edges"), kernel))
     for owner, attribute, place, part in (
         (solver, "advance_", "flow", "calls and remainder"),

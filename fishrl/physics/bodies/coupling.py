@@ -49,7 +49,7 @@ class RigidUpdate(NamedTuple):
     lateral_power: Tensor
 
 
-class _Freedom(NamedTuple):
+class Freedom(NamedTuple):
     """One rigid degree of freedom that the flow determines.
 
     Attributes:
@@ -74,7 +74,7 @@ class _Freedom(NamedTuple):
         return None if x is None else solution[:, x], None if y is None else solution[:, y]
 
 
-class _Surface(NamedTuple):
+class Surface(NamedTuple):
     """How the bodies' surface moves if the flow changes no rate, and the rates that it may change.
 
     Attributes:
@@ -86,7 +86,7 @@ class _Surface(NamedTuple):
 
     rates: list[list[Tensor]]
     velocity: Tensor
-    freedoms: list[_Freedom]
+    freedoms: list[Freedom]
     units: list[Tensor]
 
 
@@ -101,7 +101,7 @@ class _MarkerMass(NamedTuple):
     mass: Tensor
     own: list[slice]
 
-    def project(self, freedom: _Freedom, g: _Pair) -> Tensor | float:
+    def project(self, freedom: Freedom, g: _Pair) -> Tensor | float:
         """Return the force or torque ``[B]`` along a degree of freedom that g puts on the fluid."""
         pairs = zip(freedom.unit, g, strict=True)
         parts = [unit * value for unit, value in pairs if unit is not None and value is not None]
@@ -134,36 +134,60 @@ def solve_body_force(
         g ``[B, 2, N]``, with F = 2 rho g per unit length, and an update per body.
     """
     markers = _MarkerMass(2.0 * rho * geometry.spacing, _slice_markers(config.bodies))
-    surface = _prescribe_surface(config, params, states, geometry, velocity.dtype)
+    surface = prescribe_surface(config, params, states, geometry, velocity.dtype)
     residual = surface.velocity - velocity
     right = torch.stack([*residual.unbind(1), *surface.units], 1)
     solution, rest = config.force_solve(geometry.operator, right)
     is_implicit = config.coupling is Coupling.IMPLICIT
     changes = _solve_rigid_motion(surface.freedoms, markers, solution, is_implicit)
     g, slip = list(solution[:, :2].unbind(1)), list(rest[:, :2].unbind(1))
-    for freedom, change in zip(surface.freedoms, changes, strict=True):
-        rates = surface.rates[freedom.body]
-        rates[freedom.axis] = rates[freedom.axis] + change
-        if is_implicit:
+    if is_implicit:
+        for freedom, change in zip(surface.freedoms, changes, strict=True):
             weight = change.to(velocity.dtype)[:, None]
             for values, rows in ((g, solution), (slip, rest)):
                 for axis, response in enumerate(freedom.respond(rows)):
                     if response is not None:
                         values[axis] = values[axis] + weight * response
+    updates = report_bodies(
+        config, states, geometry, surface, changes=changes, mass=markers.mass, g=g, slip=slip
+    )
+    return torch.stack(g, 1), updates
+
+
+def report_bodies(
+    config: FlowConfig,
+    states: Sequence[BodyState],
+    geometry: BodyGeometry,
+    surface: Surface,
+    *,
+    changes: Sequence[Tensor],
+    mass: Tensor,
+    g: Sequence[Tensor],
+    slip: Sequence[Tensor],
+) -> list[RigidUpdate]:
+    """Return what the solution of a step means for each body.
+
+    ``changes`` ``[B]`` are those of the rates that the flow determines; at all markers, ``[B, N]``
+    each, ``mass`` is that of the fluid, ``g`` (x, y) the force per mass and ``slip`` (x, y) the
+    remaining velocity error. The other arguments are those of ``solve_body_force``.
+    """
+    rates = [list(own) for own in surface.rates]
+    for freedom, change in zip(surface.freedoms, changes, strict=True):
+        own_rates = rates[freedom.body]
+        own_rates[freedom.axis] = own_rates[freedom.axis] + change
     square = slip[0] * slip[0] + slip[1] * slip[1]
-    updates = [
+    return [
         _report(
             states[m],
             geometry.markers[m],
-            rates=surface.rates[m],
+            rates=rates[m],
             lateral_velocity=geometry.deformations[m].lateral_velocity,
-            mass=markers.mass[:, own],
+            mass=mass[:, own],
             g=(g[0][:, own], g[1][:, own]),
             square=square[:, own],
         )
-        for m, own in enumerate(markers.own)
+        for m, own in enumerate(_slice_markers(config.bodies))
     ]
-    return torch.stack(g, 1), updates
 
 
 def _slice_markers(bodies: Sequence[BodyConfig]) -> list[slice]:
@@ -172,13 +196,13 @@ def _slice_markers(bodies: Sequence[BodyConfig]) -> list[slice]:
     return [slice(end - body.num_markers, end) for end, body in zip(ends, bodies, strict=True)]
 
 
-def _prescribe_surface(
+def prescribe_surface(
     config: FlowConfig,
     params: Sequence[BodyParams],
     states: Sequence[BodyState],
     geometry: BodyGeometry,
     dtype: torch.dtype,
-) -> _Surface:
+) -> Surface:
     """Return the motion of all markers with the rates prescribed, or as in the last step."""
     own, num_markers = _slice_markers(config.bodies), geometry.spacing.shape[-1]
     displaced = 1.0 if config.coupling is Coupling.IMPLICIT else 0.0
@@ -189,7 +213,7 @@ def _prescribe_surface(
 
     rates: list[list[Tensor]] = []
     velocities: list[Tensor] = []
-    freedoms: list[_Freedom] = []
+    freedoms: list[Freedom] = []
     units: list[Tensor] = []
     for m, (body, state) in enumerate(zip(config.bodies, states, strict=True)):
         markers, deformation, motion = geometry.markers[m], geometry.deformations[m], body.motion
@@ -211,19 +235,19 @@ def _prescribe_surface(
             units.append(one)
             for axis in shifts:
                 unit, rows = ((one, None), (row, None)) if axis == 0 else ((None, one), (None, row))
-                freedoms.append(_Freedom(m, axis, unit, rows, mass, state.load[:, axis]))
+                freedoms.append(Freedom(m, axis, unit, rows, mass, state.load[:, axis]))
             row += 1
         if 2 in motion.free_axes:
             turning = widen(-ry, m), widen(rx, m)
             units += turning
             inertia = excess * deformation.inertia
             push = -(excess * deformation.inertia_rate * state.angular_velocity)
-            freedoms.append(_Freedom(m, 2, turning, (row, row + 1), inertia, push))
-    return _Surface(rates, torch.cat(velocities, -1), freedoms, units)
+            freedoms.append(Freedom(m, 2, turning, (row, row + 1), inertia, push))
+    return Surface(rates, torch.cat(velocities, -1), freedoms, units)
 
 
 def _solve_rigid_motion(
-    freedoms: Sequence[_Freedom], markers: _MarkerMass, solution: Tensor, is_implicit: bool
+    freedoms: Sequence[Freedom], markers: _MarkerMass, solution: Tensor, is_implicit: bool
 ) -> list[Tensor]:
     """Return the change ``[B]`` of each rate that the flow determines, by Newton's second law.
 

@@ -8,6 +8,7 @@ from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.collision import compute_macroscopic
+from fishrl.physics.fast.coupled import has_kernel
 from fishrl.physics.fast.layout import FlowData, FlowMemory, InPlaceLayout
 from fishrl.physics.fast.step import FlowGroup, Scratch, Stepper
 from fishrl.physics.flow import FlowConfig, make_params
@@ -22,6 +23,7 @@ class FlowBatch:
         device: where everything lives.
         allocate: makes the block of memory, from its size in bytes.
         groups: those that this process reads and advances; None is all.
+        compile: whether the step will be compiled; on a GPU, a kernel then couples the bodies.
 
     Attributes:
         flow: all numbers beside the populations, changed in place.
@@ -35,6 +37,7 @@ class FlowBatch:
         device: torch.device,
         allocate: Callable[[int], Tensor],
         groups: range | None = None,
+        compile: bool = False,
     ) -> None:
         config = self._config = configs[0]
         self._size = group_size
@@ -49,11 +52,12 @@ class FlowBatch:
         self.num_bytes = memory.count_bytes()
         self.flow, self._omega, self._data = memory.carve(allocate(self.num_bytes))
         sample = pytree.tree_map(lambda t: t[:group_size], self._fresh)
-        self.scratch = Scratch(config, self.layout, sample)
+        is_coupled = compile and has_kernel(config, device)
+        self.scratch = Scratch(config, self.layout, sample, is_coupled)
         groups = range(len(configs) // group_size) if groups is None else groups
         self.groups = {number: self._make_group(number) for number in groups}
         self.first = self.groups[groups[0]]
-        self.stepper = Stepper(config, self.layout, self.first)
+        self.stepper = Stepper(config, self.layout, self.first, is_coupled)
 
     def _make_group(self, number: int) -> FlowGroup:
         own = self.rows_of(number)

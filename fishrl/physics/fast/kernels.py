@@ -27,24 +27,38 @@ from fishrl.physics.storage import Storage
 MAX_SPEED = 0.5
 
 
+class Exchange(NamedTuple):
+    """What the kernel for a GPU is given and returns; see ``body_kernel.couple_bodies``."""
+
+    surface: Tensor
+    inertia: Tensor
+    push: Tensor
+    g: Tensor
+    slip: Tensor
+    mass: Tensor
+    change: Tensor
+    steps: Tensor
+
+
 class BodyArguments(NamedTuple):
     """What the bodies' part of a step reads and writes.
 
-    ``force_x`` and ``force_y`` ``[cells]`` are zero between steps, ``offsets`` ``[Q]`` those of the
-    outgoing populations' slots, ``first_cell`` ``[B]`` is the cell of each flow's node (0, 0),
-    ``omega`` ``[B, 1]`` or ``[B, cells]``; ``geometry`` is that of bodies that stay still, else
-    nothing.
+    ``offsets`` ``[Q]`` are those of the outgoing populations' slots, ``first_cell`` ``[B]`` is the
+    cell of each flow's node (0, 0), ``omega`` ``[B, 1]`` or ``[B, cells]``. Tensor operations need
+    ``force`` (x, y) ``[cells]``, which is zero between steps, and keep the ``geometry`` of bodies
+    that stay still; the kernel for a GPU needs ``exchange`` and keeps any geometry. What is not
+    needed is empty.
     """
 
     data: Tensor
-    force_x: Tensor
-    force_y: Tensor
+    force: tuple[Tensor, ...]
     offsets: Tensor
     first_cell: Tensor
     omega: Tensor
     bodies: tuple[BodyState, ...]
     params: tuple[BodyParams, ...]
     geometry: BodyGeometry | tuple[()]
+    exchange: Exchange | tuple[()]
 
 
 def make_collide(config: FlowConfig) -> Kernel:
@@ -60,7 +74,8 @@ def make_collide(config: FlowConfig) -> Kernel:
     return collide
 
 
-def _copy_tree(old: object, new: object) -> None:
+def copy_tree(old: object, new: object) -> None:
+    """Copy tensors into those of a structure of the same form."""
     for a, b in zip(pytree.tree_leaves(old), pytree.tree_leaves(new), strict=True):
         a.copy_(b)
 
@@ -70,7 +85,7 @@ def make_locate(config: FlowConfig, form: pytree.TreeSpec) -> Kernel:
 
     def locate(*leaves: Tensor) -> None:
         call: BodyArguments = pytree.tree_unflatten(leaves, form)
-        _copy_tree(call.geometry, locate_bodies(config, call.params, call.bodies, torch.float32))
+        copy_tree(call.geometry, locate_bodies(config, call.params, call.bodies, torch.float32))
 
     return locate
 
@@ -81,7 +96,7 @@ def make_bodies(config: FlowConfig, layout: InPlaceLayout, form: pytree.TreeSpec
 
     def act(*leaves: Tensor) -> None:
         call: BodyArguments = pytree.tree_unflatten(leaves, form)
-        data, force_x, force_y = call.data, call.force_x, call.force_y
+        data, (force_x, force_y) = call.data, call.force
         # bodies that stay still were located before
         geometry = call.geometry or locate_bodies(config, call.params, call.bodies, torch.float32)
         nodes = geometry.stencil.index_nodes(layout.row_length) + call.first_cell[:, None, None]
@@ -101,7 +116,7 @@ def make_bodies(config: FlowConfig, layout: InPlaceLayout, form: pytree.TreeSpec
             data.index_put_((slot,), storage.encode(values), accumulate=True)
         for total in (force_x, force_y):
             total.index_put_((nodes,), torch.zeros_like(fluid.drho))
-        _copy_tree(call.bodies, moved)
+        copy_tree(call.bodies, moved)
 
     return act
 

@@ -79,7 +79,9 @@ class InPlaceSolver:
         self._began: float | None = None  # to compile
         every = torch.ones(num_envs, dtype=torch.bool, device=device)
         self._unplaced = every if len(self.config.bodies) > 1 else None  # bodies in the middle
-        self._batch = FlowBatch(configs, group_size=size, device=device, allocate=self._allocate)
+        self._batch = FlowBatch(
+            configs, group_size=size, device=device, allocate=self._allocate, compile=compile
+        )
         self._batch.initialise_()
         for body in self.bodies:
             body.frequency.copy_(self._frequency)

@@ -17,8 +17,10 @@ from torch.utils import _pytree as pytree
 from fishrl.physics.bodies.geometry import BodyGeometry, locate_bodies
 from fishrl.physics.boundaries import Side
 from fishrl.physics.fast.compiled import Kernel, compile_inplace, is_own
+from fishrl.physics.fast.coupled import make_couple, make_exchange, make_move, make_place
 from fishrl.physics.fast.kernels import (
     BodyArguments,
+    Exchange,
     make_bodies,
     make_check,
     make_collide,
@@ -32,15 +34,22 @@ _GRAPH_PAIRS = 50  # most pairs of steps in one CUDA graph
 # The bodies' part is small and scatters: one thread, and weights are kept, not computed again for
 # every pair of markers (six times slower at L = 100).
 _BODY: dict[str, object] = {"cpp.threads": 1, "realize_opcount_threshold": 10}
+# On a GPU launches count: Inductor puts kernels that do not depend on each other into one.
+_GPU: dict[str, object] = {"combo_kernels": True}
+# The bodies' part of each step: as tensor operations, or around the kernel for a GPU.
+_BODIES = ("bodies", "place", "couple", "move")
 
 
 class Scratch:
     """Constants of a step, and memory in use during a step only; all groups share it.
 
-    ``sample`` holds the numbers of one group's flows, for their shapes and types.
+    ``sample`` holds the numbers of one group's flows, for their shapes and types; ``has_kernel``
+    says that the bodies are coupled by the kernel for a GPU.
     """
 
-    def __init__(self, config: FlowConfig, layout: InPlaceLayout, sample: FlowData) -> None:
+    def __init__(
+        self, config: FlowConfig, layout: InPlaceLayout, sample: FlowData, has_kernel: bool
+    ) -> None:
         device = sample.clock.device
         self.is_fine = torch.zeros(layout.num_envs, dtype=torch.bool, device=device)
         self.profiles = [
@@ -48,16 +57,19 @@ class Scratch:
             for sides in config.boundaries.in_order()
         ]
         self.geometry: BodyGeometry | tuple[()] = ()
+        self.exchange: Exchange | tuple[()] = ()
         self.force: tuple[Tensor, ...] = ()
         if config.bodies:
-            if config.is_still:
-                self.geometry = locate_bodies(
-                    config, sample.params.bodies, sample.bodies, torch.float32
-                )
+            if config.is_still or has_kernel:
+                geometry = locate_bodies(config, sample.params.bodies, sample.bodies, torch.float32)
+                self.geometry = pytree.tree_map(_make_dense, geometry)
+            if has_kernel:
+                self.exchange = make_exchange(config, geometry)
+            else:
+                self.force = tuple(torch.zeros(layout.num_cells, device=device) for _ in range(2))
             flows = torch.arange(layout.num_envs, device=device)
             self.first_cell = flows * layout.flow_length + layout.first_cell
             self.offsets = [torch.tensor(layout.offsets(p, True), device=device) for p in (0, 1)]
-            self.force = tuple(torch.zeros(layout.num_cells, device=device) for _ in range(2))
 
 
 class FlowGroup:
@@ -110,19 +122,20 @@ class FlowGroup:
             body_calls = [
                 BodyArguments(
                     data=populations,
-                    force_x=scratch.force[0],
-                    force_y=scratch.force[1],
+                    force=scratch.force,
                     offsets=scratch.offsets[parity],
                     first_cell=scratch.first_cell,
                     omega=omega,
                     bodies=flow.bodies,
                     params=flow.params.bodies,
                     geometry=scratch.geometry,
+                    exchange=scratch.exchange,
                 )
                 for parity in (0, 1)
             ]
             self.body_form = pytree.tree_structure(body_calls[0])
-            self.arguments["bodies"] = [pytree.tree_leaves(call) for call in body_calls]
+            leaves = [pytree.tree_leaves(call) for call in body_calls]
+            self.arguments |= dict.fromkeys(("locate", *_BODIES), leaves)
 
     def read(self) -> list[Tensor]:
         """Return the nine incoming populations ``[B, Y, X]``, before an even step."""
@@ -143,33 +156,42 @@ class Stepper:
     """The kernels of one step, for groups of the form of ``example``.
 
     Attributes:
-        kernels: "collide", "bodies" where there are some, "edges 0" and on, in their order; and
-            "locate" (bodies that stay still, once before many steps) and "check".
+        kernels: "collide"; where there are bodies "bodies", or "place", "couple" and "move" around
+            the kernel for a GPU; "edges 0" and on, in their order; and "locate" (bodies that stay
+            still, once before many steps) and "check".
     """
 
-    def __init__(self, config: FlowConfig, layout: InPlaceLayout, example: FlowGroup) -> None:
+    def __init__(
+        self, config: FlowConfig, layout: InPlaceLayout, example: FlowGroup, has_kernel: bool
+    ) -> None:
         self._config, self._example = config, example
         self._device = example.nodes[0].device
         self.kernels: dict[str, Kernel] = {"collide": make_collide(config)}
         if config.bodies:
-            self.kernels["bodies"] = make_bodies(config, layout, example.body_form)
+            if has_kernel:
+                self.kernels["place"] = make_place(config, example.body_form)
+                self.kernels["couple"] = make_couple(config, layout, example.body_form)
+                self.kernels["move"] = make_move(config, example.body_form)
+            else:
+                self.kernels["bodies"] = make_bodies(config, layout, example.body_form)
             if config.is_still:
                 self.kernels["locate"] = make_locate(config, example.body_form)
         for i, sides in enumerate(config.boundaries.in_order()):
             self.kernels[f"edges {i}"] = make_edges(sides, config.storage)
+        self._inner = [name for name in self.kernels if name in ("collide", *_BODIES)]
         self._edges = [name for name in self.kernels if name.startswith("edges")]
         self.kernels["check"] = make_check(config)
 
     def compile(self, *names: str) -> None:
-        """Compile the kernels named, or all but "check"."""
+        """Compile the kernels named, or all but "check"; "couple" is compiled by Triton."""
         structure = self._config.get_structure()
-        for name in names or [name for name in self.kernels if name != "check"]:
-            is_body = name in ("bodies", "locate")
+        of_bodies = _GPU if self._device.type == "cuda" else _BODY
+        for name in names or [n for n in self.kernels if n not in ("check", "couple")]:
             self.kernels[name] = compile_inplace(
                 self.kernels[name],
-                self._example.arguments["bodies" if is_body else name][0],
+                self._example.arguments[name][0],
                 name=name + repr(structure) if is_own(structure) else None,
-                **_BODY if is_body else {},
+                **of_bodies if name in ("locate", *_BODIES) else {},
             )
 
     def is_fine(self, group: FlowGroup) -> Tensor:
@@ -181,7 +203,7 @@ class Stepper:
     def advance_(self, group: FlowGroup, num_steps: int) -> None:
         """Advance one group by an even number of steps."""
         if "locate" in self.kernels:
-            self.kernels["locate"](*group.arguments["bodies"][0])
+            self.kernels["locate"](*group.arguments["locate"][0])
         num_pairs = num_steps // 2
         if self._device.type == "cuda" and num_pairs:
             if not group.graphs:  # kernels are built in a first call, which cannot be captured
@@ -211,13 +233,17 @@ class Stepper:
     def step_(self, group: FlowGroup, parity: int) -> None:
         """Advance one group by one step."""
         kernels, arguments = self.kernels, group.arguments
-        kernels["collide"](*arguments["collide"][parity])
-        if "bodies" in kernels:
-            kernels["bodies"](*arguments["bodies"][parity])
+        for name in self._inner:
+            kernels[name](*arguments[name][parity])
         for to, origin in group.crossings[parity]:
             to.copy_(origin)
         for edges in self._edges:
             kernels[edges](*arguments[edges][parity])
+
+
+def _make_dense(t: Tensor) -> Tensor:
+    """Return a copy without gaps or repeats in memory."""
+    return t.clone(memory_format=torch.contiguous_format)
 
 
 def _make_profile(config: FlowConfig, side: Side) -> Tensor:

@@ -1,0 +1,232 @@
+"""The kernel that couples bodies and flow on a GPU, against the tensor operations.
+
+Without a GPU Triton interprets it (``TRITON_INTERPRET=1``, see ``make test-gpu``): block by block
+in numpy, some seconds a step.
+"""
+
+import math
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from importlib.util import find_spec
+from typing import Any
+
+import pytest
+import torch
+from torch.utils import _pytree as pytree
+
+from fishrl.physics import Coupling, Cylinder, DCylinder, Fish, FlowConfig, Sponge, Storage
+from fishrl.physics.bodies.motion import Bending, Commanded, Free
+from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge, Periodic
+from fishrl.physics.collision import compute_equilibrium
+from fishrl.physics.delta import Hat, Kernel, Peskin4
+from fishrl.physics.fast import batch as batches
+from fishrl.physics.fast.coupled import has_kernel
+from fishrl.physics.immersed_boundary import DirectSolve, IterativeForcing
+
+IS_REAL = torch.cuda.is_available() and "device" not in sys.modules
+pytestmark = [
+    pytest.mark.gpu,
+    pytest.mark.skipif(find_spec("triton") is None, reason="Triton is not installed"),
+    pytest.mark.skipif(
+        not IS_REAL and os.environ.get("TRITON_INTERPRET") != "1",
+        reason="there is no CUDA, and Triton is not interpreted",
+    ),
+]
+STREAM = NonEquilibrium(velocity=(1.0, 0.0))
+EDGES = Boundaries(left=STREAM, right=OpenEdge(), bottom=STREAM, top=STREAM)
+PERIODIC = Boundaries(left=Periodic(), right=Periodic(), bottom=Periodic(), top=Periodic())
+FISH = Fish(body_length=16, motion=Free())
+FLOW: dict[str, Any] = {
+    "width": 56,
+    "height": 40,
+    "tau": 0.56,
+    "stream_speed": 0.03,
+    "boundaries": EDGES,
+}
+CASES: dict[str, dict[str, Any]] = {
+    "free fish, periodic edges": {"bodies": (FISH,), "boundaries": PERIODIC},
+    "bending and commanded fish": {
+        "bodies": (
+            Fish(body_length=20, motion=Bending()),
+            Fish(body_length=16, motion=Commanded(), keeps_length=True, density_ratio=1.5),
+        )
+    },
+    "fixed half disc in sponges": {
+        "bodies": (DCylinder(diameter=9),),
+        "sponges": (Sponge(length=30), Sponge(length=9, tau=0.8)),
+    },
+}
+
+
+def make_batch(config: FlowConfig, device: str, *, kernel: bool) -> batches.FlowBatch:
+    """Return two flows of rough water, each with bodies 1.5 nodes apart, in mid-stroke."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batches, "has_kernel", lambda *_: kernel)
+        batch = batches.FlowBatch(
+            [config, replace(config, tau=0.6)],
+            group_size=2,
+            device=torch.device(device),
+            allocate=lambda n: torch.zeros(n, dtype=torch.uint8, device=device),
+            compile=kernel,
+        )
+    batch.initialise_()
+    start = torch.tensor([[16.3, 12.2], [38.0, 15.7]])
+    for index, body in enumerate(batch.flow.bodies):
+        body.position.copy_(start + index * torch.tensor([1.0, 5.5]))
+        body.heading.copy_(torch.tensor([math.pi, 2.9]))
+        for name, value in {"frequency": 1 / 300, "phase": 0.3, "beats": 0.4, "turn": 0.3}.items():
+            getattr(body, name).fill_(value)
+        body.turn_steps.fill_(100.0)
+        body.load.fill_(1e-3)
+    generator = torch.Generator().manual_seed(0)
+    rough = 0.03 * torch.randn(3, 2, config.height, config.width, generator=generator)
+    still = compute_equilibrium(0.1 * rough[0], rough[1], rough[2])
+    batch.first.write_(torch.arange(2, device=device), torch.stack(still, 1).to(device))
+    return batch
+
+
+def advance(config: FlowConfig, *, kernel: bool) -> tuple[torch.Tensor, list[torch.Tensor]]:
+    """Return populations and all numbers after an even and an odd step."""
+    batch = make_batch(
+        config, "cuda" if kernel and torch.cuda.is_available() else "cpu", kernel=kernel
+    )
+    batch.advance_(2, [0])
+    return torch.stack(batch.first.read(), 1).cpu(), [
+        t.cpu() for t in pytree.tree_leaves(batch.flow)
+    ]
+
+
+def compute_error(got: torch.Tensor, expected: torch.Tensor) -> float:
+    """Return the largest difference, relative to the largest value."""
+    return float((got - expected).abs().max() / expected.abs().max())
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_kernel_equals_the_tensor_operations(name: str) -> None:
+    """In single precision, whose round-off is 6e-8; in the fluid and where the bodies are."""
+    config = FlowConfig(**{**FLOW, **CASES[name]})
+    f, numbers = advance(config, kernel=True)
+    expected_f, expected = advance(config, kernel=False)
+    assert compute_error(f, expected_f) < 1e-6
+    for got, wanted in zip(numbers, expected, strict=True):
+        # forces cancel in their sums, to a thousandth of what acts on the markers
+        torch.testing.assert_close(got, wanted, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("kernel", [Hat(), Peskin4()])
+def test_the_kernel_equals_the_tensor_operations_with_other_deltas(kernel: Kernel) -> None:
+    solve = IterativeForcing(num_iterations=2, relaxation=1.2)
+    config = FlowConfig(**FLOW, bodies=(FISH,), kernel=kernel, force_solve=solve)
+    f, _ = advance(config, kernel=True)
+    assert compute_error(f, advance(config, kernel=False)[0]) < 1e-6
+
+
+def test_in_half_precision_the_kernel_rounds_no_more_than_tensor_operations() -> None:
+    """It rounds once a node, they once for each marker; single precision tells who is closer."""
+    config = {**FLOW, "bodies": (FISH,)}
+    exact, _ = advance(FlowConfig(**config), kernel=False)
+    half = FlowConfig(**config, storage=Storage.FLOAT16)
+    f, operations = advance(half, kernel=True)[0], advance(half, kernel=False)[0]
+    assert (f - exact).norm() <= (operations - exact).norm() < 1e-2 * exact.norm()
+
+
+def run_backwards(patch: pytest.MonkeyPatch) -> None:
+    """Let the interpreter run the programs of a launch in the opposite order."""
+    from triton.runtime.interpreter import interpreter_builder as builder
+
+    set_index = builder.set_grid_idx
+
+    def set_opposite(*index: int) -> None:
+        set_index(*(n - 1 - i for n, i in zip(builder.grid_dim, index, strict=True)))
+
+    patch.setattr(builder, "set_grid_idx", set_opposite)
+
+
+def test_equal_runs_are_equal_to_the_bit_in_whatever_order_programs_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The 72 markers belong to three programs, whose neighbours share nodes."""
+    config = FlowConfig(**{**FLOW, **CASES["bending and commanded fish"]})
+    f, numbers = advance(config, kernel=True)
+    if not IS_REAL:
+        run_backwards(monkeypatch)
+    again, numbers_again = advance(config, kernel=True)
+    assert torch.equal(f, again)
+    assert all(map(torch.equal, numbers, numbers_again))
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_taken"),
+    [
+        ({}, True),
+        ({"force_solve": DirectSolve()}, False),
+        ({"coupling": Coupling.EXPLICIT}, False),
+        ({"bodies": (Cylinder(diameter=600),)}, True),
+        ({"bodies": tuple(Fish(body_length=200, motion=Free()) for _ in range(6))}, False),
+    ],
+)
+def test_flows_beyond_the_kernel_keep_the_tensor_operations(
+    changes: dict[str, Any], is_taken: bool
+) -> None:
+    config = FlowConfig(**{**FLOW, "width": 700, "height": 700, "bodies": (FISH,), **changes})
+    assert has_kernel(config, torch.device("cuda")) is is_taken
+    assert not has_kernel(config, torch.device("cpu"))
+
+
+COMPILE = """
+import subprocess, sys, torch, triton
+from types import SimpleNamespace
+from triton.backends.compiler import GPUTarget
+from triton.runtime.driver import driver
+from fishrl.physics import DCylinder, Fish, FlowConfig, Storage
+from fishrl.physics.fast import body_kernel
+from tests.physics.fast.test_body_kernel import make_batch
+
+target = GPUTarget("cuda", int(sys.argv[1]), 32)
+driver.set_active(SimpleNamespace(
+    get_current_target=lambda: target, get_current_device=lambda: 0, get_current_stream=lambda *_: 0
+))
+made = []
+
+class Compiled:
+    def __init__(self, kernel):
+        self.kernel = kernel
+    def __getitem__(self, grid):
+        return lambda *args, **kwargs: made.append(self.kernel.warmup(*args, grid=grid, **kwargs))
+
+torch.library.wrap_triton = Compiled
+config = FlowConfig(width=400, height=300, tau=0.51, storage=Storage[sys.argv[2]],
+                    bodies=(Fish(body_length=100), DCylinder(diameter=50)))
+stepper = make_batch(config, "cpu", kernel=True).stepper
+stepper.kernels["couple"](*stepper._example.arguments["couple"][0])
+for kernel in made:
+    with open(sys.argv[3], "wb") as file:
+        file.write(kernel.asm["cubin"])
+    command = [triton.knobs.nvidia.cuobjdump.path, "-res-usage", sys.argv[3]]
+    usage = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    print(kernel.name, "atomics", kernel.asm["ptx"].count("atom."), usage.splitlines()[-1])
+"""
+
+
+@pytest.mark.parametrize(("architecture", "storage"), [(80, "FLOAT32"), (90, "FLOAT16")])
+def test_the_binary_spills_no_registers_and_has_no_atomics(
+    architecture: int, storage: str, tmp_path: Any
+) -> None:
+    """For the paper's largest case, a fish of 100 nodes behind a half disc; needs no device."""
+    done = subprocess.run(
+        [sys.executable, "-c", COMPILE, str(architecture), storage, str(tmp_path / "cubin")],
+        env=os.environ | {"TRITON_INTERPRET": "0", "PRETEND_CUDA": "0"},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    lines = done.stdout.splitlines()
+    assert len(lines) == 2, done.stdout
+    for line in lines:
+        assert "atomics 0 " in line
+        assert "STACK:0 " in line
+        assert "LOCAL:0 " in line
+        assert re.search(r"REG:(\d+)", line)
