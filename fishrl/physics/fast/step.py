@@ -134,7 +134,7 @@ class FlowGroup:
                 for parity in (0, 1)
             ]
             self.body_form = pytree.tree_structure(body_calls[0])
-            leaves = [pytree.tree_leaves(call) for call in body_calls]
+            leaves: list[Sequence[Tensor]] = [pytree.tree_leaves(call) for call in body_calls]
             self.arguments |= dict.fromkeys(("locate", *_BODIES), leaves)
 
     def read(self) -> list[Tensor]:

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from fishrl.physics import Coupling, Cylinder, DCylinder, Fish, FlowConfig, Sponge, Storage
@@ -61,6 +62,11 @@ CASES: dict[str, dict[str, Any]] = {
 }
 
 
+#: Sums in which most of what acts on the markers cancels, and how much acts: 2 rho ds u a marker,
+#: with water that flows at 0.03, on 32 markers is about 2; torques have arms of up to 10 nodes.
+ACTING = {"torque": 20.0, "force": 2.0, "impulse": 2.0}
+
+
 def make_batch(config: FlowConfig, device: str, *, kernel: bool) -> batches.FlowBatch:
     """Return two flows of rough water, each with bodies 1.5 nodes apart, in mid-stroke."""
     with pytest.MonkeyPatch.context() as patch:
@@ -88,32 +94,33 @@ def make_batch(config: FlowConfig, device: str, *, kernel: bool) -> batches.Flow
     return batch
 
 
-def advance(config: FlowConfig, *, kernel: bool) -> tuple[torch.Tensor, list[torch.Tensor]]:
-    """Return populations and all numbers after an even and an odd step."""
-    batch = make_batch(
-        config, "cuda" if kernel and torch.cuda.is_available() else "cpu", kernel=kernel
-    )
+def advance(config: FlowConfig, *, kernel: bool) -> tuple[Tensor, dict[str, Tensor]]:
+    """Return populations and all numbers, by name, after an even and an odd step."""
+    device = "cuda" if kernel and torch.cuda.is_available() else "cpu"
+    batch = make_batch(config, device, kernel=kernel)
     batch.advance_(2, [0])
-    return torch.stack(batch.first.read(), 1).cpu(), [
-        t.cpu() for t in pytree.tree_leaves(batch.flow)
-    ]
+    leaves, _ = pytree.tree_flatten_with_path(batch.flow)
+    numbers = {pytree.keystr(path): t.cpu() for path, t in leaves}
+    return torch.stack(batch.first.read(), 1).cpu(), numbers
 
 
-def compute_error(got: torch.Tensor, expected: torch.Tensor) -> float:
+def compute_error(got: Tensor, expected: Tensor) -> float:
     """Return the largest difference, relative to the largest value."""
     return float((got - expected).abs().max() / expected.abs().max())
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_the_kernel_equals_the_tensor_operations(name: str) -> None:
-    """In single precision, whose round-off is 6e-8; in the fluid and where the bodies are."""
+    """In single precision: its round-off is 6e-8."""
     config = FlowConfig(**{**FLOW, **CASES[name]})
     f, numbers = advance(config, kernel=True)
     expected_f, expected = advance(config, kernel=False)
     assert compute_error(f, expected_f) < 1e-6
-    for got, wanted in zip(numbers, expected, strict=True):
-        # forces cancel in their sums, to a thousandth of what acts on the markers
-        torch.testing.assert_close(got, wanted, rtol=1e-5, atol=1e-6)
+    for key, value in expected.items():
+        acting = next((scale for part, scale in ACTING.items() if part in key), 0.0)
+        torch.testing.assert_close(
+            numbers[key], value, rtol=1e-5, atol=1e-8 + 1e-6 * acting, msg=key
+        )
 
 
 @pytest.mark.parametrize("kernel", [Hat(), Peskin4()])
@@ -155,7 +162,8 @@ def test_equal_runs_are_equal_to_the_bit_in_whatever_order_programs_run(
         run_backwards(monkeypatch)
     again, numbers_again = advance(config, kernel=True)
     assert torch.equal(f, again)
-    assert all(map(torch.equal, numbers, numbers_again))
+    for key, value in numbers.items():
+        assert torch.equal(value, numbers_again[key]), key
 
 
 @pytest.mark.parametrize(
