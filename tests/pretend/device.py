@@ -250,7 +250,9 @@ class _Capture(TorchDispatchMode):
                 self.into.save(kwargs[argument.name])
         result = func(*args, **kwargs)
         is_ours = any(map(_is_gpu, pytree.tree_leaves((args, kwargs, result))))
-        if is_ours and not func._schema.name.startswith("aten::empty"):
+        # operators of our own launch kernels, which are recorded by themselves
+        is_call = func.namespace == "aten" and not func._schema.name.startswith("aten::empty")
+        if is_ours and is_call:
             self.into.calls.append((func, args, kwargs, result))
         return result
 

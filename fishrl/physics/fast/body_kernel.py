@@ -29,7 +29,7 @@ import triton.language as tl
 from torch import Tensor
 
 _GATHERED = 128  # markers whose nodes are read at a time
-_SPREAD = 32  # markers whose nodes one program of the second kernel writes
+_SPREAD = 16  # markers whose nodes one program of the second kernel writes
 _PRODUCTS = 8192  # of an entry of A and a force, in registers at a time
 
 
@@ -188,21 +188,25 @@ def _spread(
     x, y, spacing, g = x + flow * N, y + flow * N, spacing + flow * N, g + flow * 2 * N
     weight_x, weight_y = weight_x + flow * SUPPORT * N, weight_y + flow * SUPPORT * N
     k, s = tl.program_id(1) * BLOCK + tl.arange(0, BLOCK), tl.arange(0, SP)[:, None]
-    node_y = tl.load(y + k, k < N, 0.0)[None, :] + s
-    node_x = tl.load(x + k, k < N, 0.0)[None, :] + s
+    first_y, first_x = tl.load(y + tl.minimum(k, N - 1)), tl.load(x + tl.minimum(k, N - 1))
+    bottom, top = tl.min(first_y) - SUPPORT, tl.max(first_y) + SUPPORT
+    left, right = tl.min(first_x) - SUPPORT, tl.max(first_x) + SUPPORT
+    node_y, node_x = first_y[None, :] + s, first_x[None, :] + s
 
-    # eq. 3, marker by marker
+    # eq. 3, marker by marker, those in reach alone
     force_x = tl.zeros((SP, SP, BLOCK), tl.float32)
     force_y = tl.zeros((SP, SP, BLOCK), tl.float32)
     is_taken = tl.zeros((SP, SP, BLOCK), tl.int1)
-    for l in tl.range(0, N, loop_unroll_factor=4):
-        share_y = _weigh(weight_y + l, node_y - tl.load(y + l), N, SUPPORT)
-        share_x = _weigh(weight_x + l, node_x - tl.load(x + l), N, SUPPORT)
-        share = share_y[:, None, :] * share_x[None, :, :]
-        length = tl.load(spacing + l)
-        force_x += share * (length * tl.load(g + l))
-        force_y += share * (length * tl.load(g + N + l))
-        is_taken |= (share != 0.0) & (l < k)[None, None, :]
+    for l in range(N):
+        y_l, x_l = tl.load(y + l), tl.load(x + l)
+        if (y_l > bottom) & (y_l < top) & (x_l > left) & (x_l < right):
+            share_y = _weigh(weight_y + l, node_y - y_l, N, SUPPORT)
+            share_x = _weigh(weight_x + l, node_x - x_l, N, SUPPORT)
+            share = share_y[:, None, :] * share_x[None, :, :]
+            length = tl.load(spacing + l)
+            force_x += share * (length * tl.load(g + l))
+            force_y += share * (length * tl.load(g + N + l))
+            is_taken |= (share != 0.0) & (l < k)[None, None, :]
 
     # a node belongs to the first marker that reaches it; that one adds the force (eq. 1)
     is_own = (k < N)[None, :] & (s < SUPPORT)
@@ -321,5 +325,5 @@ def couple_bodies(
     )  # fmt: skip
     torch.library.wrap_triton(_spread)[(num_flows, triton.cdiv(num_markers, _SPREAD))](
         data, offsets, first_cell, omega, x, y, weight_x, weight_y, spacing, g, energy,
-        HAS_OMEGA_FIELD=omega.shape[1] > 1, BLOCK=_SPREAD, num_warps=4, **of_both,
+        HAS_OMEGA_FIELD=omega.shape[1] > 1, BLOCK=_SPREAD, num_warps=2, **of_both,
     )  # fmt: skip

@@ -127,21 +127,22 @@ def make_couple(config: FlowConfig, layout: InPlaceLayout, form: pytree.TreeSpec
     def couple(*leaves: torch.Tensor) -> None:
         call: BodyArguments = pytree.tree_unflatten(leaves, form)
         assert call.geometry and call.exchange
-        couple_bodies(
-            call.data,
-            call.offsets,
-            call.first_cell,
-            call.omega,
-            *call.geometry.stencil,
-            call.geometry.spacing,
-            call.geometry.operator[0],
-            *call.exchange,
-            row_length=layout.row_length,
-            num_iterations=solve.num_iterations,
-            relaxation=solve.relaxation,
-            energy=config.rates.energy,
-            scale=config.storage.value[1],
-        )
+        with torch.cuda.device_of(call.data):  # Triton launches on the current device
+            couple_bodies(
+                call.data,
+                call.offsets,
+                call.first_cell,
+                call.omega,
+                *call.geometry.stencil,
+                call.geometry.spacing,
+                call.geometry.operator[0],
+                *call.exchange,
+                row_length=layout.row_length,
+                num_iterations=solve.num_iterations,
+                relaxation=solve.relaxation,
+                energy=config.rates.energy,
+                scale=config.storage.value[1],
+            )
 
     return couple
 
