@@ -127,7 +127,8 @@ def make_couple(config: FlowConfig, layout: InPlaceLayout, form: pytree.TreeSpec
     def couple(*leaves: torch.Tensor) -> None:
         call: BodyArguments = pytree.tree_unflatten(leaves, form)
         assert call.geometry and call.exchange
-        with torch.cuda.device_of(call.data):  # Triton launches on the current device
+        # Triton launches on the current device
+        with torch.cuda.device_of(call.data):  # type: ignore[no-untyped-call]
             couple_bodies(
                 call.data,
                 call.offsets,

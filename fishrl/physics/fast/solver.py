@@ -53,8 +53,7 @@ class InPlaceSolver:
     ) -> None:
         device = torch.device(device)
         configs = list_configs(config, num_envs, device)
-        num_envs = len(configs)
-        is_cpu = device.type == "cpu"
+        num_envs, is_cpu = len(configs), device.type == "cpu"
         torch.set_flush_denormal(True)  # still water decays into denormals, which are slow
         if num_workers is None:
             can_share = is_cpu and compile and not find_compiler_problem("cpu")
