@@ -53,8 +53,7 @@ def _find_problem(config: FlowConfig) -> str | None:
 
 def _count_rows(config: FlowConfig) -> int:
     """Return one more than the number of degrees of freedom that the flow determines."""
-    motions = [body.motion for body in config.bodies]
-    return 1 + sum(2 * motion.moves_freely + motion.turns_freely for motion in motions)
+    return 1 + sum(len(body.motion.free_axes) for body in config.bodies)
 
 
 def _round_up(n: int) -> int:

@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from fishrl.physics import Coupling, Cylinder, DCylinder, Fish, FlowConfig, Sponge, Storage
-from fishrl.physics.bodies.motion import Bending, Commanded, Free
+from fishrl.physics.bodies.motion import Bending, Free, Towed
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge, Periodic
 from fishrl.physics.collision import compute_equilibrium
 from fishrl.physics.delta import Hat, Kernel, Peskin4
@@ -49,10 +49,10 @@ FLOW: dict[str, Any] = {
 }
 CASES: dict[str, dict[str, Any]] = {
     "free fish, periodic edges": {"bodies": (FISH,), "boundaries": PERIODIC},
-    "bending and commanded fish": {
+    "bending and towed fish": {
         "bodies": (
             Fish(body_length=20, motion=Bending()),
-            Fish(body_length=16, motion=Commanded(), keeps_length=True, density_ratio=1.5),
+            Fish(body_length=16, motion=Towed(), keeps_length=True, density_ratio=1.5),
         )
     },
     "fixed half disc in sponges": {
@@ -158,7 +158,7 @@ def test_equal_runs_are_equal_to_the_bit_in_whatever_order_programs_run(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The 72 markers belong to five programs, whose neighbours share nodes."""
-    config = FlowConfig(**{**FLOW, **CASES["bending and commanded fish"]})
+    config = FlowConfig(**{**FLOW, **CASES["bending and towed fish"]})
     f, numbers = advance(config, kernel=True)
     if not IS_REAL:
         run_backwards(monkeypatch)
