@@ -95,8 +95,12 @@ class FlowLabelByRow(FlowLabelTransform):
     def compute_probabilities(self, now: TensorDictBase, *, begins: Tensor | None) -> Tensor:
         """Return what the source of each row says."""
         said = [source.compute_probabilities(now, begins=begins) for source in self.sources]
-        num_each = len(now) // len(said)
-        return torch.cat([one[k * num_each :][:num_each] for k, one in enumerate(said)])
+        return torch.cat([one.chunk(len(said))[k] for k, one in enumerate(said)])
+
+    def choose_label(self, probabilities: Tensor) -> Tensor:
+        """Return the label that the source of each row makes of it."""
+        parts = zip(self.sources, probabilities.chunk(len(self.sources)), strict=True)
+        return torch.cat([source.choose_label(part) for source, part in parts])
 
 
 class Record(NamedTuple):
@@ -125,6 +129,11 @@ def list_sources(
         "evidence that fades (0.7)": {"memory": 0.7},
         "evidence that never fades": {"memory": 1.0},
         "newest evidence alone": {"memory": 0.0},
+        "filter, rows interpolated": {
+            "memory": 1.0,
+            "switching_rate": rate,
+            "interpolates": True,
+        },
     }
     return {
         "true label": TrueFlowLabel(num_flows=num_flows),
@@ -212,7 +221,7 @@ def find_delays(done: Record, task: KarmanGait) -> list[float]:
             if is_same or done.lengths_T[episode] < times[k] + PROMPT_T:
                 continue
             is_after = (done.time_T > times[k]) & (done.time_T <= times[k + 1])
-            is_right = is_after & (done.named[episode] == labels[episode, k + 1])
+            is_right = is_after & (done.named[episode].round() == labels[episode, k + 1])
             first = done.time_T[is_right]
             delays.append(float(first[0]) - times[k] if len(first) else math.inf)
     return delays
@@ -228,7 +237,7 @@ def summarise(records: Sequence[Record], task: KarmanGait) -> dict[str, Any]:
     return {
         "survival_T": lengths.tolist(),
         "survival_by_policy_T": [float(each.lengths_T.mean()) for each in records],
-        "accuracy": float((named == true)[is_known].double().mean()),
+        "accuracy": float((named.round() == true)[is_known].double().mean()),
         "changes": len(delays),
         "recognised": float((delays <= PROMPT_T).double().mean()),
         "median_delay_T": float(delays.median()) if len(delays) else math.nan,

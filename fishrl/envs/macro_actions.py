@@ -101,9 +101,16 @@ class FrequencyControl(ABC):
         return (self.num_gears - 1) // 2 if self.first_gear is None else self.first_gear
 
     def select(self, gear: Tensor, flow: Tensor) -> Tensor:
-        """Return tail beats per T ``[B]``, float64, at gears ``[B]`` and flow labels ``[B]``."""
+        """Return tail beats per T ``[B]``, float64, at gears ``[B]`` and flow labels ``[B]``.
+
+        A label between two whole numbers gives a frequency between those of their rows.
+        """
         rows = torch.tensor(self.rows, dtype=torch.float64, device=gear.device)
-        return rows[0, gear] if self.num_flows is None else rows[flow, gear]
+        if self.num_flows is None:
+            return rows[0, gear]
+        low = flow.floor()
+        below, above = (rows[each.long(), gear] for each in (low, flow.ceil()))
+        return below + (flow - low) * (above - below)
 
     def choose(self, gear: Tensor, action: Tensor, flow: Tensor) -> tuple[Tensor, Tensor]:
         """Return gear and tail beats per T ``[B]`` after legal actions, see ``select``."""

@@ -51,6 +51,10 @@ class FlowLabelTransform(Transform):
         ``begins`` ``[B]`` bool are the rows that a reset affects; None after a step of all rows.
         """
 
+    def choose_label(self, probabilities: Tensor) -> Tensor:
+        """Return the label ``[B]`` that selects the row of frequencies: the most probable one."""
+        return probabilities.argmax(-1)
+
     def set_container(self, container: Transform | EnvBase) -> None:
         """Attach to an environment, and check its task by ``check_task``."""
         super().set_container(container)
@@ -82,7 +86,7 @@ class FlowLabelTransform(Transform):
     def _write(self, now: TensorDictBase, *, begins: Tensor | None) -> TensorDictBase:
         probabilities = self.compute_probabilities(now, begins=begins)
         now.set("flow_probabilities", probabilities)
-        now.set("flow_class", probabilities.argmax(-1))
+        now.set("flow_class", self.choose_label(probabilities))
         if self.is_observed:
             old = now["observation"]
             now.set("observation", torch.cat((old, probabilities.to(old.dtype)), -1))
@@ -117,6 +121,9 @@ class PredictedFlowLabel(FlowLabelTransform):
             ``check``. Its weights are frozen.
         memory: in [0, 1]; 0 uses the current signal only, as the paper does.
         switching_rate: s in [0, 1], probability that the flow is drawn anew before a decision.
+        interpolates: write the mean of the labels as ``flow_class``, float32, instead of the most
+            probable one: an estimate of the stream's speed, at which the rows of frequencies are
+            interpolated.
         in_key: key of the signal ``[B, W, P, F]``.
         is_observed: see ``FlowLabelTransform``.
     """
@@ -129,6 +136,7 @@ class PredictedFlowLabel(FlowLabelTransform):
         machine: nn.Module,
         memory: float = 0.7,
         switching_rate: float = 0.0,
+        interpolates: bool = False,
         in_key: str = LATERAL_LINE,
         is_observed: bool = True,
     ) -> None:
@@ -139,6 +147,7 @@ class PredictedFlowLabel(FlowLabelTransform):
         super().__init__(num_flows=num_flows, in_key=in_key, is_observed=is_observed)
         self.machine = machine.eval().requires_grad_(False)
         self.memory, self.switching_rate = memory, switching_rate
+        self.interpolates = interpolates
         self.register_buffer("evidence", torch.zeros(0, self.num_flows))
 
     def set_container(self, container: Transform | EnvBase) -> None:
@@ -167,6 +176,26 @@ class PredictedFlowLabel(FlowLabelTransform):
             evidence = torch.where(begins.unsqueeze(-1), log_prob, self.evidence)
         self.evidence = evidence
         return evidence.softmax(-1)
+
+    def choose_label(self, probabilities: Tensor) -> Tensor:
+        """Return the most probable label ``[B]``, int64, or the mean of all, float32."""
+        if not self.interpolates:
+            return super().choose_label(probabilities)
+        mean = probabilities @ torch.arange(self.num_flows).to(probabilities)
+        return mean.clamp(max=self.num_flows - 1.0)  # rounding may exceed it
+
+    def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
+        """Also let the label lie between two flows where it is the mean."""
+        spec: Any = super().transform_observation_spec(observation_spec)
+        if self.interpolates:
+            spec["flow_class"] = Bounded(
+                0.0,
+                self.num_flows - 1.0,
+                shape=spec.shape,
+                dtype=torch.float32,
+                device=spec["flow_probabilities"].device,
+            )
+        return spec
 
     def _predict(self, evidence: Tensor) -> Tensor:
         """Return the logarithm of what is believed ``[B, n]`` before the next signal."""
@@ -236,6 +265,7 @@ def make_recognition(
     *,
     memory: float = 0.7,
     switching_rate: float = 0.0,
+    interpolates: bool = False,
     is_observed: bool = True,
 ) -> list[Transform]:
     """Return the transforms that label flows by a classifier, see ``PredictedFlowLabel``.
@@ -249,6 +279,7 @@ def make_recognition(
         machine=machine,
         memory=memory,
         switching_rate=switching_rate,
+        interpolates=interpolates,
         in_key=key,
         is_observed=is_observed,
     )

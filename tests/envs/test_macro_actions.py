@@ -38,6 +38,11 @@ def test_when_another_flow_is_named_the_gear_stays_and_the_row_switches() -> Non
     assert MACRO.select(gear, torch.tensor([2])).item() == 2.0
 
 
+def test_between_two_flows_the_frequency_lies_between_those_of_their_rows() -> None:
+    gear, flow = torch.tensor([0, 2, 3]), torch.tensor([0.0, 0.5, 1.75])
+    assert MACRO.select(gear, flow).tolist() == [0.5, 1.625, 2.8125]
+
+
 def test_an_episode_begins_in_the_middle_unless_told_otherwise() -> None:
     assert MACRO.start_gear == 1 and DIRECT.start_gear == 1
     assert MacroActions(bank=MACRO.bank, first_gear=3).start_gear == 3

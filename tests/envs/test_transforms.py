@@ -178,6 +178,14 @@ def test_with_a_switching_rate_probabilities_are_those_of_the_hidden_markov_mode
         torch.testing.assert_close(rollout["flow_probabilities"][k], expected)
 
 
+def test_the_mean_label_lies_between_the_flows_that_are_probable() -> None:
+    env = make(*make_recognition(untrained(), interpolates=True))
+    check_env_specs(env, seed=0)
+    rollout = env.rollout(6, break_when_any_done=False)
+    p = rollout["flow_probabilities"]
+    torch.testing.assert_close(rollout["flow_class"], p[..., 1] + 2.0 * p[..., 2])
+
+
 @pytest.mark.parametrize("name", ["memory", "switching_rate"])
 def test_a_share_beyond_one_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match=rf"{name} = 1\.5: must lie in \[0, 1\]"):
