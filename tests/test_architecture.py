@@ -48,7 +48,7 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/objectives/", TENSORS | {"torchrl", "fishrl.objectives"}),
     ("fishrl/training/", TENSORS | {"torchrl", "tqdm", "yaml", "wandb", "ray", "fishrl"}),
     ("fishrl/zoo/", TENSORS | {"fishrl"}),
-    ("fishrl/demo.py", TENSORS | {"fishrl"}),
+    ("fishrl/demo/", TENSORS | {"fishrl"}),
     (
         "fishrl/viewer/",
         TENSORS
