@@ -9,7 +9,6 @@ import math
 import sys
 import time
 from contextlib import chdir, closing
-from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import torch

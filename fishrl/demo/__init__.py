@@ -1,0 +1,1 @@
+"""Watch trained policies swim: ``python -m fishrl.demo``."""
