@@ -1,6 +1,13 @@
 """Policies, critics, hand-crafted controllers and the lateral-line classifier."""
 
-from fishrl.modules.actors import make_actor, make_mlp, make_twin_critics
+from fishrl.modules.actors import (
+    make_actor,
+    make_continuous_actor,
+    make_mlp,
+    make_state_critic,
+    make_twin_action_critics,
+    make_twin_critics,
+)
 from fishrl.modules.controllers import InterceptPolicy, PursuitPolicy, RandomPolicy
 from fishrl.modules.gait_controllers import PID, BangBang, FixedFrequency, GaitPolicy
 from fishrl.modules.lateral_line import LateralLineClassifier
@@ -23,8 +30,11 @@ __all__ = [
     "RandomPolicy",
     "RecurrentPolicy",
     "make_actor",
+    "make_continuous_actor",
     "make_mlp",
     "make_recurrent_value_actor",
+    "make_state_critic",
+    "make_twin_action_critics",
     "make_twin_critics",
     "make_value_actor",
 ]

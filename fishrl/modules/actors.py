@@ -1,4 +1,4 @@
-"""The softmax actor, the twin critics, and the fully connected networks that all of them use."""
+"""Actors and critics for discrete and continuous actions, and their fully connected networks."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import torch
 from tensordict.nn import InteractionType, TensorDictModule
-from torch import nn
-from torchrl.data import Categorical
-from torchrl.modules import MaskedCategorical, ProbabilisticActor
+from torch import Tensor, nn
+from torchrl.data import Bounded, Categorical
+from torchrl.modules import MaskedCategorical, NormalParamExtractor, ProbabilisticActor, TanhNormal
 
 #: Logit of illegal actions. exp(-1e9) is exactly 0 in float32 and bfloat16, and the logit stays
 #: finite in the loss, where an infinite one would give 0 * inf.
@@ -88,3 +88,77 @@ def make_twin_critics(
         )
         for _ in range(2)
     ]
+
+
+def make_continuous_actor(
+    *,
+    num_inputs: int,
+    num_actions: int,
+    hidden: Sequence[int] = (256, 256),
+    return_log_prob: bool = False,
+    generator: torch.Generator | None = None,
+) -> ProbabilisticActor:
+    """Build a policy that draws ``num_actions`` numbers in [-1, 1], tanh of normal ones.
+
+    Reads ``observation_stack`` ``[..., num_inputs]``, writes ``loc`` and ``scale`` of the normal
+    distribution and ``action``, each ``[..., num_actions]``. Under
+    ``ExplorationType.DETERMINISTIC`` the action is tanh(loc), otherwise a sample. Further args are
+    those of ``make_actor``.
+    """
+    network = make_mlp([num_inputs, *hidden, 2 * num_actions], generator=generator)
+    return ProbabilisticActor(
+        module=TensorDictModule(
+            nn.Sequential(network, NormalParamExtractor()),
+            in_keys=["observation_stack"],
+            out_keys=["loc", "scale"],
+        ),
+        in_keys=["loc", "scale"],
+        out_keys=["action"],
+        spec=Bounded(-1.0, 1.0, shape=(num_actions,)),
+        distribution_class=TanhNormal,
+        default_interaction_type=InteractionType.RANDOM,
+        return_log_prob=return_log_prob,
+    )
+
+
+class _JoinedInputs(nn.Sequential):
+    """A network of several inputs ``[..., n_i]``, one after another."""
+
+    def forward(self, *inputs: Tensor) -> Tensor:
+        joined: Tensor = super().forward(torch.cat(inputs, -1))
+        return joined
+
+
+def make_twin_action_critics(
+    *,
+    num_inputs: int,
+    num_actions: int,
+    hidden: Sequence[int] = (256, 256),
+    generator: torch.Generator | None = None,
+) -> list[TensorDictModule]:
+    """Build two independent critics of continuous actions, see ``make_twin_critics``.
+
+    Each reads ``observation_stack`` and ``action``, and writes ``state_action_value`` ``[..., 1]``.
+    """
+    return [
+        TensorDictModule(
+            _JoinedInputs(make_mlp([num_inputs + num_actions, *hidden, 1], generator=generator)),
+            in_keys=["observation_stack", "action"],
+            out_keys=["state_action_value"],
+        )
+        for _ in range(2)
+    ]
+
+
+def make_state_critic(
+    *,
+    num_inputs: int,
+    hidden: Sequence[int] = (256, 256),
+    generator: torch.Generator | None = None,
+) -> TensorDictModule:
+    """Build a critic: reads ``observation_stack`` and writes ``state_value`` ``[..., 1]``."""
+    return TensorDictModule(
+        make_mlp([num_inputs, *hidden, 1], generator=generator),
+        in_keys=["observation_stack"],
+        out_keys=["state_value"],
+    )

@@ -66,7 +66,8 @@ class Learner:
 
     def store(self, transitions: TensorDictBase) -> int:
         """Store transitions ``[N]`` except diverged ones, and return how many those were."""
-        if not transitions["next", "action_mask"].any(-1).all():
+        mask = transitions.get(("next", "action_mask"))
+        if mask is not None and not mask.any(-1).all():
             raise ValueError(
                 "action_mask: a state has no legal action; every state needs one, also a final one"
             )

@@ -8,6 +8,7 @@ from typing import Any
 
 from fishrl.bounds import suggest
 from fishrl.envs import AbstractTask
+from fishrl.training import algorithms
 from fishrl.training.algorithms import Algorithm, DiscreteSAC
 from fishrl.training.aliases import FORMER_SETTINGS
 from fishrl.training.description import describe, make, to_plain
@@ -43,6 +44,19 @@ class Plan:
     preset: str | None = None
     recognition: str | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check that the algorithm learns actions such as those of the task."""
+        if not self.algorithm.takes(self.task):
+            kind = "discrete" if self.task.action_bounds is None else "continuous"
+            known = [
+                getattr(algorithms, name) for name in algorithms.__all__ if name != "Algorithm"
+            ]
+            fitting = sorted(one.__name__ for one in known if one.takes(self.task))
+            raise ValueError(
+                f"algorithm = {type(self.algorithm).__name__}: does not learn {kind} actions, "
+                f"which {type(self.task).__name__} has here; take one of {', '.join(fitting)}"
+            )
 
     @property
     def name(self) -> str:

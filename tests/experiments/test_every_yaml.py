@@ -26,7 +26,13 @@ TINY = [
     *("picture_episodes=0", "baselines=[]", "name=run"),
 ]
 #: What a choice needs besides.
-MORE = {"drqn": ["algorithm.sequence_length=2"], "wandb": ["logger.is_offline=true"]}
+MORE = {
+    "drqn": ["algorithm.sequence_length=2"],
+    "sac": ["task=predation_continuous"],
+    "predation_continuous": ["algorithm=sac"],
+    "karman_gait_continuous": ["algorithm=sac"],
+    "wandb": ["logger.is_offline=true"],
+}
 
 
 @pytest.mark.parametrize("yaml", YAMLS)

@@ -6,7 +6,12 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from fishrl.modules import make_actor, make_twin_critics
+from fishrl.modules import (
+    make_actor,
+    make_continuous_actor,
+    make_twin_action_critics,
+    make_twin_critics,
+)
 
 
 def states(num: int, *, num_actions: int = 3) -> TensorDict:
@@ -66,3 +71,28 @@ def test_twin_critics_are_two_different_networks_with_a_value_per_action() -> No
     values = first(td.clone())["action_value"], second(td.clone())["action_value"]
     assert values[0].shape == (10, 3)
     assert not torch.allclose(*values)
+
+
+def test_continuous_actions_are_bounded_and_greedy_ones_follow_from_the_state() -> None:
+    td = states(2000).exclude("action_mask")
+    actor = make_continuous_actor(num_inputs=16, num_actions=2, hidden=(32,))
+    drawn = {}
+    for kind in (ExplorationType.RANDOM, ExplorationType.DETERMINISTIC):
+        with set_exploration_type(kind), torch.no_grad():
+            drawn[kind] = [actor(td.clone()) for _ in range(2)]
+        for out in drawn[kind]:
+            assert out["action"].shape == (2000, 2) and out["action"].abs().max() <= 1.0
+    first, second = drawn[ExplorationType.DETERMINISTIC]
+    assert torch.equal(first["action"], first["loc"].tanh())
+    assert torch.equal(first["action"], second["action"])
+    first, second = drawn[ExplorationType.RANDOM]
+    assert not torch.allclose(first["action"], second["action"])
+
+
+def test_twin_critics_of_continuous_actions_differ_and_read_the_action() -> None:
+    first, second = make_twin_action_critics(num_inputs=16, num_actions=2, hidden=(32,))
+    td, other = (states(10).set("action", torch.full((10, 2), value)) for value in (0.0, 1.0))
+    values = [critic(td.clone())["state_action_value"] for critic in (first, second)]
+    assert values[0].shape == (10, 1)
+    assert not torch.allclose(*values)
+    assert not torch.allclose(first(other)["state_action_value"], values[0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fishrl.training import evaluate, load_policy
+from fishrl.training import SAC, Algorithm, DiscreteSAC, evaluate, load_policy
 from fishrl.training.checkpoint import read_metadata
 from tests.training.conftest import QUICK, Toy, change_manifest
 from tests.training.toy_fish import ToyPredation, make_toy_env
@@ -21,8 +21,12 @@ class WiderTask(ToyPredation):
 WiderTask.__name__ = "ToyPredation"
 
 
-def test_a_learned_policy_is_evaluated_as_at_the_end_of_its_run(toy: Toy) -> None:
-    summary = toy.begin(name="run").run()
+@pytest.mark.parametrize("algorithm", [DiscreteSAC(), SAC()], ids=lambda a: type(a).__name__)
+def test_a_learned_policy_is_evaluated_as_at_the_end_of_its_run(
+    toy: Toy, algorithm: Algorithm
+) -> None:
+    task = {"is_continuous": algorithm.takes_continuous}
+    summary = toy.begin(name="run", algorithm=algorithm, task=task).run()
     result = evaluate(toy.folder / "run", episodes=10, compile=False, make_env=make_toy_env)
     assert result == {name: summary[name] for name in result}
 
@@ -50,7 +54,11 @@ def test_baselines_are_evaluated_by_name_and_any_policy_as_it_is() -> None:
 
 @pytest.mark.parametrize(
     ("task", "said"),
-    [(OtherTask(), "it is of task"), (WiderTask(), "it is of num_inputs = 16")],
+    [
+        (OtherTask(), "it is of task"),
+        (WiderTask(), "it is of num_inputs = 16"),
+        (ToyPredation(is_continuous=True), "it is of is_continuous = False, here it is True"),
+    ],
 )
 def test_a_policy_of_another_task_is_refused(toy: Toy, task: ToyPredation, said: str) -> None:
     toy.begin(name="run", total_frames=8, **QUICK).run()

@@ -13,6 +13,7 @@ from fishrl.envs import Predation
 from fishrl.training import (
     DQN,
     DRQN,
+    SAC,
     DiscreteSAC,
     LearningSettings,
     RunSettings,
@@ -70,6 +71,25 @@ def test_a_run_told_to_end_saves_and_goes_on_exactly(toy: Toy, during: str) -> N
     assert bool(resumed.counters.pending) == is_late
     resumed.run()
     assert toy.rows("part") == toy.rows("whole")
+    assert_equal_weights(resumed, whole)
+
+
+def test_continuous_sac_goes_on_exactly(toy: Toy) -> None:
+    settings: dict[str, Any] = {
+        "task": {"is_continuous": True, "divergence_rate": 0.03},
+        "algorithm": SAC(),
+        "buffer_size": 130,
+        **QUICK,
+    }
+    whole = toy.begin(name="whole", **settings)
+    summary = whole.run()
+    assert (summary["frames"], summary["updates"]) == (240, (240 - 80) * 0.25)
+    assert summary["train_diverged"] > 0
+    assert whole.learner.buffer[:]["action"].abs().max() <= 1.0
+    toy.begin(name="part", **settings | {"total_frames": 160}).run()
+    resumed = toy.reopen("part", total_frames=240)
+    resumed.run()
+    assert toy.rows("part")[-1] == toy.rows("whole")[-1]
     assert_equal_weights(resumed, whole)
 
 

@@ -8,19 +8,20 @@ import pytest
 import torch
 from torch import Tensor
 
-from fishrl.training import DQN, Algorithm, DiscreteSAC
+from fishrl.training import DQN, SAC, Algorithm, DiscreteSAC
 from fishrl.training.learner import Learner
 from fishrl.training.tracing import Traced
 from tests.training.conftest import Toy
 
-ALGORITHMS = [DiscreteSAC(), DQN(is_double=True)]
+ALGORITHMS = [DiscreteSAC(), DQN(is_double=True), SAC()]
 
 
 @pytest.fixture(params=ALGORITHMS, ids=lambda algorithm: type(algorithm).__name__)
 def learner(request: pytest.FixtureRequest, toy: Toy) -> Learner:
     """Return a learner with transitions, and a few steps taken."""
     algorithm: Algorithm = request.param
-    training = toy.begin(algorithm=algorithm, warmup_frames=10_000)
+    task = {"is_continuous": algorithm.takes_continuous}
+    training = toy.begin(algorithm=algorithm, warmup_frames=10_000, task=task)
     batches = iter(training.collector)
     for _ in range(20):
         training.learner.store(next(batches).reshape(-1))

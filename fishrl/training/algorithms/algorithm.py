@@ -10,6 +10,7 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.objectives import LossModule
 
+from fishrl.envs import AbstractTask
 from fishrl.training.learner import Learner
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.settings import LearningSettings
@@ -21,14 +22,24 @@ class Algorithm(ABC):
     With the class attribute ``is_traced`` the tensor operations of one gradient step are repeated
     at all others (``tracing.Traced``), with the same numbers in half the time. The loss must then
     do the same at every step: neither branch on the values of tensors nor read numbers that change.
+
+    The class attributes ``takes_discrete`` and ``takes_continuous`` say which actions it learns;
+    by default discrete ones.
     """
 
     is_traced: ClassVar[bool] = False
+    takes_discrete: ClassVar[bool] = True
+    takes_continuous: ClassVar[bool] = False
 
     @property
     @abstractmethod
     def label(self) -> str:
         """Part of a run folder's name; empty for the default algorithm."""
+
+    @classmethod
+    def takes(cls, task: AbstractTask) -> bool:
+        """Tell whether it learns actions such as those of a task."""
+        return cls.takes_discrete if task.action_bounds is None else cls.takes_continuous
 
     @abstractmethod
     def make_policy(

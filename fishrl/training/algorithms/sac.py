@@ -1,0 +1,70 @@
+"""Soft actor-critic for continuous actions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torchrl.modules import ProbabilisticActor
+from torchrl.objectives import SACLoss
+
+from fishrl.bounds import bounded, check_bounds
+from fishrl.modules import make_continuous_actor, make_twin_action_critics
+from fishrl.training.algorithms.algorithm import Algorithm
+from fishrl.training.policy_spec import PolicySpec
+
+
+@dataclass(frozen=True, kw_only=True)
+class SAC(Algorithm):
+    """Actor, twin critics and a temperature, for continuous actions.
+
+    Haarnoja et al. 2018, "Soft Actor-Critic Algorithms and Applications" (arXiv 1812.05905), as
+    TorchRL's ``SACLoss`` implements it.
+
+    Args:
+        alpha_init: initial temperature.
+        target_entropy: target entropy for each number of an action, in nats; log(2) = 0.69 is that
+            of a uniform one.
+    """
+
+    takes_discrete = False
+    takes_continuous = True
+    is_traced = True
+
+    alpha_init: float = bounded(1.0, greater=0, largest=1e6)
+    target_entropy: float = bounded(-1.0, largest=0.69)
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
+
+    @property
+    def label(self) -> str:
+        """Part of a run folder's name."""
+        return "sac"
+
+    def make_policy(
+        self, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator | None = None
+    ) -> ProbabilisticActor:
+        """Make the actor, which also explores."""
+        return make_continuous_actor(**spec.sizes, hidden=hidden, generator=generator)
+
+    def make_loss(
+        self,
+        policy: ProbabilisticActor,
+        spec: PolicySpec,
+        *,
+        hidden: Sequence[int],
+        generator: torch.Generator,
+    ) -> SACLoss:
+        """Make the loss with twin critics."""
+        device = next(policy.parameters()).device
+        critics = make_twin_action_critics(**spec.sizes, hidden=hidden, generator=generator)
+        return SACLoss(
+            policy,
+            [critic.to(device) for critic in critics],  # a single one would be drawn anew
+            alpha_init=self.alpha_init,
+            target_entropy=self.target_entropy * spec.num_actions,
+            deactivate_vmap=True,  # two small critics are faster one after the other
+        )
