@@ -18,7 +18,7 @@ Example::
 ``resume("runs/first", total_frames=4000)`` continues a finished or interrupted run exactly.
 """
 
-from fishrl.training.algorithms import DQN, DRQN, SAC, Algorithm, DiscreteSAC
+from fishrl.training.algorithms import DQN, DRQN, PPO, SAC, Algorithm, DiscreteSAC
 from fishrl.training.baselines import Baseline, find_baselines
 from fishrl.training.interruption import Interrupted
 from fishrl.training.observer import Hooks, Observer
@@ -30,6 +30,7 @@ from fishrl.training.settings import LearningSettings, RunSettings
 __all__ = [
     "DQN",
     "DRQN",
+    "PPO",
     "SAC",
     "Algorithm",
     "Baseline",

@@ -15,6 +15,7 @@ from torchrl.data.replay_buffers.samplers import Sampler
 from torchrl.envs import Transform
 from torchrl.objectives import LossModule, SoftUpdate
 
+from fishrl.training.rollout import Rollout
 from fishrl.training.settings import LearningSettings
 from fishrl.training.tracing import Traced
 
@@ -33,6 +34,9 @@ class Learner:
         sampler: draws from the buffer; by default uniformly.
         transforms: of the environment that collects.
         is_traced: see ``Algorithm``.
+        rollout_length: decisions of each flow that an on-policy algorithm learns from before it
+            forgets them; None for all other algorithms.
+        gae_lambda: of the advantages of an on-policy algorithm.
     """
 
     def __init__(
@@ -47,15 +51,25 @@ class Learner:
         sampler: Sampler | None = None,
         transforms: Sequence[Transform] = (),
         is_traced: bool = False,
+        rollout_length: int | None = None,
+        gae_lambda: float = 0.95,
     ) -> None:
         self.actor, self.explorer, self.loss = actor, explorer, loss
         self.reports, self.transforms = tuple(loss.out_keys), tuple(transforms)
-        self.loss.make_value_estimator(gamma=settings.gamma)
-        self.targets = SoftUpdate(self.loss, tau=settings.tau)
+        self.rollout: Rollout | None = None
+        self.targets: SoftUpdate | None = None
+        keys = [*self.loss.in_keys, *keys]
+        if rollout_length is None:
+            self.loss.make_value_estimator(gamma=settings.gamma)
+            self.targets = SoftUpdate(self.loss, tau=settings.tau)
+        else:
+            self.loss.make_value_estimator(gamma=settings.gamma, lmbda=gae_lambda)
+            self.rollout = Rollout(rollout_length, self._estimate)
+            keys += ["advantage", "value_target"]
         self._parameters = list(self.loss.parameters())
         self.optimiser = torch.optim.Adam(self._parameters, lr=settings.learning_rate, fused=True)
         self._step = Traced(self._take_step) if is_traced else self._take_step
-        self._keys = [*self.loss.in_keys, *keys]
+        self._keys = keys
         # No prefetch: its threads would draw batches in an order that no seed fixes.
         self.buffer = TensorDictReplayBuffer(
             storage=_ZeroedStorage(settings.buffer_size, device=device),
@@ -65,17 +79,44 @@ class Learner:
         )
 
     def store(self, transitions: TensorDictBase) -> int:
-        """Store transitions ``[N]`` except diverged ones, and return how many those were."""
+        """Store transitions ``[N]`` except diverged ones, and return how many those are.
+
+        An on-policy algorithm needs one decision of each flow at a time, in the same order. They
+        replace those of the last rollout once they are complete.
+        """
         mask = transitions.get(("next", "action_mask"))
         if mask is not None and not mask.any(-1).all():
             raise ValueError(
                 "action_mask: a state has no legal action; every state needs one, also a final one"
             )
-        is_valid = ~transitions["next", "diverged"].reshape(-1)
-        valid = transitions.select(*self._keys)[is_valid]
+        num_diverged = int(transitions["next", "diverged"].sum())
+        if self.rollout is not None:
+            whole = self.rollout.add(transitions.select(*self.loss.in_keys, ("next", "diverged")))
+            if whole is None:
+                return num_diverged
+            self.buffer.empty()
+            transitions = whole
+        valid = transitions.select(*self._keys)[~transitions["next", "diverged"].reshape(-1)]
         if valid.shape[0] > 0:
             self.buffer.extend(valid)
-        return transitions.shape[0] - valid.shape[0]
+        return num_diverged
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether there is something to learn from."""
+        return len(self.buffer) > 0 and (self.rollout is None or self.rollout.is_complete)
+
+    def _estimate(self, transitions: TensorDictBase) -> None:
+        """Write the advantages and value targets of transitions ``[B, T]``.
+
+        A row that diverged bootstraps from its last state, as if it had been truncated there.
+        """
+        loss: Any = self.loss
+        networks = {
+            "params": loss.critic_network_params,
+            "target_params": loss.target_critic_network_params,
+        }
+        loss.value_estimator(transitions, **networks)
 
     def update(self) -> dict[str, Tensor]:
         """Take one gradient step and return all outputs of the loss by name."""
@@ -95,12 +136,15 @@ class Learner:
         self.optimiser.zero_grad()
         sum(loss for name, loss in losses.items() if name.startswith("loss_")).backward()
         self.optimiser.step()
-        self.targets.step()
+        if self.targets is not None:
+            self.targets.step()
         return [losses[name].detach() for name in self.reports]
 
     def components(self) -> dict[str, Any]:
         """Return by name what a checkpoint holds of the learner."""
+        rollout = {} if self.rollout is None else {"rollout": self.rollout}
         return {
+            **rollout,
             "actor": self.actor,
             "loss": self.loss,
             "optimiser": self.optimiser,

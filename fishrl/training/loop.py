@@ -206,7 +206,7 @@ class Training:
         learning, counters = self.plan.learning, self.counters
         learned_from = counters.frames - learning.warmup_frames
         due = math.floor(learning.updates_per_frame * learned_from) - counters.updates
-        if due <= 0 or len(self.learner.buffer) == 0:
+        if due <= 0 or not self.learner.is_ready:
             return {}
         with one_thread():
             for _ in range(due):

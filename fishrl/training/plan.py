@@ -8,8 +8,7 @@ from typing import Any
 
 from fishrl.bounds import suggest
 from fishrl.envs import AbstractTask
-from fishrl.training import algorithms
-from fishrl.training.algorithms import Algorithm, DiscreteSAC
+from fishrl.training.algorithms import DQN, DRQN, PPO, SAC, Algorithm, DiscreteSAC
 from fishrl.training.aliases import FORMER_SETTINGS
 from fishrl.training.description import describe, make, to_plain
 from fishrl.training.logger import CsvLogger
@@ -19,6 +18,8 @@ LEARNING = tuple(entry.name for entry in fields(LearningSettings))
 RUN = tuple(entry.name for entry in fields(RunSettings))
 #: Fixed once a run has begun, like ``LEARNING``.
 PARTS = ("task", "algorithm", "logger", "preset", "recognition")
+#: Suggested in place of one that does not fit a task.
+ALGORITHMS: tuple[type[Algorithm], ...] = (DQN, DRQN, PPO, SAC, DiscreteSAC)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,17 +47,15 @@ class Plan:
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check that the algorithm learns actions such as those of the task."""
+        """Check that the algorithm learns actions such as the task's, and adapt its settings."""
         if not self.algorithm.takes(self.task):
             kind = "discrete" if self.task.action_bounds is None else "continuous"
-            known = [
-                getattr(algorithms, name) for name in algorithms.__all__ if name != "Algorithm"
-            ]
-            fitting = sorted(one.__name__ for one in known if one.takes(self.task))
+            fitting = [one.__name__ for one in ALGORITHMS if one.takes(self.task)]
             raise ValueError(
                 f"algorithm = {type(self.algorithm).__name__}: does not learn {kind} actions, "
                 f"which {type(self.task).__name__} has here; take one of {', '.join(fitting)}"
             )
+        object.__setattr__(self, "learning", self.algorithm.adapt(self.learning))
 
     @property
     def name(self) -> str:

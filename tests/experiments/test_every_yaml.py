@@ -28,6 +28,7 @@ TINY = [
 #: What a choice needs besides.
 MORE = {
     "drqn": ["algorithm.sequence_length=2"],
+    "ppo": ["algorithm.rollout_length=2"],
     "sac": ["task=predation_continuous"],
     "predation_continuous": ["algorithm=sac"],
     "karman_gait_continuous": ["algorithm=sac"],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fishrl.training import SAC, Algorithm, DiscreteSAC, evaluate, load_policy
+from fishrl.training import PPO, SAC, Algorithm, DiscreteSAC, evaluate, load_policy
 from fishrl.training.checkpoint import read_metadata
 from tests.training.conftest import QUICK, Toy, change_manifest
 from tests.training.toy_fish import ToyPredation, make_toy_env
@@ -21,7 +21,9 @@ class WiderTask(ToyPredation):
 WiderTask.__name__ = "ToyPredation"
 
 
-@pytest.mark.parametrize("algorithm", [DiscreteSAC(), SAC()], ids=lambda a: type(a).__name__)
+@pytest.mark.parametrize(
+    "algorithm", [DiscreteSAC(), SAC(), PPO(rollout_length=8)], ids=lambda a: type(a).__name__
+)
 def test_a_learned_policy_is_evaluated_as_at_the_end_of_its_run(
     toy: Toy, algorithm: Algorithm
 ) -> None:

@@ -13,6 +13,7 @@ from fishrl.envs import Predation
 from fishrl.training import (
     DQN,
     DRQN,
+    PPO,
     SAC,
     DiscreteSAC,
     LearningSettings,
@@ -71,6 +72,33 @@ def test_a_run_told_to_end_saves_and_goes_on_exactly(toy: Toy, during: str) -> N
     assert bool(resumed.counters.pending) == is_late
     resumed.run()
     assert toy.rows("part") == toy.rows("whole")
+    assert_equal_weights(resumed, whole)
+
+
+@pytest.mark.parametrize("is_continuous", [False, True])
+def test_ppo_goes_on_exactly_within_a_rollout_and_learns_from_each_as_often_as_it_should(
+    toy: Toy, is_continuous: bool
+) -> None:
+    legal = {} if is_continuous else {"banned_action": 1}
+    settings: dict[str, Any] = {
+        "task": {"is_continuous": is_continuous, "divergence_rate": 0.03, **legal},
+        "algorithm": PPO(rollout_length=9, num_epochs=4),
+        "batch_size": 18,
+        **QUICK,
+    }
+    whole = toy.begin(name="whole", **settings)
+    summary = whole.run()
+    num_rollouts = 240 // (8 * 9)
+    assert summary["updates"] == num_rollouts * 4 * (8 * 9) / 18
+    assert summary["train_diverged"] > 0
+    learned_from = whole.learner.buffer[:]
+    assert 60 < len(learned_from) < 8 * 9  # without those that diverged
+    if not is_continuous:
+        assert set(learned_from["action"].tolist()) == {0, 2}
+    toy.begin(name="part", **settings | {"total_frames": 160}).run()  # 2 rollouts and 2 decisions
+    resumed = toy.reopen("part", total_frames=240)
+    resumed.run()
+    assert toy.rows("part")[-1] == toy.rows("whole")[-1]
     assert_equal_weights(resumed, whole)
 
 

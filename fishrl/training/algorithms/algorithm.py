@@ -41,6 +41,10 @@ class Algorithm(ABC):
         """Tell whether it learns actions such as those of a task."""
         return cls.takes_discrete if task.action_bounds is None else cls.takes_continuous
 
+    def adapt(self, settings: LearningSettings) -> LearningSettings:
+        """Return the common settings with those that follow from this algorithm's own."""
+        return settings
+
     @abstractmethod
     def make_policy(
         self, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator | None = None
@@ -61,9 +65,10 @@ class Algorithm(ABC):
         return policy
 
     def choose_sampling(self, policy: Any, settings: LearningSettings) -> dict[str, Any]:
-        """Return ``keys``, ``sampler`` and ``transforms`` of ``Learner``; by default none of them.
+        """Return further arguments of ``Learner``, such as its ``sampler``; by default none.
 
-        Without a sampler transitions are drawn uniformly; ``DRQN`` draws sequences.
+        Without a sampler transitions are drawn uniformly; ``DRQN`` draws sequences, and ``PPO``
+        learns from rollouts.
         """
         return {}
 

@@ -7,20 +7,20 @@ from typing import Any
 
 import pytest
 
-from fishrl.training import DQN, DRQN, SAC, Algorithm, DiscreteSAC
+from fishrl.training import DQN, DRQN, PPO, SAC, Algorithm, DiscreteSAC
 from fishrl.training.description import describe, make
 from tests.training.conftest import Toy
 
 ALL: list[Algorithm] = [
     *(DiscreteSAC(), DQN(), DQN(is_double=True), DRQN(), DRQN(is_double=True)),
-    *(SAC(),),
+    *(SAC(), PPO()),
 ]
 
 
 def test_each_has_a_label_of_its_own_and_is_the_same_after_a_trip_through_a_file() -> None:
     assert [algorithm.label for algorithm in ALL] == [
         *("", "dqn", "double_dqn", "drqn", "double_drqn"),
-        *("sac",),
+        *("sac", "ppo"),
     ]
     for algorithm in ALL:
         assert make(describe(algorithm), kind=Algorithm) == algorithm
@@ -35,6 +35,8 @@ def test_each_has_a_label_of_its_own_and_is_the_same_after_a_trip_through_a_file
         (DiscreteSAC, {"target_entropy_weight": 1.1}),
         (DQN, {"epsilon_end": 0.2, "epsilon_start": 0.1}),
         (DRQN, {"sequence_length": 0}),
+        (PPO, {"rollout_length": 0}),
+        (PPO, {"clip": 0.0}),
         (SAC, {"alpha_init": 0.0}),
         (SAC, {"target_entropy": 0.7}),
     ],
@@ -47,8 +49,16 @@ def test_a_setting_that_cannot_be_is_refused(kind: type, wrong: dict[str, Any]) 
 @pytest.mark.parametrize(
     ("algorithm", "is_continuous", "message"),
     [
-        (SAC(), False, "SAC: does not learn discrete actions.* take one of DQN, DRQN, DiscreteSAC"),
-        (DiscreteSAC(), True, "DiscreteSAC: does not learn continuous actions.* take one of SAC"),
+        (
+            SAC(),
+            False,
+            "SAC: does not learn discrete actions.* take one of DQN, DRQN, PPO, DiscreteSAC",
+        ),
+        (
+            DiscreteSAC(),
+            True,
+            "DiscreteSAC: does not learn continuous actions.* take one of PPO, SAC",
+        ),
         (DRQN(), True, "DRQN: does not learn continuous actions"),
     ],
 )
@@ -57,6 +67,14 @@ def test_actions_that_an_algorithm_does_not_learn_are_refused_at_once(
 ) -> None:
     with pytest.raises(ValueError, match=message):
         toy.begin(algorithm=algorithm, task={"is_continuous": is_continuous})
+
+
+def test_a_batch_is_no_larger_than_a_rollout_and_settings_follow_from_it(toy: Toy) -> None:
+    with pytest.raises(ValueError, match=r"batch_size = 66: .* algorithm.rollout_length = 64"):
+        toy.begin(algorithm=PPO(rollout_length=8), batch_size=66)
+    learning = toy.begin(algorithm=PPO(rollout_length=8), batch_size=32).plan.learning
+    assert (learning.warmup_frames, learning.buffer_size) == (0, 64)
+    assert learning.updates_per_frame == 10 / 32
 
 
 def test_a_batch_is_whole_sequences(toy: Toy) -> None:

@@ -1,0 +1,105 @@
+"""Proximal policy optimisation, for discrete and continuous actions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torchrl.data import SamplerWithoutReplacement
+from torchrl.modules import ProbabilisticActor
+from torchrl.objectives import ClipPPOLoss
+
+from fishrl.bounds import bounded, check_bounds
+from fishrl.modules import make_actor, make_continuous_actor, make_state_critic
+from fishrl.training.algorithms.algorithm import Algorithm
+from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.settings import LearningSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPO(Algorithm):
+    """Actor and critic that learn from each rollout of the current policy, and then forget it.
+
+    Schulman et al. 2017, "Proximal Policy Optimization Algorithms", with generalised advantage
+    estimation (Schulman et al. 2016), as TorchRL's ``ClipPPOLoss`` and ``GAE`` implement them;
+    advantages are normalised over each batch. It explores by its own policy from the first frame:
+    ``warmup_frames`` is 0, ``updates_per_frame`` and ``buffer_size`` follow from the settings here,
+    and there are no target networks for ``tau``.
+
+    Args:
+        rollout_length: decisions of each flow between updates.
+        num_epochs: times that each transition of a rollout is learned from.
+        clip: largest change of a probability, as a share, that is rewarded.
+        gae_lambda: weight of later rewards in the advantage, by their distance in decisions.
+        entropy_weight: of the bonus for the entropy of the policy.
+        value_weight: of the loss of the critic.
+    """
+
+    takes_continuous = True
+
+    rollout_length: int = bounded(32, least=1)
+    num_epochs: int = bounded(10, least=1)
+    clip: float = bounded(0.2, greater=0, largest=1)
+    gae_lambda: float = bounded(0.95, least=0, largest=1)
+    entropy_weight: float = bounded(0.01, least=0)
+    value_weight: float = bounded(0.5, greater=0)
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
+
+    @property
+    def label(self) -> str:
+        """Part of a run folder's name."""
+        return "ppo"
+
+    def adapt(self, settings: LearningSettings) -> LearningSettings:
+        """Return the settings that give ``num_epochs`` over each rollout."""
+        num_frames = settings.num_envs * self.rollout_length
+        if settings.batch_size > num_frames:
+            raise ValueError(
+                f"batch_size = {settings.batch_size}: must be at most num_envs * "
+                f"algorithm.rollout_length = {num_frames}"
+            )
+        return replace(
+            settings,
+            warmup_frames=0,
+            updates_per_frame=self.num_epochs / settings.batch_size,
+            buffer_size=num_frames,
+        )
+
+    def make_policy(
+        self, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator | None = None
+    ) -> ProbabilisticActor:
+        """Make the actor, which also explores."""
+        make = make_continuous_actor if spec.is_continuous else make_actor
+        return make(**spec.sizes, hidden=hidden, return_log_prob=True, generator=generator)
+
+    def make_loss(
+        self,
+        policy: ProbabilisticActor,
+        spec: PolicySpec,
+        *,
+        hidden: Sequence[int],
+        generator: torch.Generator,
+    ) -> ClipPPOLoss:
+        """Make the loss with a critic of states."""
+        critic = make_state_critic(num_inputs=spec.num_inputs, hidden=hidden, generator=generator)
+        return ClipPPOLoss(
+            policy,
+            critic.to(next(policy.parameters()).device),
+            clip_epsilon=self.clip,
+            entropy_coeff=self.entropy_weight,
+            critic_coeff=self.value_weight,
+            normalize_advantage=True,
+        )
+
+    def choose_sampling(self, policy: Any, settings: LearningSettings) -> dict[str, Any]:
+        """Sample every transition of a rollout once in each epoch."""
+        return {
+            "sampler": SamplerWithoutReplacement(),
+            "rollout_length": self.rollout_length,
+            "gae_lambda": self.gae_lambda,
+        }
