@@ -49,6 +49,7 @@ class LateralLineSettings(CollectionSettings, FitSettings):
         name: of the run folder; by default made from task and seed.
         window: samples that the classifier reads, the newest; by default those of eight intervals.
         hidden: widths of its hidden layers.
+        is_recurrent: let a GRU read the window sample by sample.
         noise: added to the training signals, as a share of each feature's standard deviation.
         paper_epochs: epochs of the paper's classifier, which is fitted with its settings.
         num_splits: divisions of the episodes over which accuracies are averaged.
@@ -63,6 +64,7 @@ class LateralLineSettings(CollectionSettings, FitSettings):
     hidden: tuple[int, ...] = bounded((128, 128), least=1)
     batch_size: int = bounded(256, least=1)
     patience: int | None = bounded(15, least=1)
+    is_recurrent: bool = False
     weight_decay: float = bounded(1e-3, least=0)
     noise: float = bounded(0.5, least=0)
     paper_epochs: int = bounded(1000, least=1)
@@ -187,6 +189,7 @@ class Question:
     settings: FitSettings | None = None  #: by default those of the study
     max_samples: int | None = None  #: to fit on at most
     is_mirrored: bool = True  #: fit on the mirror image of each sample too
+    is_recurrent: bool = False  #: read the window sample by sample
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -285,6 +288,7 @@ class Study:
             features=q.features,
             num_samples=q.num_samples,
             hidden=self.settings.hidden,
+            is_recurrent=q.is_recurrent,
             generator=generator,
         )
         classifier.set_normalisation(training["lateral_line"])
@@ -304,6 +308,7 @@ class Study:
         s, line = self.settings, self.settings.task.lateral_line
         features = tuple(name for name in line.features if name not in BOOKKEEPING)
         own: Any = {"is_averaged": line.is_averaged, "sensed": line.features, "noise": s.noise}
+        own["is_recurrent"] = s.is_recurrent
         return self.fit(Question(features=features, num_samples=self.window, **own))
 
     def fit_paper(self) -> Fit:

@@ -117,6 +117,22 @@ def test_other_flows_and_sensors_are_refused(
         make().check(flows=flows, sensors=sensors)
 
 
+def test_read_one_after_the_other_samples_count_by_their_order_and_a_file_keeps_the_weights(
+    tmp_path: Path,
+) -> None:
+    generator = torch.Generator().manual_seed(0)
+    made = LateralLineClassifier(
+        flows=FLOWS, sensors=SENSORS, hidden=(8,), is_recurrent=True, generator=generator
+    )
+    signal = make_samples(4)["lateral_line"].view(2, -1, 16, 5, 6)
+    logits = made(signal)
+    assert logits.shape == (*signal.shape[:2], 3)
+    torch.testing.assert_close(made(signal[1, 3]), logits[1, 3])
+    assert not torch.allclose(made(signal.flip(2)), logits)
+    made.save(tmp_path / "recurrent.pt")
+    assert torch.equal(LateralLineClassifier.load(tmp_path / "recurrent.pt")(signal), logits)
+
+
 def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
     torch.save({"weights": torch.zeros(3)}, tmp_path / "other.pt")
     with pytest.raises(ValueError, match="holds something else"):
