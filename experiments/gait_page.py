@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from shutil import copyfile
+from statistics import fmean
 from typing import Any
 
 from experiments.gait import figures, tables
@@ -27,6 +29,7 @@ class GaitPageSettings:
         design: folders of ``experiments.transfer`` with baseline pid, by the name of their task.
         fixed: folder of ``experiments.transfer`` with baselines of one frequency.
         drift: folder of ``experiments.drift_sweep``.
+        forces: folder of ``experiments.gait_forces``.
         line: run folder of ``experiments.train_lateral_line``.
         transfer: folder of ``experiments.transfer``.
         runs: run folders of ``transfer``; the first policy swims in the figure of a period.
@@ -39,6 +42,7 @@ class GaitPageSettings:
     design: dict[str, str] = field(default_factory=dict)
     fixed: str | None = None
     drift: str | None = None
+    forces: str | None = None
     line: str | None = None
     transfer: str | None = None
     runs: tuple[str, ...] = ()
@@ -75,6 +79,25 @@ def write_drift(folder: str, pictures: Path) -> str:
         f"{facts['diverged']} diverged. Shedding frequencies: {shedding} per T.\n\n"
         "![Drift against tail beat](figures/gait/drift.png)"
     )
+
+
+def write_forces(folder: str, pictures: Path) -> str:
+    """Return a table of the force on a held fish by frequency, and copy the figure."""
+    with (Path(folder) / "forces.csv").open(encoding="utf-8") as file:
+        found = [
+            {name: float(value) for name, value in row.items()} for row in csv.DictReader(file)
+        ]
+    copyfile(Path(folder) / "forces.png", pictures / "forces.png")
+    ratios = sorted({row["ratio"] for row in found})
+    rows = []
+    for speed, x in sorted({(row["stream_speed_bl"], row["x_bl"]) for row in found}):
+        mine = [row for row in found if (row["stream_speed_bl"], row["x_bl"]) == (speed, x)]
+        forces = [[row["force_x"] for row in mine if row["ratio"] == ratio] for ratio in ratios]
+        spread = fmean(row["spread"] for row in mine if row["ratio"] == 1.0)
+        cells = [f"{fmean(f):+.3f} ({min(f):+.3f} to {max(f):+.3f})" for f in forces]
+        rows.append([f"{speed:g}", f"{x:g}", *cells, f"{spread:.3f}"])
+    heads = ["stream, L/T", "x, L", *(f"{ratio:g} f" for ratio in ratios), "spread"]
+    return f"{write_table(heads, rows)}\n![Force on a held fish](figures/gait/forces.png)"
 
 
 def write_lateral_line(folder: str, pictures: Path) -> str:
@@ -128,6 +151,8 @@ def main(settings: GaitPageSettings) -> None:
         parts["fixed"] = tables.write_survival("policy", results["arms"], results["speeds_bl"])
     if s.drift is not None:
         parts["drift"] = write_drift(s.drift, pictures)
+    if s.forces is not None:
+        parts["forces"] = write_forces(s.forces, pictures)
     if s.line is not None:
         parts["lateral line"] = write_lateral_line(s.line, pictures)
     if s.transfer is not None:

@@ -86,10 +86,12 @@ def measure_cycles(signal: Tensor, interval: float, *, clock: Tensor | None = No
             periods in one of the lift; ``signal`` itself by default.
 
     Raises:
-        ValueError: if there are not two whole periods.
+        ValueError: if there are not two whole periods, or numbers are not finite.
     """
     values = signal.double()
     beat = values if clock is None else clock.double()
+    if not (values.isfinite().all() and beat.isfinite().all()):
+        raise ValueError("some samples are not finite: the flow has diverged")
     at = find_crossings(beat - beat.mean())
     for _ in range(3):  # the mean over whole periods moves the crossings a little
         if len(at) < 3:
@@ -124,7 +126,7 @@ def compute_strouhal(lift: Tensor, interval: float, *, length: float, speed: flo
         speed: U in nodes per step.
 
     Raises:
-        ValueError: if there are not two whole periods.
+        ValueError: as ``measure_cycles``.
     """
     return measure_cycles(lift, interval).frequency * length / speed
 

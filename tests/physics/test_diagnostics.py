@@ -43,6 +43,11 @@ def test_cycles_need_two_whole_periods() -> None:
         measure_cycles(LIFT[:200], 0.1)
 
 
+def test_cycles_of_a_diverged_flow_say_so() -> None:
+    with pytest.raises(ValueError, match="diverged"):
+        measure_cycles(LIFT.index_fill(0, torch.tensor([700]), torch.nan), 0.1)
+
+
 def test_spectrum_and_crossings_agree_between_the_bins() -> None:
     """The bin is 0.01 wide; 2 % of it is what a parabola through a Hann window's line leaves."""
     assert compute_spectral_frequency(LIFT, 0.1) == pytest.approx(FREQUENCY, abs=2e-4)

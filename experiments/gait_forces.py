@@ -1,0 +1,194 @@
+"""Force on a fish held in a vortex street, by its tail beat: ``python -m experiments.gait_forces``.
+
+The nose stays at a fixed distance behind the half disc and the heading against the stream; the
+fish moves sideways freely, apart from a soft spring that keeps it near the centreline. Its mean
+force along the stream says whether a free fish would be carried upstream or swept away, at each
+frequency and, beating at the shedding frequency, at each phase between beat and vortices.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass, replace
+from itertools import product
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from experiments.figures.style import COLOURS
+from experiments.gait.diagnostics import find_phase
+from experiments.gait.figures import flow_panels
+from experiments.gait.trials import GaitSettings
+from experiments.program import program
+from fishrl.bounds import bounded
+from fishrl.envs import KarmanGait
+from fishrl.envs.starts import place_fish
+from fishrl.physics import InPlaceSolver, Towed
+from fishrl.training.description import make
+from fishrl.training.progress import Progress
+from fishrl.training.run_folder import write_json
+
+#: Samples per shedding period.
+_SAMPLES = 16
+#: Frequency of the spring's oscillation, in shedding frequencies, for a mass of rho L^2: that of
+#: the water that a plate of length L carries sideways, 0.79 rho L^2, and of the fish.
+_SPRING = 0.1
+
+
+@dataclass(kw_only=True)
+class ForceSettings(GaitSettings):
+    """Settings of a map of forces.
+
+    Args:
+        positions_bl: of the nose behind the disc's flat side, body lengths.
+        ratios: tail-beat frequencies in units of the shedding frequency.
+        num_phases: phases of the tail beat at the start, evenly spaced, for each.
+        settling: shedding periods before the measurement.
+        periods: shedding periods that are measured.
+        folder: for table, settings and figure.
+    """
+
+    positions_bl: tuple[float, ...] = bounded((0.8, 1.2, 1.6, 2.0, 3.0), greater=0, entries=1)
+    ratios: tuple[float, ...] = bounded((0.0, 0.5, 0.85, 1.0, 1.15, 1.5, 2.0), least=0)
+    num_phases: int = bounded(4, least=1)
+    settling: int = bounded(4, least=1)
+    periods: int = bounded(8, least=2)
+    folder: str = "runs/gait_forces"
+
+
+def hold(
+    task: KarmanGait, flow: int, settings: ForceSettings, progress: Progress
+) -> list[dict[str, float]]:
+    """Return the mean force at every position, frequency and phase in one stream.
+
+    ``force_x`` is positive downstream, in rho L (L / T)^2, ``spread`` the standard deviation of its
+    means over single shedding periods, ``lag`` the mean phase of the beat behind that of the lift
+    on the disc and ``lock`` the length of that mean; ``sway`` in L, ``work`` per T.
+    """
+    assert task.wakes is not None
+    cases = list(product(settings.positions_bl, settings.ratios, range(settings.num_phases)))
+    x, ratio, start = torch.tensor(cases, dtype=torch.float64).T
+    size, period = task.body_length, task.scales.period
+    shedding = float(task.wakes.shedding_frequencies[flow])
+    fish = replace(task.fish, motion=Towed())
+    config = task.flow_config()
+    config = replace(config, bodies=(fish, *config.bodies[1:]))
+    solver = InPlaceSolver(config=config, num_envs=len(cases), frequency=ratio * shedding)
+    starts = task.sample_starts(len(cases), torch.Generator().manual_seed(0))
+    starts["head"] = task.origin + size * torch.stack((x, torch.zeros_like(x)), -1)
+    starts["flow_index"].fill_(flow)
+    every, place = torch.ones(len(cases), dtype=torch.bool), place_fish(starts, fish)
+    task.stream.begin_(solver, every, starts, place, scales=task.scales, wakes=task.wakes)
+    solver.body.phase.copy_(2.0 * pi * start / settings.num_phases)
+    stiffness = size**2 * (2.0 * pi * _SPRING * shedding) ** 2
+    interval = 2 * round(0.5 / (_SAMPLES * shedding))
+    rows: dict[str, list[Tensor]] = {"impulse": [], "lift": [], "beat": [], "y": [], "work": []}
+    num_samples = _SAMPLES * (settings.settling + settings.periods)
+    progress.start(f"{task.stream.speeds_bl[flow]:g} L/T", total=num_samples)
+    for sample in range(num_samples + 1):
+        body, disc = solver.bodies
+        aside = body.position[:, 1] - place[0][:, 1]
+        body.load[:, 1] = -stiffness * aside
+        if sample >= _SAMPLES * settings.settling:
+            values = (body.impulse[:, 0], disc.impulse[:, 1], body.phase, aside / size, body.work)
+            for kept, value in zip(rows.values(), values, strict=True):
+                kept.append(value.clone())
+        if sample < num_samples:
+            solver.advance_(interval)
+            progress.advance(1)
+    diverged = solver.is_diverged()
+    solver.close()
+    series = {name: torch.stack(values, 1).numpy() for name, values in rows.items()}
+    unit = size * (size / period) ** 2
+    force = np.diff(series["impulse"], axis=1).reshape(len(cases), -1, _SAMPLES).mean(-1)
+    force /= interval * unit
+    lift = np.diff(series["lift"], axis=1)
+    table = []
+    for i, (position, of_shedding, _) in enumerate(cases):
+        phase = find_phase(lift[i], shedding, 1.0 / interval)
+        apart = np.exp(1j * (phase - series["beat"][i, 1:])).mean()
+        table.append(
+            {
+                "stream_speed_bl": task.stream.speeds_bl[flow],
+                "x_bl": position,
+                "ratio": of_shedding,
+                "force_x": float(force[i].mean()),
+                "spread": float(force[i].std(ddof=1)),
+                "lag": float(np.angle(apart)),
+                "lock": float(np.abs(apart)),
+                "sway": float(series["y"][i].std() * 2.0**0.5),
+                "work": float(series["work"][i, -1] - series["work"][i, 0])
+                / (num_samples - _SAMPLES * settings.settling)
+                / interval
+                * period
+                / (unit * size),
+                "diverged": float(diverged[i]),
+            }
+        )
+    return table
+
+
+def draw(path: Path, table: list[dict[str, float]], settings: ForceSettings) -> None:
+    """Draw force against frequency (top), and against phase at the shedding frequency (bottom)."""
+    speeds = sorted({row["stream_speed_bl"] for row in table})
+    with flow_panels(path, speeds, height=6.0, rows=2, sharey="row") as grid:
+        for at, speed in enumerate(speeds):
+            for number, position in enumerate(settings.positions_bl):
+                mine = [r for r in table if r["stream_speed_bl"] == speed and r["x_bl"] == position]
+                style: dict[str, Any] = {
+                    "color": COLOURS[number % len(COLOURS)],
+                    "label": f"nose {position:g} L behind the disc",
+                }
+                means, errors = [], []
+                for ratio in settings.ratios:
+                    force = [row["force_x"] for row in mine if row["ratio"] == ratio]
+                    means.append(np.mean(force))
+                    errors.append(np.std(force))
+                grid[0, at].errorbar(
+                    settings.ratios, means, errors, marker="o", markersize=3, capsize=2, **style
+                )
+                locked = sorted(
+                    (row["lag"] * 180.0 / pi, row["force_x"])
+                    for row in mine
+                    if row["ratio"] == 1.0 and row["lock"] > 0.7
+                )
+                if locked:
+                    grid[1, at].plot(*zip(*locked, strict=True), "o-", markersize=3, **style)
+            for axes in grid[:, at]:
+                axes.axhline(0.0, color="#555555", linewidth=0.8)
+            grid[0, at].set_xlabel("tail beat / shedding frequency")
+            grid[1, at].set_xlabel("phase of the lift ahead of the beat  [°]")
+        for axes in grid[:, 0]:
+            axes.set_ylabel("force  [ρ L (L/T)²]   (up: downstream)")
+        figure, (handles, labels) = grid[0, 0].figure, grid[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8)
+
+
+@program(ForceSettings, groups={"task": "karman_gait", "preset": "gait_small"})
+def main(settings: ForceSettings) -> None:
+    """Measure, write and draw."""
+    task, folder = make(settings.task, kind=KarmanGait), Path(settings.folder)
+    if task.wakes is None:
+        raise ValueError("task.stream.has_disc=false: in a free stream no vortices are shed")
+    folder.mkdir(parents=True, exist_ok=True)
+    table = []
+    with Progress() as progress:
+        for flow in range(len(task.stream.speeds_bl)):
+            table += hold(task, flow, settings, progress)
+    with (folder / "forces.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(table[0]))
+        writer.writeheader()
+        writer.writerows({name: float(f"{v:.4g}") for name, v in row.items()} for row in table)
+    scales = task.scales
+    facts = {name: getattr(scales, name) for name in ("body_length", "reynolds", "tau", "mach")}
+    write_json(folder / "forces.json", {**facts, "steps_per_T": scales.period})
+    draw(folder / "forces.png", table, settings)
+    print(f"written to {folder}: forces.csv, forces.json, forces.png")
+
+
+if __name__ == "__main__":
+    main()
