@@ -1,9 +1,9 @@
 """Force on a fish held in a vortex street, by its tail beat: ``python -m experiments.gait_forces``.
 
 The nose stays at a fixed distance behind the half disc and the heading against the stream; the
-fish moves sideways freely, apart from a soft spring that keeps it near the centreline. Its mean
-force along the stream says whether a free fish would be carried upstream or swept away, at each
-frequency and, beating at the shedding frequency, at each phase between beat and vortices.
+fish moves sideways freely, apart from a soft support that keeps it on the centreline on average.
+Its mean force along the stream says whether a free fish would be carried upstream or swept away,
+at each frequency and, at the shedding frequency, at each phase between beat and vortices.
 """
 
 from __future__ import annotations
@@ -34,9 +34,10 @@ from fishrl.training.run_folder import write_json
 
 #: Samples per shedding period.
 _SAMPLES = 16
-#: Frequency of the spring's oscillation, in shedding frequencies, for a mass of rho L^2: that of
-#: the water that a plate of length L carries sideways, 0.79 rho L^2, and of the fish.
-_SPRING = 0.1
+#: The lateral support is a PI controller: frequency of its spring, in shedding frequencies, for a
+#: mass of rho L^2 (0.79 is that of the water that a plate of length L carries sideways); and time
+#: after which the integral term equals it, shedding periods.
+_SPRING, _INTEGRAL = 0.25, 4.0
 
 
 @dataclass(kw_only=True)
@@ -55,7 +56,7 @@ class ForceSettings(GaitSettings):
     positions_bl: tuple[float, ...] = bounded((0.8, 1.2, 1.6, 2.0, 3.0), greater=0, entries=1)
     ratios: tuple[float, ...] = bounded((0.0, 0.5, 0.85, 1.0, 1.15, 1.5, 2.0), least=0)
     num_phases: int = bounded(4, least=1)
-    settling: int = bounded(4, least=1)
+    settling: int = bounded(6, least=1)
     periods: int = bounded(8, least=2)
     folder: str = "runs/gait_forces"
 
@@ -65,9 +66,10 @@ def hold(
 ) -> list[dict[str, float]]:
     """Return the mean force at every position, frequency and phase in one stream.
 
-    ``force_x`` is positive downstream, in rho L (L / T)^2, ``spread`` the standard deviation of its
-    means over single shedding periods, ``lag`` the mean phase of the beat behind that of the lift
-    on the disc and ``lock`` the length of that mean; ``sway`` in L, ``work`` per T.
+    ``force_x`` is positive downstream, in rho L (L / T)^2; ``spread`` is the standard deviation of
+    its means over single shedding periods, ``lag`` the mean phase of the beat behind that of the
+    lift on the disc, ``lock`` the length of that mean; ``y_bl`` and ``sway`` are in L, ``work`` is
+    per T.
     """
     assert task.wakes is not None
     cases = list(product(settings.positions_bl, settings.ratios, range(settings.num_phases)))
@@ -87,12 +89,14 @@ def hold(
     stiffness = size**2 * (2.0 * pi * _SPRING * shedding) ** 2
     interval = 2 * round(0.5 / (_SAMPLES * shedding))
     rows: dict[str, list[Tensor]] = {"impulse": [], "lift": [], "beat": [], "y": [], "work": []}
+    offset_sum = torch.zeros_like(x)
     num_samples = _SAMPLES * (settings.settling + settings.periods)
     progress.start(f"{task.stream.speeds_bl[flow]:g} L/T", total=num_samples)
     for sample in range(num_samples + 1):
         body, disc = solver.bodies
         aside = body.position[:, 1] - place[0][:, 1]
-        body.load[:, 1] = -stiffness * aside
+        offset_sum += aside / (_SAMPLES * _INTEGRAL)
+        body.load[:, 1] = -stiffness * (aside + offset_sum)
         if sample >= _SAMPLES * settings.settling:
             values = (body.impulse[:, 0], disc.impulse[:, 1], body.phase, aside / size, body.work)
             for kept, value in zip(rows.values(), values, strict=True):
@@ -120,6 +124,7 @@ def hold(
                 "spread": float(force[i].std(ddof=1)),
                 "lag": float(np.angle(apart)),
                 "lock": float(np.abs(apart)),
+                "y_bl": float(series["y"][i].mean()),
                 "sway": float(series["y"][i].std() * 2.0**0.5),
                 "work": float(series["work"][i, -1] - series["work"][i, 0])
                 / (num_samples - _SAMPLES * settings.settling)

@@ -24,7 +24,8 @@ from fishrl.bounds import suggest
 NAMES = (
     *("taylor_green", "poiseuille", "cavity", "invariance", "slip", "channel_cylinder"),
     *("free_cylinder", "d_cylinder", "outflow", "oscillating_cylinder", "settling_disc"),
-    *("sheared_ellipse", "swimmer", "gaits", "turning", "compressibility", "stability"),
+    *("sheared_ellipse", "swimmer", "gaits", "turning", "pitching_pair"),
+    *("compressibility", "stability"),
 )
 CASES: tuple[Case, ...] = tuple(
     import_module(f"experiments.validation.{name}").CASE for name in NAMES

@@ -10,6 +10,7 @@ from fishrl.physics.bodies.motion import (
     Fixed,
     Free,
     Oscillating,
+    Surging,
     Towed,
 )
 from fishrl.physics.bodies.outline import BodyConfig, Cylinder, DCylinder, Ellipse, Foil
@@ -72,6 +73,7 @@ __all__ = [
     "Section",
     "Sponge",
     "Storage",
+    "Surging",
     "Towed",
     "compute_area",
     "compute_coefficient",

@@ -78,18 +78,31 @@ class Oscillating(Motion):
         sway: amplitude (x, y) in nodes.
         pitch: amplitude in radians.
         pitch_lag: phase of the pitch ahead of the sway, radians.
+        pivot: distance of the axis of the pitch ahead of the centre of mass, nodes; x0 is its place.
     """
 
     sway: tuple[float, float] = (0.0, 0.0)
     pitch: float = 0.0
     pitch_lag: float = 0.0
+    pivot: float = 0.0
 
     def prescribe(self, body: BodyState) -> tuple[Tensor, Tensor]:
         """Return the velocities that move the body exactly along its path in one step."""
         after = body.phase + 2.0 * pi * body.frequency
         swing = torch.sin(after) - torch.sin(body.phase)
         turn = torch.sin(after + self.pitch_lag) - torch.sin(body.phase + self.pitch_lag)
-        return torch.stack((self.sway[0] * swing, self.sway[1] * swing), -1), self.pitch * turn
+        turn = self.pitch * turn
+        heading = body.heading + turn
+        x = self.sway[0] * swing - self.pivot * (torch.cos(heading) - torch.cos(body.heading))
+        y = self.sway[1] * swing - self.pivot * (torch.sin(heading) - torch.sin(body.heading))
+        return torch.stack((x, y), -1), turn
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surging(Oscillating):
+    """A body that sways along y and pitches as prescribed, and that the flow moves along x."""
+
+    free_axes: ClassVar[tuple[int, ...]] = (0,)
 
 
 @dataclass(frozen=True)

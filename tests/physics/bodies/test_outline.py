@@ -104,6 +104,22 @@ def test_an_oscillating_body_follows_its_sine_exactly() -> None:
     assert float(body.heading) == pytest.approx(0.4 * (math.cos(angle) - 1.0))
 
 
+def test_a_pitching_body_turns_about_its_pivot() -> None:
+    motion = Oscillating(pitch=0.4, pivot=5.0)
+    body = make_body(torch.zeros(1, 2, dtype=torch.float64), 0.3 * ONE, ONE / 50)
+    for _ in range(17):
+        velocity, turn = motion.prescribe(body)
+        body = body._replace(
+            position=body.position + velocity,
+            heading=body.heading + turn,
+            phase=body.phase + 2 * math.pi * body.frequency,
+        )
+    angle = float(body.heading)
+    assert angle == pytest.approx(0.3 + 0.4 * math.sin(2 * math.pi * 17 / 50))
+    expected = [5 * (math.cos(0.3) - math.cos(angle)), 5 * (math.sin(0.3) - math.sin(angle))]
+    assert body.position[0].tolist() == pytest.approx(expected)
+
+
 def test_a_kick_ends_and_pushes_both_ways_alike() -> None:
     motion = Fixed(kick_speed=0.02, kick_steps=30)
     body = make_body(torch.zeros(1, 2, dtype=torch.float64), 0 * ONE, 0 * ONE)

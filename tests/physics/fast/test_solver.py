@@ -14,10 +14,11 @@ from fishrl.physics import (
     Fish,
     FlowConfig,
     FlowState,
+    Foil,
     InPlaceSolver,
     Scales,
 )
-from fishrl.physics.bodies.motion import Bending, Commanded, Free, Towed
+from fishrl.physics.bodies.motion import Bending, Commanded, Free, Surging, Towed
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.boundaries import (
     Boundaries,
@@ -99,6 +100,7 @@ CHANGES: dict[str, dict[str, Any]] = {
     "free": {"motion": Free()},
     "bending": {"motion": Bending()},
     "towed": {"motion": Towed()},
+    "surging": {"bodies": (Foil(chord=24, motion=Surging(pitch=0.3, pivot=10.0)),)},
     "constant length": {"bodies": (Fish(body_length=24, keeps_length=True, motion=Free()),)},
     "sheared": {"boundaries": COUETTE, "stream_speed": 0.03, "ramp_steps": 50},
     "sponges": {
