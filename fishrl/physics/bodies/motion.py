@@ -78,7 +78,8 @@ class Oscillating(Motion):
         sway: amplitude (x, y) in nodes.
         pitch: amplitude in radians.
         pitch_lag: phase of the pitch ahead of the sway, radians.
-        pivot: distance of the axis of the pitch ahead of the centre of mass, nodes; x0 is its place.
+        pivot: distance of the axis of the pitch, which x0 is the place of, ahead of the centre of
+            mass, nodes.
     """
 
     sway: tuple[float, float] = (0.0, 0.0)
