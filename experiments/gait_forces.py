@@ -9,9 +9,10 @@ at each frequency and, at the shedding frequency, at each phase between beat and
 from __future__ import annotations
 
 import csv
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from math import pi
+from math import nan, pi
 from pathlib import Path
 from typing import Any
 
@@ -135,6 +136,19 @@ def hold(
             }
         )
     return table
+
+
+def find_thrust_phase(rows: Sequence[Mapping[str, float]]) -> float:
+    """Return the ``lag`` of greatest thrust, from a fit of mean and sine; NaN where lags are alike.
+
+    ``rows`` are those of ``hold`` at one place and at the shedding frequency.
+    """
+    lag = np.array([row["lag"] for row in rows])
+    if min(row["lock"] for row in rows) < 0.7 or np.abs(np.exp(1j * lag).mean()) > 0.7:
+        return nan
+    terms = np.stack([np.ones_like(lag), np.cos(lag), np.sin(lag)], -1)
+    (_, along, across), *_ = np.linalg.lstsq(terms, np.array([row["force_x"] for row in rows]))
+    return float(np.arctan2(-across, -along) % (2.0 * pi))
 
 
 def draw(path: Path, table: list[dict[str, float]], settings: ForceSettings) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 
 from experiments.gait import figures, tables
 from experiments.gait.trials import list_shedding, load_trial
+from experiments.gait_forces import find_thrust_phase
 from experiments.pages import fill, write_table
 from experiments.program import program
 
@@ -82,22 +83,24 @@ def write_drift(folder: str, pictures: Path) -> str:
 
 
 def write_forces(folder: str, pictures: Path) -> str:
-    """Return a table of the force on a held fish by frequency, and copy the figure."""
+    """Return a table of the force on a held fish by frequency and phase, and copy the figure."""
     with (Path(folder) / "forces.csv").open(encoding="utf-8") as file:
-        found = [
-            {name: float(value) for name, value in row.items()} for row in csv.DictReader(file)
-        ]
+        found = [{name: float(v) for name, v in row.items()} for row in csv.DictReader(file)]
     copyfile(Path(folder) / "forces.png", pictures / "forces.png")
     ratios = sorted({row["ratio"] for row in found})
     rows = []
     for speed, x in sorted({(row["stream_speed_bl"], row["x_bl"]) for row in found}):
         mine = [row for row in found if (row["stream_speed_bl"], row["x_bl"]) == (speed, x)]
         forces = [[row["force_x"] for row in mine if row["ratio"] == ratio] for ratio in ratios]
-        spread = fmean(row["spread"] for row in mine if row["ratio"] == 1.0)
-        cells = [f"{fmean(f):+.3f} ({min(f):+.3f} to {max(f):+.3f})" for f in forces]
-        rows.append([f"{speed:g}", f"{x:g}", *cells, f"{spread:.3f}"])
-    heads = ["stream, L/T", "x, L", *(f"{ratio:g} f" for ratio in ratios), "spread"]
-    return f"{write_table(heads, rows)}\n![Force on a held fish](figures/gait/forces.png)"
+        means = [f"{fmean(values):+.3f}" for values in forces]
+        locked = [row for row in mine if row["ratio"] == 1.0]
+        by_phase = [row["force_x"] for row in locked]
+        extremes = f"{min(by_phase):+.3f} to {max(by_phase):+.3f}"
+        thrust = tables.show(math.degrees(find_thrust_phase(locked)), ".0f")
+        rows.append([f"{speed:g}", f"{x:g}", *means, extremes, thrust])
+    heads = ["stream, L/T", "x, L", *(f"{ratio:g} f" for ratio in ratios)]
+    text = write_table([*heads, "1 f, by phase", "thrust at, °"], rows)
+    return f"{text}\n![Force on a held fish](figures/gait/forces.png)"
 
 
 def write_lateral_line(folder: str, pictures: Path) -> str:
