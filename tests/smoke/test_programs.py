@@ -124,7 +124,23 @@ def test_every_program_is_here() -> None:
 def test_every_task_is_trained(task: str, runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if task not in REAL:
         _glide(monkeypatch)
-    _train(runs, task, f"task={task}", *_set_task(REAL.get(task, KINEMATIC)))
+    algorithm = ["algorithm=sac"] if task.endswith("_continuous") else []
+    _train(runs, task, f"task={task}", *algorithm, *_set_task(REAL.get(task, KINEMATIC)))
+
+
+@pytest.mark.usefixtures("kinematic")
+@pytest.mark.parametrize("algorithm", ["sac", "ppo"])
+def test_a_policy_of_continuous_actions_is_evaluated_viewed_and_exported(
+    algorithm: str, tmp_path: Path
+) -> None:
+    chosen = ["task=predation_continuous", f"algorithm={algorithm}", *_set_task(KINEMATIC)]
+    rollout = ["algorithm.rollout_length=2"] if algorithm == "ppo" else []
+    run = _train(tmp_path, algorithm, *chosen, *rollout, pictures=1)
+    _run("evaluate", f"checkpoint={run}", "episodes=1", "num_envs=1", *EAGER)
+    _run("export_policy", f"run={run}", f"folder={tmp_path / 'policy'}")
+    _run("evaluate", f"checkpoint={tmp_path / 'policy'}", "episodes=1", "num_envs=1", *EAGER)
+    _run("view", f"run={run}", f"save={tmp_path / 'flow.rrd'}", "periods=1", *EAGER)
+    assert (tmp_path / "flow.rrd").is_file()
 
 
 @pytest.mark.usefixtures("kinematic")

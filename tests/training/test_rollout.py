@@ -64,16 +64,17 @@ def test_nothing_is_learned_before_a_rollout_is_complete(toy: Toy) -> None:
 def test_ppo_learns_to_catch_still_food(toy: Toy, is_continuous: bool) -> None:
     summary = toy.begin(
         task={"food_speed_bl": 0.0, "is_continuous": is_continuous},
-        algorithm=PPO(rollout_length=32),
-        num_envs=16,
-        total_frames=10_240,
-        learning_rate=1e-3,
+        algorithm=PPO(rollout_length=16),
+        num_envs=32,
+        total_frames=6_144,
+        learning_rate=2e-3,
         hidden=(64, 64),
-        eval_frames=2_560,
+        eval_frames=2_048,
         eval_episodes=10,
         final_episodes=32,
-        checkpoint_frames=5_120,
+        checkpoint_frames=6_144,
         baselines=("random",),
     ).run()
+    # This seed gave 32 captures of 32 with either kind of action, random actions 9 and 3.
     assert summary["success_rate"] >= 0.75
     assert summary["random_success_rate"] <= 0.4
