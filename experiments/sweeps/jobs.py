@@ -159,7 +159,8 @@ def find_or_begin(config: TrainConfig, *, name: str) -> RunFolder:
 def is_same(config: TrainConfig, folder: RunFolder) -> bool:
     """Tell whether a run has these settings, except harmless ones and the classifier's path."""
     stored = update_names(read_config(folder.config))
-    wanted = update_names(to_plain(asdict(config)))
+    learning = asdict(make_plan(config).learning)  # as the algorithm adapts it
+    wanted = update_names(to_plain(asdict(config) | learning))
     own, given = folder.classifier, Path(wanted["recognition"] or "").expanduser()
     if own.is_file() and given.is_file():
         is_equal = filecmp.cmp(own, given, shallow=False)

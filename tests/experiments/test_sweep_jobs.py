@@ -109,6 +109,13 @@ def test_the_same_settings_find_their_run_and_others_make_a_new_one(tmp_path: Pa
     assert read_run(mended.path).status == "stopped"
 
 
+def test_settings_that_an_algorithm_adapts_find_their_run_too(tmp_path: Path) -> None:
+    config = TRAINING.read([f"folder={tmp_path}", "algorithm=ppo"])
+    first, again = (jobs.find_or_begin(config, name="run") for _ in range(2))
+    assert first.path == again.path
+    assert OmegaConf.load(first.config).buffer_size == config.num_envs * 32 != config.buffer_size
+
+
 def go_on(folder: RunFolder, *changes: str) -> None:
     """Store settings as a resume with other ones does."""
     settings = TRAINING.read([f"resume='{folder.path}'", *changes])
