@@ -287,8 +287,8 @@ def write_figure(
         labels.set_yticklabels(names)
         places.set(ylabel="nose behind the disc [L]", xlabel="time [T]")
         delays.axvline(PROMPT_T, color="grey", linewidth=0.7)
-        delays.set(xlabel="time since the change began [T]", ylabel="recognised", xlim=(0.0, 8.0))
-        delays.legend(fontsize=7)
+        delays.set(xlabel="time since the change began [T]", ylabel="recognised", xlim=(0.0, 14.0))
+        delays.legend(fontsize=7, loc="center right")
         for each in axes.flat:
             tidy(each)
 
