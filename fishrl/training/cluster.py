@@ -45,9 +45,10 @@ class ClusterCollector:
         explorer: the policy that collects.
         settings: numbers of processes, of flows and of warm-up frames of all of them together.
         seed: of the first collector.
+        device: of the explorer. With ``cuda`` each collector has a GPU of its own.
 
     Raises:
-        ValueError: if the cluster has fewer CPUs than there are collectors.
+        ValueError: if the cluster has fewer CPUs, or GPUs, than there are collectors.
     """
 
     def __init__(
@@ -59,11 +60,13 @@ class ClusterCollector:
         explorer: TensorDictModuleBase,
         settings: LearningSettings,
         seed: int,
+        device: str = "cpu",
     ) -> None:
-        self.env, self._explorer, self._frames = env, explorer, 0
+        self.env, self._explorer, self._frames, self._device = env, explorer, 0, device
         num_collectors, num_envs = settings.ray_collectors, settings.num_envs
         self._warmup_frames = -(-settings.warmup_frames // num_envs) * num_envs  # whole batches
-        self._has_joined = join_cluster(num_collectors)
+        num_gpus = int(device == "cuda")
+        self._has_joined = join_cluster(num_collectors, num_gpus=num_gpus * num_collectors)
         warnings.filterwarnings("ignore", "RayCollector iteration started before weight")
         make = partial(_make_seeded, make_env, num_envs=num_envs // num_collectors)
         self._flows = RayCollector(
@@ -75,7 +78,12 @@ class ClusterCollector:
             init_random_frames=self._warmup_frames,
             sync=True,
             weight_sync_schemes={},  # _send_weights does it
-            remote_configs={"num_cpus": 1, "scheduling_strategy": "SPREAD"},
+            storing_device="cpu",  # between machines
+            remote_configs={
+                "num_cpus": 1,
+                "num_gpus": num_gpus,
+                "scheduling_strategy": "SPREAD",
+            },
         )
 
     def __iter__(self) -> Iterator[TensorDictBase]:
@@ -84,12 +92,12 @@ class ClusterCollector:
         while True:
             with noticing_losses():
                 self._send_weights()
-                batch = next(batches)
+                batch = next(batches).to(self._device)
             if self._frames >= self._warmup_frames:
                 self._count_exploration(batch.numel())
             self._frames += batch.numel()
             ids, num = batch["collector", "traj_ids"], batch.shape[0]
-            owner = torch.arange(num).view(num, *[1] * (ids.ndim - 1))
+            owner = torch.arange(num, device=ids.device).view(num, *[1] * (ids.ndim - 1))
             batch["collector", "traj_ids"] = ids * num + owner  # no two episodes share one
             yield batch
 
@@ -100,7 +108,7 @@ class ClusterCollector:
         """
         import ray
 
-        weights = ray.put(TensorDict.from_module(self._explorer).data)
+        weights = ray.put(TensorDict.from_module(self._explorer).data.cpu())
         remote = self._flows.remote_collectors
         ray.get([collector.update_policy_weights_.remote(weights) for collector in remote])
 
@@ -144,14 +152,14 @@ def noticing_losses() -> Iterator[None]:
         raise ChildProcessError("a collector of the Ray cluster is lost") from error
 
 
-def join_cluster(num_collectors: int) -> bool:
+def join_cluster(num_collectors: int, *, num_gpus: int = 0) -> bool:
     """Connect to the cluster that ``RAY_ADDRESS`` names, or start a local one of sufficient size.
 
     Returns:
         Whether this process was not connected before.
 
     Raises:
-        ValueError: if the cluster has fewer CPUs than ``num_collectors``.
+        ValueError: if the cluster has fewer CPUs than ``num_collectors``, or GPUs than needed.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # report nothing to anybody
     import ray
@@ -161,13 +169,15 @@ def join_cluster(num_collectors: int) -> bool:
         local = {"address": "local", "num_cpus": num_collectors, "include_dashboard": False}
         given: dict[str, Any] = {} if "RAY_ADDRESS" in os.environ else local
         ray.init(log_to_driver=False, logging_level=logging.WARNING, **given)
-    num_cpus = int(ray.cluster_resources().get("CPU", 0))
-    if num_cpus < num_collectors:
-        raise ValueError(
-            f"ray_collectors={num_collectors}: the cluster has {num_cpus} CPUs, and each takes "
-            "one; take fewer, or add machines with `ray start --address=...`"
-        )
-    logger.info("%d collectors on a cluster of %d CPUs", num_collectors, num_cpus)
+    resources = ray.cluster_resources()
+    for kind, needed in {"CPU": num_collectors, "GPU": num_gpus}.items():
+        there = int(resources.get(kind, 0))
+        if there < needed:
+            raise ValueError(
+                f"ray_collectors={num_collectors}: the cluster has {there} {kind}s, and each takes "
+                "one; take fewer, or add machines with `ray start --address=...`"
+            )
+    logger.info("%d collectors on a cluster of %d CPUs", num_collectors, resources["CPU"])
     return is_new
 
 

@@ -63,16 +63,19 @@ class ResumableCollector(Collector):
 
 
 class RemoteCollector(ResumableCollector):
-    """The collector of one process of a cluster; its state includes the random generator."""
+    """The collector of one process of a cluster; its state includes the random generators."""
 
     def state_dict(self) -> OrderedDict:
         """Return everything its next batch depends on."""
-        return OrderedDict(super().state_dict(), rng=torch.get_rng_state())
+        of_gpus = torch.cuda.get_rng_state_all()
+        return OrderedDict(super().state_dict(), rng=torch.get_rng_state(), gpu_rng=of_gpus)
 
     def load_state_dict(self, state_dict: Any, **kwargs: Any) -> None:
         """Restore what ``state_dict`` returned."""
         state = dict(state_dict)
-        torch.set_rng_state(state.pop("rng"))
+        torch.set_rng_state(state.pop("rng").cpu())  # a checkpoint is read onto the run's device
+        of_gpus = state.pop("gpu_rng", [])[: torch.cuda.device_count()]
+        torch.cuda.set_rng_state_all([one.cpu() for one in of_gpus])
         super().load_state_dict(state, **kwargs)
 
 
@@ -113,6 +116,7 @@ def make_collector(
         explorer=learner.explorer,
         settings=settings,
         seed=seed,
+        device=device,
     )
 
 

@@ -189,8 +189,11 @@ def _check(plan: Plan, recognition: Recognition) -> None:
     """Raise for a plan that cannot run, before anything slow starts."""
     check_device(plan.run.device)
     if plan.learning.ray_collectors:
-        if plan.run.device != "cpu":
-            raise ValueError(f"device = {plan.run.device}: with ray_collectors it must be cpu")
+        if plan.run.device not in ("cpu", "cuda"):
+            raise ValueError(
+                f"device = {plan.run.device}: with ray_collectors it must be cpu, or cuda, where "
+                "each collector has a GPU of its own"
+            )
         if find_spec("ray") is None:
             raise ValueError(f"ray_collectors: needs Ray: {show_install('cluster')}")
     task, _ = equip(plan.task, recognition)

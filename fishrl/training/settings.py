@@ -16,8 +16,8 @@ class LearningSettings:
     Args:
         seed: of networks, starts and actions; one seed gives one learning curve.
         num_envs: flows that advance together.
-        ray_collectors: processes of a Ray cluster that share the flows; with 0 all advance in this
-            process.
+        ray_collectors: processes of a Ray cluster that share the flows, with ``device=cuda`` on a
+            GPU each; with 0 all advance in this process.
         warmup_frames: frames with random legal actions before learning starts.
         updates_per_frame: gradient steps per env frame.
         batch_size: transitions per gradient step.

@@ -1,0 +1,58 @@
+"""Collectors of a Ray cluster that have a GPU each; the pretended ones share the host's memory."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from fishrl.envs import Predation
+from fishrl.training import LearningSettings, Plan, RunSettings, begin, complete, reopen
+from tests.envs.test_real_flow import TINY
+from tests.training.conftest import read_rows
+
+pytestmark = [
+    pytest.mark.gpu,
+    pytest.mark.cluster,
+    pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA"),
+]
+ray = pytest.importorskip("ray", reason="pip install 'fishrl[cluster]'")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def cluster() -> Iterator[None]:
+    ray.init(num_cpus=3, num_gpus=2, include_dashboard=False, log_to_driver=False)
+    yield
+    ray.shutdown()
+
+
+def make_plan(folder: Path, *, name: str, num_frames: int, ray_collectors: int = 2) -> Plan:
+    learning: dict[str, Any] = {"num_envs": ray_collectors, "ray_collectors": ray_collectors}
+    return Plan(
+        task=Predation(**TINY | {"time_limit": 3}),
+        learning=LearningSettings(
+            **learning, warmup_frames=0, updates_per_frame=1.0, batch_size=2, hidden=(8,)
+        ),
+        run=RunSettings(
+            total_frames=num_frames, log_frames=1, compile=False, device="cuda", folder=str(folder),
+            name=name, eval_episodes=1, final_episodes=1, baselines=(),
+        ),
+    )  # fmt: skip
+
+
+def test_each_collector_has_a_gpu_of_its_own_and_a_run_goes_on_exactly(tmp_path: Path) -> None:
+    whole = begin(make_plan(tmp_path, name="whole", num_frames=4))
+    assert ray.available_resources().get("GPU", 0.0) == 0.0
+    complete(whole)
+    assert whole.learner.buffer[:]["observation_stack"].device.type == "cuda"
+
+    complete(begin(make_plan(tmp_path, name="parts", num_frames=2)))
+    complete(reopen(tmp_path / "parts", total_frames=4))
+    whole_rows, rows = read_rows(tmp_path / "whole"), read_rows(tmp_path / "parts")
+    assert whole_rows[-1]["train/loss_actor"] == rows[-1]["train/loss_actor"]
+
+
+def test_a_cluster_with_too_few_gpus_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="the cluster has 2 GPUs, and each takes one"):
+        begin(make_plan(tmp_path, name="run", num_frames=2, ray_collectors=3))
