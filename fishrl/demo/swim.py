@@ -70,6 +70,7 @@ def main() -> None:
     options = parser.parse_args()
     logging.basicConfig(format="%(message)s", stream=sys.stdout)
     logger.setLevel(logging.INFO)
+    logging.getLogger("torchrl").setLevel(logging.ERROR)  # on other builds of torch
     torch.set_num_threads(1)
     gc.freeze()  # what imports made is kept to the end
     gc.enable()
