@@ -42,6 +42,8 @@ def _starts(x_bl: float, *without: str) -> Callable[..., TensorDict]:
         ("observe", lambda _, now: now["x"], r"observe gives .* \(2,\), .*expected .* \(2, 2\)"),
         ("observe", lambda _, now: torch.full((2, 2), torch.nan), "observe gives .*nan.* finite"),
         ("action_mask", lambda _, now: torch.zeros(2, 2) > 1, "a legal action in each row"),
+        ("action_bounds", ((-1.0, 1.0),), "action_bounds gives .* expected .* of 2 numbers"),
+        ("action_bounds", ((-1.0, 1.0), (2.0, 1.0)), "action_bounds gives"),
         ("is_terminated", lambda _, now: now["x"], "is_terminated gives .*64, expected .*bool"),
         ("report", lambda _, now: {"far": 1.0}, "report 'far' gives 1.0, expected"),
         ("success", "reached", r"success gives reached, expected .*\['beats'\]"),
