@@ -21,7 +21,7 @@ from fishrl.bounds import check_bounds
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.episodes import run_episodes
 from fishrl.envs.flow_env import FlowEnv
-from fishrl.envs.macro_actions import DirectFrequencies
+from fishrl.envs.macro_actions import ContinuousFrequency, DirectFrequencies
 from fishrl.envs.steering import PolicySteering
 from fishrl.envs.transforms import ORACLE, equip
 from fishrl.files import load_tensors, staged
@@ -141,6 +141,8 @@ def load_trial(run: Path, *, periods: float = PERIODS) -> Trial:
 
 def name_arm(task: KarmanGait, recognition: str | None) -> str:
     """Name the kind of a learned policy."""
+    if isinstance(task.control, ContinuousFrequency):
+        return "continuous frequency"
     if isinstance(task.control, DirectFrequencies):
         return "ablation" if recognition is None else "lateral line alone"
     return {None: "macro-actions alone", ORACLE: "oracle"}.get(recognition, "both modules")
