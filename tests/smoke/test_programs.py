@@ -6,12 +6,15 @@ glide, as a wake takes minutes to develop; ``tests/envs/test_real_wake.py`` has 
 
 from __future__ import annotations
 
+import csv
 import importlib
+import math
 import os
 import re
 import shutil
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +26,7 @@ import fishrl.viewer.files
 from experiments.program import list_choices
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
+from fishrl.physics import InPlaceSolver
 from tests.docs.pages import DOCS
 from tests.docs.test_tutorials import BRIEF, CHANNEL
 from tests.envs.conftest import SMALL
@@ -199,6 +203,26 @@ def test_a_gait_is_tried_in_all_streams_and_its_page_is_written(
     shutil.copy(DOCS / "karman_gait.md", tmp_path)
     _run("gait_page", f"docs={tmp_path}", f"drift={sweep}")
     assert (tmp_path / "figures" / "gait" / "drift.png").is_file()
+
+
+def test_the_force_on_a_held_fish_is_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In water at rest instead of a developed wake, eagerly."""
+    bank = WakeBank(
+        populations=torch.zeros(3, 1, 9, 50, 150), shedding_frequencies=torch.full((3,), 0.01)
+    )
+    monkeypatch.setattr(Stream, "load_wakes", lambda *_: bank)
+    eager = partial(InPlaceSolver, compile=False)
+    monkeypatch.setattr("experiments.gait_forces.InPlaceSolver", eager)
+    own = _set_task(SMALL | {"domain_bl": (7.5, 2.5), "wall_margin_bl": 0.25})
+    few = ["positions_bl=[1.2]", "ratios=[0,1]", "num_phases=1", "settling=1", "periods=2"]
+    _run("gait_forces", *own, *few, f"folder={tmp_path}")
+    with (tmp_path / "forces.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["ratio"] for row in rows] == ["0.0", "1.0"] * 3
+    assert all(math.isfinite(float(row["force_x"])) for row in rows)
+    assert (tmp_path / "forces.png").is_file()
 
 
 @pytest.mark.usefixtures("kinematic")

@@ -36,6 +36,8 @@ _GRAPH_PAIRS = 50  # most pairs of steps in one CUDA graph
 _BODY: dict[str, object] = {"cpp.threads": 1, "realize_opcount_threshold": 10}
 # On a GPU launches count: Inductor puts kernels that do not depend on each other into one.
 _GPU: dict[str, object] = {"combo_kernels": True}
+# Nor is the stream's speed worth a kernel of its own.
+_GPU_EDGES: dict[str, object] = {"realize_reads_threshold": 16, "realize_opcount_threshold": 1000}
 # The bodies' part of each step: as tensor operations, or around the kernel for a GPU.
 _BODIES = ("bodies", "place", "couple", "move")
 
@@ -185,13 +187,16 @@ class Stepper:
     def compile(self, *names: str) -> None:
         """Compile the kernels named, or all but "check"; "couple" is compiled by Triton."""
         structure = self._config.get_structure()
-        of_bodies = _GPU if self._device.type == "cuda" else _BODY
+        is_gpu = self._device.type == "cuda"
+        options = dict.fromkeys(("locate", *_BODIES), _GPU if is_gpu else _BODY)
+        if is_gpu:
+            options |= dict.fromkeys(self._edges, _GPU_EDGES)
         for name in names or [n for n in self.kernels if n not in ("check", "couple")]:
             self.kernels[name] = compile_inplace(
                 self.kernels[name],
                 self._example.arguments[name][0],
                 name=name + repr(structure) if is_own(structure) else None,
-                **of_bodies if name in ("locate", *_BODIES) else {},
+                **options.get(name, {}),
             )
 
     def is_fine(self, group: FlowGroup) -> Tensor:
