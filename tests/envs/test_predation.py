@@ -135,7 +135,8 @@ def test_an_action_turns_the_fish_by_fifteen_degrees(small_task: Predation) -> N
 
 @pytest.mark.usefixtures("kinematic")
 def test_a_continuous_action_turns_the_fish_and_sets_its_tail_beat() -> None:
-    task = Predation(**SMALL, action="continuous", turn_degrees=10.0, frequency_range=(0.5, 2.0))
+    given = {**SMALL, "wall_margin_bl": 0.25, "action": "continuous", "turn_degrees": 10.0}
+    task = Predation(**given, frequency_range=(0.5, 2.0))
     env = make_env(task, starts_at(*[(6.5, 2.5)] * 3))
     assert task.scales.max_frequency == 2.0
     env.reset()

@@ -127,10 +127,10 @@ class InPlaceSolver:
             self._began = start
         if not wait:
             return
-        if self._wants_compile:
-            self._batch.stepper.compile("check")  # while the workers compile the rest
         if self._workers is not None:
             self._workers.wait()
+        if self._wants_compile:  # only now: killed meanwhile, this process would leave its compiler
+            self._batch.stepper.compile("check")
         self._is_ready = True
         logger.info("flow step ready after %.1f s", time.perf_counter() - self._began)
 

@@ -106,7 +106,7 @@ def test_a_compiler_that_fails_is_an_error_with_its_message(fake_compiler: Path)
     done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
     said = done.stderr.splitlines()[-1]
     assert said.endswith("the compiler failed: no space left") and "ChildProcessError" in said
-    assert "Traceback" in done.stderr and "in serve" not in done.stderr  # the parent's alone
+    assert done.stderr.count("Traceback") == 1  # of the parent alone
 
 
 @ON_LINUX
