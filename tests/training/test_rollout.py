@@ -60,7 +60,7 @@ def test_nothing_is_learned_before_a_rollout_is_complete(toy: Toy) -> None:
 
 
 @pytest.mark.learning
-@pytest.mark.parametrize("is_continuous", [False, True])
+@pytest.mark.parametrize("is_continuous", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_ppo_learns_to_catch_still_food(toy: Toy, is_continuous: bool) -> None:
     summary = toy.begin(
         task={"food_speed_bl": 0.0, "is_continuous": is_continuous},
