@@ -21,6 +21,7 @@ from torchrl.envs import EnvBase, Transform
 
 from experiments.figures.style import COLOURS, panels, tidy
 from experiments.gait.trials import PERIODS, GaitSettings, Trial, load_trial, make_trial
+from experiments.pages import write_table
 from experiments.program import program
 from experiments.statistics import Statistic
 from fishrl.bounds import bounded
@@ -245,23 +246,21 @@ def summarise(records: Sequence[Record], task: KarmanGait) -> dict[str, Any]:
     }
 
 
-def write_table(results: dict[str, dict[str, Any]]) -> str:
-    """Return the table of all arms, markdown."""
-    lines = [
-        "| labels from | policies | survival, T | label right | changes | recognised within "
-        f"{PROMPT_T:g} T | median delay, T |",
-        "|---|---|---|---|---|---|---|",
-    ]
+def tabulate(results: dict[str, dict[str, Any]]) -> str:
+    """Return the table of all arms, Markdown."""
+    heads = (
+        *("labels from", "policies", "survival, T", "label right", "changes"),
+        *(f"recognised within {PROMPT_T:g} T", "median delay, T"),
+    )
+    rows = []
     for name, arm in results.items():
+        shown = ["–"] * 4
+        if not math.isnan(arm["accuracy"]):
+            shown = [f"{arm['accuracy']:.1%}", arm["changes"], f"{arm['recognised']:.1%}"]
+            shown.append(f"{arm['median_delay_T']:.2f}")
         survival = Statistic.of(arm["survival_T"]).show(".1f")
-        cells = [name, str(len(arm["survival_by_policy_T"])), survival]
-        if math.isnan(arm["accuracy"]):
-            cells += ["–"] * 4
-        else:
-            cells += [f"{arm['accuracy']:.1%}", str(arm["changes"]), f"{arm['recognised']:.1%}"]
-            cells.append(f"{arm['median_delay_T']:.2f}")
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+        rows.append([name, len(arm["survival_by_policy_T"]), survival, *shown])
+    return write_table(heads, rows)
 
 
 def write_figure(
@@ -326,7 +325,7 @@ def main(settings: ChangingSettings) -> None:
     folder = Path(settings.folder)
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "changing.json", results)
-    (folder / "changing.md").write_text(write_table(results), encoding="utf-8")
+    (folder / "changing.md").write_text(tabulate(results), encoding="utf-8")
     names = [f"{speed:g} L/T" for speed in task.stream.speeds_bl]
     first = {name: records[0] for name, records in arms.items()}
     write_figure(folder / "changing.png", results, first, names)

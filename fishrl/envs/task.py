@@ -104,13 +104,25 @@ class AbstractTask(ABC):
                 f"{least / self.body_length:.3f}, or raise checks_per_action"
             )
 
+    @property
+    def max_frequency(self) -> float:
+        """Highest tail-beat frequency, beats per T."""
+        return 1.0
+
+    @property
+    def max_stream_speed_bl(self) -> float:
+        """Fastest stream, L / T; 0 in still water."""
+        return 0.0
+
     @cached_property
     def scales(self) -> Scales:
-        """Lattice units of the task."""
+        """Lattice units of the task; the fastest beat or stream sets T."""
         return Scales.from_budget(
             body_length=self.body_length,
             reynolds=self.reynolds,
             max_wall_speed=self.max_wall_speed,
+            max_frequency=self.max_frequency,
+            stream_speed_bl=self.max_stream_speed_bl,
         )
 
     @cached_property

@@ -16,7 +16,7 @@ from torchrl.envs.utils import check_env_specs
 
 from fishrl.envs import Predation
 from fishrl.envs.episodes import Episodes
-from fishrl.training import DRQN, SAC, DiscreteSAC, Interrupted, Observer, begin
+from fishrl.training import DRQN, SAC, Algorithm, DiscreteSAC, Interrupted, Observer, begin
 from fishrl.training.loop import Training
 from fishrl.training.metrics import list_metrics
 from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
@@ -170,10 +170,15 @@ def test_a_run_that_is_stopped_while_it_draws_is_not_finished(toy: Toy) -> None:
 
 
 @pytest.mark.learning
-def test_the_fish_learns_to_catch_still_food(toy: Toy) -> None:
+@pytest.mark.parametrize(
+    "algorithm",
+    [DiscreteSAC(target_entropy_weight=0.3), SAC(alpha_init=0.2)],
+    ids=lambda a: type(a).__name__,
+)
+def test_the_fish_learns_to_catch_still_food(toy: Toy, algorithm: Algorithm) -> None:
     summary = toy.begin(
-        task={"food_speed_bl": 0.0},
-        algorithm=DiscreteSAC(target_entropy_weight=0.3),
+        task={"food_speed_bl": 0.0, "is_continuous": algorithm.takes_continuous},
+        algorithm=algorithm,
         num_envs=16,
         total_frames=1600,
         warmup_frames=320,
@@ -187,30 +192,8 @@ def test_the_fish_learns_to_catch_still_food(toy: Toy) -> None:
         buffer_size=2000,
         baselines=("random",),
     ).run()
-    # Two seeds gave 29 and 32 captures of 32, random actions 6.
-    assert summary["success_rate"] >= 0.75
-    assert summary["random_success_rate"] <= 0.4
-
-
-@pytest.mark.learning
-def test_the_fish_learns_continuous_actions(toy: Toy) -> None:
-    summary = toy.begin(
-        task={"food_speed_bl": 0.0, "is_continuous": True},
-        algorithm=SAC(alpha_init=0.2),
-        num_envs=16,
-        total_frames=1600,
-        warmup_frames=320,
-        updates_per_frame=1.0,
-        learning_rate=2e-3,
-        tau=0.03,
-        hidden=(64, 64),
-        eval_frames=400,
-        eval_episodes=10,
-        final_episodes=32,
-        buffer_size=2000,
-        baselines=("random",),
-    ).run()
-    # This seed gave 29 captures of 32, random actions 5.
+    # Of 32 captures discrete actions gave 29 and 32 (two seeds), random ones 6; continuous actions
+    # gave 29 (this seed), random ones 5.
     assert summary["success_rate"] >= 0.75
     assert summary["random_success_rate"] <= 0.4
 

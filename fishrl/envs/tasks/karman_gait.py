@@ -23,7 +23,6 @@ from fishrl.envs.task import AbstractTask, Command, as_pair
 from fishrl.envs.views import describe_flow_label, describe_lateral_line, find_shown_feature
 from fishrl.envs.wakes import WakeBank
 from fishrl.physics.flow import FlowConfig
-from fishrl.physics.units import Scales
 
 
 @final
@@ -134,16 +133,15 @@ class KarmanGait(AbstractTask):
         """Entries that ``command`` reads beside the action."""
         return ("flow_class",) if self.reads_flow_class else ()
 
-    @cached_property
-    def scales(self) -> Scales:
-        """Lattice units of the task; the fastest beat and stream set T."""
-        return Scales.from_budget(
-            body_length=self.body_length,
-            reynolds=self.reynolds,
-            max_wall_speed=self.max_wall_speed,
-            max_frequency=self.control.max_frequency,
-            stream_speed_bl=max(self.stream.speeds_bl),
-        )
+    @property
+    def max_frequency(self) -> float:
+        """Highest frequency of ``control``."""
+        return self.control.max_frequency
+
+    @property
+    def max_stream_speed_bl(self) -> float:
+        """Fastest of the known streams."""
+        return max(self.stream.speeds_bl)
 
     @property
     def flow_labels(self) -> list[dict[str, Any]]:

@@ -15,7 +15,6 @@ from fishrl.envs.rewards import reward_approach
 from fishrl.envs.scene import Marks, Panel, Scene, Series
 from fishrl.envs.sensors import compute_clearance, sense_target
 from fishrl.envs.task import AbstractTask, Command, as_pair
-from fishrl.physics.units import Scales
 
 #: Probability that the food first moves up.
 CHANCE_UP = {"up": 1.0, "down": 0.0, "random": 0.5}
@@ -124,15 +123,10 @@ class Predation(AbstractTask):
         turns = (-self.turn_degrees, self.turn_degrees)
         return (turns, self.frequency_range) if self.is_continuous else None
 
-    @cached_property
-    def scales(self) -> Scales:
-        """Lattice units of the task; a beat faster than one per T makes T longer."""
-        return Scales.from_budget(
-            body_length=self.body_length,
-            reynolds=self.reynolds,
-            max_wall_speed=self.max_wall_speed,
-            max_frequency=max(1.0, self.frequency_range[1]) if self.is_continuous else 1.0,
-        )
+    @property
+    def max_frequency(self) -> float:
+        """Highest tail-beat frequency, beats per T; at least 1, that of discrete actions."""
+        return max(1.0, self.frequency_range[1]) if self.is_continuous else 1.0
 
     @cached_property
     def start_range(self) -> tuple[tuple[int, int], tuple[int, int]]:

@@ -12,7 +12,7 @@ from fishrl.physics.bodies.motion import Driven, Fixed, Free, Oscillating
 from fishrl.physics.bodies.outline import BodyConfig, Cylinder, DCylinder, Ellipse, Foil
 from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.shear import ShearParams
-from fishrl.physics.bodies.state import make_body
+from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.diagnostics import compute_area
 
 ONE = torch.ones(1, dtype=torch.float64)
@@ -89,9 +89,9 @@ def test_the_eel_has_the_thickness_of_its_source() -> None:
     assert float(fish.draw()[0][:, 1].max()) == pytest.approx(4.0, abs=1e-3)
 
 
-def test_an_oscillating_body_follows_its_sine_exactly() -> None:
-    motion = Oscillating(sway=(3.0, -2.0), pitch=0.4, pitch_lag=0.5 * math.pi)
-    body = make_body(torch.zeros(1, 2, dtype=torch.float64), 0 * ONE, ONE / 50)
+def oscillate(motion: Oscillating, *, heading: float) -> BodyState:
+    """Return a body that began at the origin, after 17 of 50 steps."""
+    body = make_body(torch.zeros(1, 2, dtype=torch.float64), heading * ONE, ONE / 50)
     for _ in range(17):
         velocity, turn = motion.prescribe(body)
         body = body._replace(
@@ -99,6 +99,12 @@ def test_an_oscillating_body_follows_its_sine_exactly() -> None:
             heading=body.heading + turn,
             phase=body.phase + 2 * math.pi * body.frequency,
         )
+    return body
+
+
+def test_an_oscillating_body_follows_its_sine_exactly() -> None:
+    motion = Oscillating(sway=(3.0, -2.0), pitch=0.4, pitch_lag=0.5 * math.pi)
+    body = oscillate(motion, heading=0.0)
     angle = 2 * math.pi * 17 / 50
     assert body.position[0].tolist() == pytest.approx([3 * math.sin(angle), -2 * math.sin(angle)])
     assert float(body.heading) == pytest.approx(0.4 * (math.cos(angle) - 1.0))
@@ -106,14 +112,7 @@ def test_an_oscillating_body_follows_its_sine_exactly() -> None:
 
 def test_a_pitching_body_turns_about_its_pivot() -> None:
     motion = Oscillating(pitch=0.4, pivot=5.0)
-    body = make_body(torch.zeros(1, 2, dtype=torch.float64), 0.3 * ONE, ONE / 50)
-    for _ in range(17):
-        velocity, turn = motion.prescribe(body)
-        body = body._replace(
-            position=body.position + velocity,
-            heading=body.heading + turn,
-            phase=body.phase + 2 * math.pi * body.frequency,
-        )
+    body = oscillate(motion, heading=0.3)
     angle = float(body.heading)
     assert angle == pytest.approx(0.3 + 0.4 * math.sin(2 * math.pi * 17 / 50))
     expected = [5 * (math.cos(0.3) - math.cos(angle)), 5 * (math.sin(0.3) - math.sin(angle))]
