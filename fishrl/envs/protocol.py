@@ -77,7 +77,7 @@ class Solver(Protocol):
         """Set the flows of ``rows`` ``[B]`` to shifted populations ``[B, Q, Y, X]``."""
 
     def command_(self, turn: Tensor, num_steps: int, frequency: Tensor | None = None) -> None:
-        """Command the first body to turn and, optionally, to beat at a new frequency."""
+        """Command the first body, or with ``[B, M]`` the first M, to turn and to beat anew."""
 
     def advance_(self, num_steps: int, rows: Tensor | None = None) -> None:
         """Advance the flows of ``rows`` ``[B]`` (all by default) by an even number of steps.

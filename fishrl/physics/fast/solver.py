@@ -15,6 +15,7 @@ from fishrl.physics.bodies.placement import check_placement, lies_inside, spread
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
 from fishrl.physics.fast.batch import FlowBatch
+from fishrl.physics.fast.checks import check_tensor
 from fishrl.physics.fast.compiled import Kernel, find_compiler_problem
 from fishrl.physics.fast.workers import Workers, count_cores, map_shared, open_shared
 from fishrl.physics.flow import FlowConfig, compute_stream_speed, list_configs, make_params
@@ -170,7 +171,7 @@ class InPlaceSolver:
         """Return ``rows`` ``[B]`` on the device of the flows, all of them for None."""
         if rows is None:
             return torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        _check_tensor("rows", rows, (self.num_envs,), dtype=torch.bool)
+        check_tensor("rows", rows, (self.num_envs,), dtype=torch.bool)
         return rows.to(self.device)
 
     def reset_(
@@ -201,8 +202,8 @@ class InPlaceSolver:
         position, heading = spread_starts(
             position, heading, self.config, self.num_envs, self.device
         )
-        _check_tensor("position", position, where=rows)
-        _check_tensor("heading", heading, where=rows)
+        check_tensor("position", position, where=rows)
+        check_tensor("heading", heading, where=rows)
         flow = self._batch.flow
         fresh = []
         for m in range(len(self.bodies)):
@@ -242,7 +243,7 @@ class InPlaceSolver:
                 set at once, and a rise from rest goes on.
         """
         rows = self._choose(rows)
-        _check_tensor("speed", speed, (self.num_envs,), where=rows)
+        check_tensor("speed", speed, (self.num_envs,), where=rows)
         flow = self._batch.flow
         new = flow.params._replace(stream_speed=speed.to(flow.clock))
         if num_steps is not None:
@@ -258,30 +259,40 @@ class InPlaceSolver:
     def set_populations_(self, f: Tensor, rows: Tensor | None = None) -> None:
         """Set all flows, or the N of ``rows`` ``[B]``, to shifted populations ``[N, Q, Y, X]``."""
         chosen = self._choose(rows).nonzero()[:, 0]
-        _check_tensor("f", f, (len(chosen), Q, self.config.height, self.config.width))
+        check_tensor("f", f, (len(chosen), Q, self.config.height, self.config.width))
         f = f.to(self.device)
         for number in sorted(set((chosen // self._group_size).tolist())):
             is_own = chosen // self._group_size == number
             self._batch.groups[number].write_(chosen[is_own] % self._group_size, f[is_own])
 
     def command_(self, turn: Tensor, num_steps: int, frequency: Tensor | None = None) -> None:
-        """Command the first body to turn and, optionally, to beat at a new frequency.
+        """Command the first bodies to turn and, optionally, to beat at a new frequency.
 
-        ``turn`` ``[B]`` is the change of heading in radians, spread smoothly over ``num_steps``;
-        ``frequency`` ``[B]`` is in tail beats per step, and the phase stays continuous.
+        Args:
+            turn: change of heading in radians, spread smoothly over ``num_steps``: ``[B]`` of the
+                first body, or ``[B, M]`` of the first M; other bodies keep their commands.
+            num_steps: at least two.
+            frequency: tail beats per step, of the shape of ``turn``; the phase stays continuous.
+
+        Raises:
+            ValueError: for another shape, numbers that are not finite, and more than all bodies.
         """
         if num_steps < 2:
             raise ValueError(f"num_steps = {num_steps}: a turn takes at least two steps")
-        every_row = self._choose(None)
-        _check_tensor("turn", turn, (self.num_envs,), where=every_row)
+        check_tensor("turn", turn)
+        every_row, shape = self._choose(None), (self.num_envs, *turn.shape[1:2])
+        check_tensor("turn", turn, shape, where=every_row)
+        turns = turn.reshape(self.num_envs, -1)
+        self._get_body(turns.shape[1] - 1)
         if frequency is not None:
-            _check_tensor("frequency", frequency, (self.num_envs,), where=every_row)
-        body = self.body
-        body.turn.copy_(turn)
-        body.turn_steps.fill_(float(num_steps))
-        body.turn_clock.zero_()
-        if frequency is not None:
-            body.frequency.copy_(frequency)
+            check_tensor("frequency", frequency, shape, where=every_row)
+            frequency = frequency.reshape(turns.shape)
+        for index, body in enumerate(self.bodies[: turns.shape[1]]):
+            body.turn.copy_(turns[:, index])
+            body.turn_steps.fill_(float(num_steps))
+            body.turn_clock.zero_()
+            if frequency is not None:
+                body.frequency.copy_(frequency[:, index])
 
     def populations(self) -> Tensor:
         """Return a copy of the incoming populations ``[B, Q, Y, X]`` (shifted)."""
@@ -298,7 +309,7 @@ class InPlaceSolver:
 
         Both are NaN at points that are.
         """
-        _check_tensor("points", points, (self.num_envs, None, 2))
+        check_tensor("points", points, (self.num_envs, None, 2))
         return self._batch.sample(points.to(self.device))
 
     def markers(self, index: int = 0) -> Tensor:
@@ -367,32 +378,3 @@ class InPlaceSolver:
         """Replace each part of the step in this process by ``wrap(name, part)``, to measure it."""
         kernels = self._batch.stepper.kernels
         kernels |= {name: wrap(name, kernels[name]) for name in self.list_calls()}
-
-
-def _check_tensor(
-    name: str,
-    value: object,
-    shape: tuple[int | None, ...] | None = None,
-    *,
-    dtype: torch.dtype | None = None,
-    where: Tensor | None = None,
-) -> None:
-    """Check shape (None fits any length), type and, in rows ``where`` ``[B]``, that it is finite.
-
-    That is read on a CPU only: on a GPU the host would have to wait.
-    """
-    wanted = f"a tensor of shape {shape}" + (f" and type {dtype}" if dtype else "")
-    if not isinstance(value, Tensor):
-        raise ValueError(f"{name} = {value!r}: give {wanted}")
-    sizes = value.shape if shape is None else shape
-    is_fit = len(sizes) == value.dim() and all(
-        size in (None, own) for size, own in zip(sizes, value.shape, strict=True)
-    )
-    if not is_fit or dtype not in (None, value.dtype):
-        raise ValueError(
-            f"{name} has shape {tuple(value.shape)} and type {value.dtype}: give {wanted}"
-        )
-    if where is None or where.device.type != "cpu":
-        return
-    if not value.to(where.device)[where].isfinite().all():
-        raise ValueError(f"{name} = {value.tolist()}: must be finite in every chosen row")

@@ -122,3 +122,22 @@ def test_flows_that_differ_too_much_for_one_batch_are_refused() -> None:
         InPlaceSolver(config=[CROWD[0], other])
     with pytest.raises(ValueError, match="num_envs = 3 with 2 configurations"):
         InPlaceSolver(config=CROWD, num_envs=3)
+
+
+def test_each_fish_turns_and_beats_as_it_is_commanded() -> None:
+    fish = Fish(body_length=16)
+    solver = InPlaceSolver(
+        config=FlowConfig(width=64, height=72, tau=0.6, bodies=(fish, fish, fish)),
+        num_envs=1,
+        frequency=1 / 160,
+        compile=False,
+    )
+    heights = torch.tensor([18.0, 36.0, 54.0])
+    places = torch.stack((torch.full((3,), 32.0), heights), -1)
+    solver.reset_(torch.ones(1, dtype=torch.bool), places[None], torch.zeros(1, 3))
+    solver.command_(torch.tensor([[0.5, -0.5]]), 80, torch.tensor([[1 / 160, 1 / 320]]))
+    solver.advance_(80)
+    turned = torch.cat([body.heading + body.internal_angle for body in solver.bodies])
+    beats = torch.cat([body.beats for body in solver.bodies])
+    assert turned[0] > turned[2] + 0.2 and turned[1] < turned[2] - 0.2
+    torch.testing.assert_close(beats, torch.tensor([0.5, 0.25, 0.5]).double())
