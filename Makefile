@@ -12,7 +12,8 @@ PYTHON ?= $(shell for p in python3 python3.11 python3.12 python3.13 python3.14; 
 # Tests that need CUDA are skipped without it.
 MARKERS ?= not slow and not smoke
 # One process per core; files keep their order, so that physics and environments come first.
-PARALLEL ?= -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+PROCESSES ?= -n auto --maxprocesses 4
+PARALLEL ?= $(PROCESSES) --dist loadfile --no-loadscope-reorder
 
 .PHONY: help setup demo train test test-gpu test-gpu-proxy test-all smoke docs check bench bench-peers validate validate-quick format clean
 
@@ -59,7 +60,7 @@ test-all: $(STAMP) ## run all tests, including the slow ones and those of make s
 	$(BIN)/python -m pytest $(ARGS)
 
 smoke: $(STAMP) ## run each task, algorithm and program for a few steps, under 90 s
-	$(BIN)/python -m pytest -m "smoke and not slow" $(ARGS)
+	$(BIN)/python -m pytest $(PROCESSES) -m "smoke and not slow" $(ARGS)
 
 $(DOCS_STAMP): $(STAMP)
 	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -e '.[docs]' -c constraints.txt
