@@ -16,6 +16,7 @@ from fishrl.physics.bodies.motion import (
 from fishrl.physics.bodies.outline import BodyConfig, Cylinder, DCylinder, Ellipse, Foil
 from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.state import BodyState
+from fishrl.physics.bodies.strokes import C_START, Stroke, Strokes
 from fishrl.physics.boundaries import (
     Boundaries,
     NonEquilibrium,
@@ -42,6 +43,7 @@ from fishrl.physics.units import Scales, compute_tau
 __all__ = [
     "CARANGIFORM",
     "CARLING",
+    "C_START",
     "LONG_WAVE",
     "Bending",
     "BodyConfig",
@@ -73,6 +75,8 @@ __all__ = [
     "Section",
     "Sponge",
     "Storage",
+    "Stroke",
+    "Strokes",
     "Surging",
     "Towed",
     "compute_area",

@@ -7,11 +7,12 @@ import torch
 
 from fishrl.bounds import bounded
 from fishrl.physics.bodies.gait import CARLING, Gait
-from fishrl.physics.bodies.midline import MidlineParams
+from fishrl.physics.bodies.midline import Curve, MidlineParams, Slope
 from fishrl.physics.bodies.motion import Commanded, Motion
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams, Points, draw_section, to_tensors
 from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.shear import ShearParams
+from fishrl.physics.bodies.strokes import Strokes
 
 _COARSE = np.linspace(0.0, 1.0, 201)
 
@@ -27,6 +28,7 @@ class Fish(BodyConfig):
         gait: amplitude envelope and wavenumber.
         keeps_length: whether the midline keeps its length (``midline.py``) instead of the paper's
             vertical shear (``shear.py``).
+        strokes: curvatures that the midline follows instead of the gait; it then keeps its length.
         inset: see ``BodyConfig``; 0 by default, since a fish's tail is thinner than the kernel is
             wide. 0.45 makes a coarse fish faster, closer to the speed on a fine grid (the swimmer
             on the validation page).
@@ -38,6 +40,7 @@ class Fish(BodyConfig):
     thickness: float = bounded(0.12, greater=0, largest=1)
     gait: Gait = CARLING
     keeps_length: bool = False
+    strokes: Strokes | None = None
     inset: float = 0.0
     motion: Motion = field(default_factory=Commanded)
 
@@ -48,6 +51,14 @@ class Fish(BodyConfig):
                 f"keeps_length: the gait's midline rises by {slope:.2f} per unit of arc, allowed "
                 "is 0.95: lower the amplitude or the wavenumber"
             )
+        if self.strokes is not None:
+            half = self.section.compute_half_thickness(_COARSE, self.thickness)
+            bend = float((self.strokes.bound_curvature(_COARSE) * half).max())
+            if bend >= 1.0:
+                raise ValueError(
+                    f"strokes: curvature times half-thickness reaches {bend:.2f}, allowed is below "
+                    "1, where sections would overlap: lower the curvatures or the thickness"
+                )
         super().__post_init__()
 
     def draw(self) -> list[Points]:
@@ -56,7 +67,8 @@ class Fish(BodyConfig):
 
     def get_structure(self) -> tuple[object, ...]:
         """Return what this fish must share with its counterparts in other flows of a batch."""
-        return *super().get_structure(), self.keeps_length
+        num_strokes = 0 if self.strokes is None else len(self.strokes.sequence)
+        return *super().get_structure(), self.keeps_length, num_strokes
 
     @property
     def spacing(self) -> float:
@@ -68,7 +80,7 @@ class Fish(BodyConfig):
 
         Marker 0 is the nose, marker N / 2 the tail.
         """
-        if self.keeps_length:
+        if self.keeps_length or self.strokes is not None:
             return self._make_midline(device)
         places, spacing = self._place_markers()
         axial, h = self._pieces[0].T
@@ -107,11 +119,8 @@ class Fish(BodyConfig):
         half_thickness = self.section.compute_half_thickness(
             np.minimum(fine / self.body_length, 1.0), self.thickness
         )
-        scales = self.body_length ** (1.0 - np.arange(3.0))
-        modes = [
-            s * self.gait.evaluate_modes(fine / self.body_length, k) for k, s in enumerate(scales)
-        ]
         return MidlineParams(
+            curve=self._make_curve(fine / self.body_length, device),
             **to_tensors(
                 device,
                 spacing=spacing,
@@ -120,8 +129,14 @@ class Fish(BodyConfig):
                 step=step,
                 weight=0.5 * (step + np.append(step[1:], 0.0)),
                 half=self.body_length * half_thickness,
-                modes=np.stack(modes, 1),
                 area=self.area,
                 density_ratio=self.density_ratio,
-            )
+            ),
         )
+
+    def _make_curve(self, x: Points, device: torch.device | str) -> Curve:
+        if self.strokes is not None:
+            return self.strokes.make_curve(x, self.body_length, device)
+        scales = self.body_length ** (1.0 - np.arange(3.0))
+        modes = [s * self.gait.evaluate_modes(x, k) for k, s in enumerate(scales)]
+        return Slope(**to_tensors(device, modes=np.stack(modes, 1)))

@@ -1,15 +1,16 @@
 """Deformation of an inextensible midline, after Gazzola et al. and CubismUP.
 
-The midline has slope y_s = Z'(s) at arc length s, so x_s = sqrt(1 - y_s^2), and the sections of the
-body stay normal to it: r = (x, y) + eta n with n = (-y_s, x_s). In vertical shear (``shear.py``) a
-beating body's midline grows longer; here its length and the area are conserved, at the price of an
-integral along the body in every step.
+A gait gives the slope y_s = Z'(s) at arc length s, so x_s = sqrt(1 - y_s^2); strokes give the
+curvature instead (``strokes.py``). The sections of the body stay normal to the midline: r = (x, y) +
+eta n with n = (-y_s, x_s). In vertical shear (``shear.py``) a beating body's midline grows longer;
+here its length and the area are conserved, at the price of an integral along the body in every
+step.
 
-With kappa = y_ss / x_s a section of half-thickness h holds 2 h ds of mass and, about its midline
+With curvature kappa a section of half-thickness h holds 2 h ds of mass and, about its midline
 point, -(2 h^3 / 3) kappa ds of first and 2 h^3 / 3 ds of second moment.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -17,6 +18,70 @@ from torch import Tensor
 from fishrl.physics.bodies.gait import Beat, Deformation, compute_amplitudes
 
 _Pair = tuple[Tensor, Tensor]
+
+
+class Midline(NamedTuple):
+    """A midline and its change per step; ``[B, S]``, of vectors a pair (x, y).
+
+    Attributes:
+        points: in nodes, in a frame of its own.
+        tangent: unit vector from nose to tail.
+        curvature: kappa, per node.
+        points_rate: change of ``points``.
+        tangent_rate: change of ``tangent``.
+        curvature_rate: change of ``curvature``.
+    """
+
+    points: _Pair
+    tangent: _Pair
+    curvature: Tensor
+    points_rate: _Pair
+    tangent_rate: _Pair
+    curvature_rate: Tensor
+
+
+class Curve(Protocol):
+    """What sets a midline at one instant."""
+
+    def draw(self, beat: Beat, step: Tensor) -> Midline:
+        """Return the midline; ``step`` ``[B, S]`` is the arc length from the point before."""
+
+
+class Slope(NamedTuple):
+    """A gait's midline, given by its slope.
+
+    Attributes:
+        modes: ``[B, 3, 3, S]`` the three modes (sine, cosine, bend), Z, and Z', Z'' along the
+            midline.
+    """
+
+    modes: Tensor
+
+    def draw(self, beat: Beat, step: Tensor) -> Midline:
+        """Return the midline; see ``Curve``."""
+        e, e_t = compute_amplitudes(beat)
+
+        def combine(order: int, amplitudes: list[Tensor]) -> Tensor:
+            parts = [self.modes[:, k, order] * a[:, None] for k, a in enumerate(amplitudes)]
+            return parts[0] + parts[1] + parts[2]
+
+        y_s, y_st = combine(1, e), combine(1, e_t)
+        x_s = torch.sqrt(1.0 - y_s * y_s)
+        x_st = -y_s * y_st / x_s
+        return Midline(
+            points=(accumulate(x_s, step), combine(0, e)),
+            tangent=(x_s, y_s),
+            curvature=combine(2, e) / x_s,
+            points_rate=(accumulate(x_st, step), combine(0, e_t)),
+            tangent_rate=(x_st, y_st),
+            curvature_rate=(combine(2, e_t) - combine(2, e) * x_st / x_s) / x_s,
+        )
+
+
+def accumulate(slope: Tensor, step: Tensor) -> Tensor:
+    """Integrate ``[B, S]`` along the midline from the nose, by trapezes."""
+    before = torch.cat((slope[:, :1], slope[:, :-1]), 1)
+    return torch.cumsum(0.5 * (slope + before) * step, 1)
 
 
 class MidlineParams(NamedTuple):
@@ -29,8 +94,7 @@ class MidlineParams(NamedTuple):
         step: ``[B, S]`` arc length from each midline point to the one before (first: 0).
         weight: ``[B, S]`` arc length that each midline point represents.
         half: ``[B, S]`` half-thickness.
-        modes: ``[B, 3, 3, S]`` the three modes (sine, cosine, bend), Z, and Z', Z'' along the
-            midline.
+        curve: what sets the midline.
         area: ``[B]`` of the body.
         density_ratio: ``[B]`` body density over fluid density.
     """
@@ -41,7 +105,7 @@ class MidlineParams(NamedTuple):
     step: Tensor
     weight: Tensor
     half: Tensor
-    modes: Tensor
+    curve: Curve
     area: Tensor
     density_ratio: Tensor
 
@@ -57,24 +121,10 @@ class MidlineParams(NamedTuple):
         (the integral of the deformation velocity over the area) vanishes in vertical shear but not
         here, as the sections rotate: it is 1 to 2 % of the integral of that velocity's magnitude.
         """
-        e, e_t = compute_amplitudes(beat)
-
-        def combine(order: int, amplitudes: list[Tensor]) -> Tensor:
-            parts = [self.modes[:, k, order] * a[:, None] for k, a in enumerate(amplitudes)]
-            return parts[0] + parts[1] + parts[2]
-
-        def accumulate(slope: Tensor) -> Tensor:
-            """Integrate along the midline from the nose, by trapezes."""
-            before = torch.cat((slope[:, :1], slope[:, :-1]), 1)
-            return torch.cumsum(0.5 * (slope + before) * self.step, 1)
-
+        line = self.curve.draw(beat, self.step)
         mass, second = 2.0 * self.half * self.weight, 2.0 / 3.0 * self.half**3 * self.weight
-        y_s, y_st = combine(1, e), combine(1, e_t)
-        x_s = torch.sqrt(1.0 - y_s * y_s)
-        x_st = -y_s * y_st / x_s
-        first = combine(2, e) / x_s * second
-        first_t = (combine(2, e_t) - combine(2, e) * x_st / x_s) / x_s * second
-        normal, normal_t = (-y_s, x_s), (-y_st, x_st)
+        first, first_t = line.curvature * second, line.curvature_rate * second
+        normal, normal_t = _turn(line.tangent), _turn(line.tangent_rate)
         whole = mass.sum(-1, keepdim=True)
 
         def total(values: Tensor) -> Tensor:
@@ -84,8 +134,7 @@ class MidlineParams(NamedTuple):
             """Return midline points, or velocities, relative to those of the centre of area."""
             return points - (total(mass * points) - total(moment))[:, None] / whole
 
-        x, y = accumulate(x_s), combine(0, e)
-        x_t, y_t = accumulate(x_st), combine(0, e_t)
+        (x, y), (x_t, y_t) = line.points, line.points_rate
         middle = centre(x, first * normal[0]), centre(y, first * normal[1])
         middle_t = (
             centre(x_t, first * normal_t[0] + first_t * normal[0]),
@@ -97,7 +146,8 @@ class MidlineParams(NamedTuple):
             mass * _cross(middle, middle_t) + second * _cross(normal, normal_t) - first * mixed
         )
         stretch = _dot(middle, normal_t) + _dot(normal, middle_t)
-        rate = total(2.0 * mass * _dot(middle, middle_t) - 2.0 * first * stretch)
+        moment_rate = first * stretch + first_t * _dot(middle, normal)
+        rate = total(2.0 * mass * _dot(middle, middle_t) - 2.0 * moment_rate)
         station = self.station.long().expand(len(momentum), -1)
 
         def at_markers(centre: Tensor, across: Tensor) -> Tensor:
@@ -112,6 +162,11 @@ class MidlineParams(NamedTuple):
             inertia=inertia,
             inertia_rate=rate,
         )
+
+
+def _turn(a: _Pair) -> _Pair:
+    """Return a vector turned by 90 degrees."""
+    return -a[1], a[0]
 
 
 def _dot(a: _Pair, b: _Pair) -> Tensor:

@@ -17,17 +17,22 @@ class Section(Enum):
     ``EEL``: the two-dimensional eel of Kern & Koumoutsakos 2006, as in the open-source CubismUP 2D
     (``CarlingFish``, thickness 0.08): a round head of radius w = thickness / 2, a body that thins
     linearly from w at x = w to w / 4 at 0.95, and a pointed tail.
+
+    ``LARVA``: the larval zebrafish of Gazzola et al. 2012, as in CubismUP 2D (``CStartFish``,
+    thickness 0.127): an elliptic head up to x = 0.0862, a cubic down to 0.4 of the thickness at
+    0.3448, and a parabola to the tail.
     """
 
     NACA = "naca"
     EEL = "eel"
+    LARVA = "larva"
 
     def compute_half_thickness(self, x: _Values, thickness: float) -> _Values:
         """Return the half-thickness at ``x`` from the nose; both in body lengths."""
         if not 0.0 < thickness <= 0.4:
             raise ValueError(f"thickness = {thickness}: allowed is (0, 0.4] body lengths")
-        values = _draw_eel(x, thickness) if self is Section.EEL else _draw_naca(x, thickness)
-        return np.maximum(values, 0.0)
+        draw = {Section.NACA: _draw_naca, Section.EEL: _draw_eel, Section.LARVA: _draw_larva}
+        return np.maximum(draw[self](x, thickness), 0.0)
 
 
 def _draw_naca(x: _Values, thickness: float) -> _Values:
@@ -40,3 +45,14 @@ def _draw_eel(x: _Values, thickness: float) -> _Values:
     body = head - (head - tail) * (x - head) / (tail_at - head)
     values = np.where(x < head, np.sqrt(np.maximum(2.0 * head * x - x * x, 0.0)), body)
     return np.where(x > tail_at, tail * (1.0 - x) / (1.0 - tail_at), values)
+
+
+def _draw_larva(x: _Values, thickness: float) -> _Values:
+    head, tail = 0.5 * thickness, 0.2 * thickness
+    head_at, tail_at = 0.0862, 0.3448
+    nose = head * np.sqrt(np.maximum(1.0 - ((head_at - x) / head_at) ** 2, 0.0))
+    part, slope = (x - head_at) / (tail_at - head_at), tail * (tail_at - head_at)
+    drop = tail - head
+    body = head + (3.0 * drop + slope) * part**2 - (2.0 * drop + slope) * part**3
+    end = tail * (1.0 - ((x - tail_at) / (1.0 - tail_at)) ** 2)
+    return np.where(x < head_at, nose, np.where(x < tail_at, body, end))

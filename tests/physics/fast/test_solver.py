@@ -17,6 +17,8 @@ from fishrl.physics import (
     Foil,
     InPlaceSolver,
     Scales,
+    Stroke,
+    Strokes,
 )
 from fishrl.physics.bodies.motion import Bending, Commanded, Free, Surging, Towed
 from fishrl.physics.bodies.state import BodyState, make_body
@@ -95,6 +97,14 @@ COUETTE = Boundaries(
 )
 
 
+BEND, STRAIGHT = (-1.0, -0.4, -0.2), (0.0, 0.0, 0.0)
+STROKES = Strokes(
+    sequence=(
+        Stroke(duration=0.3, bend=BEND, wave=BEND, lag=0.7),
+        Stroke(duration=0.5, bend=STRAIGHT, wave=BEND, lag=0.7),
+    ),
+    phase=1.0,
+)
 CHANGES: dict[str, dict[str, Any]] = {
     "commanded": {"motion": Commanded()},
     "free": {"motion": Free()},
@@ -102,6 +112,7 @@ CHANGES: dict[str, dict[str, Any]] = {
     "towed": {"motion": Towed()},
     "surging": {"bodies": (Foil(chord=24, motion=Surging(pitch=0.3, pivot=10.0)),)},
     "constant length": {"bodies": (Fish(body_length=24, keeps_length=True, motion=Free()),)},
+    "strokes": {"bodies": (Fish(body_length=24, strokes=STROKES, motion=Free()),)},
     "sheared": {"boundaries": COUETTE, "stream_speed": 0.03, "ramp_steps": 50},
     "sponges": {
         "boundaries": INLET,

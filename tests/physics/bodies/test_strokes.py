@@ -1,0 +1,128 @@
+"""Strokes: a midline that follows its curvature."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from fishrl.physics.bodies.fish import Fish
+from fishrl.physics.bodies.gait import Beat
+from fishrl.physics.bodies.geometry import deform_body, place_markers
+from fishrl.physics.bodies.midline import MidlineParams
+from fishrl.physics.bodies.motion import Free
+from fishrl.physics.bodies.sections import Section
+from fishrl.physics.bodies.state import BodyState
+from fishrl.physics.bodies.strokes import C_START, Stroke, Strokes
+from fishrl.physics.cases import make_swimmer_config
+from fishrl.physics.diagnostics import compute_area
+from fishrl.physics.flow import make_params
+from tests.physics.bodies.test_fish import (
+    SCALES,
+    compute_centre,
+    make_fish_body,
+    outline,
+    sum_over_body,
+)
+
+LARVA = Fish(
+    body_length=100, section=Section.LARVA, thickness=0.127, strokes=C_START, motion=Free()
+)
+TIMES = (0.35, 0.6, 1.2, 2.3)  # T, in and after the strokes; it is bent most at 0.6
+
+
+def at(time: float) -> BodyState:
+    body = make_fish_body()
+    return body._replace(beats=body.beats + time)
+
+
+def read_beat(body: BodyState) -> Beat:
+    return Beat(body.phase, body.frequency, body.beats, body.bend, 0.0 * body.bend)
+
+
+def test_a_fish_begins_straight() -> None:
+    straight = replace(LARVA, strokes=None).make_params()
+    body = make_fish_body()
+    straight_places = place_markers(body, straight.deform(Beat(*5 * (0.0 * body.phase,))))
+    places = place_markers(body, deform_body(LARVA, LARVA.make_params(), body))
+    torch.testing.assert_close(places.position, straight_places.position, rtol=0, atol=0.01)
+    assert float(places.deformation_velocity.abs().max()) == 0.0
+
+
+def test_curvatures_at_the_control_points_are_those_given() -> None:
+    """At the end of the first stroke; the splines' second derivative vanishes at both ends."""
+    x = np.array([0.0, 0.2, 0.5, 0.75, 0.95, 1.0])
+    first, curve = C_START.sequence[0], C_START.make_curve(x, 10.0, "cpu")
+    step = torch.zeros(1, len(x), dtype=torch.float64)
+    curvature = curve.draw(read_beat(at(0.7)), step).curvature[0]
+    wave = np.sin(2.0 * math.pi * (0.7 - first.lag * x[2:5]) + C_START.phase)
+    expected = (np.array(first.bend) + np.array(first.wave) * wave) / 10.0
+    np.testing.assert_allclose(curvature[2:5], expected, atol=1e-12)
+    np.testing.assert_allclose(curvature[[0, 1, 5]], 0.0, atol=1e-12)
+    fine = np.concatenate((np.arange(3), 1e4 - 2 + np.arange(3))) / 1e4
+    splines = C_START.make_curve(fine, 1.0, "cpu").splines[0].numpy()
+    for low in (0, 3):
+        second = np.diff(splines[:, low : low + 3], 2) / 1e-8
+        assert abs(second).max() < 1.0  # elsewhere up to 300
+
+
+@pytest.mark.parametrize("time", TIMES)
+def test_a_bent_fish_keeps_length_area_and_centre_and_moves_as_it_says(time: float) -> None:
+    """Within the tolerances of gaits, though it bends by far more than 90 degrees."""
+    shape, body = LARVA.make_params(), at(time)
+    assert isinstance(shape, MidlineParams)
+    bent = deform_body(LARVA, shape, body)
+    places, half = outline(LARVA, body)[0], LARVA.num_markers // 2
+    spine = 0.5 * (places[1:half] + places[half + 1 :].flip(0))
+    length = float((spine[1:] - spine[:-1]).norm(dim=-1).sum())
+    ends = shape.step.cumsum(1)[0, shape.station[0, [1, half - 1]].long()]
+    assert length == pytest.approx(float(ends[1] - ends[0]), rel=2e-3)
+    assert float(compute_area(places[None])) == pytest.approx(LARVA.area, rel=2e-3)
+    assert float((compute_centre(places) - body.position[0]).abs().max()) < 0.05
+    before, after = (outline(LARVA, at(time + d / SCALES.period)) for d in (-0.5, 0.5))
+    imposed = place_markers(body, bent).deformation_velocity
+    arm = places - body.position[0]
+    moved = after - before + torch.stack((-arm[:, 1], arm[:, 0]), -1) * bent.spin
+    assert float((moved - imposed).abs().max()) < 5e-3 * float(imposed.abs().max())
+    momentum, size, inertia = sum_over_body(bent)
+    assert abs(momentum + float(bent.spin) * inertia) < 5e-3 * size
+    assert inertia == pytest.approx(float(bent.inertia), rel=5e-3)
+    early, late = (
+        float(deform_body(LARVA, shape, at(time + d / SCALES.period)).inertia)
+        for d in (-0.01, 0.01)
+    )
+    assert (late - early) / 0.02 == pytest.approx(float(bent.inertia_rate), rel=1e-4)
+
+
+def test_it_bends_by_more_than_a_right_angle() -> None:
+    nose, tail = (outline(LARVA, at(0.6))[0, i] for i in (0, LARVA.num_markers // 2))
+    assert float((tail - nose).norm()) < 0.65 * LARVA.body_length
+
+
+def test_fish_of_one_batch_may_follow_strokes_of_their_own() -> None:
+    small = Stroke(duration=0.4, bend=(1.0, 0.5, 0.2), wave=(0.3, 0.2, 0.1), lag=0.2)
+    other = Strokes(sequence=(small, C_START.sequence[1]), phase=0.4)
+    fish = [LARVA, replace(LARVA, strokes=other)]
+    configs = [make_swimmer_config(SCALES, length_bl=6, height_bl=6, bodies=(f,)) for f in fish]
+    both = make_params(configs).bodies[0]
+    body = at(0.9)
+    together = both.deform(Beat(*(torch.cat((v, v)) for v in read_beat(body))))
+    for row, own in enumerate(fish):
+        alone = own.make_params().deform(read_beat(body))
+        for one, each in zip(alone, together, strict=True):
+            torch.testing.assert_close(each[row], one[0], rtol=1e-12, atol=1e-12)
+    single = replace(LARVA, strokes=Strokes(sequence=(small,)))
+    configs[1] = make_swimmer_config(SCALES, length_bl=6, height_bl=6, bodies=(single,))
+    with pytest.raises(ValueError, match="flow 1 differs"):
+        make_params(configs)
+
+
+def test_strokes_that_no_body_can_follow_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"sections would overlap"):
+        tight = Stroke(duration=1.0, bend=(50.0, 0.0, 0.0), wave=(0.0, 0.0, 0.0), lag=0.0)
+        replace(LARVA, strokes=Strokes(sequence=(tight,)))
+    with pytest.raises(ValueError, match="duration = 0.0: must be"):
+        Stroke(duration=0.0, bend=(0.0, 0.0, 0.0), wave=(0.0, 0.0, 0.0), lag=0.0)
+    with pytest.raises(ValueError, match="at least one stroke"):
+        Strokes(sequence=())
