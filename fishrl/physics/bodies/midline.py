@@ -1,10 +1,10 @@
 """Deformation of an inextensible midline, after Gazzola et al. and CubismUP.
 
 A gait gives the slope y_s = Z'(s) at arc length s, so x_s = sqrt(1 - y_s^2); strokes give the
-curvature instead (``strokes.py``). The sections of the body stay normal to the midline: r = (x, y) +
-eta n with n = (-y_s, x_s). In vertical shear (``shear.py``) a beating body's midline grows longer;
-here its length and the area are conserved, at the price of an integral along the body in every
-step.
+curvature instead (``strokes.py``). The sections of the body stay normal to the midline, r = (x, y)
++ eta n with n = (-y_s, x_s). In vertical shear (``shear.py``) a beating body's midline grows
+longer; here its length and the area are conserved, at the price of an integral along the body in
+every step.
 
 With curvature kappa a section of half-thickness h holds 2 h ds of mass and, about its midline
 point, -(2 h^3 / 3) kappa ds of first and 2 h^3 / 3 ds of second moment.

@@ -32,7 +32,8 @@ class Section(Enum):
         if not 0.0 < thickness <= 0.4:
             raise ValueError(f"thickness = {thickness}: allowed is (0, 0.4] body lengths")
         draw = {Section.NACA: _draw_naca, Section.EEL: _draw_eel, Section.LARVA: _draw_larva}
-        return np.maximum(draw[self](x, thickness), 0.0)
+        values: _Values = draw[self](x, thickness)
+        return np.maximum(values, 0.0)
 
 
 def _draw_naca(x: _Values, thickness: float) -> _Values:
