@@ -30,6 +30,7 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/envs/__init__.py", TASK_SIDE),
     ("fishrl/envs/scene.py", {"torch"}),
     ("fishrl/envs/flow_env.py", TENSORS | {"torchrl"} | TASK_SIDE),
+    ("fishrl/envs/making.py", TENSORS | {"torchrl"} | TASK_SIDE),
     ("fishrl/envs/episodes.py", TENSORS | {"torchrl"} | TASK_SIDE),
     ("fishrl/envs/one_hot.py", TENSORS | {"torchrl"}),
     ("fishrl/envs/specs.py", TENSORS | {"torchrl"} | TASK_SIDE),
@@ -64,7 +65,7 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
         | TASK_SIDE,
     ),
 )
-TORCHRL_SIDE = {"fishrl.envs.flow_env", "fishrl.envs.transforms", "fishrl.envs.episodes"}
+TORCHRL_SIDE = {f"fishrl.envs.{name}" for name in ("flow_env", "making", "transforms", "episodes")}
 ON_USE = {"rerun", "wandb"}
 #: Modules for users of other frameworks: nothing else imports them, nor what they need.
 WAYS_IN = [ROOT / "fishrl/envs" / name for name in ("gymnasium.py", "stable_baselines.py")]
@@ -126,6 +127,7 @@ def test_library_files_import_only_what_their_layer_allows(path: Path) -> None:
 def test_task_files_do_not_reach_torchrl_through_the_env() -> None:
     gates = {path.name for path in WAYS_IN} | {
         "flow_env.py",
+        "making.py",
         "transforms.py",
         "episodes.py",
         "__init__.py",

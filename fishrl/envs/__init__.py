@@ -1,7 +1,8 @@
 """The environment and its tasks."""
 
 from fishrl.envs.episodes import run_episodes
-from fishrl.envs.flow_env import FlowEnv, make_env
+from fishrl.envs.flow_env import FlowEnv
+from fishrl.envs.making import make_env
 from fishrl.envs.one_hot import OneHotAction
 from fishrl.envs.task import AbstractTask, Command
 from fishrl.envs.tasks import KarmanGait, Predation

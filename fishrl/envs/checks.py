@@ -8,6 +8,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from fishrl.envs.agents import shape_fish
 from fishrl.envs.task import AbstractTask, Command
 
 MAX_TURN = 2.0 * pi  # radians in one control interval
@@ -27,10 +28,11 @@ def check_starts_of(task: AbstractTask) -> None:
 def check_answers(task: AbstractTask, now: TensorDictBase) -> None:
     """Raise ValueError for a wrong observation, mask, termination or report of measurements."""
     rows = tuple(now.shape)
-    observed = check_rows(task, "observe", task.observe(now), (*rows, task.n_obs), torch.float32)
+    own = shape_fish(task, rows[0])
+    observed = check_rows(task, "observe", task.observe(now), (*own, task.n_obs), torch.float32)
     is_finite = bool(observed.isfinite().all())
     _require(task, "observe", is_finite, observed.tolist(), "finite numbers")
-    bounds, shape = task.action_bounds, (*rows, task.num_actions)
+    bounds, shape = task.action_bounds, (*own, task.num_actions)
     if bounds is None:
         mask = check_rows(task, "action_mask", task.action_mask(now), shape, torch.bool)
         has_legal = bool(mask.any(-1).all())
@@ -71,7 +73,10 @@ def check_rows(
 
 
 def check_command(task: AbstractTask, order: Any, rows: tuple[int, ...]) -> None:
-    """Raise ValueError for a wrong output of ``task.command``, in particular wrong units."""
+    """Raise ValueError for a wrong output of ``task.command``, in particular wrong units.
+
+    ``rows`` is the shape of its numbers.
+    """
     expected = "Command(turn=..., frequency=...)"
     _require(task, "command", isinstance(order, Command), order, expected)
     turn = check_rows(task, "command turn", order.turn, rows)
@@ -88,15 +93,21 @@ def check_command(task: AbstractTask, order: Any, rows: tuple[int, ...]) -> None
 
 
 def check_action(action: Tensor, mask: Tensor) -> None:
-    """Raise ValueError for the first action ``[B]`` that ``mask`` ``[B, num_actions]`` forbids."""
+    """Raise ValueError for the first action that its mask ``[..., num_actions]`` forbids.
+
+    Actions are ``[B]``, or ``[B, M]`` of several fish.
+    """
     most = mask.shape[-1] - 1
+    if action.shape != mask.shape[:-1]:
+        wanted, got = tuple(mask.shape[:-1]), tuple(action.shape)
+        raise ValueError(f"action of shape {got}: must have shape {wanted}")
     is_legal = mask.gather(-1, action.clamp(0, most).unsqueeze(-1)).squeeze(-1)
     is_legal = is_legal & (action >= 0) & (action <= most)
     if not is_legal.all():
-        row = int(is_legal.int().argmin())
-        legal = mask[row].nonzero().squeeze(-1).tolist()
+        index, where = _find_first(~is_legal)
+        legal = mask[index].nonzero().squeeze(-1).tolist()
         raise ValueError(
-            f"action = {int(action[row])} in row {row}: legal is {legal}; policies must "
+            f"action = {int(action[index])} in {where}: legal is {legal}; policies must "
             "honour 'action_mask', and random actions are legal in environments of make_env"
         )
 
@@ -104,19 +115,27 @@ def check_action(action: Tensor, mask: Tensor) -> None:
 def scale_action(action: Tensor, bounds: Sequence[tuple[float, float]]) -> Tensor:
     """Map actions ``[B, n]`` in [-1, 1] to the ``bounds`` of their n numbers, float64.
 
+    Those of several fish are ``[B, M, n]``.
+
     Raises:
         ValueError: naming the first row with another shape or with a number beyond [-1, 1].
     """
-    if action.dim() != 2 or action.shape[1] != len(bounds):
+    if action.dim() < 2 or action.shape[-1] != len(bounds):
         raise ValueError(
             f"action of shape {tuple(action.shape)}: must hold {len(bounds)} numbers in each row"
         )
     is_legal = (action.abs() <= 1.0).all(-1)
     if not is_legal.all():
-        row = int(is_legal.int().argmin())
-        raise ValueError(f"action = {action[row].tolist()} in row {row}: allowed is -1 to 1")
+        index, where = _find_first(~is_legal)
+        raise ValueError(f"action = {action[index].tolist()} in {where}: allowed is -1 to 1")
     columns = zip(action.double().unbind(-1), bounds, strict=True)
     return torch.stack([a + 0.5 * (value + 1.0) * (b - a) for value, (a, b) in columns], -1)
+
+
+def _find_first(is_wrong: Tensor) -> tuple[tuple[int, ...], str]:
+    """Return index and name of the first of ``[B]`` rows, or ``[B, M]`` fish, that is wrong."""
+    index = tuple(is_wrong.nonzero()[0].tolist())
+    return index, ", ".join(f"{of} {i}" for of, i in zip(("row", "fish"), index, strict=False))
 
 
 def _require(task: AbstractTask, name: str, is_right: bool, got: Any, expected: str) -> None:

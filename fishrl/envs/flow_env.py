@@ -4,30 +4,23 @@
            --> observation, reward, terminated, action mask
 
 This is the only ``EnvBase``; a task supplies everything specific. ``make_env`` adds TorchRL's
-transforms: frame stacking, time limit, action mask.
+transforms.
 """
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from math import inf
 from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torch import Tensor, nn
-from torchrl.data import Categorical, Composite, Unbounded
-from torchrl.envs import (
-    ActionMask,
-    CatFrames,
-    EnvBase,
-    InitTracker,
-    RewardSum,
-    StepCounter,
-    Transform,
-    TransformedEnv,
-)
+from torch import Tensor
+from torchrl.data import Categorical, Composite
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import MarlGroupMapType
 
+from fishrl.envs.agents import group, name_entry, shape_fish
 from fishrl.envs.checks import (
     check_action,
     check_answers,
@@ -39,15 +32,18 @@ from fishrl.envs.checks import (
 from fishrl.envs.draws import draw_uniform
 from fishrl.envs.rows import merge, repeat
 from fishrl.envs.schedule import make_schedule
-from fishrl.envs.specs import make_action_spec, make_observation_spec
+from fishrl.envs.specs import make_action_spec, make_observation_spec, make_reward_spec
 from fishrl.envs.task import AbstractTask
-from fishrl.envs.transforms import equip
 
 logger = logging.getLogger(__name__)
 
 
 class FlowEnv(EnvBase):
-    """A batch of B flows with one fish each.
+    """A batch of B flows with one fish each, or with the M fish of a task that has several.
+
+    With several fish their observations, actions, masks and rewards are ``[B, M, ...]`` under
+    ``agents``, see ``fishrl.envs.agents``; ``group_map`` names them as TorchRL's multi-agent
+    environments do. Episodes begin and end for all fish of a flow together.
 
     A row that terminates within an action keeps the measurement of that moment and does not advance
     to the end of the action. A row diverges if it is no longer finite, too fast for the method, or
@@ -72,6 +68,7 @@ class FlowEnv(EnvBase):
         now: ``[B]`` TensorDict, the measurement behind the last observation.
         is_resting: ``[B]`` bool, rows that are not advanced and whose output is undefined;
             ``run_episodes`` sets it for rows without a start.
+        group_map: of several fish, TorchRL's names of the agents by their group.
 
     Raises:
         ValueError: for invalid arguments, or if a method of the task returns a wrong shape or type.
@@ -98,6 +95,10 @@ class FlowEnv(EnvBase):
             task.check_starts(starts)
             starts = starts.to(self.device)
         self.task, self.starts, self.on_frame = task, starts, on_frame
+        self._shape = shape_fish(task, num_envs)
+        if task.num_fish > 1:
+            names = [f"fish_{number}" for number in range(task.num_fish)]
+            self.group_map = MarlGroupMapType.ALL_IN_ONE_GROUP.get_group_map(names)
         self._schedule = make_schedule(
             task.n_substeps,
             checks=task.checks_per_action,
@@ -162,8 +163,8 @@ class FlowEnv(EnvBase):
         check_answers(self.task, self.now)
         observed = make_observation_spec(self.task, self.now)
         self.observation_spec_unbatched = observed.to(self.device)
-        self.action_spec_unbatched = make_action_spec(self.task).to(self.device)
-        self.reward_spec_unbatched = Unbounded((1,), device=self.device)
+        self.full_action_spec_unbatched = make_action_spec(self.task).to(self.device)
+        self.full_reward_spec_unbatched = make_reward_spec(self.task).to(self.device)
         flags = ("done", "terminated", "truncated")
         self.done_spec_unbatched = Composite(
             {name: Categorical(2, shape=(1,), dtype=torch.bool) for name in flags}
@@ -192,10 +193,10 @@ class FlowEnv(EnvBase):
         return self._write(diverged=none, done=none, terminated=none, truncated=none)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        action = self._read_action(tensordict["action"])
+        action = self._read_action(tensordict[name_entry(self.task, "action")])
         before = self.now.copy().update(self._read_inputs(tensordict))
-        command, rows = self.task.command(action, before), tuple(self.batch_size)
-        check_command(self.task, command, rows)
+        command = self.task.command(action, before)
+        check_command(self.task, command, self._shape)
         self.task.prepare_(self.solver, self.start)
         self.solver.command_(command.turn, self.task.n_substeps, command.frequency)
         now, diverged = self._advance(before)
@@ -203,15 +204,16 @@ class FlowEnv(EnvBase):
         self.now = merge(~diverged, now, self.now)
         self._count(diverged)
         terminated = self.task.is_terminated(self.now) & ~diverged
-        reward = check_rows(self.task, "reward", self.task.reward(before, self.now), rows)
-        reward = reward.float().masked_fill(diverged, 0.0)
+        reward = self.task.reward(before, self.now)
+        reward = check_rows(self.task, "reward", reward, self._shape).float()
+        reward = torch.where(diverged.view(-1, *(1,) * (reward.dim() - 1)), 0.0, reward)
         result = self._write(
             diverged=diverged,
             done=terminated | diverged,
             terminated=terminated,
             truncated=diverged,
         )
-        return result.set("reward", reward.unsqueeze(-1))
+        return result.set(name_entry(self.task, "reward"), reward.unsqueeze(-1))
 
     def _advance(self, before: TensorDict) -> tuple[TensorDict, Tensor]:
         """Run the flows for one action.
@@ -291,12 +293,13 @@ class FlowEnv(EnvBase):
 
     def _write(self, **flags: Tensor) -> TensorDict:
         """Return observation, mask, reported entries and flags; ``[B]`` become columns."""
-        columns = {**self.task.report(self.now), **flags}
+        own = {"observation": self.task.observe(self.now)}
         if self.task.action_bounds is None:
-            columns["action_mask"] = self.task.action_mask(self.now)
+            own["action_mask"] = self.task.action_mask(self.now).clone()
+        columns = {**self.task.report(self.now), **flags}
         return TensorDict(
             {
-                "observation": self.task.observe(self.now),
+                **group(own, self._shape),
                 "start_index": self._start_index.clone(),
                 **{
                     name: (value.unsqueeze(-1) if value.dim() == 1 else value).clone()
@@ -347,52 +350,3 @@ class FlowEnv(EnvBase):
         """End the solver's processes, if any."""
         super().close(raise_if_closed=raise_if_closed)
         self.solver.close()
-
-
-def make_env(
-    *,
-    task: AbstractTask,
-    num_envs: int,
-    seed: int = 0,
-    device: torch.device | str = "cpu",
-    compile: bool = True,
-    starts: TensorDictBase | None = None,
-    frames_per_action: int = 1,
-    on_frame: Callable[[FlowEnv], None] | None = None,
-    recognition: nn.Module | str | None = None,
-    transforms: Sequence[Transform] = (),
-) -> TransformedEnv:
-    """Return a ``FlowEnv`` with the transforms that policies need; see ``FlowEnv`` for arguments.
-
-    Adds ``observation_stack`` ``[B, num_stacked * n_obs]`` (oldest first, filled with the first
-    observation at reset), ``is_init``, ``step_count`` and ``episode_reward``. Episodes are
-    truncated after ``task.time_limit`` decisions, and random actions respect the action mask, which
-    continuous actions do not have.
-    ``recognition`` labels each flow, see ``transforms.equip``; ``transforms`` of one's own are
-    appended before the frame stack and may lengthen ``observation``.
-    """
-    task, labelling = equip(task, recognition)
-    observed = "observation"
-    env = TransformedEnv(
-        FlowEnv(
-            task=task,
-            num_envs=num_envs,
-            seed=seed,
-            device=device,
-            compile_flow=compile,
-            starts=starts,
-            frames_per_action=frames_per_action,
-            on_frame=on_frame,
-        )
-    )
-    for transform in (
-        InitTracker(),
-        StepCounter(max_steps=task.time_limit),
-        RewardSum(),
-        *labelling,
-        *transforms,
-        CatFrames(N=task.num_stacked, dim=-1, in_keys=[observed], out_keys=[f"{observed}_stack"]),
-        *([ActionMask()] if task.action_bounds is None else []),
-    ):
-        env.append_transform(transform)
-    return env

@@ -1,5 +1,7 @@
 """Starts of fish: from nose positions to bodies, and checks that they fit into the domain."""
 
+from itertools import combinations
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -7,11 +9,15 @@ from torch import Tensor
 from fishrl.envs.sensors import compute_clearance
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.geometry import locate_markers
+from fishrl.physics.bodies.placement import MIN_GAP, do_overlap
 from fishrl.physics.bodies.state import make_body
 
 
 def place_fish(starts: TensorDictBase, fish: Fish) -> tuple[Tensor, Tensor]:
-    """Return centre of mass ``[B, 2]`` and heading ``[B]`` of straight fish at their starts."""
+    """Return centre of mass ``[B, 2]`` and heading ``[B]`` of straight fish at their starts.
+
+    Starts of M fish give ``[B, M, 2]`` and ``[B, M]``.
+    """
     heading: Tensor = starts["heading"]
     nose_to_centre = fish.centre
     direction = torch.stack((torch.cos(heading), torch.sin(heading)), -1)
@@ -19,11 +25,15 @@ def place_fish(starts: TensorDictBase, fish: Fish) -> tuple[Tensor, Tensor]:
 
 
 def place_outline(starts: TensorDictBase, fish: Fish) -> Tensor:
-    """Return the outline ``[B, N, 2]`` of straight fish at their starts; see ``place_fish``."""
+    """Return the outline ``[B, N, 2]`` of straight fish at their starts; see ``place_fish``.
+
+    Starts of M fish give ``[B, M, N, 2]``.
+    """
     position, heading = place_fish(starts, fish)
-    body = make_body(position, heading, torch.zeros_like(heading))
+    every = heading.reshape(-1)
+    body = make_body(position.reshape(-1, 2), every, torch.zeros_like(every))
     shape = fish.make_params(heading.device)
-    return locate_markers(fish, shape, body)
+    return locate_markers(fish, shape, body).unflatten(0, heading.shape)
 
 
 def check_pattern(starts: TensorDictBase, pattern: TensorDictBase) -> None:
@@ -47,14 +57,27 @@ def check_pattern(starts: TensorDictBase, pattern: TensorDictBase) -> None:
 def check_fit(
     starts: TensorDictBase, fish: Fish, *, width: int, height: int, margin: float
 ) -> None:
-    """Raise ValueError unless straight fish at starts keep ``margin`` nodes from the edges."""
-    clearance = compute_clearance(place_outline(starts, fish), width=width, height=height)
+    """Raise ValueError unless straight fish at starts keep ``margin`` nodes from the edges.
+
+    Several fish must also lie apart from each other.
+    """
+    outlines = place_outline(starts, fish)
+    every = outlines.flatten(0, -3)
+    clearance = compute_clearance(every, width=width, height=height)
     is_wrong = ~(clearance >= margin)
     if is_wrong.any():
         i = int(is_wrong.int().argmax())
-        x, y = starts["head"][i].tolist()
+        x, y = starts["head"].reshape(-1, 2)[i].tolist()
         where = "is too near the edge" if clearance[i] >= 0.0 else "lies outside the domain"
         raise ValueError(
-            f"start {i}, head at ({x:g}, {y:g}): the fish, or a part of it, {where}; it must keep "
-            f"{margin:g} nodes from the edges of [0, {width - 1}] x [0, {height - 1}], move it in"
+            f"start {i * len(outlines) // len(every)}, head at ({x:g}, {y:g}): the fish, or a part "
+            f"of it, {where}; it must keep {margin:g} nodes from the edges of [0, {width - 1}] x "
+            f"[0, {height - 1}], move it in"
         )
+    for one, other in combinations(range(outlines.shape[1]) if outlines.dim() == 4 else (), 2):
+        is_wrong = do_overlap(outlines[:, one], outlines[:, other])
+        if is_wrong.any():
+            raise ValueError(
+                f"start {int(is_wrong.int().argmax())}: fish {one} and {other} overlap; move them "
+                f"apart, at least {MIN_GAP:g} node between their outlines"
+            )

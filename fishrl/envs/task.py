@@ -36,6 +36,8 @@ class Command(NamedTuple):
     Attributes:
         turn: ``[B]`` change of heading in radians, spread smoothly over the interval.
         frequency: ``[B]`` tail beats per step, or None to keep it.
+
+    Commands to M fish are ``[B, M]``.
     """
 
     turn: Tensor
@@ -51,8 +53,12 @@ class AbstractTask(ABC):
     ``num_draws``, random numbers per start. Optional ones: ``success``, the boolean entry of
     ``report`` that marks success (default "survived": reaching the time limit is success);
     ``inputs``, names of entries ``[B]`` that a transform writes and ``command`` reads;
-    ``num_samples``, calls of ``sense`` per action; and ``former_names``, names of measurements in
-    checkpoints of earlier versions and what each is called now.
+    ``num_samples``, calls of ``sense`` per action; ``former_names``, names of measurements in
+    checkpoints of earlier versions and what each is called now; and ``num_fish``.
+
+    With ``num_fish`` = M > 1 the first M bodies of the flow are fish that learn. ``head`` and
+    ``heading`` of starts are then ``[E, M, 2]`` and ``[E, M]``; actions, commands, observations,
+    rewards and masks have the axis M after B. Termination and ``success`` remain those of the flow.
 
     Args:
         body_length: L in nodes; at Reynolds number 7000 at least 50 for a useful swimming speed.
@@ -73,6 +79,7 @@ class AbstractTask(ABC):
     inputs: ClassVar[tuple[str, ...]] = ()
     num_samples: ClassVar[int] = 0
     former_names: ClassVar[Mapping[str, str]] = {}
+    num_fish: ClassVar[int] = 1
 
     body_length: int = bounded(50, least=16, largest=100_000)
     reynolds: float = bounded(7000.0, greater=0)
@@ -156,7 +163,8 @@ class AbstractTask(ABC):
     def flow_config(self) -> FlowConfig:
         """Return the flow; the default is a closed tank of still water."""
         width, height = (round(size * self.body_length) for size in self.domain_bl)
-        return FlowConfig(width=width, height=height, tau=self.scales.tau, bodies=(self.fish,))
+        bodies = (self.fish,) * self.num_fish
+        return FlowConfig(width=width, height=height, tau=self.scales.tau, bodies=bodies)
 
     @final
     def make_solver(
@@ -303,7 +311,8 @@ class AbstractTask(ABC):
 
     def action_mask(self, now: TensorDictBase) -> Tensor:
         """Return ``[B, num_actions]`` bool: legal discrete actions, at least one per row."""
-        return torch.ones(*now.shape, self.num_actions, dtype=torch.bool, device=now.device)
+        shape = (*now.shape, *((self.num_fish,) if self.num_fish > 1 else ()), self.num_actions)
+        return torch.ones(shape, dtype=torch.bool, device=now.device)
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return ``[B, ...]`` entries for the environment to write beside the observation."""

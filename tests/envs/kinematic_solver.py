@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.geometry import Markers, deform_body, place_markers
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.flow import FlowConfig
@@ -31,7 +32,12 @@ class KinematicSolver:
         )
         rest = torch.zeros(num_envs, dtype=torch.float64, device=device)
         fresh = make_body(rest[:, None].expand(-1, 2), rest, rest + frequency)
-        self.body = BodyState(*(t.clone() for t in fresh))
+        self.bodies = [
+            BodyState(*(t.clone() for t in fresh))
+            for body in config.bodies
+            if isinstance(body, Fish)  # other bodies are not there
+        ]
+        self.body = self.bodies[0]
         self.is_closed = False
 
     def compile(self, *, wait: bool = True) -> None:
@@ -48,29 +54,33 @@ class KinematicSolver:
         *,
         velocity: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        if position.dim() == 3:  # other bodies are not there
-            position, heading = position[:, 0], heading[:, 0]
-        fresh = make_body(position, heading, torch.full_like(heading, self.frequency))
-        for old, new in zip(self.body, fresh, strict=True):
-            old.copy_(torch.where(rows.view(-1, *(1,) * (old.dim() - 1)), new, old))
+        position = position.view(self.num_envs, -1, 2)
+        heading = heading.view(self.num_envs, -1)
+        for index, body in enumerate(self.bodies):
+            own = heading[:, index]
+            fresh = make_body(position[:, index], own, torch.full_like(own, self.frequency))
+            for old, new in zip(body, fresh, strict=True):
+                old.copy_(torch.where(rows.view(-1, *(1,) * (old.dim() - 1)), new, old))
 
     def command_(self, turn: Tensor, num_steps: int, frequency: Tensor | None = None) -> None:
-        self.body.turn.copy_(turn)
-        self.body.turn_steps.fill_(num_steps)
-        if frequency is not None:
-            self.body.frequency.copy_(frequency)
+        turn = turn.view(self.num_envs, -1)
+        for index, body in enumerate(self.bodies[: turn.shape[1]]):
+            body.turn.copy_(turn[:, index])
+            body.turn_steps.fill_(num_steps)
+            if frequency is not None:
+                body.frequency.copy_(frequency.view(self.num_envs, -1)[:, index])
 
     def advance_(self, num_steps: int, rows: Tensor | None = None) -> None:
         assert num_steps >= 0 and num_steps % 2 == 0
         assert self.config.fish is not None
-        body = self.body
-        speed = SPEED_BL * self.config.fish.body_length * body.frequency
         moves = torch.ones(self.num_envs) if rows is None else rows.double()
-        for _ in range(num_steps // 2):
-            direction = torch.stack((torch.cos(body.heading), torch.sin(body.heading)), -1)
-            body.position.add_(2.0 * (moves * speed)[:, None] * direction)
-            body.heading.add_(2.0 * moves * body.turn / body.turn_steps)
-            body.age.add_(2.0 * moves)
+        for body in self.bodies:
+            speed = SPEED_BL * self.config.fish.body_length * body.frequency
+            for _ in range(num_steps // 2):
+                direction = torch.stack((torch.cos(body.heading), torch.sin(body.heading)), -1)
+                body.position.add_(2.0 * (moves * speed)[:, None] * direction)
+                body.heading.add_(2.0 * moves * body.turn / body.turn_steps)
+                body.age.add_(2.0 * moves)
 
     def set_populations_(self, f: Tensor, rows: Tensor) -> None:
         """There is no flow to set."""
@@ -95,35 +105,38 @@ class KinematicSolver:
         swirl = 0.01 * torch.stack((-y, x)).float()
         return torch.ones(self.num_envs, *y.shape), swirl.expand(self.num_envs, 2, -1, -1)
 
-    @property
-    def bodies(self) -> list[BodyState]:
-        return [self.body]
-
     def head(self) -> Tensor:
         return self.markers()[:, 0]
 
     def markers(self, index: int = 0) -> Tensor:
-        assert index == 0
-        still = torch.zeros_like(self.body.phase)
-        straight = self.body._replace(phase=still, frequency=still, beats=still)
+        body = self.bodies[index]
+        still = torch.zeros_like(body.phase)
+        straight = body._replace(phase=still, frequency=still, beats=still)
         assert self.config.fish is not None
-        return place_markers(
-            self.body, deform_body(self.config.fish, self.shape, straight)
-        ).position
+        return place_markers(body, deform_body(self.config.fish, self.shape, straight)).position
 
     def surface(self) -> Markers:
         assert self.config.fish is not None
         return place_markers(self.body, deform_body(self.config.fish, self.shape, self.body))
 
     def is_diverged(self) -> Tensor:
-        x, y = self.markers().unbind(-1)
+        outlines = torch.cat([self.markers(index) for index in range(len(self.bodies))], 1)
+        x, y = outlines.unbind(-1)
         width, height = self.config.width, self.config.height
         is_inside = (x > 0.5) & (x < width - 1.5) & (y > 0.5) & (y < height - 1.5)
         return ~is_inside.all(-1)
 
     def state_dict(self) -> dict[str, Tensor]:
-        return {name: t.clone() for name, t in zip(BodyState._fields, self.body, strict=True)}
+        return {name: own.clone() for name, own in self._name_state().items()}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
-        for name, own in zip(BodyState._fields, self.body, strict=True):
+        for name, own in self._name_state().items():
             own.copy_(state[name])
+
+    def _name_state(self) -> dict[str, Tensor]:
+        """Return the states by name; those of further fish have their number."""
+        return {
+            name + f"_{index}" * (index > 0): value
+            for index, body in enumerate(self.bodies)
+            for name, value in body._asdict().items()
+        }

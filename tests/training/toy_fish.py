@@ -206,7 +206,7 @@ def make_toy_env(
     starts: TensorDict | None = None,
     frames_per_action: int = 1,
 ) -> TransformedEnv:
-    """Stand in for ``fishrl.envs.flow_env.make_env``."""
+    """Stand in for ``fishrl.envs.making.make_env``."""
     env = TransformedEnv(ToyFishEnv(task=task, num_envs=num_envs, seed=seed, starts=starts))
     for transform in (
         InitTracker(),

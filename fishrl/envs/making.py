@@ -1,0 +1,74 @@
+"""Making an environment with the transforms that policies need."""
+
+from collections.abc import Callable, Sequence
+
+import torch
+from tensordict import TensorDictBase
+from torch import nn
+from torchrl.envs import (
+    ActionMask,
+    CatFrames,
+    InitTracker,
+    RewardSum,
+    StepCounter,
+    Transform,
+    TransformedEnv,
+)
+
+from fishrl.envs.agents import name_entry
+from fishrl.envs.flow_env import FlowEnv
+from fishrl.envs.task import AbstractTask
+from fishrl.envs.transforms import equip
+
+
+def make_env(
+    *,
+    task: AbstractTask,
+    num_envs: int,
+    seed: int = 0,
+    device: torch.device | str = "cpu",
+    compile: bool = True,
+    starts: TensorDictBase | None = None,
+    frames_per_action: int = 1,
+    on_frame: Callable[[FlowEnv], None] | None = None,
+    recognition: nn.Module | str | None = None,
+    transforms: Sequence[Transform] = (),
+) -> TransformedEnv:
+    """Return a ``FlowEnv`` with the transforms that policies need; see ``FlowEnv`` for arguments.
+
+    Adds ``observation_stack`` ``[B, num_stacked * n_obs]`` (oldest first, filled with the first
+    observation at reset), ``is_init``, ``step_count`` and ``episode_reward``. Episodes are
+    truncated after ``task.time_limit`` decisions, and random actions respect the action mask, which
+    continuous actions do not have. With several fish per flow the stacks, masks and
+    ``episode_reward`` are theirs, under ``agents``.
+    ``recognition`` labels each flow, see ``transforms.equip``; ``transforms`` of one's own are
+    appended before the frame stack and may lengthen ``observation``.
+    """
+    task, labelling = equip(task, recognition)
+    observed, stacked, action, mask = (
+        name_entry(task, name)
+        for name in ("observation", "observation_stack", "action", "action_mask")
+    )
+    env = TransformedEnv(
+        FlowEnv(
+            task=task,
+            num_envs=num_envs,
+            seed=seed,
+            device=device,
+            compile_flow=compile,
+            starts=starts,
+            frames_per_action=frames_per_action,
+            on_frame=on_frame,
+        )
+    )
+    for transform in (
+        InitTracker(),
+        StepCounter(max_steps=task.time_limit),
+        RewardSum(),
+        *labelling,
+        *transforms,
+        CatFrames(N=task.num_stacked, dim=-1, in_keys=[observed], out_keys=[stacked]),
+        *([ActionMask(action, mask)] if task.action_bounds is None else []),
+    ):
+        env.append_transform(transform)
+    return env
