@@ -76,7 +76,8 @@ def write_scaling(cases: Sequence[Case], caches: dict[str, int], path: Path) -> 
         for name, size in caches.items():
             if 0.5 * nodes[0] < size / 36 < 2.0 * nodes[-1]:  # nodes whose populations it holds
                 left.axvline(size / 36, color="#bbbbbb", linewidth=1.0)
-                left.text(size / 36, 0.0, f"{name} {size / 2**20:g} MB ", rotation=90, ha="right")
+                label = f" {name} {size / 2**20:g} MB"
+                left.text(size / 36, 0.0, label, rotation=90, ha="right", va="bottom")
         left.set_xscale("log")
         right.set_xscale("log", base=2)
         right.set_xticks(flows, [str(count) for count in flows])
