@@ -59,6 +59,8 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
             "matplotlib",
             "PIL",
             "imageio_ffmpeg",
+            "xarray",
+            "pyvista",
             "fishrl.viewer",
             "fishrl.bounds",
         }

@@ -9,6 +9,7 @@ import xarray as xr
 
 from experiments import export
 from fishrl.training.progress import Progress
+from fishrl.viewer.fields import write_netcdf, write_vtk, write_zarr
 
 TINY = [
     "policy=pursuit", "compile=false", "periods=1", "frames_per_T=2", "task.body_length=16",
@@ -36,8 +37,8 @@ def test_fields_are_in_body_lengths_and_periods(flow: xr.Dataset) -> None:
 
 
 def test_xarray_reads_netcdf_and_zarr(flow: xr.Dataset, tmp_path: Path) -> None:
-    export.write_netcdf(flow, tmp_path / "flow.nc")
-    export.write_zarr(flow, tmp_path / "flow.zarr")
+    write_netcdf(flow, tmp_path / "flow.nc")
+    write_zarr(flow, tmp_path / "flow.zarr")
     for read in (
         xr.load_dataset(tmp_path / "flow.nc", engine="h5netcdf"),
         xr.open_zarr(tmp_path / "flow.zarr", consolidated=False).load(),
@@ -47,7 +48,7 @@ def test_xarray_reads_netcdf_and_zarr(flow: xr.Dataset, tmp_path: Path) -> None:
 
 
 def test_vtk_reads_the_flow_and_the_bodies(flow: xr.Dataset, tmp_path: Path) -> None:
-    export.write_vtk(flow, tmp_path / "flow.pvd")
+    write_vtk(flow, tmp_path / "flow.pvd")
     reader = pv.get_reader(tmp_path / "flow.pvd")
     assert reader.time_values == pytest.approx(flow["time"].values.tolist())
     reader.set_active_time_value(reader.time_values[-1])
