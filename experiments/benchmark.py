@@ -23,8 +23,8 @@ from experiments.benchmarks.machine import describe_machine
 from experiments.benchmarks.measuring import BenchmarkSettings, Results, measure
 from experiments.benchmarks.plots import write_plots
 from experiments.benchmarks.report import describe_run, list_tables, write_page
+from experiments.configuration import unknown
 from experiments.program import program
-from fishrl.bounds import suggest
 
 logger = logging.getLogger(__name__)
 #: Group, code, and what makes its cases; an ImportError says that the code is not installed.
@@ -48,7 +48,7 @@ def run(settings: BenchmarkSettings) -> Results:
     """Make the cases of the chosen groups and of the probes, and measure them."""
     known = {group for group, _, _ in GROUPS}
     for group in set(settings.groups) - known:
-        raise ValueError(f"groups: there is no {group!r}{suggest(group, known)}")
+        raise unknown(group, sorted(known))
     chosen = {"probe", *settings.groups} if settings.groups else known
     os.environ["OMP_NUM_THREADS"] = str(settings.threads)  # read by libraries loaded later
     torch.set_num_threads(settings.threads)

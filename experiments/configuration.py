@@ -137,9 +137,11 @@ class CommandLine:
         return overrides
 
     def _as_override(self, word: str, known: Sequence[str]) -> str:
-        key = word.lstrip("+").split("=", 1)[0]
-        if "=" not in word and self.positional is not None:
+        key, equals, _ = word.lstrip("+").partition("=")
+        if not equals and self.positional is not None:
             return f"++{self.positional}={quote(word)}"
+        if not (key and equals) and not word.startswith("~"):
+            raise ValueError(f"{word!r}: settings are given as key=value, without spaces")
         if word.startswith(("~", "hydra")) or key in self.groups or "/" in key or "@" in key:
             return word
         if key.split(".", 1)[0] not in known:
@@ -313,9 +315,10 @@ def explain(
         return unknown(key, known)
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     if not key:
-        return ValueError(" ".join(lines))
+        return ValueError(" ".join(lines).replace("'++", "'"))
     given = "" if config is None else f"={OmegaConf.select(config, key)}"
-    return ValueError(f"{key}{given}: {lines[0]}")
+    problem = "must be a list, in brackets" if "not a ListConfig" in lines[0] else lines[0]
+    return ValueError(f"{key}{given}: {problem}")
 
 
 def unknown(key: str, known: Iterable[str]) -> ValueError:

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 
+from experiments.configuration import unknown
 from experiments.program import program
 from experiments.validation.case import MISSED, Case
 from experiments.validation.report import render_table, summarise, write_report
 from experiments.validation.runner import run_cases
-from fishrl.bounds import suggest
 
 # in the order of the report
 NAMES = (
@@ -57,7 +57,7 @@ class ValidateSettings:
         names = [case.name for case in CASES]
         for name in self.cases:
             if name not in names:
-                raise ValueError(f"cases: there is no {name!r}{suggest(name, names)}")
+                raise unknown(name, names)
         if self.jobs < 1:
             raise ValueError(f"jobs={self.jobs}: at least one process is needed")
 

@@ -66,6 +66,9 @@ class ViewConfig(PolicySettings, ViewerSettings):
             settings.__post_init__(self)
         if self.recording is not None and (self.save or self.live):
             raise ValueError("save and live: are for policies; a recording is only opened")
+        endings = (".rrd", *FILMS)
+        if self.save is not None and Path(self.save).suffix not in endings:
+            raise ValueError(f"save = {self.save}: must end in one of {', '.join(endings)}")
         if self.is_film and (self.screenshot or self.live or len(self.shown) > 1):
             raise ValueError(
                 f"save = {self.save}: a film is of one flow (flows=[0]); leave out screenshot, live"

@@ -24,5 +24,6 @@ def find_policy(name: str) -> Path:
     """
     known, wanted = list_policies(), name.removeprefix(PREFIX)
     if wanted not in known:
-        raise ValueError(f"{PREFIX}{wanted}: there is no such policy{suggest(wanted, known)}")
+        hint = suggest(wanted, known) or f"; there is: {', '.join(known)}"
+        raise ValueError(f"{PREFIX}{wanted}: there is no such policy{hint}")
     return _ROOT / wanted

@@ -81,7 +81,8 @@ def test_a_value_out_of_range_is_refused(argument: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "argument", ["small", "seed=[1", "seed=0,1", "preset=[1.0]", "--config-dir=/nowhere"]
+    "argument",
+    ["small", "seed", "=", "seed=[1", "seed=0,1", "preset=[1.0]", "--config-dir=/nowhere"],
 )
 def test_what_is_no_single_setting_is_refused_in_one_line(argument: str) -> None:
     with pytest.raises(ValueError, match=r"\w") as error:

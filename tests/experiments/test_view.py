@@ -123,6 +123,7 @@ def test_a_live_view_streams_and_stays_until_an_interrupt(
         (["run=nowhere"], "error: checkpoint nowhere: there is none"),
         (["policy=pid", "field_format=jpg"], "error: field_format = jpg: .*did you mean 'jpeg'"),
         ([*GAIT, "policy=pid", "flows=[1]", "save=x.rrd"], r"error: flows = \[1\]: must be some"),
+        (["policy=pid", "save=x.avi"], r"error: save = x\.avi: must end in one of \.rrd, \.mp4"),
         ([*GAIT, "policy=pid", "save=nowhere/x.rrd"], "error: no folder nowhere: make it first"),
         (
             [*GAIT, "policy=pid", "save=x.rrd", "screenshot=nowhere/x.png"],
