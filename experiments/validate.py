@@ -24,7 +24,7 @@ from experiments.validation.runner import run_cases
 NAMES = (
     *("taylor_green", "poiseuille", "cavity", "invariance", "slip", "channel_cylinder"),
     *("free_cylinder", "d_cylinder", "outflow", "oscillating_cylinder", "settling_disc"),
-    *("sheared_ellipse", "swimmer", "gaits", "turning", "pitching_pair"),
+    *("sheared_ellipse", "swimmer", "gaits", "turning", "pitching_pair", "c_start"),
     *("compressibility", "stability"),
 )
 CASES: tuple[Case, ...] = tuple(

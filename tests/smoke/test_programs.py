@@ -147,6 +147,15 @@ def test_a_policy_of_continuous_actions_is_evaluated_viewed_and_exported(
     assert (tmp_path / "flow.rrd").is_file()
 
 
+@pytest.mark.sweep
+def test_a_c_start_is_searched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("cmaes", reason="pip install -e '.[sweep]'")
+    monkeypatch.setattr("experiments.validation.c_start.PARTS", 1)
+    few = ["generations=1", "population=4", "body_length=16", "finer=[18]"]
+    _run("c_start", f"folder={tmp_path}", *few, "workers=0", "compile=false")
+    assert (tmp_path / "c_start.png").is_file()
+
+
 @pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize(
     ("task", "policy"),

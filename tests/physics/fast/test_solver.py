@@ -165,8 +165,9 @@ def test_a_stream_that_changes_equals_the_readable_step_and_resumes_on_the_way()
 
 
 @pytest.mark.compile
-def test_compiled_step_equals_the_readable_step_and_repeats_bit_for_bit() -> None:
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
+@pytest.mark.parametrize("name", ["commanded", pytest.param("strokes", marks=pytest.mark.slow)])
+def test_compiled_step_equals_the_readable_step_and_repeats_bit_for_bit(name: str) -> None:
+    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, **CHANGES[name])
     solver, twin = make_solver(config, compile=True), make_solver(config, compile=True)
     for each in (solver, twin):
         each.advance_(120)
