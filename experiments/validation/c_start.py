@@ -170,8 +170,8 @@ def judge(runs: Runs) -> Iterator[Check]:
     quantity, theirs = "distance after 2.7 T, L", f"CubismUP 2D, {PUBLISHED[-1][0]} cells per L"
     note = (
         "theirs is a comment in the code, resolution by its launch script; another gives 0.93 L "
-        "with 128 cells per L. The body is a smoothed penalisation there. Neither code is converged "
-        "on these grids. The comments do not say how φ was led; here it is constant."
+        "with 128 cells per L. The body is a smoothed penalisation there. Neither code has "
+        "converged on these grids. The comments do not say how φ was led; here it is constant."
     )
     yield check_finest("L", quantity, distance, PUBLISHED[-1][1], theirs, note=note)
     work = {n: run["work"][-1] for n, run in found.items()}
