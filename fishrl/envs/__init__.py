@@ -5,7 +5,7 @@ from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.making import make_env
 from fishrl.envs.one_hot import OneHotAction
 from fishrl.envs.task import AbstractTask, Command
-from fishrl.envs.tasks import KarmanGait, Predation
+from fishrl.envs.tasks import KarmanGait, Predation, PredationPair
 from fishrl.envs.transforms import PredictedFlowLabel, TrueFlowLabel, make_recognition
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "KarmanGait",
     "OneHotAction",
     "Predation",
+    "PredationPair",
     "PredictedFlowLabel",
     "TrueFlowLabel",
     "make_env",

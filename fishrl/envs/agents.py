@@ -36,6 +36,12 @@ def group(entries: Mapping[str, Tensor], shape: tuple[int, ...]) -> dict[str, An
     return {AGENTS: TensorDict(dict(entries), shape)}
 
 
+def read_entry(data: TensorDictBase, name: str) -> Tensor | None:
+    """Return an entry of each fish, or else of the flow; None if there is no such entry."""
+    own: Tensor | None = data.get((AGENTS, name), None)
+    return data.get(name, None) if own is None else own
+
+
 def split_fish(data: TensorDictBase) -> TensorDictBase:
     """Return data ``[B]`` of an environment with M fish as ``[B * M]``, a row for each fish.
 

@@ -1,15 +1,16 @@
 """The episode runner: one episode from each of a set of starts, in all flows of an env at once."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.envs import TransformedEnv
+from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from fishrl.envs.agents import EachFish, average_fish
 from fishrl.envs.flow_env import FlowEnv
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
@@ -20,12 +21,13 @@ class Episodes:
     """Outcome of E episodes, in the order of their starts; on the CPU.
 
     Args:
-        returns: ``[E]`` sum of rewards.
+        returns: ``[E]`` sum of rewards; of several fish their mean.
         lengths: ``[E]`` number of decisions, int64.
         succeeded: ``[E]`` bool, whether the task was accomplished, see ``has_succeeded``.
         terminated: ``[E]`` bool, whether the task itself ended the episode.
         diverged: ``[E]`` bool, whether the flow diverged; such an episode counts as no success.
         interval_T: duration of a decision in tail beats.
+        counted: ``[E]`` bool each, flags at the end by name, see ``count_flags``.
     """
 
     returns: Tensor
@@ -34,6 +36,7 @@ class Episodes:
     terminated: Tensor
     diverged: Tensor
     interval_T: float
+    counted: dict[str, Tensor] = field(default_factory=dict)
 
     def metrics(self) -> dict[str, float]:
         """Reduce to numbers; the time to success is NaN where there was none."""
@@ -46,6 +49,7 @@ class Episodes:
             "mean_time_to_success_T": float(times.mean()) if len(times) else math.nan,
             "episodes": len(self.succeeded),
             "diverged": int(self.diverged.sum()),
+            **{f"{name}_rate": float(flag.double().mean()) for name, flag in self.counted.items()},
         }
 
 
@@ -70,7 +74,8 @@ def run_episodes(
 
     Args:
         env: of a ``FlowEnv``; its current episodes are abandoned.
-        policy: writes ``action`` ``[B]``.
+        policy: writes ``action`` ``[B]``. In flows with several fish it decides for each of them,
+            a row for each; see ``EachFish``.
         starts: ``[E]``, as ``task.sample_starts`` returns.
         max_decisions: after which all episodes are left; those still open then count as neither
             succeeded nor terminated. By default the time limit of the env ends them.
@@ -83,12 +88,13 @@ def run_episodes(
             running rows and the ``FlowEnv``; without it, ``FlowEnv.on_frame`` stays.
     """
     base, num_starts = env.base_env, starts.shape[0]
+    act = policy if base.task.num_fish == 1 else EachFish(policy)
     device, num_rows = base.device, env.batch_size[0]
     returns = torch.zeros(num_starts, device=device)
     lengths = torch.zeros(num_starts, dtype=torch.int64, device=device)
     flags = {
         name: torch.zeros(num_starts, dtype=torch.bool, device=device)
-        for name in ("succeeded", "terminated", "diverged")
+        for name in ("succeeded", "terminated", "diverged", *name_counted(env))
     }
     start_of = torch.arange(num_rows, device=device)
     start_of = start_of.masked_fill(start_of >= num_starts, -1)
@@ -109,14 +115,15 @@ def run_episodes(
                 on_begin(start_of.masked_fill(~has_begun, -1), state)
             num_decisions += 1
             base.is_resting = ~is_open
-            step = env.step(policy(state))
+            step = env.step(act(state))
             if on_step is not None:
                 on_step(start_of, step)
             after, index = step["next"], start_of[is_open]
-            returns[index] += after["reward"][is_open, 0]
+            returns[index] += average_fish(after, "reward")[is_open, 0]
             lengths[index] += 1
             ended = after.select("terminated", "diverged")
             ended["succeeded"] = has_succeeded(after, base.task.success)
+            ended.update(count_flags(after, base.task.counted))
             for name, flag in flags.items():
                 flag[index] = ended[name][is_open, 0]
             # A reset hands the next starts to the rows that are done, in order of rows.
@@ -126,8 +133,28 @@ def run_episodes(
             num_begun += int(is_done.sum())
             state, has_begun = env.maybe_reset(env.step_mdp(step)), is_done & (start_of >= 0)
     done = {name: flag.cpu() for name, flag in flags.items()}
-    interval_T = base.task.interval_T
-    return Episodes(returns=returns.cpu(), lengths=lengths.cpu(), interval_T=interval_T, **done)
+    return Episodes(
+        returns=returns.cpu(),
+        lengths=lengths.cpu(),
+        interval_T=base.task.interval_T,
+        counted={name: done.pop(name) for name in name_counted(env)},
+        **done,
+    )
+
+
+def count_flags(data: TensorDictBase, names: Sequence[str]) -> dict[str, Tensor]:
+    """Return a task's ``counted`` flags ``[B, n]`` as ``[B, 1]`` each, with a number if n > 1."""
+    return {
+        f"{name}_{i}" if data[name].shape[-1] > 1 else name: flag.unsqueeze(-1)
+        for name in names
+        for i, flag in enumerate(data[name].unbind(-1))
+    }
+
+
+def name_counted(env: EnvBase) -> list[str]:
+    """Return the names of the flags that an env's task counts, see ``count_flags``."""
+    counted = env.base_env.task.counted
+    return list(count_flags(env.observation_spec.zero(), counted)) if counted else []
 
 
 def has_succeeded(after: TensorDictBase, name: str) -> Tensor:

@@ -78,6 +78,11 @@ class FlowVectorEnv(VectorEnv):
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode = {render_mode!r}: must be 'rgb_array' or None")
+        if env.base_env.task.num_fish > 1:
+            raise ValueError(
+                f"{type(env.base_env.task).__name__} has several fish, for which Gymnasium has no "
+                "environments: use make_env, whose layout TorchRL's multi-agent scripts take"
+            )
         self.env = env
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.num_envs = int(env.batch_size[0])

@@ -186,12 +186,14 @@ class Choice:
         names: of the actions, in their order.
         key: of the action.
         mask: key of ``[num_actions]`` bool.
+        fish: index into both, where there is an action of each of several fish.
         name: of the plot.
     """
 
     names: tuple[str, ...]
     key: str = "action"
     mask: str = "action_mask"
+    fish: int | None = None
     name: str = "action (line) among the legal ones (dots)"
 
 

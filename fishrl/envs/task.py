@@ -54,7 +54,8 @@ class AbstractTask(ABC):
     ``report`` that marks success (default "survived": reaching the time limit is success);
     ``inputs``, names of entries ``[B]`` that a transform writes and ``command`` reads;
     ``num_samples``, calls of ``sense`` per action; ``former_names``, names of measurements in
-    checkpoints of earlier versions and what each is called now; and ``num_fish``.
+    checkpoints of earlier versions and what each is called now; ``counted``, names of flags in
+    ``report`` whose share at the ends of episodes is a metric; and ``num_fish``.
 
     With ``num_fish`` = M > 1 the first M bodies of the flow are fish that learn. ``head`` and
     ``heading`` of starts are then ``[E, M, 2]`` and ``[E, M]``; actions, commands, observations,
@@ -79,6 +80,7 @@ class AbstractTask(ABC):
     inputs: ClassVar[tuple[str, ...]] = ()
     num_samples: ClassVar[int] = 0
     former_names: ClassVar[Mapping[str, str]] = {}
+    counted: ClassVar[tuple[str, ...]] = ()
     num_fish: ClassVar[int] = 1
 
     body_length: int = bounded(50, least=16, largest=100_000)
@@ -338,11 +340,12 @@ class AbstractTask(ABC):
             wall_margin=self.wall_margin,
             action_names=self.action_names,
             is_continuous=self.action_bounds is not None,
+            num_fish=self.num_fish,
         )
 
     def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
         """Return ``[B, ...]`` tensors by the keys of the scene; see ``measure``."""
-        return read_flow_scene(solver, self.scales)
+        return read_flow_scene(solver, self.scales, num_fish=self.num_fish)
 
 
 def as_pair(name: str, value: object) -> tuple[float, float]:

@@ -50,14 +50,17 @@ def make_flow_scene(
     wall_margin: float,
     action_names: tuple[str, ...],
     is_continuous: bool = False,
+    num_fish: int = 1,
 ) -> Scene:
-    """Return the scene of a fish, the first body, ``wall_margin`` nodes off the edges."""
+    """Return the scene of a fish, the first body, ``wall_margin`` nodes off the edges.
+
+    With ``num_fish`` the first bodies are fish that decide, and plots have a line for each.
+    """
     plots = (
-        ("tail-beat frequency [1/T]", Series(key="frequency", label="frequency"), True),
-        ("angle of attack [°]", Series(key="angle_of_attack", label="angle"), False),
-        ("power [ρ L⁴/T³]", Series(key="work", label="power", is_rate=True), True),
+        ("tail-beat frequency [1/T]", "frequency", "frequency", True),
+        ("angle of attack [°]", "angle_of_attack", "angle", False),
+        ("power [ρ L⁴/T³]", "work", "power", True),
     )
-    reward = Series(key="reward", label="reward")
     force_bl = _FORCE_BL / _find_fastest(config, scales) ** 2
     obstacles = _name_obstacles(config)
     forces = tuple(
@@ -71,15 +74,18 @@ def make_flow_scene(
         height=config.height,
         fields=make_fields(config, scales),
         curves=(
-            Curve(key="fish", colour=FISH),
-            Curve(key="midline", colour=MIDLINE, is_closed=False, order=5.0),
-            *(Curve(key=key, colour=OBSTACLE) for key in obstacles),
+            *(Curve(key=name_fish("fish", i), colour=FISH) for i in range(num_fish)),
+            *(
+                Curve(key=name_fish("midline", i), colour=MIDLINE, is_closed=False, order=5.0)
+                for i in range(num_fish)
+            ),
+            *(Curve(key=key, colour=OBSTACLE) for key in obstacles[num_fish - 1 :]),
         ),
         arrows=tuple(
             Arrow(key=f"{body}_force", at=f"{body}_centre", scale=force_bl * scales.body_length)
             for body in ("fish", *obstacles)
         ),
-        trails=(Trail(key="head"),),
+        trails=tuple(Trail(key=name_fish("head", i)) for i in range(num_fish)),
         areas=(
             Area(
                 key="edges",
@@ -90,13 +96,20 @@ def make_flow_scene(
         panels=(
             Panel(
                 name="reward r, as ±log₂(1 + |r|)",
-                series=(reward,),
+                series=_plot_fish("reward", "reward", num_fish),
                 is_step=True,
                 is_output=True,
                 is_log=True,
             ),
-            _describe_numbers(action_names) if is_continuous else Choice(names=action_names),
-            *(Panel(name=name, series=(line,), is_step=step) for name, line, step in plots),
+            *_describe_actions(action_names, is_continuous=is_continuous, num_fish=num_fish),
+            *(
+                Panel(
+                    name=name,
+                    series=_plot_fish(key, label, num_fish, is_rate=key == "work"),
+                    is_step=is_step,
+                )
+                for name, key, label, is_step in plots
+            ),
             Panel(name="force of the fluid [ρ L³/T²]", series=forces, is_step=True),
         ),
         note="Angle of attack: of the heading, from upstream; in still water from the direction of "
@@ -105,14 +118,44 @@ def make_flow_scene(
     )
 
 
-def _describe_numbers(names: tuple[str, ...]) -> Panel:
-    """Return the plot of a continuous action."""
-    return Panel(
-        name="action, from the least (−1) to the largest (1)",
-        series=tuple(Series(key="action", column=i, label=name) for i, name in enumerate(names)),
-        span=(-1.1, 1.1),
-        is_step=True,
-        is_output=True,
+def name_fish(key: str, number: int) -> str:
+    """Return the key of what is drawn of one fish; that of the first one has no number."""
+    return f"{key}_{number}" if number else key
+
+
+def _plot_fish(key: str, label: str, num_fish: int, *, is_rate: bool = False) -> tuple[Series, ...]:
+    """Return a line for each fish."""
+    if num_fish == 1:
+        return (Series(key=key, label=label, is_rate=is_rate),)
+    return tuple(
+        Series(key=key, label=f"{label}, fish {i}", column=i, is_rate=is_rate)
+        for i in range(num_fish)
+    )
+
+
+def _describe_actions(
+    names: tuple[str, ...], *, is_continuous: bool, num_fish: int
+) -> tuple[Panel | Choice, ...]:
+    """Return the plots of the actions: one for each fish, or one of all continuous numbers."""
+    if not is_continuous:
+        if num_fish == 1:
+            return (Choice(names=names),)
+        title = Choice(names=names).name
+        return tuple(
+            Choice(names=names, fish=i, name=f"fish {i}: {title}") for i in range(num_fish)
+        )
+    labels = names
+    if num_fish > 1:
+        labels = tuple(f"fish {i}: {name}" for i in range(num_fish) for name in names)
+    series = tuple(Series(key="action", column=i, label=name) for i, name in enumerate(labels))
+    return (
+        Panel(
+            name="action, from the least (−1) to the largest (1)",
+            series=series,
+            span=(-1.1, 1.1),
+            is_step=True,
+            is_output=True,
+        ),
     )
 
 
@@ -152,22 +195,31 @@ def read_fields(solver: Solver, scales: Scales) -> dict[str, Tensor]:
     return {key: field.half() for key, field in fields.items()}
 
 
-def read_flow_scene(solver: Solver, scales: Scales) -> dict[str, Tensor]:
-    """Return ``[B, ...]`` tensors by the keys of ``make_flow_scene``."""
-    body, markers = solver.body, solver.markers()
-    length, period = scales.body_length, scales.period
-    half = markers.shape[1] // 2
-    other_side = -torch.arange(half + 1, device=markers.device) % markers.shape[1]
+def read_flow_scene(solver: Solver, scales: Scales, *, num_fish: int = 1) -> dict[str, Tensor]:
+    """Return ``[B, ...]`` tensors by the keys of ``make_flow_scene``; of M fish ``[B, M]``."""
     names = ("fish", *_name_obstacles(solver.config))[: len(solver.bodies)]
     values = read_fields(solver, scales)
     for index, name in enumerate(names):
         values |= _read_body(solver, index, name, scales)
-    return values | {
+    every = [_read_fish(solver, index, scales) for index in range(num_fish)]
+    for index, own in enumerate(every):
+        for key in ("midline", "head"):
+            values[name_fish(key, index)] = own.pop(key)
+    numbers = {key: torch.stack([own[key] for own in every], -1) for key in every[0]}
+    return values | (numbers if num_fish > 1 else every[0])
+
+
+def _read_fish(solver: Solver, index: int, scales: Scales) -> dict[str, Tensor]:
+    """Return midline and nose of a fish, and its numbers ``[B]``."""
+    body, markers, length = solver.bodies[index], solver.markers(index), scales.body_length
+    half = markers.shape[1] // 2
+    other_side = -torch.arange(half + 1, device=markers.device) % markers.shape[1]
+    return {
         "midline": 0.5 * (markers[:, : half + 1] + markers[:, other_side]),
         "head": markers[:, 0],
         "heading": body.heading,
-        "frequency": body.frequency * period,
-        "work": body.work / (length * length / period) ** 2,
+        "frequency": body.frequency * scales.period,
+        "work": body.work / (length * length / scales.period) ** 2,
         "angle_of_attack": _measure_angle(
             body,
             stream=solver.stream_speed[:, None] * body.velocity.new_tensor(solver.config.inflow),

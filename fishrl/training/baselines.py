@@ -19,7 +19,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from fishrl.bounds import suggest
-from fishrl.envs import AbstractTask, KarmanGait, Predation
+from fishrl.envs import AbstractTask, KarmanGait, Predation, PredationPair
 from fishrl.envs.macro_actions import ContinuousFrequency, DirectFrequencies, MacroActions
 from fishrl.modules import (
     PID,
@@ -106,6 +106,14 @@ def find_pursuers(task: Any) -> dict[str, Baseline]:
         "pursuit": Baseline(lambda seed: PursuitPolicy(**how)),
         **random,
     }
+
+
+@find_baselines.register
+def _(task: PredationPair) -> dict[str, Baseline]:
+    """Return pursuit of the food by each fish as if the other were not there."""
+    turn, is_continuous = math.radians(task.turn_degrees), task.action_bounds is not None
+    pursuit = partial(PursuitPolicy, turn=turn, is_continuous=is_continuous)
+    return {"pursuit": Baseline(lambda seed: pursuit()), **find_random(task)}
 
 
 @find_baselines.register

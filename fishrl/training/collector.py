@@ -12,9 +12,11 @@ import torch
 from tensordict import TensorDict
 from torch import nn
 from torchrl.collectors import Collector
+from torchrl.data import Composite
 from torchrl.envs import ActionMask, EnvBase, Transform
 
 from fishrl.envs import AbstractTask
+from fishrl.envs.agents import EachFish
 from fishrl.training.evaluation import copy_state
 from fishrl.training.learner import Learner
 from fishrl.training.plan import Plan
@@ -48,6 +50,9 @@ class ResumableCollector(Collector):
         self._carrier: TensorDict = TensorDict.from_dict(
             carrier, batch_size=self.env.batch_size, device=self.env.device
         )
+        for name, spec in self.env.observation_spec.items():
+            if isinstance(spec, Composite):  # a group of fish
+                self._carrier[name].batch_size = spec.shape
         for transform in self.env.transform:
             if isinstance(transform, ActionMask):  # it keeps the mask inside the action spec
                 transform._call(self._carrier)
@@ -90,8 +95,12 @@ def make_collector(
 ) -> Any:
     """Make the collector of a run, in this process or in those of a cluster.
 
-    ``task`` is that of the plan, as ``recognition`` equips it; the learner's explorer acts.
+    ``task`` is that of the plan, as ``recognition`` equips it; the learner's explorer acts, for
+    each fish if there are several.
     """
+    explorer = learner.explorer
+    if task.num_fish > 1:
+        explorer = EachFish(explorer, explorer.out_keys)
     settings, device = plan.learning, plan.run.device
     given: dict[str, Any] = {} if recognition is None else {"recognition": recognition}
     given |= {"task": task, "device": device, "compile": plan.run.compile}
@@ -101,7 +110,7 @@ def make_collector(
     if not settings.ray_collectors:
         return ResumableCollector(
             env,
-            learner.explorer,
+            explorer,
             frames_per_batch=settings.num_envs,
             total_frames=-1,
             init_random_frames=settings.warmup_frames,
@@ -113,7 +122,7 @@ def make_collector(
         RemoteCollector,
         env=env,
         make_env=make,
-        explorer=learner.explorer,
+        explorer=explorer,
         settings=settings,
         seed=seed,
         device=device,

@@ -16,7 +16,8 @@ from tensordict import TensorDictBase
 from torchrl.checkpoint import GlobalRNGState
 
 from fishrl.envs import make_env
-from fishrl.envs.episodes import Episodes, Policy
+from fishrl.envs.agents import split_fish
+from fishrl.envs.episodes import Episodes, Policy, name_counted
 from fishrl.envs.transforms import equip
 from fishrl.training.baselines import make_baselines
 from fishrl.training.checkpoint import CheckpointNotWritten, load_checkpoint, save_checkpoint
@@ -129,7 +130,7 @@ class Training:
             CheckpointNotWritten: if the first or the last checkpoint cannot be written.
         """
         counters = self.counters
-        columns = list_metrics(self.learner.reports)
+        columns = list_metrics(self.learner.reports, name_counted(self.collector.env))
         self.plan.logger.open(
             self.folder.path, columns=columns, config=self.config, step=counters.frames
         )
@@ -191,7 +192,7 @@ class Training:
         self.observer.settle(batch)
         counters.collect_seconds += seconds
         counters.frames += batch.numel()
-        counters.diverged += self.learner.store(batch)
+        counters.diverged += self.learner.store(split_fish(batch)) // self.task.num_fish
         counters.count(batch, success=self.task.success)
         losses = self._update()
         return {
@@ -205,7 +206,8 @@ class Training:
         """Take the gradient steps that are due and return the last losses."""
         learning, counters = self.plan.learning, self.counters
         learned_from = counters.frames - learning.warmup_frames
-        due = math.floor(learning.updates_per_frame * learned_from) - counters.updates
+        per_frame = learning.updates_per_frame * self.task.num_fish
+        due = math.floor(per_frame * learned_from) - counters.updates
         if due <= 0 or not self.learner.is_ready:
             return {}
         with one_thread():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 from tensordict import TensorDictBase
 
+from fishrl.envs.agents import average_fish
 from fishrl.envs.episodes import has_succeeded
 
 #: Episodes that the training return and rate of success are averaged over.
 WINDOW = 32
 
 
-def list_metrics(losses: tuple[str, ...]) -> tuple[str, ...]:
-    """List the columns of metrics.csv, given the names of the losses of the algorithm.
+def list_metrics(losses: tuple[str, ...], counted: Sequence[str] = ()) -> tuple[str, ...]:
+    """List the columns of metrics.csv, given the losses of the algorithm and what a task counts.
 
     ``train/`` is over the last episodes or of the last gradient step, ``eval/`` of the greedy
     policy from fixed starts, ``time/`` of this machine. The seed fixes all but the last kind.
@@ -30,6 +31,7 @@ def list_metrics(losses: tuple[str, ...]) -> tuple[str, ...]:
         *Counters().metrics(),
         *(f"train/{name}" for name in losses),
         *(f"eval/{name}" for name in (*of_eval, "episodes", "diverged")),
+        *(f"eval/{name}_rate" for name in counted),
         *(f"time/{name}" for name in of_time),
     )
 
@@ -69,7 +71,8 @@ class Counters:
         after = transitions["next"]
         has_ended = (after["done"] & ~after["diverged"]).reshape(-1)
         ended = after[has_ended]
-        columns = (ended["episode_reward"], has_succeeded(ended, success), ended["step_count"])
+        returns = average_fish(ended, "episode_reward")
+        columns = (returns, has_succeeded(ended, success), ended["step_count"])
         for numbers in zip(*(column.reshape(-1).tolist() for column in columns), strict=True):
             self.episodes += 1
             self.recent.append([float(number) for number in numbers])

@@ -20,6 +20,7 @@ class PolicySpec:
         num_actions: number of actions, or of the numbers in a continuous one.
         num_stacked: observations in a stack.
         is_continuous: whether actions are continuous.
+        num_fish: fish in a flow for each of which it decides.
     """
 
     task: str
@@ -27,6 +28,7 @@ class PolicySpec:
     num_actions: int
     num_stacked: int = 1
     is_continuous: bool = False
+    num_fish: int = 1
 
     @property
     def sizes(self) -> dict[str, Any]:
@@ -48,6 +50,7 @@ class PolicySpec:
             num_actions=task.num_actions,
             num_stacked=task.num_stacked,
             is_continuous=task.action_bounds is not None,
+            num_fish=task.num_fish,
         )
 
     def check(self, metadata: Mapping[str, Any], *, path: Path) -> None:

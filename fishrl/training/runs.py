@@ -203,7 +203,7 @@ def _check(plan: Plan, recognition: Recognition) -> None:
     check_memory(
         device=plan.run.device,
         flows=task.flow_config().num_bytes * learning.num_envs / max(1, learning.ray_collectors),
-        buffer=4 * transition * learning.buffer_size,
+        buffer=4 * transition * learning.buffer_size * task.num_fish,
         networks=4 * 4 * weights,  # values, gradients and Adam's two means
     )
     make_baselines(plan.run.baselines, task=task, seed=0)

@@ -206,10 +206,12 @@ class Drawing:
         self._log(f"{name_flow(flow)}/world/trajectory_{trail.key}", shape)
 
     def _draw_choice(self, path: str, choice: Choice, frame: Frame) -> None:
+        own = ... if choice.fish is None else choice.fish
         if choice.key in frame.values:
-            self._plot(f"{path}/chosen", float(frame.values[choice.key]))
+            self._plot(f"{path}/chosen", float(frame.values[choice.key][own]))
         if choice.mask in frame.values:
-            for index, is_legal in enumerate(frame.values[choice.mask].reshape(-1).tolist()):
+            mask = frame.values[choice.mask][own]
+            for index, is_legal in enumerate(mask.reshape(-1).tolist()):
                 if is_legal:
                     self._plot(f"{path}/legal_{index}", float(index))
 

@@ -11,6 +11,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
+from fishrl.envs.agents import name_entry, read_entry
 from fishrl.envs.episodes import Episodes, Policy, run_episodes
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.scene import Choice, Frame, Scene
@@ -113,10 +114,11 @@ class Recorder:
         the very first decision, the start.
         """
         after = step["next"]
-        names = [name for name in self._scene.output_keys if name in step]
+        read = {name: read_entry(step, name) for name in self._scene.output_keys}
+        rewards = after[name_entry(self._task, "reward")]
         for row in rows:
-            outputs = {name: step[name][row].cpu() for name in names}
-            outputs["reward"] = after["reward"][row].sum().cpu()
+            outputs = {name: value[row].cpu() for name, value in read.items() if value is not None}
+            outputs["reward"] = rewards[row].sum(-1).cpu()
             frames, self._pending[row] = self._pending[row], []
             if after["diverged"][row].any():
                 frames = [] if self._has_given[row] else frames[:1]

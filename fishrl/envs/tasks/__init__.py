@@ -2,5 +2,6 @@
 
 from fishrl.envs.tasks.karman_gait import KarmanGait
 from fishrl.envs.tasks.predation import Predation
+from fishrl.envs.tasks.predation_pair import PredationPair
 
-__all__ = ["KarmanGait", "Predation"]
+__all__ = ["KarmanGait", "Predation", "PredationPair"]

@@ -21,19 +21,12 @@ CHANCE_UP = {"up": 1.0, "down": 0.0, "random": 0.5}
 ACTIONS = ("discrete", "continuous")
 
 
-@final
 @dataclass(frozen=True, kw_only=True)
-class Predation(AbstractTask):
-    """Catch food that rests at first and then moves up and down between two limits.
+class AbstractPredation(AbstractTask):
+    """Base of tasks with food that rests at first and then moves up and down between two limits.
 
     Actions: 0 turn clockwise, 1 keep the heading, 2 turn counter-clockwise; or two numbers, the
-    turn and the tail-beat frequency, which sets the speed. Observation: x and y of the food
-    relative to the nose and its distance, in body lengths, and the bearing error in (-pi, pi]
-    radians, positive to the left. Reward: +1 if distance or bearing error decreased since the last
-    decision, otherwise -1; +20 on capture. An episode terminates on capture or when a marker comes
-    within ``wall_margin_bl`` of the edge.
-
-    The paper (Task 1) gives neither the food's x and limits nor the capture radius.
+    turn and the tail-beat frequency, which sets the speed.
 
     Args:
         action: discrete or continuous.
@@ -53,8 +46,6 @@ class Predation(AbstractTask):
         capture_radius_bl: distance from nose to food that counts as capture.
     """
 
-    n_obs: ClassVar[int] = 4
-    num_draws: ClassVar[int] = 3
     success: ClassVar[str] = "captured"
 
     action: str = "discrete"
@@ -149,25 +140,11 @@ class Predation(AbstractTask):
         )
         return x, y
 
-    def starts_from(self, uniform: Tensor) -> TensorDict:
-        """Draw nose positions (on nodes, facing -x) and the food's first direction."""
-        low, high = torch.tensor(self.start_range, dtype=torch.float64, device=uniform.device).T
-        head = low + torch.floor(uniform[:, :2] * (high - low + 1.0))
-        is_up = uniform[:, 2] < CHANCE_UP[self.food_direction]
-        return TensorDict(
-            {
-                "head": head,
-                "heading": torch.full_like(uniform[:, 2], pi),
-                "food_direction": torch.where(is_up, 1.0, -1.0).to(uniform.dtype),
-            },
-            uniform.shape[:1],
-            device=uniform.device,
-        )
-
     def check_starts(self, starts: TensorDictBase) -> None:
         """Also check that no food is in reach and that its direction is 1 or -1."""
         super().check_starts(starts)
-        away = starts["head"] - self.locate_food(starts, torch.zeros_like(starts["heading"]))
+        food = self.locate_food(starts, torch.zeros_like(starts["food_direction"]))
+        away = starts["head"] - (food if starts["head"].dim() == 2 else food[:, None])
         if ((away * away).sum(-1).sqrt() <= self.capture_radius).any():
             raise ValueError(
                 f"starts has a fish within capture_radius = {self.capture_radius:g} nodes of its "
@@ -193,12 +170,84 @@ class Predation(AbstractTask):
         height = low + torch.minimum(along, 2.0 * span - along)
         return self.body_length * torch.stack((torch.full_like(height, self.food_x_bl), height), -1)
 
+    @property
+    def marker_speed(self) -> float:
+        """Bound on the speed of a marker in nodes per step, commanded turns included."""
+        # a turn takes the whole interval and is twice as fast at its middle as on average
+        turning = 2.0 * radians(self.turn_degrees) / self.n_substeps * self.body_length
+        return self.swimming_speed + turning
+
+    @property
+    def food_speed(self) -> float:
+        """Speed of the moving food in nodes per step."""
+        return self.food_speed_bl * self.body_length / self.scales.period
+
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
         """Turn clockwise, not at all, or counter-clockwise; or turn and beat as the action says."""
         if self.is_continuous:
             turn, frequency = action.unbind(-1)
             return Command(turn.deg2rad(), frequency / self.scales.period)
         return Command(turn=radians(self.turn_degrees) * (action.double() - 1.0))
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the turns, or of the two numbers."""
+        if self.is_continuous:
+            low, high = self.frequency_range
+            return f"turn, ±{self.turn_degrees:g}°", f"frequency, {low:g} to {high:g} beats/T"
+        return f"turn {-self.turn_degrees:g}°", "keep", f"turn +{self.turn_degrees:g}°"
+
+    def make_scene(self) -> Scene:
+        """Add the food and its distance."""
+        food = Marks(
+            key="food",
+            radius=3.0 * self.body_length / 50.0,
+            colour=(242, 177, 52),
+            reach=self.capture_radius,
+        )
+        series = (Series(key="distance", label="nose to food"),)
+        return (
+            super()
+            .make_scene()
+            .extend(
+                marks=(food,),
+                panels=(Panel(name="distance of the food [L]", series=series),),
+                note="The circle around the food is the capture radius.",
+            )
+        )
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Predation(AbstractPredation):
+    """Catch food that rests at first and then moves up and down between two limits.
+
+    Actions are those of ``AbstractPredation``. Observation: x and y of the food relative to the
+    nose and its distance, in body lengths, and the bearing error in (-pi, pi] radians, positive to
+    the left. Reward: +1 if distance or bearing error decreased since the last decision, otherwise
+    -1; +20 on capture. An episode terminates on capture or when a marker comes within
+    ``wall_margin_bl`` of the edge.
+
+    The paper (Task 1) gives neither the food's x and limits nor the capture radius.
+    """
+
+    n_obs: ClassVar[int] = 4
+    num_draws: ClassVar[int] = 3
+
+    def starts_from(self, uniform: Tensor) -> TensorDict:
+        """Draw nose positions (on nodes, facing -x) and the food's first direction."""
+        low, high = torch.tensor(self.start_range, dtype=torch.float64, device=uniform.device).T
+        head = low + torch.floor(uniform[:, :2] * (high - low + 1.0))
+        is_up = uniform[:, 2] < CHANCE_UP[self.food_direction]
+        return TensorDict(
+            {
+                "head": head,
+                "heading": torch.full_like(uniform[:, 2], pi),
+                "food_direction": torch.where(is_up, 1.0, -1.0).to(uniform.dtype),
+            },
+            uniform.shape[:1],
+            device=uniform.device,
+        )
 
     def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
         """Measure nose, heading, food, its relative position and the distance from the walls."""
@@ -238,44 +287,14 @@ class Predation(AbstractTask):
 
     def count_safe_steps(self, now: TensorDictBase) -> Tensor:
         """Return how long the fish takes at least to the nearest wall and to the food."""
-        # a turn takes the whole interval and is twice as fast at its middle as on average
-        turning = 2.0 * radians(self.turn_degrees) / self.n_substeps * self.body_length
-        speed = self.swimming_speed + turning
-        food_speed = self.food_speed_bl * self.body_length / self.scales.period
+        speed = self.marker_speed
         distance = now["target"][:, 2] * self.body_length - self.capture_radius
-        to_food = distance / (speed + food_speed)
+        to_food = distance / (speed + self.food_speed)
         return torch.minimum((now["clearance"] - self.wall_margin) / speed, to_food)
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return ``captured`` ``[B]``."""
         return {"captured": self._is_captured(now)}
-
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        """Names of the turns, or of the two numbers."""
-        if self.is_continuous:
-            low, high = self.frequency_range
-            return f"turn, ±{self.turn_degrees:g}°", f"frequency, {low:g} to {high:g} beats/T"
-        return f"turn {-self.turn_degrees:g}°", "keep", f"turn +{self.turn_degrees:g}°"
-
-    def make_scene(self) -> Scene:
-        """Add the food and its distance."""
-        food = Marks(
-            key="food",
-            radius=3.0 * self.body_length / 50.0,
-            colour=(242, 177, 52),
-            reach=self.capture_radius,
-        )
-        series = (Series(key="distance", label="nose to food"),)
-        return (
-            super()
-            .make_scene()
-            .extend(
-                marks=(food,),
-                panels=(Panel(name="distance of the food [L]", series=series),),
-                note="The circle around the food is the capture radius.",
-            )
-        )
 
     def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
         """Add the food and its distance."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import torch
@@ -24,12 +25,14 @@ class Algorithm(ABC):
     do the same at every step: neither branch on the values of tensors nor read numbers that change.
 
     The class attributes ``takes_discrete`` and ``takes_continuous`` say which actions it learns;
-    by default discrete ones.
+    by default discrete ones. Of several fish in a flow it sees each as a flow of its own, unless
+    ``takes_several`` is false.
     """
 
     is_traced: ClassVar[bool] = False
     takes_discrete: ClassVar[bool] = True
     takes_continuous: ClassVar[bool] = False
+    takes_several: ClassVar[bool] = True
 
     @property
     @abstractmethod
@@ -39,7 +42,8 @@ class Algorithm(ABC):
     @classmethod
     def takes(cls, task: AbstractTask) -> bool:
         """Tell whether it learns actions such as those of a task."""
-        return cls.takes_discrete if task.action_bounds is None else cls.takes_continuous
+        fits = cls.takes_discrete if task.action_bounds is None else cls.takes_continuous
+        return fits and (cls.takes_several or task.num_fish == 1)
 
     def adapt(self, settings: LearningSettings) -> LearningSettings:
         """Return the common settings with those that follow from this algorithm's own."""
@@ -75,7 +79,10 @@ class Algorithm(ABC):
     def make_learner(
         self, spec: PolicySpec, settings: LearningSettings, *, device: str = "cpu"
     ) -> Learner:
-        """Make a new policy and its learner; ``settings.seed`` fixes the initial weights."""
+        """Make a new policy and its learner; ``settings.seed`` fixes the initial weights.
+
+        Of several fish, the buffer holds the decisions of each.
+        """
         generator = torch.Generator().manual_seed(settings.seed)
         policy = self.make_policy(spec, hidden=settings.hidden, generator=generator).to(device)
         loss = self.make_loss(policy, spec, hidden=settings.hidden, generator=generator)
@@ -83,7 +90,7 @@ class Algorithm(ABC):
             actor=policy,
             explorer=self.make_explorer(policy, spec, device=device),
             loss=loss,
-            settings=settings,
+            settings=replace(settings, buffer_size=settings.buffer_size * spec.num_fish),
             device=device,
             is_traced=self.is_traced,
             **self.choose_sampling(policy, settings),

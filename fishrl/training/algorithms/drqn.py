@@ -34,6 +34,7 @@ class DRQN(DQN):
     """
 
     is_traced = False  # TorchRL's LSTM looks where episodes begin
+    takes_several = False  # the environment carries one LSTM state per flow
 
     sequence_length: int = bounded(8, least=1)
 

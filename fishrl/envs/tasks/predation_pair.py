@@ -1,0 +1,156 @@
+"""Two fish that hunt the same food, each by itself."""
+
+from dataclasses import dataclass
+from math import pi
+from typing import ClassVar, final
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from fishrl.bounds import bounded
+from fishrl.envs.protocol import Solver
+from fishrl.envs.rewards import reward_approach
+from fishrl.envs.sensors import compute_clearance, sense_target
+from fishrl.envs.tasks.predation import CHANCE_UP, AbstractPredation
+from fishrl.physics.bodies.placement import MIN_GAP
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class PredationPair(AbstractPredation):
+    """Catch the same food as another fish, and keep clear of that fish.
+
+    Food, walls and the actions of each fish are those of ``Predation``. Each fish observes the nose
+    of the other fish and then the food, both as there: x and y relative to its own nose, distance
+    and bearing error. Its reward is that of ``Predation``, with +20 for the fish that catches the
+    food, and minus ``contact_penalty`` for both on contact. An episode ends for both fish when one
+    of them catches the food or comes too near a wall, and on contact: when markers of the two are
+    nearer than ``contact_bl``, so that they never overlap.
+
+    Fish 0 starts in the lower half of the range of ``Predation``, fish 1 in the upper half.
+
+    Args:
+        contact_bl: distance of the outlines that counts as contact, in body lengths.
+        contact_penalty: what contact costs each fish.
+        start_gap_bl: smallest distance of the two noses along y at the start.
+    """
+
+    n_obs: ClassVar[int] = 8
+    num_draws: ClassVar[int] = 5
+    num_fish: ClassVar[int] = 2
+    counted: ClassVar[tuple[str, ...]] = ("caught", "contact")
+
+    contact_bl: float = bounded(0.15, greater=0, largest=10)
+    contact_penalty: float = bounded(20.0, least=0)
+    start_gap_bl: float = bounded(0.75, greater=0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.contact_bl * self.body_length < MIN_GAP:
+            raise ValueError(
+                f"contact_bl = {self.contact_bl}: is {self.contact_bl * self.body_length:g} nodes; "
+                f"must be at least {MIN_GAP / self.body_length:g}, {MIN_GAP:g} node"
+            )
+        nearest = torch.tensor([[0.0, 1.0 - 2.0**-53, 0.0, 0.0, 0.0]], dtype=torch.float64)
+        self.check_starts(self.starts_from(nearest))
+
+    @property
+    def lanes(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """First and last node of the noses along y, of fish 0 and of fish 1."""
+        low, high = self.start_range[1]
+        room = (high - low - round(self.start_gap_bl * self.body_length)) // 2
+        if room < 0:
+            raise ValueError(
+                f"start_gap_bl = {self.start_gap_bl}: two noses do not fit into start_y_bl = "
+                f"{self.start_y_bl} clear of the walls; lower it, or enlarge domain_bl"
+            )
+        return (low, low + room), (high - room, high)
+
+    def starts_from(self, uniform: Tensor) -> TensorDict:
+        """Draw both nose positions (on nodes, facing -x) and the food's first direction."""
+        (left, right), lanes = self.start_range[0], self.lanes
+        low = uniform.new_tensor([[left, lane[0]] for lane in lanes])
+        high = uniform.new_tensor([[right, lane[1]] for lane in lanes])
+        places = uniform[:, :4].view(-1, 2, 2)
+        is_up = uniform[:, 4] < CHANCE_UP[self.food_direction]
+        return TensorDict(
+            {
+                "head": low + torch.floor(places * (high - low + 1.0)),
+                "heading": torch.full_like(uniform[:, :2], pi),
+                "food_direction": torch.where(is_up, 1.0, -1.0).to(uniform.dtype),
+            },
+            uniform.shape[:1],
+            device=uniform.device,
+        )
+
+    def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
+        """Measure what each fish sees, its distance from the walls, and the gap between them."""
+        outlines = [solver.markers(index) for index in range(self.num_fish)]
+        headings = [body.heading for body in solver.bodies[: self.num_fish]]
+        noses = [outline[:, 0] for outline in outlines]
+        food = self.locate_food(starts, solver.body.age)
+        size = {"width": solver.config.width, "height": solver.config.height}
+        gaps = torch.cdist(outlines[0], outlines[1], compute_mode="donot_use_mm_for_euclid_dist")
+
+        def sense(place: Tensor, fish: int) -> Tensor:
+            return sense_target(noses[fish], headings[fish], place, body_length=self.body_length)
+
+        return TensorDict(
+            {
+                "food": food,
+                "target": torch.stack([sense(food, fish) for fish in (0, 1)], 1),
+                "other": torch.stack([sense(noses[1 - fish], fish) for fish in (0, 1)], 1),
+                "clearance": torch.stack([compute_clearance(one, **size) for one in outlines], 1),
+                "gap": gaps.flatten(1).amin(-1),
+            },
+            starts.batch_size,
+            device=starts.device,
+        )
+
+    def observe(self, now: TensorDictBase) -> Tensor:
+        """Return the other fish and the food relative to the nose."""
+        return torch.cat((now["other"], now["target"]), -1).float()
+
+    def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
+        """Return +1 or -1 for approach, plus 20 for a catch, minus the penalty for contact."""
+        (old_distance, old_error), (distance, error) = (
+            td["target"][..., 2:].unbind(-1) for td in (before, now)
+        )
+        approach = reward_approach(old_distance, distance, old_error, error)
+        touched = self.contact_penalty * self._has_contact(now)[:, None]
+        reward: Tensor = approach + 20.0 * self._has_caught(now) - touched
+        return reward
+
+    def is_terminated(self, now: TensorDictBase) -> Tensor:
+        """Return whether the food is caught, a wall is hit, or the fish touch."""
+        hits_wall: Tensor = (now["clearance"] < self.wall_margin).any(1)
+        return hits_wall | self._has_caught(now).any(1) | self._has_contact(now)
+
+    def count_safe_steps(self, now: TensorDictBase) -> Tensor:
+        """Return how long it takes at least to a wall, to the food, and to the other fish."""
+        speed = self.marker_speed
+        to_wall = (now["clearance"].amin(1) - self.wall_margin) / speed
+        away = now["target"][..., 2].amin(1) * self.body_length - self.capture_radius
+        to_other = (now["gap"] - self.contact_bl * self.body_length) / (2.0 * speed)
+        return torch.stack((to_wall, away / (speed + self.food_speed), to_other)).amin(0)
+
+    def report(self, now: TensorDictBase) -> dict[str, Tensor]:
+        """Return ``captured`` and ``contact`` ``[B]``, and ``caught`` ``[B, 2]``, by which fish."""
+        caught = self._has_caught(now)
+        return {"captured": caught.any(1), "caught": caught, "contact": self._has_contact(now)}
+
+    def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
+        """Add the food and its distance from the nearer nose."""
+        food = self.locate_food(starts, solver.body.age)
+        noses = torch.stack([solver.markers(index)[:, 0] for index in range(self.num_fish)], 1)
+        distance = (food[:, None] - noses).norm(dim=-1).amin(1) / self.body_length
+        return super().read_scene(solver, starts) | {"food": food, "distance": distance}
+
+    def _has_caught(self, now: TensorDictBase) -> Tensor:
+        distance: Tensor = now["target"][..., 2]
+        return distance <= self.capture_radius_bl
+
+    def _has_contact(self, now: TensorDictBase) -> Tensor:
+        gap: Tensor = now["gap"]
+        return gap < self.contact_bl * self.body_length

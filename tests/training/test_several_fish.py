@@ -1,0 +1,105 @@
+"""Several fish in each flow learn one policy in the loop of all other tasks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from fishrl.envs import PredationPair, make_env
+from fishrl.envs.episodes import run_episodes
+from fishrl.modules import PursuitPolicy
+from fishrl.training import (
+    DRQN,
+    PPO,
+    Algorithm,
+    DiscreteSAC,
+    LearningSettings,
+    Plan,
+    RunSettings,
+    begin,
+    evaluate,
+    reopen,
+)
+from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.training.conftest import assert_equal_weights, read_rows
+
+pytestmark = pytest.mark.usefixtures("kinematic")
+
+
+def make_plan(folder: Path, *, algorithm: Algorithm, **changes: Any) -> Plan:
+    learning = {"num_envs": 3, "warmup_frames": 6, "updates_per_frame": 0.5, "batch_size": 4}
+    run = {
+        "name": "pair",
+        "total_frames": 24,
+        "log_frames": 12,
+        "checkpoint_frames": 6,
+        "eval_frames": 24,
+    }
+    return Plan(
+        task=PredationPair(**SMALL, time_limit=4, control_interval_T=0.25, checks_per_action=6),
+        algorithm=algorithm,
+        learning=LearningSettings(**learning, hidden=(8,), buffer_size=100),
+        run=RunSettings(
+            folder=str(folder),
+            compile=False,
+            eval_episodes=2,
+            final_episodes=2,
+            baselines=("random",),
+            **run | changes,
+        ),
+    )
+
+
+@pytest.mark.parametrize("algorithm", [DiscreteSAC(), PPO(rollout_length=4, num_epochs=2)])
+def test_each_fish_is_learned_from(tmp_path: Path, algorithm: Algorithm) -> None:
+    training, is_ppo = begin(make_plan(tmp_path, algorithm=algorithm)), isinstance(algorithm, PPO)
+    summary = training.run()
+    num_flows = 12 if is_ppo else 24
+    assert len(training.learner.buffer) == 2 * num_flows
+    stored = training.learner.buffer[:]["observation_stack"]
+    assert stored.shape == (2 * num_flows, 4 * 8)
+    # the two fish of a flow see each other from opposite sides
+    other = stored[:, -8:-6].reshape(*((3, 2, 4) if is_ppo else (8, 3, 2)), 2)
+    one, two = other.unbind(1 if is_ppo else 2)
+    torch.testing.assert_close(one, -two)
+    assert training.counters.updates == (24 if is_ppo else 18)
+    names = {"caught_0_rate", "caught_1_rate", "contact_rate", "random_contact_rate"}
+    assert names <= summary.keys()
+    assert "eval/contact_rate" in read_rows(tmp_path / "pair")[0]
+    training.close()
+    again = evaluate(tmp_path / "pair", episodes=2, compile=False)
+    assert again["mean_return"] == summary["mean_return"]
+
+
+def test_a_resumed_run_goes_on_exactly(tmp_path: Path) -> None:
+    algorithm = PPO(rollout_length=4, num_epochs=1)
+    whole = begin(make_plan(tmp_path, algorithm=algorithm))
+    whole.run()
+    begun = begin(make_plan(tmp_path, algorithm=algorithm, name="parts", total_frames=18))
+    begun.run()
+    begun.close()
+    resumed = reopen(tmp_path / "parts", total_frames=24)
+    resumed.run()
+    assert_equal_weights(resumed, whole)
+    assert read_rows(tmp_path / "parts")[-1] == read_rows(tmp_path / "pair")[-1]
+    for training in (whole, resumed):
+        training.close()
+
+
+def test_a_recurrent_policy_of_several_fish_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="DRQN: does not learn discrete actions of several fish"):
+        make_plan(tmp_path, algorithm=DRQN())
+
+
+def test_pursuit_catches_the_food_and_outcomes_are_counted() -> None:
+    task = PredationPair(**SMALL, time_limit=60)
+    env = make_env(task=task, num_envs=4, compile=False)
+    starts = task.sample_starts(8, torch.Generator().manual_seed(0))
+    outcome = run_episodes(env, PursuitPolicy(), starts)
+    caught = outcome.counted["caught_0"] | outcome.counted["caught_1"]
+    assert torch.equal(caught, outcome.succeeded) and caught.any()
+    metrics = outcome.metrics()
+    assert metrics["contact_rate"] == float(outcome.counted["contact"].double().mean())
