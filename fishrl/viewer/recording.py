@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
-from fishrl.envs.agents import name_entry, read_entry
+from fishrl.envs.agents import read_entry
 from fishrl.envs.episodes import Episodes, Policy, run_episodes
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.scene import Choice, Frame, Scene
@@ -115,10 +115,10 @@ class Recorder:
         """
         after = step["next"]
         read = {name: read_entry(step, name) for name in self._scene.output_keys}
-        rewards = after[name_entry(self._task, "reward")]
+        read["reward"] = read_entry(after, "reward")
         for row in rows:
             outputs = {name: value[row].cpu() for name, value in read.items() if value is not None}
-            outputs["reward"] = rewards[row].sum(-1).cpu()
+            outputs["reward"] = outputs["reward"].sum(-1)
             frames, self._pending[row] = self._pending[row], []
             if after["diverged"][row].any():
                 frames = [] if self._has_given[row] else frames[:1]
