@@ -42,7 +42,7 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
         target_entropy_weight: target entropy as a share of the maximum entropy, log(num_legal).
     """
 
-    out_keys = [*DiscreteSACLoss.out_keys, "entropy_fraction"]
+    out_keys = ["loss_actor", "loss_qvalue", "loss_alpha", "alpha", "entropy", "entropy_fraction"]
     target_entropy_by_count: Tensor
 
     def __init__(

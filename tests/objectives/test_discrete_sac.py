@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import runpy
 
 import pytest
 import torch
@@ -14,7 +15,7 @@ from torchrl.modules import MaskedCategorical, ProbabilisticActor
 from torchrl.objectives import DiscreteSACLoss, SoftUpdate
 
 from fishrl.modules import make_actor, make_mlp, make_twin_critics
-from fishrl.objectives import MaskedDiscreteSACLoss
+from fishrl.objectives import MaskedDiscreteSACLoss, discrete_sac
 from tests.objectives.transitions import NUM_ACTIONS, NUM_INPUTS, make_transitions
 
 pytestmark = pytest.mark.filterwarnings("ignore:No target network updater")
@@ -226,6 +227,13 @@ def test_d7_the_initial_weights_of_the_critics_are_kept() -> None:
             critics()[0],  # type: ignore[arg-type]
             num_actions=NUM_ACTIONS,
         )
+
+
+def test_a_loss_of_torchrl_may_be_made_before_ours_is_imported() -> None:
+    """The first instance of TorchRL's loss turns ``out_keys`` of its class into a property."""
+    before = make_parent().out_keys
+    again = runpy.run_path(discrete_sac.__file__)["MaskedDiscreteSACLoss"]
+    assert again.out_keys == [*before, "entropy_fraction"]
 
 
 @pytest.mark.learning
