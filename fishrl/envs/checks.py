@@ -98,9 +98,12 @@ def check_action(action: Tensor, mask: Tensor) -> None:
     Actions are ``[B]``, or ``[B, M]`` of several fish.
     """
     most = mask.shape[-1] - 1
-    if action.shape != mask.shape[:-1]:
+    if action.shape != mask.shape[:-1] or action.is_floating_point():
         wanted, got = tuple(mask.shape[:-1]), tuple(action.shape)
-        raise ValueError(f"action of shape {got}: must have shape {wanted}")
+        raise ValueError(
+            f"action of shape {got}, {action.dtype}: must hold integers of shape {wanted}; "
+            "make_env(transforms=[OneHotAction()]) takes one-hot actions"
+        )
     is_legal = mask.gather(-1, action.clamp(0, most).unsqueeze(-1)).squeeze(-1)
     is_legal = is_legal & (action >= 0) & (action <= most)
     if not is_legal.all():

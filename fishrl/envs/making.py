@@ -43,7 +43,12 @@ def make_env(
     ``episode_reward`` are theirs, under ``agents``.
     ``recognition`` labels each flow, see ``transforms.equip``; ``transforms`` of one's own are
     appended before the frame stack and may lengthen ``observation``.
+
+    Raises:
+        ValueError: for invalid arguments.
     """
+    if not isinstance(task, AbstractTask):
+        raise ValueError(f"task = {task!r}: must be an instance of a task, such as Predation()")
     task, labelling = equip(task, recognition)
     observed, stacked, action, mask = (
         name_entry(task, name)

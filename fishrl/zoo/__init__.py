@@ -30,6 +30,9 @@ __all__ = ["find_policy", "list_policies", "load_policy", "load_recognition"]
 def load_policy(name: str, *, device: str = "cpu") -> tuple[TensorDictModuleBase, AbstractTask]:
     """Load a policy and the task that it was trained for.
 
+    The policy samples its actions. Under ``torchrl.envs.set_exploration_type`` with
+    ``ExplorationType.DETERMINISTIC``, as in evaluations, it takes the most probable ones.
+
     Args:
         name: such as ``predation_small``, one of ``list_policies()``.
         device: of the policy.

@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs import step_mdp
 
-from fishrl.envs import FlowEnv, Predation
+from fishrl.envs import FlowEnv, Predation, make_env
 from tests.envs.conftest import SMALL, act, make_flows, reset_rows
 from tests.envs.masked_task import MaskedTask
 
@@ -220,3 +220,13 @@ def test_an_illegal_action_is_refused(action: int) -> None:
     act(env, 0, 1)
     with pytest.raises(ValueError, match=rf"action = {action} in row 0: legal is \[1\]"):
         act(env, action, 1)
+
+
+def test_one_hot_actions_and_a_class_for_a_task_are_answered_with_what_is_right() -> None:
+    env = make_flows(MaskedTask(**SMALL), 2)
+    one_hot = torch.tensor([[0, 1, 0], [0, 1, 0]])
+    for action in (one_hot, one_hot[0, :2].float()):
+        with pytest.raises(ValueError, match=r"integers of shape \(2,\).*OneHotAction"):
+            env.step(env.reset().set("action", action))
+    with pytest.raises(ValueError, match="must be an instance of a task"):
+        make_env(task=MaskedTask, num_envs=1)  # type: ignore[arg-type]
