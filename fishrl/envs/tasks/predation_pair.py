@@ -28,7 +28,9 @@ class PredationPair(AbstractPredation):
     of them catches the food or comes too near a wall, and on contact: when markers of the two are
     nearer than ``contact_bl``, so that they never overlap.
 
-    Fish 0 starts in the lower half of the range of ``Predation``, fish 1 in the upper half.
+    Fish 0 starts in the lower half of the range of starts, fish 1 in the upper half. The range is
+    narrower along y than that of ``Predation``, where a fish may start beside a wall and hit it
+    before it can turn: here that would end the episode of both.
 
     Args:
         contact_bl: distance of the outlines that counts as contact, in body lengths.
@@ -41,6 +43,7 @@ class PredationPair(AbstractPredation):
     num_fish: ClassVar[int] = 2
     counted: ClassVar[tuple[str, ...]] = ("caught", "contact")
 
+    start_y_bl: tuple[float, float] = (1.0, 4.0)
     contact_bl: float = bounded(0.15, greater=0, largest=10)
     contact_penalty: float = bounded(20.0, least=0)
     start_gap_bl: float = bounded(0.75, greater=0)
