@@ -64,6 +64,10 @@ def record(settings: ExportDataSettings, *, progress: Progress) -> MinariDataset
     if path.exists():
         raise ValueError(f"{path} exists: take the next version in name={settings.name}")
     task, recognition, policy = settings.make_policy()
+    if task.num_fish > 1:
+        raise ValueError(
+            f"task: {type(task).__name__} has several fish, and Minari's datasets hold one agent"
+        )
     episodes: list[dict[str, list[Any]]] = [{} for _ in range(settings.episodes)]
     progress.rename("compilation" if settings.compile else "set-up")
     env = make_env(

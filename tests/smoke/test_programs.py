@@ -40,6 +40,7 @@ GROUPS = list_choices()
 #: Actions of a few steps, in flows that are hardly larger than the fish.
 REAL: dict[str, dict[str, Any]] = {
     "predation": TINY | BRIEF,
+    "predation_pair": TINY | BRIEF,
     "free_stream": CHANNEL | {"safe_area": "{near_bl:-2.0,far_bl:1.0,aside_bl:0.5}"},
 }
 KINEMATIC: dict[str, Any] = SMALL | BRIEF | {"wall_margin_bl": 0.25}
@@ -145,6 +146,15 @@ def test_a_policy_of_continuous_actions_is_evaluated_viewed_and_exported(
     _run("evaluate", f"checkpoint={tmp_path / 'policy'}", "episodes=1", "num_envs=1", *EAGER)
     _run("view", f"run={run}", f"save={tmp_path / 'flow.rrd'}", "periods=1", *EAGER)
     assert (tmp_path / "flow.rrd").is_file()
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_two_fish_are_viewed_and_their_transitions_are_no_data_of_one(tmp_path: Path) -> None:
+    chosen = ["policy=pursuit", "task=predation_pair", *_set_task(KINEMATIC), *EAGER]
+    _run("view", *chosen, f"save={tmp_path / 'flow.rrd'}", "periods=1")
+    assert (tmp_path / "flow.rrd").is_file()
+    with pytest.raises(AssertionError):  # the program says why, and fails
+        _run("export_data", *chosen, "name=pair-v0", f"folder={tmp_path}", "episodes=1")
 
 
 @pytest.mark.sweep

@@ -1,0 +1,125 @@
+"""Predation by two fish: what each sees and gets, contact, and the bad input it refuses."""
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from fishrl.envs import FlowEnv, PredationPair, make_env
+from fishrl.envs.gymnasium import FlowVectorEnv
+from tests.envs.conftest import SMALL, make_flows
+from tests.envs.test_real_flow import TINY
+
+KEEP = 1
+NORTH, SOUTH, WEST = 0.5 * math.pi, -0.5 * math.pi, math.pi
+
+
+def start_at(
+    *heads: tuple[float, float], headings: tuple[float, float] = (WEST, WEST)
+) -> TensorDict:
+    """One start of two fish with noses at ``heads``, in body lengths of the small task."""
+    return TensorDict(
+        {
+            "head": torch.tensor([heads], dtype=torch.float64) * SMALL["body_length"],
+            "heading": torch.tensor([headings], dtype=torch.float64),
+            "food_direction": torch.ones(1, dtype=torch.float64),
+        },
+        [1],
+    )
+
+
+def make_pair(starts: TensorDict, **settings: Any) -> FlowEnv:
+    return make_flows(PredationPair(**SMALL, **settings), 1, starts=starts)
+
+
+def act(env: FlowEnv, *actions: int) -> TensorDict:
+    agents = TensorDict({"action": torch.tensor([actions])}, [1, 2])
+    return env.step(TensorDict({"agents": agents}, [1]))["next"][0]
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_each_fish_sees_the_other_and_then_the_food() -> None:
+    env = make_pair(start_at((5.5, 2.0), (6.0, 3.5), headings=(WEST, NORTH)))
+    seen = env.reset()["agents", "observation"][0]
+    gap = math.hypot(0.5, 1.5)
+    torch.testing.assert_close(seen[0, :3], torch.tensor([0.5, 1.5, gap]))
+    torch.testing.assert_close(seen[1, :3], torch.tensor([-0.5, -1.5, gap]))
+    # fish 0 looks west and has the other behind on its right, fish 1 looks north, away from it
+    assert -math.pi < float(seen[0, 3]) < -0.5 * math.pi
+    assert float(seen[1, 3]) > 0.5 * math.pi
+    torch.testing.assert_close(seen[0, 4:6], torch.tensor([-3.0, 0.5]))
+    torch.testing.assert_close(seen[1, 4:6], torch.tensor([-3.5, -1.0]))
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_the_fish_that_catches_the_food_is_rewarded_and_both_episodes_end() -> None:
+    env = make_pair(start_at((2.9, 2.5), (6.0, 3.5)))
+    env.reset()
+    after = act(env, KEEP, KEEP)
+    assert after["terminated"].item() and after["captured"].item()
+    assert after["caught"].tolist() == [True, False] and not after["contact"].item()
+    assert after["agents", "reward"].squeeze(-1).tolist() == [21.0, 1.0]
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_contact_ends_the_episode_of_both_before_they_overlap() -> None:
+    env = make_pair(start_at((6.0, 2.4), (6.0, 2.8), headings=(NORTH, SOUTH)), contact_penalty=7.0)
+    env.reset()
+    after = act(env, KEEP, KEEP)
+    assert after["terminated"].item() and after["contact"].item()
+    assert 0.0 < float(env.now["gap"]) < 0.15 * SMALL["body_length"]
+    assert not after["caught"].any()
+    rewards = after["agents", "reward"].squeeze(-1)
+    assert rewards.max() < -5.0
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_a_wall_that_one_fish_meets_ends_the_episode_of_both() -> None:
+    env = make_pair(start_at((6.0, 0.45), (6.0, 3.5), headings=(SOUTH, WEST)))
+    with pytest.raises(ValueError, match="start 0, head at"):
+        make_pair(start_at((6.0, 0.1), (6.0, 3.5)))
+    env.reset()
+    after = act(env, KEEP, KEEP)
+    assert after["terminated"].item() and not (after["captured"] | after["contact"]).item()
+
+
+def test_swimmers_that_meet_in_a_real_flow_end_their_episode_and_do_not_diverge() -> None:
+    task = PredationPair(**TINY, control_interval_T=0.5, checks_per_action=12)
+    length = task.body_length
+    starts = task.sample_starts(1, torch.Generator().manual_seed(0))
+    starts["head"] = torch.tensor([[[2.0, 1.5], [2.35, 1.5]]], dtype=torch.float64) * length
+    starts["heading"] = torch.tensor([[0.0, WEST]], dtype=torch.float64)
+    env = make_flows(task, 1, starts=starts)
+    env.reset()
+    while not (after := act(env, KEEP, KEEP))["done"].item():
+        assert float(env.now["gap"]) >= task.contact_bl * length
+    assert float(env.now["gap"]) > 0.5
+    assert after["contact"].item() and not after["diverged"].item()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"contact_bl": 0.04}, "contact_bl = 0.04: is 0.8 nodes; must be at least 0.05"),
+        ({"start_gap_bl": 4.0}, "start_gap_bl = 4.0: two noses do not fit into start_y_bl"),
+        ({"start_gap_bl": 0.1}, "fish 0 and 1 overlap; move them apart"),
+    ],
+)
+def test_a_pair_that_does_not_fit_is_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        PredationPair(**SMALL, **settings)
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_given_starts_within_each_other_are_refused_at_once() -> None:
+    with pytest.raises(ValueError, match="start 0: fish 0 and 1 overlap"):
+        make_pair(start_at((6.0, 2.5), (6.4, 2.5)))
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_gymnasium_refuses_several_fish() -> None:
+    env = make_env(task=PredationPair(**SMALL), num_envs=1, compile=False)
+    with pytest.raises(ValueError, match="PredationPair has several fish"):
+        FlowVectorEnv(env)
