@@ -18,7 +18,7 @@ from omegaconf import OmegaConf
 
 from experiments.configuration import CONF
 from experiments.gait.trials import GaitSettings
-from experiments.program import Program, list_choices, read_arguments
+from experiments.program import Program, list_choices, read_arguments, write_value
 from experiments.train_settings import PolicySettings
 from fishrl.envs import AbstractTask
 from fishrl.training import LearningSettings, RunSettings
@@ -165,9 +165,9 @@ def _show_default(kind: type, parameter: inspect.Parameter) -> str:
         by_name = {entry.name: entry for entry in fields(kind)}
         if by_name[parameter.name].default_factory is not MISSING:
             default = by_name[parameter.name].default_factory()
-    if is_dataclass(default) or not isinstance(default, bool | int | float | str | tuple | list):
-        return "none" if default is None else f"{type(default).__name__}(…)"
-    return str(list(default)) if isinstance(default, tuple) else str(default)
+    if default is None or isinstance(default, bool | int | float | str | tuple | list):
+        return write_value(default)
+    return f"{type(default).__name__}(…)"
 
 
 def _code(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Try policies of steady streams in changing ones: ``python -m experiments.changing_streams``.
+"""Evaluate policies of steady streams in changing ones: ``python -m experiments.changing_streams``.
 
 Each policy with macro-actions is tried with flow labels from several sources, from the same starts
 and in the same changes of the stream; then the ablation without lateral line and macro-actions, and
@@ -48,7 +48,7 @@ class ChangingSettings(GaitSettings):
     """Settings of a trial in changing streams.
 
     Args:
-        runs: policies with macro-actions and a lateral-line classifier, the seeds of an arm.
+        runs: policies with macro-actions and a lateral-line classifier, one per seed.
         ablations: policies without.
         episodes: of each policy and source of labels.
         periods: duration of an episode in T.

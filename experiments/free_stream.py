@@ -37,7 +37,7 @@ class FreeStreamSettings(trials.GaitSettings):
         episodes: in each flow.
         periods: duration of an episode in T.
         max_frequency: largest frequency that may be commanded, beats per T.
-        max_wall_speed: speed of the tail, nodes per step; so fast a tail diverges at the wake's.
+        max_wall_speed: speed of the tail, nodes per step; at that of the wake the flow diverges.
         frequency: of the controller at zero error, beats per T.
         folder: for results and histories.
     """

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import gc
 import inspect
+import json
 import logging
 import os
 import re
@@ -96,7 +97,7 @@ class Program:
                 lines.append(f"  {name}:  ({name}.<key>=<value>)")
                 lines += [f"    {entry}" for entry in OmegaConf.to_yaml(value).splitlines()]
             else:
-                lines.append(f"  {name}={value}  {texts.get(name, '')}")
+                lines.append(f"  {name}={write_value(value)}  {texts.get(name, '')}")
         return "\n".join(lines).replace("``", "`")
 
 
@@ -106,6 +107,15 @@ def program(
     """Make a program of a function of its settings; ``line`` are arguments of ``CommandLine``."""
     taken = schema if isinstance(schema, CommandLine) else CommandLine(schema=schema, **line)
     return lambda run: Program(run, taken, sweep)
+
+
+def write_value(value: Any) -> str:
+    """Write a plain value or a list of them as on a command line."""
+    if isinstance(value, bool) or value is None:
+        return json.dumps(value)
+    if OmegaConf.is_list(value) or isinstance(value, list | tuple):
+        return f"[{','.join(map(write_value, value))}]"
+    return str(value)
 
 
 def read_arguments(kind: type) -> dict[str, str]:

@@ -1,7 +1,7 @@
-"""Reproduce the paper, ours beside theirs: ``python -m experiments.reproduce scale=small``.
+"""Reproduce the paper's tables and figures: ``python -m experiments.reproduce scale=small``.
 
 ``scale=half`` and ``scale=paper`` do the same on finer grids. Each job is another program, run by
-the command that is printed. The same command goes on after an interruption, also after ``kill -9``;
+the command that is printed. The same command continues after an interruption, also ``kill -9``;
 finished jobs are not repeated unless their settings change. ``plan=true`` only lists what is left
 and how long it takes on this machine. Tables and figures are written to ``reproduction.md`` and
 ``reproduction.html`` in the folder, and with ``docs=docs`` into the documentation.

@@ -141,7 +141,7 @@ def reopen(folder: str | Path, /, *, modules: Collection[str] = (), **changes: A
 def complete(training: Training) -> dict[str, Any]:
     """Run a training to its end and return the summary; SIGINT and SIGTERM save and stop it.
 
-    If a process of its flows dies, the run goes on from its last checkpoint; if one dies again
+    If a process of its flows dies, the run continues from its last checkpoint; if one dies again
     before the next checkpoint, ``ChildProcessError`` is raised.
     """
     resumed_at = None

@@ -32,9 +32,9 @@ def test_types_defaults_and_inherited_words_are_shown() -> None:
     table = describe(Predation)
     row = "| `body_length` | `int` | `50` | L in nodes"
     assert row in table  # the words of AbstractTask
-    assert "| `domain_bl` | `tuple[float, float]` | `[10.0, 5.0]` |" in table
+    assert "| `domain_bl` | `tuple[float, float]` | `[10.0,5.0]` |" in table
     assert "| `stream` | `Stream` | `Stream(…)` |" in describe(KarmanGait)
-    assert "| `name` | `str \\| None` | `none` |" in describe(SCHEMAS["train"])
+    assert "| `name` | `str \\| None` | `null` |" in describe(SCHEMAS["train"])
 
 
 def test_the_seeds_of_evaluations_are_those_of_the_training() -> None:

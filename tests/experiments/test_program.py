@@ -40,6 +40,9 @@ def test_help_shows_choices_settings_and_what_they_mean(
     said = capsys.readouterr().out
     assert "preset: one of gait_half, gait_paper, gait_small" in said
     assert "  num_envs=16  flows that advance together." in said
+    assert "  compile=true  " in said
+    assert "  recognition=null  " in said
+    assert "  hidden=[256,256]  " in said
     assert "    body_length: 32\n" in said
     assert "    wall_margin_bl: 0.25\n" in said  # a default of the task, which no YAML names
     summarize.main(["-h"])
