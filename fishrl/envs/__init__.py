@@ -5,13 +5,14 @@ from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.making import make_env
 from fishrl.envs.one_hot import OneHotAction
 from fishrl.envs.task import AbstractTask, Command
-from fishrl.envs.tasks import KarmanGait, Predation, PredationPair
+from fishrl.envs.tasks import Follower, KarmanGait, Predation, PredationPair
 from fishrl.envs.transforms import PredictedFlowLabel, TrueFlowLabel, make_recognition
 
 __all__ = [
     "AbstractTask",
     "Command",
     "FlowEnv",
+    "Follower",
     "KarmanGait",
     "OneHotAction",
     "Predation",

@@ -67,3 +67,17 @@ def compute_clearance(markers: Tensor, *, width: int, height: int) -> Tensor:
     """
     last = torch.tensor([width - 1.0, height - 1.0], dtype=markers.dtype, device=markers.device)
     return torch.minimum(markers, last - markers).flatten(1).amin(-1)
+
+
+def compute_gap(one: Tensor, other: Tensor) -> Tensor:
+    """Return the smallest distance between the markers of two outlines.
+
+    Args:
+        one: ``[B, N, 2]`` (x, y) in nodes.
+        other: ``[B, M, 2]``.
+
+    Returns:
+        ``[B]`` in nodes.
+    """
+    distance = torch.cdist(one, other, compute_mode="donot_use_mm_for_euclid_dist")
+    return distance.flatten(1).amin(-1)

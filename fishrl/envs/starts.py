@@ -7,13 +7,13 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.sensors import compute_clearance
-from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.geometry import locate_markers
+from fishrl.physics.bodies.outline import BodyConfig
 from fishrl.physics.bodies.placement import MIN_GAP, do_overlap
 from fishrl.physics.bodies.state import make_body
 
 
-def place_fish(starts: TensorDictBase, fish: Fish) -> tuple[Tensor, Tensor]:
+def place_fish(starts: TensorDictBase, fish: BodyConfig) -> tuple[Tensor, Tensor]:
     """Return centre of mass ``[B, 2]`` and heading ``[B]`` of straight fish at their starts.
 
     Starts of M fish give ``[B, M, 2]`` and ``[B, M]``.
@@ -24,7 +24,7 @@ def place_fish(starts: TensorDictBase, fish: Fish) -> tuple[Tensor, Tensor]:
     return starts["head"] - nose_to_centre * direction, heading
 
 
-def place_outline(starts: TensorDictBase, fish: Fish) -> Tensor:
+def place_outline(starts: TensorDictBase, fish: BodyConfig) -> Tensor:
     """Return the outline ``[B, N, 2]`` of straight fish at their starts; see ``place_fish``.
 
     Starts of M fish give ``[B, M, N, 2]``.
@@ -55,7 +55,7 @@ def check_pattern(starts: TensorDictBase, pattern: TensorDictBase) -> None:
 
 
 def check_fit(
-    starts: TensorDictBase, fish: Fish, *, width: int, height: int, margin: float
+    starts: TensorDictBase, fish: BodyConfig, *, width: int, height: int, margin: float
 ) -> None:
     """Raise ValueError unless straight fish at starts keep ``margin`` nodes from the edges.
 

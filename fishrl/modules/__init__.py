@@ -9,6 +9,7 @@ from fishrl.modules.actors import (
     make_twin_critics,
 )
 from fishrl.modules.controllers import InterceptPolicy, PursuitPolicy, RandomPolicy
+from fishrl.modules.follower_controllers import KeepPlace
 from fishrl.modules.gait_controllers import PID, BangBang, FixedFrequency, GaitPolicy
 from fishrl.modules.lateral_line import LateralLineClassifier
 from fishrl.modules.value_actors import (
@@ -25,6 +26,7 @@ __all__ = [
     "FixedFrequency",
     "GaitPolicy",
     "InterceptPolicy",
+    "KeepPlace",
     "LateralLineClassifier",
     "PursuitPolicy",
     "RandomPolicy",

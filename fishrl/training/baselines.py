@@ -19,7 +19,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from fishrl.bounds import suggest
-from fishrl.envs import AbstractTask, KarmanGait, Predation, PredationPair
+from fishrl.envs import AbstractTask, Follower, KarmanGait, Predation, PredationPair
 from fishrl.envs.macro_actions import ContinuousFrequency, DirectFrequencies, MacroActions
 from fishrl.modules import (
     PID,
@@ -27,6 +27,7 @@ from fishrl.modules import (
     FixedFrequency,
     GaitPolicy,
     InterceptPolicy,
+    KeepPlace,
     PursuitPolicy,
     RandomPolicy,
 )
@@ -132,6 +133,15 @@ def _(task: KarmanGait) -> dict[str, Baseline]:
     if task.stream.has_disc:  # in a free stream no vortices are shed
         known["shedding"] = Baseline(lambda seed: make_shedding(task), is_default=False)
     return known
+
+
+@find_baselines.register
+def _(task: Follower) -> dict[str, Baseline]:
+    """Return the controller that keeps a place in line behind the leader."""
+    keep = partial(
+        KeepPlace, turn=math.radians(task.turn_degrees), frequency_range=task.frequency_range
+    )
+    return {"keep_place": Baseline(lambda seed: keep()), **find_random(task)}
 
 
 def make_shedding(task: KarmanGait) -> GaitPolicy:

@@ -5,6 +5,7 @@ from torch import Tensor
 
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.geometry import Markers, deform_body, place_markers
+from fishrl.physics.bodies.motion import Driven
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.flow import FlowConfig
 
@@ -74,7 +75,9 @@ class KinematicSolver:
         assert num_steps >= 0 and num_steps % 2 == 0
         assert self.config.fish is not None
         moves = torch.ones(self.num_envs) if rows is None else rows.double()
-        for body in self.bodies:
+        for own, body in zip(self.config.bodies, self.bodies, strict=False):
+            if isinstance(own.motion, Driven):  # at rest: held in its place
+                continue
             speed = SPEED_BL * self.config.fish.body_length * body.frequency
             for _ in range(num_steps // 2):
                 direction = torch.stack((torch.cos(body.heading), torch.sin(body.heading)), -1)

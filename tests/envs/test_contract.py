@@ -19,7 +19,10 @@ from tests.envs.conftest import SMALL
 from tests.envs.masked_task import MaskedTask
 
 #: A tail that may beat faster needs more room before an edge.
-SIZES = {fishrl.envs.tasks.KarmanGait: {"checks_per_action": 30}}
+SIZES = {
+    fishrl.envs.tasks.Follower: {"checks_per_action": 30},
+    fishrl.envs.tasks.KarmanGait: {"checks_per_action": 30},
+}
 LIBRARY = [getattr(fishrl.envs.tasks, name) for name in fishrl.envs.tasks.__all__]
 pytestmark = pytest.mark.usefixtures("kinematic")
 

@@ -32,6 +32,9 @@ MORE = {
     "sac": ["task=predation_continuous"],
     "predation_continuous": ["algorithm=sac"],
     "karman_gait_continuous": ["algorithm=sac"],
+    "follower": ["algorithm=sac"],
+    "follower_disc": ["algorithm=sac", "task.diameter_bl=0.5"],
+    "follower_small": ["algorithm=sac"],
     "wandb": ["logger.is_offline=true"],
 }
 

@@ -31,6 +31,7 @@ from tests.docs.pages import DOCS
 from tests.docs.test_tutorials import BRIEF, CHANNEL
 from tests.envs.conftest import SMALL
 from tests.envs.kinematic_solver import KinematicSolver
+from tests.envs.test_follower import TINY as FOLLOWER
 from tests.envs.test_real_flow import TINY
 
 pytestmark = pytest.mark.smoke
@@ -41,6 +42,7 @@ GROUPS = list_choices()
 REAL: dict[str, dict[str, Any]] = {
     "predation": TINY | BRIEF,
     "predation_pair": TINY | BRIEF,
+    "follower": FOLLOWER | BRIEF,
     "free_stream": CHANNEL | {"safe_area": "{near_bl:-2.0,far_bl:1.0,aside_bl:0.5}"},
 }
 KINEMATIC: dict[str, Any] = SMALL | BRIEF | {"wall_margin_bl": 0.25}
@@ -129,8 +131,10 @@ def test_every_program_is_here() -> None:
 def test_every_task_is_trained(task: str, runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if task not in REAL:
         _glide(monkeypatch)
-    algorithm = ["algorithm=sac"] if task.endswith("_continuous") else []
-    _train(runs, task, f"task={task}", *algorithm, *_set_task(REAL.get(task, KINEMATIC)))
+    is_continuous = task.endswith("_continuous") or task.startswith("follower")
+    more = ["algorithm=sac"] if is_continuous else []
+    more += ["task.diameter_bl=0.5"] if task == "follower_disc" else []
+    _train(runs, task, f"task={task}", *more, *_set_task(REAL.get(task, KINEMATIC)))
 
 
 @pytest.mark.usefixtures("kinematic")
@@ -171,6 +175,7 @@ def test_a_c_start_is_searched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     ("task", "policy"),
     [
         *(("predation", name) for name in ("random", "pursuit", "intercept")),
+        ("follower", "keep_place"),
         *(("karman_gait", name) for name in ("pid", "passive", "bang_bang", "shedding")),
     ],
 )

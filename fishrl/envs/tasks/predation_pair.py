@@ -11,7 +11,7 @@ from torch import Tensor
 from fishrl.bounds import bounded
 from fishrl.envs.protocol import Solver
 from fishrl.envs.rewards import reward_approach
-from fishrl.envs.sensors import compute_clearance, sense_target
+from fishrl.envs.sensors import compute_clearance, compute_gap, sense_target
 from fishrl.envs.tasks.predation import CHANCE_UP, AbstractPredation
 from fishrl.physics.bodies.placement import MIN_GAP
 
@@ -94,7 +94,6 @@ class PredationPair(AbstractPredation):
         noses = [outline[:, 0] for outline in outlines]
         food = self.locate_food(starts, solver.body.age)
         size = {"width": solver.config.width, "height": solver.config.height}
-        gaps = torch.cdist(outlines[0], outlines[1], compute_mode="donot_use_mm_for_euclid_dist")
 
         def sense(place: Tensor, fish: int) -> Tensor:
             return sense_target(noses[fish], headings[fish], place, body_length=self.body_length)
@@ -105,7 +104,7 @@ class PredationPair(AbstractPredation):
                 "target": torch.stack([sense(food, fish) for fish in (0, 1)], 1),
                 "other": torch.stack([sense(noses[1 - fish], fish) for fish in (0, 1)], 1),
                 "clearance": torch.stack([compute_clearance(one, **size) for one in outlines], 1),
-                "gap": gaps.flatten(1).amin(-1),
+                "gap": compute_gap(outlines[0], outlines[1]),
             },
             starts.batch_size,
             device=starts.device,

@@ -136,22 +136,27 @@ class Bending(Motion):
     """A free fish that turns by bending its midline; no external torque.
 
     The bend adds L kappa x^2 to the midline, x in body lengths from the head. During a command
-    kappa relaxes towards -gain * turn, afterwards back to zero, with a sixth of the command's
-    length as time constant: the tail moves to the side of the turn and stays there while commands
-    continue.
+    kappa relaxes towards -gain * turn, afterwards back to zero: the tail moves to the side of the
+    turn and stays there while commands continue.
 
     Args:
         gain: bend per radian of commanded turn. With 1, successive commands of 15 degrees turn a
             Carling swimmer at Re = 7000 and L = 50 by 11 degrees per tail beat, with 0.5 by 8;
             larger values only slow it.
+        response: time constants of the relaxation in the length of a command. Large ones fling the
+            tail, at up to ``response`` times the change of kappa L per command.
     """
 
     free_axes: ClassVar[tuple[int, ...]] = (0, 1, 2)
 
     gain: float = 1.0
+    response: float = bounded(6.0, greater=0, largest=6)
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
 
     def compute_bend_rate(self, body: BodyState) -> Tensor:
         """Return the relaxation towards the command."""
         is_commanded = body.turn_clock < body.turn_steps
         goal = torch.where(is_commanded, -self.gain * body.turn, torch.zeros_like(body.turn))
-        return (goal - body.bend) * 6.0 / body.turn_steps.clamp_min(6.0)
+        return (goal - body.bend) * self.response / body.turn_steps.clamp_min(6.0)

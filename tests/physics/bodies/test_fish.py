@@ -341,6 +341,15 @@ def test_a_bent_fish_turns_without_a_torque_from_outside() -> None:
     assert turned[0] - turned[1] > 0.1
 
 
+def test_a_bend_with_a_smaller_response_moves_the_tail_more_slowly() -> None:
+    one = torch.ones(1, dtype=torch.float64)
+    body = make_fish_body()._replace(turn=0.1 * one, turn_steps=60.0 * one, turn_clock=0 * one)
+    rates = [Bending(response=each).compute_bend_rate(body).item() for each in (6.0, 2.0)]
+    assert rates == pytest.approx([-0.01, -0.01 / 3.0])
+    with pytest.raises(ValueError, match="response"):
+        Bending(response=7.0)
+
+
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("is_midline", [False, True])
 def test_markers_located_without_their_motion_are_the_same(

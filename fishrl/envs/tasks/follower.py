@@ -1,0 +1,332 @@
+"""Follower: swim behind a fish or a half disc with as little work as possible."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf, pi, radians
+from typing import ClassVar, final
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from fishrl.bounds import bounded, suggest
+from fishrl.envs.protocol import Solver
+from fishrl.envs.scene import Area, Scene
+from fishrl.envs.sensors import compute_clearance, compute_gap, wrap_angle
+from fishrl.envs.starts import check_fit, place_fish, place_outline
+from fishrl.envs.streams import Stream
+from fishrl.envs.task import AbstractTask, Command, as_pair
+from fishrl.envs.wakes import WakeBank
+from fishrl.physics.bodies.fish import Fish
+from fishrl.physics.bodies.motion import Bending, Driven
+from fishrl.physics.flow import FlowConfig, Sponge
+
+LEADERS = ("fish", "disc", "none")
+#: Time constants of the bend in an action; a faster one would fling the tail.
+RESPONSE = 2.0
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class Follower(AbstractTask):
+    """Hold a place in the wake of a leader by bending the midline and choosing the tail beat.
+
+    The leader beats once per T and is held in its place, in a stream along +x as fast as it would
+    swim: the mean force on it vanishes. The follower is free; nothing but the water turns it.
+
+    Places are those of the follower's centre of mass behind the rear end of the leader, (x, y) in
+    body lengths. Actions, each T / 2: the bend, as a turn in degrees (see ``motion.Bending``), and
+    the frequency. Observation: place, heading from upstream, sine and cosine of the own phase and
+    of that relative to a leading fish's, velocity in L / T, turning rate in radians per T, and the
+    last two actions in [-1, 1], the older one first.
+
+    The reward is the efficiency of the interval, useful work / (useful work + work of the muscles),
+    as in Verma, Novati & Koumoutsakos 2018. They count thrust times speed as useful; we count
+    ``cost_alone`` for each body length through the water, so that 0.5 is as efficient as alone. A
+    failure gives -10: the follower leaves its range, touches the leader or comes near an edge.
+
+    Numbers follow the tasks twoFish and cylFollow of CubismUP 2D (CSE-lab, ETH Zürich).
+
+    Args:
+        leader: fish, disc, or none, for comparison with a fish alone.
+        stream_speed_bl: of the stream, L / T.
+        turn_degrees: largest turn of an action.
+        frequency_range: least and largest tail-beat frequency, beats per T.
+        cost_alone: work of the fish alone for 1 L through the water, rho L^4 / T^2.
+        diameter_bl: D of the half disc.
+        leader_x_bl: rear end of the leader, from the inflow.
+        start_x_bl: range of the first place along x.
+        start_y_bl: the same along y.
+        start_degrees: largest angle of the first heading from upstream.
+        range_bl: least and largest x.
+        aside_bl: largest distance from the centreline of the leader.
+        contact_bl: gap to the leader that counts as contact; below three nodes or so the delta
+            kernels of both overlap.
+        wake_folder: cache of developed wakes behind the disc.
+    """
+
+    n_obs: ClassVar[int] = 14
+    num_actions: ClassVar[int] = 2
+    num_draws: ClassVar[int] = 4
+    counted: ClassVar[tuple[str, ...]] = ("contact",)
+
+    body_length: int = 32
+    reynolds: float = 5000.0
+    max_wall_speed: float = 0.15
+    domain_bl: tuple[float, float] = (6.0, 3.0)
+    wall_margin_bl: float = 0.16
+    time_limit: int = 200
+    control_interval_T: float = 0.5
+    checks_per_action: int = 16
+    leader: str = "fish"
+    stream_speed_bl: float = bounded(0.35, greater=0)
+    turn_degrees: float = bounded(6.0, greater=0, largest=30)
+    frequency_range: tuple[float, float] = bounded((0.7, 1.35), greater=0, largest=10)
+    cost_alone: float = bounded(0.11, greater=0)
+    diameter_bl: float = bounded(0.3125, greater=0)
+    leader_x_bl: float = bounded(1.75, greater=0)
+    start_x_bl: tuple[float, float] = (1.0, 1.5)
+    start_y_bl: tuple[float, float] = (-0.25, 0.25)
+    start_degrees: float = bounded(20.0, least=0, largest=180)
+    range_bl: tuple[float, float] = (0.5, 3.0)
+    aside_bl: float = bounded(1.0, greater=0)
+    contact_bl: float = bounded(0.1, greater=0)
+    wake_folder: str = "runs/wakes"
+
+    def __post_init__(self) -> None:
+        for name in ("frequency_range", "start_x_bl", "start_y_bl", "range_bl"):
+            pair = as_pair(name, getattr(self, name))
+            object.__setattr__(self, name, pair)
+            if not pair[0] <= pair[1]:
+                raise ValueError(f"{name} = {pair}: give the least, then the largest")
+        if self.leader not in LEADERS:
+            raise ValueError(
+                f"leader = {self.leader!r}: allowed is {', '.join(LEADERS)}"
+                f"{suggest(str(self.leader), LEADERS)}"
+            )
+        super().__post_init__()
+        corners = torch.cartesian_prod(*[torch.linspace(0.0, 1.0, 3).double()] * 3)
+        self.check_starts(self.starts_from(torch.nn.functional.pad(corners, (0, 1))))
+
+    @property
+    def action_bounds(self) -> tuple[tuple[float, float], ...]:
+        """Turn in degrees and frequency in beats per T."""
+        return (-self.turn_degrees, self.turn_degrees), self.frequency_range
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the two numbers."""
+        low, high = self.frequency_range
+        return f"turn, ±{self.turn_degrees:g}°", f"frequency, {low:g} to {high:g} beats/T"
+
+    @property
+    def max_frequency(self) -> float:
+        """Highest frequency of follower and leader."""
+        return max(1.0, self.frequency_range[1])
+
+    @property
+    def max_stream_speed_bl(self) -> float:
+        """Speed of the stream."""
+        return self.stream_speed_bl
+
+    @property
+    def swimming_speed(self) -> float:
+        """Bound on the speed of a marker, with a bend from one side to the other."""
+        bend = 2.0 * radians(self.turn_degrees) * self.body_length
+        return super().swimming_speed + RESPONSE * bend / self.n_substeps
+
+    @cached_property
+    def fish(self) -> Fish:
+        """The follower."""
+        return Fish(body_length=self.body_length, motion=Bending(response=RESPONSE))
+
+    @cached_property
+    def stream(self) -> Stream:
+        """The stream, with the half disc if that leads."""
+        return Stream(
+            speeds_bl=(self.stream_speed_bl,),
+            has_disc=self.leader == "disc",
+            diameter_bl=self.diameter_bl,
+            face_bl=self.leader_x_bl,
+            wake_folder=self.wake_folder,
+        )
+
+    @cached_property
+    def wakes(self) -> WakeBank | None:
+        """Developed wakes behind the half disc; that of a fish develops within the episode."""
+        if self.leader != "disc":
+            return None
+        return self.stream.load_wakes(self.flow_config(), self.scales)
+
+    def flow_config(self) -> FlowConfig:
+        """Return the stream with the follower and, if any, the leader."""
+        config = self.stream.make_config(self.fish, self.scales, self.domain_bl)
+        leader = replace(self.fish, motion=Driven())
+        bodies = (self.fish, leader) if self.leader == "fish" else config.bodies
+        # the first vortices would grow at the outflow
+        sponge = Sponge(length=self.body_length // 2)
+        return replace(config, bodies=bodies, sponges=(sponge,))
+
+    @cached_property
+    def origin(self) -> tuple[float, float]:
+        """First place of the leader's rear end, (x, y) in nodes."""
+        return self.stream.find_origin(self.flow_config(), self.scales)
+
+    @cached_property
+    def leader_start(self) -> TensorDict:
+        """Nose and heading of the leader, ``[1]``, as in ``starts_from``."""
+        x, y = self.origin
+        length = 0.5 * self.diameter_bl if self.leader == "disc" else 1.0
+        head = torch.tensor([[x - length * self.body_length, y]], dtype=torch.float64)
+        return TensorDict({"head": head, "heading": torch.full_like(head[:, 0], pi)}, [1])
+
+    @property
+    def contact(self) -> float:
+        """Gap that counts as contact, nodes."""
+        return self.contact_bl * self.body_length
+
+    def starts_from(self, uniform: Tensor) -> TensorDict:
+        """Draw place, heading and, behind a half disc, the phase of the wake."""
+        ranges = (self.start_x_bl, self.start_y_bl, (-self.start_degrees, self.start_degrees))
+        low, high = torch.tensor(ranges, dtype=uniform.dtype, device=uniform.device).T
+        x, y, angle = (low + uniform[:, :3] * (high - low)).unbind(-1)
+        heading = pi + angle.deg2rad()
+        ahead = torch.stack((heading.cos(), heading.sin()), -1)
+        centre = uniform.new_tensor(self.origin) + self.body_length * torch.stack((x, y), -1)
+        return TensorDict(
+            {
+                "head": centre + self.fish.centre * ahead,
+                "heading": heading,
+                "wake_phase": uniform[:, 3].clone(),
+            },
+            uniform.shape[:1],
+            device=uniform.device,
+        )
+
+    def check_starts(self, starts: TensorDictBase) -> None:
+        """Also check that the follower is within its range and apart from the leader."""
+        super().check_starts(starts)
+        if not ((starts["wake_phase"] >= 0.0) & (starts["wake_phase"] < 1.0)).all():
+            raise ValueError(f"wake_phase = {starts['wake_phase'].tolist()}: allowed is [0, 1)")
+        place = self._locate(place_fish(starts, self.fish)[0])
+        gap, config = torch.full_like(place[:, 0], inf), self.flow_config()
+        for leader in config.bodies[1:]:
+            size = {"width": config.width, "height": config.height}
+            check_fit(self.leader_start, leader, **size, margin=self.wall_margin)
+            other = place_outline(self.leader_start, leader).to(place)
+            gap = compute_gap(place_outline(starts, self.fish), other)
+        is_wrong = self._has_left(place) | ~(gap >= self.contact)
+        if is_wrong.any():
+            i = int(is_wrong.int().argmax())
+            raise ValueError(
+                f"start {i}: {place[i].tolist()} L behind the leader, {gap[i]:.3g} nodes from it: "
+                f"allowed is x in {self.range_bl} and |y| up to {self.aside_bl} L with a gap of "
+                f"{self.contact:.3g} nodes"
+            )
+
+    def place_(self, solver: Solver, rows: Tensor, starts: TensorDictBase) -> None:
+        """Set the stream, the wake if there is a half disc, and the bodies of each row."""
+        position, heading = place_fish(starts, self.fish)
+        if self.leader == "fish":
+            centre, angle = place_fish(self.leader_start.to(starts.device), self.fish)
+            position = torch.stack((position, centre.expand_as(position)), 1)
+            heading = torch.stack((heading, angle.expand_as(heading)), 1)
+        draws = {"flow_index": rows.long() * 0, "wake_phase": starts["wake_phase"]}
+        self.stream.begin_(
+            solver, rows, draws, (position, heading), scales=self.scales, wakes=self.wakes
+        )
+
+    def command(self, action: Tensor, before: TensorDictBase) -> Command:
+        """Bend and beat as the action says."""
+        turn, frequency = action.unbind(-1)
+        return Command(turn.deg2rad(), frequency / self.scales.period)
+
+    def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
+        """Measure place, motion and work of the follower, and the gap to the leader."""
+        body, markers, scales = solver.body, solver.markers(), self.scales
+        gap, lead = torch.full_like(body.phase, inf), torch.zeros_like(body.phase)
+        for index in range(1, len(solver.bodies)):
+            gap = compute_gap(markers, solver.markers(index))
+        if self.leader == "fish":
+            lead = solver.bodies[1].phase
+        unit = (scales.reference_speed * self.body_length) ** 2
+        return TensorDict(
+            {
+                "place": self._locate(body.position),
+                "heading": wrap_angle(body.heading + body.internal_angle - pi),
+                "velocity": body.velocity / scales.reference_speed,
+                "spin": body.angular_velocity * scales.period,
+                "phase": body.phase.clone(),
+                "phase_ahead": body.phase - lead,
+                "age": body.age.clone(),
+                "gap": gap,
+                "clearance": compute_clearance(
+                    markers, width=solver.config.width, height=solver.config.height
+                ),
+                "work": body.work / unit,
+                "positive_work": body.positive_work / unit,
+            },
+            starts.batch_size,
+            device=starts.device,
+        )
+
+    def begin(self, now: TensorDictBase) -> dict[str, Tensor]:
+        """Start without earlier actions."""
+        return {"actions": now["place"].new_zeros(*now.shape, 2, 2)}
+
+    def remember(
+        self, before: TensorDictBase, action: Tensor, now: TensorDictBase
+    ) -> dict[str, Tensor]:
+        """Keep the last two actions, each number in [-1, 1]."""
+        low, high = torch.tensor(self.action_bounds).to(action).T
+        share = 2.0 * (action - low) / (high - low) - 1.0
+        return {"actions": torch.stack((before["actions"][:, 1], share), 1)}
+
+    def observe(self, now: TensorDictBase) -> Tensor:
+        """Return the observation, see the class."""
+        own, ahead = now["phase"], now["phase_ahead"]
+        columns = (now["heading"], own.sin(), own.cos(), ahead.sin(), ahead.cos())
+        numbers = (now["place"], torch.stack(columns, -1), now["velocity"], now["spin"][:, None])
+        return torch.cat((*numbers, now["actions"].flatten(1)), -1).float()
+
+    def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
+        """Return the efficiency of the interval, or -10."""
+        swum = self._measure_way(now) - self._measure_way(before)
+        useful = self.cost_alone * swum.clamp_min(0.0)
+        work = (now["work"] - before["work"]).clamp_min(0.0)
+        efficiency = useful / (useful + work).clamp_min(1e-12)
+        return torch.where(self.is_terminated(now), -10.0, efficiency)
+
+    def is_terminated(self, now: TensorDictBase) -> Tensor:
+        """Return whether the follower has left its range, or touches an edge or the leader."""
+        touches: Tensor = (now["clearance"] < self.wall_margin) | (now["gap"] < self.contact)
+        return touches | self._has_left(now["place"])
+
+    def report(self, now: TensorDictBase) -> dict[str, Tensor]:
+        """Return place, way through the water, work, positive work and whether there is contact."""
+        names = ("place", "heading", "work", "positive_work")
+        return {
+            **{name: now[name] for name in names},
+            "way": self._measure_way(now),
+            "contact": now["gap"] < self.contact,
+        }
+
+    def make_scene(self) -> Scene:
+        """Add the range of the centre of mass."""
+        (x, y), length, aside = self.origin, self.body_length, self.aside_bl * self.body_length
+        low, high = (x + length * end for end in self.range_bl)
+        area = Area(key="range", low=(low, y - aside), high=(high, y + aside))
+        return super().make_scene().extend(areas=(area,))
+
+    def _locate(self, position: Tensor) -> Tensor:
+        x, y = self.origin  # numbers: a tensor would have to be copied to a GPU each time
+        return torch.stack((position[:, 0] - x, position[:, 1] - y), -1) / self.body_length
+
+    def _measure_way(self, now: TensorDictBase) -> Tensor:
+        """Return how far the follower has swum through the water, L, up to a constant."""
+        way: Tensor = self.stream_speed_bl * now["age"] / self.scales.period - now["place"][:, 0]
+        return way
+
+    def _has_left(self, place: Tensor) -> Tensor:
+        x, y = place.unbind(-1)
+        return (x < self.range_bl[0]) | (x > self.range_bl[1]) | (y.abs() > self.aside_bl)

@@ -1,0 +1,72 @@
+"""A hand-crafted controller that keeps a fish at a place behind its leader.
+
+It reads the same TensorDict as a learned policy: a stack of observations whose first three numbers
+are x and y behind the leader in body lengths and the heading from upstream in radians, and whose
+numbers 7 to 9 are the velocity (x, y) in L / T and the turning rate in radians per T.
+"""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+
+#: Numbers in one observation.
+NUM_FEATURES = 14
+
+
+class KeepPlace(TensorDictModuleBase):
+    """Beat faster when too far behind, and head for the line when beside it.
+
+    Decisions are half a beat apart; the mean of two observations is without the sway of the beat.
+
+    Args:
+        turn: largest turn of an action, radians.
+        frequency_range: least and largest frequency of an action, beats per T.
+        station_bl: x to keep, body lengths.
+        line_bl: y to keep.
+        frequency: at the station, beats per T.
+        gain: of the frequency, beats per T and body length.
+        damping: of the frequency, beats per L.
+        aside_gain: heading for a distance aside of 1 L, radians.
+        aside_damping: the same for 1 L / T.
+        heading_gain: turn per heading error.
+        spin_gain: turn per turning rate, T.
+    """
+
+    def __init__(
+        self,
+        *,
+        turn: float,
+        frequency_range: tuple[float, float],
+        station_bl: float = 1.5,
+        line_bl: float = 0.0,
+        frequency: float = 1.1,
+        gain: float = 0.6,
+        damping: float = 1.0,
+        aside_gain: float = 0.5,
+        aside_damping: float = 0.5,
+        heading_gain: float = 0.5,
+        spin_gain: float = 0.1,
+    ) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = ["observation_stack"], ["action"]
+        self.turn, self.frequency_range, self.frequency = turn, frequency_range, frequency
+        self.station_bl, self.line_bl = station_bl, line_bl
+        self.gain, self.damping = gain, damping
+        self.aside_gain, self.aside_damping = aside_gain, aside_damping
+        self.heading_gain, self.spin_gain = heading_gain, spin_gain
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``action`` ``[B, 2]``: turn and frequency, each in [-1, 1]."""
+        stack = tensordict["observation_stack"].unflatten(-1, (-1, NUM_FEATURES))
+        x, y, heading = stack[..., -2:, :3].mean(-2).unbind(-1)
+        velocity_x, velocity_y, spin = stack[..., -2:, 7:10].mean(-2).unbind(-1)
+        # a heading above that of upstream leads to -y
+        course = self.aside_gain * (y - self.line_bl) + self.aside_damping * velocity_y
+        error = course.clamp(-0.4, 0.4) - heading
+        turn = (self.heading_gain * error - self.spin_gain * spin) / self.turn
+        low, high = self.frequency_range
+        frequency = self.frequency + self.gain * (x - self.station_bl) + self.damping * velocity_x
+        share = 2.0 * (frequency - low) / (high - low) - 1.0
+        return tensordict.set("action", torch.stack((turn, share), -1).clamp(-1.0, 1.0))

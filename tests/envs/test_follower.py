@@ -1,0 +1,80 @@
+"""The follower: starts, contact, reward, bad settings, and a real flow behind a leading fish."""
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from fishrl.envs import FlowEnv, Follower, make_env
+from fishrl.physics.bodies.placement import do_overlap
+from tests.envs.conftest import SMALL, make_flows
+
+TINY = SMALL | {"body_length": 16, "domain_bl": (6.0, 3.0), "checks_per_action": 20}
+TINY["wall_margin_bl"] = 0.3
+
+
+@pytest.mark.parametrize(
+    ("settings", "problem"),
+    [
+        ({"start_x_bl": (0.5, 1.5)}, "gap"),
+        ({"start_y_bl": (0.0, 0.8), "aside_bl": 0.7}, "behind the leader"),
+        ({"start_x_bl": (1.5, 1.0)}, "least"),
+        ({"leader": "fisch"}, "did you mean 'fish'"),
+        ({"leader_x_bl": 1.0}, "too near the edge"),
+    ],
+)
+def test_a_start_within_or_far_from_the_leader_is_refused(
+    settings: dict[str, object], problem: str
+) -> None:
+    with pytest.raises(ValueError, match=problem):
+        Follower(**settings)
+
+
+def make_now(**values: object) -> TensorDict:
+    """Return a measurement of one row."""
+    now = {"place": [1.5, 0.0], "age": 0.0, "work": 0.0, "gap": 9.0, "clearance": 99.0} | values
+    return TensorDict({k: torch.tensor([v], dtype=torch.float64) for k, v in now.items()}, [1])
+
+
+def test_the_reward_is_the_efficiency_and_a_failure_gives_minus_ten() -> None:
+    task = Follower()
+    before = make_now()
+    age = task.scales.period / 2
+    alone = task.cost_alone * task.stream_speed_bl / 2  # work for the way within T / 2
+    assert task.reward(before, make_now(age=age, work=alone)).item() == pytest.approx(0.5)
+    assert task.reward(before, make_now(age=age, work=alone / 3)).item() == pytest.approx(0.75)
+    assert task.reward(before, make_now(age=age, work=-1.0)).item() == 1.0
+    carried = make_now(age=age, work=alone, place=[1.5 + task.stream_speed_bl / 2, 0.0])
+    assert task.reward(before, carried).item() == pytest.approx(0.0)
+    for end in ({"gap": 1.0}, {"place": [3.1, 0.0]}, {"place": [1.0, -1.1]}, {"clearance": 1.0}):
+        assert task.is_terminated(make_now(**end)).all()
+        assert task.reward(before, make_now(age=age, **end)).item() == -10.0
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_fish_that_touch_end_the_episode_before_they_overlap() -> None:
+    task = Follower(**TINY, start_y_bl=(0.0, 0.0), start_degrees=0.0)
+    env = make_env(task=task, num_envs=2, compile=False)
+    state, ahead = env.reset(), torch.zeros(2, 2)
+    for _ in range(9):
+        step = env.step(state.set("action", ahead))["next"]
+        if step["done"].all():
+            break
+        state = step.exclude("reward")
+    assert step["contact"].all() and step["terminated"].all()
+    assert (step["reward"] == -10.0).all()
+    solver = env.base_env.solver
+    assert not do_overlap(solver.markers(0), solver.markers(1)).any()
+
+
+def test_a_leading_fish_beats_in_its_place_and_the_follower_turns_by_its_bend_alone() -> None:
+    env: FlowEnv = make_flows(Follower(**TINY), 1)
+    env.reset()
+    leader = env.solver.bodies[1]
+    before = leader.position.clone()
+    env.step(TensorDict({"action": torch.tensor([[1.0, 0.0]])}, [1]))
+    assert (leader.position == before).all() and leader.heading.item() == pytest.approx(torch.pi)
+    assert leader.beats.item() == pytest.approx(env.task.interval_T)
+    assert env.now["actions"][0, 1].tolist() == pytest.approx([1.0, 0.0], abs=1e-6)
+    assert env.solver.body.bend.item() < 0.0  # the tail is on the side of the turn
+    assert leader.bend.item() == 0.0
+    assert env.now["work"].item() > 0.0
