@@ -50,7 +50,7 @@ $(TRITON_STAMP): $(STAMP)
 GPU_TESTS := PRETEND_CUDA=1 SMOKE_DEVICE=cuda PYTHONPATH=tests/pretend $(BIN)/python -m pytest $(PARALLEL)
 GPU_FOLDERS := tests/gpu tests/smoke tests/physics/fast tests/viewer
 
-test-gpu: $(TRITON_STAMP) ## run smoke tests and those for a GPU there; without one, on a pretended one
+test-gpu: $(TRITON_STAMP) ## run the GPU and smoke tests on a GPU, or an emulated one where there is none
 	$(GPU_TESTS) -m "(gpu or smoke) and not slow" $(ARGS) $(GPU_FOLDERS)
 
 test-gpu-proxy: $(TRITON_STAMP) ## the same with the slow ones
