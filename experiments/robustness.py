@@ -1,0 +1,198 @@
+"""Try frozen policies where they were not trained: ``python -m experiments.robustness``.
+
+Each condition changes settings of the task, the same for every policy: the disc, the streams, the
+starts, the lateral line. ``conditions={wide:{stream:{diameter_bl:0.6}}}`` gives others. Policies
+swim from the same starts in every stream. Writes ``robustness.json``, ``robustness.md`` and
+``robustness.png``; histories are cached, so the same command goes on after an interruption.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from omegaconf import OmegaConf
+
+from experiments.figures.style import COLOURS, panels, tidy
+from experiments.gait.diagnostics import diagnose
+from experiments.gait.trials import (
+    PERIODS,
+    Histories,
+    Trial,
+    list_shedding,
+    load_trial,
+    make_trial,
+    run_trial,
+)
+from experiments.pages import write_table
+from experiments.program import program
+from experiments.statistics import Difference
+from fishrl.bounds import bounded, check_bounds
+from fishrl.envs import KarmanGait
+from fishrl.training.description import make, to_plain
+from fishrl.training.progress import Progress
+from fishrl.training.run_folder import write_json
+
+#: Settings of the task that each condition changes.
+CONDITIONS: dict[str, Any] = {
+    "as trained": {},
+    "disc of 0.3 L": {"stream": {"diameter_bl": 0.3}},
+    "disc of 0.5 L": {"stream": {"diameter_bl": 0.5}},
+    "disc of 0.6 L": {"stream": {"diameter_bl": 0.6}},
+    "1.1, 1.3, 1.4 L/T": {"stream": {"speeds_bl": (1.1, 1.3, 1.4)}},
+    "0.8, 1.25, 1.7 L/T": {"stream": {"speeds_bl": (0.8, 1.25, 1.7)}},
+    "0.3 to 0.6 L aside": {"start_y_bl": (0.3, 0.6)},
+    "2.5 to 3.5 L behind": {"start_x_bl": (2.5, 3.5)},
+    "sensor noise 0.5 L/T": {"lateral_line": {"noise": 0.5}},
+    "sensors delayed by T/4": {"lateral_line": {"delay": 2}},
+}
+
+
+@dataclass(kw_only=True)
+class RobustnessSettings:
+    """Settings of a trial under other conditions.
+
+    Args:
+        runs: policies of ``task=karman_gait``; those of one kind are the seeds of an arm.
+        baselines: as in ``experiments.transfer``.
+        conditions: settings of the task by the name of the condition; without any ``CONDITIONS``.
+        reference: arm that the others are compared with, start by start.
+        episodes: of each policy in each stream.
+        periods: duration of an episode in T.
+        folder: for what is written.
+    """
+
+    runs: tuple[str, ...] = (
+        *("zoo/gait_small", "zoo/gait_small_seed1", "zoo/gait_small_seed2"),
+        *("zoo/gait_small_oracle", "zoo/gait_small_ablation"),
+    )
+    baselines: tuple[str, ...] = ("pid",)
+    conditions: dict[str, Any] = field(default_factory=dict)
+    reference: str = "pid"
+    episodes: int = bounded(4, least=1)
+    periods: float = bounded(PERIODS, greater=0)
+    folder: str = "runs/robustness"
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
+
+
+def vary(trial: Trial, changes: Mapping[str, Any]) -> Trial:
+    """Return a trial with other settings of its task, such as ``{"start_x_bl": (2.5, 3.5)}``."""
+    varied = OmegaConf.merge(to_plain(trial.task), to_plain(changes))
+    return replace(trial, task=make(OmegaConf.to_container(varied), kind=KarmanGait))
+
+
+def summarise(arms: Mapping[str, Sequence[Trial]], done: Mapping[str, list[Histories]]) -> Any:
+    """Reduce a condition to numbers by arm: survival by policy and start, means of the rest."""
+    summary = {}
+    for arm, trials in arms.items():
+        numbers = [
+            diagnose(flow, trial.task, shedding_frequency=frequency)
+            for trial in trials
+            for flow, frequency in zip(done[trial.name], list_shedding(trial.task), strict=True)
+        ]
+        names = ("survivors", "work", "named_right", "diverged")
+        summary[arm] = {
+            "survival_T": [torch.cat([f.lengths_T for f in done[t.name]]).tolist() for t in trials],
+            **{name: float(np.mean([each[name] for each in numbers])) for name in names},
+        }
+    return summary
+
+
+def tabulate(results: Mapping[str, Any], *, reference: str) -> str:
+    """Return the tables, Markdown: survival, difference from the reference, work per T."""
+    arms = list(next(iter(results.values())))
+    others = [arm for arm in arms if arm != reference]
+
+    def show_survival(condition: Mapping[str, Any], arm: str) -> str:
+        of_arm = condition[arm]
+        return f"{np.mean(of_arm['survival_T']):.1f} ({of_arm['survivors']:.0%})"
+
+    def compare(condition: Mapping[str, Any], arm: str) -> str:
+        ours, theirs = (np.array(condition[name]["survival_T"]) for name in (arm, reference))
+        return Difference.of(ours, theirs).show("+.1f")
+
+    def write(heads: Sequence[str], show: Any) -> str:
+        rows = [[name, *(show(each, arm) for arm in heads)] for name, each in results.items()]
+        return write_table(("condition", *heads), rows)
+
+    titles = (
+        "Mean survival in T, and in brackets the share of episodes that lasted:",
+        f"Survival beyond that of *{reference}* from the same starts, T, and its 95 % interval:",
+        "Work per T, ρ L² (L/T)²:",
+        "Correct labels:",
+    )
+    tables = (
+        write(arms, show_survival),
+        write(others, compare),
+        write(arms, lambda condition, arm: f"{condition[arm]['work']:.3f}"),
+        write(
+            [arm for arm in arms if np.isfinite(next(iter(results.values()))[arm]["named_right"])],
+            lambda condition, arm: f"{condition[arm]['named_right']:.1%}",
+        ),
+    )
+    return "\n".join(f"{title}\n\n{table}" for title, table in zip(titles, tables, strict=True))
+
+
+def write_figure(path: Path, results: Mapping[str, Any]) -> None:
+    """Draw the survival of every policy under each condition."""
+    names, arms = list(results), list(next(iter(results.values())))
+    with panels(path, size=(9.0, 1.2 + 0.45 * len(names))) as axes:
+        chart = axes[0, 0]
+        for number, arm in enumerate(arms):
+            shift = 0.7 * ((number + 0.5) / len(arms) - 0.5)
+            for row, name in enumerate(names):
+                means = np.mean(results[name][arm]["survival_T"], axis=1)
+                label, colour = arm if row == 0 else None, COLOURS[number % len(COLOURS)]
+                rows = np.full(len(means), row + shift)
+                chart.scatter(means, rows, color=colour, label=label, s=22, zorder=3)
+        chart.set(yticks=range(len(names)), yticklabels=names, xlabel="survival [T]")
+        chart.set_xlim(left=0.0)
+        chart.invert_yaxis()
+        chart.legend(loc="lower left", fontsize=8)
+        tidy(chart)
+
+
+@program(RobustnessSettings, groups={})
+def main(settings: RobustnessSettings) -> None:
+    """Try all policies under every condition, and write tables and figure."""
+    torch.set_num_threads(1)
+    folder, periods = Path(settings.folder), settings.periods
+    tried = [load_trial(Path(run), periods=periods) for run in settings.runs]
+    banked = [trial.task for trial in tried if trial.task.control.num_flows is not None]
+    if not banked:
+        raise ValueError("runs: give one with macro-actions, whose task the baselines get")
+    tried += [make_trial(name, banked[0], periods=periods) for name in settings.baselines]
+    if settings.reference not in {trial.arm for trial in tried}:
+        known = sorted({trial.arm for trial in tried})
+        raise ValueError(f"reference = {settings.reference!r}: the arms are {known}")
+    varied = {
+        name: [vary(trial, changes) for trial in tried]
+        for name, changes in (settings.conditions or CONDITIONS).items()
+    }
+    results = {}
+    with Progress() as progress:
+        for name, trials in varied.items():
+            done, arms = {}, dict[str, list[Trial]]()
+            for trial in trials:
+                done[trial.name] = run_trial(
+                    trial, episodes=settings.episodes, folder=folder, progress=progress
+                )
+                arms.setdefault(trial.arm, []).append(trial)
+            results[name] = summarise(arms, done)
+            write_json(folder / "robustness.json", results)
+    text = tabulate(results, reference=settings.reference)
+    (folder / "robustness.md").write_text(text, encoding="utf-8")
+    write_figure(folder / "robustness.png", results)
+    print(text)
+    print(f"written to {folder}")
+
+
+if __name__ == "__main__":
+    main()

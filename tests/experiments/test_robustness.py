@@ -1,0 +1,64 @@
+"""Policies tried under other conditions: what is changed, paired intervals, the whole once."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments import robustness
+from experiments.gait.trials import load_trial
+from experiments.robustness import CONDITIONS, vary
+from experiments.statistics import Difference
+from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
+
+POLICY = Path("zoo/gait_small_ablation")
+
+
+def test_a_condition_changes_its_setting_alone() -> None:
+    trial = load_trial(POLICY, periods=2.0)
+    for changes in CONDITIONS.values():
+        assert (vary(trial, changes).task == trial.task) == (not changes)
+    wide = vary(trial, {"stream": {"diameter_bl": 0.6}})
+    assert wide.task.stream.diameter_bl == 0.6
+    assert wide.task.stream.speeds_bl == trial.task.stream.speeds_bl
+    with pytest.raises(ValueError, match="diametre_bl"):
+        vary(trial, {"stream": {"diametre_bl": 0.6}})
+
+
+def test_differences_are_paired_by_start() -> None:
+    draw = np.random.default_rng(1)
+    theirs = 100.0 * draw.random((3, 40))  # starts that differ far more than the policies
+    theirs[:] = theirs[0]
+    found = Difference.of(theirs + 1.0, theirs)
+    assert (found.mean, found.low, found.high) == pytest.approx((1.0, 1.0, 1.0))
+
+
+def test_an_interval_covers_the_difference_as_often_as_it_says() -> None:
+    draw = np.random.default_rng(2)
+    hits = 0
+    for _ in range(100):
+        noise = draw.normal(size=(2, 1, 60))
+        found = Difference.of(2.0 + noise[0], noise[1], num_draws=500)
+        hits += found.low <= 2.0 <= found.high
+    assert 88 <= hits <= 99
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_every_policy_is_tried_under_every_condition(tmp_path: Path) -> None:
+    given = [
+        *("runs=[zoo/gait_small,zoo/gait_small_ablation]", "episodes=2", "periods=1"),
+        "conditions={same:{},aside:{start_y_bl:[0.3,0.6]}}",
+        f"folder={tmp_path}",
+    ]
+    robustness.main.run(robustness.main.read(given))
+    results = json.loads((tmp_path / "robustness.json").read_text())
+    assert set(results) == {"same", "aside"}
+    assert set(results["aside"]) == {"both modules", "ablation", "pid"}
+    assert np.shape(results["aside"]["pid"]["survival_T"]) == (1, 6)
+    assert "| aside |" in (tmp_path / "robustness.md").read_text()
+    assert (tmp_path / "robustness.png").stat().st_size > 5000
+    with pytest.raises(ValueError, match="reference"):
+        robustness.main.run(robustness.main.read([*given, "reference=oracle"]))
