@@ -35,6 +35,7 @@ class GaitPageSettings:
         transfer: folder of ``experiments.transfer``.
         runs: run folders of ``transfer``; the first policy swims in the figure of a period.
         beside: folder of another transfer test, whose policies are appended to the tables.
+        robustness: folder of ``experiments.robustness``.
         free_stream: folder of ``experiments.free_stream``, whose work is compared with that of the
             first policy of ``transfer``.
     """
@@ -48,6 +49,7 @@ class GaitPageSettings:
     transfer: str | None = None
     runs: tuple[str, ...] = ()
     beside: str | None = None
+    robustness: str | None = None
     free_stream: str | None = None
 
     def __post_init__(self) -> None:
@@ -103,14 +105,14 @@ def write_forces(folder: str, pictures: Path) -> str:
     return f"{text}\n![Force on a held fish](figures/gait/forces.png)"
 
 
-def write_lateral_line(folder: str, pictures: Path) -> str:
-    """Return a study of the lateral line, its headings one level deeper; copy its figures."""
-    text = (Path(folder) / "lateral_line.md").read_text(encoding="utf-8")
-    body = text.split("\n", 1)[1].replace("\n## ", "\n### ")
-    for picture in sorted(Path(folder).glob("*.png")):
-        copyfile(picture, pictures / f"line_{picture.name}")
-        body = body.replace(f"]({picture.name})", f"](figures/gait/line_{picture.name})")
-    return body
+def take_page(page: Path, pictures: Path, *, prefix: str = "") -> str:
+    """Return a page of Markdown; copy the figures beside it that it shows."""
+    text = page.read_text(encoding="utf-8")
+    for picture in sorted(page.parent.glob("*.png")):
+        name = f"{prefix}{picture.name}"
+        copyfile(picture, pictures / name)
+        text = text.replace(f"]({picture.name})", f"](figures/gait/{name})")
+    return text
 
 
 def draw_transfer(folder: str, runs: Sequence[str], pictures: Path) -> None:
@@ -157,7 +159,10 @@ def main(settings: GaitPageSettings) -> None:
     if s.forces is not None:
         parts["forces"] = write_forces(s.forces, pictures)
     if s.line is not None:
-        parts["lateral line"] = write_lateral_line(s.line, pictures)
+        text = take_page(Path(s.line) / "lateral_line.md", pictures, prefix="line_")
+        parts["lateral line"] = text.split("\n", 1)[1].replace("\n## ", "\n### ")
+    if s.robustness is not None:
+        parts["robustness"] = take_page(Path(s.robustness) / "robustness.md", pictures)
     if s.transfer is not None:
         results, others = read(s.transfer), read(s.beside)["arms"] if s.beside else {}
         speeds = results["speeds_bl"]

@@ -137,7 +137,8 @@ def tabulate(results: Mapping[str, Any], *, reference: str) -> str:
             lambda condition, arm: f"{condition[arm]['named_right']:.1%}",
         ),
     )
-    return "\n".join(f"{title}\n\n{table}" for title, table in zip(titles, tables, strict=True))
+    parts = [f"{title}\n\n{table}" for title, table in zip(titles, tables, strict=True)]
+    return "\n".join((*parts, "![Survival under each condition](robustness.png)\n"))
 
 
 def write_figure(path: Path, results: Mapping[str, Any]) -> None:

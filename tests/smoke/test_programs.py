@@ -256,6 +256,13 @@ def test_policies_are_tried_in_changing_streams(tmp_path: Path) -> None:
     assert (tmp_path / "changing.png").is_file()
 
 
+@pytest.mark.usefixtures("kinematic")
+def test_policies_are_tried_under_other_conditions(tmp_path: Path) -> None:
+    few = ["runs=[zoo/gait_small]", "episodes=1", "periods=1"]
+    _run("robustness", *few, "conditions={aside:{start_y_bl:[0.3,0.6]}}", f"folder={tmp_path}")
+    assert (tmp_path / "robustness.png").is_file()
+
+
 def test_a_sweep_is_summed_up(predation_run: Path) -> None:
     _run("summarize", predation_run.parent)
     assert (predation_run.parent / "summary.md").is_file()
