@@ -9,6 +9,7 @@ swim from the same starts in every stream. Writes ``robustness.json``, ``robustn
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ from experiments.program import program
 from experiments.statistics import Difference
 from fishrl.bounds import bounded, check_bounds
 from fishrl.envs import KarmanGait
+from fishrl.modules import LateralLineClassifier
 from fishrl.training.description import make, to_plain
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
@@ -83,9 +85,17 @@ class RobustnessSettings:
 
 
 def vary(trial: Trial, changes: Mapping[str, Any]) -> Trial:
-    """Return a trial with other settings of its task, such as ``{"start_x_bl": (2.5, 3.5)}``."""
+    """Return a trial with other settings of its task, such as ``{"start_x_bl": (2.5, 3.5)}``.
+
+    Its classifier, if any, gives each stream the label that it knows in that place.
+    """
     varied = OmegaConf.merge(to_plain(trial.task), to_plain(changes))
-    return replace(trial, task=make(OmegaConf.to_container(varied), kind=KarmanGait))
+    task = make(OmegaConf.to_container(varied), kind=KarmanGait)
+    recognition = trial.recognition
+    if isinstance(recognition, LateralLineClassifier):
+        recognition = deepcopy(recognition)
+        recognition.flows = task.flow_labels
+    return replace(trial, task=task, recognition=recognition)
 
 
 def summarise(arms: Mapping[str, Sequence[Trial]], done: Mapping[str, list[Histories]]) -> Any:

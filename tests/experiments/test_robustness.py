@@ -50,12 +50,12 @@ def test_an_interval_covers_the_difference_as_often_as_it_says() -> None:
 def test_every_policy_is_tried_under_every_condition(tmp_path: Path) -> None:
     given = [
         *("runs=[zoo/gait_small,zoo/gait_small_ablation]", "episodes=2", "periods=1"),
-        "conditions={same:{},aside:{start_y_bl:[0.3,0.6]}}",
+        "conditions={same:{},aside:{start_y_bl:[0.3,0.6]},slow:{stream:{speeds_bl:[0.5,0.6,1.0]}}}",
         f"folder={tmp_path}",
     ]
     robustness.main.run(robustness.main.read(given))
     results = json.loads((tmp_path / "robustness.json").read_text())
-    assert set(results) == {"same", "aside"}
+    assert set(results) == {"same", "aside", "slow"}
     assert set(results["aside"]) == {"both modules", "ablation", "pid"}
     assert np.shape(results["aside"]["pid"]["survival_T"]) == (1, 6)
     assert "| aside |" in (tmp_path / "robustness.md").read_text()
