@@ -250,6 +250,13 @@ def test_the_force_on_a_held_fish_is_measured(
 
 
 @pytest.mark.usefixtures("kinematic")
+def test_followers_are_compared_with_fish_alone(tmp_path: Path) -> None:
+    small = [*_set_task(KINEMATIC), "compile=false", "episodes=2", "periods=0.4", "settle_T=0.1"]
+    _run("following", *small, f"folder={tmp_path}")
+    assert (tmp_path / "following.png").is_file()
+
+
+@pytest.mark.usefixtures("kinematic")
 def test_policies_are_tried_in_changing_streams(tmp_path: Path) -> None:
     few = ["runs=[zoo/gait_small]", "episodes=1", "periods=2", "task.stream.changes.interval_T=1"]
     _run("changing_streams", *few, f"folder={tmp_path}")

@@ -1,0 +1,210 @@
+"""Compare followers with fish alone: ``python -m experiments.following runs=[runs/a,runs/b]``.
+
+Runs each learned policy of ``task=follower``, and the baseline, from the same starts behind the
+leader and alone in the same stream, and counts the work of the muscles per distance swum through
+the water. Writes ``following.json``, ``following.md`` and ``following.png``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from omegaconf import MISSING
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from experiments.figures.style import panels, tidy
+from experiments.pages import write_table
+from experiments.program import program
+from experiments.statistics import Statistic
+from fishrl.bounds import bounded, check_bounds
+from fishrl.envs import Follower, make_env
+from fishrl.envs.episodes import run_episodes
+from fishrl.envs.views import read_fields
+from fishrl.training import load_policy
+from fishrl.training.baselines import make_baseline
+from fishrl.training.description import make
+from fishrl.training.progress import Progress
+from fishrl.training.run_folder import write_json
+
+
+@dataclass(kw_only=True)
+class FollowingSettings:
+    """Settings of the comparison.
+
+    Args:
+        task: the task, with its leader.
+        preset: name of a preset; only its task is used.
+        runs: run folders of learned policies, one per seed.
+        baseline: hand-crafted policy.
+        episodes: of each policy, behind the leader and alone.
+        periods: duration of an episode in T.
+        settle_T: time at the beginning that is not counted, while the fish accelerates.
+        folder: for what is written.
+        compile: compile the flow.
+    """
+
+    task: Any = MISSING
+    preset: str | None = None
+    runs: tuple[str, ...] = ()
+    baseline: str = "keep_place"
+    episodes: int = bounded(16, least=1)
+    periods: float = bounded(100.0, greater=0)
+    settle_T: float = bounded(10.0, least=0)
+    folder: str = "runs/following"
+    compile: bool = True
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
+
+
+class Record(NamedTuple):
+    """E episodes of N decisions; NaN after the end of an episode."""
+
+    place: Tensor  #: [E, N, 2] centre of mass behind the leader, L
+    work: Tensor  #: [E, N] of the muscles since the start, rho L^4 / T^2
+    way: Tensor  #: [E, N] through the water, L
+    frequency: Tensor  #: [E, N] beats per T
+    lengths: Tensor  #: [E] decisions
+    contact: Tensor  #: [E] bool
+    outline: Tensor  #: [M, K, 2] of the bodies in the first flow at the end, nodes
+    vorticity: Tensor  #: [Y, X] there, per T
+
+
+def record(
+    task: Follower, policy: Any, *, episodes: int, compile: bool, advance: Callable[[], object]
+) -> Record:
+    """Run one episode from each of the fixed starts."""
+    starts = task.sample_starts(episodes, torch.Generator().manual_seed(0))
+    env = make_env(task=task, num_envs=episodes, compile=compile)
+    rows: list[Tensor] = []
+    contact = torch.zeros(episodes, dtype=torch.bool)
+
+    def keep(start_of: Tensor, step: TensorDictBase) -> None:
+        after = step["next"]
+        frequency = env.base_env.solver.body.frequency * task.scales.period
+        entries = (after["place"], after["work"], after["way"], frequency[:, None])
+        rows.append(torch.cat([entry.double() for entry in entries], -1))
+        contact.logical_or_((start_of >= 0) & after["contact"][:, 0])
+        advance()
+
+    outcome = run_episodes(env, policy, starts, on_step=keep)
+    series, solver = torch.stack(rows, 1), env.base_env.solver
+    series[torch.arange(series.shape[1]) >= outcome.lengths[:, None]] = torch.nan
+    outline = torch.stack([solver.markers(m)[0] for m in range(len(solver.bodies))][:2])
+    vorticity = read_fields(solver, task.scales)["vorticity"][0].float()
+    env.close()
+    return Record(
+        place=series[..., :2],
+        work=series[..., 2],
+        way=series[..., 3],
+        frequency=series[..., 4],
+        lengths=outcome.lengths,
+        contact=contact,
+        outline=outline,
+        vorticity=vorticity,
+    )
+
+
+def summarise(done: Record, task: Follower, *, settle_T: float) -> dict[str, list[float]]:
+    """Return, per episode, what counts after ``settle_T``; NaN where that was not reached."""
+    first = round(settle_T / task.interval_T)
+    last = (done.lengths - 1).clamp_min(0)[:, None]
+    early = last.new_full(last.shape, min(first, done.work.shape[1] - 1))
+    work, way = (s.gather(1, last) - s.gather(1, early) for s in (done.work, done.way))
+    cost = torch.where(last > early, work / way, torch.nan)
+    return {
+        "cost": cost[:, 0].tolist(),
+        "x": done.place[:, first:, 0].nanmean(1).tolist(),
+        "aside": done.place[:, first:, 1].abs().nanmean(1).tolist(),
+        "frequency": done.frequency[:, first:].nanmean(1).tolist(),
+        "survival_T": (done.lengths * task.interval_T).tolist(),
+        "survived": (done.lengths == task.time_limit).double().tolist(),
+        "contact": done.contact.double().tolist(),
+    }
+
+
+def tabulate(results: dict[str, dict[str, list[float]]], *, cost_alone: float) -> str:
+    """Return the table of all arms, Markdown; the last column is relative to ``cost_alone``."""
+    heads = (
+        *("policy", "survived", "contacts", "survival, T", "x, L", "aside, L", "beats per T"),
+        *("work per L", "relative to keep_place alone"),
+    )
+    rows = []
+    for name, arm in results.items():
+        fine = {key: [v for v in each if not math.isnan(v)] for key, each in arm.items()}
+        shown = {key: Statistic.of(each) for key, each in fine.items()}
+        relative = Statistic.of((torch.tensor(fine["cost"]) / cost_alone).tolist())
+        row = [name, f"{shown['survived'].mean:.0%}", f"{sum(arm['contact']):.0f}"]
+        row += [shown[key].show(".2f") for key in ("survival_T", "x", "aside", "frequency")]
+        rows.append([*row, shown["cost"].show(".4f"), relative.show(".2f")])
+    return write_table(heads, rows)
+
+
+def write_figure(path: Path, tried: dict[str, Record], results: dict[str, Any]) -> None:
+    """Draw the flow at the end of the first arm, the paths of all, and cost against distance."""
+    with panels(path, size=(10.0, 3.4), rows=1, columns=3) as axes:
+        flow, paths, costs = axes.flat
+        shown = next(iter(tried.values()))
+        flow.imshow(shown.vorticity, origin="lower", cmap="RdBu_r", vmin=-15, vmax=15)
+        for body in shown.outline:
+            flow.fill(*body.T, color="black")
+        flow.set(title=next(iter(tried)), xlabel="x [nodes]", ylabel="y [nodes]")
+        for name, done in tried.items():
+            (line,) = paths.plot(*done.place[0].T, linewidth=0.8, label=name)
+            arm = results[name]
+            costs.scatter(arm["x"], arm["cost"], s=10, color=line.get_color(), label=name)
+        paths.set(xlabel="x behind the leader [L]", ylabel="y [L]", title="first start")
+        costs.set(xlabel="mean x behind the leader [L]", ylabel="work per L [ρL⁴/T²]")
+        costs.set_ylim(bottom=0.0)
+        costs.legend(fontsize=6)
+        for each in (paths, costs):
+            tidy(each)
+
+
+@program(FollowingSettings, groups={"task": "follower", "preset": None})
+def main(settings: FollowingSettings) -> None:
+    """Try all policies, and write table and figure."""
+    torch.set_num_threads(1)
+    task = make(settings.task, kind=Follower)
+    task = replace(task, time_limit=math.ceil(settings.periods / task.interval_T - 1e-9))
+    places = {"behind the leader": task, "alone": replace(task, leader="none")}
+    tried: dict[str, Record] = {}
+    with Progress() as progress:
+        for run in (*settings.runs, settings.baseline):
+            for place, where in places.items():
+                name = f"{Path(run).name}, {place}"
+                progress.start(name, total=where.time_limit)
+                if run == settings.baseline:
+                    policy = make_baseline(run, task=where, seed=0)
+                else:
+                    policy = load_policy(run, task=where)
+                tried[name] = record(
+                    where,
+                    policy,
+                    episodes=settings.episodes,
+                    compile=settings.compile,
+                    advance=lambda: progress.advance(1),
+                )
+    results = {
+        name: summarise(done, task, settle_T=settings.settle_T) for name, done in tried.items()
+    }
+    alone = [c for c in results[f"{settings.baseline}, alone"]["cost"] if not math.isnan(c)]
+    folder = Path(settings.folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(folder / "following.json", results)
+    table = tabulate(results, cost_alone=Statistic.of(alone).mean)
+    (folder / "following.md").write_text(table, encoding="utf-8")
+    write_figure(folder / "following.png", tried, results)
+    print(table)
+    print(f"written to {folder}")
+
+
+if __name__ == "__main__":
+    main()

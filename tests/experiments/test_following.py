@@ -1,0 +1,36 @@
+"""What is counted of followers and of fish alone."""
+
+import torch
+
+from experiments.following import Record, summarise, tabulate
+from fishrl.envs import Follower
+
+
+def test_work_per_distance_is_counted_from_when_the_fish_has_settled_to_its_end() -> None:
+    task = Follower(time_limit=40)
+    time_T = task.interval_T * torch.arange(1.0, 41.0, dtype=torch.float64)
+    way = (0.5 * time_T).repeat(2, 1)
+    work = torch.stack((0.2 * way[0], 0.2 * way[1]))
+    work[:, :21] += 1.0  # the start is dear
+    work[:, 21:] += 1.0
+    rows = torch.full((2, 40), 1.0, dtype=torch.float64)
+    lengths = torch.tensor([40, 10])  # the second one fails before it has settled
+    for series in (way, work, rows):
+        series[1, 10:] = torch.nan
+    done = Record(
+        place=torch.stack((1.5 * rows, -0.2 * rows), -1),
+        work=work,
+        way=way,
+        frequency=rows,
+        lengths=lengths,
+        contact=torch.tensor([False, True]),
+        outline=torch.zeros(1, 3, 2),
+        vorticity=torch.zeros(2, 2),
+    )
+    result = summarise(done, task, settle_T=10.0)
+    assert abs(result["cost"][0] - 0.2) < 1e-12
+    assert result["cost"][1] != result["cost"][1]  # NaN
+    assert result["survived"] == [1.0, 0.0] and result["contact"] == [0.0, 1.0]
+    assert (result["x"][0], result["aside"][0]) == (1.5, 0.2)
+    row = tabulate({"a": result}, cost_alone=0.4).splitlines()[-1]
+    assert "50%" in row and "0.50" in row
