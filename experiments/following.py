@@ -17,6 +17,7 @@ import torch
 from omegaconf import MISSING
 from tensordict import TensorDictBase
 from torch import Tensor
+from torchrl.envs import TransformedEnv
 
 from experiments.figures.style import panels, tidy
 from experiments.pages import write_table
@@ -31,6 +32,9 @@ from fishrl.training.baselines import make_baseline
 from fishrl.training.description import make
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
+
+#: Decisions between pictures of the flow, of which the last one is kept.
+SNAPSHOT = 40
 
 
 @dataclass(kw_only=True)
@@ -73,17 +77,16 @@ class Record(NamedTuple):
     frequency: Tensor  #: [E, N] beats per T
     lengths: Tensor  #: [E] decisions
     contact: Tensor  #: [E] bool
-    outline: Tensor  #: [M, K, 2] of the bodies in the first flow at the end, nodes
+    outlines: list[Tensor]  #: of the bodies in the first flow, [K, 2] each, nodes
     vorticity: Tensor  #: [Y, X] there, per T
 
 
-def record(
-    task: Follower, policy: Any, *, episodes: int, compile: bool, advance: Callable[[], object]
-) -> Record:
-    """Run one episode from each of the fixed starts."""
+def record(env: TransformedEnv, policy: Any, *, advance: Callable[[], object]) -> Record:
+    """Run one episode in each flow, from the same starts for every policy."""
+    task, episodes = env.base_env.task, env.batch_size[0]
     starts = task.sample_starts(episodes, torch.Generator().manual_seed(0))
-    env = make_env(task=task, num_envs=episodes, compile=compile)
     rows: list[Tensor] = []
+    pictures: list[tuple[list[Tensor], Tensor]] = []
     contact = torch.zeros(episodes, dtype=torch.bool)
 
     def keep(start_of: Tensor, step: TensorDictBase) -> None:
@@ -92,14 +95,15 @@ def record(
         entries = (after["place"], after["work"], after["way"], frequency[:, None])
         rows.append(torch.cat([entry.double() for entry in entries], -1))
         contact.logical_or_((start_of >= 0) & after["contact"][:, 0])
+        if len(rows) % SNAPSHOT == 1 and start_of[0] == 0:  # flows are reset when episodes end
+            solver = env.base_env.solver
+            outlines = [solver.markers(m)[0] for m in range(len(solver.bodies))]
+            pictures.append((outlines, read_fields(solver, task.scales)["vorticity"][0].float()))
         advance()
 
     outcome = run_episodes(env, policy, starts, on_step=keep)
-    series, solver = torch.stack(rows, 1), env.base_env.solver
+    series, (outlines, vorticity) = torch.stack(rows, 1), pictures[-1]
     series[torch.arange(series.shape[1]) >= outcome.lengths[:, None]] = torch.nan
-    outline = torch.stack([solver.markers(m)[0] for m in range(len(solver.bodies))][:2])
-    vorticity = read_fields(solver, task.scales)["vorticity"][0].float()
-    env.close()
     return Record(
         place=series[..., :2],
         work=series[..., 2],
@@ -107,7 +111,7 @@ def record(
         frequency=series[..., 4],
         lengths=outcome.lengths,
         contact=contact,
-        outline=outline,
+        outlines=outlines,
         vorticity=vorticity,
     )
 
@@ -153,7 +157,7 @@ def write_figure(path: Path, tried: dict[str, Record], results: dict[str, Any]) 
         flow, paths, costs = axes.flat
         shown = next(iter(tried.values()))
         flow.imshow(shown.vorticity, origin="lower", cmap="RdBu_r", vmin=-15, vmax=15)
-        for body in shown.outline:
+        for body in shown.outlines:
             flow.fill(*body.T, color="black")
         flow.set(title=next(iter(tried)), xlabel="x [nodes]", ylabel="y [nodes]")
         for name, done in tried.items():
@@ -177,21 +181,17 @@ def main(settings: FollowingSettings) -> None:
     places = {"behind the leader": task, "alone": replace(task, leader="none")}
     tried: dict[str, Record] = {}
     with Progress() as progress:
-        for run in (*settings.runs, settings.baseline):
-            for place, where in places.items():
+        for place, where in places.items():
+            env = make_env(task=where, num_envs=settings.episodes, compile=settings.compile)
+            for run in (*settings.runs, settings.baseline):
                 name = f"{Path(run).name}, {place}"
-                progress.start(name, total=where.time_limit)
                 if run == settings.baseline:
                     policy = make_baseline(run, task=where, seed=0)
                 else:
                     policy = load_policy(run, task=where)
-                tried[name] = record(
-                    where,
-                    policy,
-                    episodes=settings.episodes,
-                    compile=settings.compile,
-                    advance=lambda: progress.advance(1),
-                )
+                progress.start(name, total=where.time_limit)
+                tried[name] = record(env, policy, advance=lambda: progress.advance(1))
+            env.close()
     results = {
         name: summarise(done, task, settle_T=settings.settle_T) for name, done in tried.items()
     }

@@ -39,15 +39,15 @@ class KeepPlace(TensorDictModuleBase):
         *,
         turn: float,
         frequency_range: tuple[float, float],
-        station_bl: float = 1.5,
+        station_bl: float = 1.75,
         line_bl: float = 0.0,
         frequency: float = 1.1,
         gain: float = 0.6,
         damping: float = 1.0,
-        aside_gain: float = 0.5,
-        aside_damping: float = 0.5,
-        heading_gain: float = 0.5,
-        spin_gain: float = 0.1,
+        aside_gain: float = 0.8,
+        aside_damping: float = 1.0,
+        heading_gain: float = 1.0,
+        spin_gain: float = 0.2,
     ) -> None:
         super().__init__()
         self.in_keys, self.out_keys = ["observation_stack"], ["action"]

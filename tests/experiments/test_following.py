@@ -24,7 +24,7 @@ def test_work_per_distance_is_counted_from_when_the_fish_has_settled_to_its_end(
         frequency=rows,
         lengths=lengths,
         contact=torch.tensor([False, True]),
-        outline=torch.zeros(1, 3, 2),
+        outlines=[torch.zeros(3, 2)],
         vorticity=torch.zeros(2, 2),
     )
     result = summarise(done, task, settle_T=10.0)
