@@ -72,8 +72,8 @@ def average_fish(data: TensorDictBase, name: str) -> Tensor:
 class EachFish(TensorDictModuleBase):
     """Let a policy decide for each fish of an environment with several, by itself.
 
-    It sees what it would see as the policy of the only fish, in a row for each; the fish share its
-    weights. Its entries are written to the group ``agents``.
+    Its input has a row for each fish, as from a flow with that fish alone, so the fish share its
+    weights. What it writes goes to the group ``agents``.
 
     Args:
         policy: reads and writes entries ``[N, ...]``.

@@ -1,4 +1,4 @@
-"""Predation by two fish: what each sees and gets, contact, and the bad input it refuses."""
+"""Predation by two fish: observations, rewards, contact, and the bad input it refuses."""
 
 import math
 from typing import Any
@@ -40,7 +40,7 @@ def act(env: FlowEnv, *actions: int) -> TensorDict:
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_each_fish_sees_the_other_and_then_the_food() -> None:
+def test_each_fish_observes_the_other_and_then_the_food() -> None:
     env = make_pair(start_at((5.5, 2.0), (6.0, 3.5), headings=(WEST, NORTH)))
     seen = env.reset()["agents", "observation"][0]
     gap = math.hypot(0.5, 1.5)

@@ -1,4 +1,4 @@
-"""Two fish that hunt the same food, each by itself."""
+"""Predation by two fish that pursue the same food."""
 
 from dataclasses import dataclass
 from math import pi
