@@ -48,7 +48,8 @@ class FollowingSettings:
         baseline: hand-crafted policy.
         episodes: of each policy, behind the leader and alone.
         periods: duration of an episode in T.
-        settle_T: time at the beginning that is not counted, while the fish accelerates.
+        settle_T: time at the beginning that is not counted, while the fish accelerates; the work
+            of episodes shorter than twice that is left out.
         folder: for what is written.
         compile: compile the flow.
     """
@@ -117,12 +118,16 @@ def record(env: TransformedEnv, policy: Any, *, advance: Callable[[], object]) -
 
 
 def summarise(done: Record, task: Follower, *, settle_T: float) -> dict[str, list[float]]:
-    """Return, per episode, what counts after ``settle_T``; NaN where that was not reached."""
+    """Return, per episode, what counts after ``settle_T``.
+
+    The cost of an episode shorter than twice that is NaN: it would hang on a few beats.
+    """
     first = round(settle_T / task.interval_T)
     last = (done.lengths - 1).clamp_min(0)[:, None]
     early = last.new_full(last.shape, min(first, done.work.shape[1] - 1))
     work, way = (s.gather(1, last) - s.gather(1, early) for s in (done.work, done.way))
-    cost = torch.where(last > early, work / way, torch.nan)
+    is_long = last + 1 >= 2 * max(1, first)
+    cost = torch.where(is_long, work / way, torch.nan)
     return {
         "cost": cost[:, 0].tolist(),
         "x": done.place[:, first:, 0].nanmean(1).tolist(),
