@@ -171,7 +171,7 @@ def judge(runs: Runs) -> Iterator[Check]:
     note = (
         "theirs is a comment in the code, resolution by its launch script; another gives 0.93 L "
         "with 128 cells per L. The body is a smoothed penalisation there. Neither code has "
-        "converged on these grids. The comments do not say how φ was led; here it is constant."
+        "converged on these grids. The comments do not say how φ was set; here it is constant."
     )
     yield check_finest("L", quantity, distance, PUBLISHED[-1][1], theirs, note=note)
     work = {n: run["work"][-1] for n, run in found.items()}
