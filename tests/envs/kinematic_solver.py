@@ -33,13 +33,17 @@ class KinematicSolver:
         )
         rest = torch.zeros(num_envs, dtype=torch.float64, device=device)
         fresh = make_body(rest[:, None].expand(-1, 2), rest, rest + frequency)
-        self.bodies = [
+        self._fish = [
             BodyState(*(t.clone() for t in fresh))
             for body in config.bodies
             if isinstance(body, Fish)  # other bodies are not there
         ]
-        self.body = self.bodies[0]
+        self.body = self._fish[0]
         self.is_closed = False
+
+    @property
+    def bodies(self) -> list:
+        return self._fish
 
     def compile(self, *, wait: bool = True) -> None:
         """There is nothing to compile."""
@@ -57,7 +61,7 @@ class KinematicSolver:
     ) -> None:
         position = position.view(self.num_envs, -1, 2)
         heading = heading.view(self.num_envs, -1)
-        for index, body in enumerate(self.bodies):
+        for index, body in enumerate(self._fish):
             own = heading[:, index]
             fresh = make_body(position[:, index], own, torch.full_like(own, self.frequency))
             for old, new in zip(body, fresh, strict=True):
@@ -65,7 +69,7 @@ class KinematicSolver:
 
     def command_(self, turn: Tensor, num_steps: int, frequency: Tensor | None = None) -> None:
         turn = turn.view(self.num_envs, -1)
-        for index, body in enumerate(self.bodies[: turn.shape[1]]):
+        for index, body in enumerate(self._fish[: turn.shape[1]]):
             body.turn.copy_(turn[:, index])
             body.turn_steps.fill_(num_steps)
             if frequency is not None:
@@ -75,7 +79,7 @@ class KinematicSolver:
         assert num_steps >= 0 and num_steps % 2 == 0
         assert self.config.fish is not None
         moves = torch.ones(self.num_envs) if rows is None else rows.double()
-        for own, body in zip(self.config.bodies, self.bodies, strict=False):
+        for own, body in zip(self.config.bodies, self._fish, strict=False):
             if isinstance(own.motion, Driven):  # at rest: held in its place
                 continue
             speed = SPEED_BL * self.config.fish.body_length * body.frequency
@@ -112,7 +116,7 @@ class KinematicSolver:
         return self.markers()[:, 0]
 
     def markers(self, index: int = 0) -> Tensor:
-        body = self.bodies[index]
+        body = self._fish[index]
         still = torch.zeros_like(body.phase)
         straight = body._replace(phase=still, frequency=still, beats=still)
         assert self.config.fish is not None
@@ -123,7 +127,7 @@ class KinematicSolver:
         return place_markers(self.body, deform_body(self.config.fish, self.shape, self.body))
 
     def is_diverged(self) -> Tensor:
-        outlines = torch.cat([self.markers(index) for index in range(len(self.bodies))], 1)
+        outlines = torch.cat([self.markers(index) for index in range(len(self._fish))], 1)
         x, y = outlines.unbind(-1)
         width, height = self.config.width, self.config.height
         is_inside = (x > 0.5) & (x < width - 1.5) & (y > 0.5) & (y < height - 1.5)
@@ -140,6 +144,6 @@ class KinematicSolver:
         """Return the states by name; those of further fish have their number."""
         return {
             name + f"_{index}" * (index > 0): value
-            for index, body in enumerate(self.bodies)
+            for index, body in enumerate(self._fish)
             for name, value in body._asdict().items()
         }
