@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
-from torch.fx import Graph, GraphModule
+from torch._functorch.compile_utils import fx_graph_cse
+from torch.fx import Graph, GraphModule, Node
 from torch.fx.experimental.proxy_tensor import make_fx
 
 Function = Callable[..., Sequence[Tensor]]
@@ -26,7 +27,8 @@ class Traced:
 
     These are the same operations in the same order, backward passes included, on the arguments and
     on the tensors that ``function`` reads or changes beside them, such as parameters. Whatever else
-    changes from call to call must therefore be an argument.
+    changes from call to call must therefore be an argument. What would be computed twice, such as
+    the values of the same critics in two losses, is computed once.
 
     The second call in a row with arguments of the same number and shapes is traced: the first may
     have created something. Later calls with others go to ``function`` itself.
@@ -62,13 +64,20 @@ class Traced:
 
 
 def _strip(traced: GraphModule) -> Function:
-    """Return the operations of a graph that do something."""
+    """Return the operations of a graph that do something, each once."""
     graph = Graph()  # flat arguments and results, which cost less than those of any structure
     graph.output(graph.graph_copy(traced.graph, {}))
+    first: dict[tuple[object, ...], Node] = {}
+    for node in graph.find_nodes(op="get_attr"):
+        tensor = getattr(traced, str(node.target))  # a parameter, or a detached view of it
+        memory = (tensor.data_ptr(), tensor.dtype, tensor.shape, tensor.stride())
+        node.replace_all_uses_with(first.setdefault(memory, node))
     for node in reversed(graph.nodes):
         if node.target in _IDLE:
             if node.users:
                 node.replace_all_uses_with(node.args[0])
             graph.erase_node(node)
+    graph.eliminate_dead_code()
+    graph = fx_graph_cse(graph)
     graph.eliminate_dead_code()
     return torch.no_grad()(GraphModule(traced, graph))
