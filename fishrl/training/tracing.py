@@ -20,6 +20,7 @@ _IDLE = (
     torch.ops.profiler._record_function_enter_new.default,
     torch.ops.profiler._record_function_exit._RecordFunction,
 )
+_TRANSPOSE = torch.ops.aten.t.default
 
 
 class Traced:
@@ -77,7 +78,10 @@ def _strip(traced: GraphModule) -> Function:
             if node.users:
                 node.replace_all_uses_with(node.args[0])
             graph.erase_node(node)
+    for node in graph.find_nodes(op="call_function", target=_TRANSPOSE):
+        if node.args[0].target is _TRANSPOSE:
+            node.replace_all_uses_with(node.args[0].args[0])
     graph.eliminate_dead_code()
     graph = fx_graph_cse(graph)
     graph.eliminate_dead_code()
-    return torch.no_grad()(GraphModule(traced, graph))
+    return torch.inference_mode()(GraphModule(traced, graph))
