@@ -17,8 +17,7 @@ from hydra.utils import get_object
 from omegaconf import OmegaConf
 
 from experiments.configuration import CONF
-from experiments.gait.trials import GaitSettings
-from experiments.program import Program, list_choices, read_arguments, write_value
+from experiments.program import Program, TaskSettings, list_choices, read_arguments, write_value
 from experiments.train_settings import PolicySettings
 from fishrl.envs import AbstractTask
 from fishrl.training import LearningSettings, RunSettings
@@ -47,7 +46,7 @@ SHARED = {
     RunSettings: "Run",
     ViewerSettings: "Viewer",
     PolicySettings: "Programs that run a policy",
-    GaitSettings: "Programs of the Kármán gait",
+    TaskSettings: "Programs that study a task",
 }
 #: Programs in the order of their use; the others follow by name.
 FIRST = ("train", "evaluate", "view", "summarize", "search", "export", "export_policy")
@@ -70,7 +69,7 @@ def make_reference() -> str:
     for kind in (LearningSettings, RunSettings, ViewerSettings):
         parts += _describe_shared(kind, level=2)
     parts += ["## Logger\n", *_describe_group("logger"), "## Programs\n"]
-    for kind in (PolicySettings, GaitSettings):
+    for kind in (PolicySettings, TaskSettings):
         parts += _describe_shared(kind, level=3)
     programs = list_programs()
     for name in sorted(programs, key=_rank):

@@ -31,7 +31,7 @@ from experiments.figures.style import panels, tidy
 from experiments.pages import write_table
 from experiments.program import program
 from experiments.validation.c_start import draw_picture, run_strokes, take_picture
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import Checked, bounded
 from fishrl.extras import show_install
 from fishrl.physics import C_START, Stroke, Strokes
 from fishrl.training.run_folder import RunFolder, write_json
@@ -46,7 +46,7 @@ PENALTY = 2.0
 
 
 @dataclass(kw_only=True)
-class CStartSettings:
+class CStartSettings(Checked):
     """Settings of a search for the best C-start.
 
     Args:
@@ -72,10 +72,6 @@ class CStartSettings:
     finer: list[int] = field(default_factory=lambda: [96])
     workers: int | None = None
     compile: bool = True
-
-    def __post_init__(self) -> None:
-        """Check the bounds."""
-        check_bounds(self)
 
     @property
     def identity(self) -> dict[str, Any]:

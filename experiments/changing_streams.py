@@ -20,9 +20,9 @@ from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 
 from experiments.figures.style import COLOURS, panels, tidy
-from experiments.gait.trials import PERIODS, GaitSettings, Trial, load_trial, make_trial
+from experiments.gait.trials import PERIODS, Trial, load_trial, make_trial
 from experiments.pages import write_table
-from experiments.program import program
+from experiments.program import TaskSettings, program
 from experiments.statistics import Statistic
 from fishrl.bounds import bounded
 from fishrl.envs import (
@@ -43,8 +43,8 @@ from fishrl.training.run_folder import write_json
 PROMPT_T = 2.0
 
 
-@dataclass(kw_only=True)
-class ChangingSettings(GaitSettings):
+@dataclass(frozen=True, kw_only=True)
+class ChangingSettings(TaskSettings):
     """Settings of a trial in changing streams.
 
     Args:

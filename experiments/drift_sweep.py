@@ -19,7 +19,7 @@ import torch
 from experiments.figures.style import COLOURS
 from experiments.gait import trials
 from experiments.gait.figures import flow_panels
-from experiments.program import program
+from experiments.program import TaskSettings, program
 from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait
 from fishrl.envs.macro_actions import DirectFrequencies
@@ -33,8 +33,8 @@ from fishrl.training.run_folder import write_json
 BANDS = ((0.8, 1.4), (1.4, 2.0), (2.0, 2.6), (2.6, 3.5))
 
 
-@dataclass(kw_only=True)
-class DriftSettings(trials.GaitSettings):
+@dataclass(frozen=True, kw_only=True)
+class DriftSettings(TaskSettings):
     """Settings of a drift sweep.
 
     Args:

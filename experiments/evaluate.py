@@ -36,11 +36,6 @@ class EvaluateConfig(PolicySettings, ViewerSettings):
     num_envs: int = bounded(16, least=1)
     save: str | None = None
 
-    def __post_init__(self) -> None:
-        """Check both kinds of settings."""
-        for settings in (PolicySettings, ViewerSettings):
-            settings.__post_init__(self)
-
 
 def evaluate(config: EvaluateConfig, *, progress: Progress | None = None) -> dict[str, Any]:
     """Run one episode from each of the fixed starts, and return the result with its policy."""

@@ -14,16 +14,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from omegaconf import MISSING
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
 from experiments.figures.style import panels, tidy
 from experiments.pages import write_table
-from experiments.program import program
+from experiments.program import TaskSettings, program
 from experiments.statistics import Statistic
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import bounded
 from fishrl.envs import Follower, make_env
 from fishrl.envs.episodes import run_episodes
 from fishrl.envs.views import read_fields
@@ -37,13 +36,11 @@ from fishrl.training.run_folder import write_json
 SNAPSHOT = 40
 
 
-@dataclass(kw_only=True)
-class FollowingSettings:
+@dataclass(frozen=True, kw_only=True)
+class FollowingSettings(TaskSettings):
     """Settings of the comparison.
 
     Args:
-        task: the task, with its leader.
-        preset: name of a preset; only its task is used.
         runs: run folders of learned policies, one per seed.
         baseline: hand-crafted policy.
         episodes: of each policy, behind the leader and alone.
@@ -54,8 +51,6 @@ class FollowingSettings:
         compile: compile the flow.
     """
 
-    task: Any = MISSING
-    preset: str | None = None
     runs: tuple[str, ...] = ()
     baseline: str = "keep_place"
     episodes: int = bounded(16, least=1)
@@ -63,10 +58,6 @@ class FollowingSettings:
     settle_T: float = bounded(10.0, least=0)
     folder: str = "runs/following"
     compile: bool = True
-
-    def __post_init__(self) -> None:
-        """Check the bounds."""
-        check_bounds(self)
 
 
 class Record(NamedTuple):

@@ -15,7 +15,7 @@ import torch
 
 from experiments.gait import trials
 from experiments.gait.diagnostics import WORKS, measure_lean, trace_work
-from experiments.program import program
+from experiments.program import TaskSettings, program
 from experiments.statistics import half_width
 from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait
@@ -29,8 +29,8 @@ from fishrl.training.run_folder import write_json
 _NUM_FREQUENCIES = 81
 
 
-@dataclass(kw_only=True)
-class FreeStreamSettings(trials.GaitSettings):
+@dataclass(frozen=True, kw_only=True)
+class FreeStreamSettings(TaskSettings):
     """Settings of a free-stream test.
 
     Args:

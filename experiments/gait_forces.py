@@ -23,8 +23,7 @@ from torch import Tensor
 from experiments.figures.style import COLOURS
 from experiments.gait.diagnostics import find_phase
 from experiments.gait.figures import flow_panels
-from experiments.gait.trials import GaitSettings
-from experiments.program import program
+from experiments.program import TaskSettings, program
 from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait
 from fishrl.envs.starts import place_fish
@@ -41,8 +40,8 @@ _SAMPLES = 16
 _SPRING, _INTEGRAL = 0.25, 4.0
 
 
-@dataclass(kw_only=True)
-class ForceSettings(GaitSettings):
+@dataclass(frozen=True, kw_only=True)
+class ForceSettings(TaskSettings):
     """Settings of a map of forces.
 
     Args:

@@ -39,10 +39,11 @@ from typing import Any
 from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.object_type import ObjectType
-from omegaconf import OmegaConf
+from omegaconf import MISSING, OmegaConf
 from tqdm import tqdm
 
 from experiments.configuration import CONF, CommandLine, split_options
+from fishrl.bounds import Checked
 from fishrl.training.interruption import SIGNALS, exit_status
 
 
@@ -99,6 +100,19 @@ class Program:
             else:
                 lines.append(f"  {name}={write_value(value)}  {texts.get(name, '')}")
         return "\n".join(lines).replace("``", "`")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskSettings(Checked):
+    """Settings of programs that study a task.
+
+    Args:
+        task: the task.
+        preset: name of a preset; only its task is used.
+    """
+
+    task: Any = MISSING
+    preset: str | None = None
 
 
 def program(

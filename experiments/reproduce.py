@@ -30,7 +30,7 @@ from experiments.sweeps.runs import read_runs
 from experiments.train_lateral_line import main as train_lateral_line
 from experiments.train_settings import TRAINING, make_plan
 from experiments.validation.swimmer import CASE
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import Checked, bounded
 from fishrl.envs import AbstractTask, KarmanGait, make_env
 from fishrl.training.description import make
 from fishrl.training.run_folder import write_json
@@ -80,7 +80,7 @@ class Scale:
 
 
 @dataclass(kw_only=True)
-class ReproduceSettings:
+class ReproduceSettings(Checked):
     """Settings of a reproduction.
 
     Args:
@@ -99,7 +99,7 @@ class ReproduceSettings:
         """Make the scale; check the bounds."""
         self.scale = Scale(**self.scale) if isinstance(self.scale, Mapping) else self.scale
         self.folder = self.folder or f"runs/reproduction-{self.scale.name}"
-        check_bounds(self)
+        super().__post_init__()
 
 
 @dataclass(frozen=True, kw_only=True)

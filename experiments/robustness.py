@@ -32,7 +32,7 @@ from experiments.gait.trials import (
 from experiments.pages import write_table
 from experiments.program import program
 from experiments.statistics import Difference
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import Checked, bounded
 from fishrl.envs import KarmanGait
 from fishrl.modules import LateralLineClassifier
 from fishrl.training.description import make, to_plain
@@ -55,7 +55,7 @@ CONDITIONS: dict[str, Any] = {
 
 
 @dataclass(kw_only=True)
-class RobustnessSettings:
+class RobustnessSettings(Checked):
     """Settings of a trial under other conditions.
 
     Args:
@@ -78,10 +78,6 @@ class RobustnessSettings:
     episodes: int = bounded(4, least=1)
     periods: float = bounded(PERIODS, greater=0)
     folder: str = "runs/robustness"
-
-    def __post_init__(self) -> None:
-        """Check the bounds."""
-        check_bounds(self)
 
 
 def vary(trial: Trial, changes: Mapping[str, Any]) -> Trial:

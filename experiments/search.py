@@ -30,7 +30,7 @@ from experiments.sweeps.ending import ending_runs
 from experiments.sweeps.jobs import LOOK_SECONDS, find_or_begin, run_alone
 from experiments.sweeps.runs import read_run
 from experiments.train_settings import TRAINING
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import Checked, bounded
 from fishrl.extras import show_install
 from fishrl.training.run_folder import HeldError, RunFolder
 
@@ -38,7 +38,7 @@ logger = logging.getLogger(__name__)
 
 
 @dataclass(kw_only=True)
-class SearchSettings:
+class SearchSettings(Checked):
     """Settings of a search, beside those of its trainings.
 
     Args:
@@ -59,7 +59,7 @@ class SearchSettings:
 
     def __post_init__(self) -> None:
         """Check the bounds, and that something is searched."""
-        check_bounds(self)
+        super().__post_init__()
         for override in parse(TRAINING.prepare(self.overrides)):
             if override.key_or_group in ("seed", "name", "resume"):
                 raise ValueError(f"{override.key_or_group}: is set by the search; leave it out")

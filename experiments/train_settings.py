@@ -9,7 +9,7 @@ from typing import Any
 from omegaconf import MISSING
 
 from experiments.configuration import CommandLine
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import Checked, bounded
 from fishrl.envs import AbstractTask
 from fishrl.envs.episodes import Policy
 from fishrl.envs.transforms import equip
@@ -56,14 +56,13 @@ class TrainConfig(LearningSettings, RunSettings, ViewerSettings):
 
     def __post_init__(self) -> None:
         """Check the bounds of all."""
-        for settings in (LearningSettings, RunSettings, ViewerSettings):
-            settings.__post_init__(self)
+        super().__post_init__()
         if self.ray_collectors and self.live:
             raise ValueError("live = true: with ray_collectors the flows are in other processes")
 
 
 @dataclass(frozen=True, kw_only=True)
-class PolicySettings:
+class PolicySettings(Checked):
     """Which policy a program runs, and in what.
 
     Args:
@@ -90,7 +89,7 @@ class PolicySettings:
 
     def __post_init__(self) -> None:
         """Check the bounds, and that there is one source."""
-        check_bounds(self)
+        super().__post_init__()
         if sum(source is not None for source in self.sources.values()) != 1:
             raise ValueError(f"give one of {', '.join(self.sources)}")
 

@@ -17,7 +17,7 @@ import torch
 from experiments.gait import figures, trials
 from experiments.gait.diagnostics import combine_seeds, diagnose, measure_lean, trace_work
 from experiments.gait.tables import write_results
-from experiments.program import program
+from experiments.program import TaskSettings, program
 from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait
 from fishrl.training.description import make
@@ -31,8 +31,8 @@ SHARED = (
 )
 
 
-@dataclass(kw_only=True)
-class TransferSettings(trials.GaitSettings):
+@dataclass(frozen=True, kw_only=True)
+class TransferSettings(TaskSettings):
     """Settings of a transfer test.
 
     Args:

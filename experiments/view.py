@@ -62,8 +62,7 @@ class ViewConfig(PolicySettings, ViewerSettings):
 
     def __post_init__(self) -> None:
         """Check both kinds of settings."""
-        for settings in (PolicySettings, ViewerSettings):
-            settings.__post_init__(self)
+        super().__post_init__()
         if self.recording is not None and (self.save or self.live):
             raise ValueError("save and live: are for policies; a recording is only opened")
         endings = (".rrd", *FILMS)

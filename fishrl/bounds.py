@@ -36,12 +36,19 @@ def bounded(
     return field(default=default, metadata={k: v for k, v in bounds.items() if v is not None})
 
 
+class Checked:
+    """Base of dataclasses whose numbers are checked as they are made, by ``check_bounds``."""
+
+    def __post_init__(self) -> None:
+        """Check the bounds; call it in that of a subclass."""
+        check_bounds(self)
+
+
 def check_bounds(settings: Any, *, path: str = "") -> None:
     """Check every number in a dataclass: finite, whole, within 64 bits and its bounds.
 
-    Those in sequences and in dataclasses that it holds are checked, too. Call it in
-    ``__post_init__``. A field without bounds may hold anything but NaN and infinity; an optional
-    one may be None.
+    Those in sequences and in dataclasses that it holds are checked, too. A field without bounds may
+    hold anything but NaN and infinity; an optional one may be None.
 
     Args:
         settings: the dataclass.

@@ -19,7 +19,7 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import Checked, bounded
 
 _PAUSE = 0.01  # seconds; threads of GNU's OpenMP were seen to spin for four milliseconds
 _WARM_UP = 4  # such a part of a burst runs before it and is not timed
@@ -32,7 +32,7 @@ PROBE = "memory"  # no flow: the speed of the memory
 
 
 @dataclass(frozen=True, kw_only=True)
-class BenchmarkSettings:
+class BenchmarkSettings(Checked):
     """What to measure, and where to write it.
 
     Args:
@@ -52,10 +52,6 @@ class BenchmarkSettings:
     groups: tuple[str, ...] = ()
     folder: str = "runs/benchmark"
     docs: str | None = None
-
-    def __post_init__(self) -> None:
-        """Check the bounds."""
-        check_bounds(self)
 
     @property
     def cores(self) -> str:

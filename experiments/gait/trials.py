@@ -11,13 +11,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from omegaconf import MISSING
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 from torchrl.envs.utils import ExplorationType
 
-from fishrl.bounds import check_bounds
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.episodes import run_episodes
 from fishrl.envs.flow_env import FlowEnv
@@ -39,23 +37,6 @@ START_X_BL, START_Y_BL = (1.5, 2.0), (-0.1, 0.1)
 #: Frames within an action, for phases and oscillations.
 FRAMES = 8
 _SOURCES = ("fishrl.envs", "fishrl.modules", "fishrl.training.baselines", __name__)
-
-
-@dataclass(kw_only=True)
-class GaitSettings:
-    """Settings shared by the programs of the Kármán gait study.
-
-    Args:
-        task: the task, with streams, body and safe area.
-        preset: name of a preset; only its task is used.
-    """
-
-    task: Any = MISSING
-    preset: str | None = None
-
-    def __post_init__(self) -> None:
-        """Check the bounds."""
-        check_bounds(self)
 
 
 class Histories(NamedTuple):

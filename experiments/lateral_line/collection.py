@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from omegaconf import MISSING
 from tensordict import TensorDict, TensorDictBase, pad
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
+from experiments.program import TaskSettings
 from fishrl.bounds import bounded
 from fishrl.envs import make_env
 from fishrl.envs.episodes import run_episodes
@@ -38,12 +38,11 @@ _SOURCES = ("fishrl.envs", "fishrl.modules", "fishrl.training.baselines", __name
 
 
 @dataclass(frozen=True, kw_only=True)
-class CollectionSettings:
+class CollectionSettings(TaskSettings):
     """Settings of a collection.
 
     Args:
-        task: task whose flows are classified; all of them, whatever ``task.start_flows`` is.
-        preset: name of a preset; only its task is used.
+        task: whose flows are classified; all of them, whatever ``task.start_flows`` is.
         seed: of data, splits and fits.
         device: cpu or cuda, for the flows.
         compile: compile the flow solver.
@@ -53,8 +52,6 @@ class CollectionSettings:
         max_decisions: after which an episode is truncated.
     """
 
-    task: Any = MISSING
-    preset: str | None = None
     seed: int = bounded(0, least=0)
     device: str = "cpu"
     compile: bool = True

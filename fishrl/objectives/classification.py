@@ -15,11 +15,11 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import Checked, bounded
 
 
 @dataclass(frozen=True, kw_only=True)
-class FitSettings:
+class FitSettings(Checked):
     """How a classifier is fitted.
 
     Args:
@@ -36,10 +36,6 @@ class FitSettings:
     num_epochs: int = bounded(300, least=1)
     patience: int | None = bounded(30, least=1)
     weight_decay: float = bounded(0.0, least=0)
-
-    def __post_init__(self) -> None:
-        """Check the bounds."""
-        check_bounds(self)
 
     @classmethod
     def of_the_paper(cls) -> FitSettings:

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import torch
 
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import Checked, bounded
 
 
 @dataclass(frozen=True, kw_only=True)
-class LearningSettings:
+class LearningSettings(Checked):
     """Settings that determine the result of a training; fixed once a run has begun.
 
     Args:
@@ -43,7 +43,7 @@ class LearningSettings:
     def __post_init__(self) -> None:
         """Check the bounds; turn a list from a file into a tuple."""
         object.__setattr__(self, "hidden", tuple(self.hidden))
-        check_bounds(self)
+        super().__post_init__()
         if self.batch_size > self.buffer_size:
             raise ValueError(
                 f"batch_size = {self.batch_size}: must be at most buffer_size = {self.buffer_size}"
@@ -56,7 +56,7 @@ class LearningSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunSettings:
+class RunSettings(Checked):
     """Where a training runs and how often it reports; may change when a run is resumed.
 
     Args:
@@ -92,7 +92,7 @@ class RunSettings:
         """Check the bounds; turn a list from a file into a tuple."""
         if self.baselines is not None:
             object.__setattr__(self, "baselines", tuple(self.baselines))
-        check_bounds(self)
+        super().__post_init__()
 
 
 def check_device(device: str) -> None:

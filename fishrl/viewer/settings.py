@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 
-from fishrl.bounds import bounded, check_bounds, suggest
+from fishrl.bounds import Checked, bounded, suggest
 from fishrl.envs.views import FIELDS
 from fishrl.viewer.drawing import FieldFormat
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewerSettings:
+class ViewerSettings(Checked):
     """Which flows are shown, how often and how.
 
     Args:
@@ -34,7 +34,7 @@ class ViewerSettings:
 
     def __post_init__(self) -> None:
         """Check the bounds, the field and its format."""
-        check_bounds(self)
+        super().__post_init__()
         choices = {"field": FIELDS, "field_format": [str(one) for one in FieldFormat]}
         for name, known in choices.items():
             value = getattr(self, name)

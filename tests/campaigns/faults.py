@@ -19,7 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from experiments.program import program
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import Checked, bounded
 
 #: A fish of 16 nodes in a tank of 80 x 48, evaluated and saved every few decisions.
 TRAINING = [
@@ -34,7 +34,7 @@ TRAINING = [
 
 
 @dataclass(kw_only=True)
-class FaultSettings:
+class FaultSettings(Checked):
     """Settings of the campaign.
 
     Args:
@@ -46,10 +46,6 @@ class FaultSettings:
     kills: int = bounded(50, least=1)
     frames: int = bounded(96, least=2)
     seed: int = bounded(0, least=0)
-
-    def __post_init__(self) -> None:
-        """Check the bounds."""
-        check_bounds(self)
 
 
 def start(folder: Path, frames: int) -> subprocess.Popen[bytes]:

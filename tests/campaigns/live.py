@@ -21,11 +21,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from experiments.program import program
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import Checked, bounded
 
 
 @dataclass(kw_only=True)
-class LiveSettings:
+class LiveSettings(Checked):
     """Settings of the campaign.
 
     Args:
@@ -39,10 +39,6 @@ class LiveSettings:
     rows: int = bounded(24, least=2)
     folder: str = "runs"
     training: list[str] = field(default_factory=lambda: ["total_frames=1000000"])
-
-    def __post_init__(self) -> None:
-        """Check the bounds."""
-        check_bounds(self)
 
 
 def list_family(pid: int) -> list[int]:

@@ -22,7 +22,7 @@ import torch
 from tensordict import TensorDictBase
 
 from experiments.program import program
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import Checked, bounded
 from fishrl.envs import Predation, make_env
 from fishrl.physics import Boundaries, FlowConfig, NoSlip
 from fishrl.training.metrics import measure_memory_mb
@@ -44,7 +44,7 @@ class Tank(Predation):  # type: ignore[misc]
 
 
 @dataclass(kw_only=True)
-class SoakSettings:
+class SoakSettings(Checked):
     """Settings of the campaign.
 
     Args:
@@ -60,10 +60,6 @@ class SoakSettings:
     reset_share: float = bounded(0.02, least=0, largest=1)
     compile: bool = True
     seed: int = bounded(0, least=0)
-
-    def __post_init__(self) -> None:
-        """Check the bounds."""
-        check_bounds(self)
 
 
 def count_files() -> int:

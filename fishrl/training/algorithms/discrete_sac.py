@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torchrl.modules import ProbabilisticActor
 
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import bounded
 from fishrl.modules import make_actor, make_twin_critics
 from fishrl.objectives import MaskedDiscreteSACLoss
 from fishrl.training.algorithms.algorithm import Algorithm
@@ -28,10 +28,6 @@ class DiscreteSAC(Algorithm):
 
     alpha_init: float = bounded(1.0, greater=0, largest=1e6)
     target_entropy_weight: float = bounded(0.1, least=0, largest=1)
-
-    def __post_init__(self) -> None:
-        """Check the bounds."""
-        check_bounds(self)
 
     @property
     def label(self) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import bounded
 from fishrl.modules import EpsilonGreedy, make_value_actor
 from fishrl.objectives import MaskedDQNLoss
 from fishrl.training.algorithms.algorithm import Algorithm
@@ -39,7 +39,7 @@ class DQN(Algorithm):
 
     def __post_init__(self) -> None:
         """Check the bounds."""
-        check_bounds(self)
+        super().__post_init__()
         if self.epsilon_end > self.epsilon_start:
             raise ValueError(
                 f"epsilon_end = {self.epsilon_end}: must be at most epsilon_start = "

@@ -11,7 +11,7 @@ from torchrl.data import SamplerWithoutReplacement
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import bounded
 from fishrl.modules import make_actor, make_continuous_actor, make_state_critic
 from fishrl.training.algorithms.algorithm import Algorithm
 from fishrl.training.policy_spec import PolicySpec
@@ -45,10 +45,6 @@ class PPO(Algorithm):
     gae_lambda: float = bounded(0.95, least=0, largest=1)
     entropy_weight: float = bounded(0.01, least=0)
     value_weight: float = bounded(0.5, greater=0)
-
-    def __post_init__(self) -> None:
-        """Check the bounds."""
-        check_bounds(self)
 
     @property
     def label(self) -> str:

@@ -9,7 +9,7 @@ import torch
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import SACLoss
 
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import bounded
 from fishrl.modules import make_continuous_actor, make_twin_action_critics
 from fishrl.training.algorithms.algorithm import Algorithm
 from fishrl.training.policy_spec import PolicySpec
@@ -34,10 +34,6 @@ class SAC(Algorithm):
 
     alpha_init: float = bounded(1.0, greater=0, largest=1e6)
     target_entropy: float = bounded(-1.0, largest=0.69)
-
-    def __post_init__(self) -> None:
-        """Check the bounds."""
-        check_bounds(self)
 
     @property
     def label(self) -> str:
