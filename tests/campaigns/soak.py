@@ -16,7 +16,6 @@ import os
 import sys
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import torch
 from tensordict import TensorDictBase
@@ -25,7 +24,7 @@ from experiments.program import program
 from fishrl.bounds import Checked, bounded
 from fishrl.envs import Predation, make_env
 from fishrl.physics import Boundaries, FlowConfig, NoSlip
-from fishrl.training.metrics import measure_memory_mb
+from tests.campaigns.live import measure
 
 #: Relative; round-off of single precision, 6e-8, over the mean of 5e4 nodes is less.
 MAX_DRIFT = 1e-8
@@ -62,23 +61,11 @@ class SoakSettings(Checked):
     seed: int = bounded(0, least=0)
 
 
-def count_files() -> int:
-    """Count the open files of this process and its children."""
-    tasks = Path("/proc/self/task").iterdir()
-    children = [pid for task in tasks for pid in (task / "children").read_text().split()]
-    return sum(len(os.listdir(f"/proc/{pid}/fd")) for pid in ("self", *children))
-
-
-def measure(env: TensorDictBase) -> dict[str, float]:
+def measure_all(env: TensorDictBase) -> dict[str, float]:
     """Return what must not change."""
     density, _ = env.base_env.solver.macroscopic()
-    shared = sum(path.stat().st_size for path in Path("/dev/shm").glob("fishrl*"))
-    return {
-        "memory_mb": measure_memory_mb(),
-        "files": count_files(),
-        "shm_mb": shared / 1e6,
-        "mass_drift": float((density.double().mean((1, 2)) - 1.0).abs().max()),
-    }
+    drift = float((density.double().mean((1, 2)) - 1.0).abs().max())
+    return measure(os.getpid()) | {"mass_drift": drift}
 
 
 @program(SoakSettings)
@@ -100,7 +87,7 @@ def main(settings: SoakSettings) -> None:
         if decision % interval == 0:
             seconds, began = time.perf_counter() - began, time.perf_counter()
             speed = interval * task.n_substeps / seconds
-            rows.append(measure(env) | {"steps_per_s": speed})
+            rows.append(measure_all(env) | {"steps_per_s": speed})
             shown = "  ".join(f"{name} {value:.6g}" for name, value in rows[-1].items())
             print(f"{decision * task.n_substeps:>9} steps  {shown}", flush=True)
     env.close()

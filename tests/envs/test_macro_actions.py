@@ -32,12 +32,6 @@ def test_at_the_ends_of_a_row_the_way_out_is_illegal_and_cruising_never_is() -> 
     ]
 
 
-def test_when_another_flow_is_named_the_gear_stays_and_the_row_switches() -> None:
-    gear = MACRO.shift(torch.tensor([2]), CRUISE[None])
-    assert MACRO.select(gear, torch.tensor([0])).item() == 1.5
-    assert MACRO.select(gear, torch.tensor([2])).item() == 2.0
-
-
 def test_between_two_flows_the_frequency_lies_between_those_of_their_rows() -> None:
     gear, flow = torch.tensor([0, 2, 3]), torch.tensor([0.0, 0.5, 1.75])
     assert MACRO.select(gear, flow).tolist() == [0.5, 1.625, 2.8125]

@@ -3,18 +3,16 @@
 import pytest
 import torch
 from tensordict import TensorDict
-from tensordict.nn import InteractionType, TensorDictModule, TensorDictSequential
+from tensordict.nn import InteractionType, TensorDictModule
 from torch import nn
 from torchrl.collectors import Collector
 from torchrl.data import LazyTensorStorage, OneHot, TensorDictReplayBuffer
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import check_env_specs
 from torchrl.modules import MLP, OneHotCategorical, ProbabilisticActor, QValueActor
-from torchrl.objectives import ClipPPOLoss, DiscreteSACLoss, DQNLoss, SoftUpdate
-from torchrl.objectives.value import GAE
+from torchrl.objectives import DiscreteSACLoss, DQNLoss, SoftUpdate
 
 from fishrl.envs import KarmanGait, OneHotAction, Predation, make_env
-from fishrl.modules import make_actor
 from tests.envs.conftest import SMALL
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -109,31 +107,6 @@ def test_torchrl_trains_dqn_on_it(env: TransformedEnv) -> None:
         value.backward()
         optimiser.step()
         assert value.isfinite()
-
-
-def test_torchrl_trains_ppo_with_our_actor() -> None:
-    task = KarmanGait(body_length=32, max_wall_speed=0.15)
-    env = make_env(task=task, num_envs=2, compile=False)
-    num_inputs = env.observation_spec["observation_stack"].shape[-1]
-    actor = make_actor(
-        num_inputs=num_inputs, num_actions=task.num_actions, hidden=[16], return_log_prob=True
-    )
-    value = TensorDictModule(
-        MLP(num_inputs, 1, num_cells=[16]), ["observation_stack"], ["state_value"]
-    )
-    loss = ClipPPOLoss(actor, value)
-    batch = collect(env, actor)
-    assert "action_log_prob" in batch
-    GAE(gamma=0.99, lmbda=0.95, value_network=value)(batch)
-    optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
-    for _ in range(2):
-        losses = loss(batch)
-        total = losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]
-        optimiser.zero_grad()
-        total.backward()
-        optimiser.step()
-        assert total.isfinite()
-    assert isinstance(actor, TensorDictSequential)
 
 
 def test_continuous_actions_are_refused() -> None:

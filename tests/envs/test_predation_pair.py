@@ -113,12 +113,6 @@ def test_a_pair_that_does_not_fit_is_refused(settings: dict[str, Any], message: 
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_given_starts_within_each_other_are_refused_at_once() -> None:
-    with pytest.raises(ValueError, match="start 0: fish 0 and 1 overlap"):
-        make_pair(start_at((6.0, 2.5), (6.4, 2.5)))
-
-
-@pytest.mark.usefixtures("kinematic")
 def test_gymnasium_refuses_several_fish() -> None:
     env = make_env(task=PredationPair(**SMALL), num_envs=1, compile=False)
     with pytest.raises(ValueError, match="PredationPair has several fish"):

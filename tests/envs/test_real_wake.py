@@ -1,7 +1,5 @@
 """Kármán gait on the real flow: small and for few actions, so the physics is not accurate."""
 
-from pathlib import Path
-
 import pytest
 import torch
 from tensordict import TensorDict
@@ -97,21 +95,3 @@ def test_an_episode_begins_in_the_wake_that_its_start_names(task: KarmanGait) ->
     x, y = task.origin.tolist()
     assert disc[..., 0].max().item() == pytest.approx(x, abs=0.5)
     assert disc[..., 1].mean().item() == pytest.approx(y, abs=0.1)
-
-
-def test_wakes_that_one_environment_had_made_are_read_by_the_next_task(tmp_path: Path) -> None:
-    """Making them is replaced, to save time; the file is the one for its recipe."""
-    stream = Stream(**STREAM | {"num_phases": 1}, wake_folder=str(tmp_path))
-    task = KarmanGait(**TINY, stream=stream)
-    with pytest.MonkeyPatch.context() as patch:
-        config = task.flow_config()
-        bank = WakeBank(
-            populations=torch.zeros(3, 1, 9, config.height, config.width),
-            shedding_frequencies=torch.ones(3),
-        )
-        patch.setattr("fishrl.envs.wakes.develop_wakes", lambda *_, **__: bank)
-        make_flows(task, 1)
-    assert len(list(tmp_path.iterdir())) == 1
-    again = KarmanGait(**TINY, stream=stream)
-    assert again.wakes is not None
-    assert torch.equal(again.wakes.populations, bank.populations)

@@ -21,7 +21,6 @@ from typing import Any
 import pytest
 import torch
 
-import fishrl.envs.task
 import fishrl.viewer.files
 from experiments.program import list_choices
 from fishrl.envs.streams import Stream
@@ -29,8 +28,7 @@ from fishrl.envs.wakes import WakeBank
 from fishrl.physics import InPlaceSolver
 from tests.docs.pages import DOCS
 from tests.docs.test_tutorials import BRIEF, CHANNEL
-from tests.envs.conftest import SMALL
-from tests.envs.kinematic_solver import KinematicSolver
+from tests.envs.conftest import SMALL, kinematic, move_kinematically  # noqa: F401 - a fixture
 from tests.envs.test_follower import TINY as FOLLOWER
 from tests.envs.test_real_flow import TINY
 
@@ -53,18 +51,6 @@ FEW = [
     *("batch_size=2", "hidden=[8]", "log_frames=2", "checkpoint_frames=4", "eval_frames=4"),
     *("eval_episodes=1", "final_episodes=1", "task.time_limit=2"),
 ]
-
-
-@pytest.fixture
-def kinematic(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replace the flow by kinematic fish."""
-    _glide(monkeypatch)
-
-
-def _glide(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fishrl.envs.task, "InPlaceSolver", KinematicSolver)
-    bank = WakeBank(populations=torch.zeros(3, 1, 1, 1, 1), shedding_frequencies=torch.ones(3))
-    monkeypatch.setattr(Stream, "load_wakes", lambda *_: bank)
 
 
 def _set_task(values: dict[str, Any]) -> list[str]:
@@ -109,7 +95,7 @@ def predation_run(runs: Path) -> Path:
 def gait_run(runs: Path) -> Path:
     """Train on the Kármán gait with the true flow label; the fish glides."""
     with pytest.MonkeyPatch.context() as patch:
-        _glide(patch)
+        move_kinematically(patch)
         chosen = ["task=karman_gait", "preset=gait_small", "recognition=oracle"]
         task = [*_set_task(KINEMATIC), "task.start_flows=[0,1,2]"]
         return _train(runs, "gait_run", *chosen, *task)
@@ -130,7 +116,7 @@ def test_every_program_is_here() -> None:
 @pytest.mark.parametrize("task", [name for name in GROUPS["task"] if name != "predation"])
 def test_every_task_is_trained(task: str, runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if task not in REAL:
-        _glide(monkeypatch)
+        move_kinematically(monkeypatch)
     is_continuous = task.endswith("_continuous") or task.startswith("follower")
     more = ["algorithm=sac"] if is_continuous else []
     more += ["task.diameter_bl=0.5"] if task == "follower_disc" else []
