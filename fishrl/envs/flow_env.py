@@ -39,16 +39,16 @@ logger = logging.getLogger(__name__)
 
 
 class FlowEnv(EnvBase):
-    """A batch of B flows with one fish each, or with the M fish of a task that has several.
+    """A batch of B flows with one fish each, or with M fish each if the task has several.
 
-    With several fish their observations, actions, masks and rewards are ``[B, M, ...]`` under
-    ``agents``, see ``fishrl.envs.agents``; ``group_map`` names them as TorchRL's multi-agent
-    environments do. Episodes begin and end for all fish of a flow together.
+    With several fish, observations, actions, masks and rewards are ``[B, M, ...]`` under
+    ``agents`` (``fishrl.envs.agents``), with ``group_map`` as in TorchRL's multi-agent
+    environments. Episodes begin and end for all fish of a flow together.
 
     A row that terminates within an action keeps the measurement of that moment and does not advance
-    to the end of the action. A row diverges if it is no longer finite, too fast for the method, or
-    if the fish leaves the grid. It is then truncated with reward 0, ``diverged`` set and the
-    observation of the last decision; it is counted and reset without affecting other rows.
+    to the end of the action. A row has diverged if it is not finite or too fast for the method, or
+    if the fish has left the grid. It is then truncated with reward 0, with ``diverged`` set and
+    with the observation of the last decision; it is counted and reset without affecting other rows.
 
     Args:
         task: the task.
@@ -57,8 +57,8 @@ class FlowEnv(EnvBase):
         device: of all tensors.
         compile_flow: compile the flow step; otherwise it runs eagerly, about 10 times slower.
             (TorchRL reserves the keyword ``compile`` of environment classes.)
-        starts: TensorDict ``[E]`` as ``task.sample_starts`` returns. Resets cycle through them, in
-            order of rows within one reset. By default each start is drawn at random.
+        starts: TensorDict ``[E]`` as returned by ``task.sample_starts``. Resets cycle through them,
+            in order of rows within one reset. By default each start is drawn at random.
         frames_per_action: calls of ``on_frame`` within an action, at equal intervals.
         on_frame: called with this environment, to read ``solver`` and ``measure()``.
 
@@ -68,7 +68,7 @@ class FlowEnv(EnvBase):
         now: ``[B]`` TensorDict, the measurement behind the last observation.
         is_resting: ``[B]`` bool, rows that are not advanced and whose output is undefined;
             ``run_episodes`` sets it for rows without a start.
-        group_map: of several fish, TorchRL's names of the agents by their group.
+        group_map: TorchRL's map from group to agent names, with several fish.
 
     Raises:
         ValueError: for invalid arguments, or if a method of the task returns a wrong shape or type.
@@ -135,7 +135,8 @@ class FlowEnv(EnvBase):
     ) -> Iterator[None]:
         """Use other starts, from the first one, in a ``with`` block; arguments as for the class.
 
-        On exit the previous starts and ``on_frame`` are back and no row rests, but not the flows.
+        On exit the previous starts and ``on_frame`` are restored and no row rests; the flows remain
+        as they are.
         """
         self.task.check_starts(starts)
         before = self.starts, self._next_start, self.on_frame
@@ -259,7 +260,7 @@ class FlowEnv(EnvBase):
         return now.update(torch.stack(samples, 1)) if samples else now, diverged
 
     def _count_safe_steps(self, now: TensorDict, has_ended: Tensor) -> float:
-        """Return for how many steps no row ends; 0 on a GPU, which would have to be waited for."""
+        """Return for how many steps no row ends; 0 on a GPU, where reading it would wait."""
         if has_ended.is_cuda:
             return 0.0
         return float(self.task.count_safe_steps(now).masked_fill(has_ended, inf).min())
@@ -273,7 +274,7 @@ class FlowEnv(EnvBase):
             )
 
     def _read_action(self, action: Tensor) -> Tensor:
-        """Return legal actions as the task takes them."""
+        """Return legal actions in the form that the task expects."""
         bounds = self.task.action_bounds
         if bounds is not None:
             return scale_action(action, bounds)
@@ -281,7 +282,7 @@ class FlowEnv(EnvBase):
         return action
 
     def _read_inputs(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
-        """Return the entries that the task reads beside the action."""
+        """Return the entries that the task reads in addition to the action."""
         missing = [name for name in self.task.inputs if name not in tensordict]
         if missing:
             raise ValueError(
@@ -341,7 +342,7 @@ class FlowEnv(EnvBase):
         self._seed, self._next_start = int(state["seed"]), int(state["next_start"])
 
     def to(self, device: torch.device | str) -> "FlowEnv":
-        """Return itself; raise ValueError for another kind of device, as flows cannot move."""
+        """Return the environment; raise ValueError for another device, as flows cannot move."""
         if torch.device(device).type != self.device.type:
             raise ValueError(f"flows on {self.device} cannot move to {device}: make another env")
         return self

@@ -1,4 +1,4 @@
-"""Making an environment with the transforms that policies need."""
+"""Construction of an environment with the transforms that policies need."""
 
 from collections.abc import Callable, Sequence
 
@@ -38,11 +38,12 @@ def make_env(
 
     Adds ``observation_stack`` ``[B, num_stacked * n_obs]`` (oldest first, filled with the first
     observation at reset), ``is_init``, ``step_count`` and ``episode_reward``. Episodes are
-    truncated after ``task.time_limit`` decisions, and random actions respect the action mask, which
-    continuous actions do not have. With several fish per flow the stacks, masks and
-    ``episode_reward`` are theirs, under ``agents``.
-    ``recognition`` labels each flow, see ``transforms.equip``; ``transforms`` of one's own are
-    appended before the frame stack and may lengthen ``observation``.
+    truncated after ``task.time_limit`` decisions. Random discrete actions respect the action mask;
+    continuous actions have none. With several fish per flow, stacks, masks and ``episode_reward``
+    are per fish, under ``agents``.
+
+    ``recognition`` is the source of flow labels, see ``transforms.equip``. Further ``transforms``
+    are inserted before the frame stack and may lengthen ``observation``.
 
     Raises:
         ValueError: for invalid arguments.

@@ -2,10 +2,10 @@
 
 A task defines where fish start, what an action commands, what is measured, and how observation,
 reward and termination follow from the measurement. Everything is a tensor or TensorDict with a
-leading batch axis B: no loops over the batch, rows differ by masks (``torch.where``). A task keeps
-no state. What lasts from one decision to the next lies in the flow, in the starts or in the last
-measurement, to which ``sense``, ``begin`` and ``remember`` can add entries. The environment handles
-specs, resets, sub-steps, divergence and checkpoints.
+leading batch axis B; there are no loops over the batch, and rows are distinguished by masks
+(``torch.where``). A task keeps no state. What persists between decisions is in the flow, in the
+starts or in the last measurement, to which ``sense``, ``begin`` and ``remember`` can add entries.
+The environment handles specs, resets, sub-steps, divergence and checkpoints.
 """
 
 from abc import ABC, abstractmethod
@@ -49,15 +49,15 @@ class AbstractTask(ABC):
     """Base of all tasks: a fish in a tank of still water with one decision per control interval.
 
     Class attributes of every task: ``n_obs``, length of one observation; ``num_actions``, the
-    number of discrete actions, or of the numbers in a continuous one, see ``action_bounds``; and
+    number of discrete actions, or of components of a continuous one, see ``action_bounds``; and
     ``num_draws``, random numbers per start. Optional ones: ``success``, the boolean entry of
     ``report`` that marks success (default "survived": reaching the time limit is success);
     ``inputs``, names of entries ``[B]`` that a transform writes and ``command`` reads;
-    ``num_samples``, calls of ``sense`` per action; ``former_names``, names of measurements in
-    checkpoints of earlier versions and what each is called now; ``counted``, names of flags in
-    ``report`` whose share at the ends of episodes is a metric; and ``num_fish``.
+    ``num_samples``, calls of ``sense`` per action; ``former_names``, which maps names of
+    measurements in checkpoints of earlier versions to the current ones; ``counted``, names of flags
+    in ``report`` whose rate at the end of episodes is a metric; and ``num_fish``.
 
-    With ``num_fish`` = M > 1 the first M bodies of the flow are fish that learn. ``head`` and
+    With ``num_fish`` = M > 1 the first M bodies of the flow are controlled fish. ``head`` and
     ``heading`` of starts are then ``[E, M, 2]`` and ``[E, M]``; actions, commands, observations,
     rewards and masks have the axis M after B. Termination and ``success`` remain those of the flow.
 
@@ -136,7 +136,7 @@ class AbstractTask(ABC):
 
     @cached_property
     def fish(self) -> Fish:
-        """The body."""
+        """Configuration of the fish."""
         return Fish(body_length=self.body_length)
 
     @property
@@ -158,7 +158,7 @@ class AbstractTask(ABC):
     def swimming_speed(self) -> float:
         """Bound on the speed of a marker in nodes per step, without commanded turns.
 
-        Swimming at most doubles the tail's speed.
+        It assumes that swimming at most doubles the speed of the tail.
         """
         return 2.0 * self.scales.tail_speed
 
@@ -183,21 +183,21 @@ class AbstractTask(ABC):
 
     @property
     def flow_labels(self) -> list[dict[str, Any]]:
-        """What tells the flows of this task apart, in the order of ``flow_index``."""
+        """Properties that distinguish the flows of this task, in the order of ``flow_index``."""
         return []
 
     @property
     def lateral_line_layout(self) -> Mapping[str, Any]:
-        """What a classifier must know of the entry ``lateral_line``, if there is one."""
+        """Layout of the entry ``lateral_line``, which a classifier must match; empty without it."""
         return {}
 
     @property
     def num_label_inputs(self) -> int:
-        """Numbers that a transform which labels flows appends to the observation."""
+        """Number of components that a flow-label transform appends to the observation."""
         return 0
 
     def read_flow_labels(self) -> "AbstractTask":
-        """Return the task with ``command`` reading the ``flow_class`` that a transform writes."""
+        """Return a task whose ``command`` reads the ``flow_class`` that a transform writes."""
         return self
 
     @abstractmethod
@@ -233,9 +233,9 @@ class AbstractTask(ABC):
         solver.reset_(rows, position, heading)
 
     def prepare_(self, solver: Solver, starts: TensorDictBase) -> None:  # noqa: B027  # optional
-        """Change the flow before an action, such as the speed of its stream; by default nothing.
+        """Change the flow before an action, for example its stream speed; by default do nothing.
 
-        ``starts`` ``[B]`` are those of the episodes, ``solver.body.age`` counts the steps since.
+        ``starts`` ``[B]`` are those of the episodes; ``solver.body.age`` counts the steps since.
         """
 
     @abstractmethod
@@ -252,7 +252,7 @@ class AbstractTask(ABC):
         """Return a TensorDict ``[B]`` from which observation, reward and termination follow.
 
         Called several times within an action; a row keeps the first measurement that terminates its
-        episode, or the last one. ``solver.body.age`` counts the steps since reset, ``starts``
+        episode, or else the last one. ``solver.body.age`` counts the steps since reset; ``starts``
         ``[B]`` are those of the episodes. Return copies: the solver's tensors change in place.
         """
 
@@ -297,16 +297,16 @@ class AbstractTask(ABC):
     def count_safe_steps(self, now: TensorDictBase) -> Tensor:
         """Return a number of steps ``[B]`` in which an episode certainly does not terminate.
 
-        The environment does not measure meanwhile, nor stop the flows if nothing else does. ``now``
-        is as in ``is_terminated``. The default, 0, is always right.
+        The environment skips the checks for termination within these steps. ``now`` is as in
+        ``is_terminated``. The default, 0, is always valid.
         """
         return torch.zeros(now.shape, device=now.device)
 
     @property
     def action_bounds(self) -> tuple[tuple[float, float], ...] | None:
-        """Least and largest value of each number in a continuous action, in units of its own.
+        """Lower and upper bound of each component of a continuous action, in its own unit.
 
-        None, the default, means discrete actions. Policies give each number in [-1, 1], and the
+        None, the default, means discrete actions. Policies write each component in [-1, 1], and the
         environment maps it to these bounds.
         """
         return None
@@ -322,17 +322,17 @@ class AbstractTask(ABC):
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """Names of the actions, or of the numbers in a continuous one, in their order."""
+        """Names of the actions, or of the components of a continuous one, in their order."""
         return tuple(f"action {index}" for index in range(self.num_actions))
 
     def name_start(self, start: TensorDictBase) -> str:
-        """Return what distinguishes the flow of one start, in a few words; by default nothing."""
+        """Return a short description of the flow of one start; empty by default."""
         return ""
 
     def make_scene(self) -> Scene:
-        """Return what is drawn: fish, vorticity, edges, reward and action by default.
+        """Return the scene to draw: fish, vorticity, edges, reward and action by default.
 
-        A task that has more extends it: ``super().make_scene().extend(marks=(Marks(...),))``.
+        A task adds items by ``super().make_scene().extend(marks=(Marks(...),))``.
         """
         return make_flow_scene(
             self.flow_config(),
@@ -344,7 +344,7 @@ class AbstractTask(ABC):
         )
 
     def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
-        """Return ``[B, ...]`` tensors by the keys of the scene; see ``measure``."""
+        """Return the tensors ``[B, ...]`` of the scene by their keys; arguments as ``measure``."""
         return read_flow_scene(solver, self.scales, num_fish=self.num_fish)
 
 

@@ -55,15 +55,16 @@ class FlowConfig:
     """The static configuration of a flow.
 
     Flows of one batch may differ in ``tau``, ``stream_speed``, ``ramp_steps`` and in the size, gait
-    and density of their bodies (with equal ``num_markers``); all else must be equal.
+    and density of their bodies (with equal ``num_markers``); everything else must be equal.
 
     Args:
         width: nodes along x.
         height: nodes along y.
         tau: relaxation time of the stresses; nu = (tau - 1/2) / 3.
         stream_speed: unit of the velocities that the edges impose, nodes per step.
-        ramp_steps: steps over which the stream rises smoothly from rest; 0 starts at once.
-        bodies: in the flow; a fish, if there is one, comes first.
+        ramp_steps: steps over which the stream rises smoothly from rest; with 0 it starts at full
+            speed.
+        bodies: bodies in the flow; if there is a fish, the first body must be one.
         rates: relaxation rates of the other moments.
         boundaries: the four edges.
         sponges: strips of raised viscosity.
@@ -114,7 +115,7 @@ class FlowConfig:
 
     @property
     def num_bytes(self) -> int:
-        """Size of the populations."""
+        """Size of the populations of one flow in bytes."""
         return Q * self.width * self.height * self.storage.dtype.itemsize
 
     @property
@@ -125,7 +126,7 @@ class FlowConfig:
 
     @property
     def is_still(self) -> bool:
-        """Whether no body ever leaves its place."""
+        """Whether no body ever moves from its place."""
         return all(body.motion.is_still for body in self.bodies)
 
     @property
@@ -177,10 +178,10 @@ class FlowParams(NamedTuple):
     Attributes:
         tau: ``[B]`` relaxation time.
         stream_speed: ``[B]`` nodes per step, once the last change is over.
-        ramp_steps: ``[B]`` steps of that change; at first the stream's rise.
-        former_speed: ``[B]`` nodes per step, where it began; 0 at rest.
-        ramp_start: ``[B]`` when it began, steps since the start.
-        bodies: of each body.
+        ramp_steps: ``[B]`` duration of that change in steps; initially the rise of the stream.
+        former_speed: ``[B]`` speed before that change, nodes per step; 0 at rest.
+        ramp_start: ``[B]`` beginning of that change, steps since the start.
+        bodies: parameters of each body.
     """
 
     tau: Tensor
@@ -196,8 +197,8 @@ class FlowState(NamedTuple):
 
     Attributes:
         f: ``[B, Q, Y, X]`` incoming populations, shifted by the weights.
-        bodies: in each flow.
-        clock: ``[B]`` steps since the start; None means that the stream's changes are over.
+        bodies: state of each body.
+        clock: ``[B]`` steps since the start; None means that the stream no longer changes.
     """
 
     f: Tensor
@@ -216,7 +217,11 @@ def make_uniform(drho: Tensor, ux: Tensor, uy: Tensor) -> Tensor:
 
 
 def make_params(configs: Sequence[FlowConfig], device: torch.device | str = "cpu") -> FlowParams:
-    """Return the parameters of one flow per configuration; ValueError if not for one batch."""
+    """Return the parameters of one flow per configuration.
+
+    Raises:
+        ValueError: if the flows cannot share a batch.
+    """
     for i, config in enumerate(configs):
         if config.get_structure() != configs[0].get_structure():
             raise ValueError(
@@ -241,7 +246,8 @@ def make_params(configs: Sequence[FlowConfig], device: torch.device | str = "cpu
 def compute_stream_speed(params: FlowParams, clock: Tensor) -> Tensor:
     """Return the stream speed ``[B]`` at ``clock``.
 
-    It is U_0 + (U - U_0) (1 - cos(pi t / t_ramp)) / 2, with t since the change began, then U.
+    It is U_0 + (U - U_0) (1 - cos(pi t / t_ramp)) / 2 at time t after the change began, and U after
+    t_ramp.
     """
     age = clock - params.ramp_start
     part = torch.where(params.ramp_steps > 0.0, age / params.ramp_steps, 1.0).clamp(max=1.0)
@@ -257,7 +263,7 @@ def list_configs(
     """Return one configuration per flow.
 
     Raises:
-        ValueError: unless there are ``num_envs``, and their populations fit into memory.
+        ValueError: if there are not ``num_envs`` of them, or their populations exceed the memory.
     """
     if isinstance(config, FlowConfig):
         num_envs = 1 if num_envs is None else num_envs

@@ -1,4 +1,4 @@
-"""Settings of every training: what determines its result, and where and how often it reports."""
+"""Settings of a training: those that determine its result, and where and how often it reports."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ class LearningSettings(Checked):
 
     Args:
         seed: of networks, starts and actions; one seed gives one learning curve.
-        num_envs: flows that advance together.
-        ray_collectors: processes of a Ray cluster that share the flows, with ``device=cuda`` on a
-            GPU each; with 0 all advance in this process.
-        warmup_frames: frames with random legal actions before learning starts.
+        num_envs: number of flows that advance together.
+        ray_collectors: number of processes of a Ray cluster that share the flows, each on its own
+            GPU with ``device=cuda``; with 0 all flows belong to this process.
+        warmup_frames: env frames with random legal actions before learning starts.
         updates_per_frame: gradient steps per env frame.
         batch_size: transitions per gradient step.
-        buffer_size: transitions kept.
+        buffer_size: capacity of the replay buffer in transitions.
         gamma: discount per decision.
         learning_rate: Adam learning rate of all networks.
         tau: rate of the soft update of target networks at each gradient step.
@@ -60,18 +60,19 @@ class RunSettings(Checked):
     """Where a training runs and how often it reports; may change when a run is resumed.
 
     Args:
-        total_frames: env frames (decisions of one fish) to train for.
+        total_frames: env frames to train for; one decision in one flow is a frame.
         device: cpu or cuda.
         compile: compile the flow solver.
-        folder: where run folders lie.
-        name: of the run folder; by default made from task, preset, algorithm and seed.
+        folder: folder of all run folders.
+        name: name of the run folder; by default made from task, preset, algorithm and seed.
         log_frames: frames between rows of the metrics.
         checkpoint_frames: frames between checkpoints.
         keep_checkpoints: how many of the newest checkpoints are kept.
         eval_frames: frames between evaluations of the greedy policy.
-        eval_episodes: fixed starts of these evaluations, which choose the best checkpoint.
-        final_episodes: fixed starts of the final evaluation, different from those.
-        baselines: policies in the same final evaluation; by default those of the task, see
+        eval_episodes: number of fixed starts of these evaluations, which select the best
+            checkpoint.
+        final_episodes: number of fixed starts of the final evaluation, different from those.
+        baselines: policies evaluated from the same final starts; by default those of the task, see
             ``fishrl.training.baselines``.
     """
 

@@ -29,10 +29,10 @@ class Fish(BodyConfig):
         keeps_length: whether the midline keeps its length (``midline.py``) instead of the paper's
             vertical shear (``shear.py``).
         strokes: curvatures that the midline follows instead of the gait; it then keeps its length.
-        inset: see ``BodyConfig``; 0 by default, since a fish's tail is thinner than the kernel is
-            wide. 0.45 makes a coarse fish faster, closer to the speed on a fine grid (the swimmer
-            on the validation page).
-        motion: commanded heading by default.
+        inset: see ``BodyConfig``; 0 by default, since the tail is thinner than the kernel is wide.
+            On a coarse grid, 0.45 makes the fish faster, closer to its speed on a fine one (the
+            swimmer on the validation page).
+        motion: degrees of freedom; by default the heading follows the command.
     """
 
     body_length: float = bounded(least=16)
