@@ -20,7 +20,7 @@ from torch import Tensor
 from experiments.program import program
 from experiments.train_settings import PolicySettings, read_task
 from fishrl.bounds import bounded
-from fishrl.envs import FlowEnv, make_env, run_episodes
+from fishrl.envs import FlowEnv, run_episodes
 from fishrl.extras import show_install
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
@@ -70,17 +70,7 @@ def simulate(settings: ExportSettings, *, progress: Progress) -> xr.Dataset:
         if num_checks % stride == 0:
             read(flows)
 
-    progress.rename("compilation" if settings.compile else "set-up")
-    env = make_env(
-        task=task,
-        recognition=recognition,
-        num_envs=1,
-        seed=settings.seed,
-        device=settings.device,
-        compile=settings.compile,
-        frames_per_action=task.checks_per_action,
-    )
-    with closing(env):
+    with closing(settings.make_env(task, recognition, num_envs=1, progress=progress)) as env:
         progress.start("episode", total=max_decisions)
         run_episodes(
             env,

@@ -24,7 +24,7 @@ from torchrl.envs.utils import ExplorationType
 from experiments.program import program
 from experiments.train_settings import PolicySettings, read_task
 from fishrl.bounds import bounded
-from fishrl.envs import make_env, run_episodes
+from fishrl.envs import run_episodes
 from fishrl.extras import show_install
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
@@ -69,15 +69,8 @@ def record(settings: ExportDataSettings, *, progress: Progress) -> MinariDataset
             f"task: {type(task).__name__} has several fish, and Minari's datasets hold one agent"
         )
     episodes: list[dict[str, list[Any]]] = [{} for _ in range(settings.episodes)]
-    progress.rename("compilation" if settings.compile else "set-up")
-    env = make_env(
-        task=task,
-        recognition=recognition,
-        num_envs=min(settings.num_envs, settings.episodes),
-        seed=settings.seed,
-        device=settings.device,
-        compile=settings.compile,
-    )
+    num_envs = min(settings.num_envs, settings.episodes)
+    env = settings.make_env(task, recognition, num_envs=num_envs, progress=progress)
     is_continuous = task.action_bounds is not None
     masked = () if is_continuous else ("action_mask",)
     reported = [name for name in env.base_env.observation_spec if name not in masked]

@@ -7,10 +7,11 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from omegaconf import MISSING
+from torchrl.envs import TransformedEnv
 
 from experiments.configuration import CommandLine
 from fishrl.bounds import Checked, bounded
-from fishrl.envs import AbstractTask
+from fishrl.envs import AbstractTask, make_env
 from fishrl.envs.episodes import Policy
 from fishrl.envs.transforms import equip
 from fishrl.training.algorithms import Algorithm
@@ -23,6 +24,7 @@ from fishrl.training.logger import CsvLogger
 from fishrl.training.plan import LEARNING, PARTS, RUN, Plan
 from fishrl.training.policies import load_policy
 from fishrl.training.policy_zoo import PREFIX
+from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, read_config
 from fishrl.training.settings import LearningSettings, RunSettings, check_device
 from fishrl.viewer import ViewerSettings
@@ -117,6 +119,21 @@ class PolicySettings(Checked):
         has_labels = recognition is not None
         policy = load_policy(self.learned, task=task, has_labels=has_labels, device=self.device)
         return task, recognition, policy
+
+    def make_env(
+        self, task: AbstractTask, recognition: Recognition, *, num_envs: int, progress: Progress
+    ) -> TransformedEnv:
+        """Return flows of ``make_policy``'s task, for whoever reads them at every check."""
+        progress.rename("compilation" if self.compile else "set-up")
+        return make_env(
+            task=task,
+            recognition=recognition,
+            num_envs=num_envs,
+            seed=self.seed,
+            device=self.device,
+            compile=self.compile,
+            frames_per_action=task.checks_per_action,
+        )
 
 
 def read_resumed(given: Mapping[str, Any]) -> dict[str, Any]:

@@ -16,7 +16,6 @@ from tempfile import TemporaryDirectory
 from experiments.program import program
 from experiments.train_settings import PolicySettings, read_task
 from fishrl.bounds import bounded
-from fishrl.envs import make_env
 from fishrl.envs.scene import Frame
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
@@ -111,16 +110,7 @@ def record(
     max_decisions = math.ceil(min(task.time_limit, periods) - 1e-9)
     times: dict[int, list[float]] = {flow: [] for flow in flows}
     with ExitStack() as stack:
-        progress.rename("compilation" if settings.compile else "set-up")
-        env = make_env(
-            task=task,
-            recognition=recognition,
-            num_envs=len(flows),
-            seed=settings.seed,
-            device=settings.device,
-            compile=settings.compile,
-            frames_per_action=task.checks_per_action,
-        )
+        env = settings.make_env(task, recognition, num_envs=len(flows), progress=progress)
         stack.callback(env.close)
         scene = make_scene(env, field=settings.field, field_limit=settings.field_limit)
         names = name_flows(task, flows, starts)
