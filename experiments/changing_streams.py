@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 
@@ -36,6 +36,7 @@ from fishrl.envs.episodes import run_episodes
 from fishrl.envs.transforms import HISTORY, LATERAL_LINE, FlowLabelTransform
 from fishrl.modules import LateralLineClassifier
 from fishrl.training.description import make
+from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
 
@@ -174,7 +175,7 @@ def record(
     progress: Progress,
 ) -> Record:
     """Run episodes from fixed starts, the same ones for every policy and in every copy."""
-    starts = torch.cat([draw_starts(task, episodes)] * num_copies)
+    starts = torch.cat([fixed_starts(task, episodes, seed=0)] * num_copies)
     env = make_env(task=task, num_envs=len(starts), transforms=transforms)
     rows: list[Tensor] = []
     progress.start(trial.name, total=task.time_limit)
@@ -197,11 +198,6 @@ def record(
     return Record(time_T, speed=speed, true=true, named=named, x=x, lengths_T=lengths_T)
 
 
-def draw_starts(task: KarmanGait, episodes: int) -> TensorDict:
-    """Return the starts of the trial."""
-    return task.sample_starts(episodes, torch.Generator().manual_seed(0))
-
-
 def find_delays(done: Record, task: KarmanGait) -> list[float]:
     """Return, in T, how long after its beginning each change was recognised; infinite if never.
 
@@ -209,7 +205,7 @@ def find_delays(done: Record, task: KarmanGait) -> list[float]:
     begins.
     """
     assert task.stream.changes is not None
-    starts = draw_starts(task, len(done.true))
+    starts = fixed_starts(task, len(done.true), seed=0)
     speeds = starts["stream_speeds"]
     known = torch.tensor(task.stream.speeds_bl, dtype=torch.float64)
     before = torch.cat((known[starts["flow_index"]][:, None], speeds), 1)

@@ -25,6 +25,7 @@ from fishrl.envs import KarmanGait
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.stations import SafeArea
 from fishrl.training.description import make
+from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
 
@@ -121,7 +122,7 @@ def main(settings: DriftSettings) -> None:
         safe_area=SafeArea(near_bl=0.4, far_bl=4.5),
     )
     index = torch.arange(len(frequencies)).repeat_interleave(settings.starts).repeat(flows)
-    starts = task.sample_starts(len(index), torch.Generator().manual_seed(0))
+    starts = fixed_starts(task, len(index), seed=0)
     starts["flow_index"] = torch.arange(flows).repeat_interleave(len(index) // flows)
     trial = trials.Trial(
         name="drift",

@@ -29,6 +29,7 @@ from fishrl.envs.views import read_fields
 from fishrl.training import load_policy
 from fishrl.training.baselines import make_baseline
 from fishrl.training.description import make
+from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
 
@@ -76,7 +77,7 @@ class Record(NamedTuple):
 def record(env: TransformedEnv, policy: Any, *, advance: Callable[[], object]) -> Record:
     """Run one episode in each flow, from the same starts for every policy."""
     task, episodes = env.base_env.task, env.batch_size[0]
-    starts = task.sample_starts(episodes, torch.Generator().manual_seed(0))
+    starts = fixed_starts(task, episodes, seed=0)
     rows: list[Tensor] = []
     pictures: list[tuple[list[Tensor], Tensor]] = []
     contact = torch.zeros(episodes, dtype=torch.bool)

@@ -29,6 +29,7 @@ from fishrl.envs import KarmanGait
 from fishrl.envs.starts import place_fish
 from fishrl.physics import InPlaceSolver, Towed
 from fishrl.training.description import make
+from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
 
@@ -80,7 +81,7 @@ def hold(
     config = task.flow_config()
     config = replace(config, bodies=(fish, *config.bodies[1:]))
     solver = InPlaceSolver(config=config, num_envs=len(cases), frequency=ratio * shedding)
-    starts = task.sample_starts(len(cases), torch.Generator().manual_seed(0))
+    starts = fixed_starts(task, len(cases), seed=0)
     starts["head"] = task.origin + size * torch.stack((x, torch.zeros_like(x)), -1)
     starts["flow_index"].fill_(flow)
     every, place = torch.ones(len(cases), dtype=torch.bool), place_fish(starts, fish)

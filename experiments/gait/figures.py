@@ -21,6 +21,7 @@ from experiments.gait.trials import FRAMES, Histories, Trial, record
 from fishrl.envs import KarmanGait
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.physics.diagnostics import compute_vorticity
+from fishrl.training.evaluation import fixed_starts
 
 _MOST_PATHS = 40
 #: Width of the bins of mean lean, beats, and how many windows a bin holds at least.
@@ -217,7 +218,7 @@ def write_period(path: Path, trial: Trial, *, num_decisions: int, periods_T: lis
 
     most = num_decisions + ceil(max(periods_T) / task.interval_T)
     task = replace(task, time_limit=most)
-    starts = task.sample_starts(1, torch.Generator().manual_seed(0))[[0] * num]
+    starts = fixed_starts(task, 1, seed=0)[[0] * num]
     starts["flow_index"] = torch.arange(num)
     record(replace(trial, task=task), starts, on_frame=keep)
     shape: Any = {"rows": num, "columns": _NUM_MOMENTS, "size": (12, 2.1 * num + 0.6)}

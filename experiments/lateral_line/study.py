@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import torch
@@ -325,8 +326,10 @@ class Study:
         entries: list[tuple[str, str, str, Question, Callable[[Fit], float]]] = []
         tables: dict[str, Answers] = {}
 
+        held_out = attrgetter("held_out.accuracy")
+
         def ask(
-            table: str, column: str, row: str, question: Question, read: Any = read_accuracy
+            table: str, column: str, row: str, question: Question, read: Any = held_out
         ) -> None:
             entries.append((table, column, row, question, read))
 
@@ -343,7 +346,7 @@ class Study:
             ask("noise", "fitted without noise", f"{level:g}", plain, read)
             ask("noise", "fitted with this noise", f"{level:g}", replace(plain, noise=level), read)
         for name, question in inputs.items():
-            ask("leaks", "fitted", name, question, lambda fit: fit.fitted.accuracy)
+            ask("leaks", "fitted", name, question, attrgetter("fitted.accuracy"))
             for column, split in SPLITS.items():
                 ask("leaks", column, name, replace(question, split=split))
         for name, is_right_only in (("any row", False), ("the right row", True)):
@@ -382,8 +385,3 @@ def list_inputs(window: int) -> dict[str, Question]:
         "paper: whole window, each neuromast": Question(features=PAPER, num_samples=window),
         "local: whole window, each neuromast": Question(features=LOCAL, num_samples=window),
     }
-
-
-def read_accuracy(fit: Fit) -> float:
-    """Return the accuracy on held-out episodes."""
-    return fit.held_out.accuracy

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from copy import deepcopy
 from functools import partial
 from typing import Any
 
@@ -17,7 +18,6 @@ from torchrl.envs import ActionMask, EnvBase, Transform
 
 from fishrl.envs import AbstractTask
 from fishrl.envs.agents import EachFish
-from fishrl.training.evaluation import copy_state
 from fishrl.training.learner import Learner
 from fishrl.training.plan import Plan
 
@@ -60,7 +60,7 @@ class ResumableCollector(Collector):
     @contextmanager
     def lend_env(self) -> Iterator[EnvBase]:
         """Lend the env, and restore everything afterwards."""
-        state = copy_state(self.state_dict())
+        state = deepcopy(self.state_dict())
         try:
             yield self.env
         finally:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 from typing import Any
 
 import torch
@@ -23,7 +24,7 @@ class Evaluator:
     def __init__(self, env: TransformedEnv) -> None:
         self.env = env
         # Every evaluation begins with the same start in the same row.
-        self._initial = copy_state(env.base_env.state_dict())
+        self._initial = deepcopy(env.base_env.state_dict())
 
     def run(
         self,
@@ -45,19 +46,10 @@ class Evaluator:
             if on_episodes is not None:
                 on_episodes(int(((start_of >= 0) & step["next", "done"].squeeze(-1)).sum()))
 
-        self.env.base_env.load_state_dict(copy_state(self._initial))
+        self.env.base_env.load_state_dict(deepcopy(self._initial))
         return run_episodes(self.env, policy, starts, on_step=follow)
 
 
 def fixed_starts(task: Any, num: int, *, seed: int) -> TensorDict:
     """Draw the starts of an evaluation: the same ones for the same seed and number."""
     return task.sample_starts(num, torch.Generator().manual_seed(seed))
-
-
-def copy_state(state: Any) -> Any:
-    """Copy a nested state dict, tensors and all."""
-    if isinstance(state, Tensor):
-        return state.clone()
-    if isinstance(state, dict):
-        return type(state)((key, copy_state(value)) for key, value in state.items())
-    return state

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from itertools import pairwise
 
 import torch
 
 from fishrl.training import DRQN
-from fishrl.training.evaluation import copy_state
 from tests.training.conftest import Toy
 
 
@@ -16,7 +16,7 @@ def test_the_collector_goes_on_bit_for_bit(toy: Toy) -> None:
     batches = iter(first.collector)
     for _ in range(7):
         next(batches)
-    state, rng = copy_state(first.collector.state_dict()), torch.get_rng_state()
+    state, rng = deepcopy(first.collector.state_dict()), torch.get_rng_state()
     expected = [next(batches).clone() for _ in range(15)]  # into new episodes and past the warm-up
     second = toy.begin(task={"banned_action": 1})
     second.collector.load_state_dict(state)
