@@ -1,5 +1,6 @@
 """Small tasks, with and without a flow."""
 
+from math import pi
 from typing import Any
 
 import pytest
@@ -49,6 +50,24 @@ def act(env: FlowEnv, *actions: int, **inputs: Any) -> TensorDict:
     entries = {name: torch.tensor(value) for name, value in inputs.items()}
     step = env.step(TensorDict({"action": torch.tensor(actions), **entries}, env.batch_size))
     return step["next"]
+
+
+def keep_straight(state: TensorDict) -> TensorDict:
+    """Take action 1 in each row, which turns no fish."""
+    return state.set("action", torch.ones(state.shape, dtype=torch.int64, device=state.device))
+
+
+def starts_at(*heads: tuple[float, float], heading: float = pi, up: float = 1.0) -> TensorDict:
+    """Return starts of predation with noses at ``heads``, in body lengths of the small task."""
+    num = len(heads)
+    return TensorDict(
+        {
+            "head": torch.tensor(heads, dtype=torch.float64) * SMALL["body_length"],
+            "heading": torch.full((num,), heading, dtype=torch.float64),
+            "food_direction": torch.full((num,), up, dtype=torch.float64),
+        },
+        [num],
+    )
 
 
 def reset_rows(env: FlowEnv, *rows: bool) -> TensorDict:

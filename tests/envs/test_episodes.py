@@ -8,7 +8,7 @@ from torchrl.envs import TransformedEnv
 
 from fishrl.envs import FlowEnv, Predation, make_env
 from fishrl.envs.episodes import Episodes, run_episodes
-from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL, keep_straight, kinematic  # noqa: F401 - a fixture
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 NUM_STARTS = 5
@@ -28,10 +28,6 @@ def draw(task: Predation, num: int = NUM_STARTS) -> TensorDict:
     starts["head"][0, 0] = 1.5 * task.body_length  # the first reaches the wall before the others
     starts["heading"] = torch.full_like(starts["heading"], torch.pi)
     return starts
-
-
-def keep_straight(td: TensorDict) -> TensorDict:
-    return td.set("action", torch.ones(td.shape, dtype=torch.int64))
 
 
 def tensors(episodes: Episodes) -> list[Tensor]:

@@ -8,7 +8,7 @@ from tensordict import TensorDict
 from torchrl.envs import step_mdp
 
 from fishrl.envs import FlowEnv, Predation, make_env
-from tests.envs.conftest import SMALL, act, make_flows, reset_rows
+from tests.envs.conftest import SMALL, act, make_flows, reset_rows, starts_at
 from tests.envs.masked_task import MaskedTask
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -134,14 +134,7 @@ def test_a_row_that_diverges_before_it_meets_food_or_wall_has_diverged(
     small_task: Predation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And one that ended before is not: its flow no longer matters."""
-    starts = TensorDict(
-        {
-            "head": torch.tensor([[60.0, 50.0], [100.0, 50.0]], dtype=torch.float64),
-            "heading": torch.full((2,), torch.pi, dtype=torch.float64),
-            "food_direction": torch.ones(2, dtype=torch.float64),
-        },
-        [2],
-    )
+    starts = starts_at((3.0, 2.5), (5.0, 2.5))
     for breaks_at, expected in ((2.0, [True, True]), (80.0, [False, True])):
         env = make_flows(small_task, 2, starts=starts)
         env.reset()

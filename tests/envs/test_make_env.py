@@ -1,40 +1,21 @@
 """The environment with its transforms. No flow needed."""
 
-import math
-
 import pytest
 import torch
-from tensordict import TensorDict
 
 from fishrl.envs import Predation, make_env
-from tests.envs.conftest import SMALL
+from tests.envs.conftest import SMALL, keep_straight, starts_at
 
 pytestmark = pytest.mark.usefixtures("kinematic")
-
-
-def keep(td: TensorDict) -> TensorDict:
-    return td.set("action", torch.ones(td.shape, dtype=torch.int64))
-
-
-def starts_of(*heads: tuple[float, float]) -> TensorDict:
-    num = len(heads)
-    return TensorDict(
-        {
-            "head": torch.tensor(heads, dtype=torch.float64),
-            "heading": torch.full((num,), math.pi, dtype=torch.float64),
-            "food_direction": torch.ones(num, dtype=torch.float64),
-        },
-        [num],
-    )
 
 
 def test_the_stack_holds_the_last_observations_oldest_first_and_restarts_with_its_row() -> None:
     """Row 0 captures after some actions and starts anew, row 1 swims on."""
     task = Predation(**SMALL)
     env = make_env(
-        task=task, num_envs=2, compile=False, starts=starts_of((76, 50), (150, 30), (140, 60))
+        task=task, num_envs=2, compile=False, starts=starts_at((3.8, 2.5), (7.5, 1.5), (7.0, 3.0))
     )
-    rollout = env.rollout(8, policy=keep, break_when_any_done=False)
+    rollout = env.rollout(8, policy=keep_straight, break_when_any_done=False)
     is_init = rollout["is_init"].squeeze(-1)
     assert is_init[0].nonzero().squeeze(-1).tolist()[0] == 0 and is_init[0].sum() == 2
     assert is_init[1].nonzero().squeeze(-1).tolist() == [0]
@@ -61,8 +42,8 @@ def test_an_episode_is_truncated_at_its_time_limit_and_not_terminated() -> None:
 
 
 def test_the_return_adds_up_over_an_episode_and_restarts_with_its_row() -> None:
-    env = make_env(task=Predation(**SMALL), num_envs=2, compile=False, starts=starts_of((76, 50)))
-    rollout = env.rollout(6, policy=keep)
+    env = make_env(task=Predation(**SMALL), num_envs=2, compile=False, starts=starts_at((3.8, 2.5)))
+    rollout = env.rollout(6, policy=keep_straight)
     assert rollout.shape == (2, 3)  # 1.3 L to the food, 0.25 L of it for free, at 0.4 L an action
     assert rollout["next", "episode_reward"][0].squeeze(-1).tolist() == [1.0, 2.0, 23.0]
     assert rollout["next", "captured"][0].squeeze(-1).tolist() == [False, False, True]

@@ -51,7 +51,7 @@ def test_the_index_of_the_entry_that_is_set_reaches_the_flow(env: TransformedEnv
 def test_torchrl_trains_discrete_sac_where_all_actions_are_legal() -> None:
     """Its script knows no masks."""
     env = make_env(
-        task=Predation(body_length=20, reynolds=500.0, max_wall_speed=0.15, wall_margin_bl=0.15),
+        task=Predation(**SMALL),
         num_envs=2,
         compile=False,
         transforms=[OneHotAction()],

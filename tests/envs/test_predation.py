@@ -9,22 +9,9 @@ from tensordict import TensorDict
 
 from fishrl.envs import FlowEnv, Predation
 from fishrl.envs.starts import place_fish, place_outline
-from tests.envs.conftest import SMALL, act
+from tests.envs.conftest import SMALL, act, starts_at
 
 KEEP = 1
-
-
-def starts_at(*heads: tuple[float, float], heading: float = math.pi, up: float = 1.0) -> TensorDict:
-    """Starts with noses at ``heads``, in body lengths of the small task."""
-    num = len(heads)
-    return TensorDict(
-        {
-            "head": torch.tensor(heads, dtype=torch.float64) * SMALL["body_length"],
-            "heading": torch.full((num,), heading, dtype=torch.float64),
-            "food_direction": torch.full((num,), up, dtype=torch.float64),
-        },
-        [num],
-    )
 
 
 def make_env(task: Predation, starts: TensorDict) -> FlowEnv:

@@ -10,7 +10,8 @@ import pytest
 from experiments import train
 from experiments.configuration import CONF
 from experiments.train_settings import TRAINING
-from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
+from tests.experiments.gait.tasks import OVERRIDES
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
@@ -20,8 +21,14 @@ YAMLS = sorted(
     for path in (CONF / group).glob("*.yaml")
 )
 TINY = [
-    *(f"task.{name}={value}" for name, value in {**SMALL, "wall_margin_bl": 0.25}.items()),
-    *("compile=false", "num_envs=2", "task.time_limit=2", "total_frames=4", "warmup_frames=2"),
+    *(
+        *OVERRIDES,
+        "compile=false",
+        "num_envs=2",
+        "task.time_limit=2",
+        "total_frames=4",
+        "warmup_frames=2",
+    ),
     *("batch_size=2", "hidden=[8]", "eval_frames=4", "eval_episodes=1", "final_episodes=1"),
     *("picture_episodes=0", "baselines=[]", "name=run"),
 ]

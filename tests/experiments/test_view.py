@@ -19,14 +19,14 @@ from fishrl.envs.scene import Frame
 from fishrl.training.description import to_plain
 from fishrl.training.run_folder import write_yaml
 from fishrl.viewer import Drawing
-from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
+from tests.experiments.gait.tasks import OVERRIDES
 from tests.experiments.test_gait import SETTINGS
 from tests.training.conftest import read_rows
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
-TASK = [f"task.{name}={value}" for name, value in {**SMALL, "wall_margin_bl": 0.25}.items()]
-GAIT = ["preset=gait_small", *TASK, "compile=false"]
+GAIT = ["preset=gait_small", *OVERRIDES, "compile=false"]
 
 
 def list_entities(path: Path) -> str:

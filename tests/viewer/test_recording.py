@@ -11,7 +11,7 @@ from fishrl.envs import KarmanGait, Predation, make_env
 from fishrl.envs.scene import Field, Frame, Scene
 from fishrl.viewer import Recording, make_scene, name_flows, record_episodes
 from fishrl.viewer.recording import Recorder
-from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL, keep_straight, kinematic  # noqa: F401 - a fixture
 
 FIELD = Field(key="head", name="head", unit="", limit=1.0)
 TASK: dict[str, Any] = {**SMALL, "time_limit": 12, "food_still_T": 99.0}
@@ -92,10 +92,6 @@ def test_rows_that_stand_still_give_no_further_frame() -> None:
 def test_less_than_a_frame_per_period_is_refused() -> None:
     with pytest.raises(ValueError, match="frames_per_T = 0"):
         FakeFlows(frames_per_T=0)
-
-
-def keep_straight(td: TensorDict) -> TensorDict:
-    return td.set("action", torch.ones(td.shape, dtype=torch.int64, device=td.device))
 
 
 def record(num_envs: int, *, device: str = "cpu") -> tuple[Predation, list[Recording], Any]:
