@@ -50,13 +50,13 @@ class CStartSettings(Checked):
     """Settings of a search for the best C-start.
 
     Args:
-        folder: of the results.
-        generations: of the search, those that are done included.
+        folder: folder of the results.
+        generations: number of generations in all, finished ones included.
         population: candidates in each generation.
-        sigma: first standard deviation, in parts of the bounds' distance.
-        seed: of the search.
+        sigma: initial standard deviation, as a share of the distance between the bounds.
+        seed: seed of the search.
         body_length: L in nodes.
-        inset: of the markers, nodes; 0.45 brings coarse grids nearer to fine ones.
+        inset: inset of the markers, nodes; 0.45 brings coarse grids nearer to fine ones.
         finer: body lengths at which the best candidate is compared with the published strokes.
         workers: processes that share the flows; None is one per core.
         compile: compile the flow step.

@@ -50,11 +50,12 @@ class ChangingSettings(TaskSettings):
 
     Args:
         runs: policies with macro-actions and a lateral-line classifier, one per seed.
-        ablations: policies without.
-        episodes: of each policy and source of labels.
+        ablations: policies without either.
+        episodes: episodes of each policy and source of labels.
         periods: duration of an episode in T.
-        switching_rate: of the filter, per decision; by default the mean rate of the changes.
-        folder: for what is written.
+        switching_rate: switching rate of the filter, per decision; by default the mean rate of
+            the changes.
+        folder: folder for the results.
     """
 
     runs: tuple[str, ...] = ("zoo/gait_small", "zoo/gait_small_seed1", "zoo/gait_small_seed2")

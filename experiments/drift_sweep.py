@@ -39,10 +39,10 @@ class DriftSettings(TaskSettings):
     """Settings of a drift sweep.
 
     Args:
-        frequencies: to measure at, beats per T.
+        frequencies: tail-beat frequencies to measure at, beats per T.
         starts: episodes per flow and frequency.
         periods: duration of an episode in T.
-        folder: for table, settings and figure.
+        folder: folder for table, settings and figure.
     """
 
     frequencies: tuple[float, ...] = bounded((0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.2, 2.6), least=0)

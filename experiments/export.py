@@ -38,7 +38,7 @@ class ExportSettings(PolicySettings):
     Args:
         save: file or folder to write, ending in ``.nc``, ``.zarr`` or ``.pvd``.
         periods: T after which the episode is cut; ``null`` runs it to its end.
-        frames_per_T: moments per period, approximately.
+        frames_per_T: frames per period, approximately.
     """
 
     save: str = MISSING

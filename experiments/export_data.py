@@ -39,10 +39,10 @@ class ExportDataSettings(PolicySettings):
 
     Args:
         name: identifier of the dataset, ``(<namespace>/)<name>-v<version>``.
-        folder: where datasets lie; Minari finds them if its ``MINARI_DATASETS_PATH`` says so.
+        folder: folder of the datasets; Minari finds them by ``MINARI_DATASETS_PATH=<folder>``.
         episodes: fixed starts, one episode each.
         num_envs: flows that advance together.
-        samples_actions: draw the actions of a learned policy, as in training.
+        samples_actions: sample the actions of a learned policy, as in training.
     """
 
     name: str = MISSING

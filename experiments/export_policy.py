@@ -26,8 +26,8 @@ class ExportPolicySettings:
 
     Args:
         run: folder of a run.
-        folder: to write.
-        title: of the model card; by default the name of the folder.
+        folder: folder to write.
+        title: title of the model card; by default the name of the folder.
         upload: repository of the Hugging Face Hub to upload the folder to, ``<user>/<name>``; it is
             created, for everyone to read, if it does not exist.
     """

@@ -25,7 +25,7 @@ class ExportSettings:
 
     Args:
         run: folder of a run of ``task=predation``, or a checkpoint.
-        path: of the file to write.
+        path: file to write.
     """
 
     run: str = MISSING

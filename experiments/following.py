@@ -44,11 +44,11 @@ class FollowingSettings(TaskSettings):
     Args:
         runs: run folders of learned policies, one per seed.
         baseline: hand-crafted policy.
-        episodes: of each policy, behind the leader and alone.
+        episodes: episodes of each policy, behind the leader and alone.
         periods: duration of an episode in T.
         settle_T: time at the beginning that is not counted, while the fish accelerates; the work
             of episodes shorter than twice that is left out.
-        folder: for what is written.
+        folder: folder for the results.
         compile: compile the flow.
     """
 

@@ -34,12 +34,12 @@ class FreeStreamSettings(TaskSettings):
     """Settings of a free-stream test.
 
     Args:
-        episodes: in each flow.
+        episodes: episodes in each flow.
         periods: duration of an episode in T.
         max_frequency: largest frequency that may be commanded, beats per T.
         max_wall_speed: speed of the tail, nodes per step; at that of the wake the flow diverges.
-        frequency: of the controller at zero error, beats per T.
-        folder: for results and histories.
+        frequency: frequency of the controller at zero error, beats per T.
+        folder: folder for results and histories.
     """
 
     episodes: int = bounded(4, least=1)

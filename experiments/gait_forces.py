@@ -46,12 +46,12 @@ class ForceSettings(TaskSettings):
     """Settings of a map of forces.
 
     Args:
-        positions_bl: of the nose behind the disc's flat side, body lengths.
+        positions_bl: positions of the nose behind the disc's flat side, body lengths.
         ratios: tail-beat frequencies in units of the shedding frequency.
         num_phases: phases of the tail beat at the start, evenly spaced, for each.
         settling: shedding periods before the measurement.
         periods: shedding periods that are measured.
-        folder: for table, settings and figure.
+        folder: folder for table, settings and figure.
     """
 
     positions_bl: tuple[float, ...] = bounded((0.8, 1.2, 1.6, 2.0, 3.0), greater=0, entries=1)

@@ -85,8 +85,8 @@ class ReproduceSettings(Checked):
 
     Args:
         scale: what is run; ``scale.<entry>=<value>`` changes an entry.
-        folder: for runs, tables and figures; by default runs/reproduction-<scale>.
-        plan: list what is left, and run nothing.
+        folder: folder for runs, tables and figures; by default runs/reproduction-<scale>.
+        plan: list the remaining jobs without running them.
         docs: folder of the documentation, whose page is written too.
     """
 

@@ -60,12 +60,12 @@ class RobustnessSettings(Checked):
 
     Args:
         runs: policies of ``task=karman_gait``; those of one kind are the seeds of an arm.
-        baselines: as in ``experiments.transfer``.
+        baselines: policies to compare with, as in ``experiments.transfer``.
         conditions: settings of the task by the name of the condition; without any ``CONDITIONS``.
         reference: arm that the others are compared with, start by start.
-        episodes: of each policy in each stream.
+        episodes: episodes of each policy in each stream.
         periods: duration of an episode in T.
-        folder: for what is written.
+        folder: folder for the results.
     """
 
     runs: tuple[str, ...] = (

@@ -42,12 +42,12 @@ class SearchSettings(Checked):
     """Settings of a search, beside those of its trainings.
 
     Args:
-        folder: of the study and its runs.
+        folder: folder of the study and its runs.
         trials: number of trials in the study, including failed ones and those of other processes.
         seeds: runs per trial, over which the metric is averaged.
         metric: entry of ``summary.json`` to optimise.
         minimize: minimise the metric instead of maximising it.
-        overrides: settings of the trainings; on the command line, whatever is none of the above.
+        overrides: settings of the trainings; on the command line, all keys not listed here.
     """
 
     folder: str

@@ -55,7 +55,7 @@ class SummarizeSettings:
     """Settings of a summary.
 
     Args:
-        folder: of a sweep, which holds the run folders.
+        folder: folder of a sweep, which holds the run folders.
         page: Markdown file to write the tables into, between the marks ``summary``. Pictures go to
             ``figures`` beside it: the curves under the name of the page, and those pictures of the
             first run that the page shows.

@@ -65,15 +65,15 @@ class TrainConfig(LearningSettings, RunSettings, ViewerSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class PolicySettings(Checked):
-    """Which policy a program runs, and in what.
+    """The policy that a program runs, and its task.
 
     Args:
-        task: ``_target_`` and arguments of the task; a run brings its own unless ``task`` or
+        task: ``_target_`` and arguments of the task; by default that of the run unless ``task`` or
             ``preset`` is given, and ``task.<argument>`` changes it.
         preset: name of the preset.
         checkpoint: run folder or checkpoint of the policy.
         policy: baseline to run instead, see ``fishrl.training.baselines``, or ``zoo/<name>``.
-        recognition: as for training; a run brings its own.
+        recognition: source of flow labels, as for training; by default that of the run.
         seed: of the starts and of random actions; 0 gives those of every run's final evaluation, 1
             those that selected its checkpoint.
         device: cpu or cuda.

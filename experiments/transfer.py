@@ -38,11 +38,11 @@ class TransferSettings(TaskSettings):
     Args:
         runs: run folders of ``task=karman_gait``; runs of one kind are its seeds. The
             baselines use the task of the first run with macro-actions.
-        episodes: in each flow.
+        episodes: episodes in each flow.
         periods: duration of a trial in T.
         baselines: policies to compare with; see ``trials.make_trial``.
         samples_actions: sample the actions of learned policies, as in training.
-        folder: for tables, figures and histories.
+        folder: folder for tables, figures and histories.
     """
 
     runs: tuple[str, ...] = ()

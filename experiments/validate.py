@@ -41,7 +41,7 @@ class ValidateSettings:
         quick: coarse runs only, about a minute.
         fresh: repeat cached jobs too.
         jobs: parallel processes.
-        folder: of the results, and of the page unless all cases run.
+        folder: folder of the results, and of the page unless all cases run.
         docs: folder for validation.md and figures/validation of a full run.
     """
 

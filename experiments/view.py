@@ -48,7 +48,7 @@ class ViewConfig(PolicySettings, ViewerSettings):
         save: file to write: a recording ``.rrd``, by default one in the temporary folder, or a film
             of one flow, ``.mp4`` or ``.gif``.
         screenshot: PNG to write instead of opening a window.
-        time: of the picture, in T; by default the middle of the recording.
+        time: time of the picture, in T; by default the middle of the recording.
     """
 
     recording: str | None = None

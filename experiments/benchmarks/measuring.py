@@ -38,10 +38,10 @@ class BenchmarkSettings(Checked):
     Args:
         body_length: L of the large case, whose tank is 10 L x 5 L; others have L / 2 and L / 4.
         threads: cores that each code may use.
-        rounds: bursts of every case.
+        rounds: number of bursts of every case.
         burst: seconds that a burst should take.
         groups: groups of measurements; by default all.
-        folder: of results and figures.
+        folder: folder of results and figures.
         docs: folder of pages to write stored results of ``folder`` into; nothing is measured.
     """
 

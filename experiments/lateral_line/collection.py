@@ -42,14 +42,14 @@ class CollectionSettings(TaskSettings):
     """Settings of a collection.
 
     Args:
-        task: whose flows are classified; all of them, whatever ``task.start_flows`` is.
-        seed: of data, splits and fits.
+        task: task all of whose flows are classified, whatever ``task.start_flows`` is.
+        seed: seed of data, splits and fits.
         device: cpu or cuda, for the flows.
         compile: compile the flow solver.
-        data_folder: where collected data are kept, for every study that can use them.
+        data_folder: cache of collected data, shared by all studies that can use them.
         num_envs: flows that advance together.
         num_samples: decisions to collect, one signal of a control interval each.
-        max_decisions: after which an episode is truncated.
+        max_decisions: decisions after which an episode is truncated.
     """
 
     seed: int = bounded(0, least=0)

@@ -46,12 +46,12 @@ class LateralLineSettings(CollectionSettings, FitSettings):
     """Settings of a study of the lateral line, besides those of its data and fits.
 
     Args:
-        folder: where run folders lie.
-        name: of the run folder; by default made from task and seed.
+        folder: folder of all run folders.
+        name: name of the run folder; by default made from task and seed.
         window: samples that the classifier reads, the newest; by default those of eight intervals.
         hidden: widths of its hidden layers.
-        is_recurrent: let a GRU read the window sample by sample.
-        noise: added to the training signals, as a share of each feature's standard deviation.
+        is_recurrent: read the window sample by sample with a GRU.
+        noise: noise added to the training signals, as a share of each feature's standard deviation.
         paper_epochs: epochs of the paper's classifier, which is fitted with its settings.
         num_splits: divisions of the episodes over which accuracies are averaged.
         windows: lengths of window to compare, in samples.

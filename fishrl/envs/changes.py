@@ -118,7 +118,7 @@ class RandomChanges(StreamChanges):
     """Changes at equal intervals.
 
     Args:
-        interval_T: time between them, and before the first one.
+        interval_T: time between two changes, and before the first one.
     """
 
     interval_T: float = bounded(20.0, greater=0)
@@ -147,10 +147,10 @@ class RandomChanges(StreamChanges):
 
 @dataclass(frozen=True, kw_only=True)
 class StreamSwitches(RandomChanges):
-    """Changes to another one of some speeds, each with equal probability.
+    """Switches to another of several speeds, each with equal probability.
 
     Args:
-        speeds_bl: the speeds, L / T.
+        speeds_bl: speeds of the stream, L / T.
     """
 
     speeds_bl: tuple[float, ...] = bounded((1.0, 1.25, 1.5), greater=0, entries=2)

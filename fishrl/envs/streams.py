@@ -30,8 +30,8 @@ class Stream:
 
     Args:
         speeds_bl: stream speeds, L / T; by default the paper's conditions I, II and III.
-        changes: of the speed within an episode, which begins at one of ``speeds_bl``; None for
-            steady streams.
+        changes: changes of the speed within an episode, which begins at one of ``speeds_bl``; None
+            for steady streams.
         has_disc: include the half disc; positions refer to its location in a free stream too.
         diameter_bl: D of the half disc, body lengths.
         face_bl: distance of its flat side from the inflow.

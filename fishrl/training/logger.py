@@ -112,7 +112,7 @@ class WandbLogger(CsvLogger):
     """Weights & Biases beside the CSV file; raises ImportError if wandb is not installed.
 
     Args:
-        project: of Weights & Biases.
+        project: project of Weights & Biases.
         is_offline: write below the run folder and upload nothing; ``wandb sync`` does so later.
     """
 

@@ -14,8 +14,8 @@ class LearningSettings(Checked):
     """Settings that determine the result of a training; fixed once a run has begun.
 
     Args:
-        seed: of networks, starts and actions; one seed gives one learning curve.
-        num_envs: number of flows that advance together.
+        seed: seed of networks, starts and actions; it determines the learning curve.
+        num_envs: flows that advance together.
         ray_collectors: number of processes of a Ray cluster that share the flows, each on its own
             GPU with ``device=cuda``; with 0 all flows belong to this process.
         warmup_frames: env frames with random legal actions before learning starts.

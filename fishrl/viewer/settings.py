@@ -16,11 +16,11 @@ class ViewerSettings(Checked):
         flows: which flows of the batch to show, each in a tab of its own.
         frames_per_T: frames per period, approximately; they coincide with checks for termination.
         field: vorticity (1/T), pressure (rho L^2/T^2) or speed (L/T).
-        field_format: of the field: jpeg (small) or u8 (values under the mouse).
+        field_format: format of the field, jpeg (small) or u8 (values under the mouse).
         field_limit: value at which the field's colours saturate; by default 15 for the vorticity,
             and limits that follow from the fastest stream for pressure and speed.
-        port: of the live viewer; the next free one if it is taken.
-        live_share: of the wall time that a live view may take from a training or an evaluation.
+        port: port of the live viewer; the next free one if it is taken.
+        live_share: largest share of the wall time that a live view may take.
     """
 
     live: bool = False

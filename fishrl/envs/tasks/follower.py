@@ -49,15 +49,15 @@ class Follower(AbstractTask):
 
     Args:
         leader: fish, disc, or none, for comparison with a fish alone.
-        stream_speed_bl: of the stream, L / T.
+        stream_speed_bl: speed of the stream, L / T.
         turn_degrees: largest turn of an action.
         frequency_range: least and largest tail-beat frequency, beats per T.
         cost_alone: work of the fish alone for 1 L through the water, rho L^4 / T^2.
         diameter_bl: D of the half disc.
-        leader_x_bl: rear end of the leader, from the inflow.
-        start_x_bl: range of the first place along x.
+        leader_x_bl: distance of the rear end of the leader from the inflow.
+        start_x_bl: range of the initial x.
         start_y_bl: the same along y.
-        start_degrees: largest angle of the first heading from upstream.
+        start_degrees: largest angle of the initial heading from upstream.
         range_bl: least and largest x.
         aside_bl: largest distance from the centreline of the leader.
         contact_bl: gap to the leader that counts as contact; below three nodes or so the delta

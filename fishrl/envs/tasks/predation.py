@@ -42,7 +42,7 @@ class AbstractPredation(AbstractTask):
         food_limits_bl: lowest and highest y of the food.
         food_still_T: periods for which the food rests.
         food_speed_bl: speed of the food afterwards, body lengths per period.
-        food_direction: first direction of the food: up, down or random.
+        food_direction: initial direction of the food: up, down or random.
         capture_radius_bl: distance from nose to food that counts as capture.
     """
 

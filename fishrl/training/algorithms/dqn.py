@@ -24,9 +24,9 @@ class DQN(Algorithm):
     is updated softly, as for SAC.
 
     Args:
-        is_double: let the online network select the next action that the target network evaluates.
+        is_double: select the next action by the online network and evaluate it by the target one.
         epsilon_start: share of random legal actions at the end of the warm-up.
-        epsilon_end: final share.
+        epsilon_end: final share of random legal actions.
         epsilon_frames: env frames after the warm-up over which the share falls.
     """
 

@@ -30,7 +30,7 @@ class DRQN(DQN):
     sequences are short.
 
     Args:
-        sequence_length: decisions in a sequence; what remains of an episode gives a shorter one.
+        sequence_length: decisions in a sequence; the last one of an episode may be shorter.
     """
 
     is_traced = False  # TorchRL's LSTM looks where episodes begin

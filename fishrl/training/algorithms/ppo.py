@@ -20,7 +20,7 @@ from fishrl.training.settings import LearningSettings
 
 @dataclass(frozen=True, kw_only=True)
 class PPO(Algorithm):
-    """Actor and critic that learn from each rollout of the current policy, and then forget it.
+    """Actor and critic, trained on each rollout of the current policy, which is then discarded.
 
     Schulman et al. 2017, "Proximal Policy Optimization Algorithms", with generalised advantage
     estimation (Schulman et al. 2016), as TorchRL's ``ClipPPOLoss`` and ``GAE`` implement them;
@@ -30,11 +30,11 @@ class PPO(Algorithm):
 
     Args:
         rollout_length: decisions of each flow between updates.
-        num_epochs: times that each transition of a rollout is learned from.
-        clip: largest change of a probability, as a share, that is rewarded.
-        gae_lambda: weight of later rewards in the advantage, by their distance in decisions.
-        entropy_weight: of the bonus for the entropy of the policy.
-        value_weight: of the loss of the critic.
+        num_epochs: passes over each rollout.
+        clip: range within which the ratio of action probabilities is clipped, 1 +- clip.
+        gae_lambda: lambda of generalised advantage estimation.
+        entropy_weight: weight of the entropy bonus.
+        value_weight: weight of the critic loss.
     """
 
     takes_continuous = True

@@ -24,7 +24,7 @@ class SAC(Algorithm):
 
     Args:
         alpha_init: initial temperature.
-        target_entropy: target entropy for each number of an action, in nats; log(2) = 0.69 is that
+        target_entropy: target entropy per component of an action, in nats; log(2) = 0.69 is that
             of a uniform one.
     """
 
