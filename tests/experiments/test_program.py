@@ -46,7 +46,7 @@ def test_help_shows_choices_settings_and_what_they_mean(
     assert "    body_length: 32\n" in said
     assert "    wall_margin_bl: 0.25\n" in said  # a default of the task, which no YAML names
     summarize.main(["-h"])
-    assert "  folder=???  of a sweep" in capsys.readouterr().out
+    assert "  folder=???  folder of a sweep" in capsys.readouterr().out
 
 
 def test_a_mistake_ends_a_program_with_one_line(tmp_path: Path) -> None:
