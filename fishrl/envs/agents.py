@@ -1,9 +1,9 @@
-"""Several fish that learn: where an environment keeps what is theirs.
+"""Layout of the entries of several fish in one environment.
 
-Where each flow has one fish, its entries stand at the top: ``action`` ``[B]``. Where a task has M >
-1 fish, they stand in the group ``agents``: ``("agents", "action")`` ``[B, M]``, as in TorchRL's
-multi-agent environments, and entries of the flow, such as ``done`` ``[B, 1]``, stay at the top. A
-policy of this library decides for one fish; ``EachFish`` lets it decide for each of several.
+With one fish per flow, its entries are at the top level: ``action`` ``[B]``. With M > 1 fish, they
+are in the group ``agents``: ``("agents", "action")`` ``[B, M]``, as in TorchRL's multi-agent
+environments; entries of the flow, such as ``done`` ``[B, 1]``, remain at the top level. Policies of
+this library act for one fish; ``EachFish`` applies them to each of several.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,24 +20,24 @@ AGENTS = "agents"
 
 
 def name_entry(task: AbstractTask, name: str) -> str | tuple[str, str]:
-    """Return the key of an entry that each fish has."""
+    """Return the key of a per-fish entry."""
     return name if task.num_fish == 1 else (AGENTS, name)
 
 
 def shape_fish(task: AbstractTask, num_rows: int) -> tuple[int, ...]:
-    """Return the shape of a number for each fish: ``[B]``, or of several ``[B, M]``."""
+    """Return the shape of one number per fish: ``[B]``, or ``[B, M]`` with several."""
     return (num_rows,) if task.num_fish == 1 else (num_rows, task.num_fish)
 
 
 def group(entries: Mapping[str, Tensor], shape: tuple[int, ...]) -> dict[str, Any]:
-    """Return entries of each fish as an environment keeps them; ``shape`` see ``shape_fish``."""
+    """Return per-fish entries as an environment stores them; ``shape`` as in ``shape_fish``."""
     if len(shape) == 1:
         return dict(entries)
     return {AGENTS: TensorDict(dict(entries), shape)}
 
 
 def read_entry(data: TensorDictBase, name: str) -> Tensor | None:
-    """Return an entry of each fish, or else of the flow; None if there is no such entry."""
+    """Return a per-fish entry, or else that of the flow; None if neither exists."""
     own: Tensor | None = data.get((AGENTS, name), None)
     return data.get(name, None) if own is None else own
 
@@ -45,7 +45,7 @@ def read_entry(data: TensorDictBase, name: str) -> Tensor | None:
 def split_fish(data: TensorDictBase) -> TensorDictBase:
     """Return data ``[B]`` of an environment with M fish as ``[B * M]``, a row for each fish.
 
-    Rows are those of environments with one fish; what belongs to the flow is repeated. Data of an
+    Rows are as in environments with one fish; entries of the flow are repeated. Data of an
     environment with one fish are returned as they are.
     """
     if AGENTS not in data:
@@ -61,7 +61,7 @@ def split_fish(data: TensorDictBase) -> TensorDictBase:
 
 
 def average_fish(data: TensorDictBase, name: str) -> Tensor:
-    """Return an entry ``[B, 1]`` of each fish, such as its reward; of several fish their mean."""
+    """Return a per-fish entry, such as the reward, as ``[B, 1]``; the mean over several fish."""
     if AGENTS not in data:
         own: Tensor = data[name]
         return own
@@ -70,14 +70,14 @@ def average_fish(data: TensorDictBase, name: str) -> Tensor:
 
 
 class EachFish(TensorDictModuleBase):
-    """Let a policy decide for each fish of an environment with several, by itself.
+    """Apply a policy to each fish of an environment with several, independently.
 
-    Its input has a row for each fish, as from a flow with that fish alone, so the fish share its
-    weights. What it writes goes to the group ``agents``.
+    Its input has one row per fish, as from a flow with that fish alone, so the fish share its
+    weights. Its output goes to the group ``agents``.
 
     Args:
         policy: reads and writes entries ``[N, ...]``.
-        entries: those it writes.
+        entries: names of the entries that it writes.
     """
 
     def __init__(

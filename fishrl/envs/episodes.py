@@ -21,7 +21,7 @@ class Episodes:
     """Outcome of E episodes, in the order of their starts; on the CPU.
 
     Args:
-        returns: ``[E]`` sum of rewards; of several fish their mean.
+        returns: ``[E]`` sum of rewards, averaged over several fish.
         lengths: ``[E]`` number of decisions, int64.
         succeeded: ``[E]`` bool, whether the task was accomplished, see ``has_succeeded``.
         terminated: ``[E]`` bool, whether the task itself ended the episode.
@@ -67,19 +67,19 @@ def run_episodes(
     """Run one episode from each of E starts, and return their outcome.
 
     Starts go to the B rows in order, each to the first row that is free. A row without a start
-    rests: its flow stands still, and what it reports is undefined.
+    rests: its flow is not advanced, and its output is undefined.
 
-    Callbacks get ``start_of`` ``[B]`` int64 first: index of the start that each row runs, -1 in
-    rows that do not concern the call.
+    The first argument of callbacks is ``start_of`` ``[B]`` int64, the index of the start that each
+    row runs, or -1 in rows that the call does not concern.
 
     Args:
-        env: of a ``FlowEnv``; its current episodes are abandoned.
-        policy: writes ``action`` ``[B]``. In flows with several fish it decides for each of them,
-            a row for each; see ``EachFish``.
+        env: environment of a ``FlowEnv``; its current episodes are abandoned.
+        policy: writes ``action`` ``[B]``. In flows with several fish it is applied to each of
+            them; see ``EachFish``.
         starts: ``[E]``, as ``task.sample_starts`` returns.
-        max_decisions: after which all episodes are left; those still open then count as neither
-            succeeded nor terminated. By default the time limit of the env ends them.
-        exploration: how a learned policy chooses: greedily by default, or drawn at random.
+        max_decisions: decisions after which all episodes are stopped; those still running count
+            as neither succeeded nor terminated. By default the time limit of the env ends them.
+        exploration: how a learned policy chooses: greedily by default, or by sampling.
         on_begin: called with the rows that have just begun, and the state ``[B]`` after their
             reset.
         on_step: called after each decision with the rows that ran, and the step ``[B]`` as the env
@@ -160,8 +160,8 @@ def name_counted(env: EnvBase) -> list[str]:
 def has_succeeded(after: TensorDictBase, name: str) -> Tensor:
     """Return whether episodes that ended in the states ``after`` accomplished their task.
 
-    ``name`` is that of the entry that says so, ``success`` of the task; without it, episodes that
-    lasted until the time limit did.
+    ``name`` is the entry named by ``success`` of the task; without that entry, episodes that
+    lasted until the time limit succeeded.
     """
     flag: Tensor | None = after.get(name)
     if flag is not None:

@@ -194,7 +194,7 @@ class DirectFrequencies(FrequencyControl):
 
 @dataclass(frozen=True, kw_only=True)
 class ContinuousFrequency(FrequencyControl):
-    """Set the frequency itself, independent of the flow; there are no gears, and it stays 0.
+    """Set the frequency directly, independent of the flow; the gear is not used and stays 0.
 
     Args:
         frequency_range: least and largest frequency, tail beats per T; by default that of the

@@ -31,21 +31,21 @@ RESPONSE = 2.0
 class Follower(AbstractTask):
     """Hold a place in the wake of a leader by bending the midline and choosing the tail beat.
 
-    The leader beats once per T and is held in its place, in a stream along +x as fast as it would
-    swim: the mean force on it vanishes. The follower is free; nothing but the water turns it.
+    The leader beats once per T and is held in place, in a stream along +x of the speed at which it
+    would swim: the mean force on it vanishes. The follower is free; only the water turns it.
 
-    Places are those of the follower's centre of mass behind the rear end of the leader, (x, y) in
-    body lengths. Actions, each T / 2: the bend, as a turn in degrees (see ``motion.Bending``), and
-    the frequency. Observation: place, heading from upstream, sine and cosine of the own phase and
-    of that relative to a leading fish's, velocity in L / T, turning rate in radians per T, and the
-    last two actions in [-1, 1], the older one first.
+    Positions are those of the follower's centre of mass behind the rear end of the leader, (x, y)
+    in body lengths. Actions, each T / 2: the bend, as a turn in degrees (see ``motion.Bending``),
+    and the frequency. Observation: position, heading from upstream, sine and cosine of its phase
+    and of that relative to a leading fish's, velocity in L / T, turning rate in radians per T, and
+    the last two actions in [-1, 1], the older one first.
 
     The reward is the efficiency of the interval, useful work / (useful work + work of the muscles),
     as in Verma, Novati & Koumoutsakos 2018. They count thrust times speed as useful; we count
     ``cost_alone`` for each body length through the water, so that 0.5 is as efficient as alone. A
     failure gives -10: the follower leaves its range, touches the leader or comes near an edge.
 
-    Numbers follow the tasks twoFish and cylFollow of CubismUP 2D (CSE-lab, ETH Zürich).
+    Parameters follow the tasks twoFish and cylFollow of CubismUP 2D (CSE-lab, ETH Zürich).
 
     Args:
         leader: fish, disc, or none, for comparison with a fish alone.
@@ -169,7 +169,7 @@ class Follower(AbstractTask):
 
     @cached_property
     def origin(self) -> tuple[float, float]:
-        """First place of the leader's rear end, (x, y) in nodes."""
+        """Initial position of the leader's rear end, (x, y) in nodes."""
         return self.stream.find_origin(self.flow_config(), self.scales)
 
     @cached_property
@@ -186,7 +186,7 @@ class Follower(AbstractTask):
         return self.contact_bl * self.body_length
 
     def starts_from(self, uniform: Tensor) -> TensorDict:
-        """Draw place, heading and, behind a half disc, the phase of the wake."""
+        """Draw position, heading and, behind a half disc, the phase of the wake."""
         ranges = (self.start_x_bl, self.start_y_bl, (-self.start_degrees, self.start_degrees))
         low, high = torch.tensor(ranges, dtype=uniform.dtype, device=uniform.device).T
         x, y, angle = (low + uniform[:, :3] * (high - low)).unbind(-1)
@@ -237,12 +237,12 @@ class Follower(AbstractTask):
         )
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
-        """Bend and beat as the action says."""
+        """Map the action to bend and tail-beat frequency."""
         turn, frequency = action.unbind(-1)
         return Command(turn.deg2rad(), frequency / self.scales.period)
 
     def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
-        """Measure place, motion and work of the follower, and the gap to the leader."""
+        """Measure position, motion and work of the follower, and the gap to the leader."""
         body, markers, scales = solver.body, solver.markers(), self.scales
         gap, lead = torch.full_like(body.phase, inf), torch.zeros_like(body.phase)
         for index in range(1, len(solver.bodies)):
@@ -303,7 +303,7 @@ class Follower(AbstractTask):
         return touches | self._has_left(now["place"])
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
-        """Return place, way through the water, work, positive work and whether there is contact."""
+        """Return position, distance through the water, work, positive work and contact."""
         names = ("place", "heading", "work", "positive_work")
         return {
             **{name: now[name] for name in names},

@@ -71,7 +71,7 @@ class PredationPair(AbstractPredation):
         return (low, low + room), (high - room, high)
 
     def starts_from(self, uniform: Tensor) -> TensorDict:
-        """Draw both nose positions (on nodes, facing -x) and the food's first direction."""
+        """Draw both nose positions (on nodes, facing -x) and the food's initial direction."""
         (left, right), lanes = self.start_range[0], self.lanes
         low = uniform.new_tensor([[left, lane[0]] for lane in lanes])
         high = uniform.new_tensor([[right, lane[1]] for lane in lanes])
@@ -88,7 +88,7 @@ class PredationPair(AbstractPredation):
         )
 
     def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
-        """Measure what each fish sees, its distance from the walls, and the gap between them."""
+        """Measure what each fish observes, its distance from the walls, and the gap of the two."""
         outlines = [solver.markers(index) for index in range(self.num_fish)]
         headings = [body.heading for body in solver.bodies[: self.num_fish]]
         noses = [outline[:, 0] for outline in outlines]
@@ -130,7 +130,7 @@ class PredationPair(AbstractPredation):
         return hits_wall | self._has_caught(now).any(1) | self._has_contact(now)
 
     def count_safe_steps(self, now: TensorDictBase) -> Tensor:
-        """Return how long it takes at least to a wall, to the food, and to the other fish."""
+        """Return the fewest steps in which a wall, the food or the other fish can be reached."""
         speed = self.marker_speed
         to_wall = (now["clearance"].amin(1) - self.wall_margin) / speed
         away = now["target"][..., 2].amin(1) * self.body_length - self.capture_radius

@@ -78,8 +78,8 @@ class Oscillating(Motion):
         sway: amplitude (x, y) in nodes.
         pitch: amplitude in radians.
         pitch_lag: phase of the pitch ahead of the sway, radians.
-        pivot: distance of the axis of the pitch, which x0 is the place of, ahead of the centre of
-            mass, nodes.
+        pivot: distance of the pitch axis, whose position is x0, ahead of the centre of mass,
+            nodes.
     """
 
     sway: tuple[float, float] = (0.0, 0.0)
@@ -143,8 +143,8 @@ class Bending(Motion):
         gain: bend per radian of commanded turn. With 1, successive commands of 15 degrees turn a
             Carling swimmer at Re = 7000 and L = 50 by 11 degrees per tail beat, with 0.5 by 8;
             larger values only slow it.
-        response: time constants of the relaxation in the length of a command. Large ones fling the
-            tail, at up to ``response`` times the change of kappa L per command.
+        response: time constants of the relaxation in the length of a command. Large ones
+            move the tail fast, at up to ``response`` times the change of kappa L per command.
     """
 
     free_axes: ClassVar[tuple[int, ...]] = (0, 1, 2)
