@@ -64,27 +64,20 @@ def test_attributes_and_methods_are_given_row_by_row() -> None:
 
 
 @pytest.mark.learning
-@pytest.mark.parametrize("kind", [PPO, DQN])
-def test_algorithms_without_masks_train_a_fish_that_may_do_anything(kind: type) -> None:
+@pytest.mark.parametrize(
+    ("kind", "action"),
+    [*((kind, "discrete") for kind in (PPO, DQN)), *((kind, "continuous") for kind in (PPO, SAC))],
+)
+def test_algorithms_without_masks_train_a_fish_that_may_do_anything(
+    kind: type, action: str
+) -> None:
+    envs = make(Predation(**SMALL, time_limit=3, action=action), num_envs=4)
     short = {"n_steps": 16, "batch_size": 16} if kind is PPO else {"learning_starts": 16}
-    model = kind("MlpPolicy", VecMonitor(make(num_envs=4)), seed=0, device="cpu", **short)
+    model = kind("MlpPolicy", VecMonitor(envs), seed=0, device="cpu", **short)
     before = [p.detach().clone() for p in model.policy.parameters()]
     model.learn(64)
     assert model.num_timesteps >= 64
     assert max(episode["l"] for episode in model.ep_info_buffer) == 3
-    after = list(model.policy.parameters())
-    assert any(not torch.equal(a, b) for a, b in zip(before, after, strict=True))
-    assert all(p.isfinite().all() for p in after)
-
-
-@pytest.mark.learning
-@pytest.mark.parametrize("kind", [PPO, SAC])
-def test_algorithms_for_continuous_actions_train_on_them(kind: type) -> None:
-    envs = make(Predation(**SMALL, time_limit=3, action="continuous"), num_envs=2)
-    short = {"n_steps": 8, "batch_size": 8} if kind is PPO else {"learning_starts": 8}
-    model = kind("MlpPolicy", VecMonitor(envs), seed=0, device="cpu", **short)
-    before = [p.detach().clone() for p in model.policy.parameters()]
-    model.learn(24)
     after = list(model.policy.parameters())
     assert any(not torch.equal(a, b) for a, b in zip(before, after, strict=True))
     assert all(p.isfinite().all() for p in after)
