@@ -7,7 +7,6 @@ be swept back, at the highest it must swim up. Writes a table (CSV), settings (J
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +18,7 @@ import torch
 from experiments.figures.style import COLOURS
 from experiments.gait import trials
 from experiments.gait.figures import flow_panels
+from experiments.pages import write_csv
 from experiments.program import TaskSettings, program
 from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait
@@ -137,10 +137,8 @@ def main(settings: DriftSettings) -> None:
         histories = trials.record(trial, starts, progress=progress)
     table, shedding = tabulate(task, histories), trials.list_shedding(task)
     speeds, scales = task.stream.speeds_bl, task.scales
-    with (folder / "drift.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(table[0]))
-        writer.writeheader()
-        writer.writerows({name: float(f"{v:.4g}") for name, v in row.items()} for row in table)
+    numbers = ([float(f"{v:.4g}") for v in row.values()] for row in table)
+    write_csv(folder / "drift.csv", list(table[0]), numbers)
     facts = {
         **{name: getattr(scales, name) for name in ("body_length", "reynolds", "tau", "mach")},
         "steps_per_T": scales.period,

@@ -8,7 +8,6 @@ at each frequency and, at the shedding frequency, at each phase between beat and
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -23,6 +22,7 @@ from torch import Tensor
 from experiments.figures.style import COLOURS
 from experiments.gait.diagnostics import find_phase
 from experiments.gait.figures import flow_panels
+from experiments.pages import write_csv
 from experiments.program import TaskSettings, program
 from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait
@@ -198,10 +198,8 @@ def main(settings: ForceSettings) -> None:
     with Progress() as progress:
         for flow in range(len(task.stream.speeds_bl)):
             table += hold(task, flow, settings, progress)
-    with (folder / "forces.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(table[0]))
-        writer.writeheader()
-        writer.writerows({name: float(f"{v:.4g}") for name, v in row.items()} for row in table)
+    numbers = ([float(f"{v:.4g}") for v in row.values()] for row in table)
+    write_csv(folder / "forces.csv", list(table[0]), numbers)
     scales = task.scales
     facts = {name: getattr(scales, name) for name in ("body_length", "reynolds", "tau", "mach")}
     write_json(folder / "forces.json", {**facts, "steps_per_T": scales.period})

@@ -1,7 +1,8 @@
-"""Markdown that commands write: tables, and marked places in the pages of the documentation."""
+"""Tables that commands write, and marked places in the pages of the documentation."""
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -12,6 +13,12 @@ def write_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     lines = [f"| {' | '.join(row)} |" for row in cells]
     lines.insert(1, "|---" * len(heads) + "|")
     return "\n".join(lines) + "\n"
+
+
+def write_csv(path: Path, heads: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a CSV file."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([heads, *rows])
 
 
 def fill(page: Path, name: str, text: str) -> None:

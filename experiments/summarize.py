@@ -8,8 +8,7 @@ number of the summaries), ``runs.csv`` (each run) and ``curves.png``.
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import copyfile
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from experiments.figures.learning_curve import RATE, Curve, draw_curves, read_metrics
-from experiments.pages import fill, write_table
+from experiments.pages import fill, write_csv, write_table
 from experiments.program import program
 from experiments.statistics import Statistic, half_width
 from experiments.sweeps.groups import Group, group_runs, is_number
@@ -197,12 +196,6 @@ def write_csv_files(groups: Sequence[Group], folder: Path) -> None:
             row += [run.status, run.reason, *(run.summary.get(name) for name in names)]
             rows.append(row)
     write_csv(folder / "runs.csv", ["run", *keys, "seed", "status", "reason", *names], rows)
-
-
-def write_csv(path: Path, heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Write a CSV file."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([heads, *rows])
 
 
 @program(SummarizeSettings, positional="folder")

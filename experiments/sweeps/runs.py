@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import fcntl
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -126,9 +126,8 @@ def is_held(path: Path) -> bool:
     return False
 
 
-def advise(runs: Iterable[Run]) -> str:
+def advise(runs: Sequence[Run]) -> str:
     """Report how many runs are finished, and for each other run why not and how to resume it."""
-    runs = list(runs)
     finished = sum(run.status == "finished" for run in runs)
     lines = [f"{finished} of {len(runs)} runs finished"]
     for run in runs:
