@@ -1,11 +1,11 @@
 """C-start of a larval fish.
 
 A larva at rest in a closed tank of 6 L × 6 L bends into a C for 0.7 T and unfolds in the next T,
-with the curvatures that Gazzola, van Rees & Koumoutsakos found best within what larvae do; then it
-swims on for another T. Re = L² / (ν T) = 550, T = 50 L steps; the body's surface moves at up to
-0.07 nodes per step. The midline follows its curvature exactly, and the flow alone moves and turns
-the fish. The distance is that of the centre of mass from its start after 2.7 T; the work is that of
-the muscles, gains of energy from the flow subtracted.
+with the best curvatures that Gazzola, van Rees & Koumoutsakos found within the range of larvae;
+then it swims on for another T. Re = L² / (ν T) = 550, T = 50 L steps; the body's surface moves at
+up to 0.07 nodes per step. The midline follows its curvature exactly, and the flow alone moves and
+turns the fish. The distance is that of the centre of mass from its start after 2.7 T; the work is
+that of the muscles, gains of energy from the flow subtracted.
 """
 
 from collections.abc import Iterator, Sequence
@@ -169,13 +169,17 @@ def judge(runs: Runs) -> Iterator[Check]:
     distance = {n: run["distance"] for n, run in found.items()}
     quantity, theirs = "distance after 2.7 T, L", f"CubismUP 2D, {PUBLISHED[-1][0]} cells per L"
     note = (
-        "theirs is a comment in the code, resolution by its launch script; another gives 0.93 L "
-        "with 128 cells per L. The body is a smoothed penalisation there. Neither code has "
-        "converged on these grids. The comments do not say how φ was set; here it is constant."
+        "the reference is a comment in the code, with the resolution of its launch script; another "
+        "comment gives 0.93 L with 128 cells per L. That code uses a smoothed penalisation for the "
+        "body. Neither code has converged on these grids. The comments do not say how φ was set; "
+        "here it is constant."
     )
     yield check_finest("L", quantity, distance, PUBLISHED[-1][1], theirs, note=note)
     work = {n: run["work"][-1] for n, run in found.items()}
-    note = "theirs counts positive power alone, at each point of the surface; 0.647 on the coarser."
+    note = (
+        "the reference counts only positive power, at each point of the surface; on the coarser "
+        "grid it is 0.647."
+    )
     power = "work of the muscles, ρ L⁴ / T²"
     yield check_finest("L", power, work, PUBLISHED[-1][2], theirs, note=note)
     for name, (changes, limit) in VARIANTS.items():

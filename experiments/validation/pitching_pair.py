@@ -4,8 +4,8 @@ Two rigid foils (NACA0008) pitch by ±15° about their leading edges with the sa
 follower 0 to 7/8 of a period later. The flow alone moves each along x; y is prescribed. Re =
 2πρAfL/μ = 1645 with A = L sin 15°, trailing edge at 0.07 nodes per step. The domain is 16 L × 6 L,
 with a stream that moves against the foils nearly as fast as they swim and edges open to sound. In
-line, the follower starts 1.5 L behind the leader's trailing edge and finds a distance of its own;
-the last 10 of 30 periods are averaged. Side by side, the leading edges start level, 3/4 L apart.
+line, the follower starts 1.5 L behind the leader's trailing edge and settles at a distance; the
+last 10 of 30 periods are averaged. Side by side, the leading edges start level, 3/4 L apart.
 Power is that of the torques about the leading edges.
 """
 
@@ -141,9 +141,9 @@ def judge(runs: Runs) -> Iterator[Check]:
     slope, _, _ = fit_lags(spacings)
     source, where = "Heydari, Hang & Kanso 2024, eLife 96129", f"L = {LENGTH}"
     linear = (
-        "their equilibria lie on lines d / (U T) = φ / 2π + n + constant. Ours do within 0.1 of a "
-        "wavelength, but at 0° and 90° the distance wanders between two values, and one grid alone "
-        "was run; we do not know which of the two is the reason."
+        "the published equilibria lie on lines d / (U T) = φ / 2π + n + constant. Ours lie within "
+        "0.1 wavelengths of such lines, but at 0° and 90° the distance wanders between two values, "
+        "and only one grid was run; we do not know which of the two is the cause."
     )
     yield Check(
         "slope of d / (U T) over φ / 2π", slope, 1.0, source, 0.1, resolution=where, note=linear
@@ -156,7 +156,7 @@ def judge(runs: Runs) -> Iterator[Check]:
             (-0.05, 0.05),
             "own criterion: equilibria do not depend on the start, up to whole wavelengths",
             resolution=where,
-            note="see the slope.",
+            note="as for the slope.",
         )
     alone = runs.get(has_pair=False)
     if alone is None:
@@ -192,7 +192,7 @@ def draw(figure: Figure, runs: Runs) -> None:
 SOURCE = (
     "Heydari, Hang & Kanso 2024, eLife 96129: pitching foils at Re = 2πρAfL/μ = 1645; in line they "
     "settle at distances that rise linearly with the phase lag, side by side in phase they need "
-    "less power per distance than alone, in antiphase more. Their foils' thickness is not that of "
-    "ours, and the lateral distance here is our choice, so that only trends are compared"
+    "less power per distance than alone, in antiphase more. The thickness of the foils and "
+    "the lateral distance are our choice, so only trends are compared"
 )
 CASE = Case("pitching-pair", __doc__, SOURCE, JOBS, judge, draw, size=(9.0, 3.8))
