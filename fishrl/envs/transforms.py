@@ -1,4 +1,4 @@
-"""Transforms that label the flow a fish is in: by the true label or by a classifier."""
+"""Transforms that write flow labels: the true ones or those predicted by a classifier."""
 
 from __future__ import annotations
 
@@ -113,8 +113,8 @@ class PredictedFlowLabel(FlowLabelTransform):
     Evidence accumulates over the episode as in a Bayesian filter: the classifier's probabilities p
     count as likelihoods, and b <- p ((1 - s) b^memory / sum(b^memory) + s / n), normalised. With
     ``memory`` 1 it is the exact filter of a hidden Markov model whose flow is drawn anew at rate s
-    per decision, and with s = 0 it never forgets; a lower ``memory`` flattens what was believed
-    before (Raftery, Karny & Ettler 2010). See ``FlowLabelTransform`` for the entries.
+    per decision, and with s = 0 it never forgets; a lower ``memory`` flattens the previous
+    belief (Raftery, Karny & Ettler 2010). See ``FlowLabelTransform`` for the entries.
 
     Args:
         machine: a ``fishrl.modules.LateralLineClassifier``, or a network with its ``num_flows`` and

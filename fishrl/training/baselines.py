@@ -40,7 +40,7 @@ class Baseline:
 
     Args:
         make: makes it, given the seed of its random numbers.
-        is_default: compare learned policies with it unless others are named.
+        is_default: whether learned policies are compared with it by default.
     """
 
     make: Callable[[int], TensorDictModuleBase]
@@ -73,7 +73,7 @@ def make_baselines(
 
 
 def make_baseline(name: str, *, task: Any, seed: int) -> TensorDictModuleBase:
-    """Make a baseline of a task, or raise ValueError; ``seed`` is of random actions."""
+    """Make a baseline of a task, or raise ValueError; ``seed`` is that of random actions."""
     known = find_baselines(task)
     if name not in known:
         raise ValueError(

@@ -18,7 +18,7 @@ class Evaluator:
     """Runs policies from fixed starts, all flows of the env together.
 
     Args:
-        env: of the task; its current episodes are abandoned.
+        env: environment of the task; its current episodes are abandoned.
     """
 
     def __init__(self, env: TransformedEnv) -> None:

@@ -46,7 +46,7 @@ def load_policy(
         checkpoint: run folder or checkpoint.
         task: the task to act in; by default the task of its run.
         has_labels: whether transforms label the flows of the task; by default as in its run.
-        device: of the policy.
+        device: device of the policy.
         modules: see ``load_plan``, like the errors.
     """
     path, plan = load_plan(checkpoint, modules=modules)
@@ -82,8 +82,8 @@ def evaluate(
             checkpoint and no ``task``, that of its run.
         episodes: number of starts.
         num_envs: flows that advance together.
-        seed: of the starts and of random actions; 0 gives those of every run's final evaluation, 1
-            those that selected its best checkpoint.
+        seed: seed of the starts and of random actions; 0 gives the starts of every run's final
+            evaluation, 1 those that selected its best checkpoint.
         device: cpu or cuda.
         compile: compile the flow step.
         modules: see ``load_plan``.

@@ -74,10 +74,10 @@ def train(
 def resume(
     folder: str | Path, /, *, modules: Collection[str] = (), **changes: Any
 ) -> dict[str, Any]:
-    """Resume a run from its last checkpoint, or leave a finished one; return its summary.
+    """Resume a run from its last checkpoint unless it is finished, and return its summary.
 
     Args:
-        folder: of the run.
+        folder: folder of the run.
         modules: modules outside fishrl that may be imported, see ``description.make``.
         **changes: new values of ``RunSettings``, such as ``total_frames=8000``, and hooks, see
             ``train``.
@@ -139,7 +139,7 @@ def reopen(folder: str | Path, /, *, modules: Collection[str] = (), **changes: A
 
 
 def complete(training: Training) -> dict[str, Any]:
-    """Run a training to its end and return the summary; SIGINT and SIGTERM save and stop it.
+    """Run a training to its end and return the summary; on SIGINT or SIGTERM save and stop.
 
     If a process of its flows dies, the run continues from its last checkpoint; if one dies again
     before the next checkpoint, ``ChildProcessError`` is raised.

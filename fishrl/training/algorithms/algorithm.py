@@ -23,11 +23,12 @@ class Algorithm(Checked, ABC):
 
     With the class attribute ``is_traced`` the tensor operations of one gradient step are repeated
     at all others (``tracing.Traced``), with the same numbers in half the time. The loss must then
-    do the same at every step: neither branch on the values of tensors nor read numbers that change.
+    perform the same operations at every step, without branches on the values of tensors and without
+    numbers that change.
 
     The class attributes ``takes_discrete`` and ``takes_continuous`` say which actions it learns;
-    by default discrete ones. Of several fish in a flow it sees each as a flow of its own, unless
-    ``takes_several`` is false.
+    by default discrete ones. Several fish in a flow are treated as if each had a flow of its own,
+    unless ``takes_several`` is false, which excludes such tasks.
     """
 
     is_traced: ClassVar[bool] = False
@@ -42,7 +43,7 @@ class Algorithm(Checked, ABC):
 
     @classmethod
     def takes(cls, task: AbstractTask) -> bool:
-        """Tell whether it learns actions such as those of a task."""
+        """Return whether it learns the actions of a task."""
         fits = cls.takes_discrete if task.action_bounds is None else cls.takes_continuous
         return fits and (cls.takes_several or task.num_fish == 1)
 
