@@ -10,7 +10,8 @@ from omegaconf import MISSING
 from torchrl.envs import TransformedEnv
 
 from experiments.configuration import CommandLine
-from fishrl.bounds import Checked, bounded
+from experiments.program import TaskSettings
+from fishrl.bounds import bounded
 from fishrl.envs import AbstractTask, make_env
 from fishrl.envs.episodes import Policy
 from fishrl.envs.transforms import equip
@@ -64,13 +65,12 @@ class TrainConfig(LearningSettings, RunSettings, ViewerSettings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PolicySettings(Checked):
+class PolicySettings(TaskSettings):
     """The policy that a program runs, and its task.
 
     Args:
         task: ``_target_`` and arguments of the task; by default that of the run unless ``task`` or
             ``preset`` is given, and ``task.<argument>`` changes it.
-        preset: name of the preset.
         checkpoint: run folder or checkpoint of the policy.
         policy: baseline to run instead, see ``fishrl.training.baselines``, or ``zoo/<name>``.
         recognition: source of flow labels, as for training; by default that of the run.
@@ -80,8 +80,6 @@ class PolicySettings(Checked):
         compile: compile the flow solver.
     """
 
-    task: Any = MISSING
-    preset: str | None = None
     checkpoint: str | None = None
     policy: str | None = None
     recognition: str | None = None
