@@ -74,8 +74,8 @@ class PolicySettings(TaskSettings):
         checkpoint: run folder or checkpoint of the policy.
         policy: baseline to run instead, see ``fishrl.training.baselines``, or ``zoo/<name>``.
         recognition: source of flow labels, as for training; by default that of the run.
-        seed: seed of the starts and of random actions; 0 gives the starts of every run's final
-            evaluation, 1 those that selected its checkpoint.
+        seed: of the starts and of random actions; 0 gives those of every run's final evaluation, 1
+            those that selected its checkpoint.
         device: cpu or cuda.
         compile: compile the flow solver.
     """
