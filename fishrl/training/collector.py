@@ -48,7 +48,7 @@ class ResumableCollector(Collector):
             self._traj_pool.load_state_dict(state["traj_pool"])
         self.env.base_env.load_state_dict(base_env)
         self._carrier: TensorDict = TensorDict.from_dict(
-            carrier, batch_size=self.env.batch_size, device=self.env.device
+            carrier, batch_size=self.env.batch_size, device=self._carrier.device
         )
         for name, spec in self.env.observation_spec.items():
             if isinstance(spec, Composite):  # a group of fish
@@ -101,12 +101,13 @@ def make_collector(
     explorer = learner.explorer
     if task.num_fish > 1:
         explorer = EachFish(explorer, explorer.out_keys)
-    settings, device = plan.learning, plan.run.device
+    settings, run = plan.learning, plan.run
     given: dict[str, Any] = {} if recognition is None else {"recognition": recognition}
-    given |= {"task": task, "device": device, "compile": plan.run.compile}
+    given |= {"task": task, "device": run.device, "compile": run.compile}
     make = partial(_make_equipped, make_env, learner.transforms, **given)
     # observers may read the flows at every check for termination
     env = make(num_envs=settings.num_envs, seed=seed, frames_per_action=task.checks_per_action)
+    policy_device = run.learner_device and next(learner.actor.parameters()).device
     if not settings.ray_collectors:
         return ResumableCollector(
             env,
@@ -114,7 +115,8 @@ def make_collector(
             frames_per_batch=settings.num_envs,
             total_frames=-1,
             init_random_frames=settings.warmup_frames,
-            storing_device=device,  # trajectory ids too, which the sampler of DRQN reads
+            policy_device=policy_device,
+            storing_device=run.policy_device,  # trajectory ids too, which the sampler of DRQN reads
         )
     from fishrl.training.cluster import ClusterCollector
 
@@ -125,7 +127,7 @@ def make_collector(
         explorer=explorer,
         settings=settings,
         seed=seed,
-        device=device,
+        device=run.device,
     )
 
 

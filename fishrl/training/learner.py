@@ -66,10 +66,11 @@ class Learner:
             self.loss.make_value_estimator(gamma=settings.gamma, lmbda=gae_lambda)
             self.rollout = Rollout(rollout_length, self._estimate)
             keys += ["advantage", "value_target"]
-        self._parameters = list(self.loss.parameters())
-        self.optimiser = torch.optim.Adam(self._parameters, lr=settings.learning_rate, fused=True)
-        self._step = Traced(self._take_step) if is_traced else self._take_step
-        self._keys = keys
+        self.optimiser = torch.optim.Adam(loss.parameters(), lr=settings.learning_rate, fused=True)
+        self._is_traced, self._keys = is_traced, keys
+        self._renew_step()
+        # a checkpoint replaces the tensors of the optimiser, which a traced step has kept
+        self.optimiser.register_load_state_dict_post_hook(self._renew_step)
         # No prefetch: its threads would draw batches in an order that no seed fixes.
         self.buffer = TensorDictReplayBuffer(
             storage=_ZeroedStorage(settings.buffer_size, device=device),
@@ -122,16 +123,15 @@ class Learner:
         """Take one gradient step and return all outputs of the loss by name."""
         batch = self.buffer.sample()
         self._names, values = zip(*batch.items(True, True), strict=True)
-        states = [self.optimiser.state.get(p, {}) for p in self._parameters]
-        losses = self._step(*values, *(value for state in states for value in state.values()))
+        losses = self._step(*values)
         return dict(zip(self.reports, losses, strict=True))
 
-    def _take_step(self, *tensors: Tensor) -> list[Tensor]:
-        """Take a gradient step on the entries ``_names`` of a batch, which come first.
+    def _renew_step(self, *_: Any) -> None:
+        self._step = Traced(self._take_step) if self._is_traced else self._take_step
 
-        The optimiser's state follows, which it reads by itself: a checkpoint replaces its tensors.
-        """
-        batch = TensorDict(dict(zip(self._names, tensors, strict=False)), tensors[0].shape[:1])
+    def _take_step(self, *tensors: Tensor) -> list[Tensor]:
+        """Take a gradient step on the entries ``_names`` of a batch."""
+        batch = TensorDict(dict(zip(self._names, tensors, strict=True)), tensors[0].shape[:1])
         losses = self.loss(batch)
         self.optimiser.zero_grad()
         sum(loss for name, loss in losses.items() if name.startswith("loss_")).backward()

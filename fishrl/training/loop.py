@@ -85,7 +85,8 @@ class Training:
         random.seed(learning.seed)
         np.random.seed(learning.seed)  # noqa: NPY002 - for whatever uses the global generator
         torch.manual_seed(learning.seed)
-        self.learner = plan.algorithm.make_learner(self.spec, learning, device=plan.run.device)
+        device = plan.run.policy_device
+        self.learner = plan.algorithm.make_learner(self.spec, learning, device=device)
         self.progress.rename("compilation" if plan.run.compile else "set-up")
         with ignore_signals_in_children():  # a checkpoint needs the flows in these processes
             self.collector = make_collector(
@@ -110,7 +111,7 @@ class Training:
 
     def restore(self) -> None:
         """Continue from the last checkpoint in the folder; see ``load_checkpoint``."""
-        device = self.plan.run.device
+        device = self.plan.run.policy_device
         load_checkpoint(
             self.folder.path, self.components(), spec=self.spec, device=device, which="last"
         )
@@ -264,7 +265,7 @@ class Training:
         """
         run, counters, actor = self.plan.run, self.counters, self.learner.actor
         best = load_checkpoint(
-            self.folder.path, {"actor": actor}, spec=self.spec, device=run.device
+            self.folder.path, {"actor": actor}, spec=self.spec, device=run.policy_device
         )
         summary: dict[str, Any] = {}
         policies: dict[str, Policy] = {"": actor, **self.baselines}
@@ -317,11 +318,14 @@ class Training:
             self.observer.restart()
 
     def make_interruptible(self, policy: Policy) -> Policy:
-        """Return a policy that raises ``Interrupted`` after SIGINT or SIGTERM."""
+        """Return a policy that raises ``Interrupted`` after SIGINT or SIGTERM.
+
+        It acts on the device of the learner, wherever the flows are.
+        """
 
         def act(state: TensorDictBase) -> TensorDictBase:
             self.interruption.check()
-            return policy(state)
+            return state.update(policy(state.to(self.plan.run.policy_device)))
 
         return act
 

@@ -187,12 +187,15 @@ def find_summary(
 
 def _check(plan: Plan, recognition: Recognition) -> None:
     """Raise for a plan that cannot run, before anything slow starts."""
-    check_device(plan.run.device)
+    run = plan.run
+    check_device(run.device)
+    check_device(run.policy_device)
     if plan.learning.ray_collectors:
-        if plan.run.device not in ("cpu", "cuda"):
+        if run.device not in ("cpu", "cuda") or run.learner_device is not None:
             raise ValueError(
-                f"device = {plan.run.device}: with ray_collectors it must be cpu, or cuda, where "
-                "each collector has a GPU of its own"
+                f"device = {run.device}, learner_device = {run.learner_device}: with "
+                "ray_collectors device must be cpu, or cuda, where each collector has a GPU of its "
+                "own, and learner_device null"
             )
         if find_spec("ray") is None:
             raise ValueError(f"ray_collectors: needs Ray: {show_install('cluster')}")
@@ -200,10 +203,13 @@ def _check(plan: Plan, recognition: Recognition) -> None:
     learning, sizes = plan.learning, PolicySpec.for_task(task, has_labels=recognition is not None)
     transition = 2 * (sizes.num_inputs + sizes.num_actions)
     weights = sum(a * b for a, b in pairwise((sizes.num_observed, *learning.hidden)))
-    check_memory(
-        device=plan.run.device,
-        flows=task.flow_config().num_bytes * learning.num_envs / max(1, learning.ray_collectors),
-        buffer=4 * transition * learning.buffer_size * task.num_fish,
-        networks=4 * 4 * weights,  # values, gradients and Adam's two means
-    )
+    needed: dict[str, dict[str, float]] = {run.device: {}, run.policy_device: {}}
+    num_flows = learning.num_envs / max(1, learning.ray_collectors)
+    needed[run.device]["flows"] = task.flow_config().num_bytes * num_flows
+    needed[run.policy_device] |= {
+        "buffer": 4 * transition * learning.buffer_size * task.num_fish,
+        "networks": 4 * 4 * weights,  # values, gradients and Adam's two means
+    }
+    for device, parts in needed.items():
+        check_memory(device=device, **parts)
     make_baselines(plan.run.baselines, task=task, seed=0)

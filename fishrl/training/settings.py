@@ -61,7 +61,8 @@ class RunSettings(Checked):
 
     Args:
         total_frames: env frames to train for; one decision in one flow is a frame.
-        device: cpu or cuda.
+        device: cpu or cuda, of the flows.
+        learner_device: device of networks and replay buffer; by default that of the flows.
         compile: compile the flow solver.
         folder: folder of all run folders.
         name: name of the run folder; by default made from task, preset, algorithm and seed.
@@ -78,6 +79,7 @@ class RunSettings(Checked):
 
     total_frames: int = bounded(2800, least=1)
     device: str = "cpu"
+    learner_device: str | None = None
     compile: bool = True
     folder: str = "runs"
     name: str | None = None
@@ -94,6 +96,11 @@ class RunSettings(Checked):
         if self.baselines is not None:
             object.__setattr__(self, "baselines", tuple(self.baselines))
         super().__post_init__()
+
+    @property
+    def policy_device(self) -> str:
+        """Device of networks and replay buffer."""
+        return self.learner_device or self.device
 
 
 def check_device(device: str) -> None:

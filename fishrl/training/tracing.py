@@ -7,6 +7,7 @@ weights, tensordicts, distributions, autograd. Its tensor operations are the sam
 from collections.abc import Callable, Sequence
 
 import torch
+from tensordict.nn import CudaGraphModule
 from torch import Tensor
 from torch._functorch.compile_utils import fx_graph_cse
 from torch.fx import Graph, GraphModule, Node
@@ -30,6 +31,8 @@ class Traced:
     on the tensors that ``function`` reads or changes beside them, such as parameters. Whatever else
     changes from call to call must therefore be an argument. What would be computed twice, such as
     the values of the same critics in two losses, is computed once.
+
+    On a GPU they are launched as one CUDA graph.
 
     The second call in a row with arguments of the same number and shapes is traced: the first may
     have created something. Later calls with others go to ``function`` itself.
@@ -60,11 +63,16 @@ class Traced:
             results = self._function(*given)
             return results
 
-        self._operations = _strip(make_fx(run)(*tensors))
+        operations = _strip(make_fx(run)(*tensors))
+        if tensors[0].is_cuda:
+            operations = torch.no_grad()(operations)
+            self._operations = CudaGraphModule(operations, device=tensors[0].device)
+        else:
+            self._operations = torch.inference_mode()(operations)
         return results
 
 
-def _strip(traced: GraphModule) -> Function:
+def _strip(traced: GraphModule) -> GraphModule:
     """Return the operations of a graph that do something, each once."""
     graph = Graph()  # flat arguments and results, which cost less than those of any structure
     graph.output(graph.graph_copy(traced.graph, {}))
@@ -84,4 +92,4 @@ def _strip(traced: GraphModule) -> Function:
     graph.eliminate_dead_code()
     graph = fx_graph_cse(graph)
     graph.eliminate_dead_code()
-    return torch.inference_mode()(GraphModule(traced, graph))
+    return GraphModule(traced, graph)

@@ -1,13 +1,23 @@
-"""A run goes on on another device."""
+"""A run goes on on another device, and learns on one or on two."""
 
+import copy
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
+from tensordict import TensorDict
+from tensordict.nn import CudaGraphModule
+from torch import Tensor
 
 from fishrl.envs import Predation
-from fishrl.training import LearningSettings, RunSettings, resume, train
+from fishrl.training import LearningSettings, Plan, RunSettings, begin, reopen, resume, train
+from fishrl.training.algorithms import DRQN, SAC, DiscreteSAC
+from fishrl.training.loop import Training
+from fishrl.training.policy_spec import PolicySpec
+from tests.envs.conftest import move_kinematically
 from tests.envs.test_real_flow import TINY
+from tests.training.conftest import assert_equal_weights
 
 pytestmark = [
     pytest.mark.gpu,
@@ -27,3 +37,80 @@ def test_a_run_goes_on_on_another_device(first: str, second: str, tmp_path: Path
     )  # fmt: skip
     longer = resume(tmp_path / "run", total_frames=8, device=second)
     assert (summary["frames"], longer["frames"]) == (4, 8)
+
+
+@pytest.mark.parametrize("algorithm", [DiscreteSAC(), DRQN()], ids=["sac", "drqn"])
+@pytest.mark.parametrize(("device", "learner_device"), [("cuda", "cpu"), ("cpu", "cuda")])
+def test_flows_and_networks_have_devices_of_their_own(
+    device: str,
+    learner_device: str,
+    algorithm: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    move_kinematically(monkeypatch)
+
+    def start(name: str, total_frames: int) -> Training:
+        run = RunSettings(
+            total_frames=total_frames, compile=False, device=device, learner_device=learner_device,
+            folder=str(tmp_path), name=name, eval_frames=16, eval_episodes=1, final_episodes=1,
+            baselines=(),
+        )  # fmt: skip
+        learning = LearningSettings(num_envs=2, warmup_frames=8, batch_size=8, hidden=(8,))
+        task = Predation(**TINY | {"time_limit": 5})
+        return begin(Plan(task=task, algorithm=algorithm, learning=learning, run=run))
+
+    whole = start("whole", 32)
+    whole.run()
+    assert next(whole.learner.actor.parameters()).device.type == learner_device
+    assert whole.learner.buffer[:].device.type == learner_device
+    assert whole.collector.env.base_env.device.type == device
+    start("parts", 16).run()
+    parts = reopen(tmp_path / "parts", total_frames=32)
+    parts.run()
+    assert_equal_weights(whole, parts)
+
+
+@pytest.mark.parametrize("algorithm", [DiscreteSAC(), SAC()], ids=["discrete", "continuous"])
+def test_a_gradient_step_is_one_graph(algorithm: Any) -> None:
+    spec = PolicySpec(
+        task="", num_inputs=4, num_actions=3, is_continuous=algorithm.takes_continuous
+    )
+    learner = algorithm.make_learner(
+        spec, LearningSettings(batch_size=8, hidden=(8,)), device="cuda"
+    )
+    learner.store(make_transitions(20, spec).to("cuda"))
+    learner.update()
+    loss, optimiser = (
+        copy.deepcopy(part.state_dict()) for part in (learner.loss, learner.optimiser)
+    )
+    runs = []
+    for is_traced in (True, False):
+        learner._is_traced = is_traced
+        learner.loss.load_state_dict(loss)
+        learner.optimiser.load_state_dict(copy.deepcopy(optimiser))
+        torch.manual_seed(0)
+        runs.append([learner.update() for _ in range(7)])
+        if is_traced:
+            graph = learner._step._operations
+            assert isinstance(graph, CudaGraphModule)
+            assert graph.graph is not None  # recorded
+    for step, expected in zip(*runs, strict=True):
+        torch.testing.assert_close(step, expected)
+
+
+def make_transitions(num: int, spec: PolicySpec) -> TensorDict:
+    """Return ``[num]`` random transitions."""
+    generator = torch.Generator().manual_seed(0)
+
+    def draw(width: int) -> Tensor:
+        return torch.rand(num, width, generator=generator)
+
+    states = [
+        {"observation_stack": draw(4), "action_mask": torch.ones(num, 3, dtype=torch.bool)}
+        for _ in range(2)
+    ]
+    flag = torch.zeros(num, 1, dtype=torch.bool)
+    ends = {"reward": draw(1), "done": flag, "terminated": flag, "diverged": flag}
+    action = draw(3) if spec.is_continuous else draw(3).argmax(-1)
+    return TensorDict({**states[0], "action": action, "next": {**states[1], **ends}}, [num])

@@ -208,6 +208,7 @@ class CUDAGraph:
             if memory.data_ptr() not in self.saved:
                 self.saved[memory.data_ptr()] = (memory, memory.clone())
 
+    @torch.no_grad()
     def replay(self) -> None:
         """Do it again, at the same addresses."""
         for func, args, kwargs, old in self.calls:
@@ -268,6 +269,7 @@ class graph:  # as torch.cuda.graph
     def __enter__(self) -> None:
         global capturing
         capturing = self.graph
+        self.random = torch.get_rng_state()  # of this device, too
         self.mode.__enter__()
 
     def __exit__(self, *error: Any) -> None:
@@ -276,6 +278,7 @@ class graph:  # as torch.cuda.graph
         self.mode.__exit__(*error)
         for memory, before in self.graph.saved.values():  # nothing is done while it records
             memory.copy_(before)
+        torch.set_rng_state(self.random)
         self.graph.saved.clear()
 
 
