@@ -342,7 +342,7 @@ class FlowEnv(EnvBase):
         self._seed, self._next_start = int(state["seed"]), int(state["next_start"])
 
     def to(self, device: torch.device | str) -> "FlowEnv":
-        """Return the environment; raise ValueError for another device, as flows cannot move."""
+        """Return the environment; ValueError for another kind of device: flows cannot move."""
         if torch.device(device).type != self.device.type:
             raise ValueError(f"flows on {self.device} cannot move to {device}: make another env")
         return self
