@@ -81,13 +81,18 @@ def check_command(task: AbstractTask, order: Any, rows: tuple[int, ...]) -> None
     _require(task, "command", isinstance(order, Command), order, expected)
     turn = check_rows(task, "command turn", order.turn, rows)
     turns = turn.abs() <= MAX_TURN
-    beats = torch.ones_like(turns)
+    beats = shares = torch.ones_like(turns)
     if order.frequency is not None:
         frequency = check_rows(task, "command frequency", order.frequency, rows)
         beats = (frequency >= 0.0) & (frequency <= MAX_FREQUENCY)
-    if not (turns & beats).all():
+    if order.amplitude is not None:
+        amplitude = check_rows(task, "command amplitude", order.amplitude, rows)
+        shares = (amplitude >= 0.0) & (amplitude <= 1.0)
+    if not (turns & beats & shares).all():
         if not turns.all():
             _require(task, "command turn", False, turn.tolist(), "radians, at most 2 pi")
+        if not shares.all():
+            _require(task, "command amplitude", False, amplitude.tolist(), "0 to 1")
         expected = f"tail beats per step, 0 to {MAX_FREQUENCY}; n per T are n / self.scales.period"
         _require(task, "command frequency", False, frequency.tolist(), expected)
 

@@ -199,7 +199,9 @@ class FlowEnv(EnvBase):
         command = self.task.command(action, before)
         check_command(self.task, command, self._shape)
         self.task.prepare_(self.solver, self.start)
-        self.solver.command_(command.turn, self.task.n_substeps, command.frequency)
+        self.solver.command_(
+            command.turn, self.task.n_substeps, command.frequency, command.amplitude
+        )
         now, diverged = self._advance(before)
         now.update(self.task.remember(before, action, now))
         self.now = merge(~diverged, now, self.now)

@@ -76,7 +76,13 @@ class Solver(Protocol):
     def set_populations_(self, f: Tensor, rows: Tensor) -> None:
         """Set the flows of ``rows`` ``[B]`` to shifted populations ``[B, Q, Y, X]``."""
 
-    def command_(self, turn: Tensor, num_steps: int, frequency: Tensor | None = None) -> None:
+    def command_(
+        self,
+        turn: Tensor,
+        num_steps: int,
+        frequency: Tensor | None = None,
+        amplitude: Tensor | None = None,
+    ) -> None:
         """Command the first body, or with ``[B, M]`` the first M, to turn and to beat anew."""
 
     def advance_(self, num_steps: int, rows: Tensor | None = None) -> None:

@@ -36,12 +36,14 @@ class Command(NamedTuple):
     Attributes:
         turn: ``[B]`` change of heading in radians, spread smoothly over the interval.
         frequency: ``[B]`` tail beats per step, or None to keep it.
+        amplitude: ``[B]`` share of the gait's amplitude, 0 to 1, or None to keep it.
 
     Commands to M fish are ``[B, M]``.
     """
 
     turn: Tensor
     frequency: Tensor | None = None
+    amplitude: Tensor | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

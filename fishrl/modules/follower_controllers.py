@@ -10,9 +10,7 @@ from __future__ import annotations
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-
-#: Numbers in one observation.
-NUM_FEATURES = 14
+from torch.nn.functional import pad
 
 
 class KeepPlace(TensorDictModuleBase):
@@ -23,6 +21,7 @@ class KeepPlace(TensorDictModuleBase):
     Args:
         turn: largest turn of an action, radians.
         frequency_range: least and largest frequency of an action, beats per T.
+        num_actions: 3 for actions with an amplitude, which is kept at its largest.
         station_bl: x to keep, body lengths.
         line_bl: y to keep.
         frequency: at the station, beats per T.
@@ -39,6 +38,7 @@ class KeepPlace(TensorDictModuleBase):
         *,
         turn: float,
         frequency_range: tuple[float, float],
+        num_actions: int = 2,
         station_bl: float = 1.75,
         line_bl: float = 0.0,
         frequency: float = 1.1,
@@ -52,14 +52,16 @@ class KeepPlace(TensorDictModuleBase):
         super().__init__()
         self.in_keys, self.out_keys = ["observation_stack"], ["action"]
         self.turn, self.frequency_range, self.frequency = turn, frequency_range, frequency
+        self.num_actions = num_actions
         self.station_bl, self.line_bl = station_bl, line_bl
         self.gain, self.damping = gain, damping
         self.aside_gain, self.aside_damping = aside_gain, aside_damping
         self.heading_gain, self.spin_gain = heading_gain, spin_gain
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ``action`` ``[B, 2]``: turn and frequency, each in [-1, 1]."""
-        stack = tensordict["observation_stack"].unflatten(-1, (-1, NUM_FEATURES))
+        """Write ``action`` ``[B, num_actions]``: turn, frequency, amplitude, each in [-1, 1]."""
+        num_features = 10 + 2 * self.num_actions  # the last two actions are observed
+        stack = tensordict["observation_stack"].unflatten(-1, (-1, num_features))
         x, y, heading = stack[..., -2:, :3].mean(-2).unbind(-1)
         velocity_x, velocity_y, spin = stack[..., -2:, 7:10].mean(-2).unbind(-1)
         # a heading above that of upstream leads to -y
@@ -69,4 +71,5 @@ class KeepPlace(TensorDictModuleBase):
         low, high = self.frequency_range
         frequency = self.frequency + self.gain * (x - self.station_bl) + self.damping * velocity_x
         share = 2.0 * (frequency - low) / (high - low) - 1.0
-        return tensordict.set("action", torch.stack((turn, share), -1).clamp(-1.0, 1.0))
+        action = torch.stack((turn, share), -1).clamp(-1.0, 1.0)
+        return tensordict.set("action", pad(action, (0, self.num_actions - 2), value=1.0))

@@ -139,7 +139,10 @@ def _(task: KarmanGait) -> dict[str, Baseline]:
 def _(task: Follower) -> dict[str, Baseline]:
     """Return the controller that keeps a place in line behind the leader."""
     keep = partial(
-        KeepPlace, turn=math.radians(task.turn_degrees), frequency_range=task.frequency_range
+        KeepPlace,
+        turn=math.radians(task.turn_degrees),
+        frequency_range=task.frequency_range,
+        num_actions=task.num_actions,
     )
     return {"keep_place": Baseline(lambda seed: keep()), **find_random(task)}
 

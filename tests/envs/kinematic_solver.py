@@ -67,13 +67,21 @@ class KinematicSolver:
             for old, new in zip(body, fresh, strict=True):
                 old.copy_(torch.where(rows.view(-1, *(1,) * (old.dim() - 1)), new, old))
 
-    def command_(self, turn: Tensor, num_steps: int, frequency: Tensor | None = None) -> None:
+    def command_(
+        self,
+        turn: Tensor,
+        num_steps: int,
+        frequency: Tensor | None = None,
+        amplitude: Tensor | None = None,
+    ) -> None:
         turn = turn.view(self.num_envs, -1)
         for index, body in enumerate(self._fish[: turn.shape[1]]):
             body.turn.copy_(turn[:, index])
             body.turn_steps.fill_(num_steps)
             if frequency is not None:
                 body.frequency.copy_(frequency.view(self.num_envs, -1)[:, index])
+            if amplitude is not None:
+                body.amplitude.copy_(amplitude.view(self.num_envs, -1)[:, index])
 
     def advance_(self, num_steps: int, rows: Tensor | None = None) -> None:
         assert num_steps >= 0 and num_steps % 2 == 0

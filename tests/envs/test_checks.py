@@ -54,6 +54,11 @@ def _starts(x_bl: float, *without: str) -> Callable[..., TensorDict]:
             lambda _, a, b: Command(0.0 * a, 1.0 + a),
             r"frequency gives \[1.0, 2.0\], expected tail beats per step",
         ),
+        (
+            "command",
+            lambda _, a, b: Command(0.0 * a, amplitude=1.0 + a),
+            r"amplitude gives \[1.0, 2.0\], expected 0 to 1",
+        ),
     ],
 )  # fmt: skip
 def test_a_wrong_answer_is_named(member: str, gives: Any, said: str) -> None:

@@ -1,11 +1,14 @@
 """The follower: starts, contact, reward, bad settings, and a real flow behind a leading fish."""
 
+import math
+
 import pytest
 import torch
 from tensordict import TensorDict
 
 from fishrl.envs import FlowEnv, Follower, make_env
 from fishrl.physics.bodies.placement import do_overlap
+from fishrl.training.baselines import make_baseline
 from tests.envs.conftest import SMALL, make_flows
 
 TINY = SMALL | {"body_length": 16, "domain_bl": (6.0, 3.0), "checks_per_action": 20}
@@ -20,6 +23,7 @@ TINY["wall_margin_bl"] = 0.3
         ({"start_x_bl": (1.5, 1.0)}, "least"),
         ({"leader": "fisch"}, "did you mean 'fish'"),
         ({"leader_x_bl": 1.0}, "too near the edge"),
+        ({"amplitude_range": (0.5, 1.2)}, "amplitude_range"),
     ],
 )
 def test_a_start_within_or_far_from_the_leader_is_refused(
@@ -78,3 +82,25 @@ def test_a_leading_fish_beats_in_its_place_and_the_follower_turns_by_its_bend_al
     assert env.solver.body.bend.item() < 0.0  # the tail is on the side of the turn
     assert leader.bend.item() == 0.0
     assert env.now["work"].item() > 0.0
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_the_baseline_beats_with_the_largest_amplitude() -> None:
+    task = Follower(**TINY, amplitude_range=(0.4, 0.9))
+    env = make_env(task=task, num_envs=2, compile=False)
+    state = make_baseline("keep_place", task=task, seed=0)(env.reset())
+    assert state["action"].shape == (2, 3) and (state["action"][:, 2] == 1.0).all()
+    env.step(state)
+    assert env.base_env.solver.body.amplitude.tolist() == pytest.approx([0.9, 0.9])
+
+
+def test_a_commanded_amplitude_is_approached_and_observed() -> None:
+    env: FlowEnv = make_flows(Follower(**TINY, amplitude_range=(0.4, 1.0)), 1)
+    assert env.task.num_actions == 3 and len(env.task.action_names) == 3
+    assert env.reset()["observation"].shape == (1, 16)
+    action = torch.tensor([[0.0, 0.0, -1.0]])
+    observed = env.step(TensorDict({"action": action}, [1]))["next", "observation"]
+    assert observed[0, -3:].tolist() == pytest.approx([0.0, 0.0, -1.0], abs=1e-6)
+    # two time constants per command
+    assert env.solver.body.amplitude.item() == pytest.approx(0.4 + 0.6 * math.exp(-2.0), rel=0.02)
+    assert env.solver.bodies[1].amplitude.item() == 1.0

@@ -36,9 +36,9 @@ class Follower(AbstractTask):
 
     Positions are those of the follower's centre of mass behind the rear end of the leader, (x, y)
     in body lengths. Actions, each T / 2: the bend, as a turn in degrees (see ``motion.Bending``),
-    and the frequency. Observation: position, heading from upstream, sine and cosine of its phase
-    and of that relative to a leading fish's, velocity in L / T, turning rate in radians per T, and
-    the last two actions in [-1, 1], the older one first.
+    the frequency and, with ``amplitude_range``, the amplitude. Observation: position, heading from
+    upstream, sine and cosine of its phase and of that relative to a leading fish's, velocity in
+    L / T, turning rate in radians per T, and the last two actions in [-1, 1], the older one first.
 
     The reward is the efficiency of the interval, useful work / (useful work + work of the muscles),
     as in Verma, Novati & Koumoutsakos 2018. They count thrust times speed as useful; we count
@@ -52,6 +52,8 @@ class Follower(AbstractTask):
         stream_speed_bl: speed of the stream, L / T.
         turn_degrees: largest turn of an action.
         frequency_range: least and largest tail-beat frequency, beats per T.
+        amplitude_range: least and largest share of the gait's amplitude, at most 1; None for the
+            gait's own.
         cost_alone: work of the fish alone for 1 L through the water, rho L^4 / T^2.
         diameter_bl: D of the half disc.
         leader_x_bl: distance of the rear end of the leader from the inflow.
@@ -65,8 +67,6 @@ class Follower(AbstractTask):
         wake_folder: cache of developed wakes behind the disc.
     """
 
-    n_obs: ClassVar[int] = 14
-    num_actions: ClassVar[int] = 2
     num_draws: ClassVar[int] = 4
     counted: ClassVar[tuple[str, ...]] = ("contact",)
 
@@ -82,6 +82,7 @@ class Follower(AbstractTask):
     stream_speed_bl: float = bounded(0.35, greater=0)
     turn_degrees: float = bounded(6.0, greater=0, largest=30)
     frequency_range: tuple[float, float] = bounded((0.7, 1.35), greater=0, largest=10)
+    amplitude_range: tuple[float, float] | None = bounded(None, least=0, largest=1)
     cost_alone: float = bounded(0.11, greater=0)
     diameter_bl: float = bounded(0.3125, greater=0)
     leader_x_bl: float = bounded(1.75, greater=0)
@@ -94,7 +95,8 @@ class Follower(AbstractTask):
     wake_folder: str = "runs/wakes"
 
     def __post_init__(self) -> None:
-        for name in ("frequency_range", "start_x_bl", "start_y_bl", "range_bl"):
+        pairs = ("frequency_range", "start_x_bl", "start_y_bl", "range_bl")
+        for name in (*pairs, *("amplitude_range",) * (self.amplitude_range is not None)):
             pair = as_pair(name, getattr(self, name))
             object.__setattr__(self, name, pair)
             if not pair[0] <= pair[1]:
@@ -109,15 +111,31 @@ class Follower(AbstractTask):
         self.check_starts(self.starts_from(torch.nn.functional.pad(corners, (0, 1))))
 
     @property
+    def n_obs(self) -> int:  # type: ignore[override]
+        """Length of one observation."""
+        return 10 + 2 * self.num_actions
+
+    @property
+    def num_actions(self) -> int:  # type: ignore[override]
+        """Number of the numbers in an action."""
+        return len(self.action_bounds)
+
+    @property
     def action_bounds(self) -> tuple[tuple[float, float], ...]:
-        """Turn in degrees and frequency in beats per T."""
-        return (-self.turn_degrees, self.turn_degrees), self.frequency_range
+        """Turn in degrees, frequency in beats per T, and amplitude if it is commanded."""
+        beat = (self.frequency_range, self.amplitude_range)
+        return (-self.turn_degrees, self.turn_degrees), *(own for own in beat if own is not None)
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """Names of the two numbers."""
-        low, high = self.frequency_range
-        return f"turn, ±{self.turn_degrees:g}°", f"frequency, {low:g} to {high:g} beats/T"
+        """Names of the numbers."""
+        names = (
+            "turn, {:g} to {:g}°",
+            "frequency, {:g} to {:g} beats/T",
+            "amplitude, {:g} to {:g}",
+        )
+        bounds = self.action_bounds
+        return tuple(name.format(*own) for name, own in zip(names, bounds, strict=False))
 
     @property
     def max_frequency(self) -> float:
@@ -131,7 +149,11 @@ class Follower(AbstractTask):
 
     @property
     def swimming_speed(self) -> float:
-        """Bound on the speed of a marker, with a bend from one side to the other."""
+        """Bound on the speed of a marker, with a bend from one side to the other.
+
+        The factor of two for swimming covers a changing amplitude: the speed it gives the tail is
+        at most two thirds of that of the beat, and a quarter of a beat apart from it.
+        """
         bend = 2.0 * radians(self.turn_degrees) * self.body_length
         return super().swimming_speed + RESPONSE * bend / self.n_substeps
 
@@ -237,9 +259,9 @@ class Follower(AbstractTask):
         )
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
-        """Map the action to bend and tail-beat frequency."""
-        turn, frequency = action.unbind(-1)
-        return Command(turn.deg2rad(), frequency / self.scales.period)
+        """Map the action to bend, tail-beat frequency and amplitude."""
+        turn, frequency, *amplitude = action.unbind(-1)
+        return Command(turn.deg2rad(), frequency / self.scales.period, *amplitude)
 
     def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
         """Measure position, motion and work of the follower, and the gap to the leader."""
@@ -272,7 +294,7 @@ class Follower(AbstractTask):
 
     def begin(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Start without earlier actions."""
-        return {"actions": now["place"].new_zeros(*now.shape, 2, 2)}
+        return {"actions": now["place"].new_zeros(*now.shape, 2, self.num_actions)}
 
     def remember(
         self, before: TensorDictBase, action: Tensor, now: TensorDictBase

@@ -18,6 +18,7 @@ from torch.nn.functional import pad
 
 from fishrl.physics.bodies.gait import Deformation, advance_phase
 from fishrl.physics.bodies.geometry import BodyGeometry, Markers, compute_axis
+from fishrl.physics.bodies.motion import compute_amplitude_rate
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.flow import Coupling, FlowConfig
@@ -356,6 +357,7 @@ def move_body(
         beats=state.beats + state.frequency,
         age=state.age + 1.0,
         bend=state.bend + config.motion.compute_bend_rate(state),
+        amplitude=state.amplitude + compute_amplitude_rate(state),
         turn_clock=state.turn_clock + 1.0,
         work=state.work + update.power,
         positive_work=state.positive_work + update.positive_power,

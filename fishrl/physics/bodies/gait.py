@@ -116,6 +116,8 @@ class Beat(NamedTuple):
         beats: tail beats since the fish began to swim.
         bend: kappa, of the bend kappa L x^2.
         bend_rate: its change per step.
+        amplitude: share of the gait's amplitude.
+        amplitude_rate: its change per step.
     """
 
     phase: Tensor
@@ -123,11 +125,14 @@ class Beat(NamedTuple):
     beats: Tensor
     bend: Tensor
     bend_rate: Tensor
+    amplitude: Tensor
+    amplitude_rate: Tensor
 
 
 def compute_amplitudes(beat: Beat) -> tuple[list[Tensor], list[Tensor]]:
     """Return the amplitudes ``[B]`` of the modes (sine, cosine, bend) and their rates per step."""
     ramp, ramp_rate = compute_ramp(beat.beats, beat.frequency)
+    ramp, ramp_rate = beat.amplitude * ramp, beat.amplitude * ramp_rate + beat.amplitude_rate * ramp
     cos, sin, rate = torch.cos(beat.phase), torch.sin(beat.phase), 2.0 * pi * beat.frequency
     swing_rates = [ramp_rate * cos - ramp * rate * sin, -ramp_rate * sin - ramp * rate * cos]
     return [ramp * cos, -ramp * sin, beat.bend], [*swing_rates, beat.bend_rate]

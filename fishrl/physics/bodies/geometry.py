@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from fishrl.physics.bodies.gait import Beat, Deformation
+from fishrl.physics.bodies.motion import compute_amplitude_rate
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.flow import FlowConfig
@@ -100,4 +101,6 @@ def _read_beat(config: BodyConfig, state: BodyState) -> Beat:
         beats=state.beats,
         bend=state.bend,
         bend_rate=config.motion.compute_bend_rate(state),
+        amplitude=state.amplitude,
+        amplitude_rate=compute_amplitude_rate(state),
     )

@@ -20,6 +20,8 @@ class BodyState(NamedTuple):
         beats: tail beats or oscillations since reset.
         age: steps since reset.
         bend: kappa of the midline's bend kappa L x^2; see ``Bending``.
+        amplitude: share of the gait's amplitude; see ``motion.compute_amplitude_rate``.
+        amplitude_goal: the share that is commanded.
         turn: commanded change of heading, radians.
         turn_steps: steps over which the turn is spread.
         turn_clock: steps since the command.
@@ -45,6 +47,8 @@ class BodyState(NamedTuple):
     beats: Tensor
     age: Tensor
     bend: Tensor
+    amplitude: Tensor
+    amplitude_goal: Tensor
     turn: Tensor
     turn_steps: Tensor
     turn_clock: Tensor
@@ -69,6 +73,6 @@ def make_body(position: Tensor, heading: Tensor, frequency: Tensor) -> BodyState
     zero, pair = torch.zeros_like(heading), torch.zeros_like(position)
     pairs = {"velocity", "load", "force", "hydro_force", "impulse"}
     rest = {name: pair if name in pairs else zero for name in BodyState._fields}
-    one = torch.ones_like(zero)
+    ones = ("amplitude", "amplitude_goal", "turn_steps", "turn_clock")
     given = {"position": position, "heading": heading, "frequency": frequency}
-    return BodyState(**rest | given | {"turn_steps": one, "turn_clock": one})
+    return BodyState(**rest | given | dict.fromkeys(ones, torch.ones_like(zero)))

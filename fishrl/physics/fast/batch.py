@@ -141,10 +141,13 @@ class FlowBatch:
         """Return a state as of today for one that was saved formerly.
 
         That held the memory of the populations itself as ``data`` ``[groups, slots]`` in place of
-        ``f0`` to ``f8``, and streams only rose from rest.
+        ``f0`` to ``f8``, streams only rose from rest, and fish had their gait's amplitude.
         """
         began = ("params.former_speed", "params.ramp_start")
-        state = {name: torch.zeros_like(self.flow.clock) for name in began} | dict(state)
+        added = {name: torch.zeros_like(self.flow.clock) for name in began}
+        beats = [name for name in self.name_state() if name.endswith((".amplitude", "_goal"))]
+        added |= {name: torch.ones_like(self.flow.clock) for name in beats}
+        state = added | dict(state)
         if "data" not in state:
             return state
         data, height, width = state["data"], self.layout.height, self.layout.width

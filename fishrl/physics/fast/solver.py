@@ -265,14 +265,21 @@ class InPlaceSolver:
             is_own = chosen // self._group_size == number
             self._batch.groups[number].write_(chosen[is_own] % self._group_size, f[is_own])
 
-    def command_(self, turn: Tensor, num_steps: int, frequency: Tensor | None = None) -> None:
-        """Command the first bodies to turn and, optionally, to beat at a new frequency.
+    def command_(
+        self,
+        turn: Tensor,
+        num_steps: int,
+        frequency: Tensor | None = None,
+        amplitude: Tensor | None = None,
+    ) -> None:
+        """Command the first bodies to turn and, optionally, to beat differently.
 
         Args:
             turn: change of heading in radians, spread smoothly over ``num_steps``: ``[B]`` of the
                 first body, or ``[B, M]`` of the first M; other bodies keep their commands.
             num_steps: at least two.
             frequency: tail beats per step, of the shape of ``turn``; the phase stays continuous.
+            amplitude: share of the gait's amplitude, of the shape of ``turn``; approached smoothly.
 
         Raises:
             ValueError: for another shape, numbers that are not finite, and more than all bodies.
@@ -287,12 +294,17 @@ class InPlaceSolver:
         if frequency is not None:
             check_tensor("frequency", frequency, shape, where=every_row)
             frequency = frequency.reshape(turns.shape)
+        if amplitude is not None:
+            check_tensor("amplitude", amplitude, shape, where=every_row)
+            amplitude = amplitude.reshape(turns.shape)
         for index, body in enumerate(self.bodies[: turns.shape[1]]):
             body.turn.copy_(turns[:, index])
             body.turn_steps.fill_(float(num_steps))
             body.turn_clock.zero_()
             if frequency is not None:
                 body.frequency.copy_(frequency[:, index])
+            if amplitude is not None:
+                body.amplitude_goal.copy_(amplitude[:, index])
 
     def populations(self) -> Tensor:
         """Return a copy of the incoming populations ``[B, Q, Y, X]`` (shifted)."""

@@ -97,7 +97,7 @@ def test_the_wave_runs_from_head_to_tail() -> None:
     half = shape.axial.numel() // 2
     phase = torch.tensor([0.3, 0.4], dtype=torch.float64)
     one = torch.ones_like(phase)
-    bent = shape.deform(Beat(phase, one / 500, 2 * one, 0 * one, 0 * one))
+    bent = shape.deform(Beat(phase, one / 500, 2 * one, 0 * one, 0 * one, one, 0 * one))
     spine = (bent.lateral - shape.lateral)[:, half // 2 : half]
     crest = spine.abs().argmax(-1)
     assert crest[1] >= crest[0]
@@ -113,6 +113,7 @@ def test_markers_move_by_the_velocity_that_the_flow_is_given(motion: Motion) -> 
     params = make_params([config])
     one = torch.ones(1, dtype=torch.float64)
     body = make_fish_body()._replace(turn=0.3 * one, turn_steps=200 * one, turn_clock=0 * one)
+    body = body._replace(amplitude_goal=0.4 * one)
     state = FlowState(make_rest(config, 1), (body,))
     worst = 0.0
     for _ in range(SCALES.period + 40):
@@ -140,6 +141,21 @@ def test_changing_the_frequency_does_not_move_the_body(beats: float) -> None:
     places = [outline(fish, body._replace(frequency=f * body.frequency)) for f in (0.0, 1.0, 2.0)]
     for place in places[1:]:
         torch.testing.assert_close(places[0], place, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("is_midline", [False, True])
+def test_half_the_amplitude_is_half_the_sway_of_the_tail(is_midline: bool) -> None:
+    fish = Fish(body_length=50, keeps_length=is_midline)
+    body = make_fish_body()
+    body = body._replace(beats=body.beats + 2)
+    half = body._replace(amplitude=0.5 * body.amplitude)
+    sway = []
+    for one in (body, half):
+        phases = one.phase + torch.linspace(0, 2 * math.pi, 25)[:, None]
+        places = torch.cat([outline(fish, one._replace(phase=phase)) for phase in phases])
+        tail = places[:, fish.num_markers // 2, 1]
+        sway.append(float(tail.max() - tail.min()))
+    assert sway[1] == pytest.approx(0.5 * sway[0], rel=0.02)
 
 
 def test_deformation_never_moves_the_centre_of_area() -> None:

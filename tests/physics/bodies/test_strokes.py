@@ -38,13 +38,14 @@ def at(time: float) -> BodyState:
 
 
 def read_beat(body: BodyState) -> Beat:
-    return Beat(body.phase, body.frequency, body.beats, body.bend, 0.0 * body.bend)
+    zero = 0.0 * body.bend
+    return Beat(body.phase, body.frequency, body.beats, body.bend, zero, zero + 1.0, zero)
 
 
 def test_a_fish_begins_straight() -> None:
     straight = replace(LARVA, strokes=None).make_params()
     body = make_fish_body()
-    straight_places = place_markers(body, straight.deform(Beat(*5 * (0.0 * body.phase,))))
+    straight_places = place_markers(body, straight.deform(Beat(*7 * (0.0 * body.phase,))))
     places = place_markers(body, deform_body(LARVA, LARVA.make_params(), body))
     torch.testing.assert_close(places.position, straight_places.position, rtol=0, atol=0.01)
     assert float(places.deformation_velocity.abs().max()) == 0.0
