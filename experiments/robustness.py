@@ -31,7 +31,7 @@ from experiments.gait.trials import (
 )
 from experiments.pages import write_table
 from experiments.program import program
-from experiments.statistics import Difference
+from experiments.statistics import compare_paired
 from fishrl.bounds import Checked, bounded
 from fishrl.envs import KarmanGait
 from fishrl.modules import LateralLineClassifier
@@ -122,7 +122,7 @@ def tabulate(results: Mapping[str, Any], *, reference: str) -> str:
 
     def compare(condition: Mapping[str, Any], arm: str) -> str:
         ours, theirs = (np.array(condition[name]["survival_T"]) for name in (arm, reference))
-        return Difference.of(ours, theirs).show("+.1f")
+        return compare_paired(ours, theirs).show("+.1f")
 
     def write(heads: Sequence[str], show: Any) -> str:
         rows = [[name, *(show(each, arm) for arm in heads)] for name, each in results.items()]

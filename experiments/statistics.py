@@ -1,36 +1,49 @@
-"""Means over seeds: 95 % confidence intervals (Student's t) and interquartile means."""
+"""Statistics over seeds and starts: means, interquartile means, improvement; 95 % intervals.
+
+The interquartile mean and the probability of improvement are those of Agarwal et al. 2021 (arXiv
+2108.13264, section 4.3), with percentile bootstrap intervals over seeds.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from scipy import stats
 
-#: Student's t at 97.5 % by degrees of freedom; in between it is smooth in their inverse.
-_FREEDOM = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 15, 20, 30, 60, 120, math.inf)
-_STUDENT_95 = (
-    *(12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306),
-    *(2.262, 2.228, 2.131, 2.086, 2.042, 2.000, 1.980, 1.960),
-)
+
+@dataclass(frozen=True, kw_only=True)
+class Interval:
+    """An estimate and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def show(self, form: str) -> str:
+        """Write it such as "+1.5 [-0.5, +3.5]"; a dash for NaN."""
+        if math.isnan(self.value):
+            return "–"
+        value = format(self.value, form)
+        return value if math.isnan(self.low) else f"{value} [{self.low:{form}}, {self.high:{form}}]"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Statistic:
-    """One number over several seeds: count, mean, half-width of its interval, IQM."""
+    """One number over several seeds: count, mean and half-width of its interval."""
 
     count: int
     mean: float
     half_width: float
-    iqm: float
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Statistic:
         """Reduce some values; without any, everything is NaN."""
         mean = float(np.mean(values)) if values else math.nan
-        half, iqm = half_width(values), interquartile_mean(values)
-        return cls(count=len(values), mean=mean, half_width=half, iqm=iqm)
+        return cls(count=len(values), mean=mean, half_width=half_width(values))
 
     def show(self, form: str) -> str:
         """Write mean ± half width, each in a format such as ``.1%``; a dash without values."""
@@ -41,52 +54,62 @@ class Statistic:
 
 
 def half_width(values: Sequence[float]) -> float:
-    """Return half the width of the 95 % confidence interval of a mean; NaN below two values."""
-    count = len(values)
-    if count < 2:
+    """Return half the width of a mean's interval (Student's t); NaN below two values."""
+    if len(values) < 2:
         return math.nan
-    inverse = [1.0 / freedom for freedom in reversed(_FREEDOM)]
-    factor = float(np.interp(1.0 / (count - 1), inverse, _STUDENT_95[::-1]))
-    return factor * float(np.std(values, ddof=1)) / math.sqrt(count)
+    return float(stats.t.ppf(0.975, len(values) - 1) * stats.sem(values))
 
 
-def interquartile_mean(values: Sequence[float]) -> float:
-    """Return the mean of the middle half, Agarwal et al. 2021 (arXiv 2108.13264, section 4.3).
+def find_interquartile_mean(values: Sequence[float]) -> Interval:
+    """Return the mean of the middle half; NaN without values.
 
-    A quarter of the values, rounded down, is left out at either end, as there; below four values
-    it is the plain mean. NaN without values.
+    A quarter of the values, rounded down, is left out at either end; below four values it is the
+    plain mean.
     """
-    if not values:
-        return math.nan
-    cut = len(values) // 4
-    return float(np.mean(sorted(values)[cut : len(values) - cut]))
+
+    def average(sample: Any, axis: int = -1) -> Any:
+        return stats.trim_mean(sample, 0.25, axis=axis)
+
+    return _bootstrap(average, values)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Difference:
-    """Difference of two means, with its 95 % bootstrap interval."""
+def find_improvement(ours: Sequence[float], theirs: Sequence[float]) -> Interval:
+    """Return the probability that a run of ours is the better one of a pair; ties count half.
 
-    mean: float
-    low: float
-    high: float
+    Runs are drawn with replacement within each group. NaN unless both have runs.
+    """
 
-    @classmethod
-    def of(cls, ours: np.ndarray, theirs: np.ndarray, *, num_draws: int = 10_000) -> Difference:
-        """Compare values ``[seeds, starts]``; the starts are the same, the seeds need not be.
+    def compare(a: Any, b: Any, axis: int = -1) -> Any:
+        difference = a[..., :, None] - b[..., None, :]
+        return (0.5 * np.sign(difference) + 0.5).mean((-2, -1))
 
-        Starts are drawn for both together, seeds for each, all with replacement (Efron 1979).
-        """
-        draw = np.random.default_rng(0)
+    return _bootstrap(compare, ours, theirs)
 
-        def sample(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
-            seeds = draw.integers(len(values), size=(num_draws, len(values)))
-            return values[seeds[:, :, None], starts[:, None, :]].mean((1, 2))
 
-        starts = draw.integers(ours.shape[1], size=(num_draws, ours.shape[1]))
-        low, high = np.quantile(sample(ours, starts) - sample(theirs, starts), (0.025, 0.975))
-        mean = float(ours.mean() - theirs.mean())
-        return cls(mean=mean, low=float(low), high=float(high))
+def _bootstrap(statistic: Any, *groups: Sequence[float]) -> Interval:
+    if not all(groups):
+        return Interval(value=math.nan, low=math.nan, high=math.nan)
+    samples = [np.asarray(group, dtype=float) for group in groups]
+    value = float(statistic(*samples))
+    if min(map(len, groups)) < 2:
+        return Interval(value=value, low=math.nan, high=math.nan)
+    interval = stats.bootstrap(
+        samples, statistic, vectorized=True, method="percentile", n_resamples=2000, rng=0
+    ).confidence_interval
+    return Interval(value=value, low=float(interval.low), high=float(interval.high))
 
-    def show(self, form: str) -> str:
-        """Write it such as "+1.5 [-0.5, +3.5]"."""
-        return f"{self.mean:{form}} [{self.low:{form}}, {self.high:{form}}]"
+
+def compare_paired(ours: np.ndarray, theirs: np.ndarray, *, num_draws: int = 10_000) -> Interval:
+    """Return the difference of the means of values ``[seeds, starts]`` with the same starts.
+
+    Starts are drawn for both together, seeds for each, all with replacement (Efron 1979).
+    """
+    draw = np.random.default_rng(0)
+
+    def sample(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
+        seeds = draw.integers(len(values), size=(num_draws, len(values)))
+        return values[seeds[:, :, None], starts[:, None, :]].mean((1, 2))
+
+    starts = draw.integers(ours.shape[1], size=(num_draws, ours.shape[1]))
+    low, high = np.quantile(sample(ours, starts) - sample(theirs, starts), (0.025, 0.975))
+    return Interval(value=float(ours.mean() - theirs.mean()), low=float(low), high=float(high))

@@ -1,9 +1,10 @@
 """Write tables and curves of a sweep: ``python -m experiments.summarize runs/sweep-...``.
 
-Runs that differ only in their seed form a group. Written into the folder: ``summary.md`` (mean,
-95 % confidence interval and interquartile mean of each group, differences between groups paired by
-seed, each run beside its baselines, and runs to repeat), ``summary.csv`` (the same for every
-number of the summaries), ``runs.csv`` (each run) and ``curves.png``.
+Runs that differ only in their seed form a group. Written into the folder: ``summary.md`` (mean
+and interquartile mean of each group with 95 % intervals, differences between groups paired by seed
+and probability of improvement, each run beside its baselines, the bias of selecting a checkpoint,
+and runs to repeat), ``summary.csv`` (every number of the summaries), ``runs.csv`` (each run) and
+``curves.png``.
 """
 
 from __future__ import annotations
@@ -19,7 +20,12 @@ import numpy as np
 from experiments.figures.learning_curve import RATE, Curve, draw_curves, read_metrics
 from experiments.pages import fill, write_csv, write_table
 from experiments.program import program
-from experiments.statistics import Statistic, half_width
+from experiments.statistics import (
+    Statistic,
+    find_improvement,
+    find_interquartile_mean,
+    half_width,
+)
 from experiments.sweeps.groups import Group, group_runs, is_number
 from experiments.sweeps.runs import Run, advise, read_runs
 
@@ -35,6 +41,8 @@ COLUMNS = (
 COMPARED = COLUMNS[:3]
 #: Of each run, behind the success rates of policy and baselines.
 EACH = (
+    ("in selection", "selection_rate", ".1%"),
+    ("last policy", "last_success_rate", ".1%"),
     ("return", "mean_return", ".1f"),
     ("time to success, T", "mean_time_to_success_T", ".1f"),
     ("frames", "frames", "d"),
@@ -66,7 +74,7 @@ class SummarizeSettings:
 
 def summarize(folder: Path, *, page: Path | None = None) -> str:
     """Write tables and curves of a sweep into its folder, and return the text of summary.md."""
-    runs = [add_curve_mean(run) for run in read_runs(folder)]
+    runs = [add_evaluations(run) for run in read_runs(folder)]
     groups = group_runs(runs)
     if not groups:
         raise ValueError(f"{folder}: no run has begun\n{advise(runs)}")
@@ -75,7 +83,7 @@ def summarize(folder: Path, *, page: Path | None = None) -> str:
     if finished:
         tables.append(describe_effort(finished))
         tables += [tabulate_differences(groups)] if len(groups) > 1 else []
-        tables.append(tabulate_runs(finished))
+        tables += [tabulate_runs(finished), describe_selection(finished)]
     text = "\n".join(tables)
     write_csv_files(groups, folder)
     panels = {
@@ -96,12 +104,15 @@ def summarize(folder: Path, *, page: Path | None = None) -> str:
     return text + (f"\ncurves: {folder / 'curves.png'}\n" if has_curves else "")
 
 
-def add_curve_mean(run: Run) -> Run:
-    """Add ``curve_mean`` to the summary of a run."""
+def add_evaluations(run: Run) -> Run:
+    """Add ``curve_mean``, and ``selection_rate`` of the best checkpoint, to a run's summary."""
     if not run.summary or not run.frames:
         return run
-    _, rates = read_metrics(run.path / "metrics.csv")["eval/success_rate"]
-    return replace(run, summary={**run.summary, "curve_mean": float(rates.mean())})
+    frames, rates = read_metrics(run.path / "metrics.csv")["eval/success_rate"]
+    added = {"curve_mean": float(rates.mean())}
+    for rate in rates[frames == run.summary.get("best_checkpoint_frames")]:
+        added["selection_rate"] = float(rate)
+    return replace(run, summary={**run.summary, **added})
 
 
 def average(group: Group, column: str, number: int = 0) -> Curve:
@@ -121,24 +132,27 @@ def average(group: Group, column: str, number: int = 0) -> Curve:
 
 
 def tabulate_groups(groups: Sequence[Group]) -> str:
-    """Return a row per group: mean ± 95 % interval, and interquartile mean."""
+    """Return a row per group: means and interquartile means, with 95 % intervals."""
     heads = [*(f"`{key}`" for key in groups[0].settings), "seeds"]
     for head, _, _ in COLUMNS:
-        heads += [f"{head}: mean ± 95 % CI", "IQM"]
+        heads += [f"{head}: mean", "IQM"]
     rows = []
     for group in groups:
         finished, begun = len(group.finished), len(group.seeds)
         row = [*group.settings.values(), f"{finished}/{begun}" if finished < begun else f"{begun}"]
         for _, name, form in COLUMNS:
-            found = Statistic.of(group.numbers(name))
-            row += [found.show(form), format(found.iqm, form) if found.count else "–"]
+            values = group.numbers(name)
+            row += [Statistic.of(values).show(form), find_interquartile_mean(values).show(form)]
         minutes = Statistic.of([seconds / 60.0 for seconds in group.numbers("wall_seconds")])
         rows.append([*row, minutes.show(".0f")])
     return write_table([*heads, "minutes"], rows)
 
 
 def tabulate_differences(groups: Sequence[Group]) -> str:
-    """Return the first group minus each other one, paired by seed; bold if it is not zero."""
+    """Return the first group minus each other one, paired by seed; bold if it is not zero.
+
+    The last column is the probability that the first one's learning curve has the greater mean.
+    """
     first, *others = groups
     rows = []
     for group in others:
@@ -148,8 +162,10 @@ def tabulate_differences(groups: Sequence[Group]) -> str:
             found = Statistic.of([ours[seed] - theirs[seed] for seed in ours if seed in theirs])
             is_clear = abs(found.mean) > found.half_width
             row.append(f"**{found.show(form)}**" if is_clear else found.show(form))
-        rows.append(row)
-    return write_table([f"{first.label} minus", *(head for head, _, _ in COMPARED)], rows)
+        curves = (group.numbers("curve_mean") for group in (first, group))
+        rows.append([*row, find_improvement(*curves).show(".2f")])
+    heads = [f"{first.label} minus", *(head for head, _, _ in COMPARED)]
+    return write_table([*heads, "probability of improvement"], rows)
 
 
 def describe_effort(finished: Sequence[Run]) -> str:
@@ -174,6 +190,19 @@ def tabulate_runs(finished: Sequence[Run]) -> str:
     return write_table(["run", *(head for head, _, _ in columns)], rows)
 
 
+def describe_selection(finished: Sequence[Run]) -> str:
+    """Say how the best checkpoints did where they were selected, and the last policies."""
+    gains = []
+    for name in ("selection_rate", "last_success_rate"):
+        known = [run.summary for run in finished if is_number(run.summary.get(name))]
+        found = Statistic.of([each[name] - each["success_rate"] for each in known])
+        gains.append(found.show("+.1%"))
+    return (
+        "Relative to the final success rate of the best checkpoint, {} in its selection and {} for "
+        "the last policy; mean over runs.\n".format(*gains)
+    )
+
+
 def write_csv_files(groups: Sequence[Group], folder: Path) -> None:
     """Write ``summary.csv``, a row per group and number, and ``runs.csv``, a row per run."""
     finished = [run.summary for group in groups for run in group.finished]
@@ -185,7 +214,8 @@ def write_csv_files(groups: Sequence[Group], folder: Path) -> None:
         for name in names:
             found = Statistic.of(group.numbers(name))
             ends = (found.mean - found.half_width, found.mean + found.half_width)
-            numbers = ("" if x != x else f"{x:.10g}" for x in (found.mean, *ends, found.iqm))
+            iqm = find_interquartile_mean(group.numbers(name)).value
+            numbers = ("" if x != x else f"{x:.10g}" for x in (found.mean, *ends, iqm))
             rows.append([*group.settings.values(), name, found.count, *numbers])
     heads = [*keys, "metric", "seeds", "mean", "ci95_low", "ci95_high", "iqm"]
     write_csv(folder / "summary.csv", heads, rows)

@@ -11,7 +11,7 @@ import pytest
 from experiments import robustness
 from experiments.gait.trials import load_trial
 from experiments.robustness import CONDITIONS, vary
-from experiments.statistics import Difference
+from experiments.statistics import compare_paired
 from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
 
 POLICY = Path("zoo/gait_small_ablation")
@@ -32,8 +32,8 @@ def test_differences_are_paired_by_start() -> None:
     draw = np.random.default_rng(1)
     theirs = 100.0 * draw.random((3, 40))  # starts that differ far more than the policies
     theirs[:] = theirs[0]
-    found = Difference.of(theirs + 1.0, theirs)
-    assert (found.mean, found.low, found.high) == pytest.approx((1.0, 1.0, 1.0))
+    found = compare_paired(theirs + 1.0, theirs)
+    assert (found.value, found.low, found.high) == pytest.approx((1.0, 1.0, 1.0))
 
 
 def test_an_interval_covers_the_difference_as_often_as_it_says() -> None:
@@ -41,7 +41,7 @@ def test_an_interval_covers_the_difference_as_often_as_it_says() -> None:
     hits = 0
     for _ in range(100):
         noise = draw.normal(size=(2, 1, 60))
-        found = Difference.of(2.0 + noise[0], noise[1], num_draws=500)
+        found = compare_paired(2.0 + noise[0], noise[1], num_draws=500)
         hits += found.low <= 2.0 <= found.high
     assert 88 <= hits <= 99
 
