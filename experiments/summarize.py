@@ -42,7 +42,7 @@ COMPARED = COLUMNS[:3]
 #: Of each run, behind the success rates of policy and baselines.
 EACH = (
     ("in selection", "selection_rate", ".1%"),
-    ("last policy", "last_success_rate", ".1%"),
+    ("last policy", "last_rate", ".1%"),
     ("return", "mean_return", ".1f"),
     ("time to success, T", "mean_time_to_success_T", ".1f"),
     ("frames", "frames", "d"),
@@ -105,11 +105,15 @@ def summarize(folder: Path, *, page: Path | None = None) -> str:
 
 
 def add_evaluations(run: Run) -> Run:
-    """Add ``curve_mean``, and ``selection_rate`` of the best checkpoint, to a run's summary."""
+    """Add to a run's summary what its evaluations in training gave.
+
+    ``curve_mean`` is the mean success rate, ``last_rate`` that of the last policy, and
+    ``selection_rate`` that for which the best checkpoint was selected.
+    """
     if not run.summary or not run.frames:
         return run
     frames, rates = read_metrics(run.path / "metrics.csv")["eval/success_rate"]
-    added = {"curve_mean": float(rates.mean())}
+    added = {"curve_mean": float(rates.mean()), "last_rate": float(rates[-1])}
     for rate in rates[frames == run.summary.get("best_checkpoint_frames")]:
         added["selection_rate"] = float(rate)
     return replace(run, summary={**run.summary, **added})
@@ -193,13 +197,13 @@ def tabulate_runs(finished: Sequence[Run]) -> str:
 def describe_selection(finished: Sequence[Run]) -> str:
     """Say how the best checkpoints did where they were selected, and the last policies."""
     gains = []
-    for name in ("selection_rate", "last_success_rate"):
+    for name in ("selection_rate", "last_rate"):
         known = [run.summary for run in finished if is_number(run.summary.get(name))]
         found = Statistic.of([each[name] - each["success_rate"] for each in known])
         gains.append(found.show("+.1%"))
     return (
-        "Relative to the final success rate of the best checkpoint, {} in its selection and {} for "
-        "the last policy; mean over runs.\n".format(*gains)
+        "From the starts that select the best checkpoint, its success rate is {} relative to its "
+        "final evaluation, and that of the last policy {}; mean over runs.\n".format(*gains)
     )
 
 

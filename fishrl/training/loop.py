@@ -7,7 +7,6 @@ import math
 import random
 import time
 from collections.abc import Callable, Iterator, Mapping
-from copy import deepcopy
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -260,21 +259,19 @@ class Training:
         return {f"eval/{name}": value for name, value in metrics.items()}
 
     def _summarize(self) -> dict[str, Any]:
-        """Evaluate best and last policy and the baselines; return what ``summary.json`` holds.
+        """Evaluate the best policy and the baselines; return what ``summary.json`` holds.
 
-        Metrics of the best policy have no prefix, those of the last one ``last_``, those of a
-        baseline ``<name>_``.
+        Metrics of the learned policy have no prefix, those of a baseline ``<name>_``.
         """
         run, counters, actor = self.plan.run, self.counters, self.learner.actor
-        last = deepcopy(actor)
         best = load_checkpoint(
             self.folder.path, {"actor": actor}, spec=self.spec, device=run.policy_device
         )
         summary: dict[str, Any] = {}
-        policies: dict[str, Policy] = {"": actor, "last": last, **self.baselines}
+        policies: dict[str, Policy] = {"": actor, **self.baselines}
         self.progress.start("evaluation", total=run.final_episodes * len(policies))
         for name, policy in policies.items():
-            self.progress.rename(f"evaluation: {name or 'best'}")
+            self.progress.rename(f"evaluation: {name or 'learned'}")
             result = self.evaluate(
                 policy,
                 num_starts=run.final_episodes,
