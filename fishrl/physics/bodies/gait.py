@@ -73,15 +73,20 @@ def advance_phase(phase: Tensor, frequency: Tensor) -> Tensor:
     return torch.remainder(phase + 2.0 * pi * frequency, 2.0 * pi)
 
 
-def compute_ramp(beats: Tensor, frequency: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the start-up amplitude sin(pi t / 2 T) for t < T, then 1, and its rate per step.
+def compute_ramp(beats: Tensor) -> Tensor:
+    """Return the start-up amplitude sin(pi t / 2 T) for t < T, then 1.
 
     ``beats`` = t / T are counted, so that the amplitude stays continuous when the frequency
     changes within the first beat.
     """
+    return torch.sin(0.5 * pi * beats.clamp(max=1.0))
+
+
+def compute_ramp_rate(beats: Tensor, frequency: Tensor) -> Tensor:
+    """Return the change per step of ``compute_ramp``."""
     beats = beats.clamp(max=1.0)
     rate = torch.where(beats < 1.0, 0.5 * pi * frequency, torch.zeros_like(frequency))
-    return torch.sin(0.5 * pi * beats), rate * torch.cos(0.5 * pi * beats)
+    return rate * torch.cos(0.5 * pi * beats)
 
 
 class Deformation(NamedTuple):
@@ -129,10 +134,22 @@ class Beat(NamedTuple):
     amplitude_rate: Tensor
 
 
-def compute_amplitudes(beat: Beat) -> tuple[list[Tensor], list[Tensor]]:
-    """Return the amplitudes ``[B]`` of the modes (sine, cosine, bend) and their rates per step."""
-    ramp, ramp_rate = compute_ramp(beat.beats, beat.frequency)
-    ramp, ramp_rate = beat.amplitude * ramp, beat.amplitude * ramp_rate + beat.amplitude_rate * ramp
+def compute_amplitudes(beat: Beat) -> list[Tensor]:
+    """Return the amplitudes ``[B]`` of the modes: sine, cosine, bend."""
+    swing = beat.amplitude * compute_ramp(beat.beats)
+    return [swing * torch.cos(beat.phase), -swing * torch.sin(beat.phase), beat.bend]
+
+
+def compute_amplitude_rates(beat: Beat) -> list[Tensor]:
+    """Return the change per step of ``compute_amplitudes``."""
+    ramp, ramp_rate = compute_ramp(beat.beats), compute_ramp_rate(beat.beats, beat.frequency)
+    swing, swing_rate = (
+        beat.amplitude * ramp,
+        beat.amplitude * ramp_rate + beat.amplitude_rate * ramp,
+    )
     cos, sin, rate = torch.cos(beat.phase), torch.sin(beat.phase), 2.0 * pi * beat.frequency
-    swing_rates = [ramp_rate * cos - ramp * rate * sin, -ramp_rate * sin - ramp * rate * cos]
-    return [ramp * cos, -ramp * sin, beat.bend], [*swing_rates, beat.bend_rate]
+    return [
+        swing_rate * cos - swing * rate * sin,
+        -swing_rate * sin - swing * rate * cos,
+        beat.bend_rate,
+    ]

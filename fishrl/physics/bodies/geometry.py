@@ -62,12 +62,14 @@ def locate_bodies(
 
 def deform_body(config: BodyConfig, params: BodyParams, state: BodyState) -> Deformation:
     """Return the outline of a body in its own frame and its velocity there."""
-    return params.deform(_read_beat(config, state))
+    rates = config.motion.compute_bend_rate(state), compute_amplitude_rate(state)
+    return params.deform(_read_beat(state, *rates))
 
 
-def locate_markers(config: BodyConfig, params: BodyParams, state: BodyState) -> Tensor:
+def locate_markers(params: BodyParams, state: BodyState) -> Tensor:
     """Return the positions of ``place_markers`` alone, ``[B, N, 2]`` in nodes."""
-    axial, lateral = params.draw(_read_beat(config, state))
+    still = torch.zeros_like(state.phase)
+    axial, lateral = params.draw(_read_beat(state, still, still))
     return state.position[:, None] + rotate(state, axial, lateral)
 
 
@@ -94,13 +96,13 @@ def compute_axis(state: BodyState) -> tuple[Tensor, Tensor]:
     return torch.cos(angle), torch.sin(angle)
 
 
-def _read_beat(config: BodyConfig, state: BodyState) -> Beat:
+def _read_beat(state: BodyState, bend_rate: Tensor, amplitude_rate: Tensor) -> Beat:
     return Beat(
         phase=state.phase,
         frequency=state.frequency,
         beats=state.beats,
         bend=state.bend,
-        bend_rate=config.motion.compute_bend_rate(state),
+        bend_rate=bend_rate,
         amplitude=state.amplitude,
-        amplitude_rate=compute_amplitude_rate(state),
+        amplitude_rate=amplitude_rate,
     )

@@ -15,7 +15,12 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from fishrl.physics.bodies.gait import Beat, Deformation, compute_amplitudes
+from fishrl.physics.bodies.gait import (
+    Beat,
+    Deformation,
+    compute_amplitude_rates,
+    compute_amplitudes,
+)
 
 _Pair = tuple[Tensor, Tensor]
 
@@ -59,7 +64,7 @@ class Slope(NamedTuple):
 
     def draw(self, beat: Beat, step: Tensor) -> Midline:
         """Return the midline; see ``Curve``."""
-        e, e_t = compute_amplitudes(beat)
+        e, e_t = compute_amplitudes(beat), compute_amplitude_rates(beat)
 
         def combine(order: int, amplitudes: list[Tensor]) -> Tensor:
             parts = [self.modes[:, k, order] * a[:, None] for k, a in enumerate(amplitudes)]

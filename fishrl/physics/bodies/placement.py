@@ -35,8 +35,7 @@ def check_placement(
     names = [f"{index} ({type(body).__name__})" for index, body in enumerate(config.bodies)]
     chosen = rows.nonzero()[:, 0]
     params, states = pytree.tree_map(lambda t: t[chosen], (list(params), list(states)))
-    bodies = zip(config.bodies, params, states, strict=True)
-    outlines = [locate_markers(*body) for body in bodies]
+    outlines = [locate_markers(*body) for body in zip(params, states, strict=True)]
     for name, outline in zip(names, outlines, strict=True):
         _require(
             chosen,

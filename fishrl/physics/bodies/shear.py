@@ -11,7 +11,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fishrl.physics.bodies.gait import Beat, Deformation, compute_amplitudes
+from fishrl.physics.bodies.gait import (
+    Beat,
+    Deformation,
+    compute_amplitude_rates,
+    compute_amplitudes,
+)
 
 
 class ShearParams(NamedTuple):
@@ -46,11 +51,11 @@ class ShearParams(NamedTuple):
 
     def draw(self, beat: Beat) -> tuple[Tensor, Tensor]:
         """Return the markers along and across the axis ``[B, N]``, without their velocity."""
-        return self.axial, self._sum_modes(compute_amplitudes(beat)[0])
+        return self.axial, self._sum_modes(compute_amplitudes(beat))
 
     def deform(self, beat: Beat) -> Deformation:
         """Return the outline and its velocity at one instant."""
-        e, e_t = compute_amplitudes(beat)
+        e, e_t = compute_amplitudes(beat), compute_amplitude_rates(beat)
         lateral, velocity = self._sum_modes(e), torch.zeros_like(self.lateral)
         inertia, inertia_rate = self.inertia, torch.zeros_like(beat.phase)
         momentum = torch.zeros_like(beat.phase)

@@ -326,7 +326,7 @@ class InPlaceSolver:
 
     def markers(self, index: int = 0) -> Tensor:
         """Return the closed outline ``[B, N, 2]`` of a body in nodes, nose first."""
-        return locate_markers(*self._get_body(index))
+        return locate_markers(*self._get_body(index)[1:])
 
     def surface(self, index: int = 0) -> Markers:
         """Return the markers of a body with their arms and deformation velocities."""

@@ -377,4 +377,4 @@ def test_markers_located_without_their_motion_are_the_same(
     one = torch.ones_like(body.phase)
     body = body._replace(phase=0.7 * one, beats=0.6 * one, bend=0.02 * one)
     expected = place_markers(body, deform_body(fish, shape, body)).position
-    assert torch.equal(locate_markers(fish, shape, body), expected)
+    assert torch.equal(locate_markers(shape, body), expected)
