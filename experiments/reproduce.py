@@ -33,6 +33,9 @@ from experiments.validation.swimmer import CASE
 from fishrl.bounds import Checked, bounded
 from fishrl.envs import AbstractTask, KarmanGait, make_env
 from fishrl.training.description import make
+from fishrl.training.learner import one_thread
+from fishrl.training.plan import Plan
+from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import write_json
 
 #: Settings of the trainings of each arm, besides those of the scale. Without rows of frequencies a
@@ -110,11 +113,13 @@ class Job:
         name: of the job.
         words: program and settings.
         updates: of nodes, about, by all flows.
+        gradient_steps: of all seeds.
     """
 
     name: str
     words: tuple[str, ...]
     updates: float = 0.0
+    gradient_steps: float = 0.0
 
 
 def count_updates(task: AbstractTask, periods: float) -> float:
@@ -135,6 +140,7 @@ def plan_training(name: str, settings: Sequence[str], scale: Scale, folder: Path
         name=name,
         words=("train", "--multirun", *settings, seeds, f"folder={folder / name}"),
         updates=len(scale.seeds) * count_updates(task, decisions * task.interval_T),
+        gradient_steps=len(scale.seeds) * run.total_frames * plan.learning.updates_per_frame,
     )
 
 
@@ -252,16 +258,26 @@ def run_job(job: Job, record: Record, lock: int) -> None:
         raise ValueError(f"{job.name} ended with status {child.returncode}; repeat the command")
 
 
-def measure_speed(gait: KarmanGait) -> float:
-    """Return the node updates per second of fish in the streams of a task, on this machine."""
+def measure_speed(plan: Plan) -> tuple[float, float]:
+    """Return node updates and gradient steps per second of a training, on this machine."""
+    gait: Any = plan.task
     task = replace(gait, stream=replace(gait.stream, has_disc=False))  # needs no wake
-    env, num = make_env(task=task, num_envs=16), 4
+    num_envs, num = plan.learning.num_envs, 4
+    env = make_env(task=task, num_envs=num_envs)
+    learner = plan.algorithm.make_learner(PolicySpec.for_task(task), plan.learning)
     env.rollout(1)
     began = time.perf_counter()
-    env.rollout(num, break_when_any_done=False)
+    steps = env.rollout(num, break_when_any_done=False)
     seconds = time.perf_counter() - began
     env.close()
-    return 16 * count_updates(task, num * task.interval_T) / seconds
+    learner.store(steps.reshape(-1))
+    with one_thread():
+        learner.update()  # traces the step
+        began = time.perf_counter()
+        for _ in range(steps.numel()):
+            learner.update()
+    updates = num_envs * count_updates(task, num * task.interval_T)
+    return updates / seconds, steps.numel() / (time.perf_counter() - began)
 
 
 @program(ReproduceSettings, groups={"scale": "small"})
@@ -273,10 +289,12 @@ def main(settings: ReproduceSettings) -> None:
         jobs, record = list_jobs(scale, folder), Record(folder)
         left = [job for job in jobs if not record.is_finished(job)]
         if left:
-            speed = measure_speed(make(TRAINING.read(scale.gait).task, kind=KarmanGait))
-            print(f"{speed / 1e6:.0f} million node updates per second; left, about:")
+            flow, learning = measure_speed(make_plan(TRAINING.read(scale.gait)))
+            print(f"{flow / 1e6:.0f} million node updates and {learning:.0f} gradient steps per s")
+            print("left, about:")
         for job in left:
-            print(f"  {job.updates / speed / 3600.0:7.2f} h  {job.name}")
+            hours = (job.updates / flow + job.gradient_steps / learning) / 3600.0
+            print(f"  {hours:7.2f} h  {job.name}")
         if settings.plan:
             return
         for number in range(len(jobs)):
