@@ -2,7 +2,8 @@
 
 Each condition changes settings of the task, the same for every policy: the disc, the streams, the
 starts, the lateral line. ``conditions={wide:{stream:{diameter_bl:0.6}}}`` gives others. Policies
-swim from the same starts in every stream. Writes ``robustness.json``, ``robustness.md`` and
+swim from the same starts in every stream; those of ``task=karman_varied`` in the streams of
+``COMMON`` unless a condition says otherwise. Writes ``robustness.json``, ``robustness.md`` and
 ``robustness.png``; histories are cached, so the same command goes on after an interruption.
 """
 
@@ -34,6 +35,7 @@ from experiments.program import program
 from experiments.statistics import compare_paired
 from fishrl.bounds import Checked, bounded
 from fishrl.envs import KarmanGait
+from fishrl.envs.streams import Stream
 from fishrl.modules import LateralLineClassifier
 from fishrl.training.description import make, to_plain
 from fishrl.training.progress import Progress
@@ -51,6 +53,11 @@ CONDITIONS: dict[str, Any] = {
     "2.5 to 3.5 L behind": {"start_x_bl": (2.5, 3.5)},
     "sensor noise 0.5 L/T": {"lateral_line": {"noise": 0.5}},
     "sensors delayed by T/4": {"lateral_line": {"delay": 2}},
+}
+#: Those of the policies that were trained behind one disc: where the others are tried, too.
+COMMON: dict[str, Any] = {
+    "stream": {"speeds_bl": (1.0, 1.25, 1.5), "diameter_bl": 0.4},
+    "lateral_line": {"noise": 0.0},
 }
 
 
@@ -83,15 +90,38 @@ class RobustnessSettings(Checked):
 def vary(trial: Trial, changes: Mapping[str, Any]) -> Trial:
     """Return a trial with other settings of its task, such as ``{"start_x_bl": (2.5, 3.5)}``.
 
-    Its classifier, if any, gives each stream the label that it knows in that place.
+    Its classifier, if any, gives each stream the label that it knows in that place. A policy that
+    was trained behind several discs gets the settings of ``COMMON`` first, and in each stream the
+    row of frequencies of the most similar one in training.
     """
-    varied = OmegaConf.merge(to_plain(trial.task), to_plain(changes))
-    task = make(OmegaConf.to_container(varied), kind=KarmanGait)
-    recognition = trial.recognition
+    recognition, has_several = trial.recognition, len(set(trial.task.stream.diameters_bl)) > 1
+    common = COMMON if has_several else {}
+    settings = OmegaConf.merge(*(to_plain(each) for each in (trial.task, common, changes)))
+    if has_several:
+        if isinstance(recognition, LateralLineClassifier):
+            raise ValueError(
+                f"runs: the classifier of {trial.name} knows streams behind several discs, and the "
+                "conditions have others; give runs without a classifier"
+            )
+        _choose_rows(settings, trial.task)
+    task = make(OmegaConf.to_container(settings), kind=KarmanGait)
     if isinstance(recognition, LateralLineClassifier):
         recognition = deepcopy(recognition)
         recognition.flows = task.flow_labels
     return replace(trial, task=task, recognition=recognition)
+
+
+def _choose_rows(settings: Any, trained: KarmanGait) -> None:
+    """Give each stream of the settings of a task the row of the most similar one in training."""
+    stream = make(OmegaConf.to_container(settings.stream), kind=Stream)
+    flows, known = (
+        torch.tensor((each.speeds_bl, each.diameters_bl)).log().T
+        for each in (stream, trained.stream)
+    )
+    nearest = torch.cdist(flows, known).argmin(1).tolist()
+    settings.start_flows = list(range(len(nearest)))
+    if trained.control.num_flows is not None:
+        settings.control.bank.rows = [list(trained.control.rows[flow]) for flow in nearest]
 
 
 def summarise(arms: Mapping[str, Sequence[Trial]], done: Mapping[str, list[Histories]]) -> Any:
@@ -172,16 +202,25 @@ def main(settings: RobustnessSettings) -> None:
     torch.set_num_threads(1)
     folder, periods = Path(settings.folder), settings.periods
     tried = [load_trial(Path(run), periods=periods) for run in settings.runs]
-    banked = [trial.task for trial in tried if trial.task.control.num_flows is not None]
+    banked = [trial for trial in tried if trial.task.control.num_flows is not None]
     if not banked:
         raise ValueError("runs: give one with macro-actions, whose task the baselines get")
-    tried += [make_trial(name, banked[0], periods=periods) for name in settings.baselines]
-    if settings.reference not in {trial.arm for trial in tried}:
-        known = sorted({trial.arm for trial in tried})
+    known = sorted({*(trial.arm for trial in tried), *settings.baselines})
+    if settings.reference not in known:
         raise ValueError(f"reference = {settings.reference!r}: the arms are {known}")
+
+    def list_trials(changes: Mapping[str, Any]) -> list[Trial]:
+        """Return the trials of a condition; baselines have the rows and starts of the first run."""
+        task = vary(banked[0], changes).task
+        x, y = task.start_x_bl, task.start_y_bl
+        baselines = [make_trial(name, task, periods=periods) for name in settings.baselines]
+        return [
+            *(vary(trial, changes) for trial in tried),
+            *(replace(b, task=replace(b.task, start_x_bl=x, start_y_bl=y)) for b in baselines),
+        ]
+
     varied = {
-        name: [vary(trial, changes) for trial in tried]
-        for name, changes in (settings.conditions or CONDITIONS).items()
+        name: list_trials(changes) for name, changes in (settings.conditions or CONDITIONS).items()
     }
     results = {}
     with Progress() as progress:

@@ -93,23 +93,23 @@ def _arenas(
     path: Path, recorded: Recorded, task: KarmanGait
 ) -> Iterator[Iterator[tuple[Axes, Histories]]]:
     """Yield a panel for each policy and flow, with its episodes; draw disc and safe area there."""
-    speeds, size, area = task.stream.speeds_bl, (11, 0.5 + 2.1 * len(recorded)), task.safe_area
-    shape = {"rows": len(recorded), "columns": len(speeds)}
+    labels, size, area = task.stream.labels, (11, 0.5 + 2.1 * len(recorded)), task.safe_area
+    shape = {"rows": len(recorded), "columns": len(labels)}
     corner = (area.near_bl, -area.aside_bl)
     extent = (area.far_bl - area.near_bl, 2.0 * area.aside_bl)
     border: Any = {"edgecolor": "#999999", "linestyle": "--", "linewidth": 0.8}
-    radius = 0.5 * task.stream.diameter_bl
     with panels(path, size=size, **shape, sharex=True, sharey=True) as grid:
         episodes = [histories for flows in recorded.values() for histories in flows]
         yield zip(grid.flat, episodes, strict=True)
         for row, name in zip(grid, recorded, strict=True):
-            for axes, speed in zip(row, speeds, strict=True):
+            for axes, label in zip(row, labels, strict=True):
                 axes.add_patch(Rectangle(corner, *extent, fill=False, **border))
                 if task.stream.has_disc:
+                    radius = 0.5 * label["diameter_bl"]
                     axes.add_patch(Wedge((0.0, 0.0), radius, 90.0, 270.0, color="#444444"))
                 height = area.aside_bl + 0.15
                 axes.set(xlim=(-0.3, area.far_bl + 0.2), ylim=(-height, height), aspect="equal")
-                axes.set_title(f"{name}, {speed:g} L/T", fontsize=9)
+                axes.set_title(f"{name}, {label['name']}", fontsize=9)
             row[0].set_ylabel("y  [L]")
         for axes in grid[-1]:
             axes.set_xlabel("x behind the disc  [L]")

@@ -121,7 +121,12 @@ def load_trial(run: Path, *, periods: float = PERIODS) -> Trial:
 
 
 def name_arm(task: KarmanGait, recognition: str | None) -> str:
-    """Name the kind of a learned policy."""
+    """Name the kind of a learned policy, and say if it was trained behind several discs."""
+    has_several = len(set(task.stream.diameters_bl)) > 1
+    return _name_kind(task, recognition) + ", several discs" * has_several
+
+
+def _name_kind(task: KarmanGait, recognition: str | None) -> str:
     if isinstance(task.control, ContinuousFrequency):
         return "continuous frequency"
     if isinstance(task.control, DirectFrequencies):

@@ -11,6 +11,7 @@ from typing import Protocol
 from torch import Tensor
 
 from fishrl.physics.bodies.geometry import Markers
+from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.flow import FlowConfig
 
@@ -18,8 +19,8 @@ from fishrl.physics.flow import FlowConfig
 class Solver(Protocol):
     """B flows and the bodies in them, advanced in place; ``config`` is that of the first flow.
 
-    Grid and bodies are the same in all. Tensors from ``body`` and ``bodies`` change in place: copy
-    what is kept.
+    The grid is the same in all, bodies may differ in their parameters. Tensors from ``body`` and
+    ``bodies`` change in place: copy what is kept.
     """
 
     config: FlowConfig
@@ -72,6 +73,9 @@ class Solver(Protocol):
 
         It changes smoothly over ``num_steps``, or at once.
         """
+
+    def set_body_(self, index: int, params: BodyParams, rows: Tensor) -> None:
+        """Give a body of the flows of ``rows`` ``[B]`` other parameters ``[B, ...]``."""
 
     def set_populations_(self, f: Tensor, rows: Tensor) -> None:
         """Set the flows of ``rows`` ``[B]`` to shifted populations ``[B, Q, Y, X]``."""

@@ -1,13 +1,15 @@
-"""Streams of several speeds, which may change within an episode, with or without a half disc."""
+"""Streams of several speeds, which may change within an episode, with or without half discs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import pi
+from functools import cache
+from math import inf, pi
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
+from torch.utils import _pytree as pytree
 
 from fishrl.bounds import bounded, check_bounds
 from fishrl.envs.changes import StreamChanges
@@ -15,7 +17,7 @@ from fishrl.envs.protocol import Solver
 from fishrl.envs.scene import Panel, Series
 from fishrl.envs.wakes import WakeBank, WakeRecipe, load_wakes
 from fishrl.physics.bodies.fish import Fish
-from fishrl.physics.bodies.outline import DCylinder
+from fishrl.physics.bodies.outline import BodyParams, DCylinder
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import MAX_WALL_SPEED, Scales
@@ -23,7 +25,7 @@ from fishrl.physics.units import MAX_WALL_SPEED, Scales
 
 @dataclass(frozen=True, kw_only=True)
 class Stream:
-    """Streams along +x that differ in speed only.
+    """Streams along +x that differ in speed and in the diameter of their half disc.
 
     Inflow and sides move with the stream; the outflow is transparent to plane sound waves. The flat
     side of the half disc faces downstream as in Liao et al. 2003 (the paper does not specify it).
@@ -33,7 +35,8 @@ class Stream:
         changes: changes of the speed within an episode, which begins at one of ``speeds_bl``; None
             for steady streams.
         has_disc: include the half disc; positions refer to its location in a free stream too.
-        diameter_bl: D of the half disc, body lengths.
+        diameter_bl: D of the half disc, body lengths, one for all streams or one for each. Discs of
+            different D have as many markers as the largest, on which they lie a node apart.
         face_bl: distance of its flat side from the inflow.
         num_phases: wake snapshots per shedding period from which episodes start.
         num_travels: development time of a wake, D / U; see ``wakes.WakeRecipe``.
@@ -43,7 +46,7 @@ class Stream:
     speeds_bl: tuple[float, ...] = bounded((1.0, 1.25, 1.5), greater=0, entries=1)
     changes: StreamChanges | None = None
     has_disc: bool = True
-    diameter_bl: float = bounded(0.4, greater=0)
+    diameter_bl: float | tuple[float, ...] = bounded(0.4, greater=0)
     face_bl: float = bounded(2.5, greater=0)
     num_phases: int = bounded(8, least=1)
     num_travels: float = bounded(100.0, greater=0)
@@ -52,22 +55,44 @@ class Stream:
     def __post_init__(self) -> None:
         speeds = tuple(float(speed) for speed in self.speeds_bl)
         object.__setattr__(self, "speeds_bl", speeds)
+        if isinstance(self.diameter_bl, list | tuple):
+            object.__setattr__(self, "diameter_bl", tuple(self.diameter_bl))
         check_bounds(self)
+        num = len(self.diameter_bl) if isinstance(self.diameter_bl, tuple) else len(speeds)
+        if num != len(speeds):
+            raise ValueError(
+                f"diameter_bl = {self.diameter_bl}: {num} for {len(speeds)} entries of speeds_bl; "
+                "give one for each, or a number for all"
+            )
+
+    @property
+    def diameters_bl(self) -> tuple[float, ...]:
+        """D of each stream's half disc, body lengths; 0 without one."""
+        if not self.has_disc:
+            return (0.0,) * len(self.speeds_bl)
+        if isinstance(self.diameter_bl, tuple):
+            return self.diameter_bl
+        return (self.diameter_bl,) * len(self.speeds_bl)
 
     @property
     def labels(self) -> list[dict[str, Any]]:
         """Parameters of each flow, in order."""
-        diameter = self.diameter_bl if self.has_disc else 0.0
+        has_several = len(set(self.diameters_bl)) > 1
         return [
-            {"name": f"{speed:g} L/T", "stream_speed_bl": speed, "diameter_bl": diameter}
-            for speed in self.speeds_bl
+            {
+                "name": f"{speed:g} L/T" + f", D = {diameter:g} L" * has_several,
+                "stream_speed_bl": speed,
+                "diameter_bl": diameter,
+            }
+            for speed, diameter in zip(self.speeds_bl, self.diameters_bl, strict=True)
         ]
 
     def make_config(self, fish: Fish, scales: Scales, domain_bl: tuple[float, float]) -> FlowConfig:
-        """Return the flow of the fastest stream with the fish and, if any, the half disc."""
+        """Return the flow of the fastest stream with the fish and, if any, the largest disc."""
         width, height = (round(size * scales.body_length) for size in domain_bl)
         moving = NonEquilibrium(velocity=(1.0, 0.0))
-        disc = [DCylinder(diameter=self.diameter_bl * scales.body_length)] if self.has_disc else []
+        diameter = max(self.diameters_bl) * scales.body_length
+        disc = [DCylinder(diameter=diameter)] if self.has_disc else []
         config = FlowConfig(
             width=width,
             height=height,
@@ -77,8 +102,7 @@ class Stream:
             boundaries=Boundaries(left=moving, right=OpenEdge(), bottom=moving, top=moving),
         )
         x, y = self.find_origin(config, scales)
-        radius = 0.5 * self.diameter_bl * scales.body_length
-        if self.has_disc and not (min(x, y) - radius >= 2.0 and x <= width - 3.0):
+        if self.has_disc and not (min(x, y) - 0.5 * diameter >= 2.0 and x <= width - 3.0):
             raise ValueError(
                 f"face_bl = {self.face_bl}, diameter_bl = {self.diameter_bl}: the half disc "
                 f"exceeds the domain of {domain_bl[0]:g} L x {domain_bl[1]:g} L; move it, "
@@ -93,22 +117,36 @@ class Stream:
         """Return the middle of the disc's flat side (x, y) in nodes."""
         return self.face_bl * scales.body_length, 0.5 * (config.height - 1)
 
-    def find_disc(self, config: FlowConfig, scales: Scales) -> tuple[float, float]:
-        """Return the half disc's centre of area, 2 D / (3 pi) upstream of its flat side."""
+    def find_discs(self, config: FlowConfig, scales: Scales) -> list[tuple[float, float]]:
+        """Return each half disc's centre of area, 2 D / (3 pi) upstream of its flat side."""
         x, y = self.find_origin(config, scales)
-        return x - 2.0 * self.diameter_bl * scales.body_length / (3.0 * pi), y
+        sizes = (diameter * scales.body_length for diameter in self.diameters_bl)
+        return [(x - 2.0 * size / (3.0 * pi), y) for size in sizes]
 
     def load_wakes(self, config: FlowConfig, scales: Scales) -> WakeBank:
-        """Return the developed wakes of all flows, from their file if it exists."""
-        recipe = WakeRecipe(
-            config=replace(config, bodies=config.bodies[1:]),
-            position=self.find_disc(config, scales),
-            heading=pi,
-            speeds=tuple(scales.reference_speed * speed for speed in self.speeds_bl),
-            num_phases=self.num_phases,
-            num_travels=self.num_travels,
+        """Return the developed wakes of all flows, from the file of each diameter if it exists."""
+        discs = self.find_discs(config, scales)
+        wakes: dict[int, tuple[Tensor, Tensor]] = {}
+        for diameter in dict.fromkeys(self.diameters_bl):
+            own = [flow for flow, other in enumerate(self.diameters_bl) if other == diameter]
+            size, num_markers = diameter * scales.body_length, config.bodies[1].num_markers
+            recipe = WakeRecipe(
+                config=replace(config, bodies=(DCylinder(diameter=size, num_markers=num_markers),)),
+                position=discs[own[0]],
+                heading=pi,
+                speeds=tuple(scales.reference_speed * self.speeds_bl[flow] for flow in own),
+                num_phases=self.num_phases,
+                num_travels=self.num_travels,
+            )
+            bank = load_wakes(recipe, self.wake_folder)
+            if len(own) == len(self.speeds_bl):
+                return bank
+            each = zip(bank.populations, bank.shedding_frequencies, strict=True)
+            wakes |= zip(own, each, strict=True)
+        populations, frequencies = zip(*(wakes[flow] for flow in sorted(wakes)), strict=True)
+        return WakeBank(
+            populations=torch.stack(populations), shedding_frequencies=torch.stack(frequencies)
         )
-        return load_wakes(recipe, self.wake_folder)
 
     def draw_changes(self, flow: Tensor, key: Tensor, *, duration_T: float) -> dict[str, Tensor]:
         """Return ``stream_speeds`` ``[E, K]``, L / T: what the K changes of an episode lead to.
@@ -145,14 +183,18 @@ class Stream:
     def measure(self, solver: Solver, first: Tensor, scales: Scales) -> dict[str, Tensor]:
         """Return ``flow_index`` ``[B]``, and ``stream_speed`` ``[B]`` in L / T if it changes.
 
-        The flow is that of the nearest speed at present; ``first`` ``[B]`` is that of the start.
+        The flow is that of the nearest speed at present behind the same disc; ``first`` ``[B]`` is
+        that of the start.
         """
         if self.changes is None:
             return {"flow_index": first.clone()}
         speed = solver.stream_speed / scales.reference_speed
-        known = torch.tensor(self.speeds_bl, dtype=speed.dtype, device=speed.device)
+        flows = (self.speeds_bl, self.diameters_bl)
+        known, sizes = torch.tensor(flows, dtype=speed.dtype, device=speed.device)
+        difference = (speed[:, None] - known).abs()
+        is_other = sizes != sizes[first][:, None]
         return {
-            "flow_index": (speed[:, None] - known).abs().argmin(-1),
+            "flow_index": difference.masked_fill(is_other, inf).argmin(-1),
             "stream_speed": speed,
         }
 
@@ -185,12 +227,22 @@ class Stream:
         speeds = torch.tensor(self.speeds_bl, dtype=torch.float64, device=rows.device)
         solver.set_stream_speed_(scales.reference_speed * speeds[flow], rows)
         if self.has_disc:
-            disc = torch.tensor(self.find_disc(solver.config, scales)).to(position)
-            position = torch.stack((position, disc.expand_as(position)), 1)
+            discs = torch.tensor(self.find_discs(solver.config, scales)).to(position)
+            position = torch.stack((position, discs[flow]), 1)
+            sizes = tuple(scales.body_length * diameter for diameter in self.diameters_bl)
+            params = _draw_discs(sizes, solver.config.bodies[1].num_markers, rows.device)
+            solver.set_body_(1, pytree.tree_map(lambda each: each[flow], params), rows)
             heading = torch.stack((heading, torch.full_like(heading, pi)), 1)
         solver.reset_(rows, position, heading, velocity=(1.0, 0.0))
         if wakes is not None:
             solver.set_populations_(wakes.take(flow[rows], starts["wake_phase"][rows]), rows)
+
+
+@cache
+def _draw_discs(sizes: tuple[float, ...], num_markers: int, device: torch.device) -> BodyParams:
+    """Return the parameters ``[n, ...]`` of half discs of these diameters in nodes."""
+    discs = [DCylinder(diameter=size, num_markers=num_markers) for size in sizes]
+    return pytree.tree_map(lambda *each: torch.cat(each), *(d.make_params(device) for d in discs))
 
 
 def _check_speeds(name: str, speeds: Tensor, scales: Scales) -> None:

@@ -25,8 +25,13 @@ SMALL: dict[str, Any] = {
 def move_kinematically(patch: pytest.MonkeyPatch) -> None:
     """Replace flows by fish that move at constant speed, and developed wakes by nothing."""
     patch.setattr(fishrl.envs.task, "InPlaceSolver", KinematicSolver)
-    bank = WakeBank(populations=torch.zeros(3, 1, 1, 1, 1), shedding_frequencies=torch.ones(3))
-    patch.setattr(Stream, "load_wakes", lambda *_: bank)
+
+    def make_bank(stream: Stream, *_: object) -> WakeBank:
+        num = len(stream.speeds_bl)
+        still = torch.zeros(num, 1, 1, 1, 1)
+        return WakeBank(populations=still, shedding_frequencies=torch.ones(num))
+
+    patch.setattr(Stream, "load_wakes", make_bank)
 
 
 @pytest.fixture

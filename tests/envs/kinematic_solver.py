@@ -6,6 +6,7 @@ from torch import Tensor
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.geometry import Markers, deform_body, place_markers
 from fishrl.physics.bodies.motion import Driven
+from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.flow import FlowConfig
 
@@ -100,6 +101,9 @@ class KinematicSolver:
     def set_populations_(self, f: Tensor, rows: Tensor) -> None:
         """There is no flow to set."""
         assert f.shape[0] == int(rows.sum())
+
+    def set_body_(self, index: int, params: BodyParams, rows: Tensor) -> None:
+        """There is no obstacle to change."""
 
     def set_stream_speed_(
         self, speed: Tensor, rows: Tensor, *, num_steps: int | None = None

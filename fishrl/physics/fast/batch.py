@@ -1,6 +1,7 @@
 """All flows of a batch in one block of memory, and the step that advances them in this process."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -8,6 +9,7 @@ from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.collision import compute_macroscopic
+from fishrl.physics.fast.checks import check_tensor
 from fishrl.physics.fast.coupled import has_kernel
 from fishrl.physics.fast.layout import FlowData, FlowMemory, InPlaceLayout
 from fishrl.physics.fast.step import FlowGroup, Scratch, Stepper
@@ -157,6 +159,20 @@ class FlowBatch:
             return state
         groups = zip(*(layout.nodes(row, 0, False) for row in data), strict=True)
         return {**state, **{f"f{q}": torch.cat(views) for q, views in enumerate(groups)}}
+
+
+def set_rows_(own: Any, new: Any, rows: Tensor, *, name: str) -> None:
+    """Set the rows ``[B]`` bool of all tensors ``[B, ...]`` of a nested tuple to those of another.
+
+    Raises:
+        ValueError: if it is not of the same form and shapes; then nothing has changed.
+    """
+    pairs = list(zip(pytree.tree_leaves(own), pytree.tree_leaves(new), strict=True))
+    for before, after in pairs:
+        check_tensor(name, after, tuple(before.shape))
+    for before, after in pairs:
+        chosen = rows.view(-1, *(1,) * (before.dim() - 1))
+        before.copy_(torch.where(chosen, after, before))
 
 
 def _make_fresh(configs: Sequence[FlowConfig], device: torch.device) -> FlowData:

@@ -7,14 +7,13 @@ from typing import IO
 
 import torch
 from torch import Tensor
-from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.geometry import Markers, deform_body, locate_markers, place_markers
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.placement import check_placement, lies_inside, spread_starts
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
-from fishrl.physics.fast.batch import FlowBatch
+from fishrl.physics.fast.batch import FlowBatch, set_rows_
 from fishrl.physics.fast.checks import check_tensor
 from fishrl.physics.fast.compiled import Kernel, find_compiler_problem
 from fishrl.physics.fast.workers import Workers, count_cores, map_shared, open_shared
@@ -216,8 +215,7 @@ class InPlaceSolver:
         zero, rise = torch.zeros_like(flow.clock), make_params(self.configs, self.device).ramp_steps
         params = flow.params._replace(ramp_steps=rise, former_speed=zero, ramp_start=zero)
         new = flow._replace(clock=zero, params=params, bodies=tuple(fresh))
-        for own, value in zip(pytree.tree_leaves(flow), pytree.tree_leaves(new), strict=True):
-            own.copy_(torch.where(rows.view(-1, *(1,) * (own.dim() - 1)), value, own))
+        set_rows_(flow, new, rows, name="flow")
         speed = params.stream_speed.float()
         still = torch.zeros_like(speed)
         f = compute_equilibrium(still, velocity[0] * speed, velocity[1] * speed)
@@ -255,6 +253,13 @@ class InPlaceSolver:
             )
         for own, value in zip(flow.params[:-1], new[:-1], strict=True):
             own.copy_(torch.where(rows, value, own))
+
+    def set_body_(self, index: int, params: BodyParams, rows: Tensor | None = None) -> None:
+        """Give a body of all flows, or of those in ``rows`` ``[B]``, other parameters ``[B, ...]``.
+
+        Place it anew by ``reset_``. ValueError for another kind of body or number of markers.
+        """
+        set_rows_(self._get_body(index)[1], params, self._choose(rows), name="params")
 
     def set_populations_(self, f: Tensor, rows: Tensor | None = None) -> None:
         """Set all flows, or the N of ``rows`` ``[B]``, to shifted populations ``[N, Q, Y, X]``."""
