@@ -124,6 +124,24 @@ def _choose_rows(settings: Any, trained: KarmanGait) -> None:
         settings.control.bank.rows = [list(trained.control.rows[flow]) for flow in nearest]
 
 
+def list_trials(
+    tried: Sequence[Trial], baselines: Sequence[str], changes: Mapping[str, Any], *, periods: float
+) -> list[Trial]:
+    """Return the trials under a condition; baselines get the task of the first with macro-actions.
+
+    ValueError if there is none.
+    """
+    trials = [vary(trial, changes) for trial in tried]
+    banked = [trial.task for trial in trials if trial.task.control.num_flows is not None]
+    if not banked:
+        raise ValueError("runs: give one with macro-actions, whose task the baselines get")
+    x, y = banked[0].start_x_bl, banked[0].start_y_bl
+    for name in baselines:
+        trial = make_trial(name, banked[0], periods=periods)
+        trials.append(replace(trial, task=replace(trial.task, start_x_bl=x, start_y_bl=y)))
+    return trials
+
+
 def summarise(arms: Mapping[str, Sequence[Trial]], done: Mapping[str, list[Histories]]) -> Any:
     """Reduce a condition to numbers by arm: survival by policy and start, means of the rest."""
     summary = {}
@@ -202,25 +220,13 @@ def main(settings: RobustnessSettings) -> None:
     torch.set_num_threads(1)
     folder, periods = Path(settings.folder), settings.periods
     tried = [load_trial(Path(run), periods=periods) for run in settings.runs]
-    banked = [trial for trial in tried if trial.task.control.num_flows is not None]
-    if not banked:
-        raise ValueError("runs: give one with macro-actions, whose task the baselines get")
     known = sorted({*(trial.arm for trial in tried), *settings.baselines})
     if settings.reference not in known:
         raise ValueError(f"reference = {settings.reference!r}: the arms are {known}")
 
-    def list_trials(changes: Mapping[str, Any]) -> list[Trial]:
-        """Return the trials of a condition; baselines have the rows and starts of the first run."""
-        task = vary(banked[0], changes).task
-        x, y = task.start_x_bl, task.start_y_bl
-        baselines = [make_trial(name, task, periods=periods) for name in settings.baselines]
-        return [
-            *(vary(trial, changes) for trial in tried),
-            *(replace(b, task=replace(b.task, start_x_bl=x, start_y_bl=y)) for b in baselines),
-        ]
-
     varied = {
-        name: list_trials(changes) for name, changes in (settings.conditions or CONDITIONS).items()
+        name: list_trials(tried, settings.baselines, changes, periods=periods)
+        for name, changes in (settings.conditions or CONDITIONS).items()
     }
     results = {}
     with Progress() as progress:

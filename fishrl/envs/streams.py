@@ -92,13 +92,14 @@ class Stream:
         width, height = (round(size * scales.body_length) for size in domain_bl)
         moving = NonEquilibrium(velocity=(1.0, 0.0))
         diameter = max(self.diameters_bl) * scales.body_length
-        disc = [DCylinder(diameter=diameter)] if self.has_disc else []
+        discs = _make_discs(self._measure_discs(scales)) if self.has_disc else ()
+        largest = sorted(discs, key=lambda disc: disc.diameter)[-1:]
         config = FlowConfig(
             width=width,
             height=height,
             tau=scales.tau,
             stream_speed=max(self.speeds_bl) * scales.reference_speed,
-            bodies=(fish, *disc),
+            bodies=(fish, *largest),
             boundaries=Boundaries(left=moving, right=OpenEdge(), bottom=moving, top=moving),
         )
         x, y = self.find_origin(config, scales)
@@ -120,19 +121,21 @@ class Stream:
     def find_discs(self, config: FlowConfig, scales: Scales) -> list[tuple[float, float]]:
         """Return each half disc's centre of area, 2 D / (3 pi) upstream of its flat side."""
         x, y = self.find_origin(config, scales)
-        sizes = (diameter * scales.body_length for diameter in self.diameters_bl)
-        return [(x - 2.0 * size / (3.0 * pi), y) for size in sizes]
+        return [(x - 2.0 * size / (3.0 * pi), y) for size in self._measure_discs(scales)]
+
+    def _measure_discs(self, scales: Scales) -> tuple[float, ...]:
+        """Return the diameter of each half disc in nodes."""
+        return tuple(diameter * scales.body_length for diameter in self.diameters_bl)
 
     def load_wakes(self, config: FlowConfig, scales: Scales) -> WakeBank:
         """Return the developed wakes of all flows, from the file of each diameter if it exists."""
-        discs = self.find_discs(config, scales)
+        discs, places = _make_discs(self._measure_discs(scales)), self.find_discs(config, scales)
         wakes: dict[int, tuple[Tensor, Tensor]] = {}
         for diameter in dict.fromkeys(self.diameters_bl):
             own = [flow for flow, other in enumerate(self.diameters_bl) if other == diameter]
-            size, num_markers = diameter * scales.body_length, config.bodies[1].num_markers
             recipe = WakeRecipe(
-                config=replace(config, bodies=(DCylinder(diameter=size, num_markers=num_markers),)),
-                position=discs[own[0]],
+                config=replace(config, bodies=(discs[own[0]],)),
+                position=places[own[0]],
                 heading=pi,
                 speeds=tuple(scales.reference_speed * self.speeds_bl[flow] for flow in own),
                 num_phases=self.num_phases,
@@ -227,10 +230,9 @@ class Stream:
         speeds = torch.tensor(self.speeds_bl, dtype=torch.float64, device=rows.device)
         solver.set_stream_speed_(scales.reference_speed * speeds[flow], rows)
         if self.has_disc:
-            discs = torch.tensor(self.find_discs(solver.config, scales)).to(position)
-            position = torch.stack((position, discs[flow]), 1)
-            sizes = tuple(scales.body_length * diameter for diameter in self.diameters_bl)
-            params = _draw_discs(sizes, solver.config.bodies[1].num_markers, rows.device)
+            places = torch.tensor(self.find_discs(solver.config, scales)).to(position)
+            position = torch.stack((position, places[flow]), 1)
+            params = _draw_discs(self._measure_discs(scales), rows.device)
             solver.set_body_(1, pytree.tree_map(lambda each: each[flow], params), rows)
             heading = torch.stack((heading, torch.full_like(heading, pi)), 1)
         solver.reset_(rows, position, heading, velocity=(1.0, 0.0))
@@ -239,10 +241,17 @@ class Stream:
 
 
 @cache
-def _draw_discs(sizes: tuple[float, ...], num_markers: int, device: torch.device) -> BodyParams:
-    """Return the parameters ``[n, ...]`` of half discs of these diameters in nodes."""
-    discs = [DCylinder(diameter=size, num_markers=num_markers) for size in sizes]
-    return pytree.tree_map(lambda *each: torch.cat(each), *(d.make_params(device) for d in discs))
+def _make_discs(sizes: tuple[float, ...]) -> tuple[DCylinder, ...]:
+    """Return half discs of these diameters in nodes, all with the markers of the largest."""
+    num_markers = DCylinder(diameter=max(sizes)).num_markers
+    return tuple(DCylinder(diameter=size, num_markers=num_markers) for size in sizes)
+
+
+@cache
+def _draw_discs(sizes: tuple[float, ...], device: torch.device) -> BodyParams:
+    """Return the parameters ``[n, ...]`` of these half discs."""
+    params = [disc.make_params(device) for disc in _make_discs(sizes)]
+    return pytree.tree_map(lambda *each: torch.cat(each), *params)
 
 
 def _check_speeds(name: str, speeds: Tensor, scales: Scales) -> None:

@@ -1,5 +1,7 @@
 """Kármán gait on the real flow: small and for few actions, so the physics is not accurate."""
 
+from math import pi
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -29,7 +31,8 @@ STREAM = {"face_bl": 1.0, "num_travels": 30.0, "num_phases": 4}
 def task(tmp_path_factory: pytest.TempPathFactory) -> KarmanGait:
     """Return a task whose wakes are nothing but the undisturbed streams, and a bit of noise."""
     folder = tmp_path_factory.mktemp("wakes")
-    task = KarmanGait(**TINY, stream=Stream(**STREAM, wake_folder=str(folder)))
+    stream = Stream(**STREAM, diameter_bl=(0.4, 0.6, 0.5), wake_folder=str(folder))
+    task = KarmanGait(**TINY, stream=stream)
     config = task.flow_config()
     generator = torch.Generator().manual_seed(0)
     noise = torch.randn(3, 4, 9, config.height, config.width, generator=generator)
@@ -78,9 +81,12 @@ def test_a_saved_environment_goes_on_exactly_and_resets_alike(task: KarmanGait) 
     assert (act(env, 0, 2) == act(other, 0, 2)).all()
     for name, value in read_flows(env).items():
         assert torch.equal(read_flows(other)[name], value), name
+    assert torch.equal(other.solver.markers(1), env.solver.markers(1))
 
 
-def test_an_episode_begins_in_the_wake_that_its_start_names(task: KarmanGait) -> None:
+def test_an_episode_begins_behind_the_disc_and_in_the_wake_that_its_start_names(
+    task: KarmanGait,
+) -> None:
     starts = task.sample_starts(2, torch.Generator().manual_seed(5))
     starts["flow_index"], starts["wake_phase"] = (
         torch.tensor([2, 0]),
@@ -91,7 +97,13 @@ def test_an_episode_begins_in_the_wake_that_its_start_names(task: KarmanGait) ->
     assert task.wakes is not None
     expected = task.wakes.populations[[2, 0], [3, 0]]
     assert torch.equal(env.solver.populations(), expected)
-    disc = env.solver.markers(1)
+    discs = env.solver.markers(1)
     x, y = task.origin.tolist()
-    assert disc[..., 0].max().item() == pytest.approx(x, abs=0.5)
-    assert disc[..., 1].mean().item() == pytest.approx(y, abs=0.1)
+    for outline, diameter in zip(discs, (10.0, 8.0), strict=True):
+        assert outline[:, 0].max().item() == pytest.approx(x, abs=0.5)
+        assert outline[:, 1].mean().item() == pytest.approx(y, abs=0.1)
+        inset = torch.tensor([0.5 * diameter, diameter]) - outline.amax(0) + outline.amin(0)
+        assert ((inset > 0.0) & (inset < 0.9)).all()  # markers lie 0.45 nodes inside
+        spacing = outline.diff(dim=0).norm(dim=1)
+        perimeter = diameter * (1.0 + 0.5 * pi)
+        assert spacing.mean().item() == pytest.approx(perimeter / len(outline), rel=0.15)

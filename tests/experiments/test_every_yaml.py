@@ -42,6 +42,8 @@ MORE = {
     "follower": ["algorithm=sac"],
     "follower_disc": ["algorithm=sac", "task.diameter_bl=0.5"],
     "follower_small": ["algorithm=sac"],
+    "karman_varied": ["task.body_length=28"],
+    "gait_varied": ["task.body_length=28"],
     "wandb": ["logger.is_offline=true"],
 }
 

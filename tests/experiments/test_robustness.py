@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from experiments import robustness
-from experiments.gait.trials import load_trial
-from experiments.robustness import CONDITIONS, vary
+from experiments.gait.trials import load_trial, make_trial
+from experiments.robustness import CONDITIONS, list_trials, vary
 from experiments.statistics import compare_paired
+from experiments.train_settings import TRAINING
+from fishrl.envs import KarmanGait
+from fishrl.modules import LateralLineClassifier
+from fishrl.training.description import make
 from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
 
 POLICY = Path("zoo/gait_small_ablation")
@@ -26,6 +31,27 @@ def test_a_condition_changes_its_setting_alone() -> None:
     assert wide.task.stream.speeds_bl == trial.task.stream.speeds_bl
     with pytest.raises(ValueError, match="diametre_bl"):
         vary(trial, {"stream": {"diametre_bl": 0.6}})
+
+
+def test_a_policy_of_several_discs_and_baselines_get_the_row_of_the_nearest_stream() -> None:
+    settings = TRAINING.read(["preset=gait_varied"])
+    task = make(settings.task, kind=KarmanGait)
+    own = make_trial("pid", task, periods=2.0)
+    assert task.scales == load_trial(POLICY, periods=2.0).task.scales
+    for changes, flows in (
+        ({}, (1, 5, 9)),
+        ({"stream": {"diameter_bl": 0.5}}, (2, 6, 10)),
+        ({"stream": {"speeds_bl": (0.8, 1.7), "diameter_bl": (0.2, 0.6)}}, (0, 11)),
+    ):
+        trials = list_trials([own], ["pid"], {**changes, "start_y_bl": (0.3, 0.6)}, periods=2.0)
+        for trial in trials:
+            assert trial.task.control.rows == tuple(task.control.rows[flow] for flow in flows)
+            assert trial.task.start_flows == tuple(range(len(flows)))
+            assert (trial.task.start_y_bl, trial.task.lateral_line.noise) == ((0.3, 0.6), 0.0)
+        assert tuple(map(tuple, trials[1].make_policy().rows.tolist())) == trial.task.control.rows
+    machine = LateralLineClassifier(flows=task.flow_labels, sensors=task.lateral_line_layout)
+    with pytest.raises(ValueError, match="give runs without a classifier"):
+        vary(replace(own, recognition=machine), {})
 
 
 def test_differences_are_paired_by_start() -> None:

@@ -23,7 +23,8 @@ pytestmark = [
 def make_task(name: str, monkeypatch: pytest.MonkeyPatch) -> AbstractTask:
     if name == "predation":
         return Predation(**FLOW)
-    task = KarmanGait(**WAKE, stream=Stream(face_bl=1.0, num_travels=30.0, num_phases=2))
+    stream = Stream(diameter_bl=(0.4, 0.5, 0.6), face_bl=1.0, num_travels=30.0, num_phases=2)
+    task = KarmanGait(**WAKE, stream=stream)
     config = task.flow_config()
     noise = torch.randn(
         3, 2, 9, config.height, config.width, generator=torch.Generator().manual_seed(0)

@@ -1,0 +1,112 @@
+"""Streams behind discs of several sizes: labels, wakes, and what cannot be."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from fishrl.envs import KarmanGait
+from fishrl.envs.changes import StreamSteps
+from fishrl.envs.stations import SafeArea
+from fishrl.envs.streams import Stream
+from fishrl.envs.wakes import WakeBank, WakeRecipe
+from tests.envs.conftest import SMALL, act, make_flows
+from tests.envs.test_real_wake import TINY
+
+VARIED = Stream(speeds_bl=(1.0, 1.5, 1.0), diameter_bl=(0.4, 0.4, 0.6))
+
+
+def make_task(stream: Stream, **arguments: Any) -> KarmanGait:
+    return KarmanGait(**SMALL | {"wall_margin_bl": 0.25, "stream": stream} | arguments)
+
+
+def test_a_flow_is_named_by_its_speed_and_by_its_disc_where_they_differ() -> None:
+    labels = make_task(VARIED).flow_labels
+    assert [label["name"] for label in labels][1:] == ["1.5 L/T, D = 0.4 L", "1 L/T, D = 0.6 L"]
+    assert [label["diameter_bl"] for label in labels] == [0.4, 0.4, 0.6]
+    assert [label["name"] for label in Stream(diameter_bl=0.6).labels][:2] == ["1 L/T", "1.25 L/T"]
+    assert replace(VARIED, has_disc=False).diameters_bl == (0.0, 0.0, 0.0)
+
+
+def test_every_flow_has_the_wake_of_its_disc_and_speed_from_a_file_for_each_disc(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recipes = []
+
+    def develop(recipe: WakeRecipe, **_: object) -> WakeBank:
+        recipes.append(recipe)
+        sizes = [recipe.config.bodies[0].size * speed for speed in recipe.speeds]
+        height, width = recipe.config.height, recipe.config.width
+        empty = torch.tensor(sizes)[:, None, None, None, None].expand(-1, 2, 9, height, width)
+        return WakeBank(populations=empty, shedding_frequencies=torch.tensor(sizes))
+
+    monkeypatch.setattr("fishrl.envs.wakes.develop_wakes", develop)
+    stream = replace(
+        VARIED,
+        speeds_bl=(1.0, 1.0, 1.5),
+        diameter_bl=(0.4, 0.6, 0.4),
+        num_phases=2,
+        face_bl=1.0,
+        wake_folder=str(tmp_path),
+    )
+    for _ in range(2):
+        task = KarmanGait(**TINY, stream=stream)
+        assert task.wakes is not None
+        found = task.wakes.shedding_frequencies / task.wakes.shedding_frequencies[0]
+        assert found.tolist() == pytest.approx([1.0, 1.5, 1.5])
+        assert torch.equal(task.wakes.populations[:, 0, 0, 0, 0], task.wakes.shedding_frequencies)
+    assert len(recipes) == len(list(tmp_path.iterdir())) == 2
+    x, _ = task.origin.tolist()
+    for recipe in recipes:  # the flat side stays in its place
+        (disc,) = recipe.config.bodies
+        assert recipe.position[0] + disc.size - disc.centre == pytest.approx(x + 0.5 * disc.size)
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_a_stream_that_changes_is_named_by_the_nearest_speed_behind_the_same_disc() -> None:
+    changes = StreamSteps(times_T=(0.4,), speeds_bl=(1.4,))
+    task = make_task(replace(VARIED, changes=changes), control_interval_T=0.5, checks_per_action=13)
+    starts = task.sample_starts(2, torch.Generator().manual_seed(0))
+    starts["flow_index"] = torch.tensor([0, 2])
+    env = make_flows(task, 2, starts=starts)
+    env.reset()
+    for _ in range(2):
+        after = act(env, 1, 1)
+    assert after["flow_index"].squeeze(-1).tolist() == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("diameters", "message"),
+    [
+        ((0.4, 0.5), r"diameter_bl = \(0.4, 0.5\): 2 for 3 entries of speeds_bl; give one"),
+        ((), "0 for 3 entries"),
+        ((0.4, -0.5, 0.4), "diameter_bl = .*: must be greater than 0"),
+        ((0.4, "large", 0.4), "diameter_bl = .*: must be"),
+        ((0.4, 0.4, 0.3), "diameter = 6.0: must be at least 8"),  # in nodes
+        ((0.4, 0.4, 1.2), r"DCylinder with num_markers = .*: they would lie 0.33 nodes apart"),
+    ],
+)
+def test_discs_that_cannot_be_are_refused(diameters: tuple[float, ...], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_task(Stream(diameter_bl=diameters))
+
+
+def test_the_largest_disc_must_be_within_the_domain() -> None:
+    stream = Stream(face_bl=0.3)
+    make_task(stream)
+    with pytest.raises(ValueError, match="the half disc exceeds the domain"):
+        make_task(replace(stream, diameter_bl=(0.4, 0.6, 0.4)))
+
+
+def test_a_start_within_the_largest_disc_alone_is_refused_there() -> None:
+    area = SafeArea(near_bl=-0.2, far_bl=1.5, aside_bl=0.5)
+    start = {"start_x_bl": (-0.05, -0.05), "start_y_bl": (0.28, 0.28), "safe_area": area}
+    stream = Stream(diameter_bl=(0.4, 0.6, 0.4), face_bl=1.0)
+    tasks = [KarmanGait(**TINY | start, stream=stream, start_flows=(flow,)) for flow in (0, 1)]
+    for task in tasks:
+        task.__dict__["wakes"] = None
+    make_flows(tasks[0], 1)
+    with pytest.raises(ValueError, match=r"bodies 0 \(Fish\) and 1 .* overlap"):
+        make_flows(tasks[1], 1)
