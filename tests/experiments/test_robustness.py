@@ -41,7 +41,7 @@ def test_a_policy_of_several_discs_and_baselines_get_the_row_of_the_nearest_stre
     for changes, flows in (
         ({}, (1, 5, 9)),
         ({"stream": {"diameter_bl": 0.5}}, (2, 6, 10)),
-        ({"stream": {"speeds_bl": (0.8, 1.7), "diameter_bl": (0.2, 0.6)}}, (0, 11)),
+        ({"stream": {"speeds_bl": (0.8, 1.7), "diameter_bl": (0.25, 0.6)}}, (0, 11)),
     ):
         trials = list_trials([own], ["pid"], {**changes, "start_y_bl": (0.3, 0.6)}, periods=2.0)
         for trial in trials:
