@@ -1,9 +1,11 @@
-"""Reading the flow at points equals reading the whole of it."""
+"""Flows of a batch: reading them at points, and bodies that differ from flow to flow."""
 
 import pytest
 import torch
 
-from fishrl.physics import FlowConfig, InPlaceSolver, Storage
+from fishrl.physics import DCylinder, FlowConfig, InPlaceSolver, Storage
+from fishrl.physics.boundaries import Boundaries, NonEquilibrium
+from fishrl.physics.flow import make_params
 
 
 def make_solver(storage: Storage = Storage.FLOAT32, flows_per_launch: int = 1) -> InPlaceSolver:
@@ -57,3 +59,25 @@ def test_a_row_alone_reads_the_same() -> None:
     alone.set_populations_(solver.populations()[2:3])
     for mine, all_of_them in zip(alone.sample(points[2:3]), solver.sample(points), strict=True):
         assert torch.equal(mine[0], all_of_them[2])
+
+
+def test_a_small_disc_beside_a_big_one_has_the_drag_that_it_has_alone() -> None:
+    """Also of the same solver, before it got the big disc in one row."""
+    stream = NonEquilibrium(velocity=(1.0, 0.0))
+    edges = Boundaries(left=stream, right=stream, bottom=stream, top=stream)
+    flow = {"width": 48, "height": 40, "tau": 0.6, "stream_speed": 0.05, "boundaries": edges}
+    big = DCylinder(diameter=16)
+    small = DCylinder(diameter=9, num_markers=big.num_markers)
+    configs = [FlowConfig(bodies=(disc,), **flow) for disc in (small, big)]
+    alone = [InPlaceSolver(config=config, compile=False, num_workers=0) for config in configs]
+    batch = InPlaceSolver(config=configs[1], num_envs=2, compile=False, num_workers=0)
+    params = make_params(configs).bodies[0]
+    for given, rows in ((params, [True, False]), (make_params(configs[:1] * 2).bodies[0], None)):
+        batch.set_body_(0, given, rows and torch.tensor(rows))
+        for solver in (*alone, batch):
+            solver.reset_(torch.ones(solver.num_envs, dtype=torch.bool), velocity=(1.0, 0.0))
+            solver.advance_(20)
+        drags = [solver.body.impulse[0, 0].item() for solver in alone]
+        assert drags[0] < 0.8 * drags[1]
+        expected = drags if rows else drags[:1] * 2
+        assert batch.body.impulse[:, 0].tolist() == expected

@@ -11,7 +11,6 @@ import torch
 from torch.profiler import ProfilerActivity, profile
 
 from fishrl.physics import (
-    DCylinder,
     Fish,
     FlowConfig,
     FlowState,
@@ -211,28 +210,6 @@ def test_a_row_of_a_batch_equals_the_row_alone() -> None:
         alone.advance_(40)
         assert torch.equal(alone.populations()[0], batch.populations()[i])
         assert torch.equal(alone.body.position[0], batch.body.position[i])
-
-
-def test_a_small_disc_beside_a_big_one_has_the_drag_that_it_has_alone() -> None:
-    """Also of the same solver, before it got the big disc in one row."""
-    stream = NonEquilibrium(velocity=(1.0, 0.0))
-    edges = Boundaries(left=stream, right=stream, bottom=stream, top=stream)
-    flow = {"width": 48, "height": 40, "tau": 0.6, "stream_speed": 0.05, "boundaries": edges}
-    big = DCylinder(diameter=16)
-    small = DCylinder(diameter=9, num_markers=big.num_markers)
-    configs = [FlowConfig(bodies=(disc,), **flow) for disc in (small, big)]
-    alone = [InPlaceSolver(config=config, compile=False, num_workers=0) for config in configs]
-    batch = InPlaceSolver(config=configs[1], num_envs=2, compile=False, num_workers=0)
-    params = make_params(configs).bodies[0]
-    for given, rows in ((params, [True, False]), (make_params(configs[:1] * 2).bodies[0], None)):
-        batch.set_body_(0, given, rows and torch.tensor(rows))
-        for solver in (*alone, batch):
-            solver.reset_(torch.ones(solver.num_envs, dtype=torch.bool), velocity=(1.0, 0.0))
-            solver.advance_(20)
-        drags = [solver.body.impulse[0, 0].item() for solver in alone]
-        assert drags[0] < 0.8 * drags[1]
-        expected = drags if rows else drags[:1] * 2
-        assert batch.body.impulse[:, 0].tolist() == expected
 
 
 def test_reset_touches_only_its_rows_and_starts_afresh() -> None:
