@@ -61,7 +61,7 @@ def test_jobs_are_listed_and_named_before_they_run() -> None:
     assert [(job.seed, job.num_envs, job.folder) for _, job in planned[1:3]] == [
         *((0, 2, "runs/my sweep"), (1, 2, "runs/my sweep")),
     ]
-    assert len(jobs.plan_jobs(["preset=glob(gait*)"])) == 3
+    assert len(jobs.plan_jobs(["preset=glob(gait*)"])) == 4
     (_, first), _ = jobs.plan_jobs(["seed=0,1"])
     assert first.folder.startswith("runs/sweep-")
 
