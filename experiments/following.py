@@ -8,7 +8,7 @@ the water. Writes ``following.json``, ``following.md`` and ``following.png``.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -134,18 +134,28 @@ def summarise(done: Record, task: Follower, *, settle_T: float) -> dict[str, lis
 def tabulate(results: dict[str, dict[str, list[float]]], *, cost_alone: float) -> str:
     """Return the table of all arms, Markdown; the last column is relative to ``cost_alone``."""
     heads = (
-        *("policy", "survived", "contacts", "survival, T", "x, L", "aside, L", "beats per T"),
+        *("policy", "survived", "contact", "survival, T", "x, L", "aside, L", "beats per T"),
         *("work per L", "relative to keep_place alone"),
     )
     rows = []
     for name, arm in results.items():
-        fine = {key: [v for v in each if not math.isnan(v)] for key, each in arm.items()}
-        shown = {key: Statistic.of(each) for key, each in fine.items()}
-        relative = Statistic.of((torch.tensor(fine["cost"]) / cost_alone).tolist())
-        row = [name, f"{shown['survived'].mean:.0%}", f"{sum(arm['contact']):.0f}"]
-        row += [shown[key].show(".2f") for key in ("survival_T", "x", "aside", "frequency")]
-        rows.append([*row, shown["cost"].show(".4f"), relative.show(".2f")])
+        fine = {key: Statistic.of(drop_nan(each)) for key, each in arm.items()}
+        relative = Statistic.of([cost / cost_alone for cost in drop_nan(arm["cost"])])
+        row = [name, *(fine[key].show(".0%") for key in ("survived", "contact"))]
+        row += [fine[key].show(".2f") for key in ("survival_T", "x", "aside", "frequency")]
+        rows.append([*row, fine["cost"].show(".4f"), relative.show(".2f")])
     return write_table(heads, rows)
+
+
+def drop_nan(values: Sequence[float]) -> list[float]:
+    """Return the values without NaN."""
+    return [value for value in values if not math.isnan(value)]
+
+
+def average(policies: Sequence[dict[str, list[float]]]) -> dict[str, list[float]]:
+    """Return the mean over the episodes of each policy, as values of one arm."""
+    keys = policies[0] if policies else ()
+    return {key: [Statistic.of(drop_nan(arm[key])).mean for arm in policies] for key in keys}
 
 
 def write_figure(path: Path, tried: dict[str, Record], results: dict[str, Any]) -> None:
@@ -192,11 +202,18 @@ def main(settings: FollowingSettings) -> None:
     results = {
         name: summarise(done, task, settle_T=settings.settle_T) for name, done in tried.items()
     }
-    alone = [c for c in results[f"{settings.baseline}, alone"]["cost"] if not math.isnan(c)]
+    alone = drop_nan(results[f"{settings.baseline}, alone"]["cost"])
     folder = Path(settings.folder)
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "following.json", results)
-    table = tabulate(results, cost_alone=Statistic.of(alone).mean)
+    means = {
+        f"mean of {len(settings.runs)} policies, {place}": average(
+            [results[f"{Path(run).name}, {place}"] for run in settings.runs]
+        )
+        for place in places
+        if len(settings.runs) > 1
+    }
+    table = tabulate(results | means, cost_alone=Statistic.of(alone).mean)
     (folder / "following.md").write_text(table, encoding="utf-8")
     write_figure(folder / "following.png", tried, results)
     print(table)

@@ -2,7 +2,7 @@
 
 import torch
 
-from experiments.following import Record, summarise, tabulate
+from experiments.following import Record, average, summarise, tabulate
 from fishrl.envs import Follower
 
 
@@ -34,3 +34,5 @@ def test_work_per_distance_is_counted_from_when_the_fish_has_settled_to_its_end(
     assert (result["x"][0], result["aside"][0]) == (1.5, 0.2)
     row = tabulate({"a": result}, cost_alone=0.4).splitlines()[-1]
     assert "50%" in row and "0.50" in row
+    means = average([result, {**result, "cost": [0.4, 0.4]}])
+    assert abs(means["cost"][0] - 0.2) < 1e-12 and means["cost"][1] == 0.4

@@ -147,7 +147,8 @@ class FlowBatch:
         """
         began = ("params.former_speed", "params.ramp_start")
         added = {name: torch.zeros_like(self.flow.clock) for name in began}
-        beats = [name for name in self.name_state() if name.endswith((".amplitude", "_goal"))]
+        shares = (".amplitude", ".amplitude_goal")
+        beats = [name for name in self.name_state() if name.endswith(shares)]
         added |= {name: torch.ones_like(self.flow.clock) for name in beats}
         state = added | dict(state)
         if "data" not in state:
