@@ -1,9 +1,9 @@
-"""IPPO or MAPPO for two fish, written as TorchRL's multi-agent tutorial writes it.
+"""IPPO or MAPPO for two fish, following TorchRL's multi-agent tutorial.
 
     python examples/ippo_pair.py --frames 20000
-    python examples/ippo_pair.py --frames 20000 --central     # MAPPO: a critic that sees both fish
+    python examples/ippo_pair.py --frames 20000 --central     # MAPPO: a critic that observes both
 
-Only ``main`` knows of fish: ``train`` takes any environment with one group of agents and masks.
+Only ``main`` is specific to fish; ``train`` takes any environment with one group and masks.
 """
 
 import argparse
@@ -147,7 +147,7 @@ def train(env: EnvBase, settings: Settings) -> tuple[ProbabilisticActor, list[fl
 
 
 def main() -> None:
-    """Train and say how it went."""
+    """Train and print the mean returns."""
     parser = argparse.ArgumentParser(description="IPPO or MAPPO for two fish.")
     parser.add_argument("--frames", type=int, default=Settings.frames)
     parser.add_argument("--num-envs", type=int, default=16)
@@ -160,7 +160,9 @@ def main() -> None:
     tenth = max(1, len(returns) // 10)
     if returns:
         first, last = (sum(part) / len(part) for part in (returns[:tenth], returns[-tenth:]))
-        print(f"{len(returns)} episodes; mean return {first:.2f} at first, {last:.2f} at last")
+        print(
+            f"{len(returns)} episodes; mean return {first:.2f} of the first tenth, {last:.2f} of the last"
+        )
 
 
 if __name__ == "__main__":

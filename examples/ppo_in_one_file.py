@@ -3,7 +3,7 @@
     python examples/ppo_in_one_file.py --total-steps 20000
     python examples/ppo_in_one_file.py --task gait        # macro-actions, with masks
 
-Nothing here knows of flows but ``make_fish``.
+Only ``make_fish`` and ``main`` are specific to fishrl.
 """
 
 import argparse
@@ -38,7 +38,7 @@ class Settings:
 
 
 class Agent(nn.Module):
-    """Actor and critic; illegal actions have no chance."""
+    """Actor and critic; illegal actions have probability zero."""
 
     def __init__(self, envs: gym.vector.VectorEnv) -> None:
         super().__init__()
@@ -146,7 +146,7 @@ def make_fish(task: AbstractTask, *, num_envs: int, compile: bool = True) -> Flo
 
 
 def main() -> None:
-    """Train and say how it went."""
+    """Train and print the mean returns."""
     parser = argparse.ArgumentParser(description="PPO in one file, on fish.")
     parser.add_argument("--task", choices=["predation", "gait"], default="predation")
     parser.add_argument("--total-steps", type=int, default=Settings.total_steps)
@@ -160,7 +160,9 @@ def main() -> None:
     tenth = max(1, len(returns) // 10)
     if returns:
         first, last = np.mean(returns[:tenth]), np.mean(returns[-tenth:])
-        print(f"{len(returns)} episodes; mean return {first:.2f} at first, {last:.2f} at last")
+        print(
+            f"{len(returns)} episodes; mean return {first:.2f} of the first tenth, {last:.2f} of the last"
+        )
 
 
 if __name__ == "__main__":
