@@ -160,9 +160,7 @@ def main() -> None:
     tenth = max(1, len(returns) // 10)
     if returns:
         first, last = np.mean(returns[:tenth]), np.mean(returns[-tenth:])
-        print(
-            f"{len(returns)} episodes; mean return {first:.2f} of the first tenth, {last:.2f} of the last"
-        )
+        print(f"{len(returns)} episodes; mean return: first tenth {first:.2f}, last {last:.2f}")
 
 
 if __name__ == "__main__":
