@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from contextlib import closing
 from pathlib import Path
+from types import EllipsisType
 from typing import Any, Unpack
 
 from tensordict.nn import TensorDictModuleBase
@@ -14,7 +15,7 @@ from fishrl.envs.episodes import Policy
 from fishrl.envs.transforms import equip
 from fishrl.training.baselines import make_baseline
 from fishrl.training.checkpoint import load_checkpoint, read_metadata
-from fishrl.training.classifier import Recognition, load_recognition
+from fishrl.training.classifier import Recognition, find_classifier, load_recognition
 from fishrl.training.evaluation import Evaluator, fixed_starts
 from fishrl.training.observer import Hooks, Observer
 from fishrl.training.plan import Plan
@@ -63,7 +64,7 @@ def evaluate(
     policy: str | Path | Policy,
     *,
     task: AbstractTask | None = None,
-    recognition: Recognition = None,
+    recognition: Recognition | EllipsisType = ...,
     episodes: int = 32,
     num_envs: int = 16,
     seed: int = 0,
@@ -78,8 +79,8 @@ def evaluate(
         policy: ``Path`` of a run folder or checkpoint, name of a baseline of the task, or a policy
             that writes ``action``.
         task: the task; by default that of the checkpoint.
-        recognition: source of flow labels, see ``make_env``, or the file of a classifier; with a
-            checkpoint and no ``task``, that of its run.
+        recognition: source of flow labels, see ``make_env``, or the file of a classifier; by
+            default that of the checkpoint's run, and None for other policies.
         episodes: number of starts.
         num_envs: flows that advance together.
         seed: seed of the starts and of random actions; 0 gives the starts of every run's final
@@ -98,14 +99,16 @@ def evaluate(
     check_device(device)
     observer = hooks.get("observer") or Observer()
     progress = hooks.get("progress") or Progress(is_shown=False)
-    if isinstance(policy, Path) and task is None:
+    if isinstance(policy, Path):
         path, plan = load_plan(policy, modules=modules)
-        task, recognition = plan.task, load_recognition(plan.recognition, path)
+        task = task or plan.task
+        if recognition is ...:
+            recognition = find_classifier(plan.recognition, path)
     if task is None:
         raise ValueError("evaluate: give a task, or the Path of a checkpoint, which brings its own")
-    recognition = load_recognition(recognition)
-    task, _ = equip(task, recognition)
-    has_labels = recognition is not None
+    labels = load_recognition(None if recognition is ... else recognition)
+    task, _ = equip(task, labels)
+    has_labels = labels is not None
     act: Policy
     if isinstance(policy, Path):
         act = load_policy(policy, task=task, has_labels=has_labels, device=device, modules=modules)
@@ -122,7 +125,7 @@ def evaluate(
         device=device,
         compile=compile,
         frames_per_action=task.checks_per_action,
-        **({"recognition": recognition} if has_labels else {}),
+        **({"recognition": labels} if has_labels else {}),
     )
     with closing(env), closing(observer):
         observer.begin(env)

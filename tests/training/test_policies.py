@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import pytest
 
-from fishrl.training import PPO, SAC, Algorithm, DiscreteSAC, evaluate, load_policy
+from fishrl.envs import make_env
+from fishrl.modules import LateralLineClassifier
+from fishrl.training import PPO, SAC, Algorithm, DiscreteSAC, evaluate, load_plan, load_policy
 from fishrl.training.checkpoint import read_metadata
+from fishrl.zoo import find_policy
+from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
 from tests.training.conftest import QUICK, Toy, change_manifest
 from tests.training.toy_fish import ToyPredation, make_toy_env
 
@@ -31,6 +38,24 @@ def test_a_learned_policy_is_evaluated_as_at_the_end_of_its_run(
     summary = toy.begin(name="run", algorithm=algorithm, task=task).run()
     result = evaluate(toy.folder / "run", episodes=10, compile=False, make_env=make_toy_env)
     assert result == {name: summary[name] for name in result}
+
+
+@pytest.mark.usefixtures("kinematic")
+@pytest.mark.parametrize("is_task_given", [False, True])
+def test_flows_are_labelled_as_in_the_run_unless_another_source_is_named(
+    is_task_given: bool,
+) -> None:
+    run, labelled_by = find_policy("gait_small"), []
+
+    def make(**arguments: Any) -> Any:
+        labelled_by.append(arguments.get("recognition"))
+        return make_env(**arguments)
+
+    given = {"task": replace(load_plan(run)[1].task, time_limit=2)} if is_task_given else {}
+    for source in ({}, {"recognition": "oracle"}, {"recognition": None}):
+        evaluate(run, **given, **source, episodes=1, compile=False, make_env=make)
+    assert isinstance(labelled_by[0], LateralLineClassifier)
+    assert labelled_by[1:] == ["oracle", None]
 
 
 def test_baselines_are_evaluated_by_name_and_any_policy_as_it_is() -> None:
