@@ -25,6 +25,7 @@ from torchrl.collectors.distributed import RayCollector
 from torchrl.envs import EnvBase
 from torchrl.modules import EGreedyModule
 
+from fishrl.envs.agents import split_fish
 from fishrl.training.settings import LearningSettings
 
 logger = logging.getLogger(__name__)
@@ -94,7 +95,7 @@ class ClusterCollector:
                 self._send_weights()
                 batch = next(batches).to(self._device)
             if self._frames >= self._warmup_frames:
-                self._count_exploration(batch.numel())
+                self._count_exploration(split_fish(batch).numel())
             self._frames += batch.numel()
             ids, num = batch["collector", "traj_ids"], batch.shape[0]
             owner = torch.arange(num, device=ids.device).view(num, *[1] * (ids.ndim - 1))
@@ -112,11 +113,11 @@ class ClusterCollector:
         remote = self._flows.remote_collectors
         ray.get([collector.update_policy_weights_.remote(weights) for collector in remote])
 
-    def _count_exploration(self, num_frames: int) -> None:
+    def _count_exploration(self, num_decisions: int) -> None:
         """Advance the exploration schedule here too, because it is sent with the weights."""
         for module in self._explorer.modules():
             if isinstance(module, EGreedyModule):
-                module.step(num_frames)
+                module.step(num_decisions)
 
     @contextmanager
     def lend_env(self) -> Iterator[EnvBase]:

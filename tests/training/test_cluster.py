@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
 
-from fishrl.training import DQN, complete, runs
+from fishrl.envs import PredationPair, make_env
+from fishrl.training import DQN, begin, complete, runs
 from fishrl.training.cluster import ClusterCollector
-from tests.training.conftest import Toy
+from tests.envs.conftest import SMALL, move_kinematically
+from tests.training.conftest import Toy, make_toy_plan
 
 
 def test_flows_that_cannot_be_shared_are_refused(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,6 +94,32 @@ def test_a_run_goes_on_exactly_after_a_collector_is_lost(
     complete(toy.begin(name="run", ray_collectors=2))
     assert next(batches) == 30 + 5 + 1  # five decisions since the last checkpoint
     assert toy.rows("run") == toy.rows("whole")
+
+
+def make_gliding_env(**arguments: Any) -> Any:
+    """Make an env whose fish move without a flow, in whichever process."""
+    with pytest.MonkeyPatch.context() as patch:
+        move_kinematically(patch)
+        return make_env(**arguments)
+
+
+@pytest.mark.cluster
+@pytest.mark.usefixtures("cluster")
+def test_epsilon_falls_with_env_frames_however_many_fish_explore(toy: Toy) -> None:
+    plan = make_toy_plan(
+        toy.folder,
+        algorithm=DQN(epsilon_end=0.0, epsilon_frames=8),
+        ray_collectors=2,
+        num_envs=2,
+        warmup_frames=2,
+    )
+    pair = PredationPair(**SMALL, control_interval_T=0.25, checks_per_action=6)
+    training = begin(replace(plan, task=pair), make_env=make_gliding_env)
+    for _, _ in zip(range(3), training.collector, strict=False):
+        pass
+    chance: Any = training.learner.explorer[-1]  # type: ignore[index]
+    assert float(chance.eps) == pytest.approx(1.0 - (3 * 2 - 2) / 8)
+    training.close()
 
 
 @pytest.mark.cluster

@@ -12,6 +12,7 @@ from fishrl.envs import PredationPair, make_env
 from fishrl.envs.episodes import run_episodes
 from fishrl.modules import PursuitPolicy
 from fishrl.training import (
+    DQN,
     DRQN,
     PPO,
     Algorithm,
@@ -72,6 +73,16 @@ def test_each_fish_is_learned_from(tmp_path: Path, algorithm: Algorithm) -> None
     training.close()
     again = evaluate(tmp_path / "pair", episodes=2, compile=False)
     assert again["mean_return"] == summary["mean_return"]
+
+
+def test_epsilon_falls_with_env_frames_however_many_fish_explore(tmp_path: Path) -> None:
+    algorithm = DQN(epsilon_start=1.0, epsilon_end=0.1, epsilon_frames=36)
+    training = begin(make_plan(tmp_path, algorithm=algorithm))
+    chance: Any = training.learner.explorer[-1]  # type: ignore[index]
+    before = float(chance.eps)
+    training.run()
+    assert before - float(chance.eps) == pytest.approx(0.9 * (24 - 6) / 36)
+    training.close()
 
 
 def test_a_resumed_run_goes_on_exactly(tmp_path: Path) -> None:

@@ -69,7 +69,7 @@ class DQN(Algorithm):
             num_actions=spec.num_actions,
             start=self.epsilon_start,
             end=self.epsilon_end,
-            num_frames=self.epsilon_frames,
+            num_frames=self.epsilon_frames * spec.num_fish,  # it counts the decisions of each
             device=device,
         )
         return TensorDictSequential(policy, mixed_in)
