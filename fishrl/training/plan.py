@@ -18,6 +18,8 @@ LEARNING = tuple(entry.name for entry in fields(LearningSettings))
 RUN = tuple(entry.name for entry in fields(RunSettings))
 #: Fixed once a run has begun, like ``LEARNING``.
 PARTS = ("task", "algorithm", "logger", "preset", "recognition")
+#: Those of a run, apart from ``extra``.
+SETTINGS = {*LEARNING, *RUN, *PARTS, *FORMER_SETTINGS}
 #: Suggested in place of one that does not fit a task.
 ALGORITHMS: tuple[type[Algorithm], ...] = (DQN, DRQN, PPO, SAC, DiscreteSAC)
 
@@ -34,7 +36,7 @@ class Plan:
         logger: writes the metrics.
         preset: name of the preset, for the files of the run.
         recognition: source of flow labels: None, ``oracle``, or the file of a classifier.
-        extra: further settings of the caller, kept in ``config.yaml``.
+        extra: further settings of the caller, of other names, kept in ``config.yaml``.
     """
 
     task: AbstractTask
@@ -47,7 +49,7 @@ class Plan:
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check that the algorithm learns actions such as the task's, and adapt its settings."""
+        """Check algorithm and ``extra``, and adapt the settings to the algorithm."""
         if not self.algorithm.takes(self.task):
             kind = "discrete" if self.task.action_bounds is None else "continuous"
             kind = f"{kind} actions" + " of several fish" * (self.task.num_fish > 1)
@@ -56,6 +58,9 @@ class Plan:
                 f"algorithm = {type(self.algorithm).__name__}: does not learn {kind}, "
                 f"which {type(self.task).__name__} has here; take one of {', '.join(fitting)}"
             )
+        for name in self.extra:
+            if name in SETTINGS:
+                raise ValueError(f"extra: {name} is a setting of the run itself; take another name")
         object.__setattr__(self, "learning", self.algorithm.adapt(self.learning))
 
     @property
@@ -91,7 +96,6 @@ class Plan:
         algorithm = dict(config.get("algorithm") or describe(DiscreteSAC()))
         algorithm |= {name: config[name] for name in FORMER_SETTINGS if name in config}
         logger = config.get("logger") or describe(CsvLogger())
-        known = {*LEARNING, *RUN, *PARTS, *FORMER_SETTINGS}
         try:
             learning = LearningSettings(**{n: config[n] for n in LEARNING if n in config})
             run = RunSettings(**{n: config[n] for n in RUN if n in config})
@@ -105,7 +109,7 @@ class Plan:
             logger=make(logger, kind=CsvLogger, modules=modules),
             preset=config.get("preset"),
             recognition=config.get("recognition"),
-            extra={name: value for name, value in config.items() if name not in known},
+            extra={name: value for name, value in config.items() if name not in SETTINGS},
         )
 
     def change(self, **changes: Any) -> Plan:

@@ -52,7 +52,7 @@ def train(
         recognition: source of flow labels, see ``fishrl.envs.make_env``, or a classifier file.
         logger: writes the metrics; by default to a CSV file.
         preset: name for these settings; part of the name of the run folder.
-        extra: further settings to keep in ``config.yaml``.
+        extra: further settings, of other names, to keep in ``config.yaml``.
         **hooks: ``make_env``, ``observer``, ``progress`` and ``began``, see ``Hooks``.
 
     Raises:

@@ -152,6 +152,12 @@ def test_changes_of_a_resume_stay_and_what_is_learned_is_fixed(toy: Toy) -> None
             toy.reopen("run", **wrong)
 
 
+@pytest.mark.parametrize("name", ["gamma", "total_frames", "task", "alpha_init"])
+def test_a_further_setting_of_the_name_of_a_real_one_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ValueError, match=f"extra: {name} is"):
+        make_toy_plan(tmp_path, extra={"pictures": 6, name: 0.5})
+
+
 def test_a_finished_run_is_left_as_it_is_unless_more_is_asked_of_it(toy: Toy) -> None:
     toy.begin(name="run", total_frames=16, **QUICK).run()
     toy.trainings[-1].close()
