@@ -131,8 +131,7 @@ def main(settings: TrainConfig) -> None:
         arguments = list_arguments(training.folder.path, training.plan.to_config())
         hint = f"resume with: {show_command('experiments.train', *arguments)}"
         try:
-            with training.interruption:
-                finish(training)
+            finish(training)
         except Interrupted as end:
             frames = read_metadata(training.folder.path, which="last")[1]["frames"]
             print(f"{end}: saved at frame {frames}; {hint}", file=sys.stderr)

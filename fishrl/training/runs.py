@@ -144,23 +144,23 @@ def complete(training: Training) -> dict[str, Any]:
     If a process of its flows dies, the run continues from its last checkpoint; if one dies again
     before the next checkpoint, ``ChildProcessError`` is raised.
     """
-    resumed_at = None
-    while True:
-        folder, interruption = training.folder, training.interruption
-        hooks: Any = {**training.hooks, "began": None}
-        try:
-            with folder.noting_failure(), closing(training), interruption:
-                return training.run()
-        except ChildProcessError as error:
-            if not folder.last.exists():  # it died before the first checkpoint
-                raise
-            frames = read_metadata(folder.path, which="last")[1]["frames"]
-            if frames == resumed_at:
-                raise
-            logger.warning("%s; going on from frame %d", error, frames)
-            resumed_at = frames
-        training = reopen(folder.path, **hooks)
-        training.interruption = interruption  # it may have received a signal meanwhile
+    folder, resumed_at = training.folder, None
+    hooks: Any = {**training.hooks, "began": None}
+    with training.interruption as interruption:
+        while True:
+            try:
+                with folder.noting_failure(), closing(training):
+                    return training.run()
+            except ChildProcessError as error:
+                if not folder.last.exists():  # it died before the first checkpoint
+                    raise
+                frames = read_metadata(folder.path, which="last")[1]["frames"]
+                if frames == resumed_at:
+                    raise
+                logger.warning("%s; going on from frame %d", error, frames)
+                resumed_at = frames
+            training = reopen(folder.path, **hooks)
+            training.interruption = interruption  # it may have received a signal meanwhile
 
 
 def find_summary(

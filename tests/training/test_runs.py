@@ -21,7 +21,9 @@ from fishrl.training import (
     complete,
     evaluate,
     find_summary,
+    reopen,
     resume,
+    runs,
     train,
 )
 from fishrl.training.run_folder import read_config, write_yaml
@@ -222,18 +224,24 @@ def test_a_run_goes_on_exactly_after_its_flows_are_lost_but_not_twice_from_one_c
     complete(toy.begin(name="whole", **QUICK))
     step, left = ToyFishEnv._step, list(losses)
     training = toy.begin(name="run", **QUICK)
-    num_steps = 0
+    num_steps, before, handlers = 0, signal.getsignal(signal.SIGTERM), set()
 
     def step_or_lose(self: ToyFishEnv, td: Any) -> Any:
         nonlocal num_steps
         num_steps += 1
+        handlers.add(signal.getsignal(signal.SIGTERM))
         if left and num_steps == left[0]:
             num_steps = 0
             left.pop(0)
             raise ChildProcessError("a flow worker failed")
         return step(self, td)
 
+    def reopen_and_watch(*args: Any, **hooks: Any) -> Any:
+        handlers.add(signal.getsignal(signal.SIGTERM))
+        return reopen(*args, **hooks)
+
     monkeypatch.setattr(ToyFishEnv, "_step", step_or_lose)
+    monkeypatch.setattr(runs, "reopen", reopen_and_watch)
     if losses[-1] > 3:
         complete(training)
     else:
@@ -244,4 +252,6 @@ def test_a_run_goes_on_exactly_after_its_flows_are_lost_but_not_twice_from_one_c
         resume(toy.folder / "run", make_env=make_toy_env)
     assert not left
     assert toy.rows("run") == toy.rows("whole")
+    assert len(handlers) == 1 and before not in handlers  # a signal waits for the next step
+    assert signal.getsignal(signal.SIGTERM) is before
     assert not (toy.folder / "run" / "failure.txt").exists()
