@@ -53,6 +53,7 @@ def save_checkpoint(
         CheckpointNotWritten: if the disk is full or the folder cannot be written.
     """
     fresh = path.with_name(f".{path.name}.new")
+    stage = path.with_name(f".{fresh.name}") / "whole"
     metadata = {
         "task": spec.task,
         **spec.sizes,
@@ -66,12 +67,13 @@ def save_checkpoint(
         if fresh.exists() and not path.exists():  # killed between the renames: it is the newest
             os.replace(fresh, path)
         _clear(path)
-        _register(components).save(fresh, metadata=metadata)
-        files = [file for file in sorted(fresh.rglob("*")) if file.is_file()]
-        lines = [f"{_sum(file)}  {file.relative_to(fresh).as_posix()}\n" for file in files]
-        (fresh / SUMS).write_text("".join(lines), encoding="utf-8")
-        for file in fresh.rglob("*"):
+        _register(components).save(stage, metadata=metadata)
+        files = [file for file in sorted(stage.rglob("*")) if file.is_file()]
+        lines = [f"{_sum(file)}  {file.relative_to(stage).as_posix()}\n" for file in files]
+        (stage / SUMS).write_text("".join(lines), encoding="utf-8")
+        for file in stage.rglob("*"):
             _flush(file)
+        os.replace(stage, fresh)
         _put_in_place(fresh, path, keep=keep)
     except (OSError, RuntimeError) as error:
         # torch's writer reports a full disk with a RuntimeError
@@ -186,13 +188,16 @@ def _put_in_place(fresh: Path, path: Path, *, keep: int) -> None:
     _flush(path.parent)
     for former in _list_older(path)[keep - 1 :]:
         shutil.rmtree(former, ignore_errors=True)
-    shutil.rmtree(path.with_name(f".{path.name}.backup"), ignore_errors=True)
+    _clear(path)
 
 
 def _clear(path: Path) -> None:
-    """Remove what a process left that was killed while writing beside a complete checkpoint."""
-    if path.exists():
-        for debris in (*path.parent.glob(f".{path.name}.*"), *path.parent.glob(f"..{path.name}.*")):
+    """Remove what was left while writing.
+
+    ``..<name>.*`` is never complete, ``.<name>.*`` is not needed beside a complete checkpoint.
+    """
+    for dots in (".", "..") if path.exists() else ("..",):
+        for debris in path.parent.glob(f"{dots}{path.name}.*"):
             shutil.rmtree(debris, ignore_errors=True)
 
 

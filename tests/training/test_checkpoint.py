@@ -210,6 +210,24 @@ def test_a_run_cut_off_in_its_first_checkpoint_begins_anew(
     assert [row["frames"] for row in toy.rows("run")] == ["40"]
 
 
+@pytest.mark.parametrize("error", [OSError("the disk is full"), KeyboardInterrupt()])
+def test_a_run_cut_off_before_the_checksums_of_its_first_checkpoint_begins_anew(
+    toy: Toy, monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    def fail(file: Path) -> str:
+        raise error
+
+    training = toy.begin(name="run", **QUICK)
+    monkeypatch.setattr("fishrl.training.checkpoint._sum", fail)
+    with pytest.raises((CheckpointNotWritten, KeyboardInterrupt)):
+        training.run()
+    training.close()
+    monkeypatch.undo()
+    assert not training.folder.has_begun()
+    toy.reopen("run", total_frames=40).run()
+    assert not list((toy.folder / "run" / "checkpoints").glob(".*"))
+
+
 def test_a_run_outlives_a_full_disk(
     toy: Toy, limited_disk: Limit, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
