@@ -183,6 +183,13 @@ class Training:
                 self.task.success: metrics["train/success_rate"],
             }
             self.progress.advance(self.plan.learning.num_envs, **shown)
+        if counters.updates == 0:
+            logger.warning(
+                "no gradient step in %d frames: learning begins after warmup_frames = %d, that of "
+                "PPO after a whole rollout; raise total_frames",
+                counters.frames,
+                self.plan.learning.warmup_frames,
+            )
 
     def _collect_and_update(self, batches: Iterator[TensorDictBase]) -> dict[str, float]:
         """Step every flow once, take the gradient steps due, and return the metrics."""

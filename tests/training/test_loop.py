@@ -16,7 +16,7 @@ from torchrl.envs.utils import check_env_specs
 
 from fishrl.envs import Predation
 from fishrl.envs.episodes import Episodes
-from fishrl.training import DRQN, SAC, Algorithm, DiscreteSAC, Interrupted, Observer, begin
+from fishrl.training import DRQN, PPO, SAC, Algorithm, DiscreteSAC, Interrupted, Observer, begin
 from fishrl.training.loop import Training
 from fishrl.training.metrics import list_metrics
 from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
@@ -203,6 +203,22 @@ def test_a_toy_env_is_what_the_loop_expects(is_continuous: bool) -> None:
     """The stand-in passes TorchRL's own check, so that a failure here is one of the loop."""
     task: Any = ToyPredation(is_continuous=is_continuous)
     check_env_specs(make_toy_env(task=task, num_envs=3, seed=0))
+
+
+@pytest.mark.parametrize(
+    ("settings", "num_warnings"),
+    [
+        ({"total_frames": 96}, 0),
+        ({"total_frames": 80}, 1),
+        ({"total_frames": 80, "algorithm": PPO(rollout_length=11)}, 1),
+    ],
+)
+def test_a_run_that_learns_nothing_says_so_once(
+    toy: Toy, caplog: pytest.LogCaptureFixture, settings: dict[str, Any], num_warnings: int
+) -> None:
+    toy.begin(**QUICK, **settings).run()
+    said = [each for each in caplog.records if "no gradient step" in each.getMessage()]
+    assert len(said) == num_warnings
 
 
 def test_a_run_whose_settings_cannot_be_leaves_no_folder(toy: Toy) -> None:
