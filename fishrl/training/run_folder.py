@@ -6,6 +6,7 @@ import fcntl
 import itertools
 import json
 import logging
+import math
 import os
 import traceback
 from collections.abc import Iterator, Mapping
@@ -154,16 +155,16 @@ def read_summary(path: Path) -> dict[str, Any]:
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
-    """Write nested numbers and words; NaN, which JSON lacks, becomes null."""
-    write_whole(path, json.dumps(_replace_nan(values), indent=2) + "\n")
+    """Write nested numbers and words; NaN and infinities, which JSON lacks, become null."""
+    write_whole(path, json.dumps(_as_json(values), indent=2, allow_nan=False) + "\n")
 
 
-def _replace_nan(value: Any) -> Any:
+def _as_json(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {name: _replace_nan(entry) for name, entry in value.items()}
+        return {name: _as_json(entry) for name, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_replace_nan(entry) for entry in value]
-    return None if value != value else value
+        return [_as_json(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def write_yaml(path: Path, values: Mapping[str, Any]) -> None:

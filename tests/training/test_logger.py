@@ -132,7 +132,7 @@ def test_without_wandb_the_error_says_what_to_install(monkeypatch: pytest.Monkey
 
 
 def test_numbers_that_json_does_not_know_become_null(tmp_path: Path) -> None:
-    nested = {"a": math.nan, "b": [1.5, {"c": math.nan}], "d": "x"}
+    nested = {"a": math.nan, "b": [1.5, {"c": -math.inf}], "d": "x", "e": (math.inf, 2)}
     write_json(tmp_path / "summary.json", nested)
     written = json.loads((tmp_path / "summary.json").read_text())
-    assert written == {"a": None, "b": [1.5, {"c": None}], "d": "x"}
+    assert written == {"a": None, "b": [1.5, {"c": None}], "d": "x", "e": [None, 2]}
