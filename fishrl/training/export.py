@@ -45,7 +45,7 @@ def export_policy(
     Args:
         run: run folder.
         folder: to write; must not exist, or be empty.
-        title: of the card; by default the name of the run.
+        title: of the card; by default the name of the folder.
         revision: commit of the code that trained it, for the card.
         modules: modules outside fishrl that may be imported, see ``description.make``.
 

@@ -19,9 +19,10 @@ class LearningSettings(Checked):
         ray_collectors: number of processes of a Ray cluster that share the flows, each on its own
             GPU with ``device=cuda``; with 0 all flows belong to this process.
         warmup_frames: env frames with random legal actions before learning starts.
-        updates_per_frame: gradient steps per env frame.
+        updates_per_frame: gradient steps per env frame and fish.
         batch_size: transitions per gradient step.
-        buffer_size: capacity of the replay buffer in transitions.
+        buffer_size: capacity of the replay buffer in decisions of flows, each with a transition per
+            fish.
         gamma: discount per decision.
         learning_rate: Adam learning rate of all networks.
         tau: rate of the soft update of target networks at each gradient step.
