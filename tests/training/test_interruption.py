@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -51,9 +51,8 @@ def test_outside_the_main_thread_signals_are_left_alone() -> None:
         with Interruption():
             pass
 
-    thread = threading.Thread(target=enter)
-    thread.start()
-    thread.join()
+    with ThreadPoolExecutor() as pool:
+        pool.submit(enter).result()
 
 
 def test_processes_of_the_flows_ignore_signals_of_the_run() -> None:
