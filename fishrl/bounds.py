@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import MISSING, field, fields, is_dataclass
 from difflib import SequenceMatcher
+from numbers import Real
 from typing import Any
 
 #: What an integer must be; neither omegaconf nor torch takes others.
@@ -59,6 +60,9 @@ def check_bounds(settings: Any, *, path: str = "") -> None:
     """
     for entry in fields(settings):
         value = getattr(settings, entry.name)
+        if isinstance(value, Real) and hasattr(value, "item"):  # of NumPy
+            value = value.item()
+            object.__setattr__(settings, entry.name, value)
         bounds: dict[str, float] = {}  # a subclass that changes a default keeps the bounds
         for kind in reversed(type(settings).__mro__):
             inherited = getattr(kind, "__dataclass_fields__", {}).get(entry.name)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from math import inf, nan
 from typing import Any
 
+import numpy as np
 import pytest
 
 from fishrl.bounds import bounded, check_bounds, suggest
@@ -24,6 +25,11 @@ class Settings:
 
     def __post_init__(self) -> None:
         check_bounds(self)
+
+
+def test_numbers_of_numpy_become_those_of_python() -> None:
+    settings = Settings(count=np.int64(2), share=np.float32(0.5))
+    assert repr(settings) == repr(Settings(count=2, share=0.5))
 
 
 @pytest.mark.parametrize(

@@ -46,9 +46,10 @@ class FlowEnv(EnvBase):
     environments. Episodes begin and end for all fish of a flow together.
 
     A row that terminates within an action keeps the measurement of that moment and does not advance
-    to the end of the action. A row has diverged if it is not finite or too fast for the method, or
-    if the fish has left the grid. It is then truncated with reward 0, with ``diverged`` set and
-    with the observation of the last decision; it is counted and reset without affecting other rows.
+    to the end of the action (on a GPU its flow goes on unread). A row has diverged if it is not
+    finite or too fast for the method, or if the fish has left the grid. It is then truncated with
+    reward 0, with ``diverged`` set and with the observation of the last decision; it is counted and
+    reset without affecting other rows.
 
     Args:
         task: the task.

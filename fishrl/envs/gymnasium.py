@@ -52,7 +52,7 @@ class FlowVectorEnv(VectorEnv):
 
     ``NEXT_STEP``
         The step after the end of an episode resets the row, ignores its action and returns reward
-        0; the flow does not advance. Exclude that step from learning.
+        0; on a CPU the flow does not advance. Exclude that step from learning.
     ``SAME_STEP``
         The step that ends an episode returns the first observation of the next one. The last
         observation is ``infos["final_obs"]`` (None in other rows), its infos

@@ -78,7 +78,7 @@ class Solver(Protocol):
         """Give a body of the flows of ``rows`` ``[B]`` other parameters ``[B, ...]``."""
 
     def set_populations_(self, f: Tensor, rows: Tensor) -> None:
-        """Set the flows of ``rows`` ``[B]`` to shifted populations ``[B, Q, Y, X]``."""
+        """Set the N flows of ``rows`` ``[B]`` to shifted populations ``[N, Q, Y, X]``."""
 
     def command_(
         self,

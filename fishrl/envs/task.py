@@ -132,6 +132,7 @@ class AbstractTask(ABC):
             body_length=self.body_length,
             reynolds=self.reynolds,
             max_wall_speed=self.max_wall_speed,
+            gait=self.fish.gait,
             max_frequency=self.max_frequency,
             stream_speed_bl=self.max_stream_speed_bl,
         )

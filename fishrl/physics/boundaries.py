@@ -253,7 +253,7 @@ class Boundaries:
         own: Boundary = getattr(self, side.name.lower())
         values = own.profile.evaluate((nodes + low) / (num_nodes - 1.0 + low + high))
         for corner, end in zip((0, -1), ends, strict=True):
-            if isinstance(end, NoSlip) and end.velocity == (0.0, 0.0):
+            if isinstance(end, NoSlip) and not any(end.velocity):
                 values[corner] = 0.0
         return values
 

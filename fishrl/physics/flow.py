@@ -126,8 +126,8 @@ class FlowConfig:
 
     @property
     def is_still(self) -> bool:
-        """Whether no body ever moves from its place."""
-        return all(body.motion.is_still for body in self.bodies)
+        """Whether no body ever moves or deforms."""
+        return all(body.motion.is_still and not body.deforms for body in self.bodies)
 
     @property
     def fastest_edge(self) -> float:
@@ -138,7 +138,10 @@ class FlowConfig:
 
     @property
     def inflow(self) -> tuple[float, float]:
-        """Mean velocity (x, y) of the edges where fluid enters, in units of ``stream_speed``."""
+        """Mean velocity (x, y) of the edges where fluid enters, in units of ``stream_speed``.
+
+        Without their profiles.
+        """
         edges = [edge for group in self.boundaries.in_order() for edge in group]
         given = [(side.value, boundary.velocity) for side, boundary in edges if boundary.velocity]
         entering = [v for normal, v in given if normal[0] * v[0] + normal[1] * v[1] > 0.0]

@@ -125,7 +125,7 @@ class ForceSolve(ABC):
 class IterativeForcing(ForceSolve):
     """Iterative force correction, the paper's eq. 4: g += w r, r -= w A r.
 
-    The factor 2 rho of eq. 4 is the half-force of the forcing scheme and is part of F = 2 rho g, so
+    The factor 2 of eq. 4, times rho, is the half-force of the forcing scheme, part of F = 2 rho g;
     the paper's form (Zhang et al. 2016) is w = 1, see ``zhang``. Smooth body motion lies in the
     upper part of A's spectrum, so a constant w near the stability limit performs as well as
     Chebyshev factors (measured for both: 2 % slip after 3 iterations, 1 % after 4).

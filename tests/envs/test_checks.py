@@ -1,15 +1,18 @@
 """A mistake in a task is named when its environment is made, or at its first step."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import pytest
 import torch
 from tensordict import TensorDict
 
-from fishrl.envs import AbstractTask, Command
+from fishrl.envs import AbstractTask, Command, Predation
 from fishrl.envs.flow_env import FlowEnv
+from fishrl.physics import Fish
+from fishrl.physics.bodies.gait import CARLING
 from tests.envs.conftest import SMALL
 from tests.envs.masked_task import MaskedTask
 
@@ -79,3 +82,14 @@ def test_a_size_that_is_forgotten_is_named() -> None:
 
 def test_an_entry_of_success_may_be_a_column() -> None:
     _step(_make(success="arrived", report=lambda _, now: {"arrived": now["x"][:, None] < 1.0}))
+
+
+class _WideBeats(Predation):
+    @cached_property
+    def fish(self) -> Fish:
+        return Fish(body_length=self.body_length, gait=replace(CARLING, amplitude=0.2))
+
+
+def test_the_time_step_follows_the_tail_of_the_tasks_own_fish() -> None:
+    task = _WideBeats(max_wall_speed=0.07, wall_margin_bl=0.2)
+    assert 0.068 < task.scales.tail_speed <= 0.07

@@ -54,6 +54,12 @@ def test_neuromasts_sit_beside_the_skin_right_and_left_and_one_ahead_of_the_nose
     torch.testing.assert_close(normal.square().sum(-1), torch.ones(2, 5).double())
 
 
+def test_the_foremost_neuromasts_are_beside_the_nose_however_coarse_the_fish() -> None:
+    points, _, _ = LateralLine(num_neuromasts=3, first_bl=0.01, last_bl=0.01).place(make_solver())
+    assert not points[:, 0].isclose(points[:, 1]).all() and points.isfinite().all()
+    assert not points[:, 1].isclose(points[:, 2]).all()
+
+
 def test_an_onlooker_sees_time_place_velocity_pressure_and_speed() -> None:
     line = LateralLine(features=PAPER)
     solver = make_solver(ux=0.03, uy=-0.04, rho=0.006)

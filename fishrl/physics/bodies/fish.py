@@ -1,14 +1,15 @@
 """A fish: outline, gait and what moves it."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 import torch
 
-from fishrl.bounds import bounded
+from fishrl.bounds import bounded, check_bounds
 from fishrl.physics.bodies.gait import CARLING, Gait
 from fishrl.physics.bodies.midline import Curve, MidlineParams, Slope
-from fishrl.physics.bodies.motion import Commanded, Motion
+from fishrl.physics.bodies.motion import Bending, Commanded, Motion
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams, Points, draw_section, to_tensors
 from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.shear import ShearParams
@@ -37,14 +38,22 @@ class Fish(BodyConfig):
 
     body_length: float = bounded(least=16)
     section: Section = Section.NACA
-    thickness: float = bounded(0.12, greater=0, largest=1)
+    thickness: float = bounded(0.12, greater=0, largest=0.4)
     gait: Gait = CARLING
     keeps_length: bool = False
     strokes: Strokes | None = None
     inset: float = 0.0
     motion: Motion = field(default_factory=Commanded)
 
+    deforms: ClassVar[bool] = True
+
     def __post_init__(self) -> None:
+        check_bounds(self)
+        if isinstance(self.motion, Bending) and (self.keeps_length or self.strokes is not None):
+            raise ValueError(
+                "motion = Bending(): only vertical shear (without keeps_length and strokes) can be "
+                "bent further by a command; take Commanded() or Free()"
+            )
         slope = float(np.hypot(*self.gait.evaluate_modes(_COARSE, 1)[:2]).max())
         if self.keeps_length and slope > 0.95:
             raise ValueError(
@@ -60,6 +69,8 @@ class Fish(BodyConfig):
                     "1, where sections would overlap: lower the curvatures or the thickness"
                 )
         super().__post_init__()
+        if self.num_markers % 2:
+            raise ValueError(f"num_markers = {self.num_markers}: must be even, as sides are alike")
 
     def draw(self) -> list[Points]:
         """Return the straight outline: the upper side to the tail and the lower side back."""

@@ -4,9 +4,9 @@ The travelling wave
 
     Z = L a(X/L) sin(k X/L - phase),  a(x) = A (c0 + c1 x + c2 x^2)
 
-is the paper's eq. 11 with a minus sign: as printed, + w t, the wave would run from tail to head and
-the fish would not swim forward. Z = e1 S(X) + e2 C(X) has two modes; a bend of the midline is a
-third. ``shear.py`` and ``midline.py`` turn them into an outline.
+is the paper's eq. 11 with a constant c0 and a minus sign: as printed, + w t, the wave would run
+from tail to head and the fish would not swim forward. Z = e1 S(X) + e2 C(X) has two modes; a bend
+of the midline is a third. ``shear.py`` and ``midline.py`` turn them into an outline.
 """
 
 from dataclasses import dataclass
@@ -32,6 +32,9 @@ class Gait:
     amplitude: float
     envelope: tuple[float, float, float]
     wavenumber: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "envelope", tuple(self.envelope))  # a list has no hash
 
     def evaluate_envelope(self, x: NDArray[np.float64], order: int = 0) -> NDArray[np.float64]:
         """Return a(x), or a derivative of it, in body lengths at ``x`` from the head."""

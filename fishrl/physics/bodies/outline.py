@@ -7,7 +7,7 @@ heading is pi faces -x and its axis points downstream of a flow along +x.
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -40,7 +40,12 @@ class BodyConfig(ABC):
         num_markers: N; 0 derives it from the spacing. Bodies of different size in one batch need
             the same number.
         motion: what moves the body.
+
+    Attributes:
+        deforms: whether the outline changes its shape.
     """
+
+    deforms: ClassVar[bool] = False
 
     density_ratio: float = bounded(1.0, least=1)
     marker_spacing: float = bounded(1.0, least=0.5, largest=2)
@@ -220,7 +225,7 @@ class Foil(BodyConfig):
     """
 
     chord: float = bounded(least=8)
-    thickness: float = bounded(0.12, greater=0, largest=1)
+    thickness: float = bounded(0.12, greater=0, largest=0.4)
 
     def draw(self) -> list[Points]:
         """Return the upper side to the trailing edge and the lower side back."""

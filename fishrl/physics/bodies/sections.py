@@ -29,8 +29,6 @@ class Section(Enum):
 
     def compute_half_thickness(self, x: _Values, thickness: float) -> _Values:
         """Return the half-thickness at ``x`` from the nose; both in body lengths."""
-        if not 0.0 < thickness <= 0.4:
-            raise ValueError(f"thickness = {thickness}: allowed is (0, 0.4] body lengths")
         draw = {Section.NACA: _draw_naca, Section.EEL: _draw_eel, Section.LARVA: _draw_larva}
         values: _Values = draw[self](x, thickness)
         return np.maximum(values, 0.0)

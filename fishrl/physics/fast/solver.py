@@ -17,7 +17,7 @@ from fishrl.physics.fast.batch import FlowBatch, set_rows_
 from fishrl.physics.fast.checks import check_tensor
 from fishrl.physics.fast.compiled import Kernel, find_compiler_problem
 from fishrl.physics.fast.workers import Workers, count_cores, map_shared, open_shared
-from fishrl.physics.flow import FlowConfig, compute_stream_speed, list_configs, make_params
+from fishrl.physics.flow import FlowConfig, compute_stream_speed, list_configs
 from fishrl.physics.lattice import Q
 
 logger = logging.getLogger(__name__)
@@ -76,6 +76,8 @@ class InPlaceSolver:
         self._shared: IO[bytes] | None = None
         self._is_closed = self._is_ready = False
         self._began: float | None = None  # to compile
+        rise = [float(each.ramp_steps) for each in configs]
+        self._rise = torch.tensor(rise, dtype=torch.float64, device=device)
         every = torch.ones(num_envs, dtype=torch.bool, device=device)
         self._unplaced = every if len(self.config.bodies) > 1 else None  # bodies in the middle
         self._batch = FlowBatch(
@@ -212,8 +214,8 @@ class InPlaceSolver:
         if self._unplaced is not None:
             left = self._unplaced & ~rows
             self._unplaced = left if left.any() else None
-        zero, rise = torch.zeros_like(flow.clock), make_params(self.configs, self.device).ramp_steps
-        params = flow.params._replace(ramp_steps=rise, former_speed=zero, ramp_start=zero)
+        zero = torch.zeros_like(flow.clock)
+        params = flow.params._replace(ramp_steps=self._rise, former_speed=zero, ramp_start=zero)
         new = flow._replace(clock=zero, params=params, bodies=tuple(fresh))
         set_rows_(flow, new, rows, name="flow")
         speed = params.stream_speed.float()

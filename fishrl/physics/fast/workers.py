@@ -111,7 +111,11 @@ class Workers:
             raise ChildProcessError("the flow workers have ended: make a new solver")
         for process in self._processes:
             _send(process.stdin, (num_steps, frozenset(groups)))
-        self.wait()
+        try:
+            self.wait()
+        except BaseException:  # as by Ctrl-C: an answer not read would stand for the next request
+            self.close()
+            raise
 
     def wait(self) -> None:
         """Wait until every worker has compiled the step, or advanced.

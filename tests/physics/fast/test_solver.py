@@ -20,7 +20,7 @@ from fishrl.physics import (
     Stroke,
     Strokes,
 )
-from fishrl.physics.bodies.motion import Bending, Commanded, Free, Surging, Towed
+from fishrl.physics.bodies.motion import Bending, Commanded, Fixed, Free, Surging, Towed
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.boundaries import (
     Boundaries,
@@ -108,6 +108,7 @@ STROKES = Strokes(
 CHANGES: dict[str, dict[str, Any]] = {
     "commanded": {"motion": Commanded()},
     "free": {"motion": Free()},
+    "held": {"motion": Fixed()},
     "bending": {"motion": Bending()},
     "towed": {"motion": Towed()},
     "surging": {"bodies": (Foil(chord=24, motion=Surging(pitch=0.3, pivot=10.0)),)},

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -92,6 +93,16 @@ def test_a_worker_that_is_killed_is_an_error_and_ends_the_others() -> None:
     with pytest.raises(ChildProcessError, match="it was killed"):
         solver.advance_(2)
     assert all(process.poll() is not None for process in processes)
+    with pytest.raises(ChildProcessError, match="make a new solver"):
+        solver.advance_(2)
+
+
+def test_an_interrupt_from_the_keyboard_ends_the_workers_instead_of_leaving_their_answers() -> None:
+    solver = make_solver(2)
+    solver.advance_(2)
+    threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        solver.advance_(20_000)
     with pytest.raises(ChildProcessError, match="make a new solver"):
         solver.advance_(2)
 
