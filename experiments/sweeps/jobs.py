@@ -9,14 +9,17 @@ from __future__ import annotations
 
 import filecmp
 import hashlib
+import itertools
+import json
 import logging
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -37,7 +40,6 @@ from experiments.sweeps.runs import (
     count_frames,
     list_arguments,
     read_run,
-    read_runs,
 )
 from experiments.train_settings import TRAINING, TrainConfig, make_plan
 from fishrl.training.aliases import update_names
@@ -58,29 +60,32 @@ def sweep(arguments: Sequence[str]) -> None:
     """Run a sweep, report on its runs, and end the program with 1 unless all are finished."""
     jobs = plan_jobs(arguments)
     folder = Path(jobs[0][1].folder).expanduser()
-    paths = []
+    given = {override.key_or_group for override in parse(TRAINING.prepare(arguments))}
+    begun = []
     for name, settings in jobs:
         try:
-            paths.append(str(find_or_begin(settings, name=name).path))
+            run = find_or_begin(settings, name=name)
+            begun.append(shlex.join([str(run.path), *list_changes(run, settings, given)]))
         except ValueError as error:
             logger.info("%s: failed: %s", name, error)
+    places = [find_place(settings, name=name).path for name, settings in jobs]
     command = f"{show_command('experiments.train', *arguments)}\n"
     (folder / "command.txt").write_text(command, encoding="utf-8")
     options = [line for line in TRAINING.prepare(arguments) if line.startswith("hydra")]
     options += [f"hydra.sweep.dir={quote(str(folder))}", "hydra.sweep.subdir=."]
-    sys.argv[1:] = ["--multirun", *options, f"++resume={','.join(map(quote, paths))}"]
+    sys.argv[1:] = ["--multirun", *options, f"++resume={','.join(map(quote, begun))}"]
     os.environ["HYDRA_FULL_ERROR"] = "1"  # let hydra raise its errors
     is_cut_off = False
     try:
         with ending_runs():
-            if paths:
+            if begun:
                 hydra.main(version_base="1.3", config_path=str(CONF), config_name=PRIMARY)(
                     run_job
                 )()
     except KeyboardInterrupt:
         is_cut_off = True
         print("\ninterrupted; the same command with the same folder=... goes on", file=sys.stderr)
-    runs = read_runs(folder)
+    runs = [read_run(place) for place in places]
     print(f"\n{folder}: {advise(runs)}")
     print(f"table and curves: {show_command('experiments.summarize', str(folder))}")
     sys.exit(int(is_cut_off or any(run.status != "finished" for run in runs)))
@@ -127,9 +132,10 @@ def run_job(config: DictConfig) -> None:
     """Run one job unless it is finished; hydra's launchers call this, also in other processes."""
     set_up_logging()
     leave_ending_to_sweep()
-    run = read_run(Path(config.resume))
-    if run.status not in ("finished", "running"):
-        run = run_alone(run.path)
+    path, *changes = shlex.split(config.resume)
+    run = read_run(Path(path))
+    if run.status != "running" and (changes or run.status != "finished"):
+        run = run_alone(run.path, *changes)
     logger.info("%s: %s%s", run.path.name, run.status, f": {run.reason}" if run.reason else "")
 
 
@@ -140,26 +146,42 @@ def find_or_begin(config: TrainConfig, *, name: str) -> RunFolder:
     the folder, if the run cannot be set up.
     """
     config = replace(config, name=name)
-    number = 0
-    while True:
-        number += 1
+    folder = find_place(config, name=name)
+    if folder.config.is_file():
+        return folder.checked()
+    if not folder.path.exists():
+        folder = RunFolder.create(parent=config.folder, name=folder.path.name)
+    with folder.checked().noting_failure():
+        plan = make_plan(config)
+        return make_folder(plan, recognition=config.recognition, folder=folder)[0]
+
+
+def find_place(config: TrainConfig, *, name: str) -> RunFolder:
+    """Return the folder of the run with these settings, or where it is to begin."""
+    for number in itertools.count(1):
         path = Path(config.folder).expanduser() / (name if number == 1 else f"{name}-{number}")
         folder = RunFolder(path)
         if folder.config.is_file():
             if is_same(config, folder):
-                return folder.checked()
+                break
         elif folder.failure.is_file() or not path.exists():  # it never began
-            if not path.exists():
-                folder = RunFolder.create(parent=config.folder, name=path.name)
-            with folder.checked().noting_failure():
-                plan = make_plan(config)
-                return make_folder(plan, recognition=config.recognition, folder=folder)[0]
+            break
+    return folder
+
+
+def find_runs(arguments: Sequence[str]) -> list[Path]:
+    """Return the folders of those runs of a sweep that have begun."""
+    places = [find_place(settings, name=name) for name, settings in plan_jobs(arguments)]
+    return sorted(place.path for place in places if place.config.is_file())
 
 
 def is_same(config: TrainConfig, folder: RunFolder) -> bool:
     """Tell whether a run has these settings, except harmless ones and the classifier's path."""
     stored = update_names(read_config(folder.config))
-    learning = asdict(make_plan(config).learning)  # as the algorithm adapts it
+    try:
+        learning = asdict(make_plan(config).learning)  # as the algorithm adapts it
+    except ValueError:  # no run has settings that cannot be
+        return False
     wanted = update_names(to_plain(asdict(config) | learning))
     own, given = folder.classifier, Path(wanted["recognition"] or "").expanduser()
     if own.is_file() and given.is_file():
@@ -169,10 +191,17 @@ def is_same(config: TrainConfig, folder: RunFolder) -> bool:
     return all(stored.get(name) == wanted.get(name) for name in names)
 
 
-def run_alone(path: Path) -> Run:
+def list_changes(folder: RunFolder, config: TrainConfig, given: Collection[str]) -> list[str]:
+    """Return those of the given harmless settings that are others in a run, as ``key=value``."""
+    stored, wanted = read_config(folder.config), to_plain(asdict(config))
+    names = [name for name in HARMLESS if name in given and name != "folder"]
+    return [f"{n}={json.dumps(wanted[n])}" for n in names if stored.get(n) != wanted[n]]
+
+
+def run_alone(path: Path, *changes: str) -> Run:
     """Start or resume a run in a process of its own and wait for it; it prints to output.log."""
     run = read_run(path)
-    arguments = list_arguments(quote(str(path)), run.config)
+    arguments = [*list_arguments(quote(str(path)), run.config), *changes]
     command = [sys.executable, "-m", "experiments.train", *arguments]
     with (
         Progress() as bar,

@@ -17,11 +17,11 @@ from experiments import train
 from experiments.program import show_command
 from experiments.sweeps import ending, jobs
 from experiments.sweeps.groups import group_runs
-from experiments.sweeps.runs import read_run, read_runs
+from experiments.sweeps.runs import Run, read_run, read_runs
 from experiments.train_settings import TRAINING, TrainConfig
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.description import to_plain
-from fishrl.training.run_folder import RunFolder, write_yaml
+from fishrl.training.run_folder import RunFolder, write_json, write_yaml
 from tests.training.conftest import read_rows
 
 ROOT = Path(__file__).parents[2]
@@ -109,6 +109,17 @@ def test_the_same_settings_find_their_run_and_others_make_a_new_one(tmp_path: Pa
     assert read_run(mended.path).status == "stopped"
 
 
+def test_only_runs_of_these_settings_are_found(tmp_path: Path) -> None:
+    sweep = [f"folder={tmp_path}", "seed=0,1"]
+    for gamma in ("gamma=0.5", "gamma=0.9"):
+        for name, settings in jobs.plan_jobs([*sweep, gamma]):
+            jobs.find_or_begin(settings, name=name)
+    found = jobs.find_runs([*sweep, "gamma=0.9"])
+    assert [path.name for path in found] == ["seed_0-2", "seed_1-2"]
+    assert jobs.find_runs([*sweep, "gamma=0.99"]) == []
+    assert len(read_runs(tmp_path)) == 4  # nothing is made
+
+
 def test_settings_that_an_algorithm_adapts_find_their_run_too(tmp_path: Path) -> None:
     config = TRAINING.read([f"folder={tmp_path}", "algorithm=ppo"])
     first, again = (jobs.find_or_begin(config, name="run") for _ in range(2))
@@ -170,6 +181,15 @@ def test_a_killed_job_leaves_the_others_and_goes_on_alone(
     assert (whole / "summary.json").stat().st_mtime_ns == before
 
 
+def test_a_repeated_sweep_takes_changes_of_what_is_logged_and_compared(tmp_path: Path) -> None:
+    command = [*SETTINGS, f"folder={tmp_path}", f"logger._target_={HERE}.Gliding"]
+    assert run_sweep(*command) == 0
+    assert run_sweep(*command, "baselines=[random]", "log_frames=8") == 0
+    (run,) = read_runs(tmp_path)
+    assert run.summary["baselines"] == ["random"]
+    assert run.config["log_frames"] == 8
+
+
 def test_a_sweep_that_is_ended_saves_its_runs(tmp_path: Path) -> None:
     command = ["-m", "experiments.train", "--multirun", *SETTINGS, f"folder={tmp_path}", "seed=0,1"]
     command.append(f"logger._target_={HERE}.Ending")
@@ -215,6 +235,22 @@ def test_trainings_below_a_process_end_before_it() -> None:
             os.kill(os.getpid(), signal.SIGTERM)
         assert run.wait() == -signal.SIGTERM
     assert ending.find_trainings() == set()
+
+
+def test_a_sweep_is_judged_by_its_own_jobs(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs.find_or_begin(settings_in(tmp_path, gamma=0.5), name="run")  # and never trained
+
+    def finish(path: Path, *_: object) -> Run:
+        write_json(RunFolder(path).summary, {"mean_return": 0.0})
+        return read_run(path)
+
+    monkeypatch.setattr(jobs, "run_alone", finish)
+    assert run_sweep(f"folder={tmp_path}") == 0
+    assert "1 of 1 runs finished" in capfd.readouterr().out
+    assert run_sweep(f"folder={tmp_path}", "algorithm=sac") == 1  # not for discrete actions
+    assert "run-3: failed at frame 0" in capfd.readouterr().out
 
 
 def test_jobs_that_cannot_be_set_up_are_all_named(
