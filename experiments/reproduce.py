@@ -25,13 +25,14 @@ from omegaconf import MISSING
 from experiments.benchmarks.machine import describe_machine
 from experiments.free_stream import main as free_stream
 from experiments.program import program, show_command
-from experiments.reproduction.page import ARMS, write_page
-from experiments.sweeps.runs import read_runs
+from experiments.reproduction.page import ARMS, find_fitted, write_page
+from experiments.sweeps.jobs import find_runs
 from experiments.train_lateral_line import main as train_lateral_line
 from experiments.train_settings import TRAINING, make_plan
 from experiments.validation.swimmer import CASE
 from fishrl.bounds import Checked, bounded
 from fishrl.envs import AbstractTask, KarmanGait, make_env
+from fishrl.training.baselines import make_baselines
 from fishrl.training.description import make
 from fishrl.training.learner import one_thread
 from fishrl.training.plan import Plan
@@ -133,7 +134,8 @@ def plan_training(name: str, settings: Sequence[str], scale: Scale, folder: Path
     plan = make_plan(TRAINING.read(settings))
     run, task = plan.run, plan.task
     tests = run.total_frames // run.eval_frames * run.eval_episodes
-    tests += run.final_episodes * (1 + len(run.baselines or ()))
+    baselines = make_baselines(run.baselines, task=task, seed=0)
+    tests += run.final_episodes * (1 + len(baselines))
     decisions = run.total_frames + tests * task.time_limit
     seeds = f"seed={','.join(map(str, scale.seeds))}"
     return Job(
@@ -146,20 +148,20 @@ def plan_training(name: str, settings: Sequence[str], scale: Scale, folder: Path
 
 def list_jobs(scale: Scale, folder: Path) -> list[Job]:
     """Return all jobs in their order; ValueError for wrong settings of a training."""
-    classifier = min(folder.glob("classifier*/machine.pt"), default=None)
+    fitted = find_fitted(folder)
+    classifier = fitted / "machine.pt" if fitted else "oracle"  # settings are read before, too
     arms = [
         plan_training(
             arm,
-            # settings are read before there is a classifier, too
-            [*scale.gait, *(word.format(classifier=classifier or "oracle") for word in settings)],
+            [*scale.gait, *(word.format(classifier=classifier) for word in settings)],
             scale,
             folder,
         )
         for arm, settings in ARM_SETTINGS.items()
     ]
     task = make(TRAINING.read(scale.gait).task, kind=KarmanGait)
-    begun = [folder / arm for arm in ARMS if (folder / arm).is_dir()]
-    trained = ",".join(str(run.path) for arm in begun for run in read_runs(arm))
+    begun = [arm for arm in arms if (folder / arm.name).is_dir()]
+    trained = ",".join(str(path) for arm in begun for path in find_runs(arm.words[2:]))
     trials = 3 * scale.episodes * (len(ARMS) * len(scale.seeds) + 2)
     swims = [job.cost for job in CASE.jobs if job.is_quick or "quick=true" not in scale.swimmer]
     free = free_stream.read([*scale.stream, *scale.free_stream])

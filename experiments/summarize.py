@@ -27,7 +27,7 @@ from experiments.statistics import (
     half_width,
 )
 from experiments.sweeps.groups import Group, group_runs, is_number
-from experiments.sweeps.runs import Run, advise, read_runs
+from experiments.sweeps.runs import Run, advise, read_run, read_runs
 
 #: Heading, entry of a run's summary, format. ``curve_mean`` is the mean success rate over all
 #: evaluations of a training: the earlier a policy succeeds, the greater.
@@ -72,9 +72,15 @@ class SummarizeSettings:
     page: str | None = None
 
 
-def summarize(folder: Path, *, page: Path | None = None) -> str:
-    """Write tables and curves of a sweep into its folder, and return the text of summary.md."""
-    runs = [add_evaluations(run) for run in read_runs(folder)]
+def summarize(
+    folder: Path, *, paths: Sequence[Path] | None = None, page: Path | None = None
+) -> str:
+    """Write tables and curves of a sweep into its folder, and return the text of summary.md.
+
+    ``paths`` are the runs; by default all in the folder.
+    """
+    found = read_runs(folder) if paths is None else map(read_run, paths)
+    runs = [add_evaluations(run) for run in found]
     groups = group_runs(runs)
     if not groups:
         raise ValueError(f"{folder}: no run has begun\n{advise(runs)}")

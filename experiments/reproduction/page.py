@@ -15,7 +15,8 @@ from experiments.gait_page import draw_transfer, read, write_free_stream
 from experiments.pages import fill, write_table
 from experiments.statistics import Statistic
 from experiments.summarize import summarize
-from experiments.sweeps.runs import read_runs
+from experiments.sweeps.jobs import find_runs
+from experiments.sweeps.runs import read_run
 from fishrl.training.run_folder import read_config
 
 #: Folder and name of each kind of policy in the second task.
@@ -25,13 +26,14 @@ ARMS = {
     "lateral_line": "lateral line alone",
     "ablation": "ablation",
 }
-#: Figures by their name on the page: file in the folder of the reproduction, caption.
+#: Figures by their name on the page: file, in the folder of the reproduction, of its classifier or
+#: of its first predation policy; caption.
 FIGURES = {
-    "swimmer": ("swimmer/figures/validation/swimmer.png", "Task 0: speed against time"),
-    "classifier": ("classifier*/curves.png", "Accuracy and loss of the classifiers"),
-    "predation": ("predation/curves.png", "Task 1: learning curves"),
-    "trajectories": ("predation/*/trajectories.png", "Task 1: paths to the food"),
-    "vorticity": ("predation/*/vorticity_sequence.png", "Task 1: vorticity before a capture"),
+    "swimmer": ("{folder}/swimmer/figures/validation/swimmer.png", "Task 0: speed against time"),
+    "classifier": ("{classifier}/curves.png", "Accuracy and loss of the classifiers"),
+    "predation": ("{folder}/predation/curves.png", "Task 1: learning curves"),
+    "trajectories": ("{hunt}/trajectories.png", "Task 1: paths to the food"),
+    "vorticity": ("{hunt}/vorticity_sequence.png", "Task 1: vorticity before a capture"),
 }
 #: Figures of the second task, which are drawn for the page.
 GAIT_FIGURES = {
@@ -43,6 +45,13 @@ GAIT_FIGURES = {
     "work": "Task 2: work in the wake and in a free stream",
 }
 HEADS = ("quantity, in the flows I, II, III", "paper", "ours", "likely reason of a difference")
+
+
+def find_fitted(folder: Path) -> Path | None:
+    """Return the folder of the newest classifier that has been compared with the others."""
+    fitted = folder.glob("classifier*/lateral_line.json")
+    newest = max(fitted, key=lambda path: path.stat().st_mtime, default=None)
+    return newest and newest.parent
 
 
 def compare(transfer: Any, free: Any, line: Any, captures: Sequence[float]) -> str:
@@ -108,9 +117,9 @@ def compare(transfer: Any, free: Any, line: Any, captures: Sequence[float]) -> s
     return write_table(HEADS, rows)
 
 
-def list_settings(folder: Path) -> str:
+def list_settings(run: Path) -> str:
     """Return the hyper-parameters and flows of the second task, as tables 1 and 2 of the paper."""
-    config = read_config(read_runs(folder / "both")[0].path / "config.yaml")
+    config = read_config(run / "config.yaml")
     rows = [
         ["learning rate", "0.0005", config["learning_rate"]],
         ["discount", "0.99", config["gamma"]],
@@ -132,27 +141,35 @@ def list_jobs(jobs: Mapping[str, Mapping[str, Any]]) -> str:
     return write_table(("job", "program", "hours"), rows)
 
 
-def draw(folder: Path, pictures: Path) -> None:
+def draw(folder: Path, runs: Mapping[str, Sequence[Path]], pictures: Path) -> None:
     """Copy and draw the figures."""
-    summarize(folder / "predation")
+    summarize(folder / "predation", paths=runs["predation"])
     pictures.mkdir(parents=True, exist_ok=True)
-    for name, (pattern, _) in FIGURES.items():
-        copyfile(min(folder.glob(pattern)), pictures / f"{name}.png")
-    runs = [str(run.path) for arm in ARMS for run in read_runs(folder / arm)]
-    draw_transfer(str(folder / "transfer"), runs, pictures)
+    places = {"folder": folder, "classifier": find_fitted(folder), "hunt": runs["predation"][0]}
+    for name, (file, _) in FIGURES.items():
+        copyfile(file.format(**places), pictures / f"{name}.png")
+    trained = [str(run) for arm in ARMS for run in runs[arm]]
+    draw_transfer(str(folder / "transfer"), trained, pictures)
     work = read(str(folder / "transfer"))
     free = read(str(folder / "free_stream"), "free_stream.json")
     in_wake = work["work"][ARMS["both"]]
     figures.write_work(pictures / "work.png", in_wake, free["work"], speeds=work["speeds_bl"])
 
 
-def render(folder: Path, jobs: Mapping[str, Mapping[str, Any]], *, name: str, place: str) -> str:
+def render(
+    folder: Path,
+    runs: Mapping[str, Sequence[Path]],
+    jobs: Mapping[str, Mapping[str, Any]],
+    *,
+    name: str,
+    place: str,
+) -> str:
     """Return the page of a scale in Markdown; its figures lie in ``place``."""
     transfer = read(str(folder / "transfer"))
     free = read(str(folder / "free_stream"), "free_stream.json")
-    line = read(str(min(folder.glob("classifier*/machine.pt")).parent), "lateral_line.json")
-    hunts = read_runs(folder / "predation")
-    times = [run.summary["mean_time_to_success_T"] for run in hunts]  # None without a capture
+    line = read(str(find_fitted(folder)), "lateral_line.json")
+    hunts = [read_run(path).summary for path in runs["predation"]]
+    times = [summary["mean_time_to_success_T"] for summary in hunts]  # None without a capture
     machines = {
         f"{m['gpu'] or m['cpu']}, {m['cores']} cores, torch {m['torch']}"
         for m in (job["machine"] for job in jobs.values())
@@ -165,7 +182,7 @@ def render(folder: Path, jobs: Mapping[str, Mapping[str, Any]], *, name: str, pl
         "### The paper's numbers and ours",
         compare(transfer, free, line, [time for time in times if time is not None]),
         "### Settings",
-        list_settings(folder),
+        list_settings(runs["both"][0]),
         "### Task 1: predation",
         (folder / "predation" / "summary.md").read_text(encoding="utf-8").partition("\n")[2],
         "### Task 2: Kármán gait",
@@ -190,8 +207,9 @@ def write_page(
         name: of the scale.
         docs: folder of the documentation; its page has marks ``<!-- <name>: begin -->``.
     """
-    draw(folder, folder / "figures")
-    text = render(folder, jobs, name=name, place="figures")
+    runs = {arm: find_runs(jobs[arm]["words"][2:]) for arm in ("predation", *ARMS)}
+    draw(folder, runs, folder / "figures")
+    text = render(folder, runs, jobs, name=name, place="figures")
     (folder / "reproduction.md").write_text(f"# Reproduction, {name}\n\n{text}", encoding="utf-8")
     html = MarkdownIt("commonmark").enable("table").render(text)
     page = folder / "reproduction.html"
@@ -201,5 +219,6 @@ def write_page(
         (Path(docs) / place).mkdir(parents=True, exist_ok=True)
         for picture in (folder / "figures").glob("*.png"):
             copyfile(picture, Path(docs) / place / picture.name)
-        fill(Path(docs) / "reproduction.md", name, render(folder, jobs, name=name, place=place))
+        text = render(folder, runs, jobs, name=name, place=place)
+        fill(Path(docs) / "reproduction.md", name, text)
     return page

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from pathlib import Path
 
@@ -10,8 +11,8 @@ import pytest
 from experiments import reproduce
 from experiments.program import list_choices
 from experiments.reproduce import Job, Record, list_jobs, run_job
-from experiments.sweeps.jobs import plan_jobs
-from fishrl.training.run_folder import RunFolder, write_yaml
+from experiments.reproduction import page
+from experiments.sweeps.jobs import find_or_begin, find_runs, plan_jobs
 
 
 @pytest.mark.parametrize("name", list_choices()["scale"])
@@ -19,8 +20,6 @@ def test_every_job_of_a_scale_is_a_command_that_its_program_takes(
     name: str, tmp_path: Path
 ) -> None:
     scale = reproduce.main.read([f"scale={name}"]).scale
-    run = RunFolder.create(parent=str(tmp_path / "both"), name="seed_0")
-    write_yaml(run.config, {"task": {}})
     jobs = list_jobs(scale, tmp_path)
     assert len({job.name for job in jobs}) == len(jobs)
     for job in jobs:
@@ -28,9 +27,44 @@ def test_every_job_of_a_scale_is_a_command_that_its_program_takes(
         if words[0] == "--multirun":
             assert len(plan_jobs(words[1:])) == len(scale.seeds)
         else:
-            settings = import_module(f"experiments.{program}").main.read(words)
-            assert program != "transfer" or list(settings.runs) == [str(run.path)]
+            import_module(f"experiments.{program}").main.read(words)
         assert job.updates > 0
+
+
+def list_by_name(folder: Path, *settings: str) -> dict[str, Job]:
+    scale = reproduce.main.read(["scale=tiny"]).scale
+    scale.gait += settings
+    return {job.name: job for job in list_jobs(scale, folder)}
+
+
+def test_only_policies_of_the_present_settings_are_evaluated(tmp_path: Path) -> None:
+    words = list_by_name(tmp_path)["ablation"].words[2:]
+    for other in (["gamma=0.5"], []):
+        for name, settings in plan_jobs([*words, *other]):
+            find_or_begin(settings, name=name)
+    assert find_runs(words) == [tmp_path / "ablation" / "run-2"]
+    assert f"runs=[{find_runs(words)[0]}]" in list_by_name(tmp_path)["transfer"].words
+
+
+def test_the_newest_classifier_with_results_is_used(tmp_path: Path) -> None:
+    for number, (name, is_compared) in enumerate(
+        {"classifier": False, "classifier-10": True, "classifier-2": True}.items()
+    ):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "machine.pt").touch()
+        if is_compared:
+            (tmp_path / name / "lateral_line.json").touch()
+            os.utime(tmp_path / name / "lateral_line.json", (number, number))
+    assert page.find_fitted(tmp_path) == tmp_path / "classifier-2"
+    words = list_by_name(tmp_path)["both"].words
+    assert f"recognition={tmp_path / 'classifier-2' / 'machine.pt'}" in words
+
+
+def test_the_plan_counts_the_default_baselines_of_the_task(tmp_path: Path) -> None:
+    default, none = (
+        list_by_name(tmp_path, f"baselines={given}")["ablation"].updates for given in ("null", "[]")
+    )
+    assert default > none
 
 
 def test_a_finished_job_is_not_repeated_unless_its_settings_change(tmp_path: Path) -> None:

@@ -168,6 +168,8 @@ def test_the_table_has_mean_interval_and_iqm_and_says_what_to_rerun(sweep: Path)
     assert f"python -m experiments.train resume={sweep}/gamma_0.99-seed_3" in text
     assert "seed_0: " not in text
     assert (sweep / "summary.md").read_text() in text
+    some = sorted(sweep.glob("gamma_0.9-*"))
+    assert "4 of 4 runs finished" in summarize.summarize(sweep, paths=some)
 
 
 def test_groups_are_compared_seed_by_seed(tmp_path: Path) -> None:
