@@ -22,7 +22,7 @@ from torchrl.envs import EnvBase, Transform
 from experiments.figures.style import COLOURS, panels, tidy
 from experiments.gait.trials import PERIODS, Trial, load_trial, make_trial
 from experiments.pages import write_table
-from experiments.program import TaskSettings, program
+from experiments.program import TaskSettings, check_names, program
 from experiments.statistics import Statistic
 from fishrl.bounds import bounded
 from fishrl.envs import (
@@ -244,7 +244,10 @@ def summarise(records: Sequence[Record], task: KarmanGait) -> dict[str, Any]:
 
 
 def tabulate(results: dict[str, dict[str, Any]]) -> str:
-    """Return the table of all arms, Markdown."""
+    """Return the table of all arms, Markdown.
+
+    Intervals of survival are over policies; those of a single one over its episodes.
+    """
     heads = (
         *("labels from", "policies", "survival, T", "label right", "changes"),
         *(f"recognised within {PROMPT_T:g} T", "median delay, T"),
@@ -255,8 +258,9 @@ def tabulate(results: dict[str, dict[str, Any]]) -> str:
         if not math.isnan(arm["accuracy"]):
             shown = [f"{arm['accuracy']:.1%}", arm["changes"], f"{arm['recognised']:.1%}"]
             shown.append(f"{arm['median_delay_T']:.2f}")
-        survival = Statistic.of(arm["survival_T"]).show(".1f")
-        rows.append([name, len(arm["survival_by_policy_T"]), survival, *shown])
+        policies = arm["survival_by_policy_T"]
+        survival = Statistic.of(policies if len(policies) > 1 else arm["survival_T"]).show(".1f")
+        rows.append([name, len(policies), survival, *shown])
     return write_table(heads, rows)
 
 
@@ -302,6 +306,8 @@ def main(settings: ChangingSettings) -> None:
 
     learned = [load_trial(Path(run), periods=settings.periods) for run in settings.runs]
     others = [load_trial(Path(run), periods=settings.periods) for run in settings.ablations]
+    check_names([trial.name for trial in learned])
+    check_names([trial.name for trial in (*learned, *others)])
     others.append(make_trial("pid", learned[0].task, periods=settings.periods))
     arms: dict[str, list[Record]] = {}
     with Progress() as progress:

@@ -14,6 +14,7 @@ from itertools import product
 from pathlib import Path
 
 import torch
+from scipy import stats
 
 from experiments.figures.style import COLOURS
 from experiments.gait import trials
@@ -68,7 +69,11 @@ def tabulate(task: KarmanGait, histories: trials.Histories) -> list[dict[str, fl
     ):
         mine = (histories.flow == flow) & (beats == frequency)
         counts = (middle >= low) & (middle < high) & mine[:, None] & counted
-        drift, num = steps[counts], int(counts.sum())
+        drift = steps[counts]
+        # one mean per episode: successive decisions of a fish are correlated
+        means = [
+            fish[is_in].mean() for fish, is_in in zip(steps, counts, strict=True) if is_in.any()
+        ]
         table.append(
             {
                 "stream_speed_bl": speed,
@@ -76,9 +81,9 @@ def tabulate(task: KarmanGait, histories: trials.Histories) -> list[dict[str, fl
                 "from_bl": low,
                 "to_bl": high,
                 "drift": float(drift.mean()),
-                "error": float(drift.std() / num**0.5) if num > 1 else math.nan,
+                "error": float(stats.sem(means)) if len(means) > 1 else math.nan,
                 "work": float(work[counts].mean()),
-                "samples": num,
+                "samples": len(drift),
             }
         )
     return table

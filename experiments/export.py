@@ -62,7 +62,9 @@ def simulate(settings: ExportSettings, *, progress: Progress) -> xr.Dataset:
     num_checks = 0
 
     def read(flows: FlowEnv) -> None:
-        frames.append(read_fields(flows.solver, task.scales))
+        frame = read_fields(flows.solver, task.scales)
+        if not frames or frame["time"] > frames[-1]["time"]:  # a flow stands still after the end
+            frames.append(frame)
 
     def count(running: Tensor, flows: FlowEnv) -> None:
         nonlocal num_checks

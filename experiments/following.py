@@ -20,7 +20,7 @@ from torchrl.envs import TransformedEnv
 
 from experiments.figures.style import panels, tidy
 from experiments.pages import write_table
-from experiments.program import TaskSettings, program
+from experiments.program import TaskSettings, check_names, program
 from experiments.statistics import Statistic
 from fishrl.bounds import bounded
 from fishrl.envs import Follower, make_env
@@ -131,11 +131,13 @@ def summarise(done: Record, task: Follower, *, settle_T: float) -> dict[str, lis
     }
 
 
-def tabulate(results: dict[str, dict[str, list[float]]], *, cost_alone: float) -> str:
-    """Return the table of all arms, Markdown; the last column is relative to ``cost_alone``."""
+def tabulate(
+    results: dict[str, dict[str, list[float]]], *, cost_alone: float, baseline: str
+) -> str:
+    """Return the table of all arms, Markdown; ``cost_alone`` is the cost of the baseline alone."""
     heads = (
         *("policy", "survived", "contact", "survival, T", "x, L", "aside, L", "beats per T"),
-        *("work per L", "relative to keep_place alone"),
+        *("work per L", f"relative to {baseline} alone"),
     )
     rows = []
     for name, arm in results.items():
@@ -183,6 +185,7 @@ def write_figure(path: Path, tried: dict[str, Record], results: dict[str, Any]) 
 def main(settings: FollowingSettings) -> None:
     """Try all policies, and write table and figure."""
     torch.set_num_threads(1)
+    check_names([*(Path(run).name for run in settings.runs), settings.baseline])
     task = make(settings.task, kind=Follower)
     task = replace(task, time_limit=math.ceil(settings.periods / task.interval_T - 1e-9))
     places = {"behind the leader": task, "alone": replace(task, leader="none")}
@@ -213,7 +216,8 @@ def main(settings: FollowingSettings) -> None:
         for place in places
         if len(settings.runs) > 1
     }
-    table = tabulate(results | means, cost_alone=Statistic.of(alone).mean)
+    cost_alone = Statistic.of(alone).mean
+    table = tabulate(results | means, cost_alone=cost_alone, baseline=settings.baseline)
     (folder / "following.md").write_text(table, encoding="utf-8")
     write_figure(folder / "following.png", tried, results)
     print(table)

@@ -123,6 +123,12 @@ def program(
     return lambda run: Program(run, taken, sweep)
 
 
+def check_names(names: Sequence[str]) -> None:
+    """Raise ValueError unless there are policies, all of different names."""
+    if not names or len(set(names)) < len(names):
+        raise ValueError(f"policies are called {sorted(names)}: give some, all of different names")
+
+
 def write_value(value: Any) -> str:
     """Write a plain value or a list of them as on a command line."""
     if isinstance(value, bool) or value is None:

@@ -31,7 +31,7 @@ from experiments.gait.trials import (
     run_trial,
 )
 from experiments.pages import write_table
-from experiments.program import program
+from experiments.program import check_names, program
 from experiments.statistics import compare_paired
 from fishrl.bounds import Checked, bounded
 from fishrl.envs import KarmanGait
@@ -220,6 +220,7 @@ def main(settings: RobustnessSettings) -> None:
     torch.set_num_threads(1)
     folder, periods = Path(settings.folder), settings.periods
     tried = [load_trial(Path(run), periods=periods) for run in settings.runs]
+    check_names([*(trial.name for trial in tried), *settings.baselines])
     known = sorted({*(trial.arm for trial in tried), *settings.baselines})
     if settings.reference not in known:
         raise ValueError(f"reference = {settings.reference!r}: the arms are {known}")

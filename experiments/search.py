@@ -9,6 +9,7 @@ first; started several times at once, it searches with several processes.
 
 from __future__ import annotations
 
+import fcntl
 import logging
 import sys
 import time
@@ -60,6 +61,7 @@ class SearchSettings(Checked):
     def __post_init__(self) -> None:
         """Check the bounds, and that something is searched."""
         super().__post_init__()
+        self.folder = str(Path(self.folder).expanduser())
         for override in parse(TRAINING.prepare(self.overrides)):
             if override.key_or_group in ("seed", "name", "resume"):
                 raise ValueError(f"{override.key_or_group}: is set by the search; leave it out")
@@ -113,10 +115,13 @@ def search(settings: SearchSettings) -> Any:
     for trial in study.get_trials(states=[optuna.trial.TrialState.RUNNING]):
         run_trial(settings, study, trial.number)
     while len(study.trials) < settings.trials:
-        # Its own seed: a search that goes on, or has several processes, draws nothing twice.
-        study.sampler = optuna.samplers.TPESampler(seed=len(study.trials))
+        # Each trial has its own seed, also where several processes search: nothing is drawn twice.
+        with (folder / "study.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            study.sampler = optuna.samplers.TPESampler(seed=len(study.trials))
+            number = study.ask(space).number
         try:
-            run_trial(settings, study, study.ask(space).number)
+            run_trial(settings, study, number)
         except optuna.exceptions.UpdateFinishedTrialError:
             logger.info("another search began meanwhile and gave the new trial up")
     return study

@@ -17,7 +17,7 @@ import torch
 from experiments.gait import figures, trials
 from experiments.gait.diagnostics import combine_seeds, diagnose, measure_lean, trace_work
 from experiments.gait.tables import write_results
-from experiments.program import TaskSettings, program
+from experiments.program import TaskSettings, check_names, program
 from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait
 from fishrl.training.description import make
@@ -62,9 +62,7 @@ def transfer(
     seeds; ``trials``: of each policy alone; ``work``: per arm and flow as it adds up in time.
     ``ValueError`` for equal names and tasks that cannot be compared.
     """
-    names = [trial.name for trial in tried]
-    if not names or len(set(names)) < len(names):
-        raise ValueError(f"policies are called {sorted(names)}: give some, all of different names")
+    check_names([trial.name for trial in tried])
     for setting in SHARED:
         values = {trial.name: getattr(trial.task, setting) for trial in tried}
         if len(set(map(repr, values.values()))) > 1:

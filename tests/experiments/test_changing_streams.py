@@ -10,7 +10,8 @@ import pytest
 import torch
 
 from experiments import changing_streams
-from experiments.changing_streams import Record, find_delays
+from experiments.changing_streams import Record, find_delays, tabulate
+from experiments.statistics import half_width
 from fishrl.envs import KarmanGait
 from fishrl.envs.changes import StreamSteps
 from fishrl.envs.streams import Stream
@@ -47,3 +48,18 @@ def test_all_arms_are_tried_from_the_same_starts(tmp_path: Path) -> None:
     assert len(results["filter"]["survival_T"]) == 2
     assert (tmp_path / "changing.png").stat().st_size > 5000
     assert len((tmp_path / "changing.md").read_text().splitlines()) == 2 + len(results)
+
+
+@pytest.mark.parametrize("runs", ["", "zoo/gait_small,zoo/gait_small"])
+def test_policies_are_needed_all_of_different_names(runs: str) -> None:
+    with pytest.raises(ValueError, match="all of different names"):
+        changing_streams.main.run(changing_streams.main.read([f"runs=[{runs}]"]))
+
+
+def test_the_interval_of_survival_is_over_policies_where_there_are_several() -> None:
+    numbers = {"accuracy": math.nan, "survival_T": [10.0, 10.0, 20.0, 20.0]}
+    several, one = (
+        tabulate({"a": {**numbers, "survival_by_policy_T": means}}) for means in ([10, 20], [15])
+    )
+    assert f"15.0 ± {half_width([10, 20]):.1f}" in several
+    assert f"15.0 ± {half_width(numbers['survival_T']):.1f}" in one

@@ -1,8 +1,9 @@
 """What is counted of followers and of fish alone."""
 
+import pytest
 import torch
 
-from experiments.following import Record, average, summarise, tabulate
+from experiments.following import Record, average, main, summarise, tabulate
 from fishrl.envs import Follower
 
 
@@ -32,7 +33,13 @@ def test_work_per_distance_is_counted_from_when_the_fish_has_settled_to_its_end(
     assert result["cost"][1] != result["cost"][1]  # NaN
     assert result["survived"] == [1.0, 0.0] and result["contact"] == [0.0, 1.0]
     assert (result["x"][0], result["aside"][0]) == (1.5, 0.2)
-    row = tabulate({"a": result}, cost_alone=0.4).splitlines()[-1]
-    assert "50%" in row and "0.50" in row
+    table = tabulate({"a": result}, cost_alone=0.4, baseline="passive")
+    row = table.splitlines()[-1]
+    assert "50%" in row and "0.50" in row and "relative to passive alone" in table
     means = average([result, {**result, "cost": [0.4, 0.4]}])
     assert abs(means["cost"][0] - 0.2) < 1e-12 and means["cost"][1] == 0.4
+
+
+def test_policies_of_one_name_are_refused() -> None:
+    with pytest.raises(ValueError, match="all of different names"):
+        main.run(main.read(["runs=[zoo/follower_small,other/follower_small]"]))

@@ -86,5 +86,7 @@ def test_every_policy_is_tried_under_every_condition(tmp_path: Path) -> None:
     assert np.shape(results["aside"]["pid"]["survival_T"]) == (1, 6)
     assert "| aside |" in (tmp_path / "robustness.md").read_text()
     assert (tmp_path / "robustness.png").stat().st_size > 5000
+    with pytest.raises(ValueError, match="all of different names"):
+        robustness.main.run(robustness.main.read([*given, "runs=[zoo/gait_small,zoo/gait_small]"]))
     with pytest.raises(ValueError, match="reference"):
         robustness.main.run(robustness.main.read([*given, "reference=oracle"]))

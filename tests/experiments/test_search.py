@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -140,6 +141,31 @@ def test_failed_trials_are_recorded_and_others_follow(
     study = search.search(search.main.read(line))
     assert [trial.state.name for trial in study.trials] == ["FAIL"] * 3
     assert len({trial.params["++gamma"] for trial in study.trials}) == 3  # nothing is drawn twice
+
+
+def test_searches_that_begin_at_once_draw_different_settings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sampler = optuna.samplers.TPESampler
+
+    def hesitate(*, seed: int | None = None) -> Any:
+        time.sleep(0.5)  # the other search counts the trials meanwhile
+        return sampler(seed=seed)
+
+    monkeypatch.setattr(search, "run_trial", lambda *_: None)
+    plan = plan_of(tmp_path, "gamma=interval(0,1)")
+    study = empty_study(plan)
+    monkeypatch.setattr(optuna.samplers, "TPESampler", hesitate)
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(search.search, [replace(plan, trials=1)] * 2))
+    assert len({trial.params["++gamma"] for trial in study.trials}) == len(study.trials)
+
+
+def test_a_search_in_the_home_folder_has_one_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert plan_of(Path("~/search"), "gamma=interval(0,1)").folder == f"{tmp_path}/search"
 
 
 def test_two_searches_share_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

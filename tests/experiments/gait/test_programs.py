@@ -7,9 +7,11 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
+from scipy import stats
 
 from experiments import drift_sweep, free_stream, gait_page
-from experiments.gait.trials import make_trial
+from experiments.gait.trials import Histories, make_trial
 from experiments.transfer import TransferSettings, transfer
 from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
 from tests.experiments.gait.tasks import BRIEF, OVERRIDES, make_task
@@ -51,6 +53,21 @@ def test_drift_is_swept_over_frequencies_in_every_stream(tmp_path: Path) -> None
         assert float(row["drift"]) == pytest.approx(expected, abs=0.02)
     facts = json.loads((tmp_path / "drift.json").read_text())
     assert (facts["episodes"], facts["diverged"]) == (12, 0)
+
+
+def test_the_error_of_the_drift_is_over_episodes() -> None:
+    num, drifts = 12, torch.tensor([0.01, 0.02, 0.06])
+    time = torch.arange(num + 1.0)
+    x = (1.0 + drifts[:, None] * time).double()
+    nothing, rows = torch.zeros(3), torch.zeros(3, num + 1).double()
+    histories = Histories(*[nothing] * len(Histories._fields))._replace(
+        place=torch.stack((x, rows), -1), work=rows, frequency=rows[:, 1:],
+        lengths_T=torch.full((3,), 100.0).double(), flow=torch.zeros(3, dtype=torch.int64),
+    )  # fmt: skip
+    task = make_task()
+    row = drift_sweep.tabulate(task, histories)[0]  # 0.8 to 1.4 L: most of each episode
+    means = drifts.numpy() / task.interval_T
+    assert row["error"] == pytest.approx(stats.sem(means), rel=1e-5)
 
 
 def test_the_page_takes_the_tables_of_several_transfer_tests(tmp_path: Path) -> None:
