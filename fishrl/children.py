@@ -14,9 +14,11 @@ def start_child(code: str, *arguments: str, **options: Any) -> subprocess.Popen[
     """Run Python code in a process group that is killed when the pipe to its stdin closes.
 
     The kernel closes that pipe when this process ends, so that even SIGKILL leaves nothing behind.
+    The child finds modules where this process does.
     ``options`` are those of ``subprocess.Popen``.
     """
-    start = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})"
+    folders = [*map(str, sys.path), str(Path(__file__).parents[1])]
+    start = f"import sys; sys.path[:] = {folders!r}"
     code = f"{start}; import fishrl.children; fishrl.children.end_with_pipe(); {code}"
     command = [sys.executable, "-c", code, *arguments]
     return subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True, **options)

@@ -16,7 +16,7 @@ from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
 from fishrl.physics.fast.batch import FlowBatch, set_rows_
 from fishrl.physics.fast.checks import check_tensor
 from fishrl.physics.fast.compiled import Kernel, find_compiler_problem
-from fishrl.physics.fast.workers import Workers, count_cores, map_shared, open_shared
+from fishrl.physics.fast.workers import Workers, can_send, count_cores, map_shared, open_shared
 from fishrl.physics.flow import FlowConfig, compute_stream_speed, list_configs
 from fishrl.physics.lattice import Q
 
@@ -35,7 +35,8 @@ class InPlaceSolver:
         num_workers: CPU processes that share the flows, each on one core. None takes one per core,
             at most one per flow, where the step is compiled; 0 runs all flows in this process, each
             on all of torch's threads, which is faster for a single large flow on an idle machine
-            and much slower on a busy one. On a GPU it must be 0.
+            and much slower on a busy one. It must be 0, and None means 0, on a GPU and where the
+            configuration holds objects of classes that a notebook or the running script defines.
         flows_per_launch: flows per group, which each pass over memory advances together; a divisor
             of B. None is one on a CPU, whose cache holds a flow, and all on a GPU.
     """
@@ -55,13 +56,14 @@ class InPlaceSolver:
         configs = list_configs(config, num_envs, device)
         num_envs, is_cpu = len(configs), device.type == "cpu"
         torch.set_flush_denormal(True)  # still water decays into denormals, which are slow
+        can_share = is_cpu and can_send(configs)
         if num_workers is None:
-            can_share = is_cpu and compile and not find_compiler_problem("cpu")
-            num_workers = min(count_cores(), num_envs) if can_share else 0
-        if num_workers < 0 or (num_workers and not is_cpu):
+            is_compiled = can_share and compile and not find_compiler_problem("cpu")
+            num_workers = min(count_cores(), num_envs) if is_compiled else 0
+        if num_workers < 0 or (num_workers and not can_share):
             raise ValueError(
-                f"num_workers = {num_workers} on {device}: allowed is 0 on a GPU, 0 or more "
-                "on a CPU"
+                f"num_workers = {num_workers} on {device}: allowed is 0 on a GPU, 0 or more on a "
+                "CPU if each class in the configuration is that of a module"
             )
         size = flows_per_launch or (1 if is_cpu else num_envs)
         if size < 1 or num_envs % size:

@@ -50,6 +50,14 @@ def count_cores() -> int:
     return len(given(0)) if given else os.cpu_count() or 1
 
 
+def can_send(configs: Sequence[FlowConfig]) -> bool:
+    """Tell whether workers can import every class of the flows: all but those of a script."""
+    try:
+        return b"__main__" not in pickle.dumps(configs)
+    except (AttributeError, TypeError, pickle.PicklingError):  # a class within a function
+        return False
+
+
 class Job(NamedTuple):
     """What a worker is sent.
 

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from fishrl.physics import FlowConfig, InPlaceSolver
+from fishrl.physics import DCylinder, FlowConfig, InPlaceSolver
+from fishrl.physics.bodies.motion import Fixed
 from fishrl.physics.fast.workers import count_cores, map_shared, open_shared
 
 CONFIG = FlowConfig(width=32, height=24, tau=0.6)
@@ -29,6 +30,19 @@ solver.compile()
 print("ready", flush=True)
 while True:
     solver.advance_(2000)
+"""
+#: A body that moves in a way of its own, and flows with it.
+OWN_CLASS = """
+from fishrl.physics.bodies.motion import Fixed
+class Own(Fixed):
+    pass
+"""
+WITH_OWN = """
+from fishrl.physics import DCylinder, FlowConfig, InPlaceSolver
+body = DCylinder(diameter=8, motion=Own())
+config = FlowConfig(width=48, height=40, tau=0.6, bodies=(body,))
+def make(**settings):
+    return InPlaceSolver(config=config, num_envs=2, **settings)
 """
 #: A compiler that says so when it is called, and then fails or takes for ever.
 COMPILER = """#!/bin/sh
@@ -161,6 +175,35 @@ def test_closing_ends_the_processes_and_a_closed_solver_does_not_advance() -> No
     assert all(process.poll() is not None for process in processes)
     with pytest.raises(RuntimeError, match="closed and cannot advance: make a new one"):
         solver.advance_(2)
+
+
+def run_elsewhere(script: Path, code: str) -> str:
+    """Run a script in another folder than its own, and return what it prints."""
+    script.write_text(code)
+    command = [sys.executable, str(script)]
+    return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+
+
+def test_workers_find_the_classes_of_a_module_beside_the_script(tmp_path: Path) -> None:
+    (tmp_path / "own_motion.py").write_text(OWN_CLASS)
+    code = f"from own_motion import Own{WITH_OWN}make(compile=False, num_workers=1).advance_(2)"
+    run_elsewhere(tmp_path / "script.py", code)
+
+
+def test_flows_with_a_class_of_the_script_itself_stay_in_its_process(tmp_path: Path) -> None:
+    code = f"{OWN_CLASS}{WITH_OWN}print(make()._num_workers, bool(make()._shared))"
+    assert run_elsewhere(tmp_path / "script.py", code) == "0 False\n"
+
+
+def test_a_class_that_workers_cannot_import_is_refused() -> None:
+    class Own(Fixed):
+        pass
+
+    bodies = (DCylinder(diameter=8, motion=Own()),)
+    config = FlowConfig(width=48, height=40, tau=0.6, bodies=bodies)
+    with pytest.raises(ValueError, match=r"num_workers = 1 .* a module"):
+        InPlaceSolver(config=config, num_envs=1, compile=False, num_workers=1)
+    InPlaceSolver(config=config, num_envs=1, compile=False).advance_(2)
 
 
 def test_shared_memory_is_seen_by_all_who_map_it() -> None:
