@@ -157,6 +157,18 @@ def test_half_precision_restores_its_state_exactly() -> None:
     solver, other = start(config), start(config)
     solver.advance_(20)
     other.load_state_dict(solver.state_dict())
+    for _ in range(2):
+        assert torch.equal(other.populations(), solver.populations())
+        assert torch.equal(other.body.position, solver.body.position)
+        other.advance_(2)
+        solver.advance_(2)
+
+
+def test_half_precision_keeps_its_own_populations_exactly() -> None:
+    config = make_config(storage=Storage.FLOAT16)
+    solver, other = start(config), start(config)
+    solver.advance_(20)
+    assert not torch.equal(other.populations(), solver.populations())
     other.set_populations_(solver.populations())
     assert torch.equal(other.populations(), solver.populations())
 
