@@ -14,6 +14,7 @@ from torchrl.objectives import DiscreteSACLoss, DQNLoss, SoftUpdate
 
 from fishrl.envs import KarmanGait, OneHotAction, Predation, make_env
 from tests.envs.conftest import SMALL
+from tests.envs.pair_task import PairTask
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
@@ -42,10 +43,25 @@ def test_the_spec_is_one_hot_and_samples_are_legal(env: TransformedEnv) -> None:
 
 def test_the_index_of_the_entry_that_is_set_reaches_the_flow(env: TransformedEnv) -> None:
     state = env.reset()
-    legal = state["action_mask"].int().argmax(-1)
-    one_hot = nn.functional.one_hot(legal, env.action_spec.shape[-1])
+    before = state["gear"].flatten()
+    one_hot = nn.functional.one_hot(torch.tensor([2, 0]), 3)
     step = env.step(state.set("action", one_hot))
     assert torch.equal(step["action"], one_hot)  # what a buffer keeps is what the policy chose
+    assert (step["next", "gear"].flatten() - before).tolist() == [1, -1]
+
+
+def test_each_fish_has_its_own_one_hot_action() -> None:
+    task = PairTask(**SMALL)
+    env = make_env(task=task, num_envs=2, compile=False, transforms=[OneHotAction()])
+    check_env_specs(env)
+    state = env.reset()
+    assert env.full_action_spec["agents", "action"].shape == (2, 2, 3)
+    one_hot = nn.functional.one_hot(torch.tensor([[1, 2], [0, 1]]), 3)
+    after = env.step(state.set(("agents", "action"), one_hot))["next", "agents", "observation"]
+    turns = after[..., 1] - state["agents", "observation"][..., 1]
+    torch.testing.assert_close(turns, torch.tensor([[0.0, 0.2], [-0.2, 0.0]]))
+    batch = env.rollout(12)["agents"]
+    assert batch["action_mask"][batch["action"].bool()].all()
 
 
 def test_torchrl_trains_discrete_sac_where_all_actions_are_legal() -> None:
