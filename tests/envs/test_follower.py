@@ -24,6 +24,8 @@ TINY["wall_margin_bl"] = 0.3
         ({"leader": "fisch"}, "did you mean 'fish'"),
         ({"leader_x_bl": 1.0}, "too near the edge"),
         ({"amplitude_range": (0.5, 1.2)}, "amplitude_range"),
+        ({"amplitude_range": (0.5, 0.5)}, "amplitude_range = .* least, then"),
+        ({"frequency_range": (1, 1)}, "frequency_range = .* least, then"),
     ],
 )
 def test_a_start_within_or_far_from_the_leader_is_refused(

@@ -99,7 +99,7 @@ class Follower(AbstractTask):
         for name in (*pairs, *("amplitude_range",) * (self.amplitude_range is not None)):
             pair = as_pair(name, getattr(self, name))
             object.__setattr__(self, name, pair)
-            if not pair[0] <= pair[1]:
+            if not (pair[0] < pair[1] or (pair[0] == pair[1] and name.startswith("start"))):
                 raise ValueError(f"{name} = {pair}: give the least, then the largest")
         if self.leader not in LEADERS:
             raise ValueError(

@@ -73,6 +73,8 @@ class AbstractPredation(AbstractTask):
                 f"frequency_range = {self.frequency_range}: give the least, then the largest"
             )
         super().__post_init__()
+        if self.is_continuous and not self.turn_degrees:
+            raise ValueError("turn_degrees = 0: a continuous action needs one greater than 0")
         low, high = self.food_limits_bl
         width, height = self.domain_bl
         if not 0.0 < low <= self.food_y_bl <= high < height or low == high:
