@@ -19,7 +19,7 @@ from fishrl.envs.scene import (
     Series,
     Trail,
 )
-from fishrl.physics.bodies.state import BodyState
+from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.diagnostics import compute_pressure, compute_vorticity
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import Scales
@@ -212,16 +212,20 @@ def read_flow_scene(solver: Solver, scales: Scales, *, num_fish: int = 1) -> dic
 def _read_fish(solver: Solver, index: int, scales: Scales) -> dict[str, Tensor]:
     """Return midline and nose of a fish, and its numbers ``[B]``."""
     body, markers, length = solver.bodies[index], solver.markers(index), scales.body_length
+    heading = body.heading
+    if 2 in solver.config.bodies[index].motion.free_axes:  # the beat alone turns it to and fro
+        heading = heading + body.internal_angle
     half = markers.shape[1] // 2
     other_side = -torch.arange(half + 1, device=markers.device) % markers.shape[1]
     return {
         "midline": 0.5 * (markers[:, : half + 1] + markers[:, other_side]),
         "head": markers[:, 0],
-        "heading": body.heading,
+        "heading": heading,
         "frequency": body.frequency * scales.period,
         "work": body.work / (length * length / scales.period) ** 2,
         "angle_of_attack": _measure_angle(
-            body,
+            heading,
+            body.velocity,
             stream=solver.stream_speed[:, None] * body.velocity.new_tensor(solver.config.inflow),
             min_speed=_MIN_SPEED * scales.reference_speed,
         ),
@@ -271,8 +275,10 @@ def _find_fastest(config: FlowConfig, scales: Scales) -> float:
 
 
 def _name_obstacles(config: FlowConfig) -> list[str]:
-    bodies = enumerate(config.bodies[1:], 1)
-    return [f"{type(body).__name__.lower()}_{index}" for index, body in bodies]
+    return [
+        f"{'fish' if isinstance(body, Fish) else type(body).__name__.lower()}_{index}"
+        for index, body in enumerate(config.bodies[1:], 1)
+    ]
 
 
 def _read_body(solver: Solver, index: int, name: str, scales: Scales) -> dict[str, Tensor]:
@@ -287,14 +293,16 @@ def _read_body(solver: Solver, index: int, name: str, scales: Scales) -> dict[st
     }
 
 
-def _measure_angle(body: BodyState, *, stream: Tensor, min_speed: float) -> Tensor:
+def _measure_angle(
+    heading: Tensor, velocity: Tensor, *, stream: Tensor, min_speed: float
+) -> Tensor:
     """Return the angle ``[B]`` between heading and oncoming water, degrees.
 
     It comes from upstream of ``stream`` ``[B, 2]``; in still water from where the fish swims to.
     NaN below ``min_speed``, nodes per step.
     """
     is_stream = stream.norm(dim=-1, keepdim=True) >= min_speed
-    x, y = torch.where(is_stream, -stream, body.velocity).unbind(-1)
+    x, y = torch.where(is_stream, -stream, velocity).unbind(-1)
     is_slow = torch.hypot(x, y) < min_speed
-    angle = body.heading - torch.atan2(y, x).masked_fill(is_slow, torch.nan)
+    angle = heading - torch.atan2(y, x).masked_fill(is_slow, torch.nan)
     return torch.rad2deg(torch.atan2(torch.sin(angle), torch.cos(angle)))

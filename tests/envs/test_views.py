@@ -2,20 +2,23 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import pytest
 import torch
 
-from fishrl.envs import AbstractTask, KarmanGait, Predation, make_env
+from fishrl.envs import AbstractTask, Follower, KarmanGait, Predation, make_env
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.scene import Choice, Scene
 from fishrl.envs.streams import Stream
 from fishrl.envs.views import FIELDS
-from fishrl.physics import Boundaries, FlowConfig, NonEquilibrium, OpenEdge
+from fishrl.physics import Boundaries, Fish, FlowConfig, NonEquilibrium, OpenEdge
 from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
 from tests.envs.masked_task import MaskedTask
+from tests.envs.pair_task import PairTask
+from tests.envs.test_follower import TINY
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
@@ -103,6 +106,36 @@ def test_the_angle_of_attack_follows_the_stream_of_the_flow() -> None:
     angle = base.task.read_scene(base.solver, base.start)["angle_of_attack"].tolist()
     # without a stream the fish heads across its way
     assert angle == pytest.approx([math.degrees(0.2), math.degrees(0.2 + 0.5 * math.pi)])
+
+
+def test_the_angle_of_attack_of_a_fish_that_bends_is_that_of_its_report() -> None:
+    env = make_env(task=Follower(**TINY), num_envs=1, compile=False)
+    env.reset()
+    base = env.base_env
+    base.solver.body.internal_angle.fill_(0.05)
+    now = base.task.measure(base.solver, base.start)
+    angle = base.task.read_scene(base.solver, base.start)["angle_of_attack"]
+    torch.testing.assert_close(angle, now["heading"].rad2deg())
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnFish(Fish):
+    """A fish of another type."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnPair(PairTask):
+    """Two fish of that type."""
+
+    @cached_property
+    def fish(self) -> Fish:
+        return OwnFish(body_length=self.body_length)
+
+
+def test_fish_of_any_type_are_drawn() -> None:
+    task = OwnPair(**SMALL)
+    base = make_env(task=task, num_envs=1, compile=False).base_env
+    assert list_keys(task.make_scene()) <= set(task.read_scene(base.solver, base.start))
 
 
 @pytest.mark.parametrize("turn", [0.1, -0.3])
