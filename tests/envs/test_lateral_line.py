@@ -128,9 +128,8 @@ def test_pressure_is_told_as_deviation_from_the_mean_over_neuromasts() -> None:
 
 def test_averaging_leaves_one_number_a_feature() -> None:
     solver = make_solver(ux=0.03)
-    each, mean = feel(LateralLine(features=PAPER), solver), None
     line = LateralLine(features=PAPER, is_averaged=True)
-    mean = feel(line, solver)
+    each, mean = feel(LateralLine(features=PAPER), solver), feel(line, solver)
     for name, values in each.items():
         torch.testing.assert_close(mean[name][:, 0], values.mean(-1), rtol=0, atol=1e-6)
     assert line.layout["num_neuromasts"] == 1

@@ -18,8 +18,6 @@ def observe_series(steering: Steering, y: list[float], heading: float = pi) -> T
     seen = [steering.observe(each, each, heads) for each in place]
     return torch.stack(seen[-steering.num_stacked :], 1)
 
-    # heading pi + 0.1 points to (-cos 0.1, -sin 0.1): down
-
 
 @pytest.mark.parametrize(
     ("gains", "offsets", "heading", "expected"),
