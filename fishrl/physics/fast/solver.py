@@ -35,8 +35,7 @@ class InPlaceSolver:
         num_workers: CPU processes that share the flows, each on one core. None takes one per core,
             at most one per flow, where the step is compiled; 0 runs all flows in this process, each
             on all of torch's threads, which is faster for a single large flow on an idle machine
-            and much slower on a busy one. It must be 0, and None means 0, on a GPU and where the
-            configuration holds objects of classes that a notebook or the running script defines.
+            and much slower on a busy one; 0 on a GPU, and with classes of a notebook or script.
         flows_per_launch: flows per group, which each pass over memory advances together; a divisor
             of B. None is one on a CPU, whose cache holds a flow, and all on a GPU.
     """
