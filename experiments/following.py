@@ -156,8 +156,7 @@ def drop_nan(values: Sequence[float]) -> list[float]:
 
 def average(policies: Sequence[dict[str, list[float]]]) -> dict[str, list[float]]:
     """Return the mean over the episodes of each policy, as values of one arm."""
-    keys = policies[0] if policies else ()
-    return {key: [Statistic.of(drop_nan(arm[key])).mean for arm in policies] for key in keys}
+    return {key: [Statistic.of(drop_nan(arm[key])).mean for arm in policies] for key in policies[0]}
 
 
 def write_figure(path: Path, tried: dict[str, Record], results: dict[str, Any]) -> None:

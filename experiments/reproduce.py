@@ -296,7 +296,8 @@ def main(settings: ReproduceSettings) -> None:
             print("left, about:")
         for job in left:
             hours = (job.updates / flow + job.gradient_steps / learning) / 3600.0
-            print(f"  {hours:7.2f} h  {job.name}")
+            steps = f"{job.updates:.1e} node updates, {job.gradient_steps:.0f} gradient steps"
+            print(f"  {hours:7.2f} h  {job.name}: {steps}")
         if settings.plan:
             return
         for number in range(len(jobs)):
