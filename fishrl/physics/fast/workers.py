@@ -117,9 +117,9 @@ class Workers:
         """Advance those of the workers' flows that are in ``groups``, and wait for them."""
         if not self._processes:
             raise ChildProcessError("the flow workers have ended: make a new solver")
-        for process in self._processes:
-            _send(process.stdin, (num_steps, frozenset(groups)))
         try:
+            for process in self._processes:
+                _send(process.stdin, (num_steps, frozenset(groups)))
             self.wait()
         except BaseException:  # as by Ctrl-C: an answer not read would stand for the next request
             self.close()
