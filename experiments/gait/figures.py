@@ -29,7 +29,7 @@ _LEAN_BIN, _LEAST = 0.25, 10
 _NUM_MOMENTS = 4
 _VORTICITY = 15.0  # at which colours saturate, 1/T
 _TRAINING = {
-    "train/episode_length": "survival, mean of 32 episodes  [decisions]",
+    "train/episode_length": "survival  [decisions], mean of 32",
     "train/return": "return, mean of 32 episodes",
     "train/loss_actor": "actor loss",
 }
