@@ -51,6 +51,7 @@ class ChangingSettings(TaskSettings):
     Args:
         runs: policies with macro-actions and a lateral-line classifier, one per seed.
         ablations: policies without either.
+        recognition: file of another classifier instead of those of ``runs``.
         episodes: episodes of each policy and source of labels.
         periods: duration of an episode in T.
         switching_rate: switching rate of the filter, per decision; by default the mean rate of
@@ -60,6 +61,7 @@ class ChangingSettings(TaskSettings):
 
     runs: tuple[str, ...] = ("zoo/gait_small", "zoo/gait_small_seed1", "zoo/gait_small_seed2")
     ablations: tuple[str, ...] = ("zoo/gait_small_ablation",)
+    recognition: str | None = None
     episodes: int = bounded(8, least=1)
     periods: float = bounded(PERIODS, greater=0)
     switching_rate: float | None = bounded(None, least=0, largest=1)
@@ -304,7 +306,10 @@ def main(settings: ChangingSettings) -> None:
     def change(trial: Trial) -> KarmanGait:
         return replace(trial.task, stream=replace(trial.task.stream, changes=changes))
 
-    learned = [load_trial(Path(run), periods=settings.periods) for run in settings.runs]
+    learned = [
+        load_trial(Path(run), periods=settings.periods, recognition=settings.recognition)
+        for run in settings.runs
+    ]
     others = [load_trial(Path(run), periods=settings.periods) for run in settings.ablations]
     check_names([trial.name for trial in learned])
     check_names([trial.name for trial in (*learned, *others)])

@@ -98,24 +98,24 @@ def prolong(task: KarmanGait, periods: float) -> KarmanGait:
     )
 
 
-def load_trial(run: Path, *, periods: float = PERIODS) -> Trial:
-    """Return the trial of the learned policy of a run folder."""
+def load_trial(run: Path, *, periods: float = PERIODS, recognition: str | None = None) -> Trial:
+    """Return the trial of the learned policy of a run folder, with its classifier or another."""
     path, plan = load_plan(run)
-    choice = find_classifier(plan.recognition, path)
-    recognition = load_recognition(choice)
-    task, _ = equip(plan.task, recognition)
+    choice = recognition or find_classifier(plan.recognition, path)
+    source = load_recognition(choice)
+    task, _ = equip(plan.task, source)
     if not isinstance(task, KarmanGait):
         raise ValueError(f"{run}: a policy of {type(task).__name__}; give runs of task=karman_gait")
     files = sorted(path.rglob("*-actor/*"))
-    if isinstance(recognition, LateralLineClassifier):
+    if isinstance(source, LateralLineClassifier):
         files.append(Path(str(choice)))
-    arm = name_arm(task, plan.recognition)
+    arm = name_arm(task, choice)
     return Trial(
         name=f"{arm} {run.name}".replace(" ", "-"),
         arm=arm,
         task=prolong(task, periods),
-        recognition=recognition,
-        make_policy=partial(load_policy, path, task=task, has_labels=recognition is not None),
+        recognition=source,
+        make_policy=partial(load_policy, path, task=task, has_labels=source is not None),
         identity=make_key(*(file.read_bytes() for file in files)),
     )
 

@@ -90,9 +90,10 @@ def collect(settings: CollectionSettings, progress: Progress | None = None) -> T
     Returns:
         TensorDict ``[E, D]`` of E episodes and at most D decisions: ``lateral_line``
         ``[E, D, W, P, F]`` with F features as in ``KNOWN``, sensed in the interval before each
-        decision; ``is_decision`` bool, false after the end; ``flow_index``, ``named_flow`` (the
-        row of frequencies in use) and ``episode`` int64; ``start`` ``[E, D, 2]``, the nose's
-        initial position in L; ``frequency`` in beats per T.
+        decision; ``is_decision`` bool, false after the end; ``flow_index`` (of a changing stream,
+        the flow nearest to it at the decision), ``named_flow`` (the row of frequencies in use) and
+        ``episode`` int64; ``start`` ``[E, D, 2]``, the nose's initial position in L; ``frequency``
+        in beats per T.
     """
     s, progress = settings, progress or Progress(is_shown=False)
     task, place = s.recorded_task, s.place
@@ -131,6 +132,8 @@ def record_piece(env: TransformedEnv, number: int, *, seed: int) -> TensorDict:
     flow = (torch.arange(num) + num * number) % num_flows  # as many episodes of each
     row = torch.randint(num_flows, (num,), generator=generator)
     starts["flow_index"] = flow
+    duration_T = task.time_limit * task.interval_T
+    starts.update(task.stream.draw_changes(flow, starts["episode_key"], duration_T=duration_T))
     area = task.safe_area
     low, high = area.near_bl + area.rim_bl, area.far_bl - area.rim_bl
     station = low + (high - low) * torch.rand(num, generator=generator)
@@ -150,8 +153,9 @@ def record_piece(env: TransformedEnv, number: int, *, seed: int) -> TensorDict:
             "lateral_line": step["lateral_line"].cpu(),
             "frequency": step["frequency"].squeeze(-1).float().cpu(),
             "is_decision": start_of.cpu() >= 0,
+            "flow_index": step["flow_index"].squeeze(-1).cpu(),
         }
-        constant = {"flow_index": flow, "named_flow": row, "start": start}
+        constant = {"named_flow": row, "start": start}
         decisions.append(TensorDict({**sensed, **constant}, [num]))
 
     run_episodes(env, act, starts, on_step=keep)

@@ -11,10 +11,12 @@ import torch
 
 from experiments import changing_streams
 from experiments.changing_streams import Record, find_delays, tabulate
+from experiments.gait.trials import load_trial
 from experiments.statistics import half_width
 from fishrl.envs import KarmanGait
 from fishrl.envs.changes import StreamSteps
 from fishrl.envs.streams import Stream
+from fishrl.modules import LateralLineClassifier
 from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
 
 
@@ -48,6 +50,15 @@ def test_all_arms_are_tried_from_the_same_starts(tmp_path: Path) -> None:
     assert len(results["filter"]["survival_T"]) == 2
     assert (tmp_path / "changing.png").stat().st_size > 5000
     assert len((tmp_path / "changing.md").read_text().splitlines()) == 2 + len(results)
+
+
+def test_a_policy_takes_another_classifier(tmp_path: Path) -> None:
+    own = load_trial(Path("zoo/gait_small")).recognition
+    assert isinstance(own, LateralLineClassifier)
+    own.save(tmp_path / "other.pt")
+    trial = load_trial(Path("zoo/gait_small_oracle"), recognition=str(tmp_path / "other.pt"))
+    assert trial.arm == "both modules"
+    assert isinstance(trial.recognition, LateralLineClassifier)
 
 
 @pytest.mark.parametrize("runs", ["", "zoo/gait_small,zoo/gait_small"])

@@ -13,7 +13,9 @@ from tensordict import TensorDict
 from experiments.lateral_line import collection as collection_module
 from experiments.lateral_line.collection import CollectionSettings, collect
 from fishrl.envs import Predation, make_env, make_recognition
+from fishrl.envs.changes import StreamSwitches
 from fishrl.envs.lateral_line import KNOWN, LateralLine
+from fishrl.envs.streams import Stream
 from fishrl.modules import LateralLineClassifier
 from tests.experiments.lateral_line.signals import INTERVAL, make_task
 
@@ -40,6 +42,17 @@ def test_collected_episodes_hold_every_feature_with_the_true_flow(
     assert episodes["flow_index"][:, 0].tolist() == [0, 1, 0, 1]
     speed = episodes["lateral_line"][:, 0, 0, 0, KNOWN.index("u_x")]
     assert speed[1] > 1.2 * speed[0] > 0.0
+
+
+def test_of_a_changing_stream_each_decision_has_the_flow_of_its_time(tmp_path: Path) -> None:
+    speeds = (1.0, 1.5)
+    changes = StreamSwitches(speeds_bl=speeds, interval_T=0.5, ramp_T=0.25)
+    stream = Stream(speeds_bl=speeds, changes=changes, has_disc=False, face_bl=1.0)
+    task = make_task(stream=stream)
+    episodes = collect(make_settings(tmp_path, task=task, max_decisions=4, num_samples=2))
+    flow = episodes["flow_index"]
+    assert flow[0].tolist() == [0, 0, 0, 1]
+    assert flow[1].tolist() == [1, 1, 1, 0]
 
 
 def test_actions_hold_stations_or_are_random_in_rows_of_any_flow(
