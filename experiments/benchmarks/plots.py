@@ -54,7 +54,8 @@ def write_bandwidth(cases: Sequence[Case], results: Results, path: Path) -> None
         axes.set(xlabel="GB/s at 72 bytes per node update", ylim=(-0.6, len(cases) - 0.4))
         axes.margins(x=0.08)
         handles = [Patch(color=colour, label=name) for name, colour in SCOPES.items()]
-        axes.legend(handles=handles, loc="lower right", fontsize=8, title="strong: fishrl")
+        legend = {"loc": "outside lower center", "ncols": len(SCOPES), "title": "strong: fishrl"}
+        axes.figure.legend(handles=handles, fontsize=8, **legend)
         tidy(axes)
         axes.grid(axis="y", visible=False)
 
