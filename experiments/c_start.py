@@ -205,7 +205,7 @@ def tabulate(pairs: dict[int, list[dict[str, Any]]], best: Sequence[float]) -> s
 def write_figure(path: Path, search: Search, pair: Sequence[dict[str, Any]], size: int) -> None:
     """Draw the course of the search, and both flows in the end."""
     scores = [search.rate(one) for one in search.found["generations"]]
-    with panels(path, size=(11.0, 3.6), columns=3) as axes:
+    with panels(path, size=(11.0, 3.6), columns=3, has_grid=False) as axes:
         course, *pictures = axes[0]
         for number, each in enumerate(scores):
             course.plot([number] * len(each), each, ".", color="0.7")

@@ -19,7 +19,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 
-from experiments.figures.style import COLOURS, panels, tidy
+from experiments.figures.style import COLOURS, panels
 from experiments.gait.trials import PERIODS, Trial, load_trial, make_trial
 from experiments.pages import write_table
 from experiments.program import TaskSettings, check_names, program
@@ -289,8 +289,6 @@ def write_figure(
         delays.axvline(PROMPT_T, color="grey", linewidth=0.7)
         delays.set(xlabel="time since the change began [T]", ylabel="recognised", xlim=(0.0, 14.0))
         delays.legend(fontsize=7, loc="center right")
-        for each in axes.flat:
-            tidy(each)
 
 
 @program(ChangingSettings, groups={"task": "karman_changing", "preset": None})

@@ -161,7 +161,7 @@ def average(policies: Sequence[dict[str, list[float]]]) -> dict[str, list[float]
 
 def write_figure(path: Path, tried: dict[str, Record], results: dict[str, Any]) -> None:
     """Draw the flow at the end of the first arm, the paths of all, and cost against distance."""
-    with panels(path, size=(10.0, 3.4), rows=1, columns=3) as axes:
+    with panels(path, size=(10.0, 3.4), columns=3, has_grid=False) as axes:
         flow, paths, costs = axes.flat
         shown = next(iter(tried.values()))
         flow.imshow(shown.vorticity, origin="lower", cmap="RdBu_r", vmin=-15, vmax=15)

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from omegaconf import OmegaConf
 
-from experiments.figures.style import COLOURS, panels, tidy
+from experiments.figures.style import COLOURS, panels
 from experiments.gait.diagnostics import diagnose
 from experiments.gait.trials import (
     PERIODS,
@@ -211,7 +211,6 @@ def write_figure(path: Path, results: Mapping[str, Any]) -> None:
         chart.set_xlim(left=0.0)
         chart.invert_yaxis()
         chart.legend(loc="lower left", fontsize=8)
-        tidy(chart)
 
 
 @program(RobustnessSettings, groups={})

@@ -9,7 +9,7 @@ from matplotlib.patches import Patch
 
 from experiments.benchmarks.measuring import FISH, KERNEL, PERIODIC, WALLS, Case, Results
 from experiments.benchmarks.report import measure_speed
-from experiments.figures.style import COLOURS, panels, tidy
+from experiments.figures.style import COLOURS, panels
 
 SCOPES = {KERNEL: COLOURS[4], PERIODIC: COLOURS[0], WALLS: COLOURS[2], FISH: COLOURS[1]}
 
@@ -56,7 +56,6 @@ def write_bandwidth(cases: Sequence[Case], results: Results, path: Path) -> None
         handles = [Patch(color=colour, label=name) for name, colour in SCOPES.items()]
         legend = {"loc": "outside lower center", "ncols": len(SCOPES), "title": "strong: fishrl"}
         axes.figure.legend(handles=handles, fontsize=8, **legend)
-        tidy(axes)
         axes.grid(axis="y", visible=False)
 
 
@@ -73,7 +72,6 @@ def write_scaling(cases: Sequence[Case], caches: dict[str, int], path: Path) -> 
             low, median, high = zip(*map(measure_speed, line), strict=True)
             axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
             axes.plot(x, median, "o-", color=colour)
-            tidy(axes)
         for name, size in caches.items():
             if 0.5 * nodes[0] < size / 36 < 2.0 * nodes[-1]:  # nodes whose populations it holds
                 left.axvline(size / 36, color="#bbbbbb", linewidth=1.0)

@@ -106,7 +106,7 @@ def write_trajectories(recordings: Sequence[Recording], path: Path) -> None:
     """Draw head paths from several starts, the goal's path and where it was reached."""
     scene = recordings[0].scene
     x, y = scene.width / scene.body_length, scene.height / scene.body_length
-    with panels(path, size=(9, 0.5 + 6.6 * y / x)) as [[axes]]:
+    with panels(path, size=(9, 0.5 + 6.6 * y / x), has_grid=False) as [[axes]]:
         for number, recording in enumerate(recordings):
             _draw_trajectory(axes, recording, COLOURS[number % len(COLOURS)])
         axes.set(xlim=(0, x), ylim=(0, y), aspect="equal")

@@ -26,8 +26,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from experiments.benchmarks.machine import describe_machine
-from experiments.figures import COLOURS, STYLE
-from experiments.figures.style import tidy
+from experiments.figures.style import COLOURS, STYLE, tidy
 from experiments.validation.case import Case, Check, Job, Runs
 from fishrl.files import staged
 from fishrl.physics.cache_key import hash_sources, make_key

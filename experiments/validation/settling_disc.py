@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
-from experiments.figures import COLOURS
+from experiments.figures.style import COLOURS
 from experiments.validation.case import Case, Check, Job, Result, Runs, check_finest
 from experiments.validation.plots import GREY
 from experiments.validation.wake import make_even, start_flow
