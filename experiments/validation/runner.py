@@ -101,7 +101,7 @@ def run_cases(
                 path.parent.mkdir(parents=True, exist_ok=True)
                 todo.append((outcome, job, path))
     todo.sort(key=lambda item: -item[1].cost)
-    machine = describe_machine() | {"threads": 1}
+    machine = describe_machine()
     futures = _run_jobs([job for _, job, _ in todo], num_workers)
     # without a terminal the log says the same
     is_silent = not sys.stderr.isatty()
