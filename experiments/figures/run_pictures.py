@@ -1,6 +1,5 @@
 """The pictures of a run: episodes of its policy and its learning curve."""
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -48,7 +47,7 @@ def record_run(
     scene = make_scene(env, field=settings.field, field_limit=settings.field_limit)
     flows, max_decisions = list(range(min(_MAX_FLOWS, len(starts)))), None
     if scene.goal is None:
-        starts, max_decisions = starts[flows], math.ceil(_MAX_PERIODS / task.interval_T - 1e-9)
+        starts, max_decisions = starts[flows], task.count_decisions(_MAX_PERIODS)
     recordings = [Recording(scene=scene) for _ in range(len(starts))]
 
     def count(running: Tensor, step: TensorDictBase) -> None:
