@@ -129,13 +129,13 @@ def lock_phases(histories: Histories, shedding_frequency: float, *, frames_per_T
 
 
 def find_phase(signal: NDArray[np.float64], frequency: float, rate: float) -> NDArray[np.float64]:
-    """Return the phase of a signal ``[n]``, of ``rate`` samples per unit of time, near a frequency.
+    """Return the phase of signals ``[..., n]``, ``rate`` samples per time, near a frequency.
 
     It is that of the analytic signal (Hilbert transform) of what lies within 0.5 to 1.5 times it.
     """
-    spectrum = np.fft.fft(signal - signal.mean())
-    at = np.fft.fftfreq(len(signal), 1.0 / rate)
-    spectrum[(at < 0.5 * frequency) | (at > 1.5 * frequency)] = 0.0
+    spectrum = np.fft.fft(signal - signal.mean(-1, keepdims=True))
+    at = np.fft.fftfreq(signal.shape[-1], 1.0 / rate)
+    spectrum[..., (at < 0.5 * frequency) | (at > 1.5 * frequency)] = 0.0
     return np.asarray(np.angle(np.fft.ifft(spectrum)))
 
 
