@@ -190,12 +190,12 @@ def judge(runs: Runs) -> Iterator[Check]:
         )
 
 
-def draw_picture(axes: Axes, run: Result, limit: float = 30.0) -> Any:
+def draw_picture(axes: Axes, run: Result) -> Any:
     """Draw vorticity, the fish and its path; return the image."""
     extent = (-WINDOW, WINDOW, -WINDOW, WINDOW)
     image = axes.imshow(
         run["vorticity"], extent=extent, origin="lower", cmap="RdBu_r",
-        vmin=-limit, vmax=limit, interpolation="bilinear",
+        vmin=-30.0, vmax=30.0, interpolation="bilinear",
     )  # fmt: skip
     axes.fill(*zip(*run["outline"], strict=True), color="0.3")
     axes.plot(*zip(*run["path"], strict=True), color="black", linewidth=1.0)

@@ -61,7 +61,7 @@ TARGETS: dict[str, tuple[str, str, float, Any, str]] = {
 }
 
 
-def settle(*, experiment: str, nodes: int, speed: float = SPEED, inset: float = 0.0) -> Result:
+def settle(*, experiment: str, nodes: int, inset: float = 0.0) -> Result:
     """Let a disc, d = ``nodes`` wide, sink from rest in a box with walls all round.
 
     The markers lie ``inset`` nodes inside. Returns ``time`` and ``velocity`` in the experiment's
@@ -69,7 +69,7 @@ def settle(*, experiment: str, nodes: int, speed: float = SPEED, inset: float = 
     """
     case = EXPERIMENTS[experiment]
     space = case.diameter / nodes
-    time = space * speed / case.top_speed
+    time = space * SPEED / case.top_speed
     density = case.density_ratio
     body = Cylinder(diameter=nodes, density_ratio=density, inset=inset, motion=Free())
     config = FlowConfig(
