@@ -96,8 +96,9 @@ def record(env: TransformedEnv, policy: Any, *, advance: Callable[[], object]) -
     outcome = run_episodes(env, policy, starts, on_step=keep)
     series, (outlines, vorticity) = torch.stack(rows, 1), pictures[-1]
     series[torch.arange(series.shape[1]) >= outcome.lengths[:, None]] = torch.nan
-    measured = series[..., :2], *series[..., 2:].unbind(-1)
-    return Record(*measured, outcome.lengths, contact, outlines, vorticity)
+    work, way, frequency = series[..., 2:].unbind(-1)
+    done = (outcome.lengths, contact, outlines, vorticity)
+    return Record(series[..., :2], work, way, frequency, *done)
 
 
 def summarise(done: Record, task: Follower, *, settle_T: float) -> dict[str, list[float]]:

@@ -113,7 +113,7 @@ def hold(
     phase = find_phase(np.diff(lift, axis=1), shedding, 1.0 / interval)
     apart = np.exp(1j * (phase - beat[:, 1:])).mean(1)
     measured_T = _SAMPLES * settings.periods * interval / period
-    columns = {
+    columns: dict[str, Any] = {
         "stream_speed_bl": np.full(len(cases), task.stream.speeds_bl[flow]),
         "x_bl": x,
         "ratio": ratio,
