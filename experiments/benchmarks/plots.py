@@ -45,11 +45,11 @@ def write_bandwidth(cases: Sequence[Case], results: Results, path: Path) -> None
                 height=0.72, xerr=[[median - low], [high - median]], error_kw={"capsize": 2},
             )  # fmt: skip
             axes.text(high, i, f"  {median:.3g}", va="center", fontsize=8)
-        for name, style in (("copy", "--"), ("in place", ":")):
+        for name, style, side in (("copy", "--", "right"), ("in place", ":", "left")):
             for probe in results.find(f"probe/{name}"):
                 speed = measure_bandwidth(probe)[1]
                 axes.axvline(speed, color="#222222", linestyle=style, linewidth=1.0)
-                axes.text(speed, len(cases) - 0.35, f"{name} {speed:.0f}", ha="center", fontsize=8)
+                axes.text(speed, len(cases) - 0.35, f"{name} {speed:.0f}", ha=side, fontsize=8)
         axes.set_yticks(range(len(cases)), [f"{c.code}: {c.name}" for c in cases], fontsize=8)
         axes.set(xlabel="GB/s at 72 bytes per node update", ylim=(-0.6, len(cases) - 0.4))
         axes.margins(x=0.08)
