@@ -15,6 +15,7 @@ import json
 import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from math import pi
 from pathlib import Path
 from typing import Any
@@ -103,28 +104,23 @@ class Search:
 
     def __init__(self, settings: CStartSettings) -> None:
         self.settings, self.file = settings, Path(settings.folder) / "c_start.json"
+        self.swim = partial(
+            run_strokes,
+            inset=settings.inset,
+            num_workers=settings.workers,
+            compile=settings.compile,
+        )
         self.found: dict[str, Any] = {"settings": settings.identity, "generations": []}
         if self.file.exists():
             self.found = json.loads(self.file.read_text(encoding="utf-8"))
             if self.found["settings"] != settings.identity:
                 raise ValueError(f"{self.file}: holds another search, {self.found['settings']}")
 
-    def swim(self, strokes: Sequence[Strokes], body_length: int) -> Any:
-        """Run a batch of flows; see ``run_strokes``."""
-        given = self.settings
-        return run_strokes(
-            strokes,
-            body_length=body_length,
-            inset=given.inset,
-            num_workers=given.workers,
-            compile=given.compile,
-        )
-
     def run(self) -> None:
         """Search until there are as many generations as wanted."""
-        given = self.settings
+        given, length = self.settings, self.settings.body_length
         if "published" not in self.found:
-            (self.found["published"],), _ = self.swim([C_START], given.body_length)
+            (self.found["published"],), _ = self.swim([C_START], body_length=length)
             write_json(self.file, self.found)
         optimiser = cmaes.CMA(
             mean=to_numbers(C_START),
@@ -137,7 +133,7 @@ class Search:
         for number in range(given.generations):
             asked = [optimiser.ask() for _ in range(given.population)]
             if number == len(done):
-                results, _ = self.swim([to_strokes(one) for one in asked], given.body_length)
+                results, _ = self.swim([to_strokes(one) for one in asked], body_length=length)
                 done.append(
                     {
                         "candidates": [one.tolist() for one in asked],
@@ -177,7 +173,7 @@ class Search:
         _, best = self.find_best()
         for size in [self.settings.body_length, *self.settings.finer]:
             if kept.get(str(size), {}).get("best") != best:
-                swims, solver = self.swim([C_START, to_strokes(best)], size)
+                swims, solver = self.swim([C_START, to_strokes(best)], body_length=size)
                 pair = [one | take_picture(solver, i, size) for i, one in enumerate(swims)]
                 kept[str(size)] = {"best": best, "pair": pair}
                 write_json(self.file, self.found)
@@ -205,7 +201,7 @@ def tabulate(pairs: dict[int, list[dict[str, Any]]], best: Sequence[float]) -> s
 def write_figure(path: Path, search: Search, pair: Sequence[dict[str, Any]], size: int) -> None:
     """Draw the course of the search, and both flows in the end."""
     scores = [search.rate(one) for one in search.found["generations"]]
-    with panels(path, size=(11.0, 3.6), columns=3) as axes:
+    with panels(path, size=(11.0, 3.6), columns=3, has_grid=False) as axes:
         course, *pictures = axes[0]
         for number, each in enumerate(scores):
             course.plot([number] * len(each), each, ".", color="0.7")

@@ -9,8 +9,10 @@ another interval between changes. Writes ``changing.json``, ``changing.md`` and 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +21,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 
-from experiments.figures.style import COLOURS, panels, tidy
+from experiments.figures.style import COLOURS, panels
 from experiments.gait.trials import PERIODS, Trial, load_trial, make_trial
 from experiments.pages import write_table
 from experiments.program import TaskSettings, check_names, program
@@ -128,25 +130,16 @@ def list_sources(
 ) -> dict[str, FlowLabelTransform]:
     """Return what labels the flows, by name; ``rate`` is the filter's, per decision."""
     key = LATERAL_LINE if machine.num_intervals == 1 else HISTORY
-    recognise: dict[str, dict[str, Any]] = {
-        "filter": {"memory": 1.0, "switching_rate": rate},
-        "filter of what fades (0.7)": {"memory": 0.7, "switching_rate": rate},
-        "evidence that fades (0.7)": {"memory": 0.7},
-        "evidence that never fades": {"memory": 1.0},
-        "newest evidence alone": {"memory": 0.0},
-        "filter, rows interpolated": {
-            "memory": 1.0,
-            "switching_rate": rate,
-            "interpolates": True,
-        },
-    }
+    predict = partial(PredictedFlowLabel, machine=machine, in_key=key)
     return {
         "true label": TrueFlowLabel(num_flows=num_flows),
         "always the middle flow": ConstantFlowLabel(num_flows=num_flows, label=num_flows // 2),
-        **{
-            name: PredictedFlowLabel(machine=machine, in_key=key, **how)
-            for name, how in recognise.items()
-        },
+        "filter": predict(memory=1.0, switching_rate=rate),
+        "filter of what fades (0.7)": predict(memory=0.7, switching_rate=rate),
+        "evidence that fades (0.7)": predict(memory=0.7),
+        "evidence that never fades": predict(memory=1.0),
+        "newest evidence alone": predict(memory=0.0),
+        "filter, rows interpolated": predict(memory=1.0, switching_rate=rate, interpolates=True),
     }
 
 
@@ -161,11 +154,10 @@ def try_sources(
     sources = list_sources(machine, num, rate=rate)
     *stacks, _ = make_recognition(machine)
     transforms = [*stacks, FlowLabelByRow(list(sources.values()), is_observed=is_observed)]
-    done = record(
-        task, trial, transforms, episodes=episodes, num_copies=len(sources), progress=progress
-    )
-    parts = [done.pick(slice(k * episodes, (k + 1) * episodes)) for k in range(len(sources))]
-    return dict(zip(sources, parts, strict=True))
+    how: Any = {"episodes": episodes, "num_copies": len(sources), "progress": progress}
+    done = record(task, trial, transforms, **how)
+    rows = [slice(k * episodes, (k + 1) * episodes) for k in range(len(sources))]
+    return {name: done.pick(mine) for name, mine in zip(sources, rows, strict=True)}
 
 
 def record(
@@ -291,8 +283,6 @@ def write_figure(
         delays.axvline(PROMPT_T, color="grey", linewidth=0.7)
         delays.set(xlabel="time since the change began [T]", ylabel="recognised", xlim=(0.0, 14.0))
         delays.legend(fontsize=7, loc="center right")
-        for each in axes.flat:
-            tidy(each)
 
 
 @program(ChangingSettings, groups={"task": "karman_changing", "preset": None})
@@ -306,38 +296,36 @@ def main(settings: ChangingSettings) -> None:
     def change(trial: Trial) -> KarmanGait:
         return replace(trial.task, stream=replace(trial.task.stream, changes=changes))
 
+    periods, arms = settings.periods, defaultdict[str, list[Record]](list)
     learned = [
-        load_trial(Path(run), periods=settings.periods, recognition=settings.recognition)
+        load_trial(Path(run), periods=periods, recognition=settings.recognition)
         for run in settings.runs
     ]
-    others = [load_trial(Path(run), periods=settings.periods) for run in settings.ablations]
+    others = [load_trial(Path(run), periods=periods) for run in settings.ablations]
     check_names([trial.name for trial in learned])
     check_names([trial.name for trial in (*learned, *others)])
-    others.append(make_trial("pid", learned[0].task, periods=settings.periods))
-    arms: dict[str, list[Record]] = {}
+    others.append(make_trial("pid", learned[0].task, periods=periods))
     with Progress() as progress:
+        how: Any = {"episodes": settings.episodes, "progress": progress}
         for trial in learned:
             task, rate = change(trial), settings.switching_rate
             if rate is None:
                 rate = min(1.0, task.interval_T / changes.typical_interval_T)
-            tried = try_sources(
-                trial, task, rate=rate, episodes=settings.episodes, progress=progress
-            )
-            for name, done in tried.items():
-                arms.setdefault(name, []).append(done)
+            for name, done in try_sources(trial, task, rate=rate, **how).items():
+                arms[name].append(done)
         for trial in others:
-            done = record(change(trial), trial, episodes=settings.episodes, progress=progress)
-            arms.setdefault(trial.arm, []).append(done)
+            arms[trial.arm].append(record(change(trial), trial, **how))
     task = change(learned[0])
     results = {name: summarise(records, task) for name, records in arms.items()}
     folder = Path(settings.folder)
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "changing.json", results)
-    (folder / "changing.md").write_text(tabulate(results), encoding="utf-8")
+    table = tabulate(results)
+    (folder / "changing.md").write_text(table, encoding="utf-8")
     names = [f"{speed:g} L/T" for speed in task.stream.speeds_bl]
     first = {name: records[0] for name, records in arms.items()}
     write_figure(folder / "changing.png", results, first, names)
-    print((folder / "changing.md").read_text(encoding="utf-8"))
+    print(table)
     print(f"written to {folder}")
 
 

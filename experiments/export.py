@@ -8,7 +8,6 @@ VTK files for ParaView. Needs the extra ``export``.
 
 from __future__ import annotations
 
-import math
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,8 +54,7 @@ class ExportSettings(PolicySettings):
 def simulate(settings: ExportSettings, *, progress: Progress) -> xr.Dataset:
     """Run one episode and return its fields ``(time, y, x)`` and outlines ``(time, marker)``."""
     task, recognition, policy = settings.make_policy()
-    cut = math.inf if settings.periods is None else settings.periods / task.interval_T
-    max_decisions = math.ceil(min(task.time_limit, cut) - 1e-9)
+    max_decisions = min(task.time_limit, task.count_decisions(settings.periods))
     stride = max(1, round(task.checks_per_action / task.interval_T / settings.frames_per_T))
     frames: list[dict[str, Any]] = []
     num_checks = 0

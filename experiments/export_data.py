@@ -91,30 +91,28 @@ def record(settings: ExportDataSettings, *, progress: Progress) -> MinariDataset
         begin(start_of, after)
         progress.advance(int((after["done"].squeeze(-1) & (start_of >= 0)).sum()))
 
+    kind = ExplorationType.RANDOM if settings.samples_actions else ExplorationType.DETERMINISTIC
     with closing(env):
         progress.start("episodes", total=settings.episodes)
         run_episodes(
             env,
             policy,
             fixed_starts(task, settings.episodes, seed=settings.seed),
-            exploration=ExplorationType.RANDOM
-            if settings.samples_actions
-            else ExplorationType.DETERMINISTIC,
+            exploration=kind,
             on_begin=begin,
             on_step=settle,
         )
         size = env.observation_spec["observation_stack"].shape[-1]
+    seen, num = Box(-np.inf, np.inf, (size,), np.float32), task.num_actions
     buffers = []
     for index, entries in enumerate(episodes):
         series = {name: np.stack(values) for name, values in entries.items()}
+        masks = {name: series[name].astype(np.int8) for name in masked}
         buffers.append(
             EpisodeBuffer(
                 id=index,
                 seed=settings.seed,
-                observations={
-                    "observation": series["observation_stack"],
-                    **{name: series[name].astype(np.int8) for name in masked},
-                },
+                observations={"observation": series["observation_stack"], **masks},
                 actions=series["action"],
                 rewards=series["reward"][:, 0],
                 terminations=series["terminated"][:, 0],
@@ -127,15 +125,8 @@ def record(settings: ExportDataSettings, *, progress: Progress) -> MinariDataset
     return minari.create_dataset_from_buffers(
         settings.name,
         buffers,
-        observation_space=Dict(
-            {
-                "observation": Box(-np.inf, np.inf, (size,), np.float32),
-                **{name: MultiBinary(task.num_actions) for name in masked},
-            }
-        ),
-        action_space=Box(-1.0, 1.0, (task.num_actions,), np.float32)
-        if is_continuous
-        else Discrete(task.num_actions),
+        observation_space=Dict({"observation": seen, **dict.fromkeys(masked, MultiBinary(num))}),
+        action_space=Box(-1.0, 1.0, (num,), np.float32) if is_continuous else Discrete(num),
         algorithm_name=settings.learned or settings.policy,
         description=f"{settings.episodes} episodes of {task}",
         requirements=["fishrl"],

@@ -7,7 +7,6 @@ the water. Writes ``following.json``, ``following.md`` and ``following.png``.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -97,16 +96,9 @@ def record(env: TransformedEnv, policy: Any, *, advance: Callable[[], object]) -
     outcome = run_episodes(env, policy, starts, on_step=keep)
     series, (outlines, vorticity) = torch.stack(rows, 1), pictures[-1]
     series[torch.arange(series.shape[1]) >= outcome.lengths[:, None]] = torch.nan
-    return Record(
-        place=series[..., :2],
-        work=series[..., 2],
-        way=series[..., 3],
-        frequency=series[..., 4],
-        lengths=outcome.lengths,
-        contact=contact,
-        outlines=outlines,
-        vorticity=vorticity,
-    )
+    work, way, frequency = series[..., 2:].unbind(-1)
+    done = (outcome.lengths, contact, outlines, vorticity)
+    return Record(series[..., :2], work, way, frequency, *done)
 
 
 def summarise(done: Record, task: Follower, *, settle_T: float) -> dict[str, list[float]]:
@@ -141,27 +133,22 @@ def tabulate(
     )
     rows = []
     for name, arm in results.items():
-        fine = {key: Statistic.of(drop_nan(each)) for key, each in arm.items()}
-        relative = Statistic.of((torch.tensor(drop_nan(arm["cost"])) / cost_alone).tolist())
+        fine = {key: Statistic.of(each) for key, each in arm.items()}
+        relative = Statistic.of([cost / cost_alone for cost in arm["cost"]])
         row = [name, *(fine[key].show(".0%") for key in ("survived", "contact"))]
         row += [fine[key].show(".2f") for key in ("survival_T", "x", "aside", "frequency")]
         rows.append([*row, fine["cost"].show(".4f"), relative.show(".2f")])
     return write_table(heads, rows)
 
 
-def drop_nan(values: Sequence[float]) -> list[float]:
-    """Return the values without NaN."""
-    return [value for value in values if not math.isnan(value)]
-
-
 def average(policies: Sequence[dict[str, list[float]]]) -> dict[str, list[float]]:
     """Return the mean over the episodes of each policy, as values of one arm."""
-    return {key: [Statistic.of(drop_nan(arm[key])).mean for arm in policies] for key in policies[0]}
+    return {key: [Statistic.of(arm[key]).mean for arm in policies] for key in policies[0]}
 
 
 def write_figure(path: Path, tried: dict[str, Record], results: dict[str, Any]) -> None:
     """Draw the flow at the end of the first arm, the paths of all, and cost against distance."""
-    with panels(path, size=(10.0, 3.4), rows=1, columns=3) as axes:
+    with panels(path, size=(10.0, 3.4), columns=3, has_grid=False) as axes:
         flow, paths, costs = axes.flat
         shown = next(iter(tried.values()))
         flow.imshow(shown.vorticity, origin="lower", cmap="RdBu_r", vmin=-15, vmax=15)
@@ -186,9 +173,9 @@ def main(settings: FollowingSettings) -> None:
     torch.set_num_threads(1)
     check_names([*(Path(run).name for run in settings.runs), settings.baseline])
     task = make(settings.task, kind=Follower)
-    task = replace(task, time_limit=math.ceil(settings.periods / task.interval_T - 1e-9))
+    task = replace(task, time_limit=task.count_decisions(settings.periods))
     places = {"behind the leader": task, "alone": replace(task, leader="none")}
-    tried: dict[str, Record] = {}
+    folder, tried = Path(settings.folder), dict[str, Record]()
     with Progress() as progress:
         for place, where in places.items():
             env = make_env(task=where, num_envs=settings.episodes, compile=settings.compile)
@@ -204,19 +191,14 @@ def main(settings: FollowingSettings) -> None:
     results = {
         name: summarise(done, task, settle_T=settings.settle_T) for name, done in tried.items()
     }
-    alone = drop_nan(results[f"{settings.baseline}, alone"]["cost"])
-    folder = Path(settings.folder)
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "following.json", results)
-    means = {
-        f"mean of {len(settings.runs)} policies, {place}": average(
-            [results[f"{Path(run).name}, {place}"] for run in settings.runs]
-        )
-        for place in places
-        if len(settings.runs) > 1
-    }
-    cost_alone = Statistic.of(alone).mean
-    table = tabulate(results | means, cost_alone=cost_alone, baseline=settings.baseline)
+    shown, num = dict(results), len(settings.runs)
+    for place in places if num > 1 else ():
+        policies = [results[f"{Path(run).name}, {place}"] for run in settings.runs]
+        shown[f"mean of {num} policies, {place}"] = average(policies)
+    alone = Statistic.of(results[f"{settings.baseline}, alone"]["cost"])
+    table = tabulate(shown, cost_alone=alone.mean, baseline=settings.baseline)
     (folder / "following.md").write_text(table, encoding="utf-8")
     write_figure(folder / "following.png", tried, results)
     print(table)

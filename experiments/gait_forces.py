@@ -89,7 +89,7 @@ def hold(
     solver.body.phase.copy_(2.0 * pi * start / settings.num_phases)
     stiffness = size**2 * (2.0 * pi * _SPRING * shedding) ** 2
     interval = 2 * round(0.5 / (_SAMPLES * shedding))
-    rows: dict[str, list[Tensor]] = {"impulse": [], "lift": [], "beat": [], "y": [], "work": []}
+    samples: list[tuple[Tensor, ...]] = []
     offset_sum = torch.zeros_like(x)
     num_samples = _SAMPLES * (settings.settling + settings.periods)
     progress.start(f"{task.stream.speeds_bl[flow]:g} L/T", total=num_samples)
@@ -100,42 +100,36 @@ def hold(
         body.load[:, 1] = -stiffness * (aside + offset_sum)
         if sample >= _SAMPLES * settings.settling:
             values = (body.impulse[:, 0], disc.impulse[:, 1], body.phase, aside / size, body.work)
-            for kept, value in zip(rows.values(), values, strict=True):
-                kept.append(value.clone())
+            samples.append(tuple(value.clone() for value in values))
         if sample < num_samples:
             solver.advance_(interval)
             progress.advance(1)
     diverged = solver.is_diverged()
     solver.close()
-    series = {name: torch.stack(values, 1).numpy() for name, values in rows.items()}
+    series = (torch.stack(values, 1).numpy() for values in zip(*samples, strict=True))
+    impulse, lift, beat, y, work = series
     unit = size * (size / period) ** 2
-    force = np.diff(series["impulse"], axis=1).reshape(len(cases), -1, _SAMPLES).mean(-1)
-    force /= interval * unit
-    lift = np.diff(series["lift"], axis=1)
-    table = []
-    for i, (position, of_shedding, _) in enumerate(cases):
-        phase = find_phase(lift[i], shedding, 1.0 / interval)
-        apart = np.exp(1j * (phase - series["beat"][i, 1:])).mean()
-        table.append(
-            {
-                "stream_speed_bl": task.stream.speeds_bl[flow],
-                "x_bl": position,
-                "ratio": of_shedding,
-                "force_x": float(force[i].mean()),
-                "spread": float(force[i].std(ddof=1)),
-                "lag": float(np.angle(apart)),
-                "lock": float(np.abs(apart)),
-                "y_bl": float(series["y"][i].mean()),
-                "sway": float(series["y"][i].std() * 2.0**0.5),
-                "work": float(series["work"][i, -1] - series["work"][i, 0])
-                / (num_samples - _SAMPLES * settings.settling)
-                / interval
-                * period
-                / (unit * size),
-                "diverged": float(diverged[i]),
-            }
-        )
-    return table
+    force = np.diff(impulse, axis=1).reshape(len(cases), -1, _SAMPLES).mean(-1) / (interval * unit)
+    phase = find_phase(np.diff(lift, axis=1), shedding, 1.0 / interval)
+    apart = np.exp(1j * (phase - beat[:, 1:])).mean(1)
+    measured_T = _SAMPLES * settings.periods * interval / period
+    columns: dict[str, Any] = {
+        "stream_speed_bl": np.full(len(cases), task.stream.speeds_bl[flow]),
+        "x_bl": x,
+        "ratio": ratio,
+        "force_x": force.mean(1),
+        "spread": force.std(1, ddof=1),
+        "lag": np.angle(apart),
+        "lock": np.abs(apart),
+        "y_bl": y.mean(1),
+        "sway": y.std(1) * 2.0**0.5,
+        "work": (work[:, -1] - work[:, 0]) / (measured_T * unit * size),
+        "diverged": diverged,
+    }
+    return [
+        dict(zip(columns, map(float, row), strict=True))
+        for row in zip(*columns.values(), strict=True)
+    ]
 
 
 def find_thrust_phase(rows: Sequence[Mapping[str, float]]) -> float:
@@ -183,8 +177,8 @@ def draw(path: Path, table: list[dict[str, float]], settings: ForceSettings) -> 
             grid[1, at].set_xlabel("phase of the lift ahead of the beat  [°]")
         for axes in grid[:, 0]:
             axes.set_ylabel("force  [ρ L (L/T)²]   (up: downstream)")
-        figure, (handles, labels) = grid[0, 0].figure, grid[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8)
+        lines = grid[0, 0].get_legend_handles_labels()
+        grid[0, 0].figure.legend(*lines, loc="outside lower center", ncols=3, fontsize=8)
 
 
 @program(ForceSettings, groups={"task": "karman_gait", "preset": "gait_small"})

@@ -17,6 +17,7 @@ from experiments.gait.trials import list_shedding, load_trial
 from experiments.gait_forces import find_thrust_phase
 from experiments.pages import fill, write_table
 from experiments.program import program
+from experiments.statistics import show
 
 COPIED = ("survival", "paths", "places", "decisions", "lean", "work")
 
@@ -98,7 +99,7 @@ def write_forces(folder: str, pictures: Path) -> str:
         locked = [row for row in mine if row["ratio"] == 1.0]
         by_phase = [row["force_x"] for row in locked]
         extremes = f"{min(by_phase):+.3f} to {max(by_phase):+.3f}"
-        thrust = tables.show(math.degrees(find_thrust_phase(locked)), ".0f")
+        thrust = show(math.degrees(find_thrust_phase(locked)), ".0f")
         rows.append([f"{speed:g}", f"{x:g}", *means, extremes, thrust])
     heads = ["stream, L/T", "x, L", *(f"{ratio:g} f" for ratio in ratios)]
     text = write_table([*heads, "1 f, by phase", "thrust at, °"], rows)

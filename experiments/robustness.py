@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from omegaconf import OmegaConf
 
-from experiments.figures.style import COLOURS, panels, tidy
+from experiments.figures.style import COLOURS, panels
 from experiments.gait.diagnostics import diagnose
 from experiments.gait.trials import (
     PERIODS,
@@ -161,7 +161,8 @@ def summarise(arms: Mapping[str, Sequence[Trial]], done: Mapping[str, list[Histo
 
 def tabulate(results: Mapping[str, Any], *, reference: str) -> str:
     """Return the tables, Markdown: survival, difference from the reference, work per T."""
-    arms = list(next(iter(results.values())))
+    first = next(iter(results.values()))
+    arms = list(first)
     others = [arm for arm in arms if arm != reference]
 
     def show_survival(condition: Mapping[str, Any], arm: str) -> str:
@@ -176,22 +177,18 @@ def tabulate(results: Mapping[str, Any], *, reference: str) -> str:
         rows = [[name, *(show(each, arm) for arm in heads)] for name, each in results.items()]
         return write_table(("condition", *heads), rows)
 
-    titles = (
-        "Mean survival in T, and in brackets the share of episodes that lasted:",
-        f"Survival beyond that of *{reference}* from the same starts, T, and its 95 % interval:",
-        "Work per T, ρ L² (L/T)²:",
-        "Correct labels:",
+    lasted = "Mean survival in T, and in brackets the share of episodes that lasted:"
+    beyond = (
+        f"Survival beyond that of *{reference}* from the same starts, T, and its 95 % interval:"
     )
-    tables = (
-        write(arms, show_survival),
-        write(others, compare),
-        write(arms, lambda condition, arm: f"{condition[arm]['work']:.3f}"),
-        write(
-            [arm for arm in arms if np.isfinite(next(iter(results.values()))[arm]["named_right"])],
-            lambda condition, arm: f"{condition[arm]['named_right']:.1%}",
-        ),
-    )
-    parts = [f"{title}\n\n{table}" for title, table in zip(titles, tables, strict=True)]
+    labelled = [arm for arm in arms if np.isfinite(first[arm]["named_right"])]
+    tables = {
+        lasted: write(arms, show_survival),
+        beyond: write(others, compare),
+        "Work per T, ρ L² (L/T)²:": write(arms, lambda each, arm: f"{each[arm]['work']:.3f}"),
+        "Correct labels:": write(labelled, lambda each, arm: f"{each[arm]['named_right']:.1%}"),
+    }
+    parts = [f"{title}\n\n{table}" for title, table in tables.items()]
     return "\n".join((*parts, "![Survival under each condition](robustness.png)\n"))
 
 
@@ -211,7 +208,6 @@ def write_figure(path: Path, results: Mapping[str, Any]) -> None:
         chart.set_xlim(left=0.0)
         chart.invert_yaxis()
         chart.legend(loc="lower left", fontsize=8)
-        tidy(chart)
 
 
 @program(RobustnessSettings, groups={})

@@ -41,16 +41,21 @@ class Statistic:
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Statistic:
-        """Reduce some values; without any, everything is NaN."""
-        mean = float(np.mean(values)) if values else math.nan
-        return cls(count=len(values), mean=mean, half_width=half_width(values))
+        """Reduce the values that are not NaN; without any, everything is NaN."""
+        known = [value for value in values if not math.isnan(value)]
+        mean = float(np.mean(known)) if known else math.nan
+        return cls(count=len(known), mean=mean, half_width=half_width(known))
 
     def show(self, form: str) -> str:
         """Write mean ± half width, each in a format such as ``.1%``; a dash without values."""
-        if math.isnan(self.mean):
-            return "–"
-        mean = format(self.mean, form)
-        return mean if math.isnan(self.half_width) else f"{mean} ± {self.half_width:{form}}"
+        return show(self.mean, form, self.half_width)
+
+
+def show(value: float, form: str, error: float = math.nan) -> str:
+    """Write a number, with its error where there is one, or a dash for NaN."""
+    if math.isnan(value):
+        return "–"
+    return format(value, form) + ("" if math.isnan(error) else f" ± {error:{form}}")
 
 
 def half_width(values: Sequence[float]) -> float:

@@ -19,6 +19,7 @@ from experiments.program import program
 from experiments.validation.case import MISSED, Case
 from experiments.validation.report import render_table, summarise, write_report
 from experiments.validation.runner import run_cases
+from fishrl.bounds import Checked, bounded
 
 # in the order of the report
 NAMES = (
@@ -33,7 +34,7 @@ CASES: tuple[Case, ...] = tuple(
 
 
 @dataclass(frozen=True, kw_only=True)
-class ValidateSettings:
+class ValidateSettings(Checked):
     """Settings of a validation.
 
     Args:
@@ -48,18 +49,17 @@ class ValidateSettings:
     cases: list[str] = field(default_factory=list)
     quick: bool = False
     fresh: bool = False
-    jobs: int = field(default_factory=lambda: os.cpu_count() or 1)
+    jobs: int = bounded(os.cpu_count() or 1, least=1)
     folder: str = "runs/validation"
     docs: str = "docs"
 
     def __post_init__(self) -> None:
         """Check names and numbers."""
+        super().__post_init__()
         names = [case.name for case in CASES]
         for name in self.cases:
             if name not in names:
                 raise unknown(name, names)
-        if self.jobs < 1:
-            raise ValueError(f"jobs={self.jobs}: at least one process is needed")
 
 
 @program(ValidateSettings)

@@ -6,7 +6,6 @@ writes a recording or a film, ``screenshot=`` a picture; a path alone opens a re
 
 from __future__ import annotations
 
-import math
 import time
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
@@ -106,8 +105,7 @@ def record(
     flows = settings.shown
     task, recognition, policy = settings.make_policy()
     starts = fixed_starts(task, settings.episodes, seed=settings.seed)
-    periods = math.inf if settings.periods is None else settings.periods / task.interval_T
-    max_decisions = math.ceil(min(task.time_limit, periods) - 1e-9)
+    max_decisions = min(task.time_limit, task.count_decisions(settings.periods))
     times: dict[int, list[float]] = {flow: [] for flow in flows}
     with ExitStack() as stack:
         env = settings.make_env(task, recognition, num_envs=len(flows), progress=progress)

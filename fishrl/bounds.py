@@ -22,6 +22,7 @@ def bounded(
     least: float | None = None,
     greater: float | None = None,
     largest: float | None = None,
+    less: float | None = None,
     entries: int | None = None,
 ) -> Any:
     """Return a dataclass field whose numbers ``check_bounds`` keeps within bounds.
@@ -31,9 +32,11 @@ def bounded(
         least: smallest allowed value.
         greater: the value must be greater than this.
         largest: largest allowed value.
+        less: the value must be less than this.
         entries: smallest number of values in a sequence.
     """
-    bounds = {"least": least, "greater": greater, "largest": largest, "entries": entries}
+    bounds = {"least": least, "greater": greater, "largest": largest, "less": less}
+    bounds |= {"entries": entries}
     return field(default=default, metadata={k: v for k, v in bounds.items() if v is not None})
 
 
@@ -110,13 +113,14 @@ def _find_violation(number: Any, *, kind: str, bounds: Any) -> str:
         number >= bounds.get("least", -math.inf)
         and number > bounds.get("greater", -math.inf)
         and number <= bounds.get("largest", math.inf)
+        and number < bounds.get("less", math.inf)
     )
     return "" if is_allowed else _describe(bounds)
 
 
 def _describe(bounds: Any, *first: str) -> str:
     words = {"least": "at least", "greater": "greater than", "largest": "at most"}
-    words["entries"] = "a list with a length of at least"
+    words |= {"less": "less than", "entries": "a list with a length of at least"}
     return ", ".join(
         (*first, *(f"{word} {bounds[name]}" for name, word in words.items() if name in bounds))
     )

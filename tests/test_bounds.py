@@ -15,6 +15,7 @@ class Settings:
     count: int = bounded(1, least=1)
     share: float = bounded(0.5, least=0, largest=1)
     rate: float = bounded(1.0, greater=0)
+    part_of_two: float = bounded(1.0, greater=0, less=2)
     free: float = 0.0
     limit: float | None = bounded(None, greater=0)
     sizes: tuple[int, ...] = bounded((1, 2), least=1, entries=1)
@@ -40,6 +41,7 @@ def test_numbers_of_numpy_become_those_of_python() -> None:
         {"share": -0.1},
         {"share": 1.1},
         {"rate": 0.0},
+        {"part_of_two": 2.0},
         {"limit": 0},
         {"sizes": (3, 0)},
         {"sizes": [3, nan]},

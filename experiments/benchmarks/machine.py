@@ -14,7 +14,7 @@ PACKAGES = ("torchrl", "tensordict", "numpy", "lbmpy", "pystencils", "numba", "l
 
 
 def describe_machine() -> dict[str, Any]:
-    """Name processor, threads, caches, GPU, versions and other load."""
+    """Name processor, caches, GPU, versions and other load."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
     models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
@@ -22,7 +22,6 @@ def describe_machine() -> dict[str, Any]:
     return {
         "cpu": (models or [platform.processor() or platform.machine()])[0],
         "cores": os.cpu_count(),
-        "threads": torch.get_num_threads(),
         "torch": torch.__version__,
         "python": platform.python_version(),
         "instructions": torch.backends.cpu.get_cpu_capability(),

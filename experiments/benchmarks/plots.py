@@ -9,7 +9,7 @@ from matplotlib.patches import Patch
 
 from experiments.benchmarks.measuring import FISH, KERNEL, PERIODIC, WALLS, Case, Results
 from experiments.benchmarks.report import measure_speed
-from experiments.figures.style import COLOURS, panels, tidy
+from experiments.figures.style import COLOURS, panels
 
 SCOPES = {KERNEL: COLOURS[4], PERIODIC: COLOURS[0], WALLS: COLOURS[2], FISH: COLOURS[1]}
 
@@ -45,17 +45,17 @@ def write_bandwidth(cases: Sequence[Case], results: Results, path: Path) -> None
                 height=0.72, xerr=[[median - low], [high - median]], error_kw={"capsize": 2},
             )  # fmt: skip
             axes.text(high, i, f"  {median:.3g}", va="center", fontsize=8)
-        for name, style in (("copy", "--"), ("in place", ":")):
+        for name, style, side in (("copy", "--", "right"), ("in place", ":", "left")):
             for probe in results.find(f"probe/{name}"):
                 speed = measure_bandwidth(probe)[1]
                 axes.axvline(speed, color="#222222", linestyle=style, linewidth=1.0)
-                axes.text(speed, len(cases) - 0.35, f"{name} {speed:.0f}", ha="center", fontsize=8)
+                axes.text(speed, len(cases) - 0.35, f"{name} {speed:.0f}", ha=side, fontsize=8)
         axes.set_yticks(range(len(cases)), [f"{c.code}: {c.name}" for c in cases], fontsize=8)
         axes.set(xlabel="GB/s at 72 bytes per node update", ylim=(-0.6, len(cases) - 0.4))
         axes.margins(x=0.08)
         handles = [Patch(color=colour, label=name) for name, colour in SCOPES.items()]
-        axes.legend(handles=handles, loc="lower right", fontsize=8, title="strong: fishrl")
-        tidy(axes)
+        legend = {"loc": "outside lower center", "ncols": len(SCOPES), "title": "strong: fishrl"}
+        axes.figure.legend(handles=handles, fontsize=8, **legend)
         axes.grid(axis="y", visible=False)
 
 
@@ -72,7 +72,6 @@ def write_scaling(cases: Sequence[Case], caches: dict[str, int], path: Path) -> 
             low, median, high = zip(*map(measure_speed, line), strict=True)
             axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
             axes.plot(x, median, "o-", color=colour)
-            tidy(axes)
         for name, size in caches.items():
             if 0.5 * nodes[0] < size / 36 < 2.0 * nodes[-1]:  # nodes whose populations it holds
                 left.axvline(size / 36, color="#bbbbbb", linewidth=1.0)

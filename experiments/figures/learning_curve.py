@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from experiments.figures.style import COLOURS, panels, tidy
+from experiments.figures.style import COLOURS, panels
 from fishrl.training.logger import read_rows
 
 FRAMES = "frames"
@@ -103,7 +103,6 @@ def draw_curves(
         for i, (axes, (title, drawn)) in enumerate(zip(grid.flat, shown.items(), strict=False)):
             handles |= {curve.label: _draw_curve(axes, curve) for curve in drawn}
             axes.set_title(title, loc="left")
-            tidy(axes)
             if title == RATE:
                 axes.set_ylim(-0.03, 1.05)
                 axes.yaxis.set_major_formatter("{x:.0%}")

@@ -1,6 +1,5 @@
 """The pictures of a run: episodes of its policy and its learning curve."""
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -48,7 +47,7 @@ def record_run(
     scene = make_scene(env, field=settings.field, field_limit=settings.field_limit)
     flows, max_decisions = list(range(min(_MAX_FLOWS, len(starts)))), None
     if scene.goal is None:
-        starts, max_decisions = starts[flows], math.ceil(_MAX_PERIODS / task.interval_T - 1e-9)
+        starts, max_decisions = starts[flows], task.count_decisions(_MAX_PERIODS)
     recordings = [Recording(scene=scene) for _ in range(len(starts))]
 
     def count(running: Tensor, step: TensorDictBase) -> None:
@@ -106,7 +105,7 @@ def write_trajectories(recordings: Sequence[Recording], path: Path) -> None:
     """Draw head paths from several starts, the goal's path and where it was reached."""
     scene = recordings[0].scene
     x, y = scene.width / scene.body_length, scene.height / scene.body_length
-    with panels(path, size=(9, 0.5 + 6.6 * y / x)) as [[axes]]:
+    with panels(path, size=(9, 0.5 + 6.6 * y / x), has_grid=False) as [[axes]]:
         for number, recording in enumerate(recordings):
             _draw_trajectory(axes, recording, COLOURS[number % len(COLOURS)])
         axes.set(xlim=(0, x), ylim=(0, y), aspect="equal")

@@ -32,13 +32,18 @@ def panels(
     size: tuple[float, float],
     rows: int = 1,
     columns: int = 1,
+    has_grid: bool = True,
     **options: Any,
 ) -> Iterator[Any]:
     """Yield axes ``[rows, columns]`` of a figure of ``size`` inches, and write it at the end.
 
-    ``options`` are those of ``Figure.subplots``, such as ``sharey``.
+    They are ``tidy`` unless ``has_grid`` is false, as for images. ``options`` are those of
+    ``Figure.subplots``, such as ``sharey``.
     """
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=size, layout="constrained")
-        yield figure.subplots(rows, columns, squeeze=False, **options)
+        grid = figure.subplots(rows, columns, squeeze=False, **options)
+        for axes in grid.flat if has_grid else ():
+            tidy(axes)
+        yield grid
         figure.savefig(path)

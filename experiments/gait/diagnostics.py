@@ -85,14 +85,14 @@ def trace_work(histories: Histories, *, interval_T: float) -> dict[str, list[flo
 
 
 def measure_sway(aside: Tensor, *, frames_per_T: float) -> float:
-    """Return the amplitude of a lateral oscillation, root of twice the variance within each 2 T."""
-    swings: list[float] = []
+    """Return the amplitude of a lateral oscillation, root of twice the variance within each 2 T.
+
+    Only whole spans of 2 T count, without NaN; without any it is NaN.
+    """
     span = round(2 * frames_per_T)
-    for row in aside:
-        values = row[~row.isnan()].double()
-        blocks = values[: len(values) // span * span].reshape(-1, span)
-        swings += blocks.var(1, unbiased=False).tolist()
-    return math.sqrt(2.0 * sum(swings) / len(swings)) if swings else math.nan
+    blocks = aside[:, : aside.shape[1] // span * span].double().reshape(-1, span)
+    swings = (blocks - blocks.mean(1, keepdim=True)).square().mean(1)
+    return math.sqrt(2.0 * float(swings.nanmean()))
 
 
 def measure_lean(histories: Histories, *, interval_T: float) -> tuple[Tensor, Tensor]:
@@ -129,13 +129,13 @@ def lock_phases(histories: Histories, shedding_frequency: float, *, frames_per_T
 
 
 def find_phase(signal: NDArray[np.float64], frequency: float, rate: float) -> NDArray[np.float64]:
-    """Return the phase of a signal ``[n]``, of ``rate`` samples per unit of time, near a frequency.
+    """Return the phase of signals ``[..., n]``, ``rate`` samples per time, near a frequency.
 
     It is that of the analytic signal (Hilbert transform) of what lies within 0.5 to 1.5 times it.
     """
-    spectrum = np.fft.fft(signal - signal.mean())
-    at = np.fft.fftfreq(len(signal), 1.0 / rate)
-    spectrum[(at < 0.5 * frequency) | (at > 1.5 * frequency)] = 0.0
+    spectrum = np.fft.fft(signal - signal.mean(-1, keepdims=True))
+    at = np.fft.fftfreq(signal.shape[-1], 1.0 / rate)
+    spectrum[..., (at < 0.5 * frequency) | (at > 1.5 * frequency)] = 0.0
     return np.asarray(np.angle(np.fft.ifft(spectrum)))
 
 

@@ -16,7 +16,7 @@ from matplotlib.patches import Rectangle, Wedge
 from torch import Tensor
 
 from experiments.figures.learning_curve import read_metrics
-from experiments.figures.style import COLOURS, FISH, VORTICITY_LABEL, panels, tidy
+from experiments.figures.style import COLOURS, FISH, VORTICITY_LABEL, panels
 from experiments.gait.trials import FRAMES, Histories, Trial, record
 from fishrl.envs import KarmanGait
 from fishrl.envs.flow_env import FlowEnv
@@ -50,8 +50,6 @@ def flow_panels(
         yield grid
         for axes, speed in zip(grid[0], speeds, strict=True):
             axes.set_title(f"stream {speed:g} L/T")
-        for axes in grid.flat:
-            tidy(axes)
 
 
 def write_survival(
@@ -84,7 +82,6 @@ def write_training(path: Path, runs: Mapping[str, Sequence[Path]]) -> None:
                     name = arm if number == 0 else None
                     axes.plot(*series, color=colour, linewidth=1.2, alpha=0.8, label=name)
             axes.set(xlabel="env frames (decisions of all fish)", ylabel=label)
-            tidy(axes)
         grid[0, 0].legend(fontsize=8)
 
 
@@ -94,7 +91,7 @@ def _arenas(
 ) -> Iterator[Iterator[tuple[Axes, Histories]]]:
     """Yield a panel for each policy and flow, with its episodes; draw disc and safe area there."""
     labels, size, area = task.stream.labels, (11, 0.5 + 2.1 * len(recorded)), task.safe_area
-    shape = {"rows": len(recorded), "columns": len(labels)}
+    shape: Any = {"rows": len(recorded), "columns": len(labels), "has_grid": False}
     corner = (area.near_bl, -area.aside_bl)
     extent = (area.far_bl - area.near_bl, 2.0 * area.aside_bl)
     border: Any = {"edgecolor": "#999999", "linestyle": "--", "linewidth": 0.8}
@@ -193,7 +190,6 @@ def write_lean(
                 axes.plot(beats, middle, "o-", **style, label=f"stream {speed:g} L/T")
         for axes, unit in zip(grid[0], ("[1/T]", "[1/L of stream]"), strict=True):
             axes.set(xlabel=f"tail beats  {unit}", ylim=(0.0, None))
-            tidy(axes)
         grid[0, 0].set_ylabel("lean, mean of 8 T  [°]")
         grid[0, 0].legend(fontsize=8)
 
@@ -222,7 +218,7 @@ def write_period(path: Path, trial: Trial, *, num_decisions: int, periods_T: lis
     starts["flow_index"] = torch.arange(num)
     record(replace(trial, task=task), starts, on_frame=keep)
     shape: Any = {"rows": num, "columns": _NUM_MOMENTS, "size": (12, 2.1 * num + 0.6)}
-    with panels(path, **shape, sharex=True, sharey=True) as grid:
+    with panels(path, **shape, has_grid=False, sharex=True, sharey=True) as grid:
         for flow, (row, speed) in enumerate(zip(grid, task.stream.speeds_bl, strict=True)):
             swum = [frame for frame in frames if frame[2][flow] > 0.0]  # a new start has age 0
             for number, axes in enumerate(row):

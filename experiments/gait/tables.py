@@ -7,6 +7,7 @@ from math import nan
 
 from experiments.gait.diagnostics import WORKS
 from experiments.pages import write_table
+from experiments.statistics import show
 
 #: Work in a free stream over that in the wake, conditions I to III: Zhang et al. 2023, Table 4.
 PAPER_WORK_RATIO = (7577.94 / 1526.73, 14682.95 / 2145.74, 51520.26 / 3057.03)
@@ -46,13 +47,6 @@ WORK_HEADS = (
 
 #: Of each arm, per flow, as ``diagnose`` or ``combine_seeds`` returns.
 Results = Mapping[str, Sequence[Mapping[str, float]]]
-
-
-def show(value: float, form: str, error: float = nan) -> str:
-    """Write a number, with its error where there is one, or a dash for NaN."""
-    if value != value:
-        return "–"
-    return format(value, form) + (f" ± {error:{form}}" if error == error else "")
 
 
 def write_results(results: Results, speeds: Sequence[float]) -> str:

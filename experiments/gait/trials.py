@@ -92,7 +92,7 @@ def prolong(task: KarmanGait, periods: float) -> KarmanGait:
     return replace(
         task,
         start_flows=tuple(range(len(task.stream.speeds_bl))),
-        time_limit=math.ceil(periods / task.interval_T - 1e-9),
+        time_limit=task.count_decisions(periods),
         start_x_bl=START_X_BL,
         start_y_bl=START_Y_BL,
     )

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter
 
-from experiments.figures.style import COLOURS, panels, tidy
+from experiments.figures.style import COLOURS, panels
 from experiments.lateral_line.study import Answers, Fit, Study
 from experiments.pages import write_table
 
@@ -153,7 +153,7 @@ def write_figures(findings: Mapping[str, Any], fits: Mapping[str, Fit], folder: 
     with panels(folder / "curves.png", columns=2, size=(10, 3.8)) as grid:
         _draw_curves(grid[0], fits, chance=chance)
     names, size = [flow["name"] for flow in findings["flows"]], (4.4 * len(fits), 3.9)
-    with panels(folder / "confusion.png", columns=len(fits), size=size) as grid:
+    with panels(folder / "confusion.png", columns=len(fits), size=size, has_grid=False) as grid:
         for axes, (name, fit) in zip(grid[0], fits.items(), strict=True):
             _draw_confusion(axes, fit, names)
             axes.set_title(name)
@@ -181,7 +181,6 @@ def _draw_curves(grid: Sequence[Axes], fits: Mapping[str, Fit], *, chance: float
     left.yaxis.set_major_formatter(_PERCENT)
     for axes in grid:
         axes.set(xlabel="epoch", xscale="log")
-        tidy(axes)
     title = "dotted: training episodes · line: validation episodes · dot: kept"
     small = {"fontsize": 8.5, "title_fontsize": 8.5}
     left.legend(loc="lower right", title=title, alignment="left", **small)
@@ -221,7 +220,6 @@ def _draw_limits(grid: Sequence[Axes], findings: Mapping[str, Any]) -> None:
     first.yaxis.set_major_formatter(_PERCENT)
     for axes in grid:
         _draw_chance(axes, findings["chance"])
-        tidy(axes)
 
 
 def _draw_answers(axes: Axes, columns: Mapping[str, Any], *, scale: float = 1.0) -> None:

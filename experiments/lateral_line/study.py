@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -324,18 +325,13 @@ class Study:
         s, inputs = self.settings, list_inputs(self.window)
         plain = inputs["local: whole window, each neuromast"]
         entries: list[tuple[str, str, str, Question, Callable[[Fit], float]]] = []
-        tables: dict[str, Answers] = {}
-
+        tables: Any = defaultdict(lambda: defaultdict(lambda: defaultdict(list)))
         held_out = attrgetter("held_out.accuracy")
 
         def ask(
             table: str, column: str, row: str, question: Question, read: Any = held_out
         ) -> None:
             entries.append((table, column, row, question, read))
-
-        def note(table: str, column: str, row: str, values: Sequence[float]) -> None:
-            rows = tables.setdefault(table, {}).setdefault(column, {})
-            rows.setdefault(row, []).extend(values)
 
         for memory in s.memories:
             ask("memory", "accuracy", f"{memory:g}", plain, partial(Fit.score, memory=memory))
@@ -362,14 +358,14 @@ class Study:
                 fits[question] = self.fit(question, number=number)
                 progress.advance(1)
             for table, column, row, question, read_fit in entries:
-                note(table, column, row, [read_fit(fits[question])])
+                tables[table][column][row].append(read_fit(fits[question]))
             decision = fits[plain].test["decision"]
             for memory in s.memories:
                 is_correct = fits[plain].predict(memory=memory).double()
                 for count in decision.unique().tolist():
                     values = is_correct[decision == count].tolist()
-                    note("by_decision", f"{memory:g}", str(count), values)
-        return tables
+                    tables["by_decision"][f"{memory:g}"][str(count)] += values
+        return dict(tables)
 
 
 def list_inputs(window: int) -> dict[str, Question]:

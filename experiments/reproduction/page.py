@@ -10,10 +10,10 @@ from typing import Any
 from markdown_it import MarkdownIt
 
 from experiments.gait import figures
-from experiments.gait.tables import PAPER_WORK_RATIO, show, write_results
+from experiments.gait.tables import PAPER_WORK_RATIO, write_results
 from experiments.gait_page import draw_transfer, read, write_free_stream
 from experiments.pages import fill, write_table
-from experiments.statistics import Statistic
+from experiments.statistics import Statistic, show
 from experiments.summarize import summarize
 from experiments.sweeps.jobs import find_runs
 from experiments.sweeps.runs import read_run

@@ -9,6 +9,7 @@ that of the muscles, gains of energy from the flow subtracted.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from math import pi
 from typing import Any
 
@@ -69,27 +70,16 @@ def run_strokes(
     part = 2 * round(steps * body_length / 20.0)
     period = 10 * part
     side, wall = round(tank_bl * body_length), NoSlip()
-    larvae = [
-        Fish(
-            body_length=body_length,
-            section=Section.LARVA,
-            thickness=0.127,
-            strokes=each,
-            inset=inset,
-            motion=Free(),
-        )
-        for each in strokes
-    ]
-    configs = [
-        FlowConfig(
-            width=side,
-            height=side,
-            tau=3.0 * body_length**2 / (REYNOLDS * period) + 0.5,
-            bodies=(larva,),
-            boundaries=Boundaries(left=wall, right=wall, bottom=wall, top=wall),
-        )
-        for larva in larvae
-    ]
+    larva = Fish(
+        body_length=body_length, section=Section.LARVA, thickness=0.127, inset=inset, motion=Free()
+    )
+    tank = FlowConfig(
+        width=side,
+        height=side,
+        tau=3.0 * body_length**2 / (REYNOLDS * period) + 0.5,
+        boundaries=Boundaries(left=wall, right=wall, bottom=wall, top=wall),
+    )
+    configs = [replace(tank, bodies=(replace(larva, strokes=each),)) for each in strokes]
     solver = InPlaceSolver(
         config=configs, frequency=1.0 / period, num_workers=num_workers, compile=compile
     )
@@ -103,17 +93,10 @@ def run_strokes(
         work.append(solver.body.work * (period**2 / body_length**4))
     is_fine = ~solver.is_diverged()
     solver.close()
-    whole, spent = torch.stack(path, 1), torch.stack(work, 1)
-    results = [
-        {
-            "path": whole[row].tolist(),
-            "work": spent[row].tolist(),
-            "distance": float(whole[row, -1].norm()),
-            "fine": bool(is_fine[row]),
-        }
-        for row in range(len(configs))
-    ]
-    return results, solver
+    columns = (torch.stack(path, 1), torch.stack(work, 1), path[-1].norm(dim=-1), is_fine)
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    names = ("path", "work", "distance", "fine")
+    return [dict(zip(names, row, strict=True)) for row in rows], solver
 
 
 def take_picture(solver: InPlaceSolver, row: int, body_length: int) -> Result:
@@ -207,12 +190,12 @@ def judge(runs: Runs) -> Iterator[Check]:
         )
 
 
-def draw_picture(axes: Axes, run: Result, limit: float = 30.0) -> Any:
+def draw_picture(axes: Axes, run: Result) -> Any:
     """Draw vorticity, the fish and its path; return the image."""
     extent = (-WINDOW, WINDOW, -WINDOW, WINDOW)
     image = axes.imshow(
         run["vorticity"], extent=extent, origin="lower", cmap="RdBu_r",
-        vmin=-limit, vmax=limit, interpolation="bilinear",
+        vmin=-30.0, vmax=30.0, interpolation="bilinear",
     )  # fmt: skip
     axes.fill(*zip(*run["outline"], strict=True), color="0.3")
     axes.plot(*zip(*run["path"], strict=True), color="black", linewidth=1.0)

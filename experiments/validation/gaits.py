@@ -12,7 +12,7 @@ from math import pi
 
 from matplotlib.figure import Figure
 
-from experiments.figures import COLOURS
+from experiments.figures.style import COLOURS
 from experiments.validation.case import Case, Check, Result, Runs
 from experiments.validation.plots import GREY, fit_order, name_ticks
 from experiments.validation.swimmer import draw_speed, make_swim

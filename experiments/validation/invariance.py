@@ -9,8 +9,8 @@ and the velocities of the fish by magnitude.
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from math import hypot, pi
-from typing import Any
 
 import torch
 from matplotlib.figure import Figure
@@ -128,14 +128,10 @@ def _start(
     direction = (0.0, 1.0) if is_turned else (1.0, 0.0)
     edge = NonEquilibrium(velocity=direction)
     edges = Boundaries(left=edge, right=edge, bottom=edge, top=edge)
-    shared: dict[str, Any] = {
-        "width": width,
-        "height": height,
-        "tau": tau,
-        "bodies": (body,),
-        "boundaries": edges,
-    }
-    configs = [FlowConfig(**shared, stream_speed=stream) for _, _, stream in runs]
+    base = FlowConfig(
+        width=width, height=height, tau=tau, stream_speed=0.0, bodies=(body,), boundaries=edges
+    )
+    configs = [replace(base, stream_speed=stream) for _, _, stream in runs]
     solver = InPlaceSolver(config=configs, frequency=frequency, num_workers=0)
     position, heading = (torch.tensor(v, dtype=torch.float64) for v in (places, headings))
     rows = torch.ones(len(runs), dtype=torch.bool)

@@ -54,15 +54,7 @@ INERTIA_NOTE = (
 )
 
 
-def oscillate(
-    *,
-    diameter: int,
-    length: int = 20,
-    height: int = 15,
-    speed: float = SPEED,
-    inset: float = 0.0,
-    num_periods: int = NUM_PERIODS,
-) -> Result:
+def oscillate(*, diameter: int, length: int = 20, height: int = 15, inset: float = 0.0) -> Result:
     """Let a cylinder oscillate along x, starting at rest at its turning point.
 
     The domain is ``length`` by ``height`` D, the markers lie ``inset`` nodes inside. Returns
@@ -70,7 +62,7 @@ def oscillate(
     the outer fluid over the last period, least-squares ``c_d`` and ``c_i``, and ``c_i_before`` of
     the period before.
     """
-    samples = make_even(KC * diameter / speed / NUM_SAMPLES)  # steps between samples
+    samples = make_even(KC * diameter / SPEED / NUM_SAMPLES)  # steps between samples
     period = samples * NUM_SAMPLES
     speed = KC * diameter / period
     amplitude = speed * period / (2.0 * pi)
@@ -86,12 +78,12 @@ def oscillate(
     solver = start_flow(config, centre, frequency=1.0 / period)
     solver.body.phase.fill_(0.5 * pi)
     impulses = [float(solver.body.impulse[0, 0])]
-    for _ in range(num_periods * NUM_SAMPLES):
+    for _ in range(NUM_PERIODS * NUM_SAMPLES):
         solver.advance_(samples)
         impulses.append(float(solver.body.impulse[0, 0]))
     if bool(solver.is_diverged().any()):
         raise RuntimeError("the flow diverged: lower the speed")
-    phase = 0.5 * pi + 2.0 * pi * np.arange(num_periods * NUM_SAMPLES + 1) / NUM_SAMPLES
+    phase = 0.5 * pi + 2.0 * pi * np.arange(NUM_PERIODS * NUM_SAMPLES + 1) / NUM_SAMPLES
     force = np.diff(impulses) / samples / (speed**2 * diameter)
     # mean velocity over a sample, and acceleration, in U and U^2 / D
     v = np.diff(np.sin(phase)) / np.diff(phase)

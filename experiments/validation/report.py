@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from math import inf, isfinite
@@ -13,6 +12,7 @@ import matplotlib as mpl
 from experiments.pages import write_table
 from experiments.validation.case import MISSED, PASS, RECORDED, Check, as_range
 from experiments.validation.runner import FIGURE_STYLE, Outcome
+from fishrl.training.run_folder import write_json
 
 HEADS = ("quantity", "ours", "reference", "error", "tolerance", "verdict", "resolution")
 SUMMARY = ("case", "quantity", "ours", "literature", "deviation", "verdict", "all criteria")
@@ -36,11 +36,10 @@ def write_report(outcomes: Sequence[Outcome], *, page: Path, json_path: Path, co
             with mpl.rc_context(FIGURE_STYLE):
                 outcome.figure.savefig(figures / f"{outcome.case.name}.png")
         for check in outcome.checks:
-            row = {"case": outcome.case.name, **asdict(check)}
-            row |= {"error": check.error, "verdict": check.verdict}
-            rows.append(json.loads(json.dumps(row), parse_constant=lambda _: None))
+            derived = {"error": check.error, "verdict": check.verdict}
+            rows.append({"case": outcome.case.name, **asdict(check), **derived})
     page.write_text(render(outcomes, command), encoding="utf-8")
-    json_path.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    write_json(json_path, rows)
 
 
 def render(outcomes: Sequence[Outcome], command: str) -> str:

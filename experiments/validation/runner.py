@@ -26,8 +26,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from experiments.benchmarks.machine import describe_machine
-from experiments.figures import COLOURS, STYLE
-from experiments.figures.style import tidy
+from experiments.figures.style import COLOURS, STYLE, tidy
 from experiments.validation.case import Case, Check, Job, Runs
 from fishrl.files import staged
 from fishrl.physics.cache_key import hash_sources, make_key
@@ -102,7 +101,7 @@ def run_cases(
                 path.parent.mkdir(parents=True, exist_ok=True)
                 todo.append((outcome, job, path))
     todo.sort(key=lambda item: -item[1].cost)
-    machine = describe_machine() | {"threads": 1}
+    machine = describe_machine()
     futures = _run_jobs([job for _, job, _ in todo], num_workers)
     # without a terminal the log says the same
     is_silent = not sys.stderr.isatty()

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
-from experiments.figures import COLOURS
-from experiments.validation.case import Case, Check, Job, Result, Runs, check_finest
+from experiments.figures.style import COLOURS
+from experiments.validation.case import Case, Check, Job, Result, Runs, as_range, check_finest
 from experiments.validation.plots import GREY
 from experiments.validation.wake import make_even, start_flow
 from fishrl.physics import Boundaries, Cylinder, FlowConfig, Free, NoSlip
@@ -61,7 +61,7 @@ TARGETS: dict[str, tuple[str, str, float, Any, str]] = {
 }
 
 
-def settle(*, experiment: str, nodes: int, speed: float = SPEED, inset: float = 0.0) -> Result:
+def settle(*, experiment: str, nodes: int, inset: float = 0.0) -> Result:
     """Let a disc, d = ``nodes`` wide, sink from rest in a box with walls all round.
 
     The markers lie ``inset`` nodes inside. Returns ``time`` and ``velocity`` in the experiment's
@@ -69,7 +69,7 @@ def settle(*, experiment: str, nodes: int, speed: float = SPEED, inset: float = 
     """
     case = EXPERIMENTS[experiment]
     space = case.diameter / nodes
-    time = space * speed / case.top_speed
+    time = space * SPEED / case.top_speed
     density = case.density_ratio
     body = Cylinder(diameter=nodes, density_ratio=density, inset=inset, motion=Free())
     config = FlowConfig(
@@ -140,7 +140,7 @@ def draw(figure: Figure, runs: Runs) -> None:
                 reynolds = [scale * v for v in run["velocity"]]
                 label = f"d = {nodes}" + (f", inset {inset}" if inset else "")
                 axes.plot(time, reynolds, line, color=colour, label=label)
-        low, high = reference if isinstance(reference, tuple) else (reference, reference)
+        low, high = as_range(reference)
         axes.axhspan(low, high, color=GREY, alpha=0.3)
         axes.axhline(high, color=GREY, linewidth=0.8, label="reference")
         axes.set(xlabel="time t √(g / d)", ylabel=f"Reynolds number {quantity.partition(' ')[2]}")

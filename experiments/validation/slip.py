@@ -14,7 +14,7 @@ from math import pi
 import torch
 from matplotlib.figure import Figure
 
-from experiments.figures import COLOURS
+from experiments.figures.style import COLOURS
 from experiments.validation.case import Case, Check, Job, Result, Runs
 from experiments.validation.plots import name_ticks
 from experiments.validation.wake import PINNED, STREAM

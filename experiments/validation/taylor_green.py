@@ -9,48 +9,24 @@ second half.
 """
 
 from collections.abc import Iterator
-from math import inf, log, pi
+from math import inf
 
 import torch
 from matplotlib.figure import Figure
 
 from experiments.validation.case import Case, Check, Job, Result, Runs, check_finest
 from experiments.validation.plots import draw_convergence, fit_order
-from fishrl.physics.cases import PERIODIC, make_taylor_green
-from fishrl.physics.collision import compute_macroscopic
-from fishrl.physics.flow import FlowConfig, FlowState, make_params, make_uniform
-from fishrl.physics.step import step
+from fishrl.physics.cases import decay_taylor_green
 
-REYNOLDS = 20.0
-SPEED = 0.64  # U N
 SIZES = (16, 32, 64, 128)
 SOURCE = "Taylor & Green 1937"
 
 
 def decay_vortices(*, size: int, is_single: bool) -> Result:
-    """Let the vortices of a box of N = ``size`` nodes decay for one decay time, U = 0.64 / N.
-
-    Returns ``error``, the relative L2 error of the velocity at the end, and ``viscosity``, from the
-    decay of the amplitude over the second half, relative to (tau - 1/2) / 3.
-    """
-    speed, k = SPEED / size, 2.0 * pi / size
-    nu = speed * size / REYNOLDS
-    config = FlowConfig(width=size, height=size, tau=3.0 * nu + 0.5, boundaries=PERIODIC)
-    half = round(1.0 / (4.0 * nu * k * k))
-    drho, u = make_taylor_green(size, speed, 0.0, nu)
+    """Return ``error`` and ``viscosity`` of ``decay_taylor_green`` in a box of ``size`` nodes."""
     dtype = torch.float32 if is_single else torch.float64
-    state = FlowState(make_uniform(drho, u[:, 0], u[:, 1]).to(dtype))
-    params, amplitudes = make_params([config]), []
-    for _ in range(2):
-        for _ in range(half):
-            state = step(state, config, params)
-        _, ux, uy = compute_macroscopic(state.f.double().unbind(1))
-        velocity = torch.stack((ux, uy), 1)
-        amplitudes.append(float((velocity * u).sum() / (u * u).sum()))
-    measured = log(amplitudes[0] / amplitudes[1]) / (2.0 * k * k * half)
-    _, exact = make_taylor_green(size, speed, 2 * half, nu)
-    error = float((velocity - exact).norm() / exact.norm())
-    return {"error": error, "viscosity": measured / nu}
+    error, viscosity = decay_taylor_green(size, dtype=dtype)
+    return {"error": error, "viscosity": viscosity}
 
 
 JOBS = [

@@ -97,7 +97,8 @@ def measure_wake(
         ``_swing`` and ``lift_amplitude``; the last of the series, with their ``interval`` /
         (D / U), and ``vorticity`` / (U / D).
     """
-    interval = make_even(diameter / speed / per_travel)
+    travel = diameter / speed
+    interval = make_even(travel / per_travel)
     _record_force(solver, travels[0] * diameter / speed, interval)
     force = _record_force(solver, travels[1] * diameter / speed, interval)
     rho, u = solver.macroscopic()
@@ -106,10 +107,8 @@ def measure_wake(
     drag, lift = diagnostics.compute_coefficient(force, **scale).unbind(-1)
     left, right, low, high = (round(side * diameter) for side in window)
     stride = max(1, (right - left) // 240)  # at most 480 columns
-    field = diagnostics.compute_vorticity(u)[0, low:high:stride, left:right:stride] * (
-        diameter / speed
-    )
-    unit = interval * speed / diameter
+    field = travel * diagnostics.compute_vorticity(u)[0, low:high:stride, left:right:stride]
+    unit = interval / travel
     result: Result = {
         "inflow_density": density,
         "drag_series": [round(v, 5) for v in drag[-300:].tolist()],
@@ -125,13 +124,10 @@ def measure_wake(
     return result | {
         "strouhal": beat.frequency,
         "spectral": diagnostics.compute_spectral_frequency(lift, unit),
-        "num_cycles": beat.num_cycles,
         "drag": swing.mean,
         "drag_max": swing.high,
-        "drag_min": swing.low,
         "drag_swing": swing.high - swing.low,
         "lift_max": beat.high,
-        "lift_min": beat.low,
         "lift_swing": beat.high - beat.low,
         "lift_amplitude": beat.amplitude,
     }
@@ -154,9 +150,7 @@ def draw_vorticity(axes: Axes, run: Result, extent: Sequence[float], limit: floa
         vmin=-limit, vmax=limit, interpolation="bilinear",
     )  # fmt: skip
     axes.set(xlabel="x / D", ylabel="y / D", aspect="equal")
-    figure = axes.get_figure()
-    assert figure is not None
-    figure.colorbar(image, ax=axes, label="vorticity  [U / D]", shrink=0.8)
+    axes.figure.colorbar(image, ax=axes, label="vorticity  [U / D]", shrink=0.8)
 
 
 def draw_series(axes: Axes, run: Result, key: str, name: str, shift: float = 0.0) -> None:

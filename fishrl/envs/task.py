@@ -12,6 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from math import ceil
 from typing import Any, ClassVar, NamedTuple, final
 
 import torch
@@ -151,6 +152,10 @@ class AbstractTask(ABC):
     def interval_T(self) -> float:
         """Duration of an action in periods T, rounded to whole steps."""
         return self.n_substeps / self.scales.period
+
+    def count_decisions(self, periods: float | None) -> int:
+        """Return how many decisions last some periods T, rounded up; None is a whole episode."""
+        return self.time_limit if periods is None else ceil(periods / self.interval_T - 1e-9)
 
     @property
     def wall_margin(self) -> float:

@@ -15,11 +15,12 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from fishrl.bounds import Checked, bounded
 from fishrl.physics.lattice import CX, CY, W
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rates:
+class Rates(Checked):
     """Relaxation rates of the moments that do not set the viscosity.
 
     Args:
@@ -32,13 +33,8 @@ class Rates:
     coupling less margin. The energy rate is theirs; a lower one damps sound more and slows a fish.
     """
 
-    energy: float = 1.64
-    flux: float = 1.7
-
-    def __post_init__(self) -> None:
-        for name, value in (("energy", self.energy), ("flux", self.flux)):
-            if not 0.0 < value < 2.0:
-                raise ValueError(f"rates.{name} = {value}: a relaxation rate must lie in (0, 2)")
+    energy: float = bounded(1.64, greater=0, less=2)
+    flux: float = bounded(1.7, greater=0, less=2)
 
 
 class Macroscopic(NamedTuple):

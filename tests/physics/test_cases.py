@@ -5,15 +5,16 @@ from math import log2
 import pytest
 
 from fishrl.physics.boundaries import Boundaries, Boundary, NonEquilibrium, NoSlip, Periodic
-from fishrl.physics.cases import measure_poiseuille_error, measure_taylor_green_error
+from fishrl.physics.cases import decay_taylor_green, measure_poiseuille_error
 
 WALL = NonEquilibrium(velocity=(0.0, 0.0))
 
 
 def test_taylor_green_vortices_decay_with_second_order() -> None:
-    coarse, fine = (measure_taylor_green_error(n) for n in (16, 32))
+    (coarse, _), (fine, viscosity) = (decay_taylor_green(n) for n in (16, 32))
     assert log2(coarse / fine) > 1.95
     assert fine < 0.01
+    assert viscosity == pytest.approx(1.0, rel=5e-3)
 
 
 @pytest.mark.parametrize("wall", [NoSlip(), WALL], ids=["no-slip", "non-equilibrium"])

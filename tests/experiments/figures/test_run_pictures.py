@@ -10,7 +10,7 @@ import pytest
 import torch
 from PIL import Image
 
-from experiments.figures import read_metrics, write_learning_curve
+from experiments.figures.learning_curve import read_metrics, write_learning_curve
 from experiments.figures.run_pictures import write_run_pictures
 from fishrl.viewer import Recording, film
 

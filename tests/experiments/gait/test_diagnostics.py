@@ -111,6 +111,11 @@ def test_frames_of_shorter_intervals_are_timed_in_periods() -> None:
     assert result["sway"] == pytest.approx(0.2, rel=0.06)
 
 
+@pytest.mark.filterwarnings("error")
+def test_episodes_too_short_to_sway_are_left_out_without_a_warning() -> None:
+    assert math.isnan(reduce(make_histories(lengths=[1, 0]))["sway"])
+
+
 def test_lean_is_what_a_swaying_body_points_off_the_stream_on_average() -> None:
     histories = make_histories(lengths=[40, 12])
     sway = 0.2 * (-1.0) ** torch.arange(NUM)
