@@ -28,6 +28,11 @@ class Kernel(ABC):
         """Return phi at the distances ``r`` (nodes), of the same shape."""
         return self._evaluate(r.abs())
 
+    @property
+    def margin(self) -> float:
+        """How far inside the edge nodes a marker must lie to reach no node beyond them."""
+        return 0.5 * self.support - 1.0
+
     @abstractmethod
     def _evaluate(self, a: Tensor) -> Tensor: ...
 
