@@ -17,8 +17,8 @@ class Kernel(ABC):
 
     Attributes:
         support: number of nodes per axis within reach of a marker.
-        spectrum: upper bound of the marker coupling's eigenvalues for a thin closed body with a
-            marker spacing of one node; sets the acceleration of the force iteration.
+        spectrum: upper bound of the marker coupling's eigenvalues for a closed body with a marker
+            spacing of one node, whose sides may meet; limits the relaxation of the force iteration.
     """
 
     support: int
@@ -27,6 +27,11 @@ class Kernel(ABC):
     def __call__(self, r: Tensor) -> Tensor:
         """Return phi at the distances ``r`` (nodes), of the same shape."""
         return self._evaluate(r.abs())
+
+    @property
+    def margin(self) -> float:
+        """How far inside the edge nodes a marker must lie to reach no node beyond them."""
+        return 0.5 * self.support - 1.0
 
     @abstractmethod
     def _evaluate(self, a: Tensor) -> Tensor: ...
@@ -37,7 +42,7 @@ class Hat(Kernel):
     """Linear two-point kernel 1 - abs(r)."""
 
     support = 2
-    spectrum = 1.3
+    spectrum = 2.0
 
     def _evaluate(self, a: Tensor) -> Tensor:
         return (1.0 - a).clamp_min(0.0)
@@ -48,7 +53,7 @@ class Roma3(Kernel):
     """Three-point kernel of Roma, Peskin & Berger 1999, eq. 22; sum of squares 1/2."""
 
     support = 3
-    spectrum = 0.9
+    spectrum = 1.05
 
     def _evaluate(self, a: Tensor) -> Tensor:
         inner = (1.0 + (1.0 - 3.0 * a * a).clamp_min(0.0).sqrt()) * (1 / 3)
@@ -62,7 +67,7 @@ class Peskin4(Kernel):
     """Four-point kernel of Peskin 2002, eq. 6.27; sum of squares 3/8."""
 
     support = 4
-    spectrum = 0.7
+    spectrum = 0.8
 
     def _evaluate(self, a: Tensor) -> Tensor:
         inner = (3.0 - 2.0 * a + (1.0 + 4.0 * a - 4.0 * a * a).clamp_min(0.0).sqrt()) * 0.125

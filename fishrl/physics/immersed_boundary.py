@@ -132,7 +132,7 @@ class IterativeForcing(ForceSolve):
 
     Args:
         num_iterations: K.
-        relaxation: w; stable below 2 / ``kernel.spectrum``.
+        relaxation: w; stable up to 2 / ``kernel.spectrum``.
     """
 
     num_iterations: int = bounded(4, least=1)
@@ -149,10 +149,10 @@ class IterativeForcing(ForceSolve):
     def check(self, kernel: Kernel) -> None:
         """Raise if the iteration diverges with ``kernel``."""
         limit = 2.0 / kernel.spectrum
-        if self.relaxation >= limit:
+        if self.relaxation > limit:
             raise ValueError(
                 f"relaxation = {self.relaxation} with {type(kernel).__name__}: the iteration is "
-                f"stable below {limit:.2f}"
+                f"stable up to {limit:.2f}"
             )
 
     def __call__(self, operator: Sequence[Tensor], residual: Tensor) -> tuple[Tensor, Tensor]:

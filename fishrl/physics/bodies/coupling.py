@@ -354,7 +354,7 @@ def move_body(
         velocity=update.velocity,
         angular_velocity=update.angular_velocity,
         phase=advance_phase(state.phase, state.frequency),
-        beats=state.beats + state.frequency,
+        beats=state.beats + state.frequency.abs(),
         age=state.age + 1.0,
         bend=state.bend + config.motion.compute_bend_rate(state),
         amplitude=state.amplitude + compute_amplitude_rate(state),

@@ -81,11 +81,6 @@ class Fish(BodyConfig):
         num_strokes = 0 if self.strokes is None else len(self.strokes.sequence)
         return *super().get_structure(), self.keeps_length, num_strokes
 
-    @property
-    def spacing(self) -> float:
-        """Distance of the markers along the outline, nodes."""
-        return float(sum(self._lengths)) / self.num_markers
-
     def make_params(self, device: torch.device | str = "cpu") -> BodyParams:
         """Place the markers and integrate the gait's modes over the body, in float64.
 

@@ -88,7 +88,7 @@ def compute_ramp(beats: Tensor) -> Tensor:
 def compute_ramp_rate(beats: Tensor, frequency: Tensor) -> Tensor:
     """Return the change per step of ``compute_ramp``."""
     beats = beats.clamp(max=1.0)
-    rate = torch.where(beats < 1.0, 0.5 * pi * frequency, torch.zeros_like(frequency))
+    rate = torch.where(beats < 1.0, 0.5 * pi * frequency.abs(), torch.zeros_like(frequency))
     return rate * torch.cos(0.5 * pi * beats)
 
 

@@ -82,6 +82,8 @@ class Driven(Motion):
 class Oscillating(Motion):
     """A body that sways and pitches: x0 + sway sin(phase), heading0 + pitch sin(phase + lag).
 
+    It starts at phase 0, so the heading that it is given is heading0 + pitch sin(lag).
+
     Args:
         sway: amplitude (x, y) in nodes.
         pitch: amplitude in radians.
@@ -109,7 +111,10 @@ class Oscillating(Motion):
 
 @dataclass(frozen=True, kw_only=True)
 class Surging(Oscillating):
-    """A body that sways along y and pitches as prescribed, and that the flow moves along x."""
+    """A body that sways along y and pitches as prescribed, and that the flow moves along x.
+
+    What ``sway`` says of x has no effect.
+    """
 
     free_axes: ClassVar[tuple[int, ...]] = (0,)
 

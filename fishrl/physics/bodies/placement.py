@@ -32,6 +32,7 @@ def check_placement(
     Raises:
         ValueError: naming the first flow and bodies that are misplaced.
     """
+    margin = config.kernel.margin
     names = [f"{index} ({type(body).__name__})" for index, body in enumerate(config.bodies)]
     chosen = rows.nonzero()[:, 0]
     params, states = pytree.tree_map(lambda t: t[chosen], (list(params), list(states)))
@@ -40,8 +41,9 @@ def check_placement(
         _require(
             chosen,
             lies_inside(outline, config),
-            f"body {name} reaches beyond the grid: keep its markers within x = 0.5 to "
-            f"{config.width - 1.5} and y = 0.5 to {config.height - 1.5}",
+            f"body {name} reaches beyond the grid: keep its markers within x = "
+            f"{margin:g} to {config.width - 1 - margin:g} and y = {margin:g} to "
+            f"{config.height - 1 - margin:g}",
         )
     for (name, one), (other_name, other) in combinations(zip(names, outlines, strict=True), 2):
         _require(
@@ -77,9 +79,10 @@ def spread_starts(
 
 
 def lies_inside(outline: Tensor, config: FlowConfig) -> Tensor:
-    """Return ``[B]`` bool: whether the markers ``[B, N, 2]`` of a body lie within the grid."""
+    """Return ``[B]`` bool: whether the markers ``[B, N, 2]`` of a body reach the grid alone."""
+    low = config.kernel.margin
     x, y = outline.unbind(-1)
-    is_inside = (x > 0.5) & (x < config.width - 1.5) & (y > 0.5) & (y < config.height - 1.5)
+    is_inside = (x > low) & (x < config.width - 1 - low) & (y > low) & (y < config.height - 1 - low)
     return is_inside.all(-1)
 
 

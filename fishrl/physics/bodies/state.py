@@ -16,7 +16,7 @@ class BodyState(NamedTuple):
         velocity: ``[B, 2]`` of the centre of mass.
         angular_velocity: Omega, without the beating's own rotation.
         phase: of the body wave or oscillation, radians.
-        frequency: tail beats or oscillations per step.
+        frequency: tail beats or oscillations per step; a negative one reverses the wave.
         beats: tail beats or oscillations since reset.
         age: steps since reset.
         bend: kappa of the midline's bend kappa L x^2; see ``Bending``.

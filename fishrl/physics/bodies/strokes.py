@@ -117,7 +117,7 @@ class Curvature(NamedTuple):
 
     def draw(self, beat: Beat, step: Tensor) -> Midline:
         """Return the midline; see ``midline.Curve``. ``beat.beats`` is t / T."""
-        time, frequency = beat.beats[:, None], beat.frequency[:, None]
+        time, frequency = beat.beats[:, None], beat.frequency.abs()[:, None]
         part = ((time - self.start) / self.duration).clamp(0.0, 1.0)
         rise = 6.0 * part * (1.0 - part) / self.duration * frequency
         values = (self.change * (part * part * (3.0 - 2.0 * part))[..., None]).sum(1)

@@ -23,7 +23,8 @@ from fishrl.physics.lattice import OPPOSITE, Q
 from fishrl.physics.step import exchange
 from fishrl.physics.storage import Storage
 
-# A flow whose speed passes this (Mach 0.87) is beyond the method and counts as diverged.
+# A flow whose speed passes this (Mach 0.87), or whose density differs from that at rest by all of
+# it, is beyond the method and counts as diverged.
 MAX_SPEED = 0.5
 
 
@@ -129,7 +130,8 @@ def make_check(config: FlowConfig) -> Kernel:
         drho, jx, jy = compute_moments([storage.decode(g) for g in f])
         limit = MAX_SPEED * (drho + 1.0)
         # comparisons with NaN are false, so a broken flow is never fine
-        is_fine.copy_((jx * jx + jy * jy < limit * limit).flatten(1).all(-1))
+        is_node_fine = (jx * jx + jy * jy < limit * limit) & (drho.abs() < 1.0)
+        is_fine.copy_(is_node_fine.flatten(1).all(-1))
 
     return check
 

@@ -186,8 +186,8 @@ class InPlaceSolver:
     ) -> None:
         """Put the bodies of the flows in ``rows`` ``[B]`` bool at rest, without vortices around.
 
-        Their commands, totals and clock start from zero, and the stream has the speed last set, to
-        which it rises from rest if ``ramp_steps`` says so; other parameters and flows stay.
+        Their commands, loads, totals and clock start from zero, and the stream has the speed last
+        set, to which it rises from rest if ``ramp_steps`` says so; other parameters and flows stay.
 
         Args:
             rows: which flows.
@@ -354,7 +354,7 @@ class InPlaceSolver:
         return self.markers()[:, 0]
 
     def is_diverged(self) -> Tensor:
-        """Return ``[B]``: not finite, too fast for the method, or a body outside the grid."""
+        """Return ``[B]``: density or speed beyond the method, or a body outside the grid."""
         batch = self._batch
         fine = torch.cat([batch.stepper.is_fine(group) for group in batch.groups.values()])
         for index in range(len(self.bodies)):

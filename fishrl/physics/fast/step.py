@@ -200,7 +200,7 @@ class Stepper:
             )
 
     def is_fine(self, group: FlowGroup) -> Tensor:
-        """Return ``[B]``: whether everything is finite and slower than ``MAX_SPEED``."""
+        """Return ``[B]``: whether density and speed are within the method."""
         (arguments,) = group.arguments["check"]
         self.kernels["check"](*arguments)
         return arguments[0].clone()

@@ -76,7 +76,7 @@ def test_naca0012_has_the_area_inertia_and_perimeter_of_the_closed_form() -> Non
     fish = Fish(body_length=100)
     assert fish.area / 100**2 == pytest.approx(0.08171, rel=1e-3)
     assert float(fish.make_params().inertia) / 100**4 == pytest.approx(0.0045097, rel=1e-3)
-    assert fish.num_markers * fish.spacing / 100 == pytest.approx(2.0395, rel=1e-3)
+    assert float(fish.make_params().spacing.sum()) / 100 == pytest.approx(2.0395, rel=1e-3)
 
 
 @pytest.mark.parametrize("gait", GAITS.values(), ids=GAITS.keys())

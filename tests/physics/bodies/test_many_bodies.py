@@ -15,7 +15,7 @@ from fishrl.physics import (
     FlowState,
     InPlaceSolver,
 )
-from fishrl.physics.bodies.gait import Gait
+from fishrl.physics.bodies.gait import Gait, compute_ramp_rate
 from fishrl.physics.bodies.motion import Fixed, Free, Oscillating
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, NoSlip, Profile
@@ -122,6 +122,21 @@ def test_flows_that_differ_too_much_for_one_batch_are_refused() -> None:
         InPlaceSolver(config=[CROWD[0], other])
     with pytest.raises(ValueError, match="num_envs = 3 with 2 configurations"):
         InPlaceSolver(config=CROWD, num_envs=3)
+
+
+def test_a_wave_that_runs_backwards_rises_like_one_that_runs_forwards() -> None:
+    solver = InPlaceSolver(
+        config=FlowConfig(width=48, height=32, tau=0.6, bodies=(Fish(body_length=16),)),
+        num_envs=2,
+        frequency=torch.tensor([1 / 80, -1 / 80]),
+        compile=False,
+        num_workers=0,
+    )
+    solver.advance_(40)
+    body = solver.body
+    torch.testing.assert_close(body.beats, torch.tensor([0.5, 0.5]).double())
+    rate = compute_ramp_rate(body.beats, body.frequency)
+    torch.testing.assert_close(rate[0], rate[1])
 
 
 def test_each_fish_turns_and_beats_as_it_is_commanded() -> None:

@@ -1,11 +1,13 @@
 """Bodies that lie in each other or beyond the grid at the start are refused."""
 
+from dataclasses import replace
 from math import pi
 
 import pytest
 import torch
 
 from fishrl.physics import Cylinder, Ellipse, Fish, FlowConfig, InPlaceSolver
+from fishrl.physics.delta import Peskin4
 
 EVERY = torch.tensor([True, True])
 
@@ -56,6 +58,15 @@ def test_a_body_that_reaches_beyond_the_grid_is_refused(at: tuple[float, float])
     solver = make_solver(Cylinder(diameter=12, inset=0.0))
     with pytest.raises(ValueError, match=r"flow 1: body 0 \(Cylinder\) reaches beyond the grid"):
         place(solver, at)
+
+
+def test_a_wider_kernel_keeps_markers_further_from_the_edge() -> None:
+    """Where a marker would reach beyond the grid, part of its force would be lost."""
+    config = FlowConfig(width=60, height=60, tau=0.6, bodies=(Cylinder(diameter=12, inset=0.0),))
+    every, at = torch.tensor([True]), torch.tensor([[6.7, 30.0]])
+    InPlaceSolver(config=config, compile=False).reset_(every, at)
+    with pytest.raises(ValueError, match="keep its markers within x = 1 to 58"):
+        InPlaceSolver(config=replace(config, kernel=Peskin4()), compile=False).reset_(every, at)
 
 
 def test_a_refused_start_changes_nothing_and_other_rows_are_not_looked_at() -> None:

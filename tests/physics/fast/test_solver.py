@@ -279,6 +279,16 @@ def test_a_flow_too_fast_for_the_method_counts_as_diverged(speed: float, is_over
     assert solver.is_diverged().tolist() == [False, is_over, False]
 
 
+@pytest.mark.parametrize("f0", [-2.0, 2.0, math.inf])
+def test_a_density_beyond_the_method_counts_as_diverged(f0: float) -> None:
+    """Negative, twice that at rest, or infinite while the momentum is finite."""
+    solver = make_solver(make_swimmer_config(SCALES, length_bl=4, height_bl=3))
+    f = solver.populations()
+    f[1, 0, 20, 20] = f0
+    solver.set_populations_(f)
+    assert solver.is_diverged().tolist() == [False, True, False]
+
+
 def test_a_fish_outside_the_grid_counts_as_diverged() -> None:
     solver = make_solver(make_swimmer_config(SCALES, length_bl=4, height_bl=3))
     solver.body.position[2, 0] = -5.0
