@@ -52,7 +52,8 @@ def check_bounds(settings: Any, *, path: str = "") -> None:
     """Check every number in a dataclass: finite, whole, within 64 bits and its bounds.
 
     Those in sequences and in dataclasses that it holds are checked, too. A field without bounds may
-    hold anything but NaN and infinity; an optional one may be None.
+    hold anything but NaN and infinity; an optional one may be None. Lists become tuples, which have
+    a hash, unless the annotation says ``list``.
 
     Args:
         settings: the dataclass.
@@ -79,6 +80,8 @@ def check_bounds(settings: Any, *, path: str = "") -> None:
             allowed = allowed or _find_violation(number, kind=hint, bounds=bounds)
         if allowed:
             raise ValueError(f"{path}{entry.name} = {value}: must be {allowed}")
+        if isinstance(value, list) and "list" not in hint:
+            object.__setattr__(settings, entry.name, _freeze(value))
 
 
 def _flatten(value: Any, *, depth: int) -> Iterator[Any]:
@@ -88,6 +91,10 @@ def _flatten(value: Any, *, depth: int) -> Iterator[Any]:
             yield from _flatten(entry, depth=depth - 1)
     else:
         yield value
+
+
+def _freeze(value: Any) -> Any:
+    return tuple(map(_freeze, value)) if isinstance(value, list | tuple) else value
 
 
 def is_huge(number: Any) -> bool:

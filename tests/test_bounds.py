@@ -33,6 +33,11 @@ def test_numbers_of_numpy_become_those_of_python() -> None:
     assert repr(settings) == repr(Settings(count=2, share=0.5))
 
 
+def test_lists_become_tuples() -> None:
+    settings = Settings(sizes=[3, 4], rows=[[1.0], [2.0]])
+    assert hash(settings) == hash(Settings(sizes=(3, 4), rows=((1.0,), (2.0,))))
+
+
 @pytest.mark.parametrize(
     "wrong",
     [

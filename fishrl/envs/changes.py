@@ -74,8 +74,6 @@ class StreamSteps(StreamChanges):
     speeds_bl: tuple[float, ...] = bounded(greater=0, entries=1)
 
     def __post_init__(self) -> None:
-        for name in ("times_T", "speeds_bl"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
         super().__post_init__()
         if len(self.times_T) != len(self.speeds_bl):
             raise ValueError(
@@ -156,7 +154,6 @@ class StreamSwitches(RandomChanges):
     speeds_bl: tuple[float, ...] = bounded((1.0, 1.25, 1.5), greater=0, entries=2)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "speeds_bl", tuple(self.speeds_bl))
         super().__post_init__()
         if len(set(self.speeds_bl)) < len(self.speeds_bl):
             raise ValueError(f"speeds_bl = {self.speeds_bl}: must differ from each other")

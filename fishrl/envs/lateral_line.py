@@ -54,7 +54,6 @@ class LateralLine:
     delay: int = bounded(0, least=0, largest=10_000)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "features", tuple(self.features))
         check_bounds(self)
         unknown = [name for name in self.features if name not in KNOWN]
         if unknown or not self.features:

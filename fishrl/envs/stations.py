@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import Checked, bounded
 
 
 @dataclass(frozen=True, kw_only=True)
-class SafeArea:
+class SafeArea(Checked):
     """A rectangle surrounded by the danger area.
 
     Positions are (x downstream, y) from the middle of the obstacle's flat side, in body lengths.
@@ -27,7 +27,7 @@ class SafeArea:
     rim_bl: float = bounded(0.25, least=0)
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        super().__post_init__()
         if not self.near_bl < self.far_bl:
             raise ValueError(f"near_bl = {self.near_bl}: must be less than far_bl = {self.far_bl}")
 
@@ -51,7 +51,7 @@ class SafeArea:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StationReward:
+class StationReward(Checked):
     """Reward for holding station with little work: r1 to r4 of the paper's Task 2.
 
     Args:
@@ -70,9 +70,6 @@ class StationReward:
     work_reference: float = bounded(0.1, greater=0)
     danger_penalty: float = 5.0
     rim_weight: float = 10.0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     def compute(
         self, *, drift: Tensor, work: Tensor, depth: Tensor, is_in_danger: Tensor

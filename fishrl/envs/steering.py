@@ -16,12 +16,12 @@ import torch
 from torch import Tensor
 from torch.nn.functional import relu
 
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import Checked, bounded
 from fishrl.envs.sensors import sense_target, wrap_angle
 from fishrl.files import load_tensors
 
 
-class Steering(ABC):
+class Steering(Checked, ABC):
     """A heading controller without state: the environment keeps its observations.
 
     Attributes:
@@ -75,9 +75,6 @@ class PIDSteering(Steering):
     max_angle_degrees: float = bounded(15.0, greater=0, largest=90)
     max_turn_degrees: float = bounded(15.0, greater=0, largest=90)
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
     def observe(self, nose: Tensor, middle: Tensor, heading: Tensor) -> Tensor:
         """Return the lateral offset of the middle, and the heading."""
         return torch.stack((middle[:, 1], heading), -1)
@@ -115,7 +112,7 @@ class PolicySteering(Steering):
     decisions_per_T: int = bounded(4, least=1)
 
     def __post_init__(self) -> None:
-        check_bounds(self)
+        super().__post_init__()
         widths = [self.layers[0][0].shape[1], *(len(bias) for _, bias in self.layers)]
         if widths[0] != 16 or widths[-1] != 3:
             raise ValueError(

@@ -55,8 +55,6 @@ class Stream:
     def __post_init__(self) -> None:
         speeds = tuple(float(speed) for speed in self.speeds_bl)
         object.__setattr__(self, "speeds_bl", speeds)
-        if isinstance(self.diameter_bl, list | tuple):
-            object.__setattr__(self, "diameter_bl", tuple(self.diameter_bl))
         check_bounds(self)
         num = len(self.diameter_bl) if isinstance(self.diameter_bl, tuple) else len(speeds)
         if num != len(speeds):

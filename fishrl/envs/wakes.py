@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import Checked, bounded
 from fishrl.files import load_tensors, staged
 from fishrl.memory import check_memory
 from fishrl.physics.bodies.motion import Fixed
@@ -33,7 +33,7 @@ _SAMPLES_PER_TRAVEL = 16  # of the lift; a shedding period is about five travels
 
 
 @dataclass(frozen=True, kw_only=True)
-class WakeRecipe:
+class WakeRecipe(Checked):
     """Parameters of a bank of wakes. A *travel* is the time D / U.
 
     Args:
@@ -51,9 +51,6 @@ class WakeRecipe:
     speeds: tuple[float, ...] = bounded(greater=0, entries=1)
     num_phases: int = bounded(8, least=1)
     num_travels: float = bounded(100.0, greater=0)
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     @property
     def key(self) -> str:

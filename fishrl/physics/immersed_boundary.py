@@ -14,7 +14,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import Checked, bounded
 from fishrl.physics.delta import Kernel
 
 
@@ -97,7 +97,7 @@ def _overlap(first: Tensor, weights: Tensor) -> Tensor:
     return total
 
 
-class ForceSolve(ABC):
+class ForceSolve(Checked, ABC):
     """A method that solves A g = r for the force g at the markers."""
 
     @abstractmethod
@@ -137,9 +137,6 @@ class IterativeForcing(ForceSolve):
 
     num_iterations: int = bounded(4, least=1)
     relaxation: float = bounded(1.7, greater=0)
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     @classmethod
     def zhang(cls, num_iterations: int = 10) -> "IterativeForcing":

@@ -42,8 +42,7 @@ class LearningSettings(Checked):
     hidden: tuple[int, ...] = bounded((256, 256), least=1)
 
     def __post_init__(self) -> None:
-        """Check the bounds; turn a list from a file into a tuple."""
-        object.__setattr__(self, "hidden", tuple(self.hidden))
+        """Check the bounds."""
         super().__post_init__()
         if self.batch_size > self.buffer_size:
             raise ValueError(
@@ -91,12 +90,6 @@ class RunSettings(Checked):
     eval_episodes: int = bounded(16, least=1, largest=10**6)
     final_episodes: int = bounded(32, least=1, largest=10**6)
     baselines: tuple[str, ...] | None = None
-
-    def __post_init__(self) -> None:
-        """Check the bounds; turn a list from a file into a tuple."""
-        if self.baselines is not None:
-            object.__setattr__(self, "baselines", tuple(self.baselines))
-        super().__post_init__()
 
     @property
     def policy_device(self) -> str:

@@ -86,7 +86,6 @@ class KarmanGait(AbstractTask):
     def __post_init__(self) -> None:
         for name in ("start_x_bl", "start_y_bl"):
             object.__setattr__(self, name, as_pair(name, getattr(self, name)))
-        object.__setattr__(self, "start_flows", tuple(self.start_flows))
         num = len(self.stream.speeds_bl)
         if not self.start_flows or not all(0 <= i < num for i in self.start_flows):
             raise ValueError(

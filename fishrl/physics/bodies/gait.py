@@ -18,9 +18,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from fishrl.bounds import Checked
+
 
 @dataclass(frozen=True, kw_only=True)
-class Gait:
+class Gait(Checked):
     """Amplitude envelope and wavenumber of a swimming gait.
 
     Args:
@@ -32,9 +34,6 @@ class Gait:
     amplitude: float
     envelope: tuple[float, float, float]
     wavenumber: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "envelope", tuple(self.envelope))  # a list has no hash
 
     def evaluate_envelope(self, x: NDArray[np.float64], order: int = 0) -> NDArray[np.float64]:
         """Return a(x), or a derivative of it, in body lengths at ``x`` from the head."""

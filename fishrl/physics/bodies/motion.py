@@ -7,7 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from fishrl.bounds import bounded, check_bounds
+from fishrl.bounds import Checked, bounded
 from fishrl.physics.bodies.state import BodyState
 
 
@@ -26,7 +26,7 @@ def compute_amplitude_rate(body: BodyState) -> Tensor:
     return (body.amplitude_goal - body.amplitude) * 2.0 / body.turn_steps.clamp_min(2.0)
 
 
-class Motion:
+class Motion(Checked):
     """What moves a body.
 
     Attributes:
@@ -61,9 +61,6 @@ class Fixed(Motion):
 
     kick_speed: float = 0.0
     kick_steps: int = bounded(1, least=1)
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     def prescribe(self, body: BodyState) -> tuple[Tensor, Tensor]:
         """Return zero, apart from the initial kick."""
@@ -164,9 +161,6 @@ class Bending(Motion):
 
     gain: float = 1.0
     response: float = bounded(6.0, greater=0, largest=6)
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     def compute_bend_rate(self, body: BodyState) -> Tensor:
         """Return the relaxation towards the command."""
