@@ -15,7 +15,7 @@ from experiments.statistics import half_width
 from fishrl.envs import KarmanGait
 from fishrl.envs.changes import StreamSteps
 from fishrl.envs.streams import Stream
-from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL
 
 
 def make_record(named: list[int], length_T: float) -> Record:

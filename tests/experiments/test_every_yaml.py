@@ -10,7 +10,6 @@ import pytest
 from experiments import train
 from experiments.configuration import CONF
 from experiments.train_settings import TRAINING
-from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
 from tests.experiments.gait.tasks import OVERRIDES
 
 pytestmark = pytest.mark.usefixtures("kinematic")

@@ -19,7 +19,6 @@ from experiments import evaluate, summarize, train
 from experiments.configuration import CommandLine
 from experiments.program import Program, plain_errors, set_up_logging, show_command
 from fishrl.training.interruption import SIGNALS
-from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
 from tests.experiments.test_every_yaml import TINY
 
 ROOT = Path(__file__).parents[2]

@@ -19,7 +19,7 @@ from fishrl.envs.episodes import Episodes
 from fishrl.training import DRQN, PPO, SAC, Algorithm, DiscreteSAC, Interrupted, Observer, begin
 from fishrl.training.loop import Training
 from fishrl.training.metrics import list_metrics
-from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL
 from tests.envs.kinematic_solver import KinematicSolver
 from tests.training.conftest import QUICK, Toy, assert_equal_weights, make_toy_plan, weights_of
 from tests.training.toy_fish import ToyPredation, make_toy_env

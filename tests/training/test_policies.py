@@ -12,7 +12,6 @@ from fishrl.modules import LateralLineClassifier
 from fishrl.training import PPO, SAC, Algorithm, DiscreteSAC, evaluate, load_plan, load_policy
 from fishrl.training.checkpoint import read_metadata
 from fishrl.zoo import find_policy
-from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
 from tests.training.conftest import QUICK, Toy, change_manifest
 from tests.training.toy_fish import ToyPredation, make_toy_env
 

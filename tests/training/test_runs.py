@@ -27,7 +27,7 @@ from fishrl.training import (
     train,
 )
 from fishrl.training.run_folder import read_config, write_yaml
-from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL
 from tests.training.conftest import QUICK, Toy, assert_equal_weights, make_toy_plan
 from tests.training.stops import run_and_signal, run_and_stop
 from tests.training.toy_fish import ToyFishEnv, make_toy_env
