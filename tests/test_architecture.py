@@ -4,9 +4,8 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
-
-import pytest
 
 ROOT = Path(__file__).parents[1]
 FORBIDDEN_NAMES = {"utils", "util", "common", "core", "helpers", "helper", "misc"}
@@ -82,6 +81,11 @@ def _relative(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
+@cache
+def _parse(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def _imported_by(node: ast.AST, path: Path) -> list[str]:
     """Return the absolute names that an import statement brings in."""
     if isinstance(node, ast.Import):
@@ -108,7 +112,7 @@ def _walk_at_import(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def _names(path: Path, *, at_import: bool = False) -> list[str]:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = _parse(path)
     nodes = _walk_at_import(tree) if at_import else ast.walk(tree)
     return [name for node in nodes for name in _imported_by(node, path)]
 
@@ -117,13 +121,13 @@ def _is_within(name: str, packages: set[str]) -> bool:
     return any(name == package or name.startswith(package + ".") for package in packages)
 
 
-@pytest.mark.parametrize("path", _sources("fishrl"), ids=_relative)
-def test_library_files_import_only_what_their_layer_allows(path: Path) -> None:
-    rules = [allowed for prefix, allowed in LAYERS if _relative(path).startswith(prefix)]
-    assert rules, f"{_relative(path)} belongs to no layer: add it to LAYERS, or move it"
-    allowed = rules[0] | set(sys.stdlib_module_names)
-    wrong = [name for name in _names(path) if not _is_within(name, allowed)]
-    assert not wrong, f"{_relative(path)} imports {wrong}; allowed: {sorted(rules[0])}"
+def test_library_files_import_only_what_their_layer_allows() -> None:
+    for path in _sources("fishrl"):
+        rules = [allowed for prefix, allowed in LAYERS if _relative(path).startswith(prefix)]
+        assert rules, f"{_relative(path)} belongs to no layer: add it to LAYERS, or move it"
+        allowed = rules[0] | set(sys.stdlib_module_names)
+        wrong = [name for name in _names(path) if not _is_within(name, allowed)]
+        assert not wrong, f"{_relative(path)} imports {wrong}; allowed: {sorted(rules[0])}"
 
 
 def test_task_files_do_not_reach_torchrl_through_the_env() -> None:
@@ -139,10 +143,12 @@ def test_task_files_do_not_reach_torchrl_through_the_env() -> None:
     assert not wrong
 
 
-@pytest.mark.parametrize("path", _sources("fishrl", "experiments"), ids=_relative)
-def test_rerun_and_wandb_are_imported_on_use(path: Path) -> None:
-    early = [name for name in _names(path, at_import=True) if _is_within(name, ON_USE)]
-    assert not early, f"{_relative(path)} imports {early} at the top: import it where it is used"
+def test_rerun_and_wandb_are_imported_on_use() -> None:
+    for path in _sources("fishrl", "experiments"):
+        early = [name for name in _names(path, at_import=True) if _is_within(name, ON_USE)]
+        assert not early, (
+            f"{_relative(path)} imports {early} at the top: import it where it is used"
+        )
 
 
 def test_only_the_ways_in_import_other_frameworks() -> None:
@@ -169,10 +175,10 @@ def test_physics_imports_without_torchrl_hydra_rerun_and_wandb() -> None:
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("path", _sources("fishrl", "experiments", "tests"), ids=_relative)
-def test_files_stay_short(path: Path) -> None:
-    lines = len(path.read_text(encoding="utf-8").splitlines())
-    assert lines <= MAX_LINES, f"{_relative(path)} has {lines} lines, {MAX_LINES} is the most"
+def test_files_stay_short() -> None:
+    for path in _sources("fishrl", "experiments", "tests"):
+        lines = len(path.read_text(encoding="utf-8").splitlines())
+        assert lines <= MAX_LINES, f"{_relative(path)} has {lines} lines, {MAX_LINES} is the most"
 
 
 def test_no_file_or_folder_is_called_after_nothing() -> None:
@@ -184,12 +190,11 @@ def test_no_file_or_folder_is_called_after_nothing() -> None:
     assert not parts & FORBIDDEN_NAMES
 
 
-@pytest.mark.parametrize("path", _sources("fishrl"), ids=_relative)
-def test_the_library_logs_and_never_prints(path: Path) -> None:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
-    lines = [call.lineno for call in calls if ast.unparse(call.func) == "print"]
-    assert not lines, f"{_relative(path)} prints on lines {lines}: use logging"
+def test_the_library_logs_and_never_prints() -> None:
+    for path in _sources("fishrl"):
+        calls = [node for node in ast.walk(_parse(path)) if isinstance(node, ast.Call)]
+        lines = [call.lineno for call in calls if ast.unparse(call.func) == "print"]
+        assert not lines, f"{_relative(path)} prints on lines {lines}: use logging"
 
 
 #: Imports of our own modules inside functions: for optional packages and what they bring.
@@ -197,6 +202,7 @@ MAX_LATE_IMPORTS = 5
 OWN = {"fishrl", "experiments"}
 
 
+@cache
 def _find_imports() -> tuple[dict[str, set[str]], list[str]]:
     """Return which module of ours imports which, and the imports of ours inside functions."""
     paths = {path: path.relative_to(ROOT).with_suffix("") for path in _sources(*OWN)}
@@ -204,7 +210,7 @@ def _find_imports() -> tuple[dict[str, set[str]], list[str]]:
     edges: dict[str, set[str]] = {name: set() for name in modules}
     late = []
     for name, path in modules.items():
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = _parse(path)
         hidden = {id(n) for b in ast.walk(tree) if _is_type_checking(b) for n in ast.walk(b)}
         for node in ast.walk(tree):
             found = [] if id(node) in hidden else _imported_by(node, path)

@@ -47,13 +47,14 @@ RUNS = {
 
 
 def _list_commands() -> list[tuple[str, str, str]]:
-    """Return page, module and arguments of every command."""
-    found = []
+    """Return module and arguments of every command, and the first page that shows it."""
+    found: dict[tuple[str, str], str] = {}
     for page in PAGES:
         text = re.sub(r"\\\n\s*", "", page.read_text(encoding="utf-8"))
         name = page.relative_to(ROOT).as_posix()
-        found += [(name, module, rest.strip()) for module, rest in PROGRAM.findall(text)]
-    return sorted(set(found))
+        for module, rest in PROGRAM.findall(text):
+            found.setdefault((module, rest.partition(" #")[0].strip()), name)
+    return sorted((name, *command) for command, name in found.items())
 
 
 COMMANDS = _list_commands()

@@ -35,12 +35,6 @@ def move_kinematically(patch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def kinematic(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let fish move without a flow."""
-    move_kinematically(monkeypatch)
-
-
-@pytest.fixture
 def small_task() -> Predation:
     return Predation(**SMALL)
 

@@ -22,21 +22,21 @@ def test_fast_beats_push_a_held_fish_aside_to_the_side_of_its_first_stroke() -> 
     task = KarmanGait(body_length=32, max_wall_speed=0.15, domain_bl=(10.0, 4.0), stream=stream)
     config, period, unit = task.flow_config(), task.scales.period, task.scales.reference_speed
     config = replace(config, stream_speed=unit, bodies=(replace(task.fish, motion=Driven()),))
-    beats = torch.tensor([1.5, 1.5, 2.0, 2.0]).double()
-    solver = InPlaceSolver(config=config, num_envs=4, frequency=beats / period)
+    beats = torch.tensor([1.5, 2.0, 2.0]).double()
+    solver = InPlaceSolver(config=config, num_envs=3, frequency=beats / period)
     middle = torch.tensor([3.0 * task.body_length, 0.5 * (config.height - 1)])
     solver.reset_(
-        torch.ones(4, dtype=torch.bool),
-        middle.expand(4, 2),
-        torch.full((4,), pi),
+        torch.ones(3, dtype=torch.bool),
+        middle.expand(3, 2),
+        torch.full((3,), pi),
         velocity=(1.0, 0.0),
     )
-    solver.body.phase.copy_(pi * torch.tensor([0.0, 1.0, 0.0, 1.0]))  # twins, each a mirror image
+    solver.body.phase.copy_(pi * torch.tensor([0.0, 0.0, 1.0]))  # the last is a mirror image
     solver.advance_(10 * period)
     before = solver.body.impulse.clone()
     solver.advance_(4 * period)
     force = (solver.body.impulse - before)[:, 1] / (4 * period)
-    slow, _, fast, twin = (force / (unit**2 * task.body_length)).tolist()  # rho (L/T)^2 L
+    slow, fast, twin = (force / (unit**2 * task.body_length)).tolist()  # rho (L/T)^2 L
     solver.close()
     assert not solver.is_diverged().any()
     assert abs(slow) < 0.03 < 0.3 < fast

@@ -8,7 +8,7 @@ from torchrl.envs import TransformedEnv
 
 from fishrl.envs import FlowEnv, Predation, make_env
 from fishrl.envs.episodes import Episodes, run_episodes
-from tests.envs.conftest import SMALL, keep_straight, kinematic  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL, keep_straight
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 NUM_STARTS = 5

@@ -41,7 +41,8 @@ def test_the_fish_swims_ahead_turns_as_commanded_and_goes_on_exactly_when_saved(
     assert turned == pytest.approx(15.0, abs=1e-9)
 
 
-def test_a_diverged_flow_is_reset_alone_and_swims_on(task: Predation) -> None:
+def test_a_diverged_flow_is_reset_alone_and_swims_on() -> None:
+    task = Predation(**TINY, control_interval_T=0.25, checks_per_action=6)
     starts = task.sample_starts(2, torch.Generator().manual_seed(1))
     env, intact = (make_env(task=task, num_envs=2, compile=False, starts=starts) for _ in range(2))
     states = [env.reset(), intact.reset()]

@@ -15,7 +15,7 @@ from fishrl.envs.scene import Choice, Scene
 from fishrl.envs.streams import Stream
 from fishrl.envs.views import FIELDS
 from fishrl.physics import Boundaries, Fish, FlowConfig, NonEquilibrium, OpenEdge
-from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL
 from tests.envs.masked_task import MaskedTask
 from tests.envs.pair_task import PairTask
 from tests.envs.test_follower import TINY

@@ -8,7 +8,7 @@ import pytest
 
 from examples.ippo_pair import Settings, train
 from fishrl.envs import PredationPair, make_env
-from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 BRIEF: dict[str, Any] = {**SMALL, "control_interval_T": 0.1, "checks_per_action": 2}

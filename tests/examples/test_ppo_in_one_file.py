@@ -13,7 +13,7 @@ from torch import Tensor
 
 from examples.ppo_in_one_file import Settings, make_fish, train
 from fishrl.envs import Predation
-from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL
 from tests.envs.masked_task import MaskedTask
 
 pytestmark = [pytest.mark.usefixtures("kinematic"), pytest.mark.learning]

@@ -16,7 +16,6 @@ from fishrl.envs import AbstractTask
 from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.description import make, to_plain
 from fishrl.training.policy_spec import PolicySpec
-from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
 from tests.experiments.test_gait import SETTINGS, make_task
 
 pytestmark = pytest.mark.usefixtures("kinematic")

@@ -17,7 +17,7 @@ from fishrl.envs import KarmanGait
 from fishrl.envs.changes import StreamSteps
 from fishrl.envs.streams import Stream
 from fishrl.modules import LateralLineClassifier
-from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL
 
 
 def make_record(named: list[int], length_T: float) -> Record:

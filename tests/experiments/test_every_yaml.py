@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from experiments import train
 from experiments.configuration import CONF
 from experiments.train_settings import TRAINING
-from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
+from fishrl.training.interruption import SIGNALS
 from tests.experiments.gait.tasks import OVERRIDES
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -49,12 +50,15 @@ MORE = {
 
 
 @pytest.mark.parametrize("yaml", YAMLS)
-def test_every_yaml_is_composed_and_runs(
+def test_every_yaml_is_composed_and_runs_and_leaves_the_handlers_of_signals_as_they_were(
     yaml: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("WANDB_SILENT", "true")
     group, _, file = yaml.partition("/")
     name = Path(file).stem
-    train.main([*TINY, f"folder={tmp_path}", f"{group}={name}", *MORE.get(name, [])])
+    before = [signal.getsignal(number) for number in SIGNALS]
+    words = [*TINY, f"folder={tmp_path}", f"{group}={name}", *MORE.get(name, [])]
+    train.main.run(train.main.read(words))
+    assert [signal.getsignal(number) for number in SIGNALS] == before
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["frames"], summary["updates"] > 0) == (4, True)

@@ -21,7 +21,7 @@ from fishrl.envs.steering import PolicySteering
 from fishrl.envs.transforms import equip
 from fishrl.modules import LateralLineClassifier
 from fishrl.training.classifier import keep_recognition, load_recognition
-from tests.envs.conftest import SMALL, kinematic, move_kinematically  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL, move_kinematically
 from tests.experiments.gait.tasks import BRIEF, OVERRIDES, make_task
 from tests.training.conftest import read_rows
 

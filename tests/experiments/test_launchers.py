@@ -41,10 +41,15 @@ def test_a_job_that_fails_leaves_the_others_of_its_launcher_alone(
         assert len({log.parent for log in logs}) == 2
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_runs_of_joblib_save_before_it_kills_them(tmp_path: Path, number: signal.Signals) -> None:
+@pytest.mark.parametrize(
+    ("number", "seeds", "names"),
+    [(signal.SIGINT, "seed=0,1", ("seed_0", "seed_1")), (signal.SIGTERM, "seed=0", ("run",))],
+)
+def test_runs_of_joblib_save_before_it_kills_them(
+    tmp_path: Path, number: signal.Signals, seeds: str, names: tuple[str, ...]
+) -> None:
     command = ["-m", "experiments.train", "--multirun", "hydra/launcher=joblib", *SETTINGS]
-    command += ["hydra.launcher.n_jobs=2", f"folder={tmp_path}", "seed=0,1"]
+    command += ["hydra.launcher.n_jobs=2", f"folder={tmp_path}", seeds]
     command.append(f"logger._target_={HERE}.Lingering")
     sweep = subprocess.Popen(
         [sys.executable, *command],
@@ -55,7 +60,7 @@ def test_runs_of_joblib_save_before_it_kills_them(tmp_path: Path, number: signal
         text=True,
         start_new_session=True,
     )
-    marks = [tmp_path / f"seed_{seed}" / "mark" for seed in (0, 1)]
+    marks = [tmp_path / name / "mark" for name in names]
     try:
         while sweep.poll() is None and not all(mark.exists() for mark in marks):
             time.sleep(0.1)
@@ -69,7 +74,7 @@ def test_runs_of_joblib_save_before_it_kills_them(tmp_path: Path, number: signal
     assert sweep.returncode == 1, error
     assert "Traceback" not in error
     assert "interrupted; the same command with the same folder=... goes on" in error
-    assert "0 of 2 runs finished" in out
+    assert f"0 of {len(names)} runs finished" in out
     for mark in marks:
         assert (read_run(mark.parent).status, read_run(mark.parent).frames) == ("stopped", 8)
         assert read_metadata(mark.parent, which="last")[1]["frames"] == 8

@@ -18,9 +18,6 @@ import yaml
 from experiments import evaluate, summarize, train
 from experiments.configuration import CommandLine
 from experiments.program import Program, plain_errors, set_up_logging, show_command
-from fishrl.training.interruption import SIGNALS
-from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
-from tests.experiments.test_every_yaml import TINY
 
 ROOT = Path(__file__).parents[2]
 
@@ -107,13 +104,6 @@ def test_a_signal_ends_a_program_as_an_interrupt(number: signal.Signals) -> None
         )(["folder=x"])
     assert ended.value.code == 128 + number
     assert signal.getsignal(number) is before
-
-
-@pytest.mark.usefixtures("kinematic")
-def test_a_training_leaves_the_handlers_of_signals_as_they_were(tmp_path: Path) -> None:
-    before = [signal.getsignal(number) for number in SIGNALS]
-    train.main.run(train.main.read([*TINY, "task=karman_gait", f"folder={tmp_path}"]))
-    assert [signal.getsignal(number) for number in SIGNALS] == before
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")

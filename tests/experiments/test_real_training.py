@@ -2,60 +2,18 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import logging
 import sys
 from pathlib import Path
 
 import pytest
-import torch
 from PIL import Image
 
-from experiments.train import main, set_up
-from experiments.train_settings import TrainConfig
+from experiments.train import main
 from tests.envs.test_real_flow import TINY
 
 pytestmark = pytest.mark.learning
-
-
-def config_of(folder: Path, **settings: object) -> TrainConfig:
-    defaults: dict[str, object] = {
-        "task": {"_target_": "fishrl.envs.Predation", **TINY, "time_limit": 2},
-        "logger": {"_target_": "fishrl.training.logger.CsvLogger"},
-        "preset": "tiny",
-        "folder": str(folder),
-        "compile": False,
-        "num_envs": 2,
-        "warmup_frames": 0,
-        "log_frames": 2,
-        "checkpoint_frames": 2,
-        "eval_episodes": 1,
-        "picture_episodes": 0,
-    }
-    return TrainConfig(**{**defaults, **settings})  # type: ignore[arg-type]
-
-
-def test_a_real_run_goes_on_exactly_in_the_middle_of_an_episode(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("fishrl.training.loop.Training._summarize", lambda training: {})
-    whole = set_up(config_of(tmp_path, name="whole", total_frames=4))
-    whole.run()
-    set_up(config_of(tmp_path, name="part", total_frames=2)).run()
-    resumed = set_up(config_of(tmp_path, resume=str(tmp_path / "part"), total_frames=4))
-    assert resumed.counters.frames == 2
-    resumed.run()
-    expected = dict(whole.learner.loss.state_dict())
-    for name, value in resumed.learner.loss.state_dict().items():
-        assert torch.equal(value, expected[name]), name
-    last_rows = []
-    for name in ("whole", "part"):
-        with (tmp_path / name / "metrics.csv").open(newline="") as file:
-            last_rows.append(list(csv.DictReader(file))[-1])
-    for key, value in last_rows[0].items():
-        if not key.startswith("time/"):
-            assert value == last_rows[1][key], key
 
 
 def run_program(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:

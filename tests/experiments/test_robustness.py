@@ -17,7 +17,6 @@ from experiments.train_settings import TRAINING
 from fishrl.envs import KarmanGait
 from fishrl.modules import LateralLineClassifier
 from fishrl.training.description import make
-from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
 
 POLICY = Path("zoo/gait_small_ablation")
 

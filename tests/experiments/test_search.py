@@ -125,9 +125,8 @@ def test_a_run_that_outlived_its_search_is_waited_for(
     plan = plan_of(tmp_path, "gamma=interval(0.9,1)")
     settings = ["gamma=0.95", "seed=0", f"folder={tmp_path}"]
     place = jobs.find_or_begin(TRAINING.read(settings), name="trial_0000-seed_0")
-    with hold_elsewhere(
-        place.path, "time.sleep(1.0); write_json(run.summary, {'mean_return': 2.5})"
-    ):
+    then = f"""time.sleep(1.0); open({str(place.summary)!r}, "w").write('{{"mean_return": 2.5}}')"""
+    with hold_elsewhere(place.path, then):
         assert search.run_seed(plan, 0, ["gamma=0.95"], 0) == 2.5
 
 

@@ -14,7 +14,7 @@ from experiments import evaluate, search, train, view
 from fishrl.envs import AbstractTask
 from fishrl.training.description import make
 from tests.docs.pages import read_blocks
-from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL
 
 
 @pytest.fixture

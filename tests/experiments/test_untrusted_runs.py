@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -41,9 +43,16 @@ def mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return mark
 
 
+@cache
+def compose() -> dict[str, Any]:
+    """Return the settings of a run that names our own classes alone."""
+    plain: dict[str, Any] = to_plain(asdict(TRAINING.read(["task=karman_gait"])))
+    return plain
+
+
 def store(folder: Path, mark: Path, kind: str) -> Path:
     """Write a run whose files name a command, or a module, where a class of ours belongs."""
-    config: dict[str, Any] = to_plain(asdict(TRAINING.read(["task=karman_gait"])))
+    config = deepcopy(compose())
     spec = PolicySpec.for_task(make(config["task"], kind=AbstractTask))
     command = f"touch {mark}"
     if kind == "nested":

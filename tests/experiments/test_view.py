@@ -19,7 +19,6 @@ from fishrl.envs.scene import Frame
 from fishrl.training.description import to_plain
 from fishrl.training.run_folder import write_yaml
 from fishrl.viewer import Drawing
-from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
 from tests.experiments.gait.tasks import OVERRIDES
 from tests.experiments.test_gait import SETTINGS
 from tests.training.conftest import read_rows

@@ -92,12 +92,8 @@ def test_equals_the_parent_bit_for_bit_when_every_action_is_legal() -> None:
 
 
 @pytest.mark.parametrize("neg_inf", [-math.inf, -1e9])
-def test_losses_and_gradients_are_finite_under_masks(neg_inf: float) -> None:
+def test_d1_losses_and_gradients_are_finite_under_masks(neg_inf: float) -> None:
     assert is_finite(*backward(make_loss(neg_inf=neg_inf), make_transitions()))
-
-
-def test_d1_the_parent_gives_nan_under_masks_with_its_default_logit() -> None:
-    assert not is_finite(*backward(make_parent(neg_inf=-math.inf), make_transitions()))
 
 
 def test_actor_gradients_equal_the_parents_with_finite_illegal_logits() -> None:
@@ -161,16 +157,14 @@ def alpha_after(loss: DiscreteSACLoss, data: TensorDict, *, num_steps: int) -> t
     return float(out["alpha"]), float(out["entropy"])
 
 
-def test_d4_the_temperature_settles_where_the_parents_runs_away() -> None:
+def test_d4_the_temperature_settles_at_an_entropy_that_legal_actions_can_have() -> None:
     data = make_transitions()
     num_legal = data["action_mask"].sum(-1)
     largest = num_legal.double().log()
     assert largest.mean() < 0.98 * math.log(NUM_ACTIONS)  # the parent asks for the unreachable
-    ours, entropy = alpha_after(make_loss(target_entropy_weight=0.7), data, num_steps=300)
-    theirs, _ = alpha_after(make_parent(target_entropy_weight=0.7), data, num_steps=300)
+    alpha, entropy = alpha_after(make_loss(target_entropy_weight=0.7), data, num_steps=300)
     assert entropy == pytest.approx(0.7 * float(largest.mean()), abs=0.05)
-    assert ours < 1.0
-    assert theirs > 10.0
+    assert alpha < 1.0
 
 
 def test_states_without_a_choice_say_nothing_about_the_temperature() -> None:

@@ -28,7 +28,7 @@ from fishrl.envs.wakes import WakeBank
 from fishrl.physics import InPlaceSolver
 from tests.docs.pages import DOCS
 from tests.docs.test_tutorials import BRIEF, CHANNEL
-from tests.envs.conftest import SMALL, kinematic, move_kinematically  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL, move_kinematically
 from tests.envs.test_follower import TINY as FOLLOWER
 from tests.envs.test_real_flow import TINY
 

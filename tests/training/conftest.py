@@ -95,6 +95,15 @@ def toy(tmp_path: Path) -> Iterator[Toy]:
         training._lock.close()
 
 
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Training:
+    """Return a finished training of ``QUICK`` settings that nothing has interrupted."""
+    training = Toy(tmp_path_factory.mktemp("whole")).begin(name="whole", **QUICK)
+    training.run()
+    training.close()
+    return training
+
+
 def read_rows(folder: Path) -> list[dict[str, str]]:
     """Read metrics.csv without what depends on the machine."""
     with (folder / "metrics.csv").open(newline="") as file:

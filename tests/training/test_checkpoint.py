@@ -22,7 +22,7 @@ from fishrl.training.checkpoint import (
 )
 from fishrl.training.loop import Training
 from fishrl.training.policy_spec import PolicySpec
-from tests.training.conftest import QUICK, Toy, change_manifest
+from tests.training.conftest import QUICK, Toy, change_manifest, read_rows
 
 SPEC = PolicySpec(task="Predation", num_inputs=16, num_actions=3)
 Limit = Callable[[int], AbstractContextManager[None]]
@@ -229,9 +229,12 @@ def test_a_run_cut_off_before_the_checksums_of_its_first_checkpoint_begins_anew(
 
 
 def test_a_run_outlives_a_full_disk(
-    toy: Toy, limited_disk: Limit, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    toy: Toy,
+    whole: Training,
+    limited_disk: Limit,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
-    toy.begin(name="whole", **QUICK).run()
     training = toy.begin(name="run", **QUICK)
     run, conclude = toy.folder / "run", Training._conclude
 
@@ -249,7 +252,7 @@ def test_a_run_outlives_a_full_disk(
     assert "best: cannot be written" in caplog.text
     assert "the one of frame 80 is still there" in caplog.text
     assert "metrics.csv: 1 rows cannot be written (File too large)" in caplog.text
-    assert toy.rows("run") == toy.rows("whole")
+    assert toy.rows("run") == read_rows(whole.folder.path)
     assert read_metadata(run, which="last")[1]["frames"] == 240
     monkeypatch.undo()
     longer = toy.reopen("run", total_frames=280)

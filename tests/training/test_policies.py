@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,8 +13,8 @@ from fishrl.envs import make_env
 from fishrl.modules import LateralLineClassifier
 from fishrl.training import PPO, SAC, Algorithm, DiscreteSAC, evaluate, load_plan, load_policy
 from fishrl.training.checkpoint import read_metadata
+from fishrl.training.loop import Training
 from fishrl.zoo import find_policy
-from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
 from tests.training.conftest import QUICK, Toy, change_manifest
 from tests.training.toy_fish import ToyPredation, make_toy_env
 
@@ -35,7 +37,8 @@ def test_a_learned_policy_is_evaluated_as_at_the_end_of_its_run(
     toy: Toy, algorithm: Algorithm
 ) -> None:
     task = {"is_continuous": algorithm.takes_continuous}
-    summary = toy.begin(name="run", algorithm=algorithm, task=task).run()
+    few = QUICK | {"final_episodes": 10}
+    summary = toy.begin(name="run", algorithm=algorithm, task=task, **few).run()
     result = evaluate(toy.folder / "run", episodes=10, compile=False, make_env=make_toy_env)
     assert result == {name: summary[name] for name in result}
 
@@ -87,22 +90,21 @@ def test_baselines_are_evaluated_by_name_and_any_policy_as_it_is() -> None:
         (ToyPredation(is_continuous=True), "it is of is_continuous = False, here it is True"),
     ],
 )
-def test_a_policy_of_another_task_is_refused(toy: Toy, task: ToyPredation, said: str) -> None:
-    toy.begin(name="run", total_frames=8, **QUICK).run()
+def test_a_policy_of_another_task_is_refused(
+    whole: Training, task: ToyPredation, said: str
+) -> None:
     with pytest.raises(ValueError, match=said):
-        load_policy(toy.folder / "run", task=task)
+        load_policy(whole.folder.path, task=task)
 
 
 @pytest.mark.parametrize("part", ["task", "algorithm"])
-def test_the_metadata_of_a_checkpoint_cannot_run_code(toy: Toy, part: str) -> None:
-    toy.begin(name="run", total_frames=8, **QUICK).run()
-    ran = toy.folder / "ran"
+def test_the_metadata_of_a_checkpoint_cannot_run_code(
+    whole: Training, tmp_path: Path, part: str
+) -> None:
+    run, ran = shutil.copytree(whole.folder.path, tmp_path / "run"), tmp_path / "ran"
     evil = {"_target_": "os.system", "command": f"touch {ran}"}
-    change_manifest(
-        read_metadata(toy.folder / "run")[0],
-        lambda metadata: metadata["config"].update({part: evil}),
-    )
+    change_manifest(read_metadata(run)[0], lambda metadata: metadata["config"].update({part: evil}))
     for read in (evaluate, load_policy):
         with pytest.raises(ValueError, match=r"os\.system: is no"):
-            read(toy.folder / "run")
+            read(run)
     assert not ran.exists()

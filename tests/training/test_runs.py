@@ -26,9 +26,10 @@ from fishrl.training import (
     runs,
     train,
 )
+from fishrl.training.loop import Training
 from fishrl.training.run_folder import read_config, write_yaml
-from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
-from tests.training.conftest import QUICK, Toy, assert_equal_weights, make_toy_plan
+from tests.envs.conftest import SMALL
+from tests.training.conftest import QUICK, Toy, assert_equal_weights, make_toy_plan, read_rows
 from tests.training.stops import run_and_signal, run_and_stop
 from tests.training.toy_fish import ToyFishEnv, make_toy_env
 
@@ -49,23 +50,21 @@ def test_a_library_user_trains_evaluates_and_resumes_in_ten_lines(tmp_path: Path
     assert (summary["frames"], longer["frames"]) == (40, 48)
 
 
-def test_a_run_killed_and_resumed_equals_one_that_was_not(toy: Toy) -> None:
-    whole = toy.begin(name="whole", **QUICK)
-    whole.run()
+def test_a_run_killed_and_resumed_equals_one_that_was_not(toy: Toy, whole: Training) -> None:
     code, said = run_and_signal(toy.folder, signal.SIGKILL, step=23)
     assert code == -signal.SIGKILL, said
     assert toy.rows("run")[-1]["frames"] == "160"  # killed at 184, last checkpoint at 160
     resumed = toy.reopen("run")
     assert resumed.counters.frames == 160
     resumed.run()
-    assert toy.rows("run") == toy.rows("whole")
+    assert toy.rows("run") == read_rows(whole.folder.path)
     assert_equal_weights(resumed, whole)
 
 
 @pytest.mark.parametrize("during", ["collecting", "evaluating"])
-def test_a_run_told_to_end_saves_and_goes_on_exactly(toy: Toy, during: str) -> None:
-    whole = toy.begin(name="whole", **QUICK)
-    whole.run()
+def test_a_run_told_to_end_saves_and_goes_on_exactly(
+    toy: Toy, whole: Training, during: str
+) -> None:
     is_late = during == "evaluating"
     part = toy.begin(name="part", **QUICK)
     run_and_stop(part, ToyFishEnv, step=3 if is_late else 23, evaluating=is_late)
@@ -73,17 +72,15 @@ def test_a_run_told_to_end_saves_and_goes_on_exactly(toy: Toy, during: str) -> N
     assert resumed.counters.frames == (120 if is_late else 184)
     assert bool(resumed.counters.pending) == is_late
     resumed.run()
-    assert toy.rows("part") == toy.rows("whole")
+    assert toy.rows("part") == read_rows(whole.folder.path)
     assert_equal_weights(resumed, whole)
 
 
-@pytest.mark.parametrize("is_continuous", [False, True])
 def test_ppo_goes_on_exactly_within_a_rollout_and_learns_from_each_as_often_as_it_should(
-    toy: Toy, is_continuous: bool
+    toy: Toy,
 ) -> None:
-    legal = {} if is_continuous else {"banned_action": 1}
     settings: dict[str, Any] = {
-        "task": {"is_continuous": is_continuous, "divergence_rate": 0.03, **legal},
+        "task": {"divergence_rate": 0.03, "banned_action": 1},
         "algorithm": PPO(rollout_length=9, num_epochs=4),
         "batch_size": 18,
         **QUICK,
@@ -95,8 +92,7 @@ def test_ppo_goes_on_exactly_within_a_rollout_and_learns_from_each_as_often_as_i
     assert summary["train_diverged"] > 0
     learned_from = whole.learner.buffer[:]
     assert 60 < len(learned_from) < 8 * 9  # without those that diverged
-    if not is_continuous:
-        assert set(learned_from["action"].tolist()) == {0, 2}
+    assert set(learned_from["action"].tolist()) == {0, 2}
     toy.begin(name="part", **settings | {"total_frames": 160}).run()  # 2 rollouts and 2 decisions
     resumed = toy.reopen("part", total_frames=240)
     resumed.run()
@@ -106,10 +102,7 @@ def test_ppo_goes_on_exactly_within_a_rollout_and_learns_from_each_as_often_as_i
 
 @pytest.mark.parametrize(
     "algorithm",
-    [
-        *(DQN(epsilon_frames=60), DQN(is_double=True)),
-        *(DRQN(sequence_length=4, epsilon_frames=60), SAC()),
-    ],
+    [DQN(epsilon_frames=60), DRQN(sequence_length=4, epsilon_frames=60), SAC()],
     ids=lambda algorithm: algorithm.label,
 )
 def test_every_algorithm_goes_on_exactly_with_equal_effort_and_legal_actions(
@@ -219,9 +212,8 @@ def test_a_config_cannot_run_code(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("losses", [[15], [15, 30], [3, 3]])
 def test_a_run_goes_on_exactly_after_its_flows_are_lost_but_not_twice_from_one_checkpoint(
-    toy: Toy, monkeypatch: pytest.MonkeyPatch, losses: list[int]
+    toy: Toy, whole: Training, monkeypatch: pytest.MonkeyPatch, losses: list[int]
 ) -> None:
-    complete(toy.begin(name="whole", **QUICK))
     step, left = ToyFishEnv._step, list(losses)
     training = toy.begin(name="run", **QUICK)
     num_steps, before, handlers = 0, signal.getsignal(signal.SIGTERM), set()
@@ -251,7 +243,7 @@ def test_a_run_goes_on_exactly_after_its_flows_are_lost_but_not_twice_from_one_c
         monkeypatch.undo()
         resume(toy.folder / "run", make_env=make_toy_env)
     assert not left
-    assert toy.rows("run") == toy.rows("whole")
+    assert toy.rows("run") == read_rows(whole.folder.path)
     assert len(handlers) == 1 and before not in handlers  # a signal waits for the next step
     assert signal.getsignal(signal.SIGTERM) is before
     assert not (toy.folder / "run" / "failure.txt").exists()

@@ -24,7 +24,7 @@ from fishrl.training import (
     evaluate,
     reopen,
 )
-from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL
 from tests.training.conftest import assert_equal_weights, read_rows
 
 pytestmark = pytest.mark.usefixtures("kinematic")

@@ -65,15 +65,14 @@ def run_rerun(*arguments: str) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("field_format", list(FieldFormat))
-def test_the_file_verifies_and_holds_every_entity_of_every_flow(
-    tmp_path: Path, field_format: FieldFormat
-) -> None:
-    path = tmp_path / "flows.rrd"
-    write(path, field_format=field_format)
-    run_rerun("rrd", "verify", str(path))
-    shown = run_rerun("rrd", "print", "-vvv", str(path))
-    assert {entity for entity in ENTITIES if entity in shown} == ENTITIES
+def test_files_verify_and_hold_every_entity_of_every_flow(tmp_path: Path) -> None:
+    paths = [str(tmp_path / f"{field_format}.rrd") for field_format in FieldFormat]
+    for path, field_format in zip(paths, FieldFormat, strict=True):
+        write(Path(path), field_format=field_format)
+    run_rerun("rrd", "verify", *paths)
+    for path in paths:
+        shown = run_rerun("rrd", "print", "-vvv", path)
+        assert {entity for entity in ENTITIES if entity in shown} == ENTITIES
 
 
 def test_a_file_is_replaced_and_many_frames_go_into_few_chunks(tmp_path: Path) -> None:

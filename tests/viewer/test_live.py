@@ -14,7 +14,7 @@ from fishrl.envs.scene import Frame
 from fishrl.viewer import Drawing, LiveView, Server, ViewerSettings, start_drawing
 from fishrl.viewer import process as process_module
 from fishrl.viewer.process import HOST, Viewer, find_port
-from tests.envs.conftest import SMALL, kinematic  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL
 from tests.viewer.scenes import make_frame, make_scene
 
 FLOWS = {0: "flow 0"}
@@ -110,7 +110,7 @@ class Shown:
 
 
 @pytest.fixture
-def shown(monkeypatch: pytest.MonkeyPatch, kinematic: None) -> Iterator[Shown]:  # noqa: F811
+def shown(monkeypatch: pytest.MonkeyPatch, kinematic: None) -> Iterator[Shown]:
     shown = Shown(port=29660)
     monkeypatch.setattr(
         Drawing, "draw", lambda drawing, flow, frame: shown.frames.append(frame) or None

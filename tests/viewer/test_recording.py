@@ -11,7 +11,7 @@ from fishrl.envs import KarmanGait, Predation, make_env
 from fishrl.envs.scene import Field, Frame, Scene
 from fishrl.viewer import Recording, make_scene, name_flows, record_episodes
 from fishrl.viewer.recording import Recorder
-from tests.envs.conftest import SMALL, keep_straight, kinematic  # noqa: F401 - a fixture
+from tests.envs.conftest import SMALL, keep_straight
 
 FIELD = Field(key="head", name="head", unit="", limit=1.0)
 TASK: dict[str, Any] = {**SMALL, "time_limit": 12, "food_still_T": 99.0}

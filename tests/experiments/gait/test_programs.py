@@ -13,7 +13,6 @@ from scipy import stats
 from experiments import drift_sweep, free_stream, gait_page
 from experiments.gait.trials import Histories, make_trial
 from experiments.transfer import TransferSettings, transfer
-from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
 from tests.experiments.gait.tasks import BRIEF, OVERRIDES, make_task
 
 pytestmark = pytest.mark.usefixtures("kinematic")

@@ -15,7 +15,6 @@ from experiments.gait import trials
 from experiments.gait.trials import Histories, Trial, make_trial, record, run_trial
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
-from tests.envs.conftest import kinematic  # noqa: F401 - a fixture
 from tests.envs.kinematic_solver import KinematicSolver
 from tests.experiments.gait.tasks import BRIEF, make_task
 

@@ -229,7 +229,7 @@ def test_fluid_and_body_conserve_momentum_to_round_off(
     config = make_swimmer_config(
         SCALES, length_bl=4, height_bl=3, boundaries=PERIODIC, bodies=(fish,)
     )
-    state = run(config, make_fish_body(), 150)
+    state = run(config, make_fish_body(), 100)
     excess = (density_ratio - 1.0) * fish.area
     total = measure_momentum(state.f) + excess * state.bodies[0].velocity
     assert state.bodies[0].velocity.abs().max() > 1e-3
@@ -242,7 +242,7 @@ def test_a_towed_fish_keeps_its_speed_and_conserves_momentum_across_it() -> None
     )
     body = make_fish_body(heading=0.4)
     body = body._replace(velocity=torch.tensor([[0.01, 0.0]], dtype=torch.float64))
-    state = run(config, body, 150)
+    state = run(config, body, 60)
     (after,) = state.bodies
     assert after.velocity[0, 0] == 0.01 and after.velocity[0, 1].abs() > 1e-4
     assert measure_momentum(state.f)[0, 1].abs() < 1e-11
@@ -251,7 +251,7 @@ def test_a_towed_fish_keeps_its_speed_and_conserves_momentum_across_it() -> None
 def test_muscle_power_equals_total_power_on_the_fluid_when_the_fish_is_free() -> None:
     """With no net force and torque the rigid motion does no work: F . u_def = F . V."""
     config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, motion=Free())
-    body = run(config, make_fish_body(), 200).bodies[0]
+    body = run(config, make_fish_body(), 80).bodies[0]
     assert float(body.force.abs().max()) < 1e-12
     # the lateral part misses only the work of -H/I against a torque that is zero
     assert float(body.lateral_work) == pytest.approx(float(body.work), rel=1e-6)
@@ -269,11 +269,11 @@ def test_a_body_carried_by_a_uniform_stream_leaves_the_flow_untouched(motion: Mo
     f = make_uniform(zero, zero + stream[0], zero + stream[1])
     body = make_fish_body(heading=0.4)
     body = body._replace(velocity=torch.tensor([stream], dtype=torch.float64))
-    state = FlowState(f, (body,))
-    for _ in range(200):
-        state = step(state, config, make_params([config]))
+    state, params = FlowState(f, (body,)), make_params([config])
+    for _ in range(60):
+        state = step(state, config, params)
     torch.testing.assert_close(state.f, f, rtol=0, atol=1e-14)
-    expected = body.position + 200 * body.velocity
+    expected = body.position + 60 * body.velocity
     torch.testing.assert_close(state.bodies[0].position, expected, rtol=0, atol=1e-10)
 
 
@@ -301,7 +301,7 @@ def test_a_mirrored_start_swims_the_mirrored_way() -> None:
     height = config.height - 1.0
     up, down = make_fish_body((60.0, 30.0)), make_fish_body((60.0, height - 30.0))
     down = down._replace(phase=down.phase + math.pi)  # the mirrored wave
-    a, b = (run(config, body, 250).bodies[0] for body in (up, down))
+    a, b = (run(config, body, 100).bodies[0] for body in (up, down))
     assert float(a.position[0, 0]) == pytest.approx(float(b.position[0, 0]), abs=1e-9)
     assert float(a.position[0, 1]) == pytest.approx(height - float(b.position[0, 1]), abs=1e-9)
 

@@ -167,13 +167,17 @@ def test_a_stream_that_changes_equals_the_readable_step_and_resumes_on_the_way()
 
 @pytest.mark.compile
 @pytest.mark.parametrize("name", ["commanded", pytest.param("strokes", marks=pytest.mark.slow)])
-def test_compiled_step_equals_the_readable_step_and_repeats_bit_for_bit(name: str) -> None:
+def test_compiled_step_equals_the_readable_step_and_repeats_bit_for_bit_in_processes(
+    name: str,
+) -> None:
     config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, **CHANGES[name])
-    solver, twin = make_solver(config, compile=True), make_solver(config, compile=True)
+    solver, twin = (make_solver(config, compile=True, num_workers=num) for num in (0, 2))
     for each in (solver, twin):
         each.advance_(120)
     assert torch.equal(solver.populations(), twin.populations())
+    assert torch.equal(solver.body.position, twin.body.position)
     assert_equal_to_reference(solver, run_reference(config, 120))
+    twin.close()
 
 
 @pytest.mark.compile
@@ -186,31 +190,6 @@ def test_a_compiled_step_takes_no_memory_that_grows_with_the_grid() -> None:
     largest = max((event.self_cpu_memory_usage for event in record.events()), default=0)
     field = 4 * config.width * config.height
     assert largest < field, f"an operation of a step allocates {largest} bytes"
-
-
-@pytest.mark.compile
-def test_flows_shared_by_processes_equal_flows_run_here() -> None:
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
-    here, there = (
-        make_solver(config, compile=True),
-        make_solver(config, num_workers=2, compile=True),
-    )
-    for solver in (here, there):
-        solver.advance_(60)
-    assert torch.equal(here.populations(), there.populations())
-    assert torch.equal(here.body.position, there.body.position)
-    there.close()
-
-
-def test_a_row_of_a_batch_equals_the_row_alone() -> None:
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
-    batch = make_solver(config)
-    batch.advance_(40)
-    for i in range(3):
-        alone = make_solver(config, slice(i, i + 1))
-        alone.advance_(40)
-        assert torch.equal(alone.populations()[0], batch.populations()[i])
-        assert torch.equal(alone.body.position[0], batch.body.position[i])
 
 
 def test_reset_touches_only_its_rows_and_starts_afresh() -> None:
@@ -349,11 +328,6 @@ def test_wrong_calls_are_refused(call: object, message: str) -> None:
     solver = make_solver(make_swimmer_config(SCALES, length_bl=4, height_bl=3))
     with pytest.raises(ValueError, match=message):
         call(solver)  # type: ignore[operator]
-
-
-def test_saved_states_keep_the_names_that_earlier_runs_wrote() -> None:
-    solver = make_solver(make_swimmer_config(SCALES, length_bl=4, height_bl=3))
-    assert "params.shapes[0].axial" in solver.state_dict()
 
 
 def test_a_state_saved_before_streams_could_change_goes_on_as_it_was() -> None:

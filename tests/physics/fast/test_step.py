@@ -101,26 +101,29 @@ def run_readable(config: FlowConfig, num_steps: int) -> FlowState:
 
 
 @pytest.mark.parametrize(
-    ("name", "num_steps"), [(name, 1000 if name == "open edges" else 240) for name in EDGES]
+    ("name", "num_steps", "tolerance"),
+    [*((name, 80, 1e-4) for name in EDGES), ("open edges", 1000, 1e-3)],
 )
-def test_many_steps_and_one_equal_the_readable_step(name: str, num_steps: int) -> None:
+def test_many_steps_and_one_equal_the_readable_step(
+    name: str, num_steps: int, tolerance: float
+) -> None:
     """Single against double precision; the odd step is read where it left the populations.
 
-    Sound crosses the 90 nodes in 156 steps, so after 240 each edge has acted on the whole flow. The
-    errors that single precision gathers in a thousand steps are looked at behind one kind of edge.
+    Sound crosses 46 nodes in 80 steps, so what the edges send has met. The errors that single
+    precision gathers in a thousand steps are looked at behind one kind of edge.
     """
     config = make_config(name)
     solver = start(config, rows=[0])
     reference = run_readable(config, num_steps)
     solver.advance_(num_steps)
     scale = float(reference.f.abs().max())
-    assert float((solver.populations() - reference.f).abs().max()) < 1e-3 * scale
-    assert float((solver.body.position - reference.bodies[0].position).abs().max()) < 1e-3
+    assert float((solver.populations() - reference.f).abs().max()) < tolerance * scale
+    assert float((solver.body.position - reference.bodies[0].position).abs().max()) < tolerance
     batch = solver._batch
     batch.stepper.step_(batch.first, 0)
     after_odd = batch.layout.nodes(batch._data[0], 1, False)
     reference = step(reference, config, make_params([config]))
-    assert float((torch.stack(after_odd, 1) - reference.f).abs().max()) < 1e-3 * scale
+    assert float((torch.stack(after_odd, 1) - reference.f).abs().max()) < tolerance * scale
 
 
 def test_flows_in_one_launch_equal_flows_alone() -> None:
