@@ -209,8 +209,8 @@ class Drawing:
         own = ... if choice.fish is None else choice.fish
         if choice.key in frame.values:
             action = frame.values[choice.key][own]
-            index = action.int().argmax() if action.dim() else action  # of one-hot actions
-            self._plot(f"{path}/chosen", float(index))
+            chosen = action.int().argmax() if action.dim() else action  # of one-hot actions
+            self._plot(f"{path}/chosen", float(chosen))
         if choice.mask in frame.values:
             mask = frame.values[choice.mask][own]
             for index, is_legal in enumerate(mask.reshape(-1).tolist()):
