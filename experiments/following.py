@@ -24,7 +24,7 @@ from experiments.statistics import Statistic
 from fishrl.bounds import bounded
 from fishrl.envs import Follower, make_env
 from fishrl.envs.episodes import run_episodes
-from fishrl.envs.views import read_fields
+from fishrl.envs.views import compute_fields
 from fishrl.training import load_policy
 from fishrl.training.baselines import make_baseline
 from fishrl.training.description import make
@@ -90,7 +90,7 @@ def record(env: TransformedEnv, policy: Any, *, advance: Callable[[], object]) -
         if len(rows) % SNAPSHOT == 1 and start_of[0] == 0:  # flows are reset when episodes end
             solver = env.base_env.solver
             outlines = [solver.markers(m)[0] for m in range(len(solver.bodies))]
-            pictures.append((outlines, read_fields(solver, task.scales)["vorticity"][0].float()))
+            pictures.append((outlines, compute_fields(solver, task.scales)["vorticity"][0].float()))
         advance()
 
     outcome = run_episodes(env, policy, starts, on_step=keep)

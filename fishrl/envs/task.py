@@ -116,6 +116,15 @@ class AbstractTask(ABC):
                 f"{least / self.body_length:.3f}, or raise checks_per_action"
             )
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out of copies and pickles what follows from the settings, such as wakes."""
+        cls = type(self)
+        return {
+            name: value
+            for name, value in vars(self).items()
+            if not isinstance(getattr(cls, name, None), cached_property)
+        }
+
     @property
     def max_frequency(self) -> float:
         """Highest tail-beat frequency, beats per T."""

@@ -160,7 +160,7 @@ def _describe_actions(
 
 
 def make_fields(config: FlowConfig, scales: Scales) -> tuple[Field, ...]:
-    """Return the fields that ``read_fields`` reads, with limits that suit the fastest stream."""
+    """Return the fields that ``compute_fields`` gives, with limits that suit the fastest stream."""
     speed = _find_fastest(config, scales)
     return (
         Field(
@@ -183,7 +183,7 @@ def make_fields(config: FlowConfig, scales: Scales) -> tuple[Field, ...]:
     )
 
 
-def read_fields(solver: Solver, scales: Scales) -> dict[str, Tensor]:
+def compute_fields(solver: Solver, scales: Scales) -> dict[str, Tensor]:
     """Return the fields ``[B, Y, X]`` of ``make_fields``, float16."""
     rho, u = solver.macroscopic()
     speed = scales.reference_speed
@@ -198,7 +198,7 @@ def read_fields(solver: Solver, scales: Scales) -> dict[str, Tensor]:
 def read_flow_scene(solver: Solver, scales: Scales, *, num_fish: int = 1) -> dict[str, Tensor]:
     """Return ``[B, ...]`` tensors by the keys of ``make_flow_scene``; of M fish ``[B, M]``."""
     names = ("fish", *_name_obstacles(solver.config))[: len(solver.bodies)]
-    values = read_fields(solver, scales)
+    values = compute_fields(solver, scales)
     for index, name in enumerate(names):
         values |= _read_body(solver, index, name, scales)
     every = [_read_fish(solver, index, scales) for index in range(num_fish)]

@@ -208,7 +208,9 @@ class Drawing:
     def _draw_choice(self, path: str, choice: Choice, frame: Frame) -> None:
         own = ... if choice.fish is None else choice.fish
         if choice.key in frame.values:
-            self._plot(f"{path}/chosen", float(frame.values[choice.key][own]))
+            action = frame.values[choice.key][own]
+            chosen = action.int().argmax() if action.dim() else action  # of one-hot actions
+            self._plot(f"{path}/chosen", float(chosen))
         if choice.mask in frame.values:
             mask = frame.values[choice.mask][own]
             for index, is_legal in enumerate(mask.reshape(-1).tolist()):

@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -158,7 +159,8 @@ class FramePainter:
     def __init__(
         self, scene: Scene, *, limit: float, dpi: float = 100.0, num_levels: int = 256
     ) -> None:
-        self._frames: list[Frame] = []
+        self._trails = [trail.key for trail in scene.trails]
+        self._path: list[Frame] = []  # without fields, which are large
         with mpl.rc_context(STYLE):
             figure, self._flow = make_single(scene, limit=limit, num_levels=num_levels)
             figure.set_dpi(dpi)
@@ -169,9 +171,10 @@ class FramePainter:
     def paint(self, frame: Frame) -> NDArray[np.uint8]:
         """Return a picture ``[height, width, 3]``; the path begins anew with an episode."""
         if frame.begins:
-            self._frames.clear()
-        self._frames.append(frame)
-        self._flow.show(self._frames)
+            self._path.clear()
+        self._flow.show([*self._path, frame])
+        points = {key: frame.values[key].clone() for key in self._trails}
+        self._path.append(replace(frame, values=points))
         with mpl.rc_context(STYLE):
             self._canvas.draw()
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()

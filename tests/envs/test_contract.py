@@ -5,6 +5,7 @@ A task that appears in ``fishrl.envs.tasks`` is tested here without further ado.
 
 import dataclasses
 import inspect
+import pickle
 from typing import Any
 
 import pytest
@@ -60,6 +61,16 @@ def test_a_task_takes_keyword_arguments_with_defaults_and_never_changes(
     assert all(p.kind is p.KEYWORD_ONLY and p.default is not p.empty for p in parameters)
     with pytest.raises(dataclasses.FrozenInstanceError):
         task.body_length = 1
+
+
+def test_a_copy_has_the_settings_and_computes_what_follows_from_them_anew(
+    task: AbstractTask,
+) -> None:
+    FlowEnv(task=task, num_envs=1, compile_flow=False).reset()  # reads wakes, draws the fish
+    packed = pickle.dumps(task)
+    assert len(packed) < 10_000
+    copied = pickle.loads(packed)
+    assert copied == task and copied.scales == task.scales
 
 
 def test_the_specs_hold(task: AbstractTask) -> None:

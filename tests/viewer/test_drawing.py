@@ -1,5 +1,6 @@
 """What is drawn into a stream: places, colours, rates, trails; and what is left out."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -63,6 +64,14 @@ def test_only_legal_actions_get_a_dot(notes: Notes) -> None:
     assert notes.numbers(f"{path}/legal_0") == [(0.25, 0.0)]
     assert notes.numbers(f"{path}/legal_2") == [(0.0, 2.0), (0.25, 2.0)]
     assert notes.numbers(f"{path}/chosen") == [(0.0, 0.0), (0.25, 1.0)]
+
+
+def test_of_a_one_hot_action_its_index_is_drawn(notes: Notes) -> None:
+    frame = make_frame(0)
+    values = {**frame.values, "action": torch.tensor([False, False, True])}
+    draw(notes, replace(frame, values=values))
+    path = "flow_2/plots/action_line_among_the_legal_ones_dots"
+    assert notes.numbers(f"{path}/chosen") == [(0.0, 2.0)]
 
 
 def test_what_is_not_a_number_or_not_there_is_left_out(notes: Notes) -> None:

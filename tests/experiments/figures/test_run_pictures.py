@@ -1,6 +1,8 @@
 """The pictures of a run, chosen by what its scene offers."""
 
 import dataclasses
+import gc
+import weakref
 from math import pi
 from pathlib import Path
 
@@ -175,3 +177,16 @@ def test_a_path_begins_anew_with_an_episode() -> None:
     again = painter.paint(dataclasses.replace(recording.frames[0], begins=True))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, later)
+
+
+def test_a_painter_keeps_paths_but_no_fields_of_earlier_frames(make_recording: Maker) -> None:
+    recording = make_recording(num_frames=2)
+    painter = film.FramePainter(recording.scene, limit=5.0, dpi=40.0)
+    field = recording.frames[0].values["vorticity"].clone()
+    kept = weakref.ref(field)
+    frame = recording.frames[0]
+    painter.paint(dataclasses.replace(frame, values={**frame.values, "vorticity": field}))
+    del field
+    painter.paint(recording.frames[1])
+    gc.collect()
+    assert kept() is None
