@@ -179,7 +179,7 @@ def test_a_path_begins_anew_with_an_episode() -> None:
     assert not np.array_equal(first, later)
 
 
-def test_a_painter_keeps_paths_but_no_fields_of_earlier_frames(make_recording: Maker) -> None:
+def test_a_painter_keeps_paths_but_no_fields_of_earlier_frames() -> None:
     recording = make_recording(num_frames=2)
     painter = film.FramePainter(recording.scene, limit=5.0, dpi=40.0)
     field = recording.frames[0].values["vorticity"].clone()
