@@ -134,7 +134,7 @@ def tabulate(
     rows = []
     for name, arm in results.items():
         fine = {key: Statistic.of(each) for key, each in arm.items()}
-        relative = Statistic.of([cost / cost_alone for cost in arm["cost"]])
+        relative = Statistic.of((torch.tensor(arm["cost"]) / cost_alone).tolist())
         row = [name, *(fine[key].show(".0%") for key in ("survived", "contact"))]
         row += [fine[key].show(".2f") for key in ("survival_T", "x", "aside", "frequency")]
         rows.append([*row, fine["cost"].show(".4f"), relative.show(".2f")])
