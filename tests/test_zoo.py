@@ -36,10 +36,10 @@ def test_its_folder_is_whole_and_small(name: str) -> None:
     assert "success rate" in (folder / "README.md").read_text()
 
 
-def test_all_of_them_take_no_more_than_eight_megabytes() -> None:
+def test_all_of_them_take_no_more_than_five_megabytes() -> None:
     assert NAMES
     root = Path(fishrl.zoo.__file__).parent
-    assert sum(file.stat().st_size for file in root.rglob("*") if file.is_file()) < 8e6
+    assert sum(file.stat().st_size for file in root.rglob("*") if file.is_file()) < 5e6
 
 
 def test_a_name_stands_for_a_checkpoint_and_a_wrong_one_is_answered() -> None:
