@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import fcntl
 import json
+import shlex
 import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -260,6 +261,18 @@ def run_job(job: Job, record: Record, lock: int) -> None:
         raise ValueError(f"{job.name} ended with status {child.returncode}; repeat the command")
 
 
+def write_command(scale: Scale) -> str:
+    """Return the command of a scale, with each entry that differs from its file on a line."""
+    usual = main.read([f"scale={scale.name}"]).scale
+    words = [
+        f"scale.{name}={json.dumps(value)}"
+        for name, value in asdict(scale).items()
+        if value != getattr(usual, name)
+    ]
+    lines = [f"python -m experiments.reproduce scale={scale.name}", *map(shlex.quote, words)]
+    return " \\\n  ".join(lines)
+
+
 def measure_speed(plan: Plan) -> tuple[float, float]:
     """Return node updates and gradient steps per second of a training, on this machine."""
     gait: Any = plan.task
@@ -304,7 +317,9 @@ def main(settings: ReproduceSettings) -> None:
             job = list_jobs(scale, folder)[number]  # what the jobs before have made belongs to it
             if not record.is_finished(job):
                 run_job(job, record, lock)
-        page = write_page(folder, record.jobs, name=scale.name, docs=settings.docs)
+        page = write_page(
+            folder, record.jobs, name=scale.name, command=write_command(scale), docs=settings.docs
+        )
         print(f"written: {page}")
 
 

@@ -161,7 +161,7 @@ def render(
     runs: Mapping[str, Sequence[Path]],
     jobs: Mapping[str, Mapping[str, Any]],
     *,
-    name: str,
+    command: str,
     place: str,
 ) -> str:
     """Return the page of a scale in Markdown; its figures lie in ``place``."""
@@ -177,7 +177,7 @@ def render(
     hours = sum(job["seconds"] for job in jobs.values()) / 3600
     shown = {**{key: text for key, (_, text) in FIGURES.items()}, **GAIT_FIGURES}
     parts = [
-        f"```sh\npython -m experiments.reproduce scale={name}\n```",
+        f"```sh\n{command}\n```",
         f"{hours:.1f} hours on {'; '.join(sorted(machines))}.",
         "### The paper's numbers and ours",
         compare(transfer, free, line, [time for time in times if time is not None]),
@@ -197,7 +197,12 @@ def render(
 
 
 def write_page(
-    folder: Path, jobs: Mapping[str, Mapping[str, Any]], *, name: str, docs: str | None = None
+    folder: Path,
+    jobs: Mapping[str, Mapping[str, Any]],
+    *,
+    name: str,
+    command: str,
+    docs: str | None = None,
 ) -> Path:
     """Write ``reproduction.md`` and ``reproduction.html`` with figures into the folder.
 
@@ -205,11 +210,12 @@ def write_page(
         folder: of the reproduction, all jobs finished.
         jobs: from ``jobs.json``.
         name: of the scale.
+        command: that made them.
         docs: folder of the documentation; its page has marks ``<!-- <name>: begin -->``.
     """
     runs = {arm: find_runs(jobs[arm]["words"][2:]) for arm in ("predation", *ARMS)}
     draw(folder, runs, folder / "figures")
-    text = render(folder, runs, jobs, name=name, place="figures")
+    text = render(folder, runs, jobs, command=command, place="figures")
     (folder / "reproduction.md").write_text(f"# Reproduction, {name}\n\n{text}", encoding="utf-8")
     html = MarkdownIt("commonmark").enable("table").render(text)
     page = folder / "reproduction.html"
@@ -219,6 +225,6 @@ def write_page(
         (Path(docs) / place).mkdir(parents=True, exist_ok=True)
         for picture in (folder / "figures").glob("*.png"):
             copyfile(picture, Path(docs) / place / picture.name)
-        text = render(folder, runs, jobs, name=name, place=place)
+        text = render(folder, runs, jobs, command=command, place=place)
         fill(Path(docs) / "reproduction.md", name, text)
     return page

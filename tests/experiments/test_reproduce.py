@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from importlib import import_module
 from pathlib import Path
 
@@ -58,6 +59,14 @@ def test_the_newest_classifier_with_results_is_used(tmp_path: Path) -> None:
     assert page.find_fitted(tmp_path) == tmp_path / "classifier-2"
     words = list_by_name(tmp_path)["both"].words
     assert f"recognition={tmp_path / 'classifier-2' / 'machine.pt'}" in words
+
+
+def test_the_page_shows_a_command_that_gives_the_same_scale() -> None:
+    words = ["scale=half", "scale.seeds=[3]", 'scale.gait=["preset=gait_half","gamma=0.9"]']
+    scale = reproduce.main.read(words).scale
+    command = reproduce.write_command(scale)
+    assert len(command.splitlines()) == 3
+    assert reproduce.main.read(shlex.split(command.replace("\\\n", ""))[3:]).scale == scale
 
 
 def test_the_plan_counts_the_default_baselines_of_the_task(tmp_path: Path) -> None:
