@@ -14,6 +14,8 @@ def test_a_smooth_change_sends_no_shock_and_ends_in_the_uniform_stream() -> None
     config = FlowConfig(width=40, height=24, tau=0.6, stream_speed=0.06, boundaries=edges)
     solver = InPlaceSolver(config=config, num_envs=2, compile=False, num_workers=0)
     solver.reset_(torch.ones(2, dtype=torch.bool), velocity=(1.0, 0.0))
+    with pytest.raises(ValueError, match=r"imposes 0\.400 nodes per step, allowed is 0\.3"):
+        solver.set_stream_speed_(torch.tensor([0.05, 0.4]))
     faster = torch.full((2,), 0.09, dtype=torch.float64)
     transit = 40 * 3.0**0.5  # of sound, steps
     solver.set_stream_speed_(faster, torch.tensor([True, False]), num_steps=round(4 * transit))

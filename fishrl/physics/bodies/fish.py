@@ -9,7 +9,7 @@ import torch
 from fishrl.bounds import bounded, check_bounds
 from fishrl.physics.bodies.gait import CARLING, Gait
 from fishrl.physics.bodies.midline import Curve, MidlineParams, Slope
-from fishrl.physics.bodies.motion import Bending, Commanded, Motion
+from fishrl.physics.bodies.motion import Commanded, Motion
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams, Points, draw_section, to_tensors
 from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.shear import ShearParams
@@ -49,11 +49,6 @@ class Fish(BodyConfig):
 
     def __post_init__(self) -> None:
         check_bounds(self)
-        if isinstance(self.motion, Bending) and (self.keeps_length or self.strokes is not None):
-            raise ValueError(
-                "motion = Bending(): only vertical shear (without keeps_length and strokes) can be "
-                "bent further by a command; take Commanded() or Free()"
-            )
         slope = float(np.hypot(*self.gait.evaluate_modes(_COARSE, 1)[:2]).max())
         if self.keeps_length and slope > 0.95:
             raise ValueError(
@@ -71,6 +66,11 @@ class Fish(BodyConfig):
         super().__post_init__()
         if self.num_markers % 2:
             raise ValueError(f"num_markers = {self.num_markers}: must be even, as sides are alike")
+
+    @property
+    def can_bend(self) -> bool:
+        """Whether the midline is sheared, so that a command can add to it."""
+        return not self.keeps_length and self.strokes is None
 
     def draw(self) -> list[Points]:
         """Return the straight outline: the upper side to the tail and the lower side back."""

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from fishrl.bounds import bounded, check_bounds
 from fishrl.physics.bodies.midline import MidlineParams
-from fishrl.physics.bodies.motion import Fixed, Motion
+from fishrl.physics.bodies.motion import Bending, Fixed, Motion
 from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.shear import ShearParams
 
@@ -55,6 +55,11 @@ class BodyConfig(ABC):
 
     def __post_init__(self) -> None:
         check_bounds(self)
+        if isinstance(self.motion, Bending) and not self.can_bend:
+            raise ValueError(
+                "motion = Bending(): a command bends only a Fish without keeps_length and strokes, "
+                f"not this {type(self).__name__}; take Commanded() or Free()"
+            )
         perimeter = float(sum(self._lengths))
         if self.num_markers == 0:
             counts = [max(8, round(s / self.marker_spacing)) for s in self._lengths]
@@ -66,6 +71,11 @@ class BodyConfig(ABC):
                 f"{spacing:.2f} nodes apart, allowed is 0.5 to 2; change the number of markers or "
                 "the size"
             )
+
+    @property
+    def can_bend(self) -> bool:
+        """Whether a command can bend the body, beyond its gait."""
+        return False
 
     def get_structure(self) -> tuple[object, ...]:
         """Return what this body must share with its counterparts in other flows of a batch."""

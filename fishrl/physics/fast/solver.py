@@ -3,6 +3,7 @@
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import IO
 
 import torch
@@ -238,13 +239,15 @@ class InPlaceSolver:
         """Set the stream speed ``[B]`` of all flows, or of those in ``rows`` ``[B]``.
 
         Args:
-            speed: nodes per step.
+            speed: nodes per step; ValueError on a CPU where ``FlowConfig`` does not allow it.
             rows: which flows.
             num_steps: over which the speed changes smoothly, from what it is now; by default it is
                 set at once, and a rise from rest goes on.
         """
         rows = self._choose(rows)
         check_tensor("speed", speed, (self.num_envs,), where=rows)
+        if rows.device.type == "cpu" and rows.any():
+            replace(self.config, stream_speed=float(speed[rows].abs().max()))
         flow = self._batch.flow
         new = flow.params._replace(stream_speed=speed.to(flow.clock))
         if num_steps is not None:
@@ -287,7 +290,7 @@ class InPlaceSolver:
                 first body, or ``[B, M]`` of the first M; other bodies keep their commands.
             num_steps: at least two.
             frequency: tail beats per step, of the shape of ``turn``; the phase stays continuous.
-            amplitude: share of the gait's amplitude, of the shape of ``turn``; approached smoothly.
+            amplitude: share of the gait's, of the shape of ``turn``; approached smoothly.
 
         Raises:
             ValueError: for another shape, numbers that are not finite, and more than all bodies.
@@ -299,20 +302,17 @@ class InPlaceSolver:
         check_tensor("turn", turn, shape, where=every_row)
         turns = turn.reshape(self.num_envs, -1)
         self._get_body(turns.shape[1] - 1)
-        if frequency is not None:
-            check_tensor("frequency", frequency, shape, where=every_row)
-            frequency = frequency.reshape(turns.shape)
-        if amplitude is not None:
-            check_tensor("amplitude", amplitude, shape, where=every_row)
-            amplitude = amplitude.reshape(turns.shape)
+        for name, value in (("frequency", frequency), ("amplitude", amplitude)):
+            if value is not None:
+                check_tensor(name, value, shape, where=every_row)
         for index, body in enumerate(self.bodies[: turns.shape[1]]):
             body.turn.copy_(turns[:, index])
             body.turn_steps.fill_(float(num_steps))
             body.turn_clock.zero_()
             if frequency is not None:
-                body.frequency.copy_(frequency[:, index])
+                body.frequency.copy_(frequency.reshape(turns.shape)[:, index])
             if amplitude is not None:
-                body.amplitude_goal.copy_(amplitude[:, index])
+                body.amplitude_goal.copy_(amplitude.reshape(turns.shape)[:, index])
 
     def populations(self) -> Tensor:
         """Return a copy of the incoming populations ``[B, Q, Y, X]`` (shifted)."""

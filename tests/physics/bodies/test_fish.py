@@ -17,6 +17,7 @@ from fishrl.physics.bodies.motion import (
     Towed,
     compute_turn_rate,
 )
+from fishrl.physics.bodies.outline import Cylinder
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.collision import compute_moments
@@ -342,9 +343,11 @@ def test_a_gait_too_steep_for_a_midline_of_constant_length_is_refused() -> None:
         Fish(body_length=50, gait=steep, keeps_length=True)
 
 
-def test_a_midline_that_keeps_its_length_cannot_be_bent_and_sides_are_alike() -> None:
-    with pytest.raises(ValueError, match="keeps_length"):
+def test_only_a_sheared_fish_can_be_bent_and_sides_are_alike() -> None:
+    with pytest.raises(ValueError, match="not this Fish"):
         Fish(body_length=50, keeps_length=True, motion=Bending())
+    with pytest.raises(ValueError, match="not this Cylinder"):
+        Cylinder(diameter=20, motion=Bending())
     with pytest.raises(ValueError, match="num_markers = 101: must be even"):
         Fish(body_length=50, num_markers=101)
 
