@@ -43,8 +43,8 @@ class TrainConfig(LearningSettings, RunSettings, ViewerSettings):
         algorithm: ``_target_`` and arguments of the algorithm (``fishrl.training.algorithms``).
         logger: ``_target_`` and arguments of the logger.
         preset: name of the preset.
-        recognition: source of flow labels: ``oracle``, the file of a lateral-line classifier, or
-            nothing.
+        recognition: source of flow labels: ``oracle``, the file of a lateral-line classifier,
+            ``zoo/<name>`` for that of a policy, or nothing.
         resume: run folder to continue from its last checkpoint.
         picture_episodes: episodes of the final evaluation to record and draw; 0 for none.
     """

@@ -7,6 +7,7 @@ from shutil import copyfile
 
 from fishrl.envs.transforms import ORACLE
 from fishrl.modules import LateralLineClassifier
+from fishrl.training.policy_zoo import PREFIX, find_policy
 
 #: Name of the classifier that a run has copied into its folder.
 OWN = "machine.pt"
@@ -17,8 +18,8 @@ Recognition = LateralLineClassifier | str | None
 def load_recognition(choice: Recognition, folder: Path = Path()) -> Recognition:
     """Return the source of flow labels, for ``make_env(recognition=...)``.
 
-    ``choice`` is None, ``oracle``, a classifier, or the file of one; ``folder`` is the run or
-    checkpoint where the file of a run's own classifier is looked for.
+    ``choice`` is None, ``oracle``, a classifier, the file of one, or ``zoo/<name>`` for that of a
+    policy; ``folder`` is the run or checkpoint where a run's own classifier is looked for.
     """
     if not isinstance(choice, str) or choice == ORACLE:
         return choice
@@ -26,7 +27,9 @@ def load_recognition(choice: Recognition, folder: Path = Path()) -> Recognition:
 
 
 def find_classifier(choice: str | None, folder: Path) -> str | None:
-    """Return the setting of a run with its own classifier as a path, wherever the run lies now."""
+    """Return the setting of a run with a classifier as a path, wherever the run lies now."""
+    if choice is not None and choice.startswith(PREFIX):
+        return str(find_policy(choice) / OWN)
     if choice != OWN:
         return choice
     places = [place / OWN for place in (folder, *folder.resolve().parents[:2])]
@@ -40,7 +43,7 @@ def keep_recognition(choice: Recognition, folder: Path) -> str | None:
     if isinstance(choice, LateralLineClassifier):
         choice.save(folder / OWN)
         return OWN
-    source = Path(choice).expanduser()
+    source = Path(str(find_classifier(choice, Path()))).expanduser()
     if not source.is_file():
         raise ValueError(f"recognition = {choice}: there is no such file; give oracle or a file")
     copyfile(source, folder / OWN)

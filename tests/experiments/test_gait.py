@@ -136,6 +136,14 @@ def test_recognition_fits_the_task_or_says_why(tmp_path: Path) -> None:
         equip(task, load_recognition(make_machine(tmp_path / "other.pt", other)))
 
 
+def test_a_classifier_of_the_zoo_is_named_like_its_policy(tmp_path: Path) -> None:
+    kept = keep_recognition("zoo/gait_half", tmp_path)
+    ours, theirs = (load_recognition(name, tmp_path) for name in (kept, "zoo/gait_half"))
+    assert isinstance(ours, LateralLineClassifier) and isinstance(theirs, LateralLineClassifier)
+    assert ours.flows == theirs.flows
+    torch.testing.assert_close(ours.state_dict(), theirs.state_dict(), rtol=0, atol=0)
+
+
 def test_a_policy_of_predation_becomes_a_heading_controller(trained: Path, tmp_path: Path) -> None:
     config = TRAINING.read(["preset=small", f"folder={tmp_path}", "name=run"])
     config.task.update(SMALL)
