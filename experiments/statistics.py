@@ -55,7 +55,7 @@ def show(value: float, form: str, error: float = math.nan) -> str:
     """Write a number, with its error where there is one, or a dash for NaN."""
     if math.isnan(value):
         return "–"
-    return format(value, form) + ("" if math.isnan(error) else f" ± {error:{form}}")
+    return format(value, form) + ("" if math.isnan(error) else f" ± {error:{form.lstrip('+')}}")
 
 
 def half_width(values: Sequence[float]) -> float:

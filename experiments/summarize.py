@@ -208,8 +208,8 @@ def describe_selection(finished: Sequence[Run]) -> str:
         found = Statistic.of([each[name] - each["success_rate"] for each in known])
         gains.append(found.show("+.1%"))
     return (
-        "From the starts that select the best checkpoint, its success rate is {} relative to its "
-        "final evaluation, and that of the last policy {}; mean over runs.\n".format(*gains)
+        "Success rate on the starts that select a checkpoint, less that of the final evaluation: "
+        "{} of the selected one, {} of the last; means over runs.\n".format(*gains)
     )
 
 

@@ -80,6 +80,11 @@ def write_survival(corner: str, results: Results, speeds: Sequence[float]) -> st
     return write_table([corner, "episodes", *(f"{speed:g} L/T" for speed in speeds)], rows)
 
 
+def divide_work(still: Mapping[str, float], wake: Mapping[str, float], name: str) -> float:
+    """Return the work in a free stream over that in the wake; NaN unless both are positive."""
+    return still[name] / wake[name] if min(still[name], wake[name]) > 0.0 else nan
+
+
 def write_work(
     in_wake: Sequence[Mapping[str, float]],
     free: Sequence[Mapping[str, float]],
@@ -89,10 +94,7 @@ def write_work(
     papers = PAPER_WORK_RATIO if len(speeds) == len(PAPER_WORK_RATIO) else [nan] * len(speeds)
     rows = []
     for speed, wake, still, paper in zip(speeds, in_wake, free, papers, strict=True):
-        work, pushing, lateral = (
-            still[name] / wake[name] if min(still[name], wake[name]) > 0.0 else nan
-            for name in WORKS
-        )
+        work, pushing, lateral = (divide_work(still, wake, name) for name in WORKS)
         cells = (
             *((wake["work"], ".3f"), (still["work"], ".2f"), (work, ".1f")),
             *((1.0 - 1.0 / work, ".1%"), (pushing, ".1f")),

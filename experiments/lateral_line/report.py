@@ -76,6 +76,9 @@ Input of this classifier: {features}, over {window_T:.3g} T.
 
 ![window, noise, memory](limits.png)
 
+The classifiers of the tables below are fitted anew with the settings of this one, without noise
+unless stated; the same inputs therefore have other accuracies than above.
+
 ## Memory
 
 Accuracy of predictions that accumulate the signals of an episode; with memory 0 only the current

@@ -10,7 +10,7 @@ from typing import Any
 from markdown_it import MarkdownIt
 
 from experiments.gait import figures
-from experiments.gait.tables import PAPER_WORK_RATIO, write_results
+from experiments.gait.tables import PAPER_WORK_RATIO, divide_work, write_results
 from experiments.gait_page import draw_transfer, read, write_free_stream
 from experiments.pages import fill, write_table
 from experiments.statistics import Statistic, show
@@ -64,7 +64,7 @@ def compare(transfer: Any, free: Any, line: Any, captures: Sequence[float]) -> s
     both, ablation = arms[ARMS["both"]], arms[ARMS["ablation"]]
     shedding = [0.4 * rate / u for rate, u in zip(transfer["shedding"], speeds, strict=True)]
     works = zip(free["flows"], both, strict=True)
-    ratios = [flow["lateral_work"] / wake["lateral_work"] for flow, wake in works]
+    ratios = [divide_work(flow, wake, "lateral_work") for flow, wake in works]
     quantities: list[tuple[str, Sequence[float], Sequence[float], str, str]] = [
         (
             "Strouhal number of the wake",
@@ -181,7 +181,7 @@ def render(
         f"{hours:.1f} hours on {'; '.join(sorted(machines))}.",
         "### The paper's numbers and ours",
         compare(transfer, free, line, [time for time in times if time is not None]),
-        "### Settings",
+        "### Settings of the second task",
         list_settings(runs["both"][0]),
         "### Task 1: predation",
         (folder / "predation" / "summary.md").read_text(encoding="utf-8").partition("\n")[2],
