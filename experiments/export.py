@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import MISSING
+from tensordict import TensorDictBase
 from torch import Tensor
 
 from experiments.program import program
@@ -70,6 +71,11 @@ def simulate(settings: ExportSettings, *, progress: Progress) -> xr.Dataset:
         if num_checks % stride == 0:
             read(flows)
 
+    def end(running: Tensor, step: TensorDictBase) -> None:
+        progress.advance(1)
+        if step["next", "done"].all():
+            read(env.base_env)  # the last moment of the episode
+
     with closing(settings.make_env(task, recognition, num_envs=1, progress=progress)) as env:
         progress.start("episode", total=max_decisions)
         run_episodes(
@@ -78,7 +84,7 @@ def simulate(settings: ExportSettings, *, progress: Progress) -> xr.Dataset:
             fixed_starts(task, 1, seed=settings.seed),
             max_decisions=max_decisions,
             on_begin=lambda begun, state: read(env.base_env),
-            on_step=lambda running, step: progress.advance(1),
+            on_step=end,
             on_frame=count,
         )
     return make_dataset(frames, body_length=task.scales.body_length)

@@ -68,6 +68,7 @@ class Record(NamedTuple):
     way: Tensor  #: [E, N] through the water, L
     frequency: Tensor  #: [E, N] beats per T
     lengths: Tensor  #: [E] decisions
+    survived: Tensor  #: [E] bool
     contact: Tensor  #: [E] bool
     outlines: list[Tensor]  #: of the bodies in the first flow, [K, 2] each, nodes
     vorticity: Tensor  #: [Y, X] there, per T
@@ -97,7 +98,7 @@ def record(env: TransformedEnv, policy: Any, *, advance: Callable[[], object]) -
     series, (outlines, vorticity) = torch.stack(rows, 1), pictures[-1]
     series[torch.arange(series.shape[1]) >= outcome.lengths[:, None]] = torch.nan
     work, way, frequency = series[..., 2:].unbind(-1)
-    done = (outcome.lengths, contact, outlines, vorticity)
+    done = (outcome.lengths, outcome.succeeded, contact, outlines, vorticity)
     return Record(series[..., :2], work, way, frequency, *done)
 
 
@@ -118,7 +119,7 @@ def summarise(done: Record, task: Follower, *, settle_T: float) -> dict[str, lis
         "aside": done.place[:, first:, 1].abs().nanmean(1).tolist(),
         "frequency": done.frequency[:, first:].nanmean(1).tolist(),
         "survival_T": (done.lengths * task.interval_T).tolist(),
-        "survived": (done.lengths == task.time_limit).double().tolist(),
+        "survived": done.survived.double().tolist(),
         "contact": done.contact.double().tolist(),
     }
 

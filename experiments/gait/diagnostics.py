@@ -51,7 +51,7 @@ def diagnose(
         "diverged": int(h.diverged.sum()),
         "survival_T": _mean(lengths),
         "survival_error_T": half_width(lengths.tolist()),
-        "survivors": _mean(((lengths >= limit_T - 1e-6) & ~h.diverged).double()),
+        "survivors": _mean(((lengths >= limit_T - 1e-6) & ~h.diverged & ~h.terminated).double()),
         **_count_ends(h, task.safe_area),
         "x_mean": _mean(x),
         "x_deviation": _deviation(x),

@@ -20,6 +20,7 @@ from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.episodes import run_episodes
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.macro_actions import ContinuousFrequency, DirectFrequencies
+from fishrl.envs.sensors import wrap_angle
 from fishrl.envs.steering import PolicySteering
 from fishrl.envs.transforms import ORACLE, equip
 from fishrl.files import load_tensors, staged
@@ -101,14 +102,14 @@ def prolong(task: KarmanGait, periods: float) -> KarmanGait:
 def load_trial(run: Path, *, periods: float = PERIODS, recognition: str | None = None) -> Trial:
     """Return the trial of the learned policy of a run folder, with its classifier or another."""
     path, plan = load_plan(run)
-    choice = recognition or find_classifier(plan.recognition, path)
+    choice = find_classifier(recognition or plan.recognition, path)
     source = load_recognition(choice)
     task, _ = equip(plan.task, source)
     if not isinstance(task, KarmanGait):
         raise ValueError(f"{run}: a policy of {type(task).__name__}; give runs of task=karman_gait")
     files = sorted(path.rglob("*-actor/*"))
     if isinstance(source, LateralLineClassifier):
-        files.append(Path(str(choice)))
+        files.append(Path(str(choice)).expanduser())
     arm = name_arm(task, choice)
     return Trial(
         name=f"{arm} {run.name}".replace(" ", "-"),
@@ -239,7 +240,7 @@ def record(
         now, unnamed = base.now, torch.full(step.shape, torch.nan)
         keep(
             **{name: now[name] for name in (*places, "frequency")},
-            angle_of_attack=now["heading"] - torch.pi,
+            angle_of_attack=wrap_angle(now["heading"] - torch.pi),
             named=step.get("flow_class", unnamed).reshape(-1).double(),
             lengths_T=now["age"].float() / task.scales.period,
         )

@@ -43,6 +43,7 @@ from experiments.sweeps.runs import (
 )
 from experiments.train_settings import TRAINING, TrainConfig, make_plan
 from fishrl.training.aliases import update_names
+from fishrl.training.classifier import find_classifier
 from fishrl.training.description import to_plain
 from fishrl.training.interruption import SIGNALS
 from fishrl.training.progress import Progress
@@ -183,7 +184,8 @@ def is_same(config: TrainConfig, folder: RunFolder) -> bool:
     except ValueError:  # no run has settings that cannot be
         return False
     wanted = update_names(to_plain(asdict(config) | learning))
-    own, given = folder.classifier, Path(wanted["recognition"] or "").expanduser()
+    own = folder.classifier
+    given = Path(find_classifier(wanted["recognition"], folder.path) or "").expanduser()
     if own.is_file() and given.is_file():
         is_equal = filecmp.cmp(own, given, shallow=False)
         stored["recognition"] = wanted["recognition"] if is_equal else str(own)

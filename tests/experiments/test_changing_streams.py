@@ -56,9 +56,10 @@ def test_a_policy_takes_another_classifier(tmp_path: Path) -> None:
     own = load_trial(Path("zoo/gait_small")).recognition
     assert isinstance(own, LateralLineClassifier)
     own.save(tmp_path / "other.pt")
-    trial = load_trial(Path("zoo/gait_small_oracle"), recognition=str(tmp_path / "other.pt"))
-    assert trial.arm == "both modules"
-    assert isinstance(trial.recognition, LateralLineClassifier)
+    for given in (str(tmp_path / "other.pt"), "zoo/gait_small"):
+        trial = load_trial(Path("zoo/gait_small_oracle"), recognition=given)
+        assert trial.arm == "both modules"
+        assert isinstance(trial.recognition, LateralLineClassifier)
 
 
 @pytest.mark.parametrize("runs", ["", "zoo/gait_small,zoo/gait_small"])

@@ -24,6 +24,7 @@ def test_work_per_distance_is_counted_from_when_the_fish_has_settled_to_its_end(
         way=way,
         frequency=rows,
         lengths=lengths,
+        survived=torch.tensor([True, False]),
         contact=torch.tensor([False, True]),
         outlines=[torch.zeros(3, 2)],
         vorticity=torch.zeros(2, 2),

@@ -150,12 +150,14 @@ def test_a_run_that_was_resumed_stays_in_its_sweep_unless_it_learns_something_el
 
 
 def test_a_run_with_another_classifier_is_another_run(tmp_path: Path) -> None:
+    files = [tmp_path / name for name in "abc"]
+    for file, content in zip(files, (b"1", b"1", b"2"), strict=True):
+        file.write_bytes(content)
     folders = []
-    for name, content in (("a", b"1"), ("b", b"1"), ("c", b"2")):
-        (tmp_path / name).write_bytes(content)
-        config = settings_in(tmp_path, recognition=str(tmp_path / name))
+    for given in (*map(str, files), "zoo/gait_half", "zoo/gait_half"):
+        config = settings_in(tmp_path, recognition=given)
         folders.append(jobs.find_or_begin(config, name="run").path.name)
-    assert folders == ["run", "run", "run-2"]
+    assert folders == ["run", "run", "run-2", "run-3", "run-3"]
 
 
 def test_a_killed_job_leaves_the_others_and_goes_on_alone(

@@ -62,6 +62,8 @@ def test_survival_is_a_mean_with_its_interval() -> None:
     result = reduce(make_histories(lengths=[40, 40, 20, 10]))
     assert result["survival_T"] == pytest.approx(27.5)
     assert result["survivors"] == 0.5
+    lost = make_histories(lengths=[40, 40])._replace(terminated=torch.tensor([True, False]))
+    assert reduce(lost)["survivors"] == 0.5  # one left the safe area in the last decision
     deviation = np.std([40, 40, 20, 10], ddof=1)
     assert result["survival_error_T"] == pytest.approx(3.182 * deviation / 2.0, rel=1e-3)
     assert result["diverged"] == 0
