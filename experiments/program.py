@@ -36,9 +36,6 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from hydra import initialize_config_dir
-from hydra.core.global_hydra import GlobalHydra
-from hydra.core.object_type import ObjectType
 from omegaconf import MISSING, OmegaConf
 from tqdm import tqdm
 
@@ -156,10 +153,11 @@ def read_arguments(kind: type) -> dict[str, str]:
 
 def list_choices() -> dict[str, list[str]]:
     """List the config groups and the choices in each."""
-    groups = sorted(path.name for path in CONF.iterdir() if path.is_dir())
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        options = GlobalHydra.instance().config_loader().get_group_options
-        return {group: sorted(options(group, ObjectType.CONFIG)) for group in groups}
+    return {
+        group.name: sorted(path.stem for path in group.glob("*.yaml"))
+        for group in sorted(CONF.iterdir())
+        if group.is_dir()
+    }
 
 
 def set_up_logging() -> None:

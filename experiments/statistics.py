@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -71,11 +72,7 @@ def find_interquartile_mean(values: Sequence[float]) -> Interval:
     A quarter of the values, rounded down, is left out at either end; below four values it is the
     plain mean.
     """
-
-    def average(sample: Any, axis: int = -1) -> Any:
-        return stats.trim_mean(sample, 0.25, axis=axis)
-
-    return _bootstrap(average, values)
+    return _bootstrap(partial(stats.trim_mean, proportiontocut=0.25), values)
 
 
 def find_improvement(ours: Sequence[float], theirs: Sequence[float]) -> Interval:

@@ -15,14 +15,12 @@ from fishrl.bounds import bounded
 from fishrl.envs import AbstractTask, make_env
 from fishrl.envs.episodes import Policy
 from fishrl.envs.transforms import equip
-from fishrl.training.algorithms import Algorithm
 from fishrl.training.aliases import FORMER_SETTINGS
 from fishrl.training.baselines import make_baseline
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.classifier import Recognition, find_classifier, load_recognition
 from fishrl.training.description import make, to_plain
-from fishrl.training.logger import CsvLogger
-from fishrl.training.plan import LEARNING, PARTS, RUN, Plan
+from fishrl.training.plan import LEARNING, PARTS, Plan
 from fishrl.training.policies import load_policy
 from fishrl.training.policy_zoo import PREFIX
 from fishrl.training.progress import Progress
@@ -179,12 +177,4 @@ TRAINING = CommandLine(
 def make_plan(config: TrainConfig) -> Plan:
     """Return the plan of a run with these settings."""
     plain = to_plain(asdict(config))
-    return Plan(
-        task=make(config.task, kind=AbstractTask),
-        algorithm=make(config.algorithm, kind=Algorithm),
-        logger=make(config.logger, kind=CsvLogger),
-        learning=LearningSettings(**{name: plain[name] for name in LEARNING}),
-        run=RunSettings(**{name: plain[name] for name in RUN}),
-        preset=config.preset,
-        extra={n: v for n, v in plain.items() if n not in (*LEARNING, *RUN, *PARTS, "resume")},
-    )
+    return Plan.from_config({n: v for n, v in plain.items() if n not in ("resume", "recognition")})

@@ -24,14 +24,6 @@ CHANNEL: dict[str, Any] = BRIEF | {
     "start_x_bl": (-1.6, -1.4),
     "safe_area": SafeArea(near_bl=-2.0, far_bl=1.0, aside_bl=0.5),
 }
-TUTORIALS = (
-    "cylinder",
-    "fish_env",
-    "fish_in_a_stream",
-    "lateral_line",
-    "macro_actions",
-    "new_task",
-)
 SIZES = {"TINY": TINY | BRIEF, "SMALL": SMALL | BRIEF, "CHANNEL": CHANNEL}
 WRITTEN = {
     "algorithms.md": ["runs"],
@@ -39,10 +31,6 @@ WRITTEN = {
     "tutorials/fish_in_a_stream.md": ["fish_in_a_stream.png"],
     "gymnasium.md": ["fish.zip"],
 }
-
-
-def test_the_six_tutorials_are_there() -> None:
-    assert {f"tutorials/{name}.md" for name in TUTORIALS} <= set(list_pages())
 
 
 @pytest.mark.parametrize("page", list_pages())

@@ -1,4 +1,4 @@
-"""Every program answers any value of any setting within 5 s: it takes it, or says why not."""
+"""Programs answer any value of any setting within 5 s: they take it, or say why not."""
 
 from __future__ import annotations
 
