@@ -19,6 +19,8 @@ from experiments.pages import fill, write_table
 from experiments.program import program
 from experiments.statistics import show
 
+#: Time before the first moment of the figure of a period, in which fish find their place, T.
+SETTLED_T = 20.0
 COPIED = ("survival", "paths", "places", "decisions", "lean", "work")
 
 
@@ -34,6 +36,7 @@ class GaitPageSettings:
         forces: folder of ``experiments.gait_forces``.
         line: run folder of ``experiments.train_lateral_line``.
         transfer: folder of ``experiments.transfer``.
+        part: of the page that ``transfer`` fills, which also begins the names of its figures.
         runs: run folders of ``transfer``; the first policy swims in the figure of a period.
         beside: folder of another transfer test, whose policies are appended to the tables.
         robustness: folder of ``experiments.robustness``.
@@ -48,6 +51,7 @@ class GaitPageSettings:
     forces: str | None = None
     line: str | None = None
     transfer: str | None = None
+    part: str = "transfer"
     runs: tuple[str, ...] = ()
     beside: str | None = None
     robustness: str | None = None
@@ -116,19 +120,20 @@ def take_page(page: Path, pictures: Path, *, prefix: str = "") -> str:
     return text
 
 
-def draw_transfer(folder: str, runs: Sequence[str], pictures: Path) -> None:
+def draw_transfer(folder: str, runs: Sequence[str], pictures: Path, *, prefix: str = "") -> None:
     """Copy the figures of a transfer test, and draw those of its trainings."""
     for name in COPIED:
-        copyfile(Path(folder) / f"{name}.png", pictures / f"{name}.png")
+        copyfile(Path(folder) / f"{name}.png", pictures / f"{prefix}{name}.png")
     by_arm: dict[str, list[Path]] = {}
     trials = [load_trial(Path(run)) for run in runs]
     for run, trial in zip(runs, trials, strict=True):
         by_arm.setdefault(trial.arm, []).append(Path(run))
     if trials:
-        figures.write_training(pictures / "training.png", by_arm)
-        periods_T = [1.0 / frequency for frequency in list_shedding(trials[0].task)]
-        path = pictures / "period.png"
-        figures.write_period(path, trials[0], num_decisions=8, periods_T=periods_T)
+        figures.write_training(pictures / f"{prefix}training.png", by_arm)
+        task, path = trials[0].task, pictures / f"{prefix}period.png"
+        periods_T = [1.0 / frequency for frequency in list_shedding(task)]
+        lead = task.count_decisions(SETTLED_T)
+        figures.write_period(path, trials[0], num_decisions=lead, periods_T=periods_T)
 
 
 def write_free_stream(free: Any, in_wake: Any) -> str:
@@ -167,8 +172,9 @@ def main(settings: GaitPageSettings) -> None:
     if s.transfer is not None:
         results, others = read(s.transfer), read(s.beside)["arms"] if s.beside else {}
         speeds = results["speeds_bl"]
-        draw_transfer(s.transfer, s.runs, pictures)
-        parts["transfer"] = tables.write_results(results["arms"] | others, speeds)
+        prefix = "" if s.part == "transfer" else f"{s.part}_"
+        draw_transfer(s.transfer, s.runs, pictures, prefix=prefix)
+        parts[s.part] = tables.write_results(results["arms"] | others, speeds)
         if s.free_stream is not None:
             free = read(s.free_stream, "free_stream.json")
             in_wake, work = (next(iter(results[name].values())) for name in ("arms", "work"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -202,17 +203,24 @@ def write_period(path: Path, trial: Trial, *, num_decisions: int, periods_T: lis
     """
     task, num = trial.task, len(periods_T)
     length, (x, y) = task.body_length, task.origin.tolist()
-    frames: list[tuple[Any, Any, Tensor]] = []
+    most = num_decisions + ceil(max(periods_T) / task.interval_T)
+    first, count = num_decisions * FRAMES, 0
+    frames: deque[list[Any]] = deque(maxlen=most * FRAMES - first)
+    last: list[Any] = [None] * num
 
     def keep(flows: FlowEnv) -> None:
         """Keep, per flow, vorticity ``[Y, X]`` in 1/T, outlines in nodes, and time in T."""
+        nonlocal count, last
         solver = flows.solver
         vorticity = compute_vorticity(solver.macroscopic()[1]) * task.scales.period
         outlines = [solver.markers(index).clone() for index in range(len(solver.bodies))]
-        age_T = solver.body.age / task.scales.period
-        frames.append((vorticity, list(zip(*outlines, strict=True)), age_T))
+        ages_T = (solver.body.age / task.scales.period).tolist()
+        now = zip(vorticity, zip(*outlines, strict=True), ages_T, strict=True)
+        # a new start has age 0: the end of the episode before is kept
+        last = [new if new[2] > 0.0 else old for old, new in zip(last, now, strict=True)]
+        frames.append(last)
+        count += 1
 
-    most = num_decisions + ceil(max(periods_T) / task.interval_T)
     task = replace(task, time_limit=most)
     starts = fixed_starts(task, 1, seed=0)[[0] * num]
     starts["flow_index"] = torch.arange(num)
@@ -220,11 +228,9 @@ def write_period(path: Path, trial: Trial, *, num_decisions: int, periods_T: lis
     shape: Any = {"rows": num, "columns": _NUM_MOMENTS, "size": (12, 2.1 * num + 0.6)}
     with panels(path, **shape, has_grid=False, sharex=True, sharey=True) as grid:
         for flow, (row, speed) in enumerate(zip(grid, task.stream.speeds_bl, strict=True)):
-            swum = [frame for frame in frames if frame[2][flow] > 0.0]  # a new start has age 0
             for number, axes in enumerate(row):
                 at = round(number * FRAMES * periods_T[flow] / task.interval_T / _NUM_MOMENTS)
-                frame = swum[min(num_decisions * FRAMES + at, len(swum) - 1)]
-                vorticity, outlines, time = (values[flow] for values in frame)
+                vorticity, outlines, time = frames[min(first + at, count - 1) - count][flow]
                 height, width = vorticity.shape
                 edges = (-0.5 - x, width - 0.5 - x, -0.5 - y, height - 0.5 - y)
                 image = axes.imshow(
@@ -234,7 +240,7 @@ def write_period(path: Path, trial: Trial, *, num_decisions: int, periods_T: lis
                 for outline in outlines:
                     axes.fill(*((outline - task.origin) / length).numpy().T, color=FISH)
                 axes.set(xlim=(-0.6, 4.4), ylim=(-1.2, 1.2))
-                part = f"{number}/{_NUM_MOMENTS} of the period, t = {float(time):.1f} T"
+                part = f"{number}/{_NUM_MOMENTS} of the period, t = {time:.1f} T"
                 axes.set_title(f"{speed:g} L/T, {part}", fontsize=8.5)
             row[0].set_ylabel("y  [L]")
         for axes in grid[-1]:

@@ -137,8 +137,8 @@ def test_recognition_fits_the_task_or_says_why(tmp_path: Path) -> None:
 
 
 def test_a_classifier_of_the_zoo_is_named_like_its_policy(tmp_path: Path) -> None:
-    kept = keep_recognition("zoo/gait_half", tmp_path)
-    ours, theirs = (load_recognition(name, tmp_path) for name in (kept, "zoo/gait_half"))
+    kept = keep_recognition("zoo/gait_narrow", tmp_path)
+    ours, theirs = (load_recognition(name, tmp_path) for name in (kept, "zoo/gait_narrow"))
     assert isinstance(ours, LateralLineClassifier) and isinstance(theirs, LateralLineClassifier)
     assert ours.flows == theirs.flows
     torch.testing.assert_close(ours.state_dict(), theirs.state_dict(), rtol=0, atol=0)

@@ -154,7 +154,7 @@ def test_a_run_with_another_classifier_is_another_run(tmp_path: Path) -> None:
     for file, content in zip(files, (b"1", b"1", b"2"), strict=True):
         file.write_bytes(content)
     folders = []
-    for given in (*map(str, files), "zoo/gait_half", "zoo/gait_half"):
+    for given in (*map(str, files), "zoo/gait_narrow", "zoo/gait_narrow"):
         config = settings_in(tmp_path, recognition=given)
         folders.append(jobs.find_or_begin(config, name="run").path.name)
     assert folders == ["run", "run", "run-2", "run-3", "run-3"]
