@@ -35,7 +35,7 @@ def diagnose(
     label). Lengths are in L, angles in degrees, frequencies per T, work per T in rho L^2 (L / T)^2.
     The shedding frequency is that of the wake without a fish, NaN in a free stream.
     """
-    h, lengths, limit_T = histories, histories.lengths_T.double(), task.time_limit * task.interval_T
+    h, lengths = histories, histories.lengths_T.double()
     x, y = h.place[:, 1:, 0], h.place[:, 1:, 1]
     (near, far), aside = STREET
     is_known = ~h.frequency.isnan()
@@ -51,7 +51,7 @@ def diagnose(
         "diverged": int(h.diverged.sum()),
         "survival_T": _mean(lengths),
         "survival_error_T": half_width(lengths.tolist()),
-        "survivors": _mean(((lengths >= limit_T - 1e-6) & ~h.diverged & ~h.terminated).double()),
+        "survivors": _mean((~h.terminated & ~h.diverged).double()),
         **_count_ends(h, task.safe_area),
         "x_mean": _mean(x),
         "x_deviation": _deviation(x),

@@ -64,6 +64,8 @@ def test_survival_is_a_mean_with_its_interval() -> None:
     assert result["survivors"] == 0.5
     lost = make_histories(lengths=[40, 40])._replace(terminated=torch.tensor([True, False]))
     assert reduce(lost)["survivors"] == 0.5  # one left the safe area in the last decision
+    rounded = make_histories(lengths=[40, 40])._replace(lengths_T=torch.tensor([39.9999, 40.0]))
+    assert reduce(rounded)["survivors"] == 1.0
     deviation = np.std([40, 40, 20, 10], ddof=1)
     assert result["survival_error_T"] == pytest.approx(3.182 * deviation / 2.0, rel=1e-3)
     assert result["diverged"] == 0
