@@ -24,6 +24,7 @@ def bounded(
     largest: float | None = None,
     less: float | None = None,
     entries: int | None = None,
+    norm: float | None = None,
 ) -> Any:
     """Return a dataclass field whose numbers ``check_bounds`` keeps within bounds.
 
@@ -34,9 +35,10 @@ def bounded(
         largest: largest allowed value.
         less: the value must be less than this.
         entries: smallest number of values in a sequence.
+        norm: largest Euclidean norm of a sequence, or absolute value of a number.
     """
     bounds = {"least": least, "greater": greater, "largest": largest, "less": less}
-    bounds |= {"entries": entries}
+    bounds |= {"entries": entries, "norm": norm}
     return field(default=default, metadata={k: v for k, v in bounds.items() if v is not None})
 
 
@@ -78,6 +80,8 @@ def check_bounds(settings: Any, *, path: str = "") -> None:
             if is_dataclass(number) and not isinstance(number, type):
                 check_bounds(number, path=f"{path}{entry.name}.")
             allowed = allowed or _find_violation(number, kind=hint, bounds=bounds)
+        if not allowed and "norm" in bounds and math.hypot(*numbers) > bounds["norm"]:
+            allowed = _describe(bounds)
         if allowed:
             raise ValueError(f"{path}{entry.name} = {value}: must be {allowed}")
         if isinstance(value, list) and "list" not in hint:
@@ -128,6 +132,7 @@ def _find_violation(number: Any, *, kind: str, bounds: Any) -> str:
 def _describe(bounds: Any, *first: str) -> str:
     words = {"least": "at least", "greater": "greater than", "largest": "at most"}
     words |= {"less": "less than", "entries": "a list with a length of at least"}
+    words |= {"norm": "of a norm of at most"}
     return ", ".join(
         (*first, *(f"{word} {bounds[name]}" for name, word in words.items() if name in bounds))
     )

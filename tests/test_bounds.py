@@ -19,6 +19,7 @@ class Settings:
     free: float = 0.0
     limit: float | None = bounded(None, greater=0)
     sizes: tuple[int, ...] = bounded((1, 2), least=1, entries=1)
+    vector: tuple[float, float] = bounded((0.0, 0.0), norm=0.5)
     rows: tuple[tuple[float, ...], ...] = bounded(((1.0,),), greater=0)
     part: Any = None
     is_on: bool = True
@@ -51,6 +52,7 @@ def test_lists_become_tuples() -> None:
         {"sizes": (3, 0)},
         {"sizes": [3, nan]},
         {"sizes": ()},
+        {"vector": (0.4, -0.4)},
         {"sizes": ((1,),)},
         {"rows": ((1.0, nan),)},
         {"count": 2**63},
@@ -67,7 +69,7 @@ def test_a_number_out_of_bounds_is_refused_by_name_and_value(wrong: dict[str, An
 
 def test_numbers_at_their_bounds_and_things_that_are_no_numbers_pass() -> None:
     Settings(count=1, share=0, rate=1e-300, free=-5, limit=None, sizes=[1], is_on=False)
-    Settings(share=1, limit=3)
+    Settings(share=1, limit=3, vector=(0.3, -0.4))
 
 
 def test_what_a_dataclass_holds_is_checked_with_it() -> None:

@@ -8,7 +8,7 @@ all edges move with the stream; its speed is relative to the stream. Forces are 
 and the velocities of the fish by magnitude.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import hypot, pi
 
@@ -59,28 +59,29 @@ def push_cylinders(*, is_half: bool, is_turned: bool) -> Result:
     size = (30 * DIAMETER, 20 * DIAMETER)
     x, y = 14.0 * DIAMETER, 0.5 * (size[1] - 1.0)
     tau = 3.0 * SPEED * DIAMETER / REYNOLDS + 0.5
+
+    def push(body: BodyConfig, runs: Mapping[str, Start]) -> Result:
+        solver = _start(body, list(runs.values()), size=size, tau=tau, is_turned=is_turned)
+        half = 2 * round(0.5 * TRAVEL * DIAMETER / SPEED / 2)
+        solver.advance_(half)
+        before = solver.body.impulse.clone()
+        solver.advance_(half)
+        force = _turn_back(solver.body.impulse - before, is_turned) / half
+        return dict(zip(runs, (force / (0.5 * SPEED**2 * DIAMETER)).tolist(), strict=True))
+
     if is_half:
         y += 7.3
-        body: BodyConfig = DCylinder(diameter=DIAMETER, motion=Driven())
-        runs = {
-            BASE: ((x, y), pi - TILT, SPEED),
-            MIRRORED: ((x, size[1] - 1.0 - y), pi + TILT, SPEED),
-        }
-    else:
-        body = Cylinder(diameter=DIAMETER, motion=Driven())
-        runs = {BASE: ((x, y), pi, SPEED)}
-        runs |= {name: ((x + dx, y + dy), pi, SPEED) for name, (dx, dy) in SHIFTS.items()}
-        runs[MOVING] = ((x + 0.5 * TRAVEL * DIAMETER, y), pi, 0.0)
-    solver = _start(body, list(runs.values()), size=size, tau=tau, is_turned=is_turned)
-    for row, (_, _, stream) in enumerate(runs.values()):
-        if stream == 0.0:
-            solver.body.velocity[row, 1 if is_turned else 0] = -SPEED
-    half = 2 * round(0.5 * TRAVEL * DIAMETER / SPEED / 2)
-    solver.advance_(half)
-    before = solver.body.impulse.clone()
-    solver.advance_(half)
-    force = _turn_back(solver.body.impulse - before, is_turned) / half
-    return dict(zip(runs, (force / (0.5 * SPEED**2 * DIAMETER)).tolist(), strict=True))
+        body = DCylinder(diameter=DIAMETER, motion=Driven())
+        place, mirrored = (x, y), (x, size[1] - 1.0 - y)
+        runs = {BASE: (place, pi - TILT, SPEED), MIRRORED: (mirrored, pi + TILT, SPEED)}
+        return push(body, runs)
+    runs = {BASE: ((x, y), pi, SPEED)}
+    runs |= {name: ((x + dx, y + dy), pi, SPEED) for name, (dx, dy) in SHIFTS.items()}
+    ahead = Driven(velocity=(0.0, -SPEED) if is_turned else (-SPEED, 0.0))
+    moving = {MOVING: ((x + 0.5 * TRAVEL * DIAMETER, y), pi, 0.0)}
+    return push(Cylinder(diameter=DIAMETER, motion=Driven()), runs) | push(
+        Cylinder(diameter=DIAMETER, motion=ahead), moving
+    )
 
 
 def swim_invariantly(*, is_turned: bool) -> Result:

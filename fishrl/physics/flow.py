@@ -21,7 +21,7 @@ from fishrl.physics.delta import Kernel, Roma3
 from fishrl.physics.immersed_boundary import ForceSolve, IterativeForcing
 from fishrl.physics.lattice import Q
 from fishrl.physics.storage import Storage
-from fishrl.physics.units import MAX_WALL_SPEED, check_tau
+from fishrl.physics.units import MAX_IMPOSED_SPEED, check_tau
 
 
 class Coupling(Enum):
@@ -96,10 +96,10 @@ class FlowConfig:
         if self.fish is None and any(isinstance(body, Fish) for body in self.bodies):
             names = [type(body).__name__ for body in self.bodies]
             raise ValueError(f"bodies = {names}: a fish comes first")
-        if self.fastest_edge > 2.0 * MAX_WALL_SPEED:
+        if self.fastest_edge > MAX_IMPOSED_SPEED:
             raise ValueError(
                 f"an edge imposes {self.fastest_edge:.3f} nodes per step, allowed is "
-                f"{2.0 * MAX_WALL_SPEED} (Mach 0.52): lower stream_speed"
+                f"{MAX_IMPOSED_SPEED} (Mach 0.52): lower stream_speed"
             )
         for body in self.bodies:
             if body.size > min(self.width, self.height) - 4:

@@ -1,7 +1,7 @@
 """What moves a body: nothing, a prescribed motion, a command or the flow."""
 
 from dataclasses import dataclass
-from math import pi
+from math import hypot, pi
 from typing import ClassVar
 
 import torch
@@ -9,6 +9,7 @@ from torch import Tensor
 
 from fishrl.bounds import Checked, bounded
 from fishrl.physics.bodies.state import BodyState
+from fishrl.physics.units import MAX_IMPOSED_SPEED
 
 
 def compute_turn_rate(body: BodyState) -> Tensor:
@@ -42,6 +43,10 @@ class Motion(Checked):
         """Return velocity ``[B, 2]`` and Omega ``[B]``; used where the flow does not set them."""
         return body.velocity, body.angular_velocity
 
+    def compute_wall_speed(self, radius: float) -> float:
+        """Return the speed, nodes per step, that it imposes on a body of ``radius`` nodes."""
+        return 0.0
+
     def compute_bend_rate(self, body: BodyState) -> Tensor:
         """Return the change per step of a fish's bend, ``[B]``; see ``Bending``."""
         return torch.zeros_like(body.bend)
@@ -70,9 +75,29 @@ class Fixed(Motion):
         return torch.stack((zero, kick), -1), zero
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Driven(Motion):
-    """A body that keeps the velocity and angular velocity of its initial state."""
+    """A body that moves at a constant velocity and turns at a constant rate.
+
+    Its surface moves at no more than 0.3 nodes per step.
+
+    Args:
+        velocity: (x, y) of the centre of mass, nodes per step.
+        angular_velocity: radians per step, counter-clockwise.
+    """
+
+    velocity: tuple[float, float] = bounded((0.0, 0.0), norm=MAX_IMPOSED_SPEED)
+    angular_velocity: float = bounded(0.0, norm=MAX_IMPOSED_SPEED)
+
+    def prescribe(self, body: BodyState) -> tuple[Tensor, Tensor]:
+        """Return these velocities, whatever the body's state."""
+        zero = torch.zeros_like(body.angular_velocity)
+        x, y = self.velocity
+        return torch.stack((zero + x, zero + y), -1), zero + self.angular_velocity
+
+    def compute_wall_speed(self, radius: float) -> float:
+        """Return the sum of both."""
+        return hypot(*self.velocity) + abs(self.angular_velocity) * radius
 
 
 @dataclass(frozen=True, kw_only=True)

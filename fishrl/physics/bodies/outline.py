@@ -19,6 +19,7 @@ from fishrl.physics.bodies.midline import MidlineParams
 from fishrl.physics.bodies.motion import Bending, Fixed, Motion
 from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.shear import ShearParams
+from fishrl.physics.units import MAX_IMPOSED_SPEED
 
 _STATIONS = 20001  # quadrature and arc-length stations along the body; set-up cost only
 
@@ -59,6 +60,12 @@ class BodyConfig(ABC):
             raise ValueError(
                 "motion = Bending(): a command bends only a Fish without keeps_length and strokes, "
                 f"not this {type(self).__name__}; take Commanded() or Free()"
+            )
+        if (speed := self.motion.compute_wall_speed(0.5 * self.size)) > MAX_IMPOSED_SPEED:
+            raise ValueError(
+                f"{type(self).__name__} of {self.size:g} nodes with motion = {self.motion}: its "
+                f"surface would move at {speed:.3g} nodes per step: at most {MAX_IMPOSED_SPEED} is "
+                "allowed, so lower velocity or angular_velocity"
             )
         perimeter = float(sum(self._lengths))
         if self.num_markers == 0:

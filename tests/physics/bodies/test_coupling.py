@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fishrl.physics import Cylinder, FlowConfig, FlowState, Scales
+from fishrl.physics import Cylinder, FlowConfig, FlowState, InPlaceSolver, Scales
 from fishrl.physics.bodies.motion import Driven, Free
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
@@ -24,7 +24,7 @@ def test_what_a_turning_cylinder_gives_the_fluid_is_the_fluids_angular_momentum(
     rate: float,
 ) -> None:
     """Streaming and collision keep angular momentum, until 15 steps bring it to the edges."""
-    cylinder = Cylinder(diameter=20, motion=Driven())
+    cylinder = Cylinder(diameter=20, motion=Driven(angular_velocity=rate))
     config = FlowConfig(width=60, height=60, tau=0.6, bodies=(cylinder,), boundaries=PERIODIC)
     params = make_params([config])
     body = make_body(CENTRE, 0 * ONE, 0 * ONE)._replace(angular_velocity=rate * ONE)
@@ -38,6 +38,27 @@ def test_what_a_turning_cylinder_gives_the_fluid_is_the_fluids_angular_momentum(
     assert given * rate > 0  # the cylinder takes the fluid along
     assert given == pytest.approx(float((x * jy - y[:, None] * jx).sum()), rel=1e-3)
     assert felt == pytest.approx(-given, rel=1e-12)  # at a constant rate there is no inertia
+
+
+def test_a_driven_body_keeps_the_velocity_of_its_motion_whatever_its_state() -> None:
+    """In the readable and in the in-place step; a sum of six numbers is exact to round-off."""
+    motion = Driven(velocity=(0.03, -0.01), angular_velocity=0.002)
+    body = Cylinder(diameter=12, motion=motion)
+    config = FlowConfig(width=60, height=60, tau=0.6, bodies=(body,))
+    wrong = {"velocity": torch.full((1, 2), 0.05).double(), "angular_velocity": 0.1 * ONE}
+    start = make_body(CENTRE, 0 * ONE, 0 * ONE)._replace(**wrong)
+    state = FlowState(make_rest(config, 1), (start,))
+    for _ in range(6):
+        state = step(state, config, make_params([config]))
+    solver = InPlaceSolver(config=config, compile=False, num_workers=0)
+    solver.reset_(torch.tensor([True]), CENTRE)
+    for name, value in wrong.items():
+        getattr(solver.body, name).copy_(value)
+    solver.advance_(6)
+    for end in (state.bodies[0], solver.body):
+        assert (end.position - CENTRE)[0].tolist() == pytest.approx([0.18, -0.06], rel=1e-9)
+        assert float(end.heading) == pytest.approx(0.012, rel=1e-9)
+        assert (end.velocity[0].tolist(), float(end.angular_velocity)) == ([0.03, -0.01], 0.002)
 
 
 SCALES = Scales.from_budget(body_length=20, reynolds=500.0, max_wall_speed=0.1)

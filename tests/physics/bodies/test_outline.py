@@ -8,7 +8,7 @@ import torch
 
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.geometry import deform_body, place_markers
-from fishrl.physics.bodies.motion import Driven, Fixed, Free, Oscillating
+from fishrl.physics.bodies.motion import Driven, Fixed, Oscillating
 from fishrl.physics.bodies.outline import BodyConfig, Cylinder, DCylinder, Ellipse, Foil
 from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.shear import ShearParams
@@ -128,13 +128,6 @@ def test_a_kick_ends_and_pushes_both_ways_alike() -> None:
     assert speeds[30:] == [0.0] * 10
 
 
-def test_a_driven_body_keeps_its_velocity_and_a_free_one_has_no_prescription() -> None:
-    body = make_body(torch.zeros(1, 2, dtype=torch.float64), 0 * ONE, 0 * ONE)
-    body = body._replace(velocity=torch.tensor([[0.03, 0.01]]).double(), angular_velocity=0.2 * ONE)
-    assert torch.equal(Driven().prescribe(body)[0], body.velocity)
-    assert Free().free_axes == (0, 1, 2) and Driven().free_axes == ()
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -142,6 +135,9 @@ def test_a_driven_body_keeps_its_velocity_and_a_free_one_has_no_prescription() -
         (lambda: Foil(chord=50, thickness=0.6), "thickness = 0.6"),
         (lambda: Cylinder(diameter=40, num_markers=500), "0.25 nodes apart"),
         (lambda: Cylinder(diameter=40, inset=1.5), "inset = 1.5"),
+        (lambda: Driven(velocity=(0.25, 0.25)), "velocity = .* norm of at most 0.3"),
+        (lambda: Driven(angular_velocity=-0.4), "angular_velocity = -0.4"),
+        (lambda: Cylinder(diameter=40, motion=Driven(angular_velocity=0.02)), "0.4 nodes per step"),
     ],
 )
 def test_bodies_that_cannot_be_are_refused(make: object, message: str) -> None:
