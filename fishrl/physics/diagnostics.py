@@ -90,8 +90,8 @@ def measure_cycles(signal: Tensor, interval: float, *, clock: Tensor | None = No
     """
     values = signal.double()
     beat = values if clock is None else clock.double()
-    if not (values.isfinite().all() and beat.isfinite().all()):
-        raise ValueError("some samples are not finite: the flow has diverged")
+    _check_finite(values)
+    _check_finite(beat)
     at = find_crossings(beat - beat.mean())
     for _ in range(3):  # the mean over whole periods moves the crossings a little
         if len(at) < 3:
@@ -140,12 +140,21 @@ def compute_spectral_frequency(signal: Tensor, interval: float) -> float:
     Args:
         signal: ``[n]`` evenly sampled.
         interval: time between samples.
+
+    Raises:
+        ValueError: if numbers are not finite.
     """
+    _check_finite(signal)
     values = signal.double() - signal.double().mean()
     window = torch.hann_window(len(values), periodic=True, dtype=torch.float64)
     power = torch.fft.rfft(values * window.to(values.device)).abs().clamp_min(1e-300).log()
     at = int(power[1:-1].argmax()) + 1
     return (at + _fit_peak(power, at)[0]) / (len(values) * interval)
+
+
+def _check_finite(signal: Tensor) -> None:
+    if not signal.isfinite().all():
+        raise ValueError("some samples are not finite: the flow has diverged")
 
 
 def _integrate(values: Tensor, start: Tensor, end: Tensor) -> Tensor:

@@ -41,13 +41,13 @@ def test_the_fish_swims_ahead_turns_as_commanded_and_goes_on_exactly_when_saved(
     assert turned == pytest.approx(15.0, abs=1e-9)
 
 
-def test_a_diverged_flow_is_reset_alone_and_swims_on() -> None:
+def test_a_diverged_flow_is_reset_alone_and_swims_on(caplog: pytest.LogCaptureFixture) -> None:
     task = Predation(**TINY, control_interval_T=0.25, checks_per_action=6)
     starts = task.sample_starts(2, torch.Generator().manual_seed(1))
     env, intact = (make_env(task=task, num_envs=2, compile=False, starts=starts) for _ in range(2))
     states = [env.reset(), intact.reset()]
     f = env.base_env.solver.populations()
-    f[1, :, 20, 20] = torch.nan
+    f[1] = torch.nan
     env.base_env.solver.set_populations_(f)
     keep = torch.ones(2, dtype=torch.int64)
     (broken, states[0]), (whole, states[1]) = (
@@ -58,6 +58,9 @@ def test_a_diverged_flow_is_reset_alone_and_swims_on() -> None:
     assert broken["next", "truncated"].squeeze(-1).tolist() == [False, True]
     assert broken["next", "observation_stack"].isfinite().all()
     assert env.base_env.num_diverged == 1
+    assert [r.message for r in caplog.records] == [
+        "flows [1] diverged and were truncated; 1 so far"
+    ]
     assert (broken["next"][0] == whole["next"][0]).all()
     solvers = [e.base_env.solver for e in (env, intact)]
     assert torch.equal(*(s.populations()[0] for s in solvers))

@@ -1,9 +1,11 @@
 """What is read off a signal: frequencies, means and amplitudes over whole periods."""
 
 import math
+from collections.abc import Callable
 
 import pytest
 import torch
+from torch import Tensor
 
 from fishrl.physics import (
     compute_coefficient,
@@ -43,9 +45,23 @@ def test_cycles_need_two_whole_periods() -> None:
         measure_cycles(LIFT[:200], 0.1)
 
 
-def test_cycles_of_a_diverged_flow_say_so() -> None:
+@pytest.mark.parametrize(
+    "measure",
+    [
+        measure_cycles,
+        compute_spectral_frequency,
+        lambda lift, interval: compute_strouhal(lift, interval, length=20.0, speed=0.1),
+        lambda lift, interval: measure_cycles(LIFT, interval, clock=lift),
+    ],
+)
+@pytest.mark.parametrize("first", [0, 990])
+def test_what_is_measured_of_a_diverged_flow_says_so(
+    measure: Callable[[Tensor, float], object], first: int
+) -> None:
+    lift = LIFT.clone()
+    lift[first:] = torch.nan
     with pytest.raises(ValueError, match="diverged"):
-        measure_cycles(LIFT.index_fill(0, torch.tensor([700]), torch.nan), 0.1)
+        measure(lift, 0.1)
 
 
 def test_spectrum_and_crossings_agree_between_the_bins() -> None:

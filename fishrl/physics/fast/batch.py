@@ -94,6 +94,11 @@ class FlowBatch:
             if number in wanted:
                 self.stepper.advance_(group, num_steps)
 
+    def is_lost(self) -> Tensor:
+        """Return ``[B]``: the middle is not finite, which all of a diverged flow soon becomes."""
+        y, x = self.layout.height // 2, self.layout.width // 2
+        return torch.cat([~group.nodes[0][:, y, x].isfinite() for group in self.groups.values()])
+
     def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Read density and velocity between the nodes, bilinearly, before an even step.
 
@@ -139,7 +144,29 @@ class FlowBatch:
         populations = {f"f{q}": list(views) for q, views in enumerate(nodes)}
         return {**populations, "omega": [self._omega], **named}
 
-    def read_former(self, state: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+    def load_state_(self, state: Mapping[str, Tensor]) -> None:
+        """Restore the tensors of ``name_state``, each of all flows ``[B, ...]``.
+
+        Raises:
+            ValueError: for a state of another grid, batch, storage or version.
+        """
+        state = self._read_former(state)
+        own_state = self.name_state()
+        for name, own in own_state.items():
+            shape = (len(self.flow.clock), *own[0].shape[1:])
+            expected = f"{own[0].dtype} of shape {shape}"
+            saved = state.get(name)
+            got = "nothing" if saved is None else f"{saved.dtype} of shape {tuple(saved.shape)}"
+            if got != expected:
+                raise ValueError(
+                    f"state '{name}' is {got}, expected {expected}: it was saved by a solver of "
+                    "another grid, batch, storage or version"
+                )
+        for name, own in own_state.items():
+            for part, saved in zip(own, torch.split(state[name], len(own[0])), strict=True):
+                part.copy_(saved)
+
+    def _read_former(self, state: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
         """Return a state as of today for one that was saved formerly.
 
         That held the memory of the populations itself as ``data`` ``[groups, slots]`` in place of

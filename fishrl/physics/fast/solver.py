@@ -78,6 +78,7 @@ class InPlaceSolver:
         self._shared: IO[bytes] | None = None
         self._is_closed = self._is_ready = False
         self._began: float | None = None  # to compile
+        self._is_lost = torch.zeros(num_envs, dtype=torch.bool)  # after the last advance_
         rise = [float(each.ramp_steps) for each in configs]
         self._rise = torch.tensor(rise, dtype=torch.float64, device=device)
         every = torch.ones(num_envs, dtype=torch.bool, device=device)
@@ -151,6 +152,9 @@ class InPlaceSolver:
         each flow is its own group by default. On a GPU all flows are one group, which always
         advances, since the host would have to wait to see whether any row must.
 
+        On a CPU a warning is logged, once, for flows that are no longer finite; not with ``rows``,
+        whose caller, like the environment, decides about each flow.
+
         Raises:
             ValueError: for an odd number of steps, for ``rows`` that are not ``[B]`` bool, and for
                 several bodies that have not been placed.
@@ -169,6 +173,11 @@ class InPlaceSolver:
             self._workers.advance_(num_steps, groups)
         else:
             self._batch.advance_(num_steps, groups)
+        if rows is None and self.device.type == "cpu":
+            was_lost, self._is_lost = self._is_lost, self._batch.is_lost()
+            if (self._is_lost & ~was_lost).any():
+                lost = self._is_lost.nonzero()[:, 0].tolist()
+                logger.warning("flows %s have diverged: lower stream_speed or raise tau", lost)
 
     def _choose(self, rows: Tensor | None) -> Tensor:
         """Return ``rows`` ``[B]`` on the device of the flows, all of them for None."""
@@ -371,21 +380,7 @@ class InPlaceSolver:
         Raises:
             ValueError: for a state of another grid, batch, storage or version.
         """
-        state = self._batch.read_former(state)
-        own_state = self._batch.name_state()
-        for name, own in own_state.items():
-            shape = (self.num_envs, *own[0].shape[1:])
-            expected = f"{own[0].dtype} of shape {shape}"
-            saved = state.get(name)
-            got = "nothing" if saved is None else f"{saved.dtype} of shape {tuple(saved.shape)}"
-            if got != expected:
-                raise ValueError(
-                    f"state '{name}' is {got}, expected {expected}: it was saved by a solver of "
-                    "another grid, batch, storage or version"
-                )
-        for name, own in own_state.items():
-            for part, saved in zip(own, torch.split(state[name], len(own[0])), strict=True):
-                part.copy_(saved)
+        self._batch.load_state_(state)
         self._unplaced = None
 
     def list_calls(self) -> dict[str, list[tuple[Kernel, Sequence[Tensor]]]]:

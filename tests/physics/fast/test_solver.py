@@ -247,6 +247,30 @@ def test_a_diverged_row_is_flagged_and_harms_no_other() -> None:
     assert not solver.is_diverged().any()
 
 
+@pytest.mark.parametrize("is_reported", [True, False])
+def test_flows_that_diverge_are_reported_once_each_time(
+    is_reported: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Unless the caller names rows. What is not finite spreads by one node per step."""
+    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
+    solver, every = make_solver(config), torch.tensor([True, True, True])
+
+    def count_reports(*diverged: int) -> int:
+        caplog.clear()
+        f = solver.populations()
+        f[list(diverged), 3, 20, 20] = torch.nan
+        solver.set_populations_(f)
+        for _ in range(2):
+            solver.advance_(40, None if is_reported else every)
+        return caplog.text.count(f"flows {list(diverged)} have diverged")
+
+    assert count_reports(0, 2) == is_reported
+    assert not caplog.records[is_reported:]
+    solver.reset_(every, STARTS, HEADINGS)
+    assert count_reports() == 0 and not caplog.records
+    assert count_reports(1) == is_reported
+
+
 @pytest.mark.parametrize(("speed", "is_over"), [(0.45, False), (0.55, True)])
 def test_a_flow_too_fast_for_the_method_counts_as_diverged(speed: float, is_over: bool) -> None:
     """Half a node per step is the most."""
