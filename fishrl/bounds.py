@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import MISSING, field, fields, is_dataclass
 from difflib import SequenceMatcher
@@ -11,6 +12,9 @@ from typing import Any
 
 #: What an integer must be; neither omegaconf nor torch takes others.
 FITTING = "a number of at most 64 bits"
+
+#: Annotation of a tuple with one type for each of its entries.
+FIXED = re.compile(r"tuple\[(\w+(?:, \w+)+)\](?: \| None)?")
 
 #: How deep sequences are searched for numbers where the annotation does not say.
 MAX_DEPTH = 8
@@ -55,7 +59,8 @@ def check_bounds(settings: Any, *, path: str = "") -> None:
 
     Those in sequences and in dataclasses that it holds are checked, too. A field without bounds may
     hold anything but NaN and infinity; an optional one may be None. Lists become tuples, which have
-    a hash, unless the annotation says ``list``.
+    a hash, unless the annotation says ``list``. One like ``tuple[float, float]`` needs as many
+    numbers, which become floats.
 
     Args:
         settings: the dataclass.
@@ -76,16 +81,23 @@ def check_bounds(settings: Any, *, path: str = "") -> None:
         hint = str(entry.type).removeprefix("<class '").removesuffix("'>")
         numbers = list(_flatten(value, depth=hint.count("[") or MAX_DEPTH))
         allowed = "" if len(numbers) >= bounds.get("entries", 0) else _describe(bounds)
+        fixed = FIXED.fullmatch(hint)
+        kinds = fixed[1].split(", ") if fixed and value is not None else [hint]
+        if len(kinds) > 1 and not (isinstance(value, list | tuple) and len(value) == len(kinds)):
+            allowed = f"a list of {len(kinds)}"
         for number in numbers:
             if is_dataclass(number) and not isinstance(number, type):
                 check_bounds(number, path=f"{path}{entry.name}.")
-            allowed = allowed or _find_violation(number, kind=hint, bounds=bounds)
+            allowed = allowed or _find_violation(number, kind=kinds[0], bounds=bounds)
         if not allowed and "norm" in bounds and math.hypot(*numbers) > bounds["norm"]:
             allowed = _describe(bounds)
         if allowed:
             raise ValueError(f"{path}{entry.name} = {value}: must be {allowed}")
         if isinstance(value, list) and "list" not in hint:
-            object.__setattr__(settings, entry.name, _freeze(value))
+            value = _freeze(value)
+            object.__setattr__(settings, entry.name, value)
+        if len(kinds) > 1 and set(kinds) == {"float"}:
+            object.__setattr__(settings, entry.name, tuple(map(float, value)))
 
 
 def _flatten(value: Any, *, depth: int) -> Iterator[Any]:

@@ -20,6 +20,7 @@ class Settings:
     limit: float | None = bounded(None, greater=0)
     sizes: tuple[int, ...] = bounded((1, 2), least=1, entries=1)
     vector: tuple[float, float] = bounded((0.0, 0.0), norm=0.5)
+    pair: tuple[int, int] | None = None
     rows: tuple[tuple[float, ...], ...] = bounded(((1.0,),), greater=0)
     part: Any = None
     is_on: bool = True
@@ -35,8 +36,9 @@ def test_numbers_of_numpy_become_those_of_python() -> None:
 
 
 def test_lists_become_tuples() -> None:
-    settings = Settings(sizes=[3, 4], rows=[[1.0], [2.0]])
-    assert hash(settings) == hash(Settings(sizes=(3, 4), rows=((1.0,), (2.0,))))
+    settings = Settings(sizes=[3, 4], rows=[[1.0], [2.0]], pair=[3, 4], vector=[0, 0])
+    other = Settings(sizes=(3, 4), rows=((1.0,), (2.0,)), pair=(3, 4), vector=(0.0, 0.0))
+    assert hash(settings) == hash(other) and repr(settings) == repr(other)
 
 
 @pytest.mark.parametrize(
@@ -53,6 +55,8 @@ def test_lists_become_tuples() -> None:
         {"sizes": [3, nan]},
         {"sizes": ()},
         {"vector": (0.4, -0.4)},
+        *({"vector": value} for value in ((0.1,), [0.1] * 3, 0.1, ("a", "b"))),
+        *({"pair": value} for value in ((1,), (1, 1.5), (1, None))),
         {"sizes": ((1,),)},
         {"rows": ((1.0, nan),)},
         {"count": 2**63},

@@ -100,7 +100,6 @@ class AbstractTask(ABC):
         for name in ("n_obs", "num_actions", "num_draws"):
             if not hasattr(type(self), name):
                 raise ValueError(f"{type(self).__name__} has no {name}: give it as a ClassVar[int]")
-        object.__setattr__(self, "domain_bl", as_pair("domain_bl", self.domain_bl))
         check_bounds(self)
         stretches = make_schedule(
             self.n_substeps, checks=self.checks_per_action, samples=self.num_samples
@@ -363,10 +362,3 @@ class AbstractTask(ABC):
     def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
         """Return the tensors ``[B, ...]`` of the scene by their keys; arguments as ``measure``."""
         return read_flow_scene(solver, self.scales, num_fish=self.num_fish)
-
-
-def as_pair(name: str, value: object) -> tuple[float, float]:
-    """Return a list or tuple of two numbers as a tuple, or raise ValueError."""
-    if not isinstance(value, list | tuple) or len(value) != 2:
-        raise ValueError(f"{name} = {value}: give two numbers")
-    return float(value[0]), float(value[1])

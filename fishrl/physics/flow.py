@@ -101,6 +101,12 @@ class FlowConfig:
                 f"an edge imposes {self.fastest_edge:.3f} nodes per step, allowed is "
                 f"{MAX_IMPOSED_SPEED} (Mach 0.52): lower stream_speed"
             )
+        for sponge in self.sponges:
+            if sponge.length > (self.width if sponge.side.value[0] else self.height):
+                raise ValueError(
+                    f"Sponge of {sponge.length} nodes does not fit into {self.width} x "
+                    f"{self.height} nodes: shorten it or enlarge the domain"
+                )
         for body in self.bodies:
             if body.size > min(self.width, self.height) - 4:
                 raise ValueError(

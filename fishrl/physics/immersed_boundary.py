@@ -171,7 +171,7 @@ class DirectSolve(ForceSolve):
             A nearly singular, and single precision needs about 1e-4. A cylinder needs none.
     """
 
-    regularisation: float = 1e-4
+    regularisation: float = bounded(1e-4, least=0)
 
     def check(self, kernel: Kernel) -> None:
         """Accept every kernel."""

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from fishrl.physics import Boundaries, Cylinder, Fish, FlowConfig, NonEquilibrium, Sponge
+from fishrl.physics.boundaries import Side
 from fishrl.physics.flow import compute_stream_speed, make_params
 
 
@@ -51,6 +52,12 @@ def test_a_later_change_begins_where_the_speed_is_and_follows_half_a_cosine() ->
         (
             {"bodies": (Cylinder(diameter=9), Fish(body_length=24))},
             r"bodies = \['Cylinder', 'Fish'\]: a fish comes first",
+        ),
+        ({"sponges": (Sponge(length=129),)}, "Sponge of 129 nodes does not fit into 128 x 64"),
+        ({"sponges": (Sponge(length=65, side=Side.TOP),)}, "Sponge of 65 nodes does not fit"),
+        (
+            {"boundaries": Boundaries(left=NonEquilibrium(velocity=(0.1,)))},  # type: ignore[arg-type]
+            r"boundaries.left.velocity = \(0.1,\): must be a list of 2",
         ),
         (
             {"boundaries": Boundaries(left=NonEquilibrium(velocity=(0.5, 0.0)))},

@@ -1,7 +1,10 @@
 """Lattice units: what follows from a preset, and what is refused."""
 
+import math
+
 import pytest
 
+from fishrl.physics import CARANGIFORM, CARLING, Gait
 from fishrl.physics.units import Scales, compute_tau
 
 
@@ -11,6 +14,21 @@ def test_budget_keeps_reynolds_number_and_tail_speed() -> None:
     assert scales.body_length**2 / (scales.nu * scales.period) == pytest.approx(7000.0)
     assert 0.0697 < scales.tail_speed <= 0.07
     assert scales.reference_speed == pytest.approx(50 / scales.period)
+
+
+@pytest.mark.parametrize(
+    ("gait", "largest"),
+    [
+        (CARLING, 0.125),
+        (CARANGIFORM, 0.1),
+        (Gait(amplitude=0.1, envelope=(1.0, -0.5, 0.0), wavenumber=2.0), 0.1),  # at the head
+        (Gait(amplitude=0.1, envelope=(0.0, -4.0, 4.0), wavenumber=2.0), 0.1),  # in the middle
+    ],
+)
+def test_the_fastest_point_of_the_midline_sets_the_speed_of_a_gait(
+    gait: Gait, largest: float
+) -> None:
+    assert gait.tail_speed == pytest.approx(2.0 * math.pi * largest, rel=1e-12)
 
 
 def test_the_papers_scale_is_available() -> None:

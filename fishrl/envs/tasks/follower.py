@@ -9,13 +9,13 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.bounds import bounded, suggest
+from fishrl.bounds import bounded, check_bounds, suggest
 from fishrl.envs.protocol import Solver
 from fishrl.envs.scene import Area, Scene
 from fishrl.envs.sensors import compute_clearance, compute_gap, wrap_angle
 from fishrl.envs.starts import check_fit, place_fish, place_outline
 from fishrl.envs.streams import Stream
-from fishrl.envs.task import AbstractTask, Command, as_pair
+from fishrl.envs.task import AbstractTask, Command
 from fishrl.envs.wakes import WakeBank
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.motion import Bending, Driven
@@ -95,10 +95,10 @@ class Follower(AbstractTask):
     wake_folder: str = "runs/wakes"
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         pairs = ("frequency_range", "start_x_bl", "start_y_bl", "range_bl")
         for name in (*pairs, *("amplitude_range",) * (self.amplitude_range is not None)):
-            pair = as_pair(name, getattr(self, name))
-            object.__setattr__(self, name, pair)
+            pair = getattr(self, name)
             if not (pair[0] < pair[1] or (pair[0] == pair[1] and name.startswith("start"))):
                 raise ValueError(f"{name} = {pair}: give the least, then the largest")
         if self.leader not in LEADERS:

@@ -19,7 +19,7 @@ from fishrl.envs.starts import place_fish
 from fishrl.envs.stations import SafeArea, StationReward
 from fishrl.envs.steering import PIDSteering, Steering
 from fishrl.envs.streams import Stream
-from fishrl.envs.task import AbstractTask, Command, as_pair
+from fishrl.envs.task import AbstractTask, Command
 from fishrl.envs.views import describe_flow_label, describe_lateral_line, find_shown_feature
 from fishrl.envs.wakes import WakeBank
 from fishrl.physics.flow import FlowConfig
@@ -84,8 +84,6 @@ class KarmanGait(AbstractTask):
     repeats_frequency: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("start_x_bl", "start_y_bl"):
-            object.__setattr__(self, name, as_pair(name, getattr(self, name)))
         num = len(self.stream.speeds_bl)
         if not self.start_flows or not all(0 <= i < num for i in self.start_flows):
             raise ValueError(

@@ -9,12 +9,12 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.bounds import bounded, suggest
+from fishrl.bounds import bounded, check_bounds, suggest
 from fishrl.envs.protocol import Solver
 from fishrl.envs.rewards import reward_approach
 from fishrl.envs.scene import Marks, Panel, Scene, Series
 from fishrl.envs.sensors import compute_clearance, sense_target
-from fishrl.envs.task import AbstractTask, Command, as_pair
+from fishrl.envs.task import AbstractTask, Command
 
 #: Probability that the food first moves up.
 CHANCE_UP = {"up": 1.0, "down": 0.0, "random": 0.5}
@@ -62,8 +62,7 @@ class AbstractPredation(AbstractTask):
     capture_radius_bl: float = bounded(0.25, greater=0)
 
     def __post_init__(self) -> None:
-        for name in ("start_x_bl", "start_y_bl", "food_limits_bl", "frequency_range"):
-            object.__setattr__(self, name, as_pair(name, getattr(self, name)))
+        check_bounds(self)
         for name, known in (("food_direction", tuple(CHANCE_UP)), ("action", ACTIONS)):
             if (value := getattr(self, name)) not in known:
                 hint = suggest(str(value), known)

@@ -57,8 +57,13 @@ class Gait(Checked):
 
     @property
     def tail_speed(self) -> float:
-        """Largest lateral speed of the tail, 2 pi a(1), in body lengths per tail-beat period."""
-        return 2.0 * pi * float(self.evaluate_envelope(np.ones(1))[0])
+        """Largest lateral speed, 2 pi max |a(x)|, in body lengths per tail-beat period.
+
+        It is that of the tail where the envelope is largest there.
+        """
+        turning = np.polynomial.Polynomial(self.envelope).deriv().roots().real
+        places = np.array([0.0, 1.0, *turning]).clip(0.0, 1.0)
+        return 2.0 * pi * float(np.abs(self.evaluate_envelope(places)).max())
 
 
 # Anguilliform wave of Carling et al. 1998, as used by Kern & Koumoutsakos 2006 and Gazzola et al.
