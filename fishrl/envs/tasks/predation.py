@@ -190,6 +190,20 @@ class AbstractPredation(AbstractTask):
             return Command(turn.deg2rad(), frequency / self.scales.period)
         return Command(turn=radians(self.turn_degrees) * (action.double() - 1.0))
 
+    def count_approach(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
+        """Return +1 or -1 for approach, see ``rewards``; if actions are continuous, for each beat.
+
+        If each decision counted alike, the slowest approach would be rewarded most.
+        """
+        (old_distance, old_error), (distance, error) = (
+            td["target"][..., 2:].unbind(-1) for td in (before, now)
+        )
+        approach = reward_approach(old_distance, distance, old_error, error)
+        if not self.is_continuous:
+            return approach
+        beats: Tensor = (now["phase"] - before["phase"]) / (2.0 * pi)
+        return approach * beats
+
     @property
     def action_names(self) -> tuple[str, ...]:
         """Names of the turns, or of the two numbers."""
@@ -226,8 +240,8 @@ class Predation(AbstractPredation):
     Actions are those of ``AbstractPredation``. Observation: x and y of the food relative to the
     nose and its distance, in body lengths, and the bearing error in (-pi, pi] radians, positive to
     the left. Reward: +1 if distance or bearing error decreased since the last decision, otherwise
-    -1; +20 on capture. An episode terminates on capture or when a marker comes within
-    ``wall_margin_bl`` of the edge.
+    -1, with continuous actions times the number of tail beats; +20 on capture. An episode
+    terminates on capture or when a marker comes within ``wall_margin_bl`` of the edge.
 
     The paper (Task 1) gives neither the food's x and limits nor the capture radius.
     """
@@ -258,6 +272,7 @@ class Predation(AbstractPredation):
             {
                 "head": head,
                 "heading": heading,
+                "phase": solver.body.phase.clone(),
                 "food": food,
                 "target": sense_target(head, heading, food, body_length=self.body_length),
                 "clearance": compute_clearance(
@@ -275,11 +290,7 @@ class Predation(AbstractPredation):
 
     def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
         """Return +1 or -1 for approach, plus 20 for a capture."""
-        (old_distance, old_error), (distance, error) = (
-            td["target"][:, 2:].unbind(-1) for td in (before, now)
-        )
-        approach = reward_approach(old_distance, distance, old_error, error)
-        return approach + 20.0 * self._is_captured(now)
+        return self.count_approach(before, now) + 20.0 * self._is_captured(now)
 
     def is_terminated(self, now: TensorDictBase) -> Tensor:
         """Return whether the food is captured or a wall is hit."""

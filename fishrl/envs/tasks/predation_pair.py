@@ -10,7 +10,6 @@ from torch import Tensor
 
 from fishrl.bounds import bounded
 from fishrl.envs.protocol import Solver
-from fishrl.envs.rewards import reward_approach
 from fishrl.envs.sensors import compute_clearance, compute_gap, sense_target
 from fishrl.envs.tasks.predation import CHANCE_UP, AbstractPredation
 from fishrl.physics.bodies.placement import MIN_GAP
@@ -98,8 +97,10 @@ class PredationPair(AbstractPredation):
         def sense(place: Tensor, fish: int) -> Tensor:
             return sense_target(noses[fish], headings[fish], place, body_length=self.body_length)
 
+        phases = [body.phase for body in solver.bodies[: self.num_fish]]
         return TensorDict(
             {
+                "phase": torch.stack(phases, 1),
                 "food": food,
                 "target": torch.stack([sense(food, fish) for fish in (0, 1)], 1),
                 "other": torch.stack([sense(noses[1 - fish], fish) for fish in (0, 1)], 1),
@@ -116,11 +117,8 @@ class PredationPair(AbstractPredation):
 
     def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
         """Return +1 or -1 for approach, plus 20 for a catch, minus the penalty for contact."""
-        (old_distance, old_error), (distance, error) = (
-            td["target"][..., 2:].unbind(-1) for td in (before, now)
-        )
-        approach = reward_approach(old_distance, distance, old_error, error)
         touched = self.contact_penalty * self._has_contact(now)[:, None]
+        approach = self.count_approach(before, now)
         reward: Tensor = approach + 20.0 * self._has_caught(now) - touched
         return reward
 
