@@ -112,6 +112,7 @@ class FlowVectorEnv(VectorEnv):
         self._reported = [name for name in specs.keys(True, True) if name not in OBSERVED]
         self._state: TensorDictBase | None = None
         self._is_over = np.zeros(self.num_envs, dtype=np.bool_)
+        self._is_unseen = np.ones(self.num_envs, dtype=np.bool_)  # an episode without a picture
 
     @property
     def flows(self) -> FlowEnv:
@@ -138,7 +139,7 @@ class FlowVectorEnv(VectorEnv):
             raise ValueError(f"options = {unknown}: there is only 'reset_mask'")
         if not options:
             self._state = self.env.reset()
-            self._is_over[:] = False
+            self._is_over[:], self._is_unseen[:] = False, True
         else:
             rows = self._read("reset_mask", options["reset_mask"], np.bool_)
             self._state = self._reset_rows(self._need_state(), rows)
@@ -204,16 +205,17 @@ class FlowVectorEnv(VectorEnv):
         if not self._painters:
             raise ValueError("render: make the environment with render_mode='rgb_array'")
         solver, task = self.flows.solver, self.flows.task
+        self._need_state()
         values = read_values(task, self._scene, self.flows)
-        steps = self._need_state()["step_count"].flatten().tolist()
         frames = [
             Frame(
                 time=float(solver.body.age[row]) / task.scales.period,
                 values={name: value[row].cpu() for name, value in values.items()},
-                begins=steps[row] == 0,
+                begins=bool(self._is_unseen[row]),
             )
             for row in range(self.num_envs)
         ]
+        self._is_unseen[:] = False
         return tuple(p.paint(frame) for p, frame in zip(self._painters, frames, strict=True))
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -244,6 +246,7 @@ class FlowVectorEnv(VectorEnv):
 
     def _reset_rows(self, state: TensorDictBase, rows: Array) -> TensorDictBase:
         """Return the state with new episodes in ``rows``."""
+        self._is_unseen |= rows
         mask = torch.as_tensor(rows, device=self.env.device).unsqueeze(-1)
         fresh: TensorDictBase = self.env.reset(
             state.copy().set("_reset", mask), select_reset_only=1

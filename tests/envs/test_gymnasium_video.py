@@ -27,6 +27,27 @@ def test_each_row_has_a_picture_of_its_flow() -> None:
     assert not np.array_equal(*before)  # they start at different places
 
 
+@pytest.mark.usefixtures("kinematic")
+def test_a_picture_of_a_new_episode_shows_nothing_of_the_one_before() -> None:
+    task = Predation(**SMALL, domain_bl=(6.0, 4.0), start_x_bl=(3.0, 4.0))
+    pictures = []
+    for seen_before in (0, 2):
+        env = make_env(task=task, num_envs=2, compile=False)
+        envs = FlowVectorEnv(env, autoreset_mode="Disabled", render_mode="rgb_array")
+        envs.reset(seed=0)
+        for decision in range(2):
+            envs.step(np.array([1, 1]))
+            for _ in range(seen_before > decision):
+                envs.render()
+        envs.reset(options={"reset_mask": np.array([True, False])})
+        envs.step(np.array([1, 1]))  # nobody looked at the start
+        pictures.append(envs.render())
+        envs.close()
+    (fresh, _), (after, other) = pictures
+    assert np.array_equal(after, fresh)
+    assert not np.array_equal(other, pictures[0][1])  # this one goes on, and its path with it
+
+
 def test_without_a_mode_there_is_no_picture() -> None:
     env = make_env(task=Predation(**SMALL), num_envs=1, compile=False)
     flows = FlowVectorEnv(env)
