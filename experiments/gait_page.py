@@ -18,10 +18,11 @@ from experiments.gait_forces import find_thrust_phase
 from experiments.pages import fill, write_table
 from experiments.program import program
 from experiments.statistics import show
+from fishrl.training.policy_zoo import find_folder
 
 #: Time before the first moment of the figure of a period, in which fish find their place, T.
 SETTLED_T = 20.0
-COPIED = ("survival", "paths", "places", "decisions", "lean", "work")
+COPIED = ("survival", "paths", "places", "decisions", "lean")
 
 
 @dataclass(kw_only=True)
@@ -36,8 +37,10 @@ class GaitPageSettings:
         forces: folder of ``experiments.gait_forces``.
         line: run folder of ``experiments.train_lateral_line``.
         transfer: folder of ``experiments.transfer``.
-        part: of the page that ``transfer`` fills, which also begins the names of its figures.
-        runs: run folders of ``transfer``; the first policy swims in the figure of a period.
+        part: of the page that ``transfer`` fills; any other than ``transfer`` also begins the names
+            of its figures and of the part and figure of work.
+        runs: run folders of ``transfer`` and ``zoo/<name>``; the first policy swims in the figure
+            of a period.
         beside: folder of another transfer test, whose policies are appended to the tables.
         robustness: folder of ``experiments.robustness``.
         free_stream: folder of ``experiments.free_stream``, whose work is compared with that of the
@@ -113,21 +116,22 @@ def write_forces(folder: str, pictures: Path) -> str:
 def take_page(page: Path, pictures: Path, *, prefix: str = "") -> str:
     """Return a page of Markdown; copy the figures beside it that it shows."""
     text = page.read_text(encoding="utf-8")
-    for picture in sorted(page.parent.glob("*.png")):
-        name = f"{prefix}{picture.name}"
-        copyfile(picture, pictures / name)
-        text = text.replace(f"]({picture.name})", f"](figures/gait/{name})")
+    for picture in page.parent.glob("*.png"):
+        if (link := f"]({picture.name})") in text:
+            copyfile(picture, pictures / f"{prefix}{picture.name}")
+            text = text.replace(link, f"](figures/gait/{prefix}{picture.name})")
     return text
 
 
-def draw_transfer(folder: str, runs: Sequence[str], pictures: Path, *, prefix: str = "") -> None:
-    """Copy the figures of a transfer test, and draw those of its trainings."""
+def draw_transfer(results: str, runs: Sequence[str], pictures: Path, *, prefix: str = "") -> None:
+    """Copy the figures of a transfer test but that of work, and draw those of its trainings."""
     for name in COPIED:
-        copyfile(Path(folder) / f"{name}.png", pictures / f"{prefix}{name}.png")
+        copyfile(Path(results) / f"{name}.png", pictures / f"{prefix}{name}.png")
     by_arm: dict[str, list[Path]] = {}
-    trials = [load_trial(Path(run)) for run in runs]
-    for run, trial in zip(runs, trials, strict=True):
-        by_arm.setdefault(trial.arm, []).append(Path(run))
+    folders = [find_folder(run) for run in runs]
+    trials = [load_trial(folder) for folder in folders]
+    for folder, trial in zip(folders, trials, strict=True):
+        by_arm.setdefault(trial.arm, []).append(folder)
     if trials:
         figures.write_training(pictures / f"{prefix}training.png", by_arm)
         task, path = trials[0].task, pictures / f"{prefix}period.png"
@@ -178,8 +182,9 @@ def main(settings: GaitPageSettings) -> None:
         if s.free_stream is not None:
             free = read(s.free_stream, "free_stream.json")
             in_wake, work = (next(iter(results[name].values())) for name in ("arms", "work"))
-            parts["work"] = write_free_stream(free, in_wake)
-            figures.write_work(pictures / "work.png", work, free["work"], speeds=speeds)
+            parts[f"{prefix}work"] = write_free_stream(free, in_wake)
+            path = pictures / f"{prefix}work.png"
+            figures.write_work(path, work, free["work"], speeds=speeds)
     for name, text in parts.items():
         fill(page, name, text)
     print(f"written: {page}, {pictures}")

@@ -18,7 +18,7 @@ from typing import Any
 from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointAdapter
 
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.policy_zoo import PREFIX, find_policy
+from fishrl.training.policy_zoo import find_folder
 from fishrl.training.run_folder import refuse_many
 
 SUMS = "SHA256SUMS"
@@ -93,7 +93,7 @@ def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[
     Raises:
         ValueError: if it is missing or corrupt.
     """
-    folder = find_policy(str(path)) if str(path).startswith(PREFIX) else Path(path).expanduser()
+    folder = find_folder(path)
     if (folder / "config.yaml").is_file() or (folder / "checkpoints").is_dir():
         folder = folder / "checkpoints"
         folder /= which if (folder / which).exists() else "last"

@@ -27,3 +27,8 @@ def find_policy(name: str) -> Path:
         hint = suggest(wanted, known) or f"; there is: {', '.join(known)}"
         raise ValueError(f"{PREFIX}{wanted}: there is no such policy{hint}")
     return _ROOT / wanted
+
+
+def find_folder(path: str | Path) -> Path:
+    """Return the folder of ``zoo/<name>``, and any other as it is."""
+    return find_policy(str(path)) if str(path).startswith(PREFIX) else Path(path).expanduser()

@@ -11,7 +11,7 @@ import torch
 from scipy import stats
 
 from experiments import drift_sweep, free_stream, gait_page
-from experiments.gait.trials import Histories, make_trial
+from experiments.gait.trials import Histories, load_trial, make_trial
 from experiments.transfer import TransferSettings, transfer
 from tests.experiments.gait.tasks import BRIEF, OVERRIDES, make_task
 
@@ -85,3 +85,32 @@ def test_the_page_takes_the_tables_of_several_transfer_tests(tmp_path: Path) -> 
     rows = [line.split(" | ")[0] for line in page.read_text().splitlines()]
     assert [rows.count(f"| {name}") for name in ("pid", "fixed-0.6")] == [9, 9]
     assert rows.index("| pid") < rows.index("| fixed-0.6")
+
+
+def test_no_part_of_the_page_overwrites_the_figures_of_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gait_page, "SETTLED_T", 0.0)
+    policy, docs, free = "zoo/gait_small", tmp_path / "docs", tmp_path / "free"
+    trial = load_trial(Path(policy), periods=BRIEF)
+    transfer([trial], TransferSettings(task=None, episodes=2, folder=str(tmp_path)))
+    few = ["episodes=1", "periods=4", "max_frequency=2", "frequency=1", "max_wall_speed=0.15"]
+    free_stream.main([*OVERRIDES, *few, f"folder={free}"])
+    (tmp_path / "robustness.md").write_text("![beside others](robustness.png)")
+    (tmp_path / "robustness.png").write_bytes(b"a figure")
+    names = ("transfer", "narrow", "work", "narrow_work", "robustness")
+    docs.mkdir()
+    page, pictures = docs / "karman_gait.md", docs / "figures" / "gait"
+    page.write_text("".join(f"<!-- {name}: begin -->\n<!-- {name}: end -->\n" for name in names))
+    shown, kept = [f"transfer={tmp_path}"], dict[str, int]()
+    work, narrow = [f"free_stream={free}"], ["part=narrow", f"runs=[{policy}]"]
+    for given in ([*shown, *work], [*shown, *work, *narrow], shown, [f"robustness={tmp_path}"]):
+        gait_page.main([f"docs={docs}", *given])
+        written = {path.name: path.stat().st_mtime_ns for path in pictures.iterdir()}
+        again = {name for name, time in kept.items() if written[name] != time}
+        assert again == ({f"{name}.png" for name in gait_page.COPIED} if given == shown else set())
+        kept = written
+    narrow_ones = {f"narrow_{name}.png" for name in ("training", "period", "work")}
+    copied = {f"{prefix}{name}.png" for prefix in ("", "narrow_") for name in gait_page.COPIED}
+    assert set(kept) == {*narrow_ones, *copied, "work.png", "robustness.png"}
+    assert "![beside others](figures/gait/robustness.png)" in page.read_text()
