@@ -1,6 +1,7 @@
 """Things that tests of several packages share."""
 
 import os
+import signal
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -50,6 +51,14 @@ def kinematic(monkeypatch: pytest.MonkeyPatch) -> None:
     from tests.envs.conftest import move_kinematically
 
     move_kinematically(monkeypatch)
+
+
+@pytest.fixture
+def heeds_ctrl_c() -> Iterator[None]:
+    """Undo that SIGINT is ignored, as where the tests run in the background of a shell."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from textwrap import dedent
@@ -84,14 +83,6 @@ def test_a_program_shows_only_warnings_of_torchrl(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("RL_LOGGING_LEVEL", "DEBUG")
     set_up_logging()
     assert torchrl.isEnabledFor(logging.DEBUG)
-
-
-@pytest.fixture
-def heeds_ctrl_c() -> Iterator[None]:
-    """Undo that SIGINT is ignored, as where the tests run in the background of a shell."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")

@@ -61,12 +61,11 @@ def test_results_that_cannot_be_checked_are_a_miss(tmp_path: Path) -> None:
     assert [check.verdict for check in outcome.checks] == ["MISSED"]
 
 
+@pytest.mark.usefixtures("heeds_ctrl_c")
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGINT"])
 def test_a_stopped_run_keeps_what_is_finished(tmp_path: Path, name: str) -> None:
     script = (
         "import signal, sys; from pathlib import Path\n"
-        # a shell's background jobs begin with SIGINT ignored
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from experiments import validate\n"
         "from tests.experiments.toy_cases import make_squares, stop_parent\n"
         "if __name__ == '__main__':\n"

@@ -111,8 +111,8 @@ def test_a_worker_that_is_killed_is_an_error_and_ends_the_others() -> None:
         solver.advance_(2)
 
 
+@pytest.mark.usefixtures("heeds_ctrl_c")
 def test_an_interrupt_from_the_keyboard_ends_the_workers_instead_of_leaving_their_answers() -> None:
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
     solver = make_solver(2)
     solver.advance_(2)
     threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
