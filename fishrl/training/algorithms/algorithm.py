@@ -37,9 +37,9 @@ class Algorithm(Checked, ABC):
     takes_several: ClassVar[bool] = True
 
     @property
-    @abstractmethod
     def label(self) -> str:
-        """Part of a run folder's name; empty for the default algorithm."""
+        """Part of a run folder's name: by default that of the class."""
+        return type(self).__name__.lower()
 
     @classmethod
     def takes(cls, task: AbstractTask) -> bool:

@@ -49,7 +49,7 @@ class DQN(Algorithm):
     @property
     def label(self) -> str:
         """Part of a run folder's name."""
-        return "double_dqn" if self.is_double else "dqn"
+        return "double_" * self.is_double + super().label
 
     def make_policy(
         self, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator | None = None

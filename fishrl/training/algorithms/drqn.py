@@ -38,11 +38,6 @@ class DRQN(DQN):
 
     sequence_length: int = bounded(8, least=1)
 
-    @property
-    def label(self) -> str:
-        """Part of a run folder's name."""
-        return "double_drqn" if self.is_double else "drqn"
-
     def make_policy(
         self, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator | None = None
     ) -> RecurrentPolicy:

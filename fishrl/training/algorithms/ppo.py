@@ -46,11 +46,6 @@ class PPO(Algorithm):
     entropy_weight: float = bounded(0.01, least=0)
     value_weight: float = bounded(0.5, greater=0)
 
-    @property
-    def label(self) -> str:
-        """Part of a run folder's name."""
-        return "ppo"
-
     def adapt(self, settings: LearningSettings) -> LearningSettings:
         """Return the settings that give ``num_epochs`` over each rollout."""
         num_frames = settings.num_envs * self.rollout_length

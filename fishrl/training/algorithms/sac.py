@@ -35,11 +35,6 @@ class SAC(Algorithm):
     alpha_init: float = bounded(1.0, greater=0, largest=1e6)
     target_entropy: float = bounded(-1.0, largest=0.69)
 
-    @property
-    def label(self) -> str:
-        """Part of a run folder's name."""
-        return "sac"
-
     def make_policy(
         self, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator | None = None
     ) -> ProbabilisticActor:
