@@ -147,59 +147,52 @@ def plan_training(name: str, settings: Sequence[str], scale: Scale, folder: Path
     )
 
 
-def list_jobs(scale: Scale, folder: Path) -> list[Job]:
-    """Return all jobs in their order; ValueError for wrong settings of a training."""
+def list_jobs(scale: Scale, folder: Path) -> Iterator[Job]:
+    """Yield all jobs in their order, each with what the ones before have made.
+
+    ValueError for wrong settings of a training.
+    """
+    swims = [job.cost for job in CASE.jobs if job.is_quick or "quick=true" not in scale.swimmer]
+    yield Job(
+        name="swimmer",
+        words=("validate", "cases=[swimmer]", *scale.swimmer, f"folder={folder / 'swimmer'}"),
+        updates=sum(swims),
+    )
+    yield plan_training("predation", scale.predation, scale, folder)
+    task = make(TRAINING.read(scale.gait).task, kind=KarmanGait)
+    line = (*scale.stream, *scale.lateral_line)
+    num_samples = train_lateral_line.read(line).num_samples
+    yield Job(
+        name="classifier",
+        words=("train_lateral_line", *line, f"folder={folder}", "name=classifier"),
+        updates=count_updates(task, num_samples * task.interval_T),
+    )
     fitted = find_fitted(folder)
     classifier = fitted / "machine.pt" if fitted else "oracle"  # settings are read before, too
-    arms = [
-        plan_training(
-            arm,
-            [*scale.gait, *(word.format(classifier=classifier) for word in settings)],
-            scale,
-            folder,
-        )
-        for arm, settings in ARM_SETTINGS.items()
-    ]
-    task = make(TRAINING.read(scale.gait).task, kind=KarmanGait)
-    begun = [arm for arm in arms if (folder / arm.name).is_dir()]
-    trained = ",".join(str(path) for arm in begun for path in find_runs(arm.words[2:]))
+    trained: list[Path] = []
+    for arm, settings in ARM_SETTINGS.items():
+        words = (word.format(classifier=classifier) for word in settings)
+        job = plan_training(arm, [*scale.gait, *words], scale, folder)
+        yield job
+        trained += find_runs(job.words[2:]) if (folder / arm).is_dir() else []
     trials = 3 * scale.episodes * (len(ARMS) * len(scale.seeds) + 2)
-    swims = [job.cost for job in CASE.jobs if job.is_quick or "quick=true" not in scale.swimmer]
-    free = free_stream.read([*scale.stream, *scale.free_stream])
-    num_samples = train_lateral_line.read([*scale.stream, *scale.lateral_line]).num_samples
-    line = (*scale.stream, *scale.lateral_line, f"folder={folder}", "name=classifier")
-    return [
-        Job(
-            name="swimmer",
-            words=("validate", "cases=[swimmer]", *scale.swimmer, f"folder={folder / 'swimmer'}"),
-            updates=sum(swims),
+    yield Job(
+        name="transfer",
+        words=(
+            *("transfer", f"runs=[{','.join(map(str, trained))}]", "baselines=[pid,shedding]"),
+            *(f"episodes={scale.episodes}", f"periods={scale.periods:g}"),
+            f"folder={folder / 'transfer'}",
         ),
-        plan_training("predation", scale.predation, scale, folder),
-        Job(
-            name="classifier",
-            words=("train_lateral_line", *line),
-            updates=count_updates(task, num_samples * task.interval_T),
-        ),
-        *arms,
-        Job(
-            name="transfer",
-            words=(
-                *("transfer", f"runs=[{trained}]", "baselines=[pid,shedding]"),
-                *(f"episodes={scale.episodes}", f"periods={scale.periods:g}"),
-                f"folder={folder / 'transfer'}",
-            ),
-            updates=count_updates(task, trials * scale.periods),
-        ),
-        Job(
-            name="free_stream",
-            words=(
-                *("free_stream", *scale.stream, *scale.free_stream),
-                f"folder={folder / 'free_stream'}",
-            ),
-            # a tail that beats six times faster needs as many more steps
-            updates=6 * count_updates(task, 3 * free.episodes * free.periods),
-        ),
-    ]
+        updates=count_updates(task, trials * scale.periods),
+    )
+    stream = (*scale.stream, *scale.free_stream)
+    free = free_stream.read(stream)
+    yield Job(
+        name="free_stream",
+        words=("free_stream", *stream, f"folder={folder / 'free_stream'}"),
+        # a tail that beats six times faster needs as many more steps
+        updates=6 * count_updates(task, 3 * free.episodes * free.periods),
+    )
 
 
 class Record:
@@ -301,8 +294,8 @@ def main(settings: ReproduceSettings) -> None:
     scale, folder = settings.scale, Path(str(settings.folder))
     folder.mkdir(parents=True, exist_ok=True)
     with alone(folder) as lock:
-        jobs, record = list_jobs(scale, folder), Record(folder)
-        left = [job for job in jobs if not record.is_finished(job)]
+        record = Record(folder)
+        left = [job for job in list_jobs(scale, folder) if not record.is_finished(job)]
         if left:
             flow, learning = measure_speed(make_plan(TRAINING.read(scale.gait)))
             print(f"{flow / 1e6:.0f} million node updates and {learning:.0f} gradient steps per s")
@@ -313,8 +306,7 @@ def main(settings: ReproduceSettings) -> None:
             print(f"  {hours:7.2f} h  {job.name}: {steps}")
         if settings.plan:
             return
-        for number in range(len(jobs)):
-            job = list_jobs(scale, folder)[number]  # what the jobs before have made belongs to it
+        for job in list_jobs(scale, folder):
             if not record.is_finished(job):
                 run_job(job, record, lock)
         page = write_page(

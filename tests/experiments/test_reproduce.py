@@ -21,7 +21,7 @@ def test_every_job_of_a_scale_is_a_command_that_its_program_takes(
     name: str, tmp_path: Path
 ) -> None:
     scale = reproduce.main.read([f"scale={name}"]).scale
-    jobs = list_jobs(scale, tmp_path)
+    jobs = list(list_jobs(scale, tmp_path))
     assert len({job.name for job in jobs}) == len(jobs)
     for job in jobs:
         program, *words = job.words
