@@ -77,16 +77,16 @@ def test_the_plan_counts_the_default_baselines_of_the_task(tmp_path: Path) -> No
 
 
 def test_a_finished_job_is_not_repeated_unless_its_settings_change(tmp_path: Path) -> None:
-    job = Job(name="summary", words=("summarize", "--help"))
+    job = Job(name="summary", words=("pages",))  # a module that begins in no time
     with reproduce.alone(tmp_path) as lock:
         run_job(job, Record(tmp_path), lock)
     record = Record(tmp_path)
     assert record.is_finished(job) and record.jobs["summary"]["seconds"] > 0
-    assert not record.is_finished(Job(name="summary", words=("summarize", "elsewhere")))
+    assert not record.is_finished(Job(name="summary", words=("pages", "elsewhere")))
 
 
 def test_a_job_that_fails_is_not_finished(tmp_path: Path) -> None:
-    job = Job(name="summary", words=("summarize", f"{tmp_path}/nothing"))
+    job = Job(name="summary", words=("nothing",))
     with reproduce.alone(tmp_path) as lock, pytest.raises(ValueError, match="status 1"):
         run_job(job, Record(tmp_path), lock)
     assert not Record(tmp_path).is_finished(job)

@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from experiments import search
+from experiments import search, train
 from experiments.search import SearchSettings
 from experiments.sweeps import jobs
-from experiments.sweeps.runs import is_held, read_run, read_runs
+from experiments.sweeps.runs import Run, is_held, read_run, read_runs
 from experiments.train_settings import TRAINING
 from fishrl.training.checkpoint import read_metadata
 from tests.experiments.test_summarize import hold_elsewhere
@@ -76,8 +76,16 @@ def test_what_cannot_be_searched_is_named(tmp_path: Path, arguments: list[str], 
     assert not list(tmp_path.iterdir())
 
 
-def test_a_trial_that_was_cut_off_is_finished_before_new_ones(tmp_path: Path) -> None:
-    line = [*SETTINGS, f"logger._target_={HERE}.Gliding", "gamma=interval(0.9,1)"]
+@pytest.mark.usefixtures("kinematic")
+def test_a_trial_that_was_cut_off_is_finished_before_new_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def run_here(path: Path) -> Run:
+        train.main([f"resume={path}"])
+        return read_run(path)
+
+    monkeypatch.setattr(search, "run_alone", run_here)
+    line = [*SETTINGS, "gamma=interval(0.9,1)"]
     plan = plan_of(tmp_path, *line, metric="mean_length_T")
     study = empty_study(plan)
     cut_off = study.ask(plan.space())  # and then the process was killed
@@ -121,7 +129,7 @@ def test_a_search_that_is_ended_saves_its_trial_and_leaves_it_unfinished(
 def test_a_run_that_outlived_its_search_is_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(jobs, "run_alone", lambda *_, **__: pytest.fail("run again"))
+    monkeypatch.setattr(search, "run_alone", lambda _: pytest.fail("run again"))
     plan = plan_of(tmp_path, "gamma=interval(0.9,1)")
     settings = ["gamma=0.95", "seed=0", f"folder={tmp_path}"]
     place = jobs.find_or_begin(TRAINING.read(settings), name="trial_0000-seed_0")
