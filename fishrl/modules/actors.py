@@ -17,8 +17,12 @@ from torchrl.modules import MaskedCategorical, NormalParamExtractor, Probabilist
 ILLEGAL_LOGIT = -1e9
 
 
-def make_mlp(widths: Sequence[int], *, generator: torch.Generator | None = None) -> nn.Sequential:
+def make_mlp(
+    widths: Sequence[int], *, is_normed: bool = False, generator: torch.Generator | None = None
+) -> nn.Sequential:
     """Build a fully connected network of layer ``widths`` with ReLU between its layers.
+
+    ``is_normed`` normalises the inputs of each ReLU (Ba et al. 2016, arXiv 1607.06450).
 
     Weights and biases have the distribution of ``nn.Linear`` but come from ``generator`` (by
     default the global one), so that the same seed gives the same network.
@@ -34,8 +38,9 @@ def make_mlp(widths: Sequence[int], *, generator: torch.Generator | None = None)
         bound = 1.0 / math.sqrt(fan_in)
         nn.init.uniform_(linear.weight, -bound, bound, generator=generator)
         nn.init.uniform_(linear.bias, -bound, bound, generator=generator)
-        layers += [linear, nn.ReLU()]
-    return nn.Sequential(*layers[:-1])
+        norm = [nn.LayerNorm(fan_out)] if is_normed else []
+        layers += [linear, *norm, nn.ReLU()]
+    return nn.Sequential(*layers[: layers.index(linear) + 1])
 
 
 def make_actor(
@@ -139,10 +144,13 @@ def make_twin_action_critics(
     """Build two independent critics of continuous actions, see ``make_twin_critics``.
 
     Each reads ``observation_stack`` and ``action``, and writes ``state_action_value`` ``[..., 1]``.
+    Normed layers keep values of actions that were never taken from growing without bound, which
+    several gradient steps per transition provoke (Ball et al. 2023, arXiv 2302.02948).
     """
+    widths = [num_inputs + num_actions, *hidden, 1]
     return [
         TensorDictModule(
-            _JoinedInputs(make_mlp([num_inputs + num_actions, *hidden, 1], generator=generator)),
+            _JoinedInputs(make_mlp(widths, is_normed=True, generator=generator)),
             in_keys=["observation_stack", "action"],
             out_keys=["state_action_value"],
         )

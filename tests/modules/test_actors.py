@@ -96,3 +96,9 @@ def test_twin_critics_of_continuous_actions_differ_and_read_the_action() -> None
     assert values[0].shape == (10, 1)
     assert not torch.allclose(*values)
     assert not torch.allclose(first(other)["state_action_value"], values[0])
+
+
+def test_values_of_far_states_stay_bounded() -> None:
+    critic, _ = make_twin_action_critics(num_inputs=16, num_actions=2)
+    far = TensorDict({"observation_stack": 1e6 * torch.randn(10, 16), "action": torch.ones(10, 2)})
+    assert critic(far)["state_action_value"].abs().max() < 10.0
