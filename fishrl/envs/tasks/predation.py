@@ -268,11 +268,12 @@ class Predation(AbstractPredation):
         """Measure nose, heading, food, its relative position and the distance from the walls."""
         markers, heading = solver.markers(), solver.body.heading.clone()
         head, food = markers[:, 0].clone(), self.locate_food(starts, solver.body.age)
+        beats = {"phase": solver.body.phase.clone()} if self.is_continuous else {}
         return TensorDict(
             {
+                **beats,
                 "head": head,
                 "heading": heading,
-                "phase": solver.body.phase.clone(),
                 "food": food,
                 "target": sense_target(head, heading, food, body_length=self.body_length),
                 "clearance": compute_clearance(

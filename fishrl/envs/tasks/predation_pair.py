@@ -98,9 +98,10 @@ class PredationPair(AbstractPredation):
             return sense_target(noses[fish], headings[fish], place, body_length=self.body_length)
 
         phases = [body.phase for body in solver.bodies[: self.num_fish]]
+        beats = {"phase": torch.stack(phases, 1)} if self.is_continuous else {}
         return TensorDict(
             {
-                "phase": torch.stack(phases, 1),
+                **beats,
                 "food": food,
                 "target": torch.stack([sense(food, fish) for fish in (0, 1)], 1),
                 "other": torch.stack([sense(noses[1 - fish], fish) for fish in (0, 1)], 1),
