@@ -1,8 +1,8 @@
 """From Reynolds number, body length and a Mach budget to lattice units.
 
 A preset is a body length and a speed budget; everything else follows. The largest speed is that of
-the tail, 2 pi max |a| f L, or of the stream, so the budget limits these. nu = L^2 / (Re T), tau =
-3 nu + 1/2.
+the tail, 2 pi f L times the largest amplitude a(x), or of the stream, so the budget limits these.
+nu = L^2 / (Re T), tau = 3 nu + 1/2.
 """
 
 from dataclasses import dataclass

@@ -57,7 +57,7 @@ class Gait(Checked):
 
     @property
     def tail_speed(self) -> float:
-        """Largest lateral speed, 2 pi max |a(x)|, in body lengths per tail-beat period.
+        """Largest lateral speed, 2 pi times the largest amplitude, in L per tail-beat period.
 
         It is that of the tail where the envelope is largest there.
         """
