@@ -193,7 +193,8 @@ class AbstractPredation(AbstractTask):
     def count_approach(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
         """Return +1 or -1 for approach, see ``rewards``; if actions are continuous, for each beat.
 
-        If each decision counted alike, the slowest approach would be rewarded most.
+        If each decision counted alike, the slowest approach would be rewarded most. Shape ``[B]``,
+        or ``[B, M]`` of M fish.
         """
         (old_distance, old_error), (distance, error) = (
             td["target"][..., 2:].unbind(-1) for td in (before, now)
