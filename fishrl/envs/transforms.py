@@ -238,15 +238,15 @@ def equip(
         memory: see ``PredictedFlowLabel``.
 
     Raises:
-        ValueError: if the task has no flows to tell apart, or the classifier was trained for other
-            flows or sensors.
+        ValueError: if the task has no flows to tell apart or several fish, or the classifier was
+            trained for other flows or sensors.
     """
     if recognition is None:
         return task, []
-    if not task.flow_labels:
+    if not task.flow_labels or task.num_fish > 1:
         raise ValueError(
-            f"recognition: {type(task).__name__} has no flows to tell apart; use recognition=None, "
-            "or a task with `flow_labels`"
+            f"recognition: {type(task).__name__} has no flows to tell apart, or several fish; use "
+            "recognition=None, or a task of one fish with `flow_labels`"
         )
     is_observed = task.num_label_inputs > 0
     if isinstance(recognition, nn.Module):

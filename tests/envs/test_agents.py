@@ -105,6 +105,12 @@ def test_fish_that_start_within_each_other_are_refused_at_once() -> None:
         FlowEnv(task=PairTask(**SMALL, gap_bl=0.02), num_envs=1, compile_flow=False)
 
 
+def test_flows_of_several_fish_are_not_labelled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(PairTask, "flow_labels", [{"speed_bl": 1.0}, {"speed_bl": 2.0}])
+    with pytest.raises(ValueError, match="PairTask has .* several fish"):
+        make_env(task=PairTask(**SMALL), num_envs=1, recognition="oracle")
+
+
 def test_rows_of_each_fish_hold_its_own_entries_and_those_of_its_flow() -> None:
     env = make_env(task=PairTask(**SMALL), num_envs=3, compile=False)
     data = env.rollout(1)[:, 0]
