@@ -107,7 +107,7 @@ def test_fish_that_start_within_each_other_are_refused_at_once() -> None:
 
 def test_flows_of_several_fish_are_not_labelled(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(PairTask, "flow_labels", [{"speed_bl": 1.0}, {"speed_bl": 2.0}])
-    with pytest.raises(ValueError, match="PairTask has .* several fish"):
+    with pytest.raises(ValueError, match=r"PairTask has .* several fish"):
         make_env(task=PairTask(**SMALL), num_envs=1, recognition="oracle")
 
 
