@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from statistics import fmean, median
 from typing import Any, NamedTuple
 
 import torch
@@ -22,10 +23,10 @@ from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 
 from experiments.figures.style import COLOURS, panels
-from experiments.gait.trials import PERIODS, Trial, load_trial, make_trial
+from experiments.gait.trials import PERIODS, Trial, check_shared, load_trial, make_trial
 from experiments.pages import write_table
 from experiments.program import TaskSettings, check_names, program
-from experiments.statistics import Statistic
+from experiments.statistics import Statistic, show
 from fishrl.bounds import bounded
 from fishrl.envs import (
     KarmanGait,
@@ -119,6 +120,7 @@ class Record(NamedTuple):
     named: Tensor  #: [E, N] the label that the policy is given
     x: Tensor  #: [E, N] nose behind the disc, L
     lengths_T: Tensor  #: [E] of the episodes
+    diverged: Tensor  #: [E] bool
 
     def pick(self, rows: slice) -> Record:
         """Return some of the episodes."""
@@ -135,10 +137,10 @@ def list_sources(
         "true label": TrueFlowLabel(num_flows=num_flows),
         "always the middle flow": ConstantFlowLabel(num_flows=num_flows, label=num_flows // 2),
         "filter": predict(memory=1.0, switching_rate=rate),
-        "filter of what fades (0.7)": predict(memory=0.7, switching_rate=rate),
-        "evidence that fades (0.7)": predict(memory=0.7),
-        "evidence that never fades": predict(memory=1.0),
-        "newest evidence alone": predict(memory=0.0),
+        "filter, memory 0.7": predict(memory=0.7, switching_rate=rate),
+        "memory 0.7": predict(memory=0.7),
+        "memory 1, no forgetting": predict(memory=1.0),
+        "current signal only": predict(memory=0.0),
         "filter, rows interpolated": predict(memory=1.0, switching_rate=rate, interpolates=True),
     }
 
@@ -190,7 +192,8 @@ def record(
     time_T = task.interval_T * torch.arange(1, series.shape[1] + 1)
     speed, true, named, x = series.unbind(-1)
     lengths_T = outcome.lengths * task.interval_T
-    return Record(time_T, speed=speed, true=true, named=named, x=x, lengths_T=lengths_T)
+    found = {"speed": speed, "true": true, "named": named, "x": x, "lengths_T": lengths_T}
+    return Record(time_T, **found, diverged=outcome.diverged)
 
 
 def find_delays(done: Record, task: KarmanGait) -> list[float]:
@@ -222,7 +225,7 @@ def find_delays(done: Record, task: KarmanGait) -> list[float]:
 def summarise(records: Sequence[Record], task: KarmanGait) -> dict[str, Any]:
     """Reduce the records of an arm, one per policy, to numbers."""
     lengths = torch.cat([each.lengths_T for each in records])
-    delays = torch.tensor([d for each in records for d in find_delays(each, task)])
+    delays = [delay for each in records for delay in find_delays(each, task)]
     named = torch.cat([each.named.flatten() for each in records])
     true = torch.cat([each.true.flatten() for each in records])
     is_known = ~named.isnan()
@@ -231,9 +234,10 @@ def summarise(records: Sequence[Record], task: KarmanGait) -> dict[str, Any]:
         "survival_by_policy_T": [float(each.lengths_T.mean()) for each in records],
         "accuracy": float((named.round() == true)[is_known].double().mean()),
         "changes": len(delays),
-        "recognised": float((delays <= PROMPT_T).double().mean()),
-        "median_delay_T": float(delays.median()) if len(delays) else math.nan,
-        "delays_T": delays.tolist(),
+        "recognised": fmean(d <= PROMPT_T for d in delays) if delays else math.nan,
+        "median_delay_T": median(delays) if delays else math.nan,
+        "delays_T": delays,
+        "diverged": int(sum(each.diverged.sum() for each in records)),
     }
 
 
@@ -244,17 +248,18 @@ def tabulate(results: dict[str, dict[str, Any]]) -> str:
     """
     heads = (
         *("labels from", "policies", "survival, T", "label right", "changes"),
-        *(f"recognised within {PROMPT_T:g} T", "median delay, T"),
+        *(f"recognised within {PROMPT_T:g} T", "median delay, T", "diverged"),
     )
     rows = []
     for name, arm in results.items():
         shown = ["–"] * 4
         if not math.isnan(arm["accuracy"]):
-            shown = [f"{arm['accuracy']:.1%}", arm["changes"], f"{arm['recognised']:.1%}"]
-            shown.append(f"{arm['median_delay_T']:.2f}")
+            delay = arm["median_delay_T"]
+            shown = [f"{arm['accuracy']:.1%}", arm["changes"], show(arm["recognised"], ".1%")]
+            shown.append("never" if delay == math.inf else show(delay, ".2f"))
         policies = arm["survival_by_policy_T"]
         survival = Statistic.of(policies if len(policies) > 1 else arm["survival_T"]).show(".1f")
-        rows.append([name, len(policies), survival, *shown])
+        rows.append([name, len(policies), survival, *shown, arm["diverged"]])
     return write_table(heads, rows)
 
 
@@ -304,6 +309,7 @@ def main(settings: ChangingSettings) -> None:
     others = [load_trial(Path(run), periods=periods) for run in settings.ablations]
     check_names([trial.name for trial in learned])
     check_names([trial.name for trial in (*learned, *others)])
+    check_shared([replace(trial, task=change(trial)) for trial in (*learned, *others)])
     others.append(make_trial("pid", learned[0].task, periods=periods))
     with Progress() as progress:
         how: Any = {"episodes": settings.episodes, "progress": progress}

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
+import numpy as np
 import torch
 from scipy import stats
 
@@ -80,7 +81,7 @@ def tabulate(task: KarmanGait, histories: trials.Histories) -> list[dict[str, fl
                 "frequency": frequency,
                 "from_bl": low,
                 "to_bl": high,
-                "drift": float(drift.mean()),
+                "drift": float(np.mean(means)) if means else math.nan,
                 "error": float(stats.sem(means)) if len(means) > 1 else math.nan,
                 "work": float(work[counts].mean()),
                 "samples": len(drift),

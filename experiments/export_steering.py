@@ -14,6 +14,7 @@ from omegaconf import MISSING
 from torch import nn
 
 from experiments.program import program
+from fishrl.envs import Predation
 from fishrl.envs.steering import PolicySteering, save_weights
 from fishrl.files import staged
 from fishrl.training.policies import load_plan, load_policy
@@ -36,10 +37,12 @@ class ExportSettings:
 def main(settings: ExportSettings) -> None:
     """Write the weights of a run's best actor, or nothing if it cannot steer."""
     checkpoint, plan = load_plan(settings.run)
+    if not isinstance(plan.task, Predation):
+        raise ValueError(f"run = {settings.run}: must be a policy trained on Predation")
     layers = [m for m in load_policy(checkpoint).modules() if isinstance(m, nn.Linear)]
     with staged(Path(settings.path)) as stage:
         save_weights([(layer.weight, layer.bias) for layer in layers], stage)
-        PolicySteering(path=str(stage), turn_degrees=getattr(plan.task, "turn_degrees", 15.0))
+        PolicySteering(path=str(stage), turn_degrees=plan.task.turn_degrees)
     print(f"written to {settings.path}")
 
 

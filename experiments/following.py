@@ -70,6 +70,7 @@ class Record(NamedTuple):
     lengths: Tensor  #: [E] decisions
     survived: Tensor  #: [E] bool
     contact: Tensor  #: [E] bool
+    diverged: Tensor  #: [E] bool
     outlines: list[Tensor]  #: of the bodies in the first flow, [K, 2] each, nodes
     vorticity: Tensor  #: [Y, X] there, per T
 
@@ -91,14 +92,14 @@ def record(env: TransformedEnv, policy: Any, *, advance: Callable[[], object]) -
         if len(rows) % SNAPSHOT == 1 and start_of[0] == 0:  # flows are reset when episodes end
             solver = env.base_env.solver
             outlines = [solver.markers(m)[0] for m in range(len(solver.bodies))]
-            pictures.append((outlines, compute_fields(solver, task.scales)["vorticity"][0].float()))
+            pictures[:] = [(outlines, compute_fields(solver, task.scales)["vorticity"][0].float())]
         advance()
 
     outcome = run_episodes(env, policy, starts, on_step=keep)
     series, (outlines, vorticity) = torch.stack(rows, 1), pictures[-1]
     series[torch.arange(series.shape[1]) >= outcome.lengths[:, None]] = torch.nan
     work, way, frequency = series[..., 2:].unbind(-1)
-    done = (outcome.lengths, outcome.succeeded, contact, outlines, vorticity)
+    done = (outcome.lengths, outcome.succeeded, contact, outcome.diverged, outlines, vorticity)
     return Record(series[..., :2], work, way, frequency, *done)
 
 
@@ -121,6 +122,7 @@ def summarise(done: Record, task: Follower, *, settle_T: float) -> dict[str, lis
         "survival_T": (done.lengths * task.interval_T).tolist(),
         "survived": done.survived.double().tolist(),
         "contact": done.contact.double().tolist(),
+        "diverged": done.diverged.double().tolist(),
     }
 
 
@@ -129,14 +131,23 @@ def tabulate(
 ) -> str:
     """Return the table of all arms, Markdown; ``cost_alone`` is the cost of the baseline alone."""
     heads = (
-        *("policy", "survived", "contact", "survival, T", "x, L", "aside, L", "beats per T"),
+        *(
+            "policy",
+            "survived",
+            "contact",
+            "diverged",
+            "survival, T",
+            "x, L",
+            "aside, L",
+            "beats per T",
+        ),
         *("work per L", f"relative to {baseline} alone"),
     )
     rows = []
     for name, arm in results.items():
         fine = {key: Statistic.of(each) for key, each in arm.items()}
         relative = Statistic.of((torch.tensor(arm["cost"]) / cost_alone).tolist())
-        row = [name, *(fine[key].show(".0%") for key in ("survived", "contact"))]
+        row = [name, *(fine[key].show(".0%") for key in ("survived", "contact", "diverged"))]
         row += [fine[key].show(".2f") for key in ("survival_T", "x", "aside", "frequency")]
         rows.append([*row, fine["cost"].show(".4f"), relative.show(".2f")])
     return write_table(heads, rows)

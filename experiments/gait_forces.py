@@ -196,8 +196,10 @@ def main(settings: ForceSettings) -> None:
     write_csv(folder / "forces.csv", list(table[0]), numbers)
     scales = task.scales
     facts = {name: getattr(scales, name) for name in ("body_length", "reynolds", "tau", "mach")}
-    write_json(folder / "forces.json", {**facts, "steps_per_T": scales.period})
-    draw(folder / "forces.png", table, settings)
+    num_diverged = int(sum(row["diverged"] for row in table))
+    found = {"steps_per_T": scales.period, "rows": len(table), "diverged": num_diverged}
+    write_json(folder / "forces.json", facts | found)
+    draw(folder / "forces.png", [row for row in table if not row["diverged"]], settings)
     print(f"written to {folder}: forces.csv, forces.json, forces.png")
 
 

@@ -97,6 +97,7 @@ def write_forces(folder: str, pictures: Path) -> str:
     with (Path(folder) / "forces.csv").open(encoding="utf-8") as file:
         found = [{name: float(v) for name, v in row.items()} for row in csv.DictReader(file)]
     copyfile(Path(folder) / "forces.png", pictures / "forces.png")
+    found = [row for row in found if not row["diverged"]]
     ratios = sorted({row["ratio"] for row in found})
     rows = []
     for speed, x in sorted({(row["stream_speed_bl"], row["x_bl"]) for row in found}):
@@ -104,9 +105,11 @@ def write_forces(folder: str, pictures: Path) -> str:
         forces = [[row["force_x"] for row in mine if row["ratio"] == ratio] for ratio in ratios]
         means = [f"{fmean(values):+.3f}" for values in forces]
         locked = [row for row in mine if row["ratio"] == 1.0]
-        by_phase = [row["force_x"] for row in locked]
-        extremes = f"{min(by_phase):+.3f} to {max(by_phase):+.3f}"
-        thrust = show(math.degrees(find_thrust_phase(locked)), ".0f")
+        extremes = thrust = "–"
+        if locked:
+            by_phase = [row["force_x"] for row in locked]
+            extremes = f"{min(by_phase):+.3f} to {max(by_phase):+.3f}"
+            thrust = show(math.degrees(find_thrust_phase(locked)), ".0f")
         rows.append([f"{speed:g}", f"{x:g}", *means, extremes, thrust])
     heads = ["stream, L/T", "x, L", *(f"{ratio:g} f" for ratio in ratios)]
     text = write_table([*heads, "1 f, by phase", "thrust at, °"], rows)
@@ -176,6 +179,8 @@ def main(settings: GaitPageSettings) -> None:
     if s.transfer is not None:
         results, others = read(s.transfer), read(s.beside)["arms"] if s.beside else {}
         speeds = results["speeds_bl"]
+        if both := sorted(results["arms"].keys() & others):
+            raise ValueError(f"beside: transfer has {', '.join(both)} too; give other policies")
         prefix = "" if s.part == "transfer" else f"{s.part}_"
         draw_transfer(s.transfer, s.runs, pictures, prefix=prefix)
         parts[s.part] = tables.write_results(results["arms"] | others, speeds)

@@ -143,7 +143,10 @@ def list_trials(
 
 
 def summarise(arms: Mapping[str, Sequence[Trial]], done: Mapping[str, list[Histories]]) -> Any:
-    """Reduce a condition to numbers by arm: survival by policy and start, means of the rest."""
+    """Reduce a condition to numbers by arm.
+
+    Survival by policy, stream and start; the number of diverged episodes; means of the rest.
+    """
     summary = {}
     for arm, trials in arms.items():
         numbers = [
@@ -151,9 +154,10 @@ def summarise(arms: Mapping[str, Sequence[Trial]], done: Mapping[str, list[Histo
             for trial in trials
             for flow, frequency in zip(done[trial.name], list_shedding(trial.task), strict=True)
         ]
-        names = ("survivors", "work", "named_right", "diverged")
+        names = ("survivors", "work", "named_right")
         summary[arm] = {
-            "survival_T": [torch.cat([f.lengths_T for f in done[t.name]]).tolist() for t in trials],
+            "survival_T": [[f.lengths_T.tolist() for f in done[t.name]] for t in trials],
+            "diverged": int(sum(each["diverged"] for each in numbers)),
             **{name: float(np.mean([each[name] for each in numbers])) for name in names},
         }
     return summary
@@ -167,10 +171,14 @@ def tabulate(results: Mapping[str, Any], *, reference: str) -> str:
 
     def show_survival(condition: Mapping[str, Any], arm: str) -> str:
         of_arm = condition[arm]
-        return f"{np.mean(of_arm['survival_T']):.1f} ({of_arm['survivors']:.0%})"
+        diverged = f", {of_arm['diverged']} diverged" if of_arm["diverged"] else ""
+        return f"{np.mean(of_arm['survival_T']):.1f} ({of_arm['survivors']:.0%}{diverged})"
 
     def compare(condition: Mapping[str, Any], arm: str) -> str:
-        ours, theirs = (np.array(condition[name]["survival_T"]) for name in (arm, reference))
+        # the streams are fixed, and a start recurs in each: only starts and seeds are drawn
+        ours, theirs = (
+            np.array(condition[name]["survival_T"]).mean(1) for name in (arm, reference)
+        )
         return compare_paired(ours, theirs).show("+.1f")
 
     def write(heads: Sequence[str], show: Any) -> str:
@@ -200,7 +208,7 @@ def write_figure(path: Path, results: Mapping[str, Any]) -> None:
         for number, arm in enumerate(arms):
             shift = 0.7 * ((number + 0.5) / len(arms) - 0.5)
             for row, name in enumerate(names):
-                means = np.mean(results[name][arm]["survival_T"], axis=1)
+                means = np.mean(results[name][arm]["survival_T"], axis=(1, 2))
                 label, colour = arm if row == 0 else None, COLOURS[number % len(COLOURS)]
                 rows = np.full(len(means), row + shift)
                 chart.scatter(means, rows, color=colour, label=label, s=22, zorder=3)

@@ -100,6 +100,7 @@ def summarize(
     if page is not None:
         fill(page, "summary", text)
         figures, shown = page.parent / "figures", page.read_text(encoding="utf-8")
+        figures.mkdir(exist_ok=True)
         if has_curves:
             copyfile(folder / "curves.png", figures / f"{page.stem}.png")
         for picture in sorted(runs[0].path.iterdir()):

@@ -24,12 +24,6 @@ from fishrl.training.description import make
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
 
-#: Settings of the task that all policies must share.
-SHARED = (
-    *("body_length", "reynolds", "domain_bl", "stream", "safe_area"),
-    *("control_interval_T", "time_limit"),
-)
-
 
 @dataclass(frozen=True, kw_only=True)
 class TransferSettings(TaskSettings):
@@ -63,10 +57,7 @@ def transfer(
     ``ValueError`` for equal names and tasks that cannot be compared.
     """
     check_names([trial.name for trial in tried])
-    for setting in SHARED:
-        values = {trial.name: getattr(trial.task, setting) for trial in tried}
-        if len(set(map(repr, values.values()))) > 1:
-            raise ValueError(f"tasks differ in {setting}: {values}; try them separately")
+    trials.check_shared(tried)
     folder, task, best = Path(settings.folder), tried[0].task, tried[0].arm
     speeds, interval_T = task.stream.speeds_bl, task.interval_T
     shedding = trials.list_shedding(task)

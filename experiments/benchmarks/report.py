@@ -127,6 +127,7 @@ COLUMNS: dict[str, Cell] = {
     "of": lambda case, _: case.facts["place"],
     "MLUPS": lambda case, _: measure_speed(case).show(0),
     "/ copy": partial(_over, "probe/copy"),
+    "/ copy on the GPU": partial(_over, "gpu/copy"),
     "/ in-place probe": partial(_over, "probe/in place"),
     "B / update": lambda case, _: str(case.bytes_per_update),
     "MB": lambda case, _: f"{1e-6 * case.working_set:.1f}",
@@ -142,6 +143,7 @@ COLUMNS: dict[str, Cell] = {
     "seconds": _number("seconds", 1),
 }
 SPEED = ("case", "code", "what", "MLUPS", "/ copy", "/ in-place probe", "B / update", "MB")
+GPU_SPEED = ("case", "code", "what", "MLUPS", "/ copy on the GPU", "B / update", "MB")
 MEMORY, PRICE = "memory, B / node", ("µs / step", "s / T and flow")
 BEYOND = ("case", "ms", "beyond the bare solver, %", "share outside the flow, %")
 PARTS = ("part", "of", "ms / action", "share, %")
@@ -151,7 +153,7 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("solver", "Flow without bodies", "", (*SPEED, MEMORY)),
     ("coupled", "A swimming fish in each flow", "T is a tail beat.", (*SPEED, MEMORY, *PRICE)),
     ("peers", "Other codes", "", SPEED),
-    ("gpu", "GPU", "", SPEED),
+    ("gpu", "GPU", "", GPU_SPEED),
     ("env", "Environment", "Bursts of one action, which lasts a tail beat T.", BEYOND),
     ("train", "Training", "", ("case", "ms", "share of learning, %")),
     ("profile", "Profile of an environment step", "{size}, one core.", PARTS),

@@ -59,7 +59,7 @@ def diagnose(
         "frequency": _mean(h.frequency),
         "frequency_over_shedding": _mean(ratio),
         "in_street": _share(in_street, is_known),
-        "in_gait": _share(in_gait, is_known),
+        "in_gait": _share(in_gait, is_known & ~ratio.isnan()),
         "accelerations": _share(change > 1e-9, ~change.isnan()),
         "decelerations": _share(change < -1e-9, ~change.isnan()),
         "angle_mean": _mean(angle),

@@ -76,6 +76,13 @@ def stack(parts: Sequence[Histories]) -> Histories:
     return Histories(*(join(values) for values in zip(*parts, strict=True)))
 
 
+#: Settings of the task that policies must share to be compared.
+SHARED = (
+    *("body_length", "reynolds", "domain_bl", "stream", "safe_area"),
+    *("control_interval_T", "time_limit"),
+)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Trial:
     """A policy to try in every flow; trials of one arm differ in their seed."""
@@ -86,6 +93,14 @@ class Trial:
     make_policy: Callable[[], Any]
     identity: str  #: what determines its behaviour besides the task
     recognition: LateralLineClassifier | str | None = None  #: gives it flow labels
+
+
+def check_shared(tried: Sequence[Trial]) -> None:
+    """Raise ValueError unless the tasks can be compared."""
+    for setting in SHARED:
+        values = {trial.name: getattr(trial.task, setting) for trial in tried}
+        if len(set(map(repr, values.values()))) > 1:
+            raise ValueError(f"tasks differ in {setting}: {values}; try them separately")
 
 
 def prolong(task: KarmanGait, periods: float) -> KarmanGait:

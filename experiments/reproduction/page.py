@@ -69,7 +69,8 @@ def compare(transfer: Any, free: Any, line: Any, captures: Sequence[float]) -> s
         (
             "Strouhal number of the wake",
             (0.267, 0.256, 0.267), shedding, ".3f",
-            "theirs lie on a grid of 7 to 10 %; neither facing nor method is stated",
+            "theirs are spectral bins 7 to 10 % apart; neither the orientation of the half disc "
+            "nor the method is stated",
         ),
         (
             "survival without modules, T",

@@ -15,6 +15,7 @@ from concurrent.futures import Future, ProcessPoolExecutor, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any
@@ -214,11 +215,21 @@ def _read_sources(name: str, thing: Any, seen: set[str]) -> None:
             return
         seen.add(source)
         if isinstance(thing, FunctionType):
-            for word in _find_names(thing.__code__):
-                if word in thing.__globals__:
-                    _read_sources(word, thing.__globals__[word], seen)
+            words = set(_find_names(thing.__code__))  # attributes among them
+            reached = [value for word, value in thing.__globals__.items() if word in words]
+            scopes = [thing.__globals__, *map(vars, filter(_is_own_module, reached))]
+            for word, scope in product(sorted(words), scopes):
+                if word in scope:
+                    _read_sources(word, scope[word], seen)
+            defaults = dict(enumerate(thing.__defaults__ or ())) | (thing.__kwdefaults__ or {})
+            for argument, default in defaults.items():
+                _read_sources(f"{thing.__qualname__}({argument})", default, seen)
     elif not callable(thing) and not inspect.ismodule(thing):
         seen.add(f"{name} = {thing!r}")
+
+
+def _is_own_module(thing: Any) -> bool:
+    return inspect.ismodule(thing) and thing.__name__.startswith(("experiments.", "tests."))
 
 
 def _find_names(code: CodeType) -> Iterator[str]:

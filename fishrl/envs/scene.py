@@ -24,7 +24,7 @@ class Field:
         limit: value at which the colours saturate.
         note: what the sign means.
         is_signed: colours diverge around zero; otherwise they begin at zero.
-        saturated: share of the values beyond the limit, where a film chooses the limit.
+        saturated: share of the values beyond the limit that a film chooses; None for ``limit``.
     """
 
     key: str
@@ -33,7 +33,7 @@ class Field:
     limit: float
     note: str = ""
     is_signed: bool = True
-    saturated: float = 0.0
+    saturated: float | None = 0.0
 
     def __post_init__(self) -> None:
         if not self.limit > 0.0:
@@ -258,7 +258,7 @@ class Scene:
         if not chosen:
             known = [field.key for field in self.fields]
             raise ValueError(f"field = {key}: must be one of {', '.join(known)}")
-        first = chosen[0] if limit is None else replace(chosen[0], limit=limit)
+        first = chosen[0] if limit is None else replace(chosen[0], limit=limit, saturated=None)
         others = [field for field in self.fields if field.key != key]
         return replace(self, fields=(first, *others))
 

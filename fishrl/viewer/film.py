@@ -53,9 +53,12 @@ def choose_limit(recording: Recording) -> float:
     """Return the value of the field at which the colours saturate: a round number.
 
     The boundary layer on the fish is many times stronger than the wake, so the limit is a
-    percentile (``Field.saturated``) of what is not negligible, in the later half of the episode.
+    percentile (``Field.saturated``) of what is not negligible, in the later half of the episode;
+    or the limit of the field, if that was given.
     """
     field, frames = recording.scene.field, recording.frames
+    if field.saturated is None:
+        return field.limit
     late = torch.stack([f.values[field.key][::2, ::2] for f in frames[len(frames) // 2 :: 4]])
     late = late.float().abs().flatten()
     visible = late[late > 0.02 * late.max()]

@@ -23,7 +23,8 @@ from tests.envs.conftest import SMALL
 def make_record(named: list[int], length_T: float) -> Record:
     """Return an episode of half a T per decision."""
     time, row = 0.5 * torch.arange(1, 25), torch.tensor(named + [1] * 4).double()[None]
-    return Record(time, row, row, row, row, torch.tensor([length_T]))
+    never = torch.zeros(1, dtype=torch.bool)
+    return Record(time, row, row, row, row, torch.tensor([length_T]), never)
 
 
 @pytest.mark.parametrize(("length_T", "num"), [(12.0, 2), (9.9, 1)])
@@ -69,7 +70,7 @@ def test_policies_are_needed_all_of_different_names(runs: str) -> None:
 
 
 def test_the_interval_of_survival_is_over_policies_where_there_are_several() -> None:
-    numbers = {"accuracy": math.nan, "survival_T": [10.0, 10.0, 20.0, 20.0]}
+    numbers = {"accuracy": math.nan, "diverged": 0, "survival_T": [10.0, 10.0, 20.0, 20.0]}
     several, one = (
         tabulate({"a": {**numbers, "survival_by_policy_T": means}}) for means in ([10, 20], [15])
     )

@@ -12,8 +12,7 @@ def test_work_per_distance_is_counted_from_when_the_fish_has_settled_to_its_end(
     time_T = task.interval_T * torch.arange(1.0, 41.0, dtype=torch.float64)
     way = (0.5 * time_T).repeat(2, 1)
     work = torch.stack((0.2 * way[0], 0.2 * way[1]))
-    work[:, :21] += 1.0  # the start is dear
-    work[:, 21:] += 1.0
+    work[:, 20:] += 1.0  # the first 10 T, which do not count, are dear
     rows = torch.full((2, 40), 1.0, dtype=torch.float64)
     lengths = torch.tensor([40, 10])  # the second one fails before it has settled
     for series in (way, work, rows):
@@ -26,6 +25,7 @@ def test_work_per_distance_is_counted_from_when_the_fish_has_settled_to_its_end(
         lengths=lengths,
         survived=torch.tensor([True, False]),
         contact=torch.tensor([False, True]),
+        diverged=torch.tensor([False, False]),
         outlines=[torch.zeros(3, 2)],
         vorticity=torch.zeros(2, 2),
     )

@@ -159,6 +159,6 @@ def test_a_policy_of_predation_becomes_a_heading_controller(trained: Path, tmp_p
     settings = export_steering.ExportSettings(
         run=str(trained / "oracle"), path=str(tmp_path / "no.pt")
     )
-    with pytest.raises(ValueError, match="those of a policy trained on Predation"):
+    with pytest.raises(ValueError, match="must be a policy trained on Predation"):
         export_steering.main.run(settings)
     assert not (tmp_path / "no.pt").exists()

@@ -82,7 +82,7 @@ def test_every_policy_is_tried_under_every_condition(tmp_path: Path) -> None:
     results = json.loads((tmp_path / "robustness.json").read_text())
     assert set(results) == {"same", "aside", "slow"}
     assert set(results["aside"]) == {"both modules", "ablation", "pid"}
-    assert np.shape(results["aside"]["pid"]["survival_T"]) == (1, 6)
+    assert np.shape(results["aside"]["pid"]["survival_T"]) == (1, 3, 2)
     assert "| aside |" in (tmp_path / "robustness.md").read_text()
     assert (tmp_path / "robustness.png").stat().st_size > 5000
     with pytest.raises(ValueError, match="all of different names"):

@@ -72,6 +72,7 @@ def test_a_task_from_outside_is_trained_and_evaluated_without_any_edit(
     forget(monkeypatch)
     assert trusted in shlex.split(advice)
     evaluate.main([*given, trusted])
+    evaluate.main([*given, "modules=my_learning", folder])
     assert json.loads(saved.read_text())["task"] == "HoldStation"
     forget(monkeypatch)
     view.main([f"run={run}", trusted, "compile=false", "periods=1", f"save={run / 'x.rrd'}"])

@@ -13,7 +13,7 @@ import pytest
 
 from experiments import validate as program
 from experiments.validate import CASES
-from experiments.validation import cavity, poiseuille
+from experiments.validation import cavity, channel_cylinder, poiseuille, wake
 from experiments.validation.case import Case, Check, Job, Runs
 from experiments.validation.plots import find_extreme, fit_order
 from experiments.validation.runner import Outcome, fingerprint, run_cases
@@ -182,6 +182,9 @@ def test_fingerprints_follow_what_a_job_reaches(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(cavity, "STEADY", 1e-4)
     assert not set(hash_jobs(cavity.CASE)) & set(before)
     assert hash_jobs(poiseuille.CASE) == other
+    before = hash_jobs(channel_cylinder.CASE)  # it reaches the function through its module
+    monkeypatch.setitem(wake.start_stream.__kwdefaults__, "solve", None)
+    assert not set(hash_jobs(channel_cylinder.CASE)) & set(before)
 
 
 def test_fingerprints_are_unique_and_the_same_in_every_process() -> None:

@@ -110,6 +110,8 @@ def test_colours_are_symmetric_about_zero_and_saturate_at_a_round_number() -> No
     assert limit == film.choose_limit(scale_vorticity(recording, -1.0))
     assert limit in (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
     assert film.choose_limit(scale_vorticity(recording, 0.0)) == 1.0
+    scene = recording.scene.choose_field("vorticity", limit=4.2)
+    assert film.choose_limit(dataclasses.replace(recording, scene=scene)) == 4.2
 
 
 def test_flows_are_drawn_in_body_lengths() -> None:
