@@ -35,6 +35,8 @@ class TransferSettings(TaskSettings):
         episodes: episodes in each flow.
         periods: duration of a trial in T.
         baselines: policies to compare with; see ``trials.make_trial``.
+        recognition: source of the labels of all runs instead of their own: ``oracle``, the file of
+            a classifier or ``zoo/<name>``.
         samples_actions: sample the actions of learned policies, as in training.
         folder: folder for tables, figures and histories.
     """
@@ -43,6 +45,7 @@ class TransferSettings(TaskSettings):
     episodes: int = bounded(100, least=1)
     periods: float = bounded(trials.PERIODS, greater=0)
     baselines: tuple[str, ...] = ("pid", "pid+policy", "bang_bang", "shedding")
+    recognition: str | None = None
     samples_actions: bool = False
     folder: str = "runs/transfer"
 
@@ -111,7 +114,8 @@ def main(settings: TransferSettings) -> None:
     torch.set_num_threads(1)
     periods = settings.periods
     with Progress() as progress:
-        tried = [trials.load_trial(Path(run), periods=periods) for run in settings.runs]
+        given: Any = {"periods": periods, "recognition": settings.recognition}
+        tried = [trials.load_trial(Path(run), **given) for run in settings.runs]
         banked = [trial.task for trial in tried if trial.task.control.num_flows is not None]
         task = banked[0] if banked else make(settings.task, kind=KarmanGait)
         tried += [trials.make_trial(name, task, periods=periods) for name in settings.baselines]
