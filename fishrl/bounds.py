@@ -85,6 +85,8 @@ def check_bounds(settings: Any, *, path: str = "") -> None:
         kinds = fixed[1].split(", ") if fixed and value is not None else [hint]
         if len(kinds) > 1 and not (isinstance(value, list | tuple) and len(value) == len(kinds)):
             allowed = f"a list of {len(kinds)}"
+        if hint.startswith("tuple[") and not isinstance(value, list | tuple):
+            allowed = "" if value is None and "None" in hint else "a list"
         for number in numbers:
             if is_dataclass(number) and not isinstance(number, type):
                 check_bounds(number, path=f"{path}{entry.name}.")

@@ -54,6 +54,7 @@ def test_lists_become_tuples() -> None:
         {"sizes": (3, 0)},
         {"sizes": [3, nan]},
         {"sizes": ()},
+        {"sizes": 3},
         {"vector": (0.4, -0.4)},
         *({"vector": value} for value in ((0.1,), [0.1] * 3, 0.1, ("a", "b"))),
         *({"pair": value} for value in ((1,), (1, 1.5), (1, None))),

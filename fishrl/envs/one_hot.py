@@ -21,6 +21,8 @@ class OneHotAction(Transform):
             self.in_keys_inv = self.out_keys_inv = self.container.base_env.action_keys
 
     def _inv_apply_transform(self, action: Tensor) -> Tensor:
+        if not (((action == 0) | (action == 1)).all() and (action.sum(-1) == 1).all()):
+            raise ValueError("OneHotAction: one entry of each action must be 1, the others 0")
         return action.long().argmax(-1)
 
     def transform_input_spec(self, input_spec: TensorSpec) -> TensorSpec:

@@ -53,9 +53,9 @@ class Stream:
     wake_folder: str = "runs/wakes"
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         speeds = tuple(float(speed) for speed in self.speeds_bl)
         object.__setattr__(self, "speeds_bl", speeds)
-        check_bounds(self)
         num = len(self.diameter_bl) if isinstance(self.diameter_bl, tuple) else len(speeds)
         if num != len(speeds):
             raise ValueError(

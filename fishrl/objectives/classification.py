@@ -134,6 +134,8 @@ def fit_classifier(
     for name, part in (("training", training), ("validation", validation)):
         if part.shape[0] == 0:
             raise ValueError(f"{name} holds no samples: collect more, or change the shares")
+        if not part["lateral_line"].isfinite().all():
+            raise ValueError(f"{name} holds NaN or infinity: leave out what has diverged")
     signals, labels = training["lateral_line"], training["flow_index"]
     has_noise = bool(torch.as_tensor(noise).any())
     optimiser = torch.optim.Adam(

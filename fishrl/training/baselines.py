@@ -85,10 +85,7 @@ def make_baseline(name: str, *, task: Any, seed: int) -> TensorDictModuleBase:
 
 @find_baselines.register(Predation)
 def find_pursuers(task: Any) -> dict[str, Baseline]:
-    """Return the baselines of predation; pursuers decide once per T and exist only there."""
-    random = find_random(task)
-    if not math.isclose(task.interval_T, 1.0, rel_tol=0.01):
-        return random
+    """Return the baselines of predation; *intercept* plans in whole T, from two observations."""
     how: dict[str, Any] = {
         "turn": math.radians(task.turn_degrees),
         "is_continuous": task.action_bounds is not None,
@@ -102,11 +99,10 @@ def find_pursuers(task: Any) -> dict[str, Baseline]:
         food_still_T=task.food_still_T,
         food_direction={"up": 1, "down": -1}.get(task.food_direction, 0),
     )
-    return {
-        "intercept": Baseline(lambda seed: intercept()),
-        "pursuit": Baseline(lambda seed: PursuitPolicy(**how)),
-        **random,
-    }
+    pursuit = {"pursuit": Baseline(lambda seed: PursuitPolicy(**how)), **find_random(task)}
+    if task.num_stacked < 2 or not math.isclose(task.interval_T, 1.0, rel_tol=0.01):
+        return pursuit
+    return {"intercept": Baseline(lambda seed: intercept()), **pursuit}
 
 
 @find_baselines.register
@@ -119,7 +115,7 @@ def _(task: PredationPair) -> dict[str, Baseline]:
 
 @find_baselines.register
 def _(task: KarmanGait) -> dict[str, Baseline]:
-    """Return station-holding controllers; they are given the true flow label."""
+    """Return station-holding controllers, given the label that selects the task's row."""
 
     def follow(controller: FrequencyController) -> Baseline:
         return Baseline(lambda seed: make_gait_policy(controller, task), is_default=False)

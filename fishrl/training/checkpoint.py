@@ -96,13 +96,8 @@ def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[
     folder = find_folder(path)
     if (folder / "config.yaml").is_file() or (folder / "checkpoints").is_dir():
         folder = folder / "checkpoints"
-        folder /= which if (folder / which).exists() else "last"
-    found = folder
-    if not found.exists():
-        # Killed between the renames that replace a checkpoint, or the newest one was deleted.
-        complete = [folder.with_name(f".{folder.name}.new")]
-        complete += sorted(folder.parent.glob(f".{folder.name}.backup*")) + _list_older(folder)
-        found = next((place for place in complete if place.exists()), folder)
+        folder /= which if _list_complete(folder / which) else "last"
+    found = next(iter(_list_complete(folder)), folder)
     refuse_many(found, setting="checkpoint")
     if not found.exists():
         raise ValueError(
@@ -194,11 +189,22 @@ def _put_in_place(fresh: Path, path: Path, *, keep: int) -> None:
 def _clear(path: Path) -> None:
     """Remove what was left while writing.
 
-    ``..<name>.*`` is never complete, ``.<name>.*`` is not needed beside a complete checkpoint.
+    ``..<name>.*`` is never complete, the others are not needed beside a complete checkpoint.
     """
-    for dots in (".", "..") if path.exists() else ("..",):
-        for debris in path.parent.glob(f"{dots}{path.name}.*"):
+    unneeded = ("new", "backup*", "stage-*") if path.exists() else ()
+    for pattern in (f"..{path.name}.*", *(f".{path.name}.{kind}" for kind in unneeded)):
+        for debris in path.parent.glob(pattern):
             shutil.rmtree(debris, ignore_errors=True)
+
+
+def _list_complete(path: Path) -> list[Path]:
+    """List what can be read as a checkpoint, first of all the checkpoint itself.
+
+    The others matter after a kill between the renames that replace a checkpoint, or if the newest
+    one was deleted.
+    """
+    fresh, backups = path.with_name(f".{path.name}.new"), path.parent.glob(f".{path.name}.backup*")
+    return [p for p in (path, fresh, *sorted(backups), *_list_older(path)) if p.exists()]
 
 
 def _list_older(path: Path) -> list[Path]:

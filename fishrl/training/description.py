@@ -17,6 +17,8 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, TypeVar
 
+import numpy as np
+
 from fishrl.bounds import suggest
 from fishrl.training.aliases import ALIASES
 
@@ -42,6 +44,8 @@ def describe(made: Any) -> dict[str, Any]:
 
 def to_plain(value: Any) -> Any:
     """Turn a value into what JSON and YAML hold: tuples into lists, objects into descriptions."""
+    if isinstance(value, np.generic):
+        value = value.item()
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, Path):

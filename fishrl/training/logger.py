@@ -42,7 +42,7 @@ def read_rows(path: Path, *, step: str = "frames") -> list[dict[str, str]]:
                 else:
                     rows.append(row)
     except (ValueError, csv.Error) as error:
-        raise ValueError(f"{path}: damaged ({error}); mend or delete it") from error
+        raise ValueError(f"{path}: damaged ({error}); repair or delete it") from error
     return rows
 
 
@@ -65,7 +65,7 @@ class CsvLogger:
         ``columns`` are every metric there will be, the step first; ``config`` is the whole
         configuration.
         """
-        self._path, self._columns = folder / "metrics.csv", list(columns)
+        self._path, self._columns, self._unwritten = folder / "metrics.csv", list(columns), []
         rows: list[Mapping[str, Any]] = [{name: name for name in columns}]
         if step > 0 and self._path.is_file():
             written = read_rows(self._path, step=columns[0])

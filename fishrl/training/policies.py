@@ -54,7 +54,6 @@ def load_policy(
     if has_labels is None:
         has_labels = plan.recognition is not None
     spec = PolicySpec.for_task(task or plan.task, has_labels=has_labels)
-    spec.check(read_metadata(path)[1], path=path)
     actor = plan.algorithm.make_policy(spec, hidden=plan.learning.hidden).to(device)
     load_checkpoint(path, {"actor": actor}, spec=spec, device=device)
     return actor

@@ -150,7 +150,7 @@ def read_summary(path: Path) -> dict[str, Any]:
             if isinstance(value, str) and name not in _WORDS:
                 raise ValueError(f"{name} = {value!r} is no number")
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: damaged ({error}); mend or delete it") from error
+        raise ValueError(f"{path}: damaged ({error}); repair or delete it") from error
     return values
 
 

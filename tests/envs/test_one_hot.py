@@ -48,6 +48,9 @@ def test_the_index_of_the_entry_that_is_set_reaches_the_flow(env: TransformedEnv
     step = env.step(state.set("action", one_hot))
     assert torch.equal(step["action"], one_hot)  # what a buffer keeps is what the policy chose
     assert (step["next", "gear"].flatten() - before).tolist() == [1, -1]
+    for wrong in (torch.full((2, 3), 0.3), torch.zeros(2, 3), torch.ones(2, 3)):
+        with pytest.raises(ValueError, match="one entry of each action"):
+            env.step(state.set("action", wrong))
 
 
 def test_each_fish_has_its_own_one_hot_action() -> None:

@@ -79,6 +79,10 @@ def test_parts_without_samples_are_refused(empty: int) -> None:
     parts[empty] = parts[empty][:0]
     with pytest.raises(ValueError, match="holds no samples"):
         fit(make_network(), parts)
+    parts = make_parts(9)
+    parts[empty]["lateral_line"][0] = torch.nan
+    with pytest.raises(ValueError, match="NaN"):
+        fit(make_network(), parts)
 
 
 def test_a_fit_classifies_sines_of_unseen_episodes() -> None:

@@ -24,7 +24,8 @@ class Drift:
 
 def test_tasks_are_compared_with_their_own_baselines() -> None:
     assert list_baselines(Predation()) == ["intercept", "pursuit", "random"]
-    assert list_baselines(Predation(control_interval_T=0.5)) == ["random"]  # they decide once per T
+    for other in (Predation(control_interval_T=0.5), Predation(num_stacked=1)):
+        assert list_baselines(other) == ["pursuit", "random"]  # intercept plans in whole T
     free = KarmanGait(stream=Stream(has_disc=False))
     assert list_baselines(free) == ["pid", "random"]
     assert list_baselines(Predation(action="continuous")) == list_baselines(Predation())
@@ -48,7 +49,7 @@ def test_a_new_task_has_random_actions_and_what_is_registered_for_it() -> None:
 def test_an_unknown_baseline_is_refused_with_those_there_are() -> None:
     with pytest.raises(ValueError, match=r"has intercept, pursuit, random; did you mean 'pursuit'"):
         make_baseline("pursiut", task=Predation(), seed=0)
-    with pytest.raises(ValueError, match="has random"):
+    with pytest.raises(ValueError, match="has pursuit, random"):
         make_baseline("intercept", task=Predation(control_interval_T=0.5), seed=0)
 
 

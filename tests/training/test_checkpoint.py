@@ -70,6 +70,15 @@ def test_a_run_folder_gives_its_best_checkpoint_and_before_there_is_one_the_last
     save(tmp_path / "checkpoints" / "best")
     assert read_metadata(tmp_path)[0].name == "best"
     assert read_metadata(tmp_path, which="last")[0].name == "last"
+    (tmp_path / "checkpoints" / "best").rename(tmp_path / "checkpoints" / ".best.backup")
+    assert read_metadata(tmp_path)[0].name == ".best.backup"  # killed between the renames
+
+
+def test_saving_leaves_other_hidden_folders_alone(tmp_path: Path) -> None:
+    (tmp_path / ".policy.cache").mkdir()
+    save(tmp_path / "policy")
+    save(tmp_path / "policy", value=2.0)
+    assert {path.name for path in tmp_path.iterdir()} == {"policy", ".policy.cache"}
 
 
 def test_a_missing_checkpoint_is_an_error_that_says_what_to_give(tmp_path: Path) -> None:

@@ -56,5 +56,5 @@ def test_settings_are_the_same_after_a_trip_through_a_file(tmp_path: Path) -> No
 )
 def test_a_damaged_summary_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "summary.json").write_bytes(content)
-    with pytest.raises(ValueError, match=r"summary\.json: damaged .*mend or delete it"):
+    with pytest.raises(ValueError, match=r"summary\.json: damaged .*repair or delete it"):
         read_summary(tmp_path / "summary.json")

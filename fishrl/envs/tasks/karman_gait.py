@@ -10,6 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from fishrl.bounds import check_bounds
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import FrequencyControl, MacroActions
 from fishrl.envs.protocol import Solver
@@ -84,6 +85,7 @@ class KarmanGait(AbstractTask):
     repeats_frequency: bool = False
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         num = len(self.stream.speeds_bl)
         if not self.start_flows or not all(0 <= i < num for i in self.start_flows):
             raise ValueError(

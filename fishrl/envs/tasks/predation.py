@@ -205,6 +205,18 @@ class AbstractPredation(AbstractTask):
         beats: Tensor = (now["phase"] - before["phase"]) / (2.0 * pi)
         return approach * beats
 
+    def has_caught(self, now: TensorDictBase) -> Tensor:
+        """Return whether the food is within reach, ``[B]``, or ``[B, M]`` of M fish."""
+        distance: Tensor = now["target"][..., 2]
+        return distance <= self.capture_radius_bl
+
+    def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
+        """Add the food and its distance from the nearest nose."""
+        food = self.locate_food(starts, solver.body.age)
+        noses = torch.stack([solver.markers(index)[:, 0] for index in range(self.num_fish)], 1)
+        distance = (food[:, None] - noses).norm(dim=-1).amin(1) / self.body_length
+        return super().read_scene(solver, starts) | {"food": food, "distance": distance}
+
     @property
     def action_names(self) -> tuple[str, ...]:
         """Names of the turns, or of the two numbers."""
@@ -292,12 +304,12 @@ class Predation(AbstractPredation):
 
     def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
         """Return +1 or -1 for approach, plus 20 for a capture."""
-        return self.count_approach(before, now) + 20.0 * self._is_captured(now)
+        return self.count_approach(before, now) + 20.0 * self.has_caught(now)
 
     def is_terminated(self, now: TensorDictBase) -> Tensor:
         """Return whether the food is captured or a wall is hit."""
         hits_wall: Tensor = now["clearance"] < self.wall_margin
-        return hits_wall | self._is_captured(now)
+        return hits_wall | self.has_caught(now)
 
     def count_safe_steps(self, now: TensorDictBase) -> Tensor:
         """Return how long the fish takes at least to the nearest wall and to the food."""
@@ -308,14 +320,4 @@ class Predation(AbstractPredation):
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return ``captured`` ``[B]``."""
-        return {"captured": self._is_captured(now)}
-
-    def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
-        """Add the food and its distance."""
-        food = self.locate_food(starts, solver.body.age)
-        distance = (food - solver.head()).norm(dim=-1) / self.body_length
-        return super().read_scene(solver, starts) | {"food": food, "distance": distance}
-
-    def _is_captured(self, now: TensorDictBase) -> Tensor:
-        distance: Tensor = now["target"][:, 2]
-        return distance <= self.capture_radius_bl
+        return {"captured": self.has_caught(now)}

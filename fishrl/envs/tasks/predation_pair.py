@@ -120,13 +120,13 @@ class PredationPair(AbstractPredation):
         """Return +1 or -1 for approach, plus 20 for a catch, minus the penalty for contact."""
         touched = self.contact_penalty * self._has_contact(now)[:, None]
         approach = self.count_approach(before, now)
-        reward: Tensor = approach + 20.0 * self._has_caught(now) - touched
+        reward: Tensor = approach + 20.0 * self.has_caught(now) - touched
         return reward
 
     def is_terminated(self, now: TensorDictBase) -> Tensor:
         """Return whether the food is caught, a wall is hit, or the fish touch."""
         hits_wall: Tensor = (now["clearance"] < self.wall_margin).any(1)
-        return hits_wall | self._has_caught(now).any(1) | self._has_contact(now)
+        return hits_wall | self.has_caught(now).any(1) | self._has_contact(now)
 
     def count_safe_steps(self, now: TensorDictBase) -> Tensor:
         """Return the fewest steps in which a wall, the food or the other fish can be reached."""
@@ -138,19 +138,8 @@ class PredationPair(AbstractPredation):
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return ``captured`` and ``contact`` ``[B]``, and ``caught`` ``[B, 2]``, by which fish."""
-        caught = self._has_caught(now)
+        caught = self.has_caught(now)
         return {"captured": caught.any(1), "caught": caught, "contact": self._has_contact(now)}
-
-    def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
-        """Add the food and its distance from the nearer nose."""
-        food = self.locate_food(starts, solver.body.age)
-        noses = torch.stack([solver.markers(index)[:, 0] for index in range(self.num_fish)], 1)
-        distance = (food[:, None] - noses).norm(dim=-1).amin(1) / self.body_length
-        return super().read_scene(solver, starts) | {"food": food, "distance": distance}
-
-    def _has_caught(self, now: TensorDictBase) -> Tensor:
-        distance: Tensor = now["target"][..., 2]
-        return distance <= self.capture_radius_bl
 
     def _has_contact(self, now: TensorDictBase) -> Tensor:
         gap: Tensor = now["gap"]

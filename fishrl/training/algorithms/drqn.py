@@ -47,6 +47,17 @@ class DRQN(DQN):
             make_recurrent_value_actor(**sizes, hidden=hidden, generator=generator)
         )
 
+    def adapt(self, settings: LearningSettings) -> LearningSettings:
+        """Check that a batch is a whole number of sequences, and that there is a layer to recur."""
+        if settings.batch_size % self.sequence_length:
+            raise ValueError(
+                f"batch_size = {settings.batch_size}: must be a multiple of "
+                f"algorithm.sequence_length = {self.sequence_length}"
+            )
+        if not settings.hidden:
+            raise ValueError("hidden = (): DRQN needs a hidden layer, the last of which recurs")
+        return settings
+
     def make_loss(
         self, policy: Any, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator
     ) -> RecurrentDQNLoss:
@@ -60,12 +71,7 @@ class DRQN(DQN):
         return super().make_explorer(policy.network, spec, device=device)
 
     def choose_sampling(self, policy: Any, settings: LearningSettings) -> dict[str, Any]:
-        """Sample sequences; a batch must be a whole number of them."""
-        if settings.batch_size % self.sequence_length:
-            raise ValueError(
-                f"batch_size = {settings.batch_size}: must be a multiple of "
-                f"algorithm.sequence_length = {self.sequence_length}"
-            )
+        """Sample sequences."""
         # Episodes lie in pieces between those of other flows, diverged decisions are missing.
         sampler = SliceSampler(
             slice_len=self.sequence_length,

@@ -80,3 +80,5 @@ def test_a_batch_is_no_larger_than_a_rollout_and_settings_follow_from_it(toy: To
 def test_a_batch_is_whole_sequences(toy: Toy) -> None:
     with pytest.raises(ValueError, match=r"batch_size = 66: must be a multiple of .* = 4"):
         toy.begin(algorithm=DRQN(sequence_length=4), batch_size=66)
+    with pytest.raises(ValueError, match="needs a hidden layer"):
+        toy.begin(algorithm=DRQN(sequence_length=4), hidden=())
