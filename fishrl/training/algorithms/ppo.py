@@ -30,7 +30,7 @@ class PPO(Algorithm):
 
     Args:
         rollout_length: decisions of each flow between updates.
-        num_epochs: passes over each rollout.
+        num_epochs: passes over each rollout, to within a batch where that does not divide it.
         clip: range within which the ratio of action probabilities is clipped, 1 +- clip.
         gae_lambda: lambda of generalised advantage estimation.
         entropy_weight: weight of the entropy bonus.
