@@ -34,7 +34,7 @@ class ResumableCollector(Collector):
 
     def state_dict(self) -> OrderedDict:
         """Return everything the next batch depends on, apart from the global generators."""
-        state = deepcopy(super().state_dict())
+        state = super().state_dict()
         state["base_env"] = self.env.base_env.state_dict()
         state["carrier"] = self._carrier.clone().to_dict()
         return state
@@ -60,7 +60,7 @@ class ResumableCollector(Collector):
     @contextmanager
     def lend_env(self) -> Iterator[EnvBase]:
         """Lend the env, and restore everything afterwards."""
-        state = self.state_dict()
+        state = deepcopy(self.state_dict())
         try:
             yield self.env
         finally:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 from typing import Any
 
 import torch
@@ -23,7 +24,7 @@ class Evaluator:
     def __init__(self, env: TransformedEnv) -> None:
         self.env = env
         # Every evaluation begins with the same start in the same row.
-        self._initial = env.base_env.state_dict()
+        self._initial = deepcopy(env.base_env.state_dict())
 
     def run(
         self,
@@ -45,7 +46,7 @@ class Evaluator:
             if on_episodes is not None:
                 on_episodes(int(((start_of >= 0) & step["next", "done"].squeeze(-1)).sum()))
 
-        self.env.base_env.load_state_dict(self._initial)
+        self.env.base_env.load_state_dict(deepcopy(self._initial))
         return run_episodes(self.env, policy, starts, on_step=follow)
 
 
