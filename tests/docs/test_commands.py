@@ -39,6 +39,10 @@ RUNS = {
     "runs/predation-seed0": [],
     "runs/predation/seed_0": [],
     "runs/gait-run": ["preset=gait_small", "recognition=oracle"],
+    "runs/memory/latest_0": [
+        *("preset=gait_small", "task=karman_gait_direct"),
+        "task.stream.changes={_target_:fishrl.envs.changes.StreamSwitches,interval_T:10}",
+    ],
     "runs/gammas/gamma_0.99-seed_1": ["gamma=0.99", "seed=1"],
     "runs/predation-boltzmann-seed0": ["algorithm._target_=boltzmann.Boltzmann"],
     "runs/holdstation-seed0": ["--config-dir=my_fish/conf", "task=hold_station"],
