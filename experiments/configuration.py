@@ -101,10 +101,8 @@ class CommandLine:
             taken = {override.key_or_group.split(".", 1)[0] for override in given}
             config = OmegaConf.masked_copy(config, [*taken & set(config), *self.groups])
         OmegaConf.set_struct(config, False)
-        given_modules = config.pop("modules", None) or []
-        if isinstance(given_modules, str):
-            given_modules = [given_modules]
-        modules = [str(module) for module in given_modules]
+        named = config.pop("modules", None) or []
+        modules = [named] if isinstance(named, str) else [str(module) for module in named]
         for module in modules:
             import_module(module)
         modules += [*list_modules(OmegaConf.to_container(config)), *_search_modules(overrides)]

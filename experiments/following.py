@@ -131,16 +131,8 @@ def tabulate(
 ) -> str:
     """Return the table of all arms, Markdown; ``cost_alone`` is the cost of the baseline alone."""
     heads = (
-        *(
-            "policy",
-            "survived",
-            "contact",
-            "diverged",
-            "survival, T",
-            "x, L",
-            "aside, L",
-            "beats per T",
-        ),
+        *("policy", "survived", "contact", "diverged", "survival, T"),
+        *("x, L", "aside, L", "beats per T"),
         *("work per L", f"relative to {baseline} alone"),
     )
     rows = []

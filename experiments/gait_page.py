@@ -103,7 +103,7 @@ def write_forces(folder: str, pictures: Path) -> str:
     for speed, x in sorted({(row["stream_speed_bl"], row["x_bl"]) for row in found}):
         mine = [row for row in found if (row["stream_speed_bl"], row["x_bl"]) == (speed, x)]
         forces = [[row["force_x"] for row in mine if row["ratio"] == ratio] for ratio in ratios]
-        means = [f"{fmean(values):+.3f}" for values in forces]
+        means = [f"{fmean(values):+.3f}" if values else "–" for values in forces]
         locked = [row for row in mine if row["ratio"] == 1.0]
         extremes = thrust = "–"
         if locked:
