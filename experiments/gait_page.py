@@ -1,4 +1,4 @@
-"""Write the generated parts of docs/karman_gait.md: ``python -m experiments.gait_page``."""
+"""Write generated parts of the pages of the Kármán gait: ``python -m experiments.gait_page``."""
 
 from __future__ import annotations
 
@@ -22,12 +22,14 @@ from fishrl.training.policy_zoo import find_folder
 
 #: Time before the first moment of the figure of a period, in which fish find their place, T.
 SETTLED_T = 20.0
+#: Parts of gait_studies.md; the others are those of karman_gait.md.
+STUDIES = ("design", "fixed", "drift", "forces", "lateral line")
 COPIED = ("survival", "paths", "places", "decisions", "lean")
 
 
 @dataclass(kw_only=True)
 class GaitPageSettings:
-    """Settings of the page; parts without a folder are left unchanged.
+    """Settings of the pages; parts without a folder are left unchanged.
 
     Args:
         docs: folder of the documentation.
@@ -156,8 +158,8 @@ def write_free_stream(free: Any, in_wake: Any) -> str:
 @program(GaitPageSettings)
 def main(settings: GaitPageSettings) -> None:
     """Write the parts that are given."""
-    s, page, parts = settings, Path(settings.docs) / "karman_gait.md", dict[str, str]()
-    pictures = page.parent / "figures" / "gait"
+    s, docs, parts = settings, Path(settings.docs), dict[str, str]()
+    pictures = docs / "figures" / "gait"
     pictures.mkdir(parents=True, exist_ok=True)
     if s.design:
         found = {name: read(folder) for name, folder in s.design.items()}
@@ -191,8 +193,10 @@ def main(settings: GaitPageSettings) -> None:
             path = pictures / f"{prefix}work.png"
             figures.write_work(path, work, free["work"], speeds=speeds)
     for name, text in parts.items():
+        page = docs / ("gait_studies.md" if name in STUDIES else "karman_gait.md")
         fill(page, name, text)
-    print(f"written: {page}, {pictures}")
+        print(f"written: {name} of {page}")
+    print(f"figures: {pictures}")
 
 
 if __name__ == "__main__":

@@ -211,7 +211,7 @@ def test_a_gait_is_tried_in_all_streams_and_its_page_is_written(
     _run("drift_sweep", *own, "starts=1", "periods=1", "frequencies=[0.9,1.8]", f"folder={sweep}")
     few = ["episodes=1", "periods=2", "max_frequency=2", "frequency=1"]
     _run("free_stream", *own, *few, f"folder={tmp_path}/free")
-    shutil.copy(DOCS / "karman_gait.md", tmp_path)
+    shutil.copy(DOCS / "gait_studies.md", tmp_path)
     _run("gait_page", f"docs={tmp_path}", f"drift={sweep}")
     assert (tmp_path / "figures" / "gait" / "drift.png").is_file()
 

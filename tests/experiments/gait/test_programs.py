@@ -75,13 +75,14 @@ def test_the_page_takes_the_tables_of_several_transfer_tests(tmp_path: Path) -> 
         settings = TransferSettings(task=None, episodes=2, folder=str(tmp_path / name))
         transfer([trial], settings)
     page, given = tmp_path / "karman_gait.md", [f"docs={tmp_path}"]
-    marks = [f"<!-- {name}: {m} -->" for name in ("design", "transfer") for m in ("begin", "end")]
-    page.write_text("\n".join(marks))
+    page.write_text("<!-- transfer: begin -->\n<!-- transfer: end -->")
+    studies = tmp_path / "gait_studies.md"
+    studies.write_text("<!-- design: begin -->\n<!-- design: end -->")
     given += [f"transfer={tmp_path / 'pid'}", f"beside={tmp_path / 'fixed-0.6'}"]
     gait_page.main([*given, f"design={{half T:{tmp_path / 'pid'}}}"])
     results = json.loads((tmp_path / "pid" / "transfer.json").read_text())
     lasted = results["arms"]["pid"][0]["survival_T"]
-    assert f"| half T | 2 | {lasted:.0f} ± " in page.read_text()
+    assert f"| half T | 2 | {lasted:.0f} ± " in studies.read_text()
     rows = [line.split(" | ")[0] for line in page.read_text().splitlines()]
     assert [rows.count(f"| {name}") for name in ("pid", "fixed-0.6")] == [9, 9]
     assert rows.index("| pid") < rows.index("| fixed-0.6")
