@@ -82,7 +82,7 @@ def hold(
     config = replace(config, bodies=(fish, *config.bodies[1:]))
     solver = InPlaceSolver(config=config, num_envs=len(cases), frequency=ratio * shedding)
     starts = fixed_starts(task, len(cases), seed=0)
-    starts["head"] = task.origin + size * torch.stack((x, torch.zeros_like(x)), -1)
+    starts["head"] = x.new_tensor(task.origin) + size * torch.stack((x, torch.zeros_like(x)), -1)
     starts["flow_index"].fill_(flow)
     every, place = torch.ones(len(cases), dtype=torch.bool), place_fish(starts, fish)
     task.stream.begin_(solver, every, starts, place, scales=task.scales, wakes=task.wakes)

@@ -202,7 +202,7 @@ def write_period(path: Path, trial: Trial, *, num_decisions: int, periods_T: lis
     end.
     """
     task, num = trial.task, len(periods_T)
-    length, (x, y) = task.body_length, task.origin.tolist()
+    length, (x, y) = task.body_length, task.origin
     most = num_decisions + ceil(max(periods_T) / task.interval_T)
     first, count = num_decisions * FRAMES, 0
     frames: deque[list[Any]] = deque(maxlen=most * FRAMES - first)
@@ -238,7 +238,7 @@ def write_period(path: Path, trial: Trial, *, num_decisions: int, periods_T: lis
                     cmap="RdBu_r", vmin=-_VORTICITY, vmax=_VORTICITY, interpolation="bilinear",
                 )  # fmt: skip
                 for outline in outlines:
-                    axes.fill(*((outline - task.origin) / length).numpy().T, color=FISH)
+                    axes.fill(*((outline.numpy() - task.origin) / length).T, color=FISH)
                 axes.set(xlim=(-0.6, 4.4), ylim=(-1.2, 1.2))
                 part = f"{number}/{_NUM_MOMENTS} of the period, t = {time:.1f} T"
                 axes.set_title(f"{speed:g} L/T, {part}", fontsize=8.5)

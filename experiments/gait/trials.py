@@ -263,7 +263,7 @@ def record(
 
     def note_frame(start_of: Tensor, flows: FlowEnv) -> None:
         y = base.solver.head()[:, 1]
-        keep(beat=base.solver.body.phase, aside=(y - task.origin[1].to(y)) / task.body_length)
+        keep(beat=base.solver.body.phase, aside=(y - task.origin[1]) / task.body_length)
         keep_impulse()
         on_frame(flows)
 

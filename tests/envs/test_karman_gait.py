@@ -58,7 +58,7 @@ def test_starts_are_drawn_from_the_flows_that_are_asked_for() -> None:
 def test_noses_start_behind_the_disc_facing_upstream_near_the_middle_line() -> None:
     task = make_task(start_x_bl=(1.2, 1.6), start_y_bl=(-0.2, 0.1))
     starts = task.sample_starts(200, torch.Generator().manual_seed(1))
-    x, y = ((starts["head"] - task.origin) / task.body_length).unbind(-1)
+    x, y = ((starts["head"] - torch.tensor(task.origin)) / task.body_length).unbind(-1)
     assert 1.2 <= x.min() < 1.25 and 1.55 < x.max() <= 1.6
     assert -0.2 <= y.min() < -0.15 and 0.05 < y.max() <= 0.1
     assert (starts["heading"] == pi).all()
@@ -102,7 +102,7 @@ def test_a_named_flow_that_there_is_not_and_a_missing_name_are_refused() -> None
 def test_the_observation_is_place_way_velocity_and_frequency() -> None:
     env = make(1)
     first = env.reset()["observation"][0]
-    place = (env.start["head"] - env.task.origin)[0] / env.task.body_length
+    place = (env.start["head"] - torch.tensor(env.task.origin))[0] / env.task.body_length
     torch.testing.assert_close(first[:2], place.float(), rtol=0, atol=1e-6)
     # the kinematic fish feels the undisturbed stream of 1 L / T
     torch.testing.assert_close(first[2:], torch.tensor([0.0, 0.0, 1.0, 0.0, 0.0]))
@@ -191,8 +191,8 @@ def test_the_danger_area_ends_an_episode_and_costs(x: float, y: float) -> None:
         reward_terms=StationReward(rim_weight=0.0),
     )
     env.reset()
-    place = torch.tensor([[x + env.task.fish.centre / 20, y]]).double() * 20 + env.task.origin
-    env.solver.body.position.copy_(place)
+    place = 20 * torch.tensor([[x + env.task.fish.centre / 20, y]])
+    env.solver.body.position.copy_(torch.tensor(env.task.origin) + place)
     if y:
         env.solver.body.heading.add_(-0.4 if y > 0 else 0.4)  # and outwards
     after = act(env, CRUISE)

@@ -98,7 +98,7 @@ def test_an_episode_begins_behind_the_disc_and_in_the_wake_that_its_start_names(
     expected = task.wakes.populations[[2, 0], [3, 0]]
     assert torch.equal(env.solver.populations(), expected)
     discs = env.solver.markers(1)
-    x, y = task.origin.tolist()
+    x, y = task.origin
     for outline, diameter in zip(discs, (10.0, 8.0), strict=True):
         assert outline[:, 0].max().item() == pytest.approx(x, abs=0.5)
         assert outline[:, 1].mean().item() == pytest.approx(y, abs=0.1)

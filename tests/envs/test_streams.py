@@ -58,7 +58,7 @@ def test_every_flow_has_the_wake_of_its_disc_and_speed_from_a_file_for_each_disc
         assert found.tolist() == pytest.approx([1.0, 1.5, 1.5])
         assert torch.equal(task.wakes.populations[:, 0, 0, 0, 0], task.wakes.shedding_frequencies)
     assert len(recipes) == len(list(tmp_path.iterdir())) == 2
-    x, _ = task.origin.tolist()
+    x, _ = task.origin
     for recipe in recipes:  # the flat side stays in its place
         (disc,) = recipe.config.bodies
         assert recipe.position[0] + disc.size - disc.centre == pytest.approx(x + 0.5 * disc.size)

@@ -72,8 +72,9 @@ def test_the_danger_area_of_the_scene_is_that_of_the_task() -> None:
     assert isinstance(task, KarmanGait)
     (area,) = [area for area in task.make_scene().areas if area.key == "danger_area"]
     for x, y in (area.low, area.high, (area.low[0], area.high[1])):
-        place = (torch.tensor([[x, y]], dtype=torch.float64) - task.origin) / task.body_length
-        assert task.safe_area.measure_margin(place).item() == pytest.approx(0.0, abs=1e-9)
+        place = torch.tensor([[x, y]], dtype=torch.float64) - torch.tensor(task.origin)
+        margin = task.safe_area.measure_margin(place / task.body_length)
+        assert margin.item() == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_midline_of_a_straight_fish_is_its_axis() -> None:

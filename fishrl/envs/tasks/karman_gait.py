@@ -171,13 +171,9 @@ class KarmanGait(AbstractTask):
         """Return the flow with the fastest stream."""
         return self.stream.make_config(self.fish, self.scales, self.domain_bl)
 
-    @property
-    def origin(self) -> Tensor:
-        """Middle of the disc's flat side, ``[2]`` (x, y) in nodes, float64."""
-        return torch.tensor(self._origin, dtype=torch.float64)
-
     @cached_property
-    def _origin(self) -> tuple[float, float]:
+    def origin(self) -> tuple[float, float]:
+        """Middle of the disc's flat side, (x, y) in nodes."""
         return self.stream.find_origin(self.flow_config(), self.scales)
 
     @cached_property
@@ -197,7 +193,7 @@ class KarmanGait(AbstractTask):
         duration_T = self.time_limit * self.interval_T
         return TensorDict(
             {
-                "head": self.origin.to(uniform.device) + self.body_length * place,
+                "head": uniform.new_tensor(self.origin) + self.body_length * place,
                 "heading": torch.full_like(uniform[:, 0], pi),
                 "flow_index": flow,
                 "wake_phase": uniform[:, 3].clone(),
@@ -344,7 +340,7 @@ class KarmanGait(AbstractTask):
 
     def make_scene(self) -> Scene:
         """Add the safe area, the nose's place in it, the lateral line and the flow label."""
-        (x, y), length, area = self.origin.tolist(), self.body_length, self.safe_area
+        (x, y), length, area = self.origin, self.body_length, self.safe_area
         danger = Area(
             key="danger_area",
             low=(x + area.near_bl * length, y - area.aside_bl * length),
@@ -383,7 +379,7 @@ class KarmanGait(AbstractTask):
         }
 
     def _locate(self, head: Tensor) -> Tensor:
-        x, y = self._origin  # numbers: a tensor would have to be copied to a GPU each time
+        x, y = self.origin  # numbers: a tensor would have to be copied to a GPU each time
         return torch.stack((head[..., 0] - x, head[..., 1] - y), -1) / self.body_length
 
     def _observe_steering(self, now: TensorDictBase) -> Tensor:
