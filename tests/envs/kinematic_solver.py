@@ -97,6 +97,7 @@ class KinematicSolver:
                 body.position.add_(2.0 * (moves * speed)[:, None] * direction)
                 body.heading.add_(2.0 * moves * body.turn / body.turn_steps)
                 body.age.add_(2.0 * moves)
+                body.beats.add_(2.0 * moves * body.frequency)
 
     def set_populations_(self, f: Tensor, rows: Tensor) -> None:
         """There is no flow to set."""

@@ -135,17 +135,6 @@ def test_a_continuous_action_turns_the_fish_and_sets_its_tail_beat() -> None:
     torch.testing.assert_close(beats, torch.tensor([0.5, 1.25, 2.0], dtype=torch.float64))
 
 
-@pytest.mark.parametrize(("action", "expected"), [("discrete", 1.0), ("continuous", 0.5)])
-def test_of_two_fish_that_approach_alike_the_slow_one_earns_no_more(
-    action: str, expected: float
-) -> None:
-    task = Predation(**SMALL, action=action)
-    target = torch.tensor([[-2.0, 0.0, 2.0, 0.0]], dtype=torch.float64)
-    before = TensorDict({"target": target, "phase": torch.tensor([1.0])}, [1])
-    now = TensorDict({"target": 0.9 * target, "phase": torch.tensor([1.0 + math.pi])}, [1])
-    torch.testing.assert_close(task.reward(before, now).float(), torch.tensor([expected]))
-
-
 @pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize(
     ("action", "message"),

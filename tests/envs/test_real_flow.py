@@ -4,6 +4,7 @@ import math
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from fishrl.envs import FlowEnv, Predation, make_env
 from tests.envs.conftest import SMALL, act, make_flows, read_flows
@@ -39,6 +40,19 @@ def test_the_fish_swims_ahead_turns_as_commanded_and_goes_on_exactly_when_saved(
         assert torch.equal(read_flows(other)[name], value), name
     turned = math.degrees(float(env.solver.body.heading[0]) - math.pi)
     assert turned == pytest.approx(15.0, abs=1e-9)
+
+
+def test_with_continuous_actions_each_beat_of_approach_earns_one() -> None:
+    start = {"start_x_bl": (3.5, 3.5), "start_y_bl": (1.5, 1.5)}
+    task = Predation(**TINY | start, action="continuous")
+    env = make_flows(task, 2)
+    env.reset()
+    beats = torch.tensor([0.6, 1.0])
+    low, high = task.frequency_range
+    action = torch.stack((torch.zeros(2), 2 * (beats - low) / (high - low) - 1), -1)
+    for _ in range(3):
+        earned = env.step(TensorDict({"action": action}, [2]))["next", "reward"].squeeze(-1)
+        torch.testing.assert_close(earned, beats)
 
 
 def test_a_diverged_flow_is_reset_alone_and_swims_on(caplog: pytest.LogCaptureFixture) -> None:

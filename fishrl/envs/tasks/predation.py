@@ -202,8 +202,8 @@ class AbstractPredation(AbstractTask):
         approach = reward_approach(old_distance, distance, old_error, error)
         if not self.is_continuous:
             return approach
-        beats: Tensor = (now["phase"] - before["phase"]) / (2.0 * pi)
-        return approach * beats
+        swum: Tensor = now["beats"] - before["beats"]
+        return approach * swum
 
     def has_caught(self, now: TensorDictBase) -> Tensor:
         """Return whether the food is within reach, ``[B]``, or ``[B, M]`` of M fish."""
@@ -281,7 +281,7 @@ class Predation(AbstractPredation):
         """Measure nose, heading, food, its relative position and the distance from the walls."""
         markers, heading = solver.markers(), solver.body.heading.clone()
         head, food = markers[:, 0].clone(), self.locate_food(starts, solver.body.age)
-        beats = {"phase": solver.body.phase.clone()} if self.is_continuous else {}
+        beats = {"beats": solver.body.beats.clone()} if self.is_continuous else {}
         return TensorDict(
             {
                 **beats,

@@ -97,8 +97,8 @@ class PredationPair(AbstractPredation):
         def sense(place: Tensor, fish: int) -> Tensor:
             return sense_target(noses[fish], headings[fish], place, body_length=self.body_length)
 
-        phases = [body.phase for body in solver.bodies[: self.num_fish]]
-        beats = {"phase": torch.stack(phases, 1)} if self.is_continuous else {}
+        swum = [body.beats for body in solver.bodies[: self.num_fish]]
+        beats = {"beats": torch.stack(swum, 1)} if self.is_continuous else {}
         return TensorDict(
             {
                 **beats,
