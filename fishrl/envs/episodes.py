@@ -26,7 +26,7 @@ class Episodes:
         succeeded: ``[E]`` bool, whether the task was accomplished, see ``has_succeeded``.
         terminated: ``[E]`` bool, whether the task itself ended the episode.
         diverged: ``[E]`` bool, whether the flow diverged; such an episode counts as no success.
-        interval_T: duration of a decision in tail beats.
+        interval_T: duration of a decision in T.
         counted: ``[E]`` bool each, flags at the end by name, see ``count_flags``.
     """
 
@@ -122,7 +122,7 @@ def run_episodes(
             returns[index] += average_fish(after, "reward")[is_open, 0]
             lengths[index] += 1
             ended = after.select("terminated", "diverged")
-            ended["succeeded"] = has_succeeded(after, base.task.success)
+            ended["succeeded"] = has_succeeded(after, base.task.success) & after["done"]
             ended.update(count_flags(after, base.task.counted))
             for name, flag in flags.items():
                 flag[index] = ended[name][is_open, 0]

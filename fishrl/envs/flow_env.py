@@ -30,7 +30,7 @@ from fishrl.envs.checks import (
     scale_action,
 )
 from fishrl.envs.draws import draw_uniform
-from fishrl.envs.rows import merge, repeat
+from fishrl.envs.rows import merge
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.specs import make_action_spec, make_observation_spec, make_reward_spec
 from fishrl.envs.task import AbstractTask
@@ -151,8 +151,10 @@ class FlowEnv(EnvBase):
     def _begin(self) -> TensorDict:
         """Measure at the beginning of an episode, with the first sample repeated."""
         now = self.measure()
-        if self.task.num_samples:
-            now.update(repeat(self._sense(), self.task.num_samples))
+        if num := self.task.num_samples:
+            sensed = self._sense()
+            self._sensors = list(sensed.keys())
+            now.update(sensed.apply(lambda t: t.unsqueeze(1).expand(-1, num, *t.shape[1:])))
         return now.update(self.task.begin(now))
 
     def _sense(self) -> TensorDict:
@@ -228,7 +230,8 @@ class FlowEnv(EnvBase):
         now, diverged = before, torch.zeros_like(self._rows, dtype=torch.bool)
         has_ended = self.is_resting
         samples: list[TensorDict] = []
-        sensed_at_end: TensorDict | None = None  # by rows that end before the first sample
+        if self.task.num_samples:  # a row that has ended keeps what it sensed last
+            kept = before.select(*self._sensors).apply(lambda series: series[:, -1])
         num_due = num_unmeasured = 0  # steps to take, and since the last measurement
         num_safe = 0.0  # from then on
         for stretch in self._schedule:
@@ -240,9 +243,8 @@ class FlowEnv(EnvBase):
             self.solver.advance_(num_due, ~has_ended)
             num_due = 0
             if stretch.is_sample:
-                sensed = self._sense()
-                kept = samples[-1] if samples else sensed_at_end
-                samples.append(sensed if kept is None else merge(has_ended, kept, sensed))
+                kept = merge(has_ended, kept, self._sense())
+                samples.append(kept)
             if is_check:
                 measured, num_unmeasured = self.measure(), 0
                 is_ending = self.task.is_terminated(measured) | stretch.is_last
@@ -254,9 +256,7 @@ class FlowEnv(EnvBase):
                     now = merge(is_new, measured, now.select(*measured.keys()))
                     has_ended = has_ended | is_new
                     if self.task.num_samples and not samples:
-                        sensed = self._sense()
-                        kept = sensed if sensed_at_end is None else sensed_at_end
-                        sensed_at_end = merge(is_new, sensed, kept)
+                        kept = merge(is_new, self._sense(), kept)
                 num_safe = self._count_safe_steps(measured, has_ended)
             if on_frame:
                 on_frame(self)

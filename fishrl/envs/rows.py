@@ -5,11 +5,6 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 
-def repeat(sample: TensorDictBase, num: int) -> TensorDict:
-    """Return ``num`` times the same sample ``[B, ...]``, as ``[B, num, ...]``."""
-    return sample.apply(lambda t: t.unsqueeze(1).expand(-1, num, *t.shape[1:]))
-
-
 def merge(rows: Tensor, new: TensorDictBase, old: TensorDictBase) -> TensorDict:
     """Return ``new`` in ``rows`` ``[B]`` and ``old`` elsewhere."""
     return old.apply(

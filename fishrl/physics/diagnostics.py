@@ -94,12 +94,9 @@ def measure_cycles(signal: Tensor, interval: float, *, clock: Tensor | None = No
     _check_finite(beat)
     at = find_crossings(beat - beat.mean())
     for _ in range(3):  # the mean over whole periods moves the crossings a little
-        if len(at) < 3:
-            raise ValueError(
-                f"{len(signal)} samples hold {max(len(at) - 1, 0)} whole periods: measure longer, "
-                "at least two are needed"
-            )
+        _check_periods(at, signal)
         at = find_crossings(beat - _integrate(beat, at[0], at[-1]) / (at[-1] - at[0]))
+    _check_periods(at, signal)
     first, last, num = at[0], at[-1], len(at) - 1
     mean = _integrate(values, first, last) / (last - first)
     square = _integrate((values - mean) ** 2, first, last) / (last - first)
@@ -142,14 +139,24 @@ def compute_spectral_frequency(signal: Tensor, interval: float) -> float:
         interval: time between samples.
 
     Raises:
-        ValueError: if numbers are not finite.
+        ValueError: for fewer than four samples, or numbers that are not finite.
     """
+    if len(signal) < 4:
+        raise ValueError(f"{len(signal)} samples have no spectrum: at least four are needed")
     _check_finite(signal)
     values = signal.double() - signal.double().mean()
     window = torch.hann_window(len(values), periodic=True, dtype=torch.float64)
     power = torch.fft.rfft(values * window.to(values.device)).abs().clamp_min(1e-300).log()
     at = int(power[1:-1].argmax()) + 1
     return (at + _fit_peak(power, at)[0]) / (len(values) * interval)
+
+
+def _check_periods(crossings: Tensor, signal: Tensor) -> None:
+    if len(crossings) < 3:
+        raise ValueError(
+            f"{len(signal)} samples hold {max(len(crossings) - 1, 0)} whole periods: measure "
+            "longer, at least two are needed"
+        )
 
 
 def _check_finite(signal: Tensor) -> None:

@@ -141,6 +141,21 @@ def test_the_lateral_line_is_handed_over_as_a_series() -> None:
     assert layout["num_samples"] == 4 and layout["interval_T"] == 0.25
 
 
+def test_a_resting_row_keeps_what_it_sensed_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a GPU its flow goes on, and may diverge."""
+    env = make(2)
+    before = env.reset()["lateral_line"]
+    solver, sample = env.solver, env.solver.sample
+    lost = torch.tensor([0.0, torch.nan])[:, None]
+    monkeypatch.setattr(
+        solver, "sample", lambda at: (sample(at)[0] + lost, sample(at)[1] + lost[..., None])
+    )
+    env.is_resting = torch.tensor([False, True])
+    after = act(env, CRUISE, CRUISE)
+    assert torch.equal(after["lateral_line"][1], before[1])
+    assert after["observation"].isfinite().all()
+
+
 def test_a_late_lateral_line_holds_the_interval_before() -> None:
     line = LateralLine(num_samples=4, features=("t",), delay=2)
     env = make(1, lateral_line=line)

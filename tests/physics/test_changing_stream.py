@@ -34,3 +34,14 @@ def test_a_smooth_change_sends_no_shock_and_ends_in_the_uniform_stream() -> None
     assert gained[-1].abs().max() < 1e-4
     uniform = torch.tensor([0.09, 0.0])[:, None, None].expand_as(velocity)
     torch.testing.assert_close(velocity, uniform, rtol=0, atol=5e-4)
+
+
+def test_a_speed_that_is_set_at_once_ends_a_change_under_way_but_not_the_rise_from_rest() -> None:
+    config = FlowConfig(width=16, height=8, tau=0.6, stream_speed=0.06, ramp_steps=100)
+    solver = InPlaceSolver(config=config, num_envs=2, compile=False, num_workers=0)
+    slower, second = torch.full((2,), 0.02, dtype=torch.float64), torch.tensor([False, True])
+    solver.advance_(10)
+    solver.set_stream_speed_(slower, second, num_steps=80)
+    solver.advance_(40)
+    solver.set_stream_speed_(2.0 * slower)
+    torch.testing.assert_close(solver.stream_speed, torch.tensor([0.02, 0.04]).double())

@@ -40,6 +40,11 @@ def test_drag_is_averaged_over_the_periods_of_the_lift() -> None:
     assert cycles.amplitude == pytest.approx(0.01, rel=1e-3)
 
 
+def test_a_spectrum_needs_four_samples() -> None:
+    with pytest.raises(ValueError, match=r"3 samples .* four are needed"):
+        compute_spectral_frequency(torch.ones(3), 1.0)
+
+
 def test_cycles_need_two_whole_periods() -> None:
     with pytest.raises(ValueError, match="measure longer"):
         measure_cycles(LIFT[:200], 0.1)

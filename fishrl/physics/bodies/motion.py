@@ -58,13 +58,13 @@ class Fixed(Motion):
 
     Args:
         kick_speed: largest transverse (y) speed of its surface during the kick, nodes per step; it
-            breaks the symmetry of a young wake.
+            breaks the symmetry of a young wake. At most 0.3.
         kick_steps: length of the kick, one period of a sine, from reset on.
     """
 
     is_still: ClassVar[bool] = True
 
-    kick_speed: float = 0.0
+    kick_speed: float = bounded(0.0, norm=MAX_IMPOSED_SPEED)
     kick_steps: int = bounded(1, least=1)
 
     def prescribe(self, body: BodyState) -> tuple[Tensor, Tensor]:

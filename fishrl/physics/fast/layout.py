@@ -104,7 +104,7 @@ class FlowMemory:
         self._omega_length = layout.flow_length if has_omega_field else 1
         self._slots = self._num_envs // layout.num_envs, layout.num_slots
         self._num_doubles: int = sum(prod(shape) for shape in self._shapes)
-        self._num_omegas = -(-self._num_envs * self._omega_length // 16) * 16
+        self._num_omegas = _round_up(self._num_envs * self._omega_length)
 
     def count_bytes(self) -> int:
         """Return the size of the block."""

@@ -73,6 +73,8 @@ class InPlaceSolver:
         self.configs, self.config = configs, configs[0]
         self.num_envs, self.device, self._wants_compile = num_envs, device, compile
         self._frequency = torch.as_tensor(frequency, dtype=torch.float64, device=device)
+        shape = (num_envs,) if self._frequency.dim() else ()
+        check_tensor("frequency", self._frequency, shape, where=torch.tensor(True))
         self._num_workers, self._group_size = min(num_workers, num_envs // size), size
         self._workers: Workers | None = None
         self._shared: IO[bytes] | None = None
@@ -225,6 +227,8 @@ class InPlaceSolver:
         if self._unplaced is not None:
             left = self._unplaced & ~rows
             self._unplaced = left if left.any() else None
+        if rows.device.type == "cpu":
+            self._is_lost &= ~rows
         zero = torch.zeros_like(flow.clock)
         params = flow.params._replace(ramp_steps=self._rise, former_speed=zero, ramp_start=zero)
         new = flow._replace(clock=zero, params=params, bodies=tuple(fresh))
@@ -259,9 +263,12 @@ class InPlaceSolver:
             replace(self.config, stream_speed=float(speed[rows].abs().max()))
         flow = self._batch.flow
         new = flow.params._replace(stream_speed=speed.to(flow.clock))
-        if num_steps is not None:
-            if num_steps < 0:
-                raise ValueError(f"num_steps = {num_steps}: must be 0 or more")
+        if num_steps is None:
+            is_rising = new.former_speed == 0.0
+            new = new._replace(ramp_steps=torch.where(is_rising, new.ramp_steps, 0.0))
+        elif num_steps < 0:
+            raise ValueError(f"num_steps = {num_steps}: must be 0 or more")
+        else:
             steps = torch.full_like(flow.clock, num_steps)
             new = new._replace(
                 ramp_steps=steps, former_speed=self.stream_speed, ramp_start=flow.clock.clone()
