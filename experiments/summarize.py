@@ -155,7 +155,7 @@ def tabulate_groups(groups: Sequence[Group]) -> str:
             values = group.numbers(name)
             row += [Statistic.of(values).show(form), find_interquartile_mean(values).show(form)]
         minutes = Statistic.of([seconds / 60.0 for seconds in group.numbers("wall_seconds")])
-        rows.append([*row, minutes.show(".0f")])
+        rows.append([*row, minutes.show(".1f")])
     return write_table([*heads, "minutes"], rows)
 
 

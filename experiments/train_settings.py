@@ -89,7 +89,7 @@ class PolicySettings(TaskSettings):
         """Check the bounds, and that there is one source."""
         super().__post_init__()
         if sum(source is not None for source in self.sources.values()) != 1:
-            raise ValueError(f"give one of {', '.join(self.sources)}")
+            raise ValueError(f"give exactly one of {', '.join(self.sources)}")
 
     @property
     def sources(self) -> dict[str, str | None]:

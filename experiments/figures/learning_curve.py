@@ -108,7 +108,7 @@ def draw_curves(
                 axes.yaxis.set_major_formatter("{x:.0%}")
                 _draw_baselines(axes, baselines or {})
             if i >= len(shown) - 2:
-                axes.set_xlabel("env frames (decisions of all fish)")
+                axes.set_xlabel("env frames (decisions of all flows)")
                 axes.tick_params(labelbottom=True)
         if has_bands or len(handles) > 1:
             note = "mean over the seeds, band: its 95 % confidence interval" if has_bands else None

@@ -82,7 +82,7 @@ def write_training(path: Path, runs: Mapping[str, Sequence[Path]]) -> None:
                     series = read_metrics(folder / "metrics.csv").get(column, ())
                     name = arm if number == 0 else None
                     axes.plot(*series, color=colour, linewidth=1.2, alpha=0.8, label=name)
-            axes.set(xlabel="env frames (decisions of all fish)", ylabel=label)
+            axes.set(xlabel="env frames (decisions of all flows)", ylabel=label)
         grid[0, 0].legend(fontsize=8)
 
 

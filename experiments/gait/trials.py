@@ -262,7 +262,7 @@ def record(
         progress.advance(1)
 
     def note_frame(start_of: Tensor, flows: FlowEnv) -> None:
-        y = base.solver.head()[:, 1]
+        y = base.solver.markers()[:, 0, 1]
         keep(beat=base.solver.body.phase, aside=(y - task.origin[1]) / task.body_length)
         keep_impulse()
         on_frame(flows)

@@ -40,9 +40,6 @@ class Solver(Protocol):
     def surface(self, index: int = 0) -> Markers:
         """Return the markers of a body: position, arm, velocity without the rigid motion."""
 
-    def head(self) -> Tensor:
-        """Return the nose of the first body ``[B, 2]`` in nodes."""
-
     def macroscopic(self) -> tuple[Tensor, Tensor]:
         """Return density ``[B, Y, X]`` and velocity ``[B, 2, Y, X]`` in nodes per step."""
 

@@ -245,8 +245,8 @@ def equip(
         return task, []
     if not task.flow_labels or task.num_fish > 1:
         raise ValueError(
-            f"recognition: {type(task).__name__} has no flows to tell apart, or several fish; use "
-            "recognition=None, or a task of one fish with `flow_labels`"
+            f"recognition: {type(task).__name__} has no flows to tell apart, or several fish; "
+            "leave it out, or take a task of one fish with `flow_labels`"
         )
     is_observed = task.num_label_inputs > 0
     if isinstance(recognition, nn.Module):

@@ -91,8 +91,10 @@ def split_episodes(
         One mask ``[N]`` bool per part.
 
     Raises:
-        ValueError: if a class has fewer episodes than there are parts.
+        ValueError: for other shares, or if a class has fewer episodes than there are parts.
     """
+    if min(shares) <= 0.0 or abs(sum(shares) - 1.0) > 1e-6:
+        raise ValueError(f"shares = {shares}: must be positive and of sum 1")
     parts = [torch.zeros_like(label, dtype=torch.bool) for _ in shares]
     for kind in label.unique():
         ids = episode[label == kind].unique()

@@ -53,7 +53,7 @@ class Plan:
         if not self.algorithm.takes(self.task):
             kind = "discrete" if self.task.action_bounds is None else "continuous"
             kind = f"{kind} actions" + " of several fish" * (self.task.num_fish > 1)
-            fitting = [one.__name__ for one in ALGORITHMS if one.takes(self.task)]
+            fitting = [one.__module__.split(".")[-1] for one in ALGORITHMS if one.takes(self.task)]
             raise ValueError(
                 f"algorithm = {type(self.algorithm).__name__}: does not learn {kind}, "
                 f"which {type(self.task).__name__} has here; take one of {', '.join(fitting)}"

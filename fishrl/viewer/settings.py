@@ -18,7 +18,8 @@ class ViewerSettings(Checked):
         field: vorticity (1/T), pressure (rho L^2/T^2) or speed (L/T).
         field_format: format of the field, jpeg (small) or u8 (values under the mouse).
         field_limit: value at which the field's colours saturate; by default 15 for the vorticity,
-            and limits that follow from the fastest stream for pressure and speed.
+            and limits that follow from the fastest stream for pressure and speed; films and figures
+            choose one that suits the wake.
         port: port of the live viewer; the next free one if it is taken.
         live_share: largest share of the wall time that a live view may take.
     """

@@ -125,9 +125,6 @@ class KinematicSolver:
         swirl = 0.01 * torch.stack((-y, x)).float()
         return torch.ones(self.num_envs, *y.shape), swirl.expand(self.num_envs, 2, -1, -1)
 
-    def head(self) -> Tensor:
-        return self.markers()[:, 0]
-
     def markers(self, index: int = 0) -> Tensor:
         body = self._fish[index]
         still = torch.zeros_like(body.phase)

@@ -80,7 +80,7 @@ def test_the_danger_area_of_the_scene_is_that_of_the_task() -> None:
 def test_the_midline_of_a_straight_fish_is_its_axis() -> None:
     base = make_env(task=make_task("predation"), num_envs=1, compile=False).base_env
     midline = base.task.read_scene(base.solver, base.start)["midline"][0]
-    head = base.solver.head()[0]
+    head = base.solver.markers()[0, 0]
     assert midline[:, 1].tolist() == pytest.approx([head[1].item()] * len(midline))
     assert midline[0].tolist() == pytest.approx(head.tolist())
     assert midline[-1, 0] - head[0] == pytest.approx(20.0)

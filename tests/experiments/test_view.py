@@ -117,7 +117,7 @@ def test_a_live_view_streams_and_stays_until_an_interrupt(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ([], "error: give one of run=<run folder>"),
+        ([], "error: give exactly one of run=<run folder>"),
         (["nowhere.rrd"], r"error: no \.rrd file at nowhere\.rrd"),
         (["run=nowhere"], "error: checkpoint nowhere: there is none"),
         (["policy=pid", "field_format=jpg"], "error: field_format = jpg: .*did you mean 'jpeg'"),

@@ -71,6 +71,10 @@ def test_too_few_episodes_of_a_class_are_refused() -> None:
     data = make_samples(8)  # two of class 2
     with pytest.raises(ValueError, match="class 2 has 2 episodes for 3 parts"):
         split_episodes(data["episode"], data["flow_index"], shares=SHARES, generator=generator())
+    with pytest.raises(ValueError, match=r"shares = \(0.9, 0.9\): must be positive and of sum 1"):
+        split_episodes(
+            data["episode"], data["flow_index"], shares=(0.9, 0.9), generator=generator()
+        )
 
 
 @pytest.mark.parametrize("empty", [0, 1])

@@ -372,7 +372,7 @@ class KarmanGait(AbstractTask):
         neuromasts = self.lateral_line.place(solver)[0]
         signal = self.sense(solver, starts)["sensed"][..., find_shown_feature(self.lateral_line)]
         return super().read_scene(solver, starts) | {
-            "place": self._locate(solver.head()),
+            "place": self._locate(solver.markers()[:, 0]),
             "neuromasts": neuromasts,
             "signal": signal.expand(neuromasts.shape[:2]),
             "stream_speed": solver.stream_speed / self.scales.reference_speed,

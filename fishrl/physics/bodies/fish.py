@@ -67,6 +67,11 @@ class Fish(BodyConfig):
         if self.num_markers % 2:
             raise ValueError(f"num_markers = {self.num_markers}: must be even, as sides are alike")
 
+    def compute_wall_speed(self, frequency: float) -> float:
+        """Add the speed of the tail, except for strokes."""
+        tail = 0.0 if self.strokes else self.gait.tail_speed * self.size * abs(frequency)
+        return super().compute_wall_speed(frequency) + tail
+
     @property
     def can_bend(self) -> bool:
         """Whether the midline is sheared, so that a command can add to it."""

@@ -43,8 +43,11 @@ class Motion(Checked):
         """Return velocity ``[B, 2]`` and Omega ``[B]``; used where the flow does not set them."""
         return body.velocity, body.angular_velocity
 
-    def compute_wall_speed(self, radius: float) -> float:
-        """Return the speed, nodes per step, that it imposes on a body of ``radius`` nodes."""
+    def compute_wall_speed(self, radius: float, frequency: float) -> float:
+        """Return the speed, nodes per step, that it imposes on a body of ``radius`` nodes.
+
+        ``frequency`` is that of its oscillation, per step.
+        """
         return 0.0
 
     def compute_bend_rate(self, body: BodyState) -> Tensor:
@@ -95,7 +98,7 @@ class Driven(Motion):
         x, y = self.velocity
         return torch.stack((zero + x, zero + y), -1), zero + self.angular_velocity
 
-    def compute_wall_speed(self, radius: float) -> float:
+    def compute_wall_speed(self, radius: float, frequency: float) -> float:
         """Return the sum of both."""
         return hypot(*self.velocity) + abs(self.angular_velocity) * radius
 
@@ -104,7 +107,8 @@ class Driven(Motion):
 class Oscillating(Motion):
     """A body that sways and pitches: x0 + sway sin(phase), heading0 + pitch sin(phase + lag).
 
-    It starts at phase 0, so the heading that it is given is heading0 + pitch sin(lag).
+    It starts at phase 0, so the heading that it is given is heading0 + pitch sin(lag). The phase
+    rises with the ``frequency`` given to the solver, which is 0 by default.
 
     Args:
         sway: amplitude (x, y) in nodes.
@@ -129,6 +133,11 @@ class Oscillating(Motion):
         x = self.sway[0] * swing - self.pivot * (torch.cos(heading) - torch.cos(body.heading))
         y = self.sway[1] * swing - self.pivot * (torch.sin(heading) - torch.sin(body.heading))
         return torch.stack((x, y), -1), turn
+
+    def compute_wall_speed(self, radius: float, frequency: float) -> float:
+        """Return the sum of the largest speeds of sway and pitch."""
+        reach = hypot(*self.sway) + abs(self.pitch) * (radius + abs(self.pivot))
+        return 2.0 * pi * abs(frequency) * reach
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -61,12 +61,7 @@ class BodyConfig(ABC):
                 "motion = Bending(): a command bends only a Fish without keeps_length and strokes, "
                 f"not this {type(self).__name__}; take Commanded() or Free()"
             )
-        if (speed := self.motion.compute_wall_speed(0.5 * self.size)) > MAX_IMPOSED_SPEED:
-            raise ValueError(
-                f"{type(self).__name__} of {self.size:g} nodes with motion = {self.motion}: its "
-                f"surface would move at {speed:.3g} nodes per step: at most {MAX_IMPOSED_SPEED} is "
-                "allowed, so lower velocity or angular_velocity"
-            )
+        self.check_speed(0.0)
         perimeter = float(sum(self._lengths))
         if self.num_markers == 0:
             counts = [max(8, round(s / self.marker_spacing)) for s in self._lengths]
@@ -77,6 +72,22 @@ class BodyConfig(ABC):
                 f"{type(self).__name__} with num_markers = {self.num_markers}: they would lie "
                 f"{spacing:.2f} nodes apart, allowed is 0.5 to 2; change the number of markers or "
                 "the size"
+            )
+
+    def compute_wall_speed(self, frequency: float) -> float:
+        """Return the largest imposed speed of the surface, nodes per step.
+
+        ``frequency`` is that of tail beat or oscillation, per step.
+        """
+        return self.motion.compute_wall_speed(0.5 * self.size, frequency)
+
+    def check_speed(self, frequency: float) -> None:
+        """Raise ValueError where ``compute_wall_speed`` is more than the method allows."""
+        if (speed := self.compute_wall_speed(frequency)) > MAX_IMPOSED_SPEED:
+            raise ValueError(
+                f"{type(self).__name__} of {self.size:g} nodes with motion = {self.motion} at "
+                f"frequency {frequency:g} per step: its surface would move at {speed:.3g} nodes "
+                f"per step, allowed is {MAX_IMPOSED_SPEED}: slow it down"
             )
 
     @property

@@ -1,7 +1,12 @@
 """Checks of tensors that are given to a solver."""
 
+from collections.abc import Sequence
+from math import inf
+
 import torch
 from torch import Tensor
+
+from fishrl.physics.flow import FlowConfig
 
 
 def check_tensor(
@@ -11,10 +16,12 @@ def check_tensor(
     *,
     dtype: torch.dtype | None = None,
     where: Tensor | None = None,
+    largest: float = inf,
 ) -> None:
-    """Check shape (None fits any length), type and, in rows ``where`` ``[B]``, that it is finite.
+    """Check shape (None fits any length), type and, in rows ``where`` ``[B]``, size.
 
-    That is read on a CPU only: on a GPU the host would have to wait.
+    There it must be finite and of a magnitude of at most ``largest``. That is read on a CPU only:
+    on a GPU the host would have to wait.
     """
     wanted = f"a tensor of shape {shape}" + (f" and type {dtype}" if dtype else "")
     if not isinstance(value, Tensor):
@@ -29,5 +36,22 @@ def check_tensor(
         )
     if where is None or where.device.type != "cpu":
         return
-    if not value.to(where.device)[where].isfinite().all():
+    chosen = value.to(where.device)[where]
+    if not chosen.isfinite().all():
         raise ValueError(f"{name} = {value.tolist()}: must be finite in every chosen row")
+    if (chosen.abs() > largest).any():
+        raise ValueError(f"{name} = {value.tolist()}: allowed is at most {largest}")
+
+
+def read_frequency(frequency: float | Tensor, configs: Sequence[FlowConfig]) -> Tensor:
+    """Return a frequency per step, or one of each flow ``[B]``, in float64 on the CPU.
+
+    ValueError unless it is finite and no body's surface too fast.
+    """
+    value = torch.as_tensor(frequency, dtype=torch.float64, device="cpu")
+    shape = (len(configs),) if value.dim() else ()
+    check_tensor("frequency", value, shape, where=torch.ones(shape, dtype=torch.bool))
+    for config, own in zip(configs, value.expand(len(configs)).tolist(), strict=True):
+        for body in config.bodies:
+            body.check_speed(own)
+    return value

@@ -4,6 +4,7 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from math import hypot
 from typing import IO
 
 import torch
@@ -15,11 +16,12 @@ from fishrl.physics.bodies.placement import check_placement, lies_inside, spread
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
 from fishrl.physics.fast.batch import FlowBatch, set_rows_
-from fishrl.physics.fast.checks import check_tensor
+from fishrl.physics.fast.checks import check_tensor, read_frequency
 from fishrl.physics.fast.compiled import Kernel, find_compiler_problem
 from fishrl.physics.fast.workers import Workers, can_send, count_cores, map_shared, open_shared
 from fishrl.physics.flow import FlowConfig, compute_stream_speed, list_configs
 from fishrl.physics.lattice import Q
+from fishrl.physics.units import MAX_IMPOSED_SPEED
 
 logger = logging.getLogger(__name__)
 
@@ -72,9 +74,7 @@ class InPlaceSolver:
             )
         self.configs, self.config = configs, configs[0]
         self.num_envs, self.device, self._wants_compile = num_envs, device, compile
-        self._frequency = torch.as_tensor(frequency, dtype=torch.float64, device=device)
-        shape = (num_envs,) if self._frequency.dim() else ()
-        check_tensor("frequency", self._frequency, shape, where=torch.tensor(True))
+        self._frequency = read_frequency(frequency, configs).to(device)
         self._num_workers, self._group_size = min(num_workers, num_envs // size), size
         self._workers: Workers | None = None
         self._shared: IO[bytes] | None = None
@@ -209,8 +209,8 @@ class InPlaceSolver:
             velocity: of the fluid everywhere, in units of the stream speed.
 
         Raises:
-            ValueError: for wrong shapes, and for bodies that overlap or reach beyond the grid; then
-                nothing has changed.
+            ValueError: for wrong shapes, speeds above 0.3, and bodies that overlap or reach beyond
+                the grid; then nothing has changed.
         """
         rows = self._choose(rows)
         position, heading = spread_starts(
@@ -219,6 +219,8 @@ class InPlaceSolver:
         check_tensor("position", position, where=rows)
         check_tensor("heading", heading, where=rows)
         flow = self._batch.flow
+        fastest = hypot(*velocity) * flow.params.stream_speed
+        check_tensor("velocity times stream_speed", fastest, where=rows, largest=MAX_IMPOSED_SPEED)
         fresh = []
         for m in range(len(self.bodies)):
             frequency = torch.zeros_like(heading[:, m]) + self._frequency
@@ -364,10 +366,6 @@ class InPlaceSolver:
                 "index below their number"
             )
         return self.config.bodies[index], self._batch.flow.params.bodies[index], self.bodies[index]
-
-    def head(self) -> Tensor:
-        """Return the nose of the first body ``[B, 2]`` in nodes."""
-        return self.markers()[:, 0]
 
     def is_diverged(self) -> Tensor:
         """Return ``[B]``: density or speed beyond the method, or a body outside the grid."""

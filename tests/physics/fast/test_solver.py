@@ -20,7 +20,15 @@ from fishrl.physics import (
     Stroke,
     Strokes,
 )
-from fishrl.physics.bodies.motion import Bending, Commanded, Fixed, Free, Surging, Towed
+from fishrl.physics.bodies.motion import (
+    Bending,
+    Commanded,
+    Fixed,
+    Free,
+    Oscillating,
+    Surging,
+    Towed,
+)
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.boundaries import (
     Boundaries,
@@ -344,6 +352,13 @@ def test_without_a_compiler_the_flow_runs_eagerly_and_says_so_once(
         (lambda s: s.set_populations_(torch.zeros(3, 9, 2, 2)), "f has shape"),
         (lambda s: s.reset_(torch.ones(2), STARTS, HEADINGS), "rows has shape"),
         (
+            lambda s: [
+                s.set_stream_speed_(torch.full((3,), 0.1)),
+                s.reset_(torch.ones(3) > 0, STARTS, HEADINGS, velocity=(4.0, 0.0)),
+            ],
+            r"velocity times stream_speed = .*: allowed is at most 0\.3",
+        ),
+        (
             lambda s: s.reset_(torch.ones(3) > 0, STARTS * torch.inf, HEADINGS),
             "position = .*: must be finite in every chosen row",
         ),
@@ -356,11 +371,29 @@ def test_wrong_calls_are_refused(call: object, message: str) -> None:
         call(solver)  # type: ignore[operator]
 
 
-@pytest.mark.parametrize("frequency", [math.nan, torch.zeros(3)])
-def test_a_solver_needs_a_finite_frequency_or_one_for_each_flow(frequency: object) -> None:
+@pytest.mark.parametrize(
+    ("frequency", "message"),
+    [
+        (math.nan, "frequency = nan"),
+        (torch.zeros(3), r"frequency has shape \(3,\)"),
+        (torch.tensor([0.0, 0.03]), r"0\.03 per step: its surface would move at 0\.565 nodes"),
+    ],
+)
+def test_a_solver_needs_frequencies_of_which_no_surface_is_too_fast(
+    frequency: object, message: str
+) -> None:
     config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
-    with pytest.raises(ValueError, match=r"frequency (= nan|has shape \(3,\))"):
+    with pytest.raises(ValueError, match=message):
         InPlaceSolver(config=config, num_envs=2, frequency=frequency, compile=False)
+
+
+def test_a_body_that_oscillates_too_fast_is_refused() -> None:
+    """The end of a foil of 16 nodes that pitches about its nose by 0.5: 2 pi f 0.5 16."""
+    motion = Oscillating(pitch=0.5, pivot=8.0)
+    config = FlowConfig(width=60, height=40, tau=0.6, bodies=(Foil(chord=16, motion=motion),))
+    InPlaceSolver(config=config, num_envs=1, frequency=0.005, compile=False)
+    with pytest.raises(ValueError, match=r"would move at 0\.302 nodes per step, allowed is 0\.3"):
+        InPlaceSolver(config=config, num_envs=1, frequency=0.006, compile=False)
 
 
 def test_a_state_saved_before_streams_could_change_goes_on_as_it_was() -> None:

@@ -52,12 +52,12 @@ def test_a_setting_that_cannot_be_is_refused(kind: type, wrong: dict[str, Any]) 
         (
             SAC(),
             False,
-            "SAC: does not learn discrete actions.* take one of DQN, DRQN, PPO, DiscreteSAC",
+            "SAC: does not learn discrete actions.* take one of dqn, drqn, ppo, discrete_sac",
         ),
         (
             DiscreteSAC(),
             True,
-            "DiscreteSAC: does not learn continuous actions.* take one of PPO, SAC",
+            "DiscreteSAC: does not learn continuous actions.* take one of ppo, sac",
         ),
         (DRQN(), True, "DRQN: does not learn continuous actions"),
     ],
