@@ -25,7 +25,6 @@ from fishrl.physics.bodies.motion import (
     Commanded,
     Fixed,
     Free,
-    Oscillating,
     Surging,
     Towed,
 )
@@ -329,71 +328,6 @@ def test_without_a_compiler_the_flow_runs_eagerly_and_says_so_once(
         "no C++ compiler (g++ or clang++) on the path: the flow runs eagerly, about 10 times slower"
     ]
     assert not solver.is_diverged().any()
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda s: s.advance_(3), "num_steps = 3: must be even"),
-        (lambda s: s.command_(TURN, 1), "num_steps = 1: a turn takes at least two steps"),
-        (lambda s: s.advance_(2, rows=[True]), r"rows = \[True\]: give a tensor"),
-        (lambda s: s.advance_(2, rows=torch.ones(3)), "type torch.float32: give .* torch.bool"),
-        (lambda s: s.command_(TURN[:1], 2), r"turn has shape \(1,\)"),
-        (lambda s: s.command_(TURN * torch.nan, 2), "turn = .*: must be finite"),
-        (lambda s: s.command_(0.2, 2), "turn = 0.2: give a tensor"),
-        (lambda s: s.command_(torch.zeros(3, 2), 2), "body 1 of a flow with 1"),
-        (lambda s: s.command_(TURN, 2, torch.zeros(3, 1)), r"frequency has shape \(3, 1\)"),
-        (lambda s: s.sample(torch.zeros(1, 5, 2)), r"points has shape \(1, 5, 2\)"),
-        (lambda s: s.set_stream_speed_(torch.ones(1)), r"speed has shape \(1,\)"),
-        (
-            lambda s: s.set_body_(0, make_params([make_swimmer_config(SCALES)]).bodies[0]),
-            r"params has shape \(1, .* give a tensor of shape \(3, ",
-        ),
-        (lambda s: s.set_populations_(torch.zeros(3, 9, 2, 2)), "f has shape"),
-        (lambda s: s.reset_(torch.ones(2), STARTS, HEADINGS), "rows has shape"),
-        (
-            lambda s: [
-                s.set_stream_speed_(torch.full((3,), 0.1)),
-                s.reset_(torch.ones(3) > 0, STARTS, HEADINGS, velocity=(4.0, 0.0)),
-            ],
-            r"velocity times stream_speed = .*: allowed is at most 0\.3",
-        ),
-        (
-            lambda s: s.reset_(torch.ones(3) > 0, STARTS * torch.inf, HEADINGS),
-            "position = .*: must be finite in every chosen row",
-        ),
-        (lambda s: s.load_state_dict({}), "state 'f0' is nothing, expected torch.float32"),
-    ],
-)
-def test_wrong_calls_are_refused(call: object, message: str) -> None:
-    solver = make_solver(make_swimmer_config(SCALES, length_bl=4, height_bl=3))
-    with pytest.raises(ValueError, match=message):
-        call(solver)  # type: ignore[operator]
-
-
-@pytest.mark.parametrize(
-    ("frequency", "message"),
-    [
-        (math.nan, "frequency = nan"),
-        (torch.zeros(3), r"frequency has shape \(3,\)"),
-        (torch.tensor([0.0, 0.03]), r"0\.03 per step: its surface would move at 0\.565 nodes"),
-    ],
-)
-def test_a_solver_needs_frequencies_of_which_no_surface_is_too_fast(
-    frequency: object, message: str
-) -> None:
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
-    with pytest.raises(ValueError, match=message):
-        InPlaceSolver(config=config, num_envs=2, frequency=frequency, compile=False)
-
-
-def test_a_body_that_oscillates_too_fast_is_refused() -> None:
-    """The end of a foil of 16 nodes that pitches about its nose by 0.5: 2 pi f 0.5 16."""
-    motion = Oscillating(pitch=0.5, pivot=8.0)
-    config = FlowConfig(width=60, height=40, tau=0.6, bodies=(Foil(chord=16, motion=motion),))
-    InPlaceSolver(config=config, num_envs=1, frequency=0.005, compile=False)
-    with pytest.raises(ValueError, match=r"would move at 0\.302 nodes per step, allowed is 0\.3"):
-        InPlaceSolver(config=config, num_envs=1, frequency=0.006, compile=False)
 
 
 def test_a_state_saved_before_streams_could_change_goes_on_as_it_was() -> None:
