@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
@@ -70,10 +70,18 @@ def test_callbacks_say_which_start_each_row_runs(task: Predation) -> None:
     assert torch.equal(frames, 5 * ran)
 
 
-def test_episodes_are_left_after_max_decisions(task: Predation) -> None:
+class AtFood(Predation):
+    """Reports success before the episode has ended."""
+
+    def report(self, now: TensorDictBase) -> dict[str, Tensor]:
+        return {"captured": torch.ones(now.shape, dtype=torch.bool)}
+
+
+def test_episodes_are_left_after_max_decisions_and_count_as_no_success() -> None:
+    task = AtFood(**SMALL, time_limit=6)
     episodes = run_episodes(make(task, 5), keep_straight, draw(task), max_decisions=1)
     assert episodes.lengths.tolist() == [1] * NUM_STARTS
-    assert not episodes.succeeded.any()
+    assert not episodes.succeeded[~episodes.terminated].any()
 
 
 def test_the_env_draws_its_own_starts_afterwards_even_if_the_policy_failed(

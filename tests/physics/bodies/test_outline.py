@@ -137,6 +137,7 @@ def test_a_kick_ends_and_pushes_both_ways_alike() -> None:
         (lambda: Cylinder(diameter=40, inset=1.5), "inset = 1.5"),
         (lambda: Driven(velocity=(0.25, 0.25)), "velocity = .* norm of at most 0.3"),
         (lambda: Driven(angular_velocity=-0.4), "angular_velocity = -0.4"),
+        (lambda: Fixed(kick_speed=-0.4), "kick_speed = -0.4"),
         (lambda: Cylinder(diameter=40, motion=Driven(angular_velocity=0.02)), "0.4 nodes per step"),
     ],
 )

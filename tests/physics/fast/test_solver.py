@@ -20,14 +20,7 @@ from fishrl.physics import (
     Stroke,
     Strokes,
 )
-from fishrl.physics.bodies.motion import (
-    Bending,
-    Commanded,
-    Fixed,
-    Free,
-    Surging,
-    Towed,
-)
+from fishrl.physics.bodies.motion import Bending, Commanded, Fixed, Free, Surging, Towed
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.boundaries import (
     Boundaries,
