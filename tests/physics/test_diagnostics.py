@@ -48,6 +48,9 @@ def test_a_spectrum_needs_four_samples() -> None:
 def test_cycles_need_two_whole_periods() -> None:
     with pytest.raises(ValueError, match="measure longer"):
         measure_cycles(LIFT[:200], 0.1)
+    noise = torch.randn(20, generator=torch.Generator().manual_seed(5918), dtype=torch.float64)
+    with pytest.raises(ValueError, match="measure longer"):  # two until the mean is refined
+        measure_cycles(noise, 0.1)
 
 
 @pytest.mark.parametrize(
