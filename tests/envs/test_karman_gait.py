@@ -130,6 +130,14 @@ def test_the_frequency_may_be_repeated_as_the_paper_does() -> None:
     assert observation.shape == (9,) and observation[6:].tolist() == [1.5, 1.5, 1.5]
 
 
+def test_the_policy_may_go_without_the_velocity_at_the_lateral_line() -> None:
+    full, blind = make(1), make(1, observes_velocity=False)
+    full.reset(), blind.reset()
+    seen, left = act(full, ACCELERATE)["observation"][0], act(blind, ACCELERATE)["observation"][0]
+    assert seen[4:6].abs().max() > 0.0 and left.shape == (5,)
+    torch.testing.assert_close(left, seen[[0, 1, 2, 3, 6]])
+
+
 def test_the_lateral_line_is_handed_over_as_a_series() -> None:
     line = LateralLine(num_neuromasts=3, num_samples=4, features=("t", "u_x"))
     env = make(2, lateral_line=line)

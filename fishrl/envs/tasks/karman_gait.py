@@ -57,6 +57,7 @@ class KarmanGait(AbstractTask):
         start_y_bl: the same along y.
         safe_area: area outside which episodes terminate.
         reward_terms: weights of the reward.
+        observes_velocity: observe the velocity at the lateral line.
         repeats_frequency: observe the frequency three times, as the paper does.
     """
 
@@ -82,6 +83,7 @@ class KarmanGait(AbstractTask):
     start_y_bl: tuple[float, float] = (-0.1, 0.1)
     safe_area: SafeArea = field(default_factory=SafeArea)
     reward_terms: StationReward = field(default_factory=StationReward)
+    observes_velocity: bool = True
     repeats_frequency: bool = False
 
     def __post_init__(self) -> None:
@@ -110,7 +112,7 @@ class KarmanGait(AbstractTask):
     @property
     def n_obs(self) -> int:  # type: ignore[override]
         """Length of one observation."""
-        return 9 if self.repeats_frequency else 7
+        return 4 + 2 * self.observes_velocity + (3 if self.repeats_frequency else 1)
 
     @property
     def num_actions(self) -> int:  # type: ignore[override]
@@ -296,9 +298,9 @@ class KarmanGait(AbstractTask):
 
     def observe(self, now: TensorDictBase) -> Tensor:
         """Return position, displacement, mean velocity at the lateral line and frequency."""
-        frequency = now["frequency"][:, None].expand(-1, self.n_obs - 6)
-        velocity = now["velocity"].mean(1).double()
-        return torch.cat((now["place"], now["moved"], velocity, frequency), -1).float()
+        frequency = now["frequency"][:, None].expand(-1, 3 if self.repeats_frequency else 1)
+        velocity = (now["velocity"].mean(1).double(),) if self.observes_velocity else ()
+        return torch.cat((now["place"], now["moved"], *velocity, frequency), -1).float()
 
     def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
         """Return the reward of the interval, see ``stations.StationReward``."""
