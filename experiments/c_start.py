@@ -16,7 +16,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from math import pi
+from math import isnan, nan, pi
 from pathlib import Path
 from typing import Any
 
@@ -150,14 +150,16 @@ class Search:
             logger.info("generation %d: best %.3f L, now %.3f L", number, best[0], max(scores))
 
     def rate(self, generation: dict[str, Any]) -> list[float]:
-        """Return the distance less the penalty of each candidate; -1 where the flow diverged."""
+        """Return the distance less the penalty of each candidate; 1 below all if it diverged."""
         allowed = self.found["published"]["work"][-1]
-        return [
-            distance - PENALTY * max(0.0, work / allowed - 1.0) if is_fine else -1.0
+        scores = [
+            distance - PENALTY * max(0.0, work / allowed - 1.0) if is_fine else nan
             for distance, work, is_fine in zip(
                 generation["distance"], generation["work"], generation["fine"], strict=True
             )
         ]
+        lowest = min((score for score in scores if not isnan(score)), default=0.0)
+        return [lowest - 1.0 if isnan(score) else score for score in scores]
 
     def find_best(self, num_generations: int | None = None) -> tuple[float, list[float]]:
         """Return score and numbers of the best candidate."""
@@ -174,6 +176,8 @@ class Search:
         for size in [self.settings.body_length, *self.settings.finer]:
             if kept.get(str(size), {}).get("best") != best:
                 swims, solver = self.swim([C_START, to_strokes(best)], body_length=size)
+                if not all(one["fine"] for one in swims):
+                    raise ValueError(f"finer: at L = {size} the flow diverged")
                 pair = [one | take_picture(solver, i, size) for i, one in enumerate(swims)]
                 kept[str(size)] = {"best": best, "pair": pair}
                 write_json(self.file, self.found)

@@ -29,11 +29,14 @@ from fishrl.training import load_policy
 from fishrl.training.baselines import make_baseline
 from fishrl.training.description import make
 from fishrl.training.evaluation import fixed_starts
+from fishrl.training.policies import load_plan
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
 
 #: Decisions between pictures of the flow, of which the last one is kept.
 SNAPSHOT = 40
+#: Settings of the task that may be other than in training.
+VARIED = ("leader", "time_limit", "start_x_bl", "start_y_bl", "start_degrees", "wake_folder")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,6 +174,15 @@ def write_figure(path: Path, tried: dict[str, Record], results: dict[str, Any]) 
             tidy(each)
 
 
+def check_tasks(runs: Sequence[str], task: Follower) -> None:
+    """Raise ValueError if a policy was trained in another task; ``VARIED`` may differ."""
+    varied = {name: getattr(task, name) for name in VARIED}
+    for run in runs:
+        own = load_plan(run)[1].task
+        if not isinstance(own, Follower) or replace(own, **varied) != task:
+            raise ValueError(f"{run}: was trained in another task; give its preset and settings")
+
+
 @program(FollowingSettings, groups={"task": "follower", "preset": None})
 def main(settings: FollowingSettings) -> None:
     """Try all policies, and write table and figure."""
@@ -178,6 +190,7 @@ def main(settings: FollowingSettings) -> None:
     check_names([*(Path(run).name for run in settings.runs), settings.baseline])
     task = make(settings.task, kind=Follower)
     task = replace(task, time_limit=task.count_decisions(settings.periods))
+    check_tasks(settings.runs, task)
     places = {"behind the leader": task, "alone": replace(task, leader="none")}
     folder, tried = Path(settings.folder), dict[str, Record]()
     with Progress() as progress:

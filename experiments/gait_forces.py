@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from experiments.figures.style import COLOURS
@@ -110,8 +111,7 @@ def hold(
     impulse, lift, beat, y, work = series
     unit = size * (size / period) ** 2
     force = np.diff(impulse, axis=1).reshape(len(cases), -1, _SAMPLES).mean(-1) / (interval * unit)
-    phase = find_phase(np.diff(lift, axis=1), shedding, 1.0 / interval)
-    apart = np.exp(1j * (phase - beat[:, 1:])).mean(1)
+    apart = compare_phases(lift, beat, ratio.numpy(), interval=interval, shedding=shedding)
     measured_T = _SAMPLES * settings.periods * interval / period
     columns: dict[str, Any] = {
         "stream_speed_bl": np.full(len(cases), task.stream.speeds_bl[flow]),
@@ -130,6 +130,24 @@ def hold(
         dict(zip(columns, map(float, row), strict=True))
         for row in zip(*columns.values(), strict=True)
     ]
+
+
+def compare_phases(
+    lift: NDArray[np.float64],
+    beat: NDArray[np.float64],
+    ratio: NDArray[np.float64],
+    *,
+    interval: float,
+    shedding: float,
+) -> NDArray[np.complex128]:
+    """Return the mean of exp(i lead) of the lift over the beat ``[E]``.
+
+    ``lift`` is the impulse so far and ``beat`` the phase of the tail beat, ``[E, N]``, every
+    ``interval`` steps; ``ratio`` ``[E]`` is the tail-beat frequency over that of shedding.
+    """
+    phase = find_phase(np.diff(lift, axis=1), shedding, 1.0 / interval)
+    middle = beat[:, 1:] - pi * interval * shedding * ratio[:, None]  # as the mean force is
+    return np.asarray(np.exp(1j * (phase - middle)).mean(1))
 
 
 def find_thrust_phase(rows: Sequence[Mapping[str, float]]) -> float:

@@ -94,6 +94,14 @@ def write_drift(folder: str, pictures: Path) -> str:
     )
 
 
+def read_speeds(name: str, *results: Any) -> list[float]:
+    """Return the stream speeds that all results have in common; ValueError if they differ."""
+    speeds = [list(each["speeds_bl"]) for each in results]
+    if any(each != speeds[0] for each in speeds):
+        raise ValueError(f"{name}: results in different streams, {speeds} L/T")
+    return speeds[0]
+
+
 def write_forces(folder: str, pictures: Path) -> str:
     """Return a table of the force on a held fish by frequency and phase, and copy the figure."""
     with (Path(folder) / "forces.csv").open(encoding="utf-8") as file:
@@ -164,7 +172,7 @@ def main(settings: GaitPageSettings) -> None:
     if s.design:
         found = {name: read(folder) for name, folder in s.design.items()}
         rows = {name: results["arms"]["pid"] for name, results in found.items()}
-        speeds = next(iter(found.values()))["speeds_bl"]
+        speeds = read_speeds("design", *found.values())
         parts["design"] = tables.write_survival("task", rows, speeds)
     if s.fixed is not None:
         results = read(s.fixed)
@@ -179,8 +187,9 @@ def main(settings: GaitPageSettings) -> None:
     if s.robustness is not None:
         parts["robustness"] = take_page(Path(s.robustness) / "robustness.md", pictures)
     if s.transfer is not None:
-        results, others = read(s.transfer), read(s.beside)["arms"] if s.beside else {}
-        speeds = results["speeds_bl"]
+        results = read(s.transfer)
+        beside = read(s.beside) if s.beside else results | {"arms": {}}
+        others, speeds = beside["arms"], read_speeds("beside", results, beside)
         if both := sorted(results["arms"].keys() & others):
             raise ValueError(f"beside: transfer has {', '.join(both)} too; give other policies")
         prefix = "" if s.part == "transfer" else f"{s.part}_"
@@ -188,6 +197,7 @@ def main(settings: GaitPageSettings) -> None:
         parts[s.part] = tables.write_results(results["arms"] | others, speeds)
         if s.free_stream is not None:
             free = read(s.free_stream, "free_stream.json")
+            read_speeds("free_stream", results, free)
             in_wake, work = (next(iter(results[name].values())) for name in ("arms", "work"))
             parts[f"{prefix}work"] = write_free_stream(free, in_wake)
             path = pictures / f"{prefix}work.png"

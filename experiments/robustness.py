@@ -25,6 +25,7 @@ from experiments.gait.trials import (
     PERIODS,
     Histories,
     Trial,
+    check_shared,
     list_shedding,
     load_trial,
     make_trial,
@@ -129,7 +130,7 @@ def list_trials(
 ) -> list[Trial]:
     """Return the trials under a condition; baselines get the task of the first with macro-actions.
 
-    ValueError if there is none.
+    ValueError if there is none, or if they cannot be compared.
     """
     trials = [vary(trial, changes) for trial in tried]
     banked = [trial.task for trial in trials if trial.task.control.num_flows is not None]
@@ -139,6 +140,7 @@ def list_trials(
     for name in baselines:
         trial = make_trial(name, banked[0], periods=periods)
         trials.append(replace(trial, task=replace(trial.task, start_x_bl=x, start_y_bl=y)))
+    check_shared(trials)
     return trials
 
 

@@ -1,7 +1,7 @@
 """Statistics over seeds and starts: means, interquartile means, improvement; 95 % intervals.
 
 The interquartile mean and the probability of improvement are those of Agarwal et al. 2021 (arXiv
-2108.13264, section 4.3), with percentile bootstrap intervals over seeds.
+2108.13264, section 4.3), with percentile bootstrap intervals over six seeds or more.
 """
 
 from __future__ import annotations
@@ -14,6 +14,9 @@ from typing import Any
 
 import numpy as np
 from scipy import stats
+
+#: Values below which no bootstrap interval is given: it would be far too narrow.
+FEWEST = 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +96,7 @@ def _bootstrap(statistic: Any, *groups: Sequence[float]) -> Interval:
         return Interval(value=math.nan, low=math.nan, high=math.nan)
     samples = [np.asarray(group, dtype=float) for group in groups]
     value = float(statistic(*samples))
-    if min(map(len, groups)) < 2:
+    if min(map(len, groups)) < FEWEST:
         return Interval(value=value, low=math.nan, high=math.nan)
     interval = stats.bootstrap(
         samples, statistic, vectorized=True, method="percentile", n_resamples=2000, rng=0

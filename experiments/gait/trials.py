@@ -37,7 +37,8 @@ PERIODS = 100.0
 START_X_BL, START_Y_BL = (1.5, 2.0), (-0.1, 0.1)
 #: Frames within an action, for phases and oscillations.
 FRAMES = 8
-_SOURCES = ("fishrl.envs", "fishrl.modules", "fishrl.training.baselines", __name__)
+_TRAINING = tuple(f"fishrl.training.{name}" for name in ("algorithms", "baselines", "policies"))
+_SOURCES = ("fishrl.envs", "fishrl.modules", *_TRAINING, __name__)
 
 
 class Histories(NamedTuple):
@@ -104,9 +105,10 @@ def check_shared(tried: Sequence[Trial]) -> None:
 
 
 def prolong(task: KarmanGait, periods: float) -> KarmanGait:
-    """Return the task with all flows, fixed starts, and ``periods`` in T, in whole decisions."""
+    """Return the task with all flows, steady, fixed starts, and ``periods`` in T."""
     return replace(
         task,
+        stream=replace(task.stream, changes=None),
         start_flows=tuple(range(len(task.stream.speeds_bl))),
         time_limit=task.count_decisions(periods),
         start_x_bl=START_X_BL,
@@ -146,7 +148,7 @@ def _name_kind(task: KarmanGait, recognition: str | None) -> str:
     if isinstance(task.control, ContinuousFrequency):
         return "continuous frequency"
     if isinstance(task.control, DirectFrequencies):
-        return "ablation" if recognition is None else "lateral line alone"
+        return "lateral line alone" if recognition and task.observes_flow else "ablation"
     return {None: "macro-actions alone", ORACLE: "oracle"}.get(recognition, "both modules")
 
 
@@ -202,7 +204,8 @@ def run_trial(
     """Run ``episodes`` from fixed starts in each flow, or read them from the folder if it can."""
     task, flows = trial.task, len(trial.task.stream.speeds_bl)
     sources = hash_sources(*_SOURCES)
-    key = make_key(task, trial.identity, episodes, samples_actions, FRAMES, sources)
+    versions = (sources, torch.__version__)
+    key = make_key(task, trial.identity, episodes, samples_actions, FRAMES, *versions)
     path = folder / "histories" / f"{trial.name}-{key}.pt"
     if path.is_file():
         kept = load_tensors(

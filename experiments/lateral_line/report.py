@@ -60,7 +60,7 @@ def _describe_fit(fit: Fit) -> dict[str, Any]:
 
 _PAGE = """# Flow classification by the lateral line
 
-Flows: {flows}; chance is {chance:.0%}. Accuracies are those on held-out episodes{divisions}.
+Flows: {flows}; chance is {chance:.0%}. Accuracies are those on held-out episodes.
 
 Data: {samples} decisions in {episodes} episodes; half of the actions are random, the other half
 hold some station. There are {num_samples} samples per decision at {num_neuromasts} neuromasts. The
@@ -77,7 +77,7 @@ Input of this classifier: {features}, over {window_T:.3g} T.
 ![window, noise, memory](limits.png)
 
 The classifiers of the tables below are fitted anew with the settings of this one, without noise
-unless stated; the same inputs therefore have other accuracies than above.
+unless stated{divisions}; the same inputs therefore have other accuracies than above.
 
 ## Memory
 

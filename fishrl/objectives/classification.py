@@ -82,8 +82,8 @@ def split_episodes(
     """Divide samples into parts that share no episode, each with episodes of every class.
 
     Args:
-        episode: ``[N]`` int64, the episode of each sample; an episode has one label.
-        label: ``[N]`` int64.
+        episode: ``[N]`` int64, the episode of each sample.
+        label: ``[N]`` int64; an episode belongs to the class of its first sample.
         shares: of the episodes that each part gets, positive, of sum 1.
         generator: what falls where.
 
@@ -96,8 +96,11 @@ def split_episodes(
     if min(shares) <= 0.0 or abs(sum(shares) - 1.0) > 1e-6:
         raise ValueError(f"shares = {shares}: must be positive and of sum 1")
     parts = [torch.zeros_like(label, dtype=torch.bool) for _ in shares]
-    for kind in label.unique():
-        ids = episode[label == kind].unique()
+    known, at = episode.unique(return_inverse=True)
+    place = torch.arange(len(at), device=at.device)
+    first = place.new_full(known.shape, len(at)).scatter_reduce(0, at, place, "amin")
+    for kind in label[first].unique():
+        ids = known[label[first] == kind]
         if len(ids) < len(shares):
             raise ValueError(
                 f"class {int(kind)} has {len(ids)} episodes for {len(shares)} parts: collect at "
@@ -109,7 +112,7 @@ def split_episodes(
         ends = (cumulative * (len(ids) - len(shares))).round().long()
         ends = ends + torch.arange(len(shares) + 1)
         for part, start, end in zip(parts, ends[:-1], ends[1:], strict=True):
-            part |= torch.isin(episode, ids[start:end]) & (label == kind)
+            part |= torch.isin(episode, ids[start:end])
     return parts
 
 

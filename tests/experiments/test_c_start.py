@@ -70,7 +70,7 @@ def test_more_work_than_published_and_divergence_cost(tmp_path: Path) -> None:
         "work": [0.5, 1.0, 1.25, 0.5],
         "fine": [True, True, True, False],
     }
-    assert found.rate(generation) == [1.0, 1.0, 0.5, -1.0]
+    assert found.rate(generation) == [1.0, 1.0, 0.5, -0.5]
 
 
 def test_strokes_of_one_batch_swim_as_they_would_alone(monkeypatch: pytest.MonkeyPatch) -> None:

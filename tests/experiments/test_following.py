@@ -3,8 +3,9 @@
 import pytest
 import torch
 
-from experiments.following import Record, average, main, summarise, tabulate
+from experiments.following import Record, average, check_tasks, main, summarise, tabulate
 from fishrl.envs import Follower
+from fishrl.training.description import make
 
 
 def test_work_per_distance_is_counted_from_when_the_fish_has_settled_to_its_end() -> None:
@@ -39,6 +40,14 @@ def test_work_per_distance_is_counted_from_when_the_fish_has_settled_to_its_end(
     assert "50%" in row and "0.50" in row and "relative to passive alone" in table
     means = average([result, {**result, "cost": [0.4, 0.4]}])
     assert abs(means["cost"][0] - 0.2) < 1e-12 and means["cost"][1] == 0.4
+
+
+def test_policies_swim_in_the_task_of_their_training() -> None:
+    policy, small = "zoo/follower_small", ("preset=follower_small", "task.time_limit=9")
+    check_tasks([policy], make(main.read([*small, "task.leader=none"]).task, kind=Follower))
+    for given in ([], [*small, "task.frequency_range=[0.8,1.35]"]):
+        with pytest.raises(ValueError, match="was trained in another task"):
+            check_tasks([policy], make(main.read(given).task, kind=Follower))
 
 
 def test_policies_of_one_name_are_refused() -> None:

@@ -48,6 +48,8 @@ def test_a_policy_of_several_discs_and_baselines_get_the_row_of_the_nearest_stre
             assert trial.task.start_flows == tuple(range(len(flows)))
             assert (trial.task.start_y_bl, trial.task.lateral_line.noise) == ((0.3, 0.6), 0.0)
         assert tuple(map(tuple, trials[1].make_policy().rows.tolist())) == trial.task.control.rows
+    with pytest.raises(ValueError, match="tasks differ in body_length"):
+        list_trials([own, load_trial(Path("zoo/gait_narrow"))], [], {}, periods=100.0)
     machine = LateralLineClassifier(flows=task.flow_labels, sensors=task.lateral_line_layout)
     with pytest.raises(ValueError, match="give runs without a classifier"):
         vary(replace(own, recognition=machine), {})

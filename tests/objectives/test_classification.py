@@ -67,6 +67,16 @@ def test_every_part_has_episodes_of_every_class_in_about_its_share() -> None:
         assert per_flow == [pytest.approx(20 * share, abs=1)] * 3
 
 
+def test_an_episode_in_which_the_flow_changes_stays_whole() -> None:
+    episode = torch.arange(30).repeat_interleave(4)
+    label = (episode + torch.arange(4).repeat(30) // 2) % 3  # changes after two samples
+    masks = split_episodes(episode, label, shares=SHARES, generator=generator())
+    ids = [set(episode[mask].tolist()) for mask in masks]
+    assert sum(map(len, ids)) == 30 and sum(int(mask.sum()) for mask in masks) == 120
+    for mask in masks:
+        assert (label[mask].view(-1, 4)[:, 0].bincount(minlength=3) > 1).all()
+
+
 def test_too_few_episodes_of_a_class_are_refused() -> None:
     data = make_samples(8)  # two of class 2
     with pytest.raises(ValueError, match="class 2 has 2 episodes for 3 parts"):

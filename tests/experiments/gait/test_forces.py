@@ -1,10 +1,22 @@
 """The phase of thrust of a held fish."""
 
-from math import cos, isfinite, radians
+from math import cos, isfinite, pi, radians
 
+import numpy as np
 import pytest
 
-from experiments.gait_forces import find_thrust_phase
+from experiments.gait_forces import compare_phases, find_thrust_phase
+
+
+def test_lift_and_beat_are_compared_at_the_same_times() -> None:
+    period, every = 160.0, 10
+    time = np.arange(0.0, 8.0 * period + 1.0, every)[None]
+    rate = 2.0 * pi / period
+    lift = -np.cos(rate * time + 0.7) / rate  # impulse of a force of phase 0.7 in sines
+    beat = (rate * time + pi / 2.0) % (2.0 * pi)  # ``find_phase`` is that of a cosine
+    found = compare_phases(lift, beat, np.ones(1), interval=every, shedding=1.0 / period)
+    assert np.angle(found) == pytest.approx(0.7 - pi, abs=0.01)
+    assert np.abs(found) == pytest.approx(1.0, abs=0.01)
 
 
 def test_the_phase_of_thrust_is_that_of_a_sine_through_the_forces() -> None:

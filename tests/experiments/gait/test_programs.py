@@ -86,6 +86,10 @@ def test_the_page_takes_the_tables_of_several_transfer_tests(tmp_path: Path) -> 
     rows = [line.split(" | ")[0] for line in page.read_text().splitlines()]
     assert [rows.count(f"| {name}") for name in ("pid", "fixed-0.6")] == [9, 9]
     assert rows.index("| pid") < rows.index("| fixed-0.6")
+    other = results | {"speeds_bl": [1.1, 1.3, 1.4]}
+    (tmp_path / "fixed-0.6" / "transfer.json").write_text(json.dumps(other))
+    with pytest.raises(ValueError, match="beside: results in different streams"):
+        gait_page.main.run(gait_page.main.read(given))
 
 
 def test_no_part_of_the_page_overwrites_the_figures_of_another(

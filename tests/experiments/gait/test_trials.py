@@ -13,6 +13,8 @@ import torch
 import fishrl.envs.task
 from experiments.gait import trials
 from experiments.gait.trials import Histories, Trial, make_trial, record, run_trial
+from fishrl.envs.changes import StreamSwitches
+from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
 from tests.envs.kinematic_solver import KinematicSolver
@@ -94,6 +96,19 @@ def test_whatever_shapes_a_trial_has_it_recorded_anew_and_nothing_else(
         path.write_bytes(b"not a file")
     with pytest.raises(ValueError, match="cannot be read; delete the file"):
         count(trial)
+
+
+def test_trials_are_in_steady_streams() -> None:
+    changes = StreamSwitches(interval_T=10.0)
+    task = make_task(stream=Stream(has_disc=False, changes=changes))
+    assert make_trial("pid", task).task.stream.changes is None
+
+
+def test_a_policy_that_does_not_observe_the_label_is_the_ablation() -> None:
+    control = DirectFrequencies(frequencies=(0.5, 1.0))
+    for observes, arm in ((True, "lateral line alone"), (False, "ablation")):
+        task = make_task(control=control, observes_flow=observes)
+        assert trials.name_arm(task, "machine.pt") == arm
 
 
 @pytest.mark.parametrize("name", ["pid+pd", "fixed-99", "shedding"])
