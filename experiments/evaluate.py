@@ -37,7 +37,7 @@ class EvaluateConfig(PolicySettings, ViewerSettings):
     save: str | None = None
 
 
-def evaluate(config: EvaluateConfig, *, progress: Progress | None = None) -> dict[str, Any]:
+def evaluate(config: EvaluateConfig, **hooks: Any) -> dict[str, Any]:
     """Run one episode from each of the fixed starts, and return the result with its policy."""
     task = make(config.task, kind=AbstractTask)
     source = str(config.policy) if config.learned is None else Path(config.learned)
@@ -51,7 +51,7 @@ def evaluate(config: EvaluateConfig, *, progress: Progress | None = None) -> dic
         device=config.device,
         compile=config.compile,
         observer=LiveObserver(config, num_flows=min(config.num_envs, config.episodes)),
-        progress=progress,
+        **hooks,
     )
     about = {"policy": config.checkpoint or config.policy, "task": type(task).__name__}
     return {**about, "preset": config.preset, "seed": config.seed, **result}

@@ -63,14 +63,9 @@ class RunObserver(LiveObserver):
         )
 
 
-def set_up(
-    config: TrainConfig, *, progress: Progress | None = None, began: float | None = None
-) -> Training:
-    """Set up a run, new or resumed; invalid settings raise an error here, not later.
-
-    ``began`` is ``time.perf_counter()`` when the program started.
-    """
-    hooks: Any = {"progress": progress, "began": began, "observer": RunObserver(config)}
+def set_up(config: TrainConfig, **hooks: Any) -> Training:
+    """Set up a run, new or resumed; invalid settings raise an error here, not later."""
+    hooks["observer"] = RunObserver(config)
     if config.resume:
         return reopen(config.resume, **hooks, **list_changes(config))
     return begin(make_plan(config), recognition=config.recognition, **hooks)

@@ -1,6 +1,7 @@
 """The policies that come with the package load, fit their tasks, and are what their cards say."""
 
 import hashlib
+import shutil
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import fishrl.zoo
 from fishrl.envs import make_env, run_episodes
 from fishrl.training import load_policy
 from fishrl.training.evaluation import fixed_starts
+from fishrl.training.policies import load_plan
 from tests.envs.conftest import move_kinematically
 
 NAMES = fishrl.zoo.list_policies()
@@ -49,3 +51,9 @@ def test_a_name_stands_for_a_checkpoint_and_a_wrong_one_is_answered() -> None:
         assert torch.equal(one, other)
     with pytest.raises(ValueError, match=f"did you mean '{NAMES[0]}'"):
         fishrl.zoo.load_policy(NAMES[0] + "x")
+
+
+def test_a_folder_of_that_path_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(fishrl.zoo.find_policy("follower_small"), "zoo/mine")
+    assert load_plan("zoo/mine")[1].preset == "follower_small"

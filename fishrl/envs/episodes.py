@@ -165,5 +165,5 @@ def has_succeeded(after: TensorDictBase, name: str) -> Tensor:
     """
     flag: Tensor | None = after.get(name)
     if flag is not None:
-        return flag
+        return flag & ~after["diverged"]
     return after["truncated"] & ~after["terminated"] & ~after["diverged"]

@@ -134,7 +134,7 @@ class GaitPolicy(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``action`` ``[B]``, or ``[B, 1]`` if continuous; it is always legal."""
         batch = tensordict.batch_size
-        flow = tensordict[self.flow_key].reshape(batch)
+        flow = tensordict[self.flow_key].reshape(batch).round().long()  # or a mean label
         rows = self.rows.to(flow.device)
         wanted = self.controller(tensordict, flow).clamp(rows.min(), rows.max())
         if self.is_continuous:

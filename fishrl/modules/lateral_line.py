@@ -174,8 +174,11 @@ class LateralLineClassifier(nn.Module):
         content = load_tensors(path, what=what, remedy=remedy, entries=entries)
         if content["format"] != _FORMAT:
             raise ValueError(f"{what} {path}: the file holds something else; {remedy}")
-        classifier = cls(**content["settings"])
-        classifier.load_state_dict(content["state"])
+        try:
+            classifier = cls(**content["settings"])
+            classifier.load_state_dict(content["state"])
+        except (TypeError, RuntimeError) as error:
+            raise ValueError(f"{what} {path}: the file does not fit; {remedy}") from error
         return classifier.eval()
 
 

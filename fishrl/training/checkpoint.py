@@ -26,8 +26,8 @@ SUMS = "SHA256SUMS"
 _DAMAGE = (CheckpointError, OSError, RuntimeError, ValueError, LookupError, TypeError)
 #: Entries of the metadata; ``sha256``: of the states, in checkpoints from before ``SHA256SUMS``.
 _METADATA = {
-    *("task", "num_inputs", "num_actions", "is_continuous", "preset", "frames", "config"),
-    *("sums", "sha256"),
+    *("task", "num_inputs", "num_stacked", "num_actions", "is_continuous"),
+    *("preset", "frames", "config", "sums", "sha256"),
 }
 
 
@@ -57,6 +57,7 @@ def save_checkpoint(
     metadata = {
         "task": spec.task,
         **spec.sizes,
+        "num_stacked": spec.num_stacked,
         "is_continuous": spec.is_continuous,
         "preset": config.get("preset"),
         "frames": frames,
@@ -71,10 +72,13 @@ def save_checkpoint(
         files = [file for file in sorted(stage.rglob("*")) if file.is_file()]
         lines = [f"{_sum(file)}  {file.relative_to(stage).as_posix()}\n" for file in files]
         (stage / SUMS).write_text("".join(lines), encoding="utf-8")
-        for file in stage.rglob("*"):
+        for file in (stage, *stage.rglob("*")):
             _flush(file)
         os.replace(stage, fresh)
         _put_in_place(fresh, path, keep=keep)
+    except ChildProcessError:  # of a collector, while it was asked for its state
+        _clear(path)
+        raise
     except (OSError, RuntimeError) as error:
         # torch's writer reports a full disk with a RuntimeError
         words = ("inline_container", "iostream error")
@@ -171,8 +175,8 @@ def _sum(file: Path) -> str:
 
 def _put_in_place(fresh: Path, path: Path, *, keep: int) -> None:
     """Let a complete checkpoint take its place; at any moment a complete one can be found."""
-    older = path.with_name(f".{path.name}.backup")
-    if path.exists():
+    older, existed = path.with_name(f".{path.name}.backup"), path.exists()
+    if existed:
         frames = _read_frames(path)
         if keep > 1 and frames is not None and frames != _read_frames(fresh):
             older = path.with_name(f"{path.name}-{frames:09d}")
@@ -181,7 +185,7 @@ def _put_in_place(fresh: Path, path: Path, *, keep: int) -> None:
         os.replace(path, older)
     os.replace(fresh, path)
     _flush(path.parent)
-    for former in _list_older(path)[keep - 1 :]:
+    for former in _list_older(path)[keep - 1 :] if existed else ():
         shutil.rmtree(former, ignore_errors=True)
     _clear(path)
 

@@ -8,14 +8,13 @@ import random
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any
 
 import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torchrl.checkpoint import GlobalRNGState
 
-from fishrl.envs import make_env
 from fishrl.envs.agents import split_fish
 from fishrl.envs.episodes import Episodes, Policy, name_counted
 from fishrl.envs.transforms import equip
@@ -28,10 +27,9 @@ from fishrl.training.evaluation import Evaluator, fixed_starts
 from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children
 from fishrl.training.learner import one_thread
 from fishrl.training.metrics import Counters, list_metrics, measure_memory_mb
-from fishrl.training.observer import Hooks, Observer
+from fishrl.training.observer import Hooks
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, write_json
 
 logger = logging.getLogger(__name__)
@@ -68,14 +66,11 @@ class Training:
         *,
         recognition: Recognition,
         folder: RunFolder,
-        **hooks: Unpack[Hooks],
+        hooks: Hooks,
     ) -> None:
         self._lock = folder.hold()
         self.plan, self.folder, self.config, self.hooks = plan, folder, plan.to_config(), hooks
-        self.observer = hooks.get("observer") or Observer()
-        self.progress = hooks.get("progress") or Progress(is_shown=False)
-        began = hooks.get("began")
-        self._began = time.perf_counter() if began is None else began
+        self.observer, self.progress, self._began = hooks.observer, hooks.progress, hooks.began
         self.task, _ = equip(plan.task, recognition)
         self.spec = PolicySpec.for_task(self.task, has_labels=recognition is not None)
         self.baselines = make_baselines(plan.run.baselines, task=self.task, seed=FINAL_SEED)
@@ -93,7 +88,7 @@ class Training:
                 plan,
                 self.task,
                 self.learner,
-                make_env=hooks.get("make_env") or make_env,
+                make_env=hooks.make_env,
                 recognition=recognition,
                 seed=TRAIN_SEED + learning.seed,
             )

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, TypedDict
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
+from fishrl.envs import make_env
 from fishrl.training.progress import Progress
 
 if TYPE_CHECKING:
@@ -33,17 +36,18 @@ class Observer:
         """Release resources; only ``begin`` may follow, where a run goes on after an error."""
 
 
-class Hooks(TypedDict, total=False):
+@dataclass(frozen=True, kw_only=True)
+class Hooks:
     """What a caller may add to a run.
 
     Args:
-        make_env: makes the env of a task; by default ``fishrl.envs.make_env``.
+        make_env: makes the env of a task.
         observer: called during the run.
         progress: progress bar; by default none is shown.
         began: ``time.perf_counter()`` when the program started.
     """
 
-    make_env: Callable[..., EnvBase] | None
-    observer: Observer | None
-    progress: Progress | None
-    began: float | None
+    make_env: Callable[..., EnvBase] = make_env
+    observer: Observer = field(default_factory=Observer)
+    progress: Progress = field(default_factory=lambda: Progress(is_shown=False))
+    began: float = field(default_factory=time.perf_counter)

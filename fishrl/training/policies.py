@@ -6,21 +6,20 @@ from collections.abc import Collection
 from contextlib import closing
 from pathlib import Path
 from types import EllipsisType
-from typing import Any, Unpack
+from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
 
-from fishrl.envs import AbstractTask, make_env
+from fishrl.envs import AbstractTask
 from fishrl.envs.episodes import Policy
 from fishrl.envs.transforms import equip
 from fishrl.training.baselines import make_baseline
 from fishrl.training.checkpoint import load_checkpoint, read_metadata
 from fishrl.training.classifier import Recognition, find_classifier, load_recognition
 from fishrl.training.evaluation import Evaluator, fixed_starts
-from fishrl.training.observer import Hooks, Observer
+from fishrl.training.observer import Hooks
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.progress import Progress
 from fishrl.training.settings import check_device
 
 
@@ -70,7 +69,7 @@ def evaluate(
     device: str = "cpu",
     compile: bool = True,
     modules: Collection[str] = (),
-    **hooks: Unpack[Hooks],
+    **hooks: Any,
 ) -> dict[str, Any]:
     """Run one episode from each of the fixed starts.
 
@@ -96,8 +95,8 @@ def evaluate(
         ValueError: for invalid settings, and checkpoints that do not fit the task.
     """
     check_device(device)
-    observer = hooks.get("observer") or Observer()
-    progress = hooks.get("progress") or Progress(is_shown=False)
+    given = Hooks(**hooks)
+    observer, progress = given.observer, given.progress
     if isinstance(policy, Path):
         path, plan = load_plan(policy, modules=modules)
         task = task or plan.task
@@ -116,8 +115,7 @@ def evaluate(
     else:
         act = policy
     progress.rename("compilation" if compile else "set-up")
-    make: Any = hooks.get("make_env") or make_env
-    env = make(
+    env = given.make_env(
         task=task,
         num_envs=min(num_envs, episodes),
         seed=seed,

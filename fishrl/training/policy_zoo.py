@@ -30,5 +30,7 @@ def find_policy(name: str) -> Path:
 
 
 def find_folder(path: str | Path) -> Path:
-    """Return the folder of ``zoo/<name>``, and any other as it is."""
-    return find_policy(str(path)) if str(path).startswith(PREFIX) else Path(path).expanduser()
+    """Return the folder of ``zoo/<name>``, unless there is one of that path; any other as it is."""
+    folder = Path(path).expanduser()
+    is_name = str(path).startswith(PREFIX) and not folder.exists()
+    return find_policy(str(path)) if is_name else folder

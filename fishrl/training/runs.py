@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Collection, Mapping
 from contextlib import closing
 from dataclasses import replace
 from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any
 
 from fishrl.envs import AbstractTask
 from fishrl.envs.transforms import equip
@@ -40,7 +41,7 @@ def train(
     logger: CsvLogger | None = None,
     preset: str | None = None,
     extra: Mapping[str, Any] | None = None,
-    **hooks: Unpack[Hooks],
+    **hooks: Any,
 ) -> dict[str, Any]:
     """Train a policy, compare it with the baselines of the task, and return the summary.
 
@@ -93,13 +94,13 @@ def resume(
     return complete(reopen(folder, modules=modules, **changes))
 
 
-def begin(plan: Plan, *, recognition: Recognition = None, **hooks: Unpack[Hooks]) -> Training:
+def begin(plan: Plan, *, recognition: Recognition = None, **hooks: Any) -> Training:
     """Set up a new run; invalid settings raise an error before its folder is made."""
-    labels = load_recognition(recognition)
+    given, labels = Hooks(**hooks), load_recognition(recognition)
     _check(plan, labels)
     folder, plan = make_folder(plan, recognition=recognition)
     with folder.noting_failure():
-        return Training(plan, recognition=labels, folder=folder, **hooks)
+        return Training(plan, recognition=labels, folder=folder, hooks=given)
 
 
 def make_folder(
@@ -118,14 +119,15 @@ def make_folder(
 
 def reopen(folder: str | Path, /, *, modules: Collection[str] = (), **changes: Any) -> Training:
     """Set up a run in the state of its last checkpoint; see ``resume``."""
-    hooks: Any = {name: changes.pop(name) for name in Hooks.__annotations__ if name in changes}
+    names = Hooks.__annotations__.keys() & changes
+    hooks = Hooks(**{name: changes.pop(name) for name in names})
     run = RunFolder.of_existing(folder)
     with run.noting_failure():
         stored = Plan.from_config(read_config(run.config), modules=modules)
         plan = stored.change(**changes)
         labels = load_recognition(plan.recognition, run.path)
         _check(plan, labels)
-        training = Training(plan, recognition=labels, folder=run, **hooks)
+        training = Training(plan, recognition=labels, folder=run, hooks=hooks)
         if run.has_begun():
             try:
                 training.restore()
@@ -145,7 +147,7 @@ def complete(training: Training) -> dict[str, Any]:
     before the next checkpoint, ``ChildProcessError`` is raised.
     """
     folder, resumed_at = training.folder, None
-    hooks: Any = {**training.hooks, "began": None}
+    hooks = vars(training.hooks)
     with training.interruption as interruption:
         while True:
             try:
@@ -159,7 +161,7 @@ def complete(training: Training) -> dict[str, Any]:
                     raise
                 logger.warning("%s; going on from frame %d", error, frames)
                 resumed_at = frames
-            training = reopen(folder.path, **hooks)
+            training = reopen(folder.path, **hooks | {"began": time.perf_counter()})
             training.interruption = interruption  # it may have received a signal meanwhile
 
 
@@ -204,8 +206,7 @@ def _check(plan: Plan, recognition: Recognition) -> None:
     transition = 2 * (sizes.num_inputs + sizes.num_actions)
     weights = sum(a * b for a, b in pairwise((sizes.num_observed, *learning.hidden)))
     needed: dict[str, dict[str, float]] = {run.device: {}, run.policy_device: {}}
-    num_flows = learning.num_envs / max(1, learning.ray_collectors)
-    needed[run.device]["flows"] = task.flow_config().num_bytes * num_flows
+    needed[run.device]["flows"] = task.flow_config().num_bytes * learning.num_envs
     needed[run.policy_device] |= {
         "buffer": 4 * transition * learning.buffer_size * task.num_fish,
         "networks": 4 * 4 * weights,  # values, gradients and Adam's two means

@@ -7,7 +7,7 @@ from torch import Tensor
 from torchrl.envs import TransformedEnv
 
 from fishrl.envs import FlowEnv, Predation, make_env
-from fishrl.envs.episodes import Episodes, run_episodes
+from fishrl.envs.episodes import Episodes, has_succeeded, run_episodes
 from tests.envs.conftest import SMALL, keep_straight
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -75,6 +75,14 @@ class AtFood(Predation):
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         return {"captured": torch.ones(now.shape, dtype=torch.bool)}
+
+
+def test_a_diverged_episode_is_no_success_whatever_its_flag_was() -> None:
+    flags = torch.tensor([[True], [False], [True]])
+    ends = {name: torch.zeros(3, 1, dtype=torch.bool) for name in ("terminated", "truncated")}
+    diverged = torch.tensor([[True], [False], [False]])
+    after = TensorDict({"on_station": flags, "diverged": diverged, **ends}, [3])
+    assert has_succeeded(after, "on_station").flatten().tolist() == [False, False, True]
 
 
 def test_episodes_are_left_after_max_decisions_and_count_as_no_success() -> None:

@@ -61,6 +61,8 @@ def test_each_flow_may_have_a_frequency_of_its_own() -> None:
     policy = GaitPolicy(controller=FixedFrequency((0.5, 1.8)), rows=ROWS)
     assert act(policy, see([1.5], flow=0)) == [0]
     assert act(policy, see([1.5], flow=1)) == [2]
+    between = see([1.5]).set("flow_index", torch.tensor([[0.8]]))  # the mean of uncertain labels
+    assert act(policy, between) == [2]
 
 
 def test_a_bang_bang_fish_speeds_up_behind_its_station_and_slows_down_before() -> None:

@@ -137,3 +137,9 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
     torch.save({"weights": torch.zeros(3)}, tmp_path / "other.pt")
     with pytest.raises(ValueError, match="holds something else"):
         LateralLineClassifier.load(tmp_path / "other.pt")
+    make().save(tmp_path / "newer.pt")
+    content = torch.load(tmp_path / "newer.pt")
+    content["settings"]["depth"] = 3
+    torch.save(content, tmp_path / "newer.pt")
+    with pytest.raises(ValueError, match="does not fit"):
+        LateralLineClassifier.load(tmp_path / "newer.pt")

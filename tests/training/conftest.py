@@ -60,21 +60,12 @@ class Toy:
     def begin(
         self,
         *,
-        observer: Any = None,
-        progress: Any = None,
         recognition: Any = None,
         **settings: Any,
     ) -> Training:
+        hooks = {name: settings.pop(name) for name in ("observer", "progress") if name in settings}
         plan = make_toy_plan(self.folder, **settings)
-        self.trainings.append(
-            begin(
-                plan,
-                recognition=recognition,
-                make_env=make_toy_env,
-                observer=observer,
-                progress=progress,
-            )
-        )
+        self.trainings.append(begin(plan, recognition=recognition, make_env=make_toy_env, **hooks))
         return self.trainings[-1]
 
     def reopen(self, name: str, **changes: Any) -> Training:

@@ -8,6 +8,7 @@ import os
 import pickle
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,26 @@ def test_saving_leaves_other_hidden_folders_alone(tmp_path: Path) -> None:
     save(tmp_path / "policy")
     save(tmp_path / "policy", value=2.0)
     assert {path.name for path in tmp_path.iterdir()} == {"policy", ".policy.cache"}
+    save(tmp_path / "run-000000700")  # a checkpoint that was exported under the name it had
+    save(tmp_path / "run")
+    assert (tmp_path / "run-000000700").is_dir()
+
+
+def test_a_checkpoint_of_another_stack_is_refused(tmp_path: Path) -> None:
+    save(tmp_path / "best")
+    other = replace(SPEC, num_stacked=4)  # of as many numbers
+    with pytest.raises(ValueError, match="it is of num_stacked = 1, here it is 4"):
+        load_checkpoint(tmp_path / "best", {"net": torch.nn.Linear(3, 2)}, spec=other)
+
+
+def test_processes_lost_while_saving_are_not_taken_for_the_disk(tmp_path: Path) -> None:
+    class Lost(torch.nn.Linear):
+        def state_dict(self, *_: Any, **__: Any) -> dict[str, Any]:
+            raise ChildProcessError("collector 1 is gone")
+
+    with pytest.raises(ChildProcessError, match="collector 1 is gone"):
+        save_checkpoint(tmp_path / "last", {"net": Lost(3, 2)}, spec=SPEC, frames=7, config={})
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_missing_checkpoint_is_an_error_that_says_what_to_give(tmp_path: Path) -> None:

@@ -48,6 +48,10 @@ def test_a_library_user_trains_evaluates_and_resumes_in_ten_lines(tmp_path: Path
     assert result["mean_return"] == summary["mean_return"]
     longer = resume(tmp_path / "first", total_frames=48)
     assert (summary["frames"], longer["frames"]) == (40, 48)
+    with pytest.raises(TypeError, match="total_frames"):  # a setting of ``run``
+        train(task=Predation(**SMALL), total_frames=48)
+    with pytest.raises(TypeError, match="'episode'"):
+        evaluate(tmp_path / "first", episode=3)
 
 
 def test_a_run_killed_and_resumed_equals_one_that_was_not(toy: Toy, whole: Training) -> None:

@@ -30,7 +30,7 @@ class DRQN(DQN):
     sequences are short.
 
     Args:
-        sequence_length: decisions in a sequence; the last one of an episode may be shorter.
+        sequence_length: decisions in a sequence; fewer where the buffer holds fewer of an episode.
     """
 
     is_traced = False  # TorchRL's LSTM looks where episodes begin
