@@ -9,7 +9,7 @@ from experiments.gait.diagnostics import WORKS
 from experiments.pages import write_table
 from experiments.statistics import show
 
-#: Work in a free stream over that in the wake, conditions I to III: Zhang et al. 2023, Table 4.
+#: Work in a free stream over that in the wake, conditions I to III: Li et al. 2023, Table 4.
 PAPER_WORK_RATIO = (7577.94 / 1526.73, 14682.95 / 2145.74, 51520.26 / 3057.03)
 #: Of each table: heading, entry of ``diagnose``, format.
 STATION = (

@@ -57,7 +57,7 @@ def find_fitted(folder: Path) -> Path | None:
 def compare(transfer: Any, free: Any, line: Any, captures: Sequence[float]) -> str:
     """Return each number of the paper beside ours, and why they may differ.
 
-    The paper's are from the text and the tables 2 to 4 of Zhang et al. 2023. ``captures`` are the
+    The paper's are from the text and the tables 2 to 4 of Li et al. 2023. ``captures`` are the
     mean times to capture of the predation policies, in T.
     """
     arms, speeds = transfer["arms"], transfer["speeds_bl"]
@@ -76,7 +76,7 @@ def compare(transfer: Any, free: Any, line: Any, captures: Sequence[float]) -> s
             "survival without modules, T",
             (6.54, 39.80, 6.13), [flow["survival_T"] for flow in ablation], ".1f",
             "their frequencies and danger area are not stated; ours reaches its highest frequency "
-            "in one decision, and observes position and drift",
+            "in one decision",
         ),
         (
             "survival with both, T",
