@@ -46,6 +46,7 @@ from fishrl.training.aliases import update_names
 from fishrl.training.classifier import find_classifier
 from fishrl.training.description import to_plain
 from fishrl.training.interruption import SIGNALS
+from fishrl.training.plan import Plan
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, read_config
 from fishrl.training.runs import make_folder
@@ -178,12 +179,11 @@ def find_runs(arguments: Sequence[str]) -> list[Path]:
 
 def is_same(config: TrainConfig, folder: RunFolder) -> bool:
     """Tell whether a run has these settings, except harmless ones and the classifier's path."""
-    stored = update_names(read_config(folder.config))
-    try:
-        learning = asdict(make_plan(config).learning)  # as the algorithm adapts it
+    try:  # as plans, so that settings that a stored run does not know have their defaults
+        wanted = make_plan(config).to_config() | {"recognition": config.recognition}
+        stored = Plan.from_config(update_names(read_config(folder.config))).to_config()
     except ValueError:  # no run has settings that cannot be
         return False
-    wanted = update_names(to_plain(asdict(config) | learning))
     own = folder.classifier
     given = Path(find_classifier(wanted["recognition"], folder.path) or "").expanduser()
     if own.is_file() and given.is_file():

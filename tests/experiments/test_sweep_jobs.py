@@ -105,6 +105,10 @@ def test_the_same_settings_find_their_run_and_others_make_a_new_one(tmp_path: Pa
     other = jobs.find_or_begin(settings_in(tmp_path, gamma=0.5), name="run")
     assert [folder.path.name for folder in (first, again, other)] == ["run", "run", "run-2"]
     assert OmegaConf.load(other.config).gamma == 0.5
+    stored = OmegaConf.load(first.config)
+    del stored.learner_device, stored.task.food_still_T  # of before there were such settings
+    OmegaConf.save(stored, first.config)
+    assert jobs.find_or_begin(settings_in(tmp_path), name="run").path == first.path
     (tmp_path / "never").mkdir()
     (tmp_path / "never" / "failure.txt").write_text("gamma = 2: must be at most 1")
     mended = jobs.find_or_begin(settings_in(tmp_path), name="never")
