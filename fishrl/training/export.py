@@ -16,7 +16,7 @@ from fishrl.training.classifier import find_classifier, keep_recognition
 from fishrl.training.plan import Plan
 from fishrl.training.policies import load_plan, load_policy
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.run_folder import RunFolder, read_summary
+from fishrl.training.run_folder import RunFolder, read_config, read_summary
 
 #: Results on the card, by their names in ``summary.json``.
 _RESULTS = {
@@ -60,6 +60,8 @@ def export_policy(
         raise ValueError(f"folder = {folder}: exists; name a new one")
     path, plan = load_plan(source.path, modules=modules)
     metadata = read_metadata(path)[1]
+    if source.config.is_file():  # its settings may have changed since the best checkpoint
+        plan = Plan.from_config(read_config(source.config), modules=modules)
     actor = load_policy(path, modules=modules)
     spec = PolicySpec.for_task(plan.task, has_labels=plan.recognition is not None)
     config = {**plan.to_config(), "folder": "runs", "name": folder.name}

@@ -44,6 +44,9 @@ def test_a_stored_run_is_evaluated_and_goes_on_exactly(stored: Path) -> None:
 
 
 def test_an_exported_policy_is_the_best_one_and_small(stored: Path, tmp_path: Path) -> None:
+    config = (stored / "config.yaml").read_text()
+    longer = config.replace("total_frames: 16", "total_frames: 40")
+    (stored / "config.yaml").write_text(longer)  # of a run that was extended
     folder = export_policy(stored, tmp_path / "policies" / "drqn", revision="abc")
     exported, best = load_policy(folder), load_policy(stored)
     for one, other in zip(exported.parameters(), best.parameters(), strict=True):
@@ -53,5 +56,6 @@ def test_an_exported_policy_is_the_best_one_and_small(stored: Path, tmp_path: Pa
     assert size < 0.2 * sum(f.stat().st_size for f in stored.rglob("*") if f.is_file())
     card = (folder / "README.md").read_text()
     assert all(words in card for words in ("Predation", "DRQN", "abc", "| success rate |"))
+    assert longer != config and " of 40" in card
     with pytest.raises(ValueError, match="exists; name a new one"):
         export_policy(stored, folder)
