@@ -144,7 +144,7 @@ def average(group: Group, column: str, number: int = 0) -> Curve:
 
 def tabulate_groups(groups: Sequence[Group]) -> str:
     """Return a row per group: means and interquartile means, with 95 % intervals."""
-    heads = [*(f"`{key}`" for key in groups[0].settings), "seeds"]
+    heads = [*(f"`{key.removesuffix('._target_')}`" for key in groups[0].settings), "seeds"]
     for head, _, _ in COLUMNS:
         heads += [f"{head}: mean", "IQM"]
     rows = []

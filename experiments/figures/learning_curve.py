@@ -94,7 +94,10 @@ def draw_curves(
         return False
     every = [curve for drawn in shown.values() for curve in drawn]
     has_bands = any(curve.band is not None for curve in every)
-    rows, lines = -(-len(shown) // 2), len({curve.label for curve in every}) // 4
+    rows, labels = -(-len(shown) // 2), {curve.label for curve in every}
+    longest = max(map(len, labels))
+    columns = max(1, min(4, 120 // (longest + 8)))  # 120 characters fit beside each other
+    lines = len(labels) // columns
     size = (10.0, 0.5 + 2.3 * rows + 0.25 * lines)
     with panels(path, size=size, rows=rows, columns=2, sharex=True) as grid:
         handles: dict[str, object] = {}
@@ -113,7 +116,7 @@ def draw_curves(
         if has_bands or len(handles) > 1:
             note = "mean over the seeds, band: its 95 % confidence interval" if has_bands else None
             grid[0, 0].figure.legend(
-                handles.values(), handles, loc="outside lower center", ncols=4, title=note
+                handles.values(), handles, loc="outside lower center", ncols=columns, title=note
             )
     return True
 

@@ -32,7 +32,9 @@ class Group:
     @property
     def label(self) -> str:
         """The settings in one line."""
-        return ", ".join(f"{key} {value}" for key, value in self.settings.items()) or "all"
+        known = {key: value for key, value in self.settings.items() if value != "–"}
+        words = (v if k.endswith("_target_") else f"{k} {v}" for k, v in known.items())
+        return ", ".join(words) or "all"
 
     @property
     def seeds(self) -> list[Run]:
