@@ -142,8 +142,9 @@ def compare_phases(
 ) -> NDArray[np.complex128]:
     """Return the mean of exp(i lead) of the lift over the beat ``[E]``.
 
-    ``lift`` is the impulse so far and ``beat`` the phase of the tail beat, ``[E, N]``, every
-    ``interval`` steps; ``ratio`` ``[E]`` is the tail-beat frequency over that of shedding.
+    ``lift`` is the impulse so far and ``beat`` the phase of the tail beat in radians, ``[E, N]``,
+    every ``interval`` steps; ``shedding`` is a frequency per step, and ``ratio`` ``[E]`` that of
+    the tail beat over it.
     """
     phase = find_phase(np.diff(lift, axis=1), shedding, 1.0 / interval)
     middle = beat[:, 1:] - pi * interval * shedding * ratio[:, None]  # as the mean force is

@@ -93,6 +93,7 @@ def evaluate(
 
     Raises:
         ValueError: for invalid settings, and checkpoints that do not fit the task.
+        TypeError: for other keywords.
     """
     check_device(device)
     given = Hooks(**hooks)

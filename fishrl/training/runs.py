@@ -58,6 +58,7 @@ def train(
 
     Raises:
         ValueError: for invalid settings.
+        TypeError: for other keywords.
         Interrupted: after SIGINT or SIGTERM; ``resume`` continues the run.
     """
     plan = Plan(
