@@ -177,7 +177,7 @@ class Search:
             if kept.get(str(size), {}).get("best") != best:
                 swims, solver = self.swim([C_START, to_strokes(best)], body_length=size)
                 if not all(one["fine"] for one in swims):
-                    raise ValueError(f"at L = {size} a swim diverged; give other resolutions in finer")
+                    raise ValueError(f"at L = {size} a swim diverged; give others in finer")
                 pair = [one | take_picture(solver, i, size) for i, one in enumerate(swims)]
                 kept[str(size)] = {"best": best, "pair": pair}
                 write_json(self.file, self.found)
