@@ -5,8 +5,9 @@ follower 0 to 7/8 of a period later. The flow alone moves each along x; y is pre
 2πρAfL/μ = 1645 with A = L sin 15°, trailing edge at 0.07 nodes per step. The domain is 16 L × 6 L,
 with a stream that moves against the foils nearly as fast as they swim and edges open to sound. In
 line, the follower starts 2.3 L behind the leader's trailing edge and settles at a distance; the
-last 10 of 30 periods are averaged, on two grids. Side by side, the leading edges start level, 3/4 L
-apart. Power is that of the torques about the leading edges. The figure shows the finer grid.
+last 10 of 30 periods are averaged. Side by side, the leading edges start level, 3/4 L apart. Power
+is that of the torques about the leading edges. All is repeated on a finer grid, which the figure
+shows.
 """
 
 from collections.abc import Iterator
@@ -26,7 +27,8 @@ PITCH = radians(15.0)
 REYNOLDS = 1645.0  # 2 pi rho A f L / mu, A = L sin(PITCH)
 TIP_SPEED = 0.07  # nodes per step
 STREAM_BL = 2.1  # L / T, about what a foil swims
-LENGTH, FINER = 40, 60
+SIZES = (40, 60)
+FINER = max(SIZES)
 NUM_PERIODS, NUM_MEASURED = 30, 10
 NUM_SAMPLES = 50  # per period, of the power
 LAGS = tuple(n / 8 for n in range(8))
@@ -44,7 +46,7 @@ def swim(
     gap: float = 0.0,
     aside: float = 0.0,
     has_pair: bool = True,
-    length: int = LENGTH,
+    length: int,
 ) -> Result:
     """Let a foil swim, or a pair with the second ``lag`` periods later.
 
@@ -118,16 +120,12 @@ def _read(solver: InPlaceSolver, pivot: float) -> list[NDArray[np.float64]]:
 
 
 RUNS: list[dict[str, Any]] = [
-    *({"lag": lag, "gap": GAP} for lag in LAGS),
-    *({"lag": lag, "gap": OTHER_GAP} for lag in (0.0, 0.5)),
-    *({"lag": lag, "gap": GAP, "length": FINER} for lag in LAGS),
-    *({"lag": lag, "gap": OTHER_GAP, "length": FINER} for lag in (0.0, 0.5)),
-    *({"lag": lag, "aside": ASIDE} for lag in (0.0, 0.5)),
-    {"has_pair": False},
+    *({"lag": lag, "gap": GAP, "length": size} for size in SIZES for lag in LAGS),
+    *({"lag": lag, "gap": OTHER_GAP, "length": size} for size in SIZES for lag in (0.0, 0.5)),
+    *({"lag": lag, "aside": ASIDE, "length": size} for size in SIZES for lag in (0.0, 0.5)),
+    *({"has_pair": False, "length": size} for size in SIZES),
 ]
-JOBS = [
-    Job(swim, run, cost=96.0 * 23 * run.get("length", LENGTH) ** 3 * NUM_PERIODS) for run in RUNS
-]
+JOBS = [Job(swim, run, cost=96.0 * 23 * run["length"] ** 3 * NUM_PERIODS) for run in RUNS]
 
 
 def find_spacings(runs: Runs, *, gap: float = GAP, **arguments: Any) -> dict[float, float]:
@@ -153,9 +151,9 @@ def fit_lags(spacings: dict[float, float]) -> tuple[float, float, dict[float, fl
 
 def judge(runs: Runs) -> Iterator[Check]:
     """Check the relation of spacing and lag, and the cost of transport side by side."""
-    spacings = {size: find_spacings(runs, length=size) for size in (LENGTH, FINER)}
+    spacings = {size: find_spacings(runs, length=size) for size in SIZES}
     slopes = {size: fit_lags(found)[0] for size, found in spacings.items()}
-    source, where = "Heydari, Hang & Kanso 2024, eLife 96129", f"L = {LENGTH}"
+    source = "Heydari, Hang & Kanso 2024, eLife 96129"
     slope = "slope of d / (U T) over φ / 2π"
     yield check_finest("L", slope, slopes, 1.0, source, 0.1)
     other = {size: find_spacings(runs, gap=OTHER_GAP, length=size) for size in spacings}
@@ -169,18 +167,22 @@ def judge(runs: Runs) -> Iterator[Check]:
             "own criterion: equilibria do not depend on the start, up to whole wavelengths",
             note=NOTE if lag else "",
         )
-    alone = runs.get(has_pair=False)
-    if alone is None:
+    alone = runs.by("length", has_pair=False)
+    if not alone:
         return
-    cost = alone["power"][0] / alone["speed"][0]
-    yield Check("speed of a foil alone, L / T", alone["speed"][0], resolution=where)
-    beside = runs.by("lag", aside=ASIDE)
-    costs = {lag: np.mean(r["power"]) / np.mean(r["speed"]) / cost for lag, r in beside.items()}
-    speeds = {lag: float(np.mean(r["speed"])) / alone["speed"][0] for lag, r in beside.items()}
+    yield check_finest(
+        "L", "speed of a foil alone, L / T", {n: r["speed"][0] for n, r in alone.items()}
+    )
     for lag, name, bounds in ((0.0, "in phase", (0.0, 1.0)), (0.5, "antiphase", (1.0, np.inf))):
+        beside = runs.by("length", aside=ASIDE, lag=lag)
+        speeds, powers = (
+            {n: float(np.mean(beside[n][of]) / alone[n][of][0]) for n in alone}
+            for of in ("speed", "power")
+        )
+        costs = {n: powers[n] / speeds[n] for n in alone}
         quantity = f"cost of transport side by side {name} / alone"
-        yield Check(quantity, float(costs[lag]), bounds, source, resolution=where)
-        yield Check(f"speed side by side {name} / alone", speeds[lag], resolution=where)
+        yield check_finest("L", quantity, costs, bounds, source)
+        yield check_finest("L", f"speed side by side {name} / alone", speeds)
 
 
 def draw(figure: Figure, runs: Runs) -> None:
