@@ -95,7 +95,7 @@ class ReproduceSettings(Checked):
         docs: folder of the documentation, whose page is written too.
     """
 
-    scale: Any = MISSING
+    scale: Scale = MISSING
     folder: str | None = None
     plan: bool = False
     docs: str | None = None

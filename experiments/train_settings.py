@@ -15,7 +15,7 @@ from fishrl.bounds import bounded
 from fishrl.envs import AbstractTask, make_env
 from fishrl.envs.episodes import Policy
 from fishrl.envs.transforms import equip
-from fishrl.training.aliases import FORMER_SETTINGS
+from fishrl.training.aliases import DEFAULT_ALGORITHM, update_config
 from fishrl.training.baselines import make_baseline
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.classifier import Recognition, find_classifier, load_recognition
@@ -27,9 +27,6 @@ from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, read_config
 from fishrl.training.settings import LearningSettings, RunSettings, check_device
 from fishrl.viewer import ViewerSettings
-
-#: Of stored runs that name none.
-DEFAULT_ALGORITHM = {"_target_": "fishrl.training.algorithms.discrete_sac.DiscreteSAC"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,12 +137,7 @@ def read_resumed(given: Mapping[str, Any]) -> dict[str, Any]:
     for key in given:
         if key.split(".", 1)[0] in (*PARTS, *LEARNING):
             raise ValueError(f"{key}: is fixed in {folder.path}; leave it out, or start a new run")
-    stored = read_config(folder.config)
-    algorithm = {**(stored.get("algorithm") or DEFAULT_ALGORITHM)}
-    algorithm |= {name: stored.pop(name) for name in FORMER_SETTINGS if name in stored}
-    if "vorticity_limit" in stored:
-        stored["field_limit"] = stored.pop("vorticity_limit")
-    return {**stored, "algorithm": algorithm, "live": False}
+    return {**update_config(read_config(folder.config)), "live": False}
 
 
 def read_task(given: Mapping[str, Any]) -> dict[str, Any]:

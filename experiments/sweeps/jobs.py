@@ -42,7 +42,6 @@ from experiments.sweeps.runs import (
     read_run,
 )
 from experiments.train_settings import TRAINING, TrainConfig, make_plan
-from fishrl.training.aliases import update_names
 from fishrl.training.classifier import find_classifier
 from fishrl.training.description import to_plain
 from fishrl.training.interruption import SIGNALS
@@ -181,7 +180,7 @@ def is_same(config: TrainConfig, folder: RunFolder) -> bool:
     """Tell whether a run has these settings, except harmless ones and the classifier's path."""
     try:  # as plans, so that settings that a stored run does not know have their defaults
         wanted = make_plan(config).to_config() | {"recognition": config.recognition}
-        stored = Plan.from_config(update_names(read_config(folder.config))).to_config()
+        stored = Plan.from_config(read_config(folder.config)).to_config()
     except ValueError:  # no run has settings that cannot be
         return False
     own = folder.classifier

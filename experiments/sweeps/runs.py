@@ -10,7 +10,7 @@ from typing import Any
 
 from experiments.configuration import list_modules
 from experiments.program import show_command
-from fishrl.training.aliases import update_names
+from fishrl.training.aliases import update_config
 from fishrl.training.logger import read_rows
 from fishrl.training.run_folder import RunFolder, read_config, read_summary
 from fishrl.viewer import ViewerSettings
@@ -87,7 +87,7 @@ def read_run(path: Path) -> Run:
         if folder.summary.is_file():
             summary = read_summary(folder.summary)
         if folder.config.is_file():
-            config = update_names(read_config(folder.config))
+            config = update_config(read_config(folder.config))
     except Exception as error:
         raise ValueError(f"{path}: damaged ({error}); mend or delete it") from error
     frames = count_frames(path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 _ALGORITHMS = {
@@ -23,8 +24,20 @@ ALIASES: dict[str, str] = {
     "experiments.logger.WandbLogger": "fishrl.training.logger.WandbLogger",
 }
 
-#: Settings of the only algorithm, before ``algorithm`` existed.
+#: The only algorithm, before ``algorithm`` existed, and its settings.
+DEFAULT_ALGORITHM = {"_target_": _ALGORITHMS["DiscreteSAC"]}
 FORMER_SETTINGS = ("alpha_init", "target_entropy_weight")
+
+
+def update_config(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of a stored run, plain data, under their current names and places."""
+    current: dict[str, Any] = update_names(dict(config))
+    algorithm = current.get("algorithm") or DEFAULT_ALGORITHM
+    moved = {name: current.pop(name) for name in FORMER_SETTINGS if name in current}
+    current["algorithm"] = {**algorithm, **moved}
+    if "vorticity_limit" in current:
+        current["field_limit"] = current.pop("vorticity_limit")
+    return current
 
 
 def update_names(node: Any) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 from fishrl.bounds import suggest
 from fishrl.envs import AbstractTask
 from fishrl.training.algorithms import DQN, DRQN, PPO, SAC, Algorithm, DiscreteSAC
-from fishrl.training.aliases import FORMER_SETTINGS
+from fishrl.training.aliases import FORMER_SETTINGS, update_config
 from fishrl.training.description import describe, make, to_plain
 from fishrl.training.logger import CsvLogger
 from fishrl.training.settings import LearningSettings, RunSettings
@@ -93,8 +93,7 @@ class Plan:
 
         Missing entries keep their defaults; ``modules`` see ``description.make``, like the errors.
         """
-        algorithm = dict(config.get("algorithm") or describe(DiscreteSAC()))
-        algorithm |= {name: config[name] for name in FORMER_SETTINGS if name in config}
+        config = update_config(config)
         logger = config.get("logger") or describe(CsvLogger())
         try:
             learning = LearningSettings(**{n: config[n] for n in LEARNING if n in config})
@@ -103,7 +102,7 @@ class Plan:
             raise ValueError(f"settings of the run: {error}") from error
         return cls(
             task=make(config.get("task"), kind=AbstractTask, modules=modules),
-            algorithm=make(algorithm, kind=Algorithm, modules=modules),
+            algorithm=make(config["algorithm"], kind=Algorithm, modules=modules),
             learning=learning,
             run=run,
             logger=make(logger, kind=CsvLogger, modules=modules),

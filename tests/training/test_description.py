@@ -11,7 +11,7 @@ import pytest
 
 from fishrl.envs import AbstractTask, KarmanGait, Predation
 from fishrl.envs.macro_actions import DirectFrequencies
-from fishrl.training.aliases import ALIASES, update_names
+from fishrl.training.aliases import ALIASES, DEFAULT_ALGORITHM, update_config, update_names
 from fishrl.training.description import describe, find_class, make
 
 
@@ -112,3 +112,10 @@ def test_former_names_lead_to_classes_of_today() -> None:
         assert new == f"{found.__module__}.{found.__qualname__}"
     old = {"parts": [{"_target_": next(iter(ALIASES)), "size": 3}]}
     assert update_names(old)["parts"] == [{"_target_": next(iter(ALIASES.values())), "size": 3}]
+
+
+def test_settings_of_earlier_runs_are_found_in_their_places_of_today() -> None:
+    old = {"alpha_init": 0.5, "vorticity_limit": 7.0, "seed": 3}
+    algorithm = DEFAULT_ALGORITHM | {"alpha_init": 0.5}
+    assert update_config(old) == {"algorithm": algorithm, "field_limit": 7.0, "seed": 3}
+    assert update_config(update_config(old)) == update_config(old)
