@@ -11,15 +11,27 @@ import signal
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import fishrl.envs.task
+from fishrl.training.interruption import Interrupted
 from fishrl.training.logger import CsvLogger
 from tests.envs.kinematic_solver import KinematicSolver
 
 if "pytest" not in sys.modules:
     fishrl.envs.task.InPlaceSolver = KinematicSolver  # type: ignore[misc, assignment]
+
+
+def await_signal() -> None:
+    """Return when this run has noticed a signal, or after a minute."""
+    interruption = signal.getsignal(signal.SIGTERM).__self__  # type: ignore[union-attr]
+    deadline = time.monotonic() + 60.0
+    with suppress(Interrupted):
+        while time.monotonic() < deadline:
+            interruption.check()
+            time.sleep(0.05)
 
 
 class Gliding(CsvLogger):
@@ -33,7 +45,7 @@ class Ending(CsvLogger):
         super().log(metrics)
         if metrics["frames"] == 8:
             os.kill(os.getppid(), signal.SIGTERM)
-            time.sleep(3.0)
+            await_signal()
 
 
 class Marking(CsvLogger):
@@ -45,13 +57,14 @@ class Marking(CsvLogger):
 
 
 class Lingering(Marking):
-    """At frame 8 there is time to end the sweep, and little of it is over at once."""
+    """At frame 8 the sweep can be ended, and the run needs a second before it saves."""
 
     def log(self, metrics: Mapping[str, float]) -> None:
         super().log(metrics)
         if metrics["frames"] == 8:
             self.mark.touch()
-            time.sleep(4.0)
+            await_signal()
+            time.sleep(1.0)
 
 
 class Killed(Marking):
