@@ -12,7 +12,6 @@ from fishrl.envs.agents import shape_fish
 from fishrl.envs.task import AbstractTask, Command
 
 MAX_TURN = 2.0 * pi  # radians in one control interval
-MAX_FREQUENCY = 0.1  # tail beats per step: ten steps for a beat
 NUM_STARTS = 256
 
 
@@ -80,11 +79,12 @@ def check_command(task: AbstractTask, order: Any, rows: tuple[int, ...]) -> None
     expected = "Command(turn=..., frequency=...)"
     _require(task, "command", isinstance(order, Command), order, expected)
     turn = check_rows(task, "command turn", order.turn, rows)
+    fastest = task.max_frequency / task.scales.period * (1.0 + 1e-9)
     turns = turn.abs() <= MAX_TURN
     beats = shares = torch.ones_like(turns)
     if order.frequency is not None:
         frequency = check_rows(task, "command frequency", order.frequency, rows)
-        beats = (frequency >= 0.0) & (frequency <= MAX_FREQUENCY)
+        beats = (frequency >= 0.0) & (frequency <= fastest)
     if order.amplitude is not None:
         amplitude = check_rows(task, "command amplitude", order.amplitude, rows)
         shares = (amplitude >= 0.0) & (amplitude <= 1.0)
@@ -93,7 +93,8 @@ def check_command(task: AbstractTask, order: Any, rows: tuple[int, ...]) -> None
             _require(task, "command turn", False, turn.tolist(), "radians, at most 2 pi")
         if not shares.all():
             _require(task, "command amplitude", False, amplitude.tolist(), "0 to 1")
-        expected = f"tail beats per step, 0 to {MAX_FREQUENCY}; n per T are n / self.scales.period"
+        beats_T = f"max_frequency = {task.max_frequency:g} per T"
+        expected = f"0 to {fastest:.3g} tail beats per step, which is {beats_T}"
         _require(task, "command frequency", False, frequency.tolist(), expected)
 
 

@@ -112,7 +112,7 @@ class LateralLine:
         own = [0] * (self.num_neuromasts % 2)
         for k in range(num_pairs):
             at = self.first_bl + (span * k / (num_pairs - 1) if num_pairs > 1 else 0.0)
-            marker = max(1, round(at * half))
+            marker = min(half - 1, max(1, round(at * half)))
             own += [marker, num_markers - marker]
         return own
 

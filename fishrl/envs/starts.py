@@ -43,6 +43,8 @@ def check_pattern(starts: TensorDictBase, pattern: TensorDictBase) -> None:
             f"starts has batch shape {tuple(starts.shape)}: give a TensorDict of shape [E] with at "
             "least one start, as sample_starts does"
         )
+    if unknown := sorted(set(map(str, starts.keys())) - set(map(str, pattern.keys()))):
+        raise ValueError(f"starts has {unknown}, which sample_starts does not give: leave it out")
     for name, wanted in pattern.items():
         given = starts.get(name, None)
         shape = (starts.shape[0], *wanted.shape[1:])

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from math import inf, pi
+from math import floor, inf, pi
 from typing import Any
 
 import torch
@@ -62,6 +62,9 @@ class Stream:
                 f"diameter_bl = {self.diameter_bl}: {num} for {len(speeds)} entries of speeds_bl; "
                 "give one for each, or a number for all"
             )
+        names = [label["name"] for label in self.labels]
+        if self.has_disc and len(set(names)) < len(names):
+            raise ValueError(f"speeds_bl and diameter_bl give the flows {names}: must differ")
 
     @property
     def diameters_bl(self) -> tuple[float, ...]:
@@ -259,6 +262,6 @@ def _check_speeds(name: str, speeds: Tensor, scales: Scales) -> None:
         low, high = speeds.min().item(), speeds.max().item()
         raise ValueError(
             f"{name} reaches from {low:g} to {high:g} L/T: allowed are speeds above 0 and up to "
-            f"{fastest:.3g} L/T, which is {MAX_WALL_SPEED} nodes per step (Mach "
+            f"{floor(1e3 * fastest) / 1e3:g} L/T, which is {MAX_WALL_SPEED} nodes per step (Mach "
             f"{MAX_WALL_SPEED * 3**0.5:.2f}); lower the speeds, or max_wall_speed"
         )

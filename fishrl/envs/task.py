@@ -67,7 +67,7 @@ class AbstractTask(ABC):
     Args:
         body_length: L in nodes; at Reynolds number 7000 at least 50 for a useful swimming speed.
         reynolds: Re_f = L^2 / (T nu).
-        max_wall_speed: largest speed of the tail, nodes per step; sets the period T.
+        max_wall_speed: largest speed of the beating tail, nodes per step; sets the period T.
         domain_bl: width and height of the domain in body lengths.
         wall_margin_bl: smallest distance of a marker from the edge, in body lengths.
         num_stacked: stacked observations, the current one included.
@@ -112,7 +112,7 @@ class AbstractTask(ABC):
             raise ValueError(
                 f"wall_margin_bl = {self.wall_margin_bl} is {self.wall_margin:.1f} nodes, but "
                 f"markers may move {travel:.1f} between two checks: raise it to at least "
-                f"{least / self.body_length:.3f}, or raise checks_per_action"
+                f"{ceil(1e3 * least / self.body_length) / 1e3:g}, or raise checks_per_action"
             )
 
     def __getstate__(self) -> dict[str, Any]:

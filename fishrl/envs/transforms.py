@@ -225,7 +225,7 @@ class TrueFlowLabel(FlowLabelTransform):
 
 
 def equip(
-    task: AbstractTask, recognition: nn.Module | str | None, *, memory: float = 0.7
+    task: AbstractTask, recognition: nn.Module | str | None
 ) -> tuple[AbstractTask, list[Transform]]:
     """Return the task that reads flow labels, and the transforms that write them.
 
@@ -235,7 +235,6 @@ def equip(
         task: the task.
         recognition: None for no labels, ``oracle`` for the true ones, or a
             ``fishrl.modules.LateralLineClassifier`` for those that it predicts.
-        memory: see ``PredictedFlowLabel``.
 
     Raises:
         ValueError: if the task has no flows to tell apart or several fish, or the classifier was
@@ -252,7 +251,7 @@ def equip(
     if isinstance(recognition, nn.Module):
         check: Any = recognition.check
         check(flows=task.flow_labels, sensors=task.lateral_line_layout)
-        transforms = make_recognition(recognition, memory=memory, is_observed=is_observed)
+        transforms = make_recognition(recognition, is_observed=is_observed)
     elif recognition == ORACLE:
         transforms = [TrueFlowLabel(num_flows=len(task.flow_labels), is_observed=is_observed)]
     else:

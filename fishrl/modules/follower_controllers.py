@@ -12,6 +12,14 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch.nn.functional import pad
 
+STATION_BL = 1.75  # x to keep, body lengths
+FREQUENCY = 1.1  # at the station, beats per T
+GAIN = 0.6  # of the frequency, beats per T and body length
+DAMPING = 1.0  # of the frequency, beats per L
+ASIDE_GAIN = 0.8  # heading for a distance aside of 1 L, radians
+ASIDE_DAMPING = 1.0  # the same for 1 L / T
+SPIN_GAIN = 0.2  # turn per turning rate, T
+
 
 class KeepPlace(TensorDictModuleBase):
     """Beat faster when too far behind, and head for the line when beside it.
@@ -22,41 +30,14 @@ class KeepPlace(TensorDictModuleBase):
         turn: largest turn of an action, radians.
         frequency_range: least and largest frequency of an action, beats per T.
         num_actions: 3 for actions with an amplitude, which is kept at its largest.
-        station_bl: x to keep, body lengths.
-        line_bl: y to keep.
-        frequency: at the station, beats per T.
-        gain: of the frequency, beats per T and body length.
-        damping: of the frequency, beats per L.
-        aside_gain: heading for a distance aside of 1 L, radians.
-        aside_damping: the same for 1 L / T.
-        heading_gain: turn per heading error.
-        spin_gain: turn per turning rate, T.
     """
 
     def __init__(
-        self,
-        *,
-        turn: float,
-        frequency_range: tuple[float, float],
-        num_actions: int = 2,
-        station_bl: float = 1.75,
-        line_bl: float = 0.0,
-        frequency: float = 1.1,
-        gain: float = 0.6,
-        damping: float = 1.0,
-        aside_gain: float = 0.8,
-        aside_damping: float = 1.0,
-        heading_gain: float = 1.0,
-        spin_gain: float = 0.2,
+        self, *, turn: float, frequency_range: tuple[float, float], num_actions: int = 2
     ) -> None:
         super().__init__()
         self.in_keys, self.out_keys = ["observation_stack"], ["action"]
-        self.turn, self.frequency_range, self.frequency = turn, frequency_range, frequency
-        self.num_actions = num_actions
-        self.station_bl, self.line_bl = station_bl, line_bl
-        self.gain, self.damping = gain, damping
-        self.aside_gain, self.aside_damping = aside_gain, aside_damping
-        self.heading_gain, self.spin_gain = heading_gain, spin_gain
+        self.turn, self.frequency_range, self.num_actions = turn, frequency_range, num_actions
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``action`` ``[B, num_actions]``: turn, frequency, amplitude, each in [-1, 1]."""
@@ -65,11 +46,11 @@ class KeepPlace(TensorDictModuleBase):
         x, y, heading = stack[..., -2:, :3].mean(-2).unbind(-1)
         velocity_x, velocity_y, spin = stack[..., -2:, 7:10].mean(-2).unbind(-1)
         # a heading above that of upstream leads to -y
-        course = self.aside_gain * (y - self.line_bl) + self.aside_damping * velocity_y
+        course = ASIDE_GAIN * y + ASIDE_DAMPING * velocity_y
         error = course.clamp(-0.4, 0.4) - heading
-        turn = (self.heading_gain * error - self.spin_gain * spin) / self.turn
+        turn = (error - SPIN_GAIN * spin) / self.turn
         low, high = self.frequency_range
-        frequency = self.frequency + self.gain * (x - self.station_bl) + self.damping * velocity_x
+        frequency = FREQUENCY + GAIN * (x - STATION_BL) + DAMPING * velocity_x
         share = 2.0 * (frequency - low) / (high - low) - 1.0
         action = torch.stack((turn, share), -1).clamp(-1.0, 1.0)
         return tensordict.set("action", pad(action, (0, self.num_actions - 2), value=1.0))

@@ -15,6 +15,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from fishrl.bounds import bounded
 from fishrl.physics.collision import Macroscopic, compute_equilibrium, compute_macroscopic
 from fishrl.physics.lattice import CX, CY, OPPOSITE, W
 
@@ -112,7 +113,7 @@ class NonEquilibrium(Boundary):
     """
 
     velocity: tuple[float, float] | None = None
-    density: float | None = None
+    density: float | None = bounded(None, greater=0, less=2)
     profile: Profile = Profile.UNIFORM
 
     def __post_init__(self) -> None:

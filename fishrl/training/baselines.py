@@ -134,13 +134,12 @@ def _(task: KarmanGait) -> dict[str, Baseline]:
 @find_baselines.register
 def _(task: Follower) -> dict[str, Baseline]:
     """Return the controller that keeps a place in line behind the leader."""
-    keep = partial(
-        KeepPlace,
+    keep = KeepPlace(
         turn=math.radians(task.turn_degrees),
         frequency_range=task.frequency_range,
         num_actions=task.num_actions,
     )
-    return {"keep_place": Baseline(lambda seed: keep()), **find_random(task)}
+    return {"keep_place": Baseline(lambda seed: keep), **find_random(task)}
 
 
 def make_shedding(task: KarmanGait) -> GaitPolicy:

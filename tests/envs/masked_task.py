@@ -20,6 +20,12 @@ class MaskedTask(AbstractTask):
     num_actions: ClassVar[int] = 2
     num_draws: ClassVar[int] = 1
 
+    checks_per_action: int = 40
+
+    @property
+    def max_frequency(self) -> float:
+        return 2.0
+
     def starts_from(self, uniform: Tensor) -> TensorDict:
         head = torch.stack((4.0 + uniform[:, 0], torch.full_like(uniform[:, 0], 2.5)), -1)
         heading = torch.full_like(uniform[:, 0], pi)

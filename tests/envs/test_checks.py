@@ -17,7 +17,7 @@ from tests.envs.conftest import SMALL
 from tests.envs.masked_task import MaskedTask
 
 pytestmark = pytest.mark.usefixtures("kinematic")
-BRIEF: dict[str, Any] = {**SMALL, "control_interval_T": 0.1, "checks_per_action": 2}
+BRIEF: dict[str, Any] = {**SMALL, "control_interval_T": 0.1, "checks_per_action": 4}
 
 
 def _make(**members: Any) -> AbstractTask:
@@ -55,7 +55,17 @@ def _starts(x_bl: float, *without: str) -> Callable[..., TensorDict]:
         (
             "command",
             lambda _, a, b: Command(0.0 * a, 1.0 + a),
-            r"frequency gives \[1.0, 2.0\], expected tail beats per step",
+            r"frequency gives \[1.0, 2.0\], expected 0 to .* tail beats per step",
+        ),
+        (
+            "command",
+            lambda task, a, b: Command(0.0 * a, 0.0 * a + 2.2 / task.scales.period),
+            "which is max_frequency = 2 per T",
+        ),
+        (
+            "command",
+            lambda _, a, b: Command(7.0 + 0.0 * a),
+            r"turn gives \[7.0, 7.0\], expected radians, at most",
         ),
         (
             "command",

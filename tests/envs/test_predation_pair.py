@@ -102,8 +102,9 @@ def test_swimmers_that_meet_in_a_real_flow_end_their_episode_and_do_not_diverge(
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"contact_bl": 0.04}, "contact_bl = 0.04: is 0.8 nodes; must be at least 0.05"),
+        ({"contact_bl": 0.04}, "contact_bl = 0.04: is 0.8 nodes; must be at least 1 node"),
         ({"start_gap_bl": 4.0}, "start_gap_bl = 4.0: two noses do not fit into start_y_bl"),
+        ({"start_gap_bl": 0.9, "contact_bl": 0.85}, r"starts have fish 0\.\d+ L apart: must be"),
         ({"start_gap_bl": 0.1}, "fish 0 and 1 overlap; move them apart"),
     ],
 )

@@ -30,6 +30,11 @@ def test_a_flow_is_named_by_its_speed_and_by_its_disc_where_they_differ() -> Non
     assert replace(VARIED, has_disc=False).diameters_bl == (0.0, 0.0, 0.0)
 
 
+def test_flows_that_cannot_be_told_apart_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"\['1 L/T', '1 L/T'\]: must differ"):
+        Stream(speeds_bl=(1.0, 1.0))
+
+
 def test_every_flow_has_the_wake_of_its_disc_and_speed_from_a_file_for_each_disc(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -17,7 +17,7 @@ from tests.envs.conftest import SMALL
 from tests.envs.masked_task import MaskedTask
 
 pytestmark = [pytest.mark.usefixtures("kinematic"), pytest.mark.learning]
-BRIEF: dict[str, Any] = {**SMALL, "control_interval_T": 0.1, "checks_per_action": 2}
+BRIEF: dict[str, Any] = {**SMALL, "control_interval_T": 0.1, "checks_per_action": 4}
 
 
 @dataclass(frozen=True, kw_only=True)

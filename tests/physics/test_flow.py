@@ -60,6 +60,10 @@ def test_a_later_change_begins_where_the_speed_is_and_follows_half_a_cosine() ->
             r"boundaries.left.velocity = \(0.1,\): must be a list of 2",
         ),
         (
+            {"boundaries": Boundaries(right=NonEquilibrium(density=0.0))},
+            "boundaries.right.density = 0.0: must be greater than 0",
+        ),
+        (
             {"boundaries": Boundaries(left=NonEquilibrium(velocity=(0.5, 0.0)))},
             "an edge imposes 0.500 nodes per step",
         ),

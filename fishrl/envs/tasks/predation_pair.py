@@ -11,6 +11,7 @@ from torch import Tensor
 from fishrl.bounds import bounded
 from fishrl.envs.protocol import Solver
 from fishrl.envs.sensors import compute_clearance, compute_gap, sense_target
+from fishrl.envs.starts import place_outline
 from fishrl.envs.tasks.predation import CHANCE_UP, AbstractPredation
 from fishrl.physics.bodies.placement import MIN_GAP
 
@@ -52,10 +53,21 @@ class PredationPair(AbstractPredation):
         if self.contact_bl * self.body_length < MIN_GAP:
             raise ValueError(
                 f"contact_bl = {self.contact_bl}: is {self.contact_bl * self.body_length:g} nodes; "
-                f"must be at least {MIN_GAP / self.body_length:g}, {MIN_GAP:g} node"
+                f"must be at least {MIN_GAP:g} node"
             )
         nearest = torch.tensor([[0.0, 1.0 - 2.0**-53, 0.0, 0.0, 0.0]], dtype=torch.float64)
         self.check_starts(self.starts_from(nearest))
+
+    def check_starts(self, starts: TensorDictBase) -> None:
+        """Also check that the fish do not touch."""
+        super().check_starts(starts)
+        outlines = place_outline(starts, self.fish)
+        gap = compute_gap(outlines[:, 0], outlines[:, 1]) / self.body_length
+        if not (gap >= self.contact_bl).all():
+            raise ValueError(
+                f"starts have fish {float(gap.min()):.3g} L apart: must be at least contact_bl = "
+                f"{self.contact_bl}"
+            )
 
     @property
     def lanes(self) -> tuple[tuple[int, int], tuple[int, int]]:

@@ -70,8 +70,8 @@ class BodyConfig(ABC):
         if not 0.4 <= spacing <= 2.1:
             raise ValueError(
                 f"{type(self).__name__} with num_markers = {self.num_markers}: they would lie "
-                f"{spacing:.2f} nodes apart, allowed is 0.5 to 2; change the number of markers or "
-                "the size"
+                f"{spacing:.2f} nodes apart, allowed is 0.4 to 2.1; change the number of markers "
+                "or the size"
             )
 
     def compute_wall_speed(self, frequency: float) -> float:

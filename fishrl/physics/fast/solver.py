@@ -382,11 +382,11 @@ class InPlaceSolver:
     def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
         """Restore ``state_dict()`` exactly, on whatever device it was saved.
 
-        Raises:
-            ValueError: for a state of another grid, batch, storage or version.
+        ValueError for a state of another grid, batch, storage or version.
         """
         self._batch.load_state_(state)
         self._unplaced = None
+        self._is_lost.zero_()
 
     def list_calls(self) -> dict[str, list[tuple[Kernel, Sequence[Tensor]]]]:
         """Return the calls that an even and an odd step of the first group make, by part."""
