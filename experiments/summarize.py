@@ -120,6 +120,8 @@ def add_evaluations(run: Run) -> Run:
     if not run.summary or not run.frames:
         return run
     frames, rates = read_metrics(run.path / "metrics.csv")["eval/success_rate"]
+    if not rates.size:
+        return run
     added = {"curve_mean": float(rates.mean()), "last_rate": float(rates[-1])}
     for rate in rates[frames == run.summary.get("best_checkpoint_frames")]:
         added["selection_rate"] = float(rate)

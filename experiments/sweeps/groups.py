@@ -1,4 +1,4 @@
-"""Groups of runs that differ only in their seed."""
+"""Groups of runs that differ only in their seed and in harmless settings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from experiments.sweeps.runs import HARMLESS, Run
 from fishrl.training.run_folder import RunFolder
 
 #: Settings that do not separate groups.
-_APART = ("seed", *HARMLESS)
+_APART = ("seed", "logger", *HARMLESS)
 #: Settings that imply several others, and so distinguish groups first.
 _FIRST = ("preset", "task._target_")
 
@@ -113,8 +113,10 @@ def _flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
     flat: dict[str, str] = {}
     for name, value in config.items():
         key = f"{prefix}{name}"
+        if key in _APART:
+            continue
         if isinstance(value, Mapping):
             flat |= _flatten(value, f"{key}.")
-        elif key not in _APART:
+        else:
             flat[key] = str(value).rsplit(".", 1)[-1] if name == "_target_" else str(value)
     return flat

@@ -31,7 +31,7 @@ class Run:
     Attributes:
         path: its folder.
         status: ``finished``, ``running``, ``failed`` (the reason is known) or ``stopped``.
-        reason: why it failed, in one line.
+        reason: why it failed, or what failed once it was finished, in one line.
         frames: done, as far as ``metrics.csv`` says.
         config: its settings; empty if they could not be made.
         summary: of a finished run.
@@ -64,18 +64,22 @@ def name_modules(config: Mapping[str, Any]) -> list[str]:
 
 
 def read_runs(folder: Path) -> list[Run]:
-    """Read every run in a folder, begun or not; raise ValueError if there is none."""
+    """Read every run in a folder, begun or not; raise ValueError if there is none.
+
+    Studies that train no policy, such as those of the lateral line, are left out.
+    """
     paths = [folder, *sorted(folder.iterdir())] if folder.is_dir() else []
     found = [p for p in paths if RunFolder(p).config.is_file() or RunFolder(p).failure.is_file()]
     if folder in found:
         raise ValueError(
             f"{folder}: is a single run; give the folder that holds it, {folder.absolute().parent}"
         )
-    if not found:
+    runs = [run for run in map(read_run, found) if not run.config or "total_frames" in run.config]
+    if not runs:
         raise ValueError(
             f"{folder}: holds no runs; give the folder of a sweep, such as runs/sweep-<time>"
         )
-    return [read_run(path) for path in found]
+    return runs
 
 
 def read_run(path: Path) -> Run:
@@ -96,7 +100,7 @@ def read_run(path: Path) -> Run:
         status = "running"
     elif folder.failure.is_file():
         lines = folder.failure.read_text(encoding="utf-8").strip().splitlines()
-        status, reason = "failed", lines[-1] if lines else "unknown"
+        status, reason = "finished" if summary else "failed", lines[-1] if lines else "unknown"
     return Run(
         path=path, status=status, reason=reason, frames=frames, config=config, summary=summary
     )
@@ -127,11 +131,11 @@ def is_held(path: Path) -> bool:
 
 
 def advise(runs: Sequence[Run]) -> str:
-    """Report how many runs are finished, and for each other run why not and how to resume it."""
+    """Report how many runs are finished, what failed in each, and how to resume it."""
     finished = sum(run.status == "finished" for run in runs)
     lines = [f"{finished} of {len(runs)} runs finished"]
     for run in runs:
-        if run.status != "finished":
+        if run.status != "finished" or run.reason:
             because = f" ({run.reason})" if run.reason else ""
             lines.append(f"- {run.path.name}: {run.status} at frame {run.frames}{because}")
             lines += [f"  rerun: {run.command}"] if run.status != "running" else []

@@ -23,7 +23,7 @@ from experiments.statistics import Statistic, find_improvement, find_interquarti
 from experiments.summarize import average, tabulate_differences
 from experiments.sweeps.groups import group_runs
 from experiments.sweeps.runs import count_frames, read_run, read_runs
-from fishrl.training.run_folder import HeldError, RunFolder
+from fishrl.training.run_folder import HeldError, RunFolder, write_yaml
 
 ROOT = Path(__file__).parents[2]
 
@@ -42,6 +42,7 @@ def write_run(
     config = {
         "task": {"_target_": "fishrl.envs.Predation"},
         "seed": seed,
+        "total_frames": 100,
         "name": name,
         "folder": str(sweep),
         **settings,
@@ -184,13 +185,14 @@ def test_groups_are_compared_seed_by_seed(tmp_path: Path) -> None:
             curve = {0: 0.0, 100: value}
             summary = summary_of(value) | {"frames": 100, "updates": 400}
             name = f"{algorithm}-{seed}"
-            write_run(tmp_path, name, seed=seed, curve=curve, summary=summary, algorithm=algorithm)
+            settings: Any = {"seed": seed, "algorithm": {"_target_": algorithm}}
+            write_run(tmp_path, name, curve=curve, summary=summary, **settings)
     text = summarize.summarize(tmp_path)
     assert "100 frames and 400 gradient steps each." in text
     # Returns differ by -1, -2.1 and -3.2: deviation 1.1, t of 2 degrees of freedom 4.303. Rates of
     # success are a tenth, their curves' means half of that.
     half = 4.303 * 1.1 / 3**0.5
-    row = f"| algorithm sac | -21.0% ± {10 * half:.1f}% | -2.10 ± {half:.2f} | -0.105 ± "
+    row = f"| sac | -21.0% ± {10 * half:.1f}% | -2.10 ± {half:.2f} | -0.105 ± "
     assert row in text
     groups = group_runs(read_runs(tmp_path))
     for run in groups[1].runs:
@@ -225,6 +227,14 @@ def test_tables_and_pictures_go_into_a_page(sweep: Path, tmp_path: Path) -> None
     page.write_text("no mark")
     with pytest.raises(ValueError, match="put one line <!-- summary: begin -->"):
         summarize.summarize(sweep, page=page)
+
+
+def test_a_finished_run_whose_pictures_failed_counts_and_its_failure_is_told(sweep: Path) -> None:
+    (sweep / "gamma_0.9-seed_0" / "failure.txt").write_text("ValueError: no driver\n")
+    assert len(group_runs(read_runs(sweep))[0].finished) == 4
+    text = summarize.summarize(sweep)
+    assert "6 of 8 runs finished" in text
+    assert "gamma_0.9-seed_0: finished at frame 100 (ValueError: no driver)" in text
 
 
 def test_the_csv_files_hold_every_number_and_every_run(sweep: Path) -> None:
@@ -269,6 +279,25 @@ def test_runs_that_do_not_count_are_named(tmp_path: Path) -> None:
     (run / "summary.json").write_text("{")
     with pytest.raises(ValueError, match=r"run: damaged .* repair or delete it"):
         read_runs(tmp_path)
+
+
+def test_a_study_that_trains_no_policy_is_no_run_of_a_sweep(sweep: Path) -> None:
+    (sweep / "lateral-line").mkdir()
+    write_yaml(sweep / "lateral-line" / "config.yaml", {"num_samples": 6000, "seed": 0})
+    assert len(read_runs(sweep)) == 8
+
+
+def test_runs_that_differ_in_their_logger_alone_are_one_group(tmp_path: Path) -> None:
+    for seed, logger in enumerate(("CsvLogger", "WandbLogger")):
+        target = f"fishrl.training.logger.{logger}"
+        write_run(tmp_path, logger, seed=seed, logger={"_target_": target})
+    assert len(group_runs(read_runs(tmp_path))) == 1
+
+
+def test_a_run_without_an_evaluation_is_summarized(tmp_path: Path) -> None:
+    path = write_run(tmp_path, "run", curve={50: 1.0}, summary=summary_of(1.0))
+    (path / "metrics.csv").write_text("frames,eval/mean_return,eval/success_rate\n50,,\n")
+    assert "1 of 1 runs finished" in summarize.summarize(tmp_path)
 
 
 def test_frames_are_those_of_the_last_whole_row(tmp_path: Path) -> None:
