@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 from omegaconf import MISSING
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -92,6 +93,7 @@ def record(settings: ExportDataSettings, *, progress: Progress) -> MinariDataset
         progress.advance(int((after["done"].squeeze(-1) & (start_of >= 0)).sum()))
 
     kind = ExplorationType.RANDOM if settings.samples_actions else ExplorationType.DETERMINISTIC
+    torch.manual_seed(settings.seed)  # of sampled actions
     with closing(env):
         progress.start("episodes", total=settings.episodes)
         run_episodes(

@@ -32,3 +32,19 @@ def test_minari_reads_the_transitions(tmp_path: Path, monkeypatch: pytest.Monkey
         assert masks[np.arange(num), episode.actions].all()  # only legal actions
         over = episode.terminations | episode.truncations
         assert over[-1] and not over[:-1].any()
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_a_seed_repeats_the_sampled_actions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    sampled = []
+    for name in ("first-v0", "second-v0"):
+        settings = export_data.main.read(
+            [f"name={name}", f"folder={tmp_path}", "policy=zoo/predation_small", "episodes=2",
+             "samples_actions=true", "compile=false", "task.time_limit=12"]
+        )  # fmt: skip
+        data = export_data.record(settings, progress=Progress(is_shown=False))
+        sampled.append([episode.actions.tolist() for episode in data.iterate_episodes()])
+    assert sampled[0] == sampled[1]
