@@ -104,17 +104,17 @@ def _bootstrap(statistic: Any, *groups: Sequence[float]) -> Interval:
     return Interval(value=value, low=float(interval.low), high=float(interval.high))
 
 
-def compare_paired(ours: np.ndarray, theirs: np.ndarray, *, num_draws: int = 10_000) -> Interval:
+def compare_paired(ours: np.ndarray, theirs: np.ndarray) -> Interval:
     """Return the difference of the means of values ``[seeds, starts]`` with the same starts.
 
-    Starts are drawn for both together, seeds for each, all with replacement (Efron 1979).
+    The interval is Student's t. Its variance is that of the differences over the starts and, where
+    there are several, that of the means over the seeds of either; the fewest of them give the
+    degrees of freedom. Without two starts there is none.
     """
-    draw = np.random.default_rng(0)
-
-    def sample(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        seeds = draw.integers(len(values), size=(num_draws, len(values)))
-        return values[seeds[:, :, None], starts[:, None, :]].mean((1, 2))
-
-    starts = draw.integers(ours.shape[1], size=(num_draws, ours.shape[1]))
-    low, high = np.quantile(sample(ours, starts) - sample(theirs, starts), (0.025, 0.975))
-    return Interval(value=float(ours.mean() - theirs.mean()), low=float(low), high=float(high))
+    parts = [(ours.mean(0) - theirs.mean(0)), *(v.mean(1) for v in (ours, theirs) if len(v) > 1)]
+    value, fewest = float(ours.mean() - theirs.mean()), min(map(len, parts))
+    if fewest < 2:
+        return Interval(value=value, low=math.nan, high=math.nan)
+    error = math.sqrt(sum(float(stats.sem(part)) ** 2 for part in parts))
+    half = float(stats.t.ppf(0.975, fewest - 1)) * error
+    return Interval(value=value, low=value - half, high=value + half)

@@ -63,14 +63,20 @@ def test_differences_are_paired_by_start() -> None:
     assert (found.value, found.low, found.high) == pytest.approx((1.0, 1.0, 1.0))
 
 
-def test_an_interval_covers_the_difference_as_often_as_it_says() -> None:
+@pytest.mark.parametrize("shape", [(1, 60), (1, 4), (3, 4)], ids=str)
+def test_an_interval_covers_the_difference_as_often_as_it_says(shape: tuple[int, int]) -> None:
     draw = np.random.default_rng(2)
     hits = 0
-    for _ in range(100):
-        noise = draw.normal(size=(2, 1, 60))
-        found = compare_paired(2.0 + noise[0], noise[1], num_draws=500)
+    for _ in range(200):
+        seeds = draw.normal(size=(2, shape[0], 1)) * (shape[0] > 1)  # policies differ, too
+        noise = seeds + draw.normal(size=(2, *shape))
+        found = compare_paired(2.0 + noise[0], noise[1])
         hits += found.low <= 2.0 <= found.high
-    assert 88 <= hits <= 99
+    assert 180 <= hits <= (200 if shape[0] > 1 else 198)
+
+
+def test_one_start_gives_no_interval() -> None:
+    assert compare_paired(np.array([[2.0]]), np.array([[1.0]])).show("+.1f") == "+1.0"
 
 
 @pytest.mark.usefixtures("kinematic")
