@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from threading import Barrier
 from typing import Any
 
 import pytest
@@ -133,9 +135,23 @@ def test_a_run_that_outlived_its_search_is_waited_for(
     plan = plan_of(tmp_path, "gamma=interval(0.9,1)")
     settings = ["gamma=0.95", "seed=0", f"folder={tmp_path}"]
     place = jobs.find_or_begin(TRAINING.read(settings), name="trial_0000-seed_0")
-    then = f"""time.sleep(1.0); open({str(place.summary)!r}, "w").write('{{"mean_return": 2.5}}')"""
+    seen, result = tmp_path / "seen", tmp_path / "result"
+    result.write_text('{"mean_return": 2.5}')
+    then = f"""import os
+while not os.path.exists({str(seen)!r}):
+    time.sleep(0.02)
+os.rename({str(result)!r}, {str(place.summary)!r})"""
+
+    def look(path: Path) -> Run:
+        run = read_run(path)
+        if run.status == "running":
+            seen.touch()  # and it ends
+        return run
+
+    monkeypatch.setattr(search, "read_run", look)
     with hold_elsewhere(place.path, then):
         assert search.run_seed(plan, 0, ["gamma=0.95"], 0) == 2.5
+    assert seen.exists()
 
 
 def test_failed_trials_are_recorded_and_others_follow(
@@ -153,7 +169,11 @@ def test_failed_trials_are_recorded_and_others_follow(
 def test_searches_that_begin_at_once_draw_different_settings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    sampler = optuna.samplers.TPESampler
+    sampler, lock, both = optuna.samplers.TPESampler, fcntl.flock, Barrier(2)
+
+    def meet(*arguments: Any) -> None:
+        both.wait(60.0)  # neither has counted the trials yet
+        lock(*arguments)
 
     def hesitate(*, seed: int | None = None) -> Any:
         time.sleep(0.5)  # the other search counts the trials meanwhile
@@ -163,9 +183,10 @@ def test_searches_that_begin_at_once_draw_different_settings(
     plan = plan_of(tmp_path, "gamma=interval(0,1)")
     study = empty_study(plan)
     monkeypatch.setattr(optuna.samplers, "TPESampler", hesitate)
+    monkeypatch.setattr(search.fcntl, "flock", meet)
     with ThreadPoolExecutor() as pool:
         list(pool.map(search.search, [replace(plan, trials=1)] * 2))
-    assert len({trial.params["++gamma"] for trial in study.trials}) == len(study.trials)
+    assert len({trial.params["++gamma"] for trial in study.trials}) == len(study.trials) == 2
 
 
 def test_a_search_in_the_home_folder_has_one_folder(
