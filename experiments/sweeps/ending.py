@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
-from fishrl.training.interruption import SIGNALS
+from fishrl.training.interruption import list_heeded
 
 logger = logging.getLogger(__name__)
 
@@ -26,7 +26,8 @@ def ending_runs() -> Iterator[None]:
 
     A launcher may kill its processes where it is interrupted, so the trainings save before. Ctrl-C
     in a terminal reaches them too, another signal may reach this process alone; a training takes
-    two signals at once as one. A second signal is passed on, and ends them at once.
+    two signals at once as one. A second signal is passed on, and ends them at once. Ignored signals
+    stay so.
     """
     signalled: set[int] = set()
     is_ending = False
@@ -48,7 +49,7 @@ def ending_runs() -> Iterator[None]:
             time.sleep(0.1)
         raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, pass_on) for number in SIGNALS}
+    before = {number: signal.signal(number, pass_on) for number in list_heeded()}
     try:
         yield
     finally:
@@ -59,7 +60,7 @@ def ending_runs() -> Iterator[None]:
 def leave_ending_to_sweep() -> None:
     """Ignore signals in a process of joblib, which kills the others and their runs if one ends."""
     if multiprocessing.parent_process() is not None:
-        for number in SIGNALS:  # no SIG_IGN, which the runs would inherit
+        for number in list_heeded():  # no SIG_IGN, which the runs would inherit
             signal.signal(number, lambda number, frame: None)
 
 

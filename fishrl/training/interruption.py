@@ -25,6 +25,11 @@ class Interrupted(Exception):
         self.number = number
 
 
+def list_heeded() -> list[signal.Signals]:
+    """Return those of ``SIGNALS`` that this process does not ignore, as it may with ``nohup``."""
+    return [number for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
+
+
 def exit_status(end: KeyboardInterrupt) -> int:
     """Return the exit status of a process that a signal ended at once: 130, or 143 for SIGTERM."""
     return 128 + (int(end.args[0]) if end.args else signal.SIGINT)
@@ -33,7 +38,8 @@ def exit_status(end: KeyboardInterrupt) -> int:
 class Interruption:
     """Remembers a signal until the next ``check``; a second one ends at once.
 
-    As a context in the main thread it handles the signals of the process; ``request`` needs none.
+    As a context in the main thread it handles the signals of the process, except ignored ones;
+    ``request`` needs none.
     """
 
     def __init__(self) -> None:
@@ -52,7 +58,7 @@ class Interruption:
 
     def __enter__(self) -> Interruption:
         is_main = threading.current_thread() is threading.main_thread()
-        for number in SIGNALS if is_main else ():
+        for number in list_heeded() if is_main else ():
             self._before[number] = signal.signal(number, self._handle)
         return self
 

@@ -41,6 +41,7 @@ def test_a_job_that_fails_leaves_the_others_of_its_launcher_alone(
         assert len({log.parent for log in logs}) == 2
 
 
+@pytest.mark.usefixtures("heeds_ctrl_c")
 @pytest.mark.parametrize(
     ("number", "seeds", "names"),
     [(signal.SIGINT, "seed=0,1", ("seed_0", "seed_1")), (signal.SIGTERM, "seed=0", ("run",))],

@@ -245,6 +245,14 @@ def test_trainings_below_a_process_end_before_it() -> None:
     assert ending.find_trainings() == set()
 
 
+@pytest.mark.usefixtures("heeds_ctrl_c")
+def test_a_sweep_goes_on_ignoring_the_signals_that_it_ignored() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with ending.ending_runs():
+        assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+        assert signal.getsignal(signal.SIGTERM) != signal.SIG_DFL
+
+
 def test_a_sweep_is_judged_by_its_own_jobs(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -28,6 +28,7 @@ def test_a_signal_ends_a_run_with_everything_saved(toy: Toy) -> None:
     assert not (run / "failure.txt").exists()
 
 
+@pytest.mark.usefixtures("heeds_ctrl_c")
 def test_a_second_signal_ends_it_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     interruption, before = Interruption(), signal.getsignal(signal.SIGINT)
     interruption.check()
@@ -44,6 +45,15 @@ def test_a_second_signal_ends_it_at_once(monkeypatch: pytest.MonkeyPatch) -> Non
     assert signal.getsignal(signal.SIGINT) is before
     with pytest.raises(Interrupted):
         interruption.check()
+
+
+@pytest.mark.usefixtures("heeds_ctrl_c")
+def test_a_signal_that_is_ignored_stays_so() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with Interruption() as interruption:
+        signal.raise_signal(signal.SIGINT)
+        interruption.check()
+    assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
 
 
 def test_outside_the_main_thread_signals_are_left_alone() -> None:
