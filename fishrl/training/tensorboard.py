@@ -35,9 +35,7 @@ class TensorboardLogger(CsvLogger):
         """Start event files as well; after a resume, later steps of earlier files are hidden."""
         super().open(folder, columns=columns, config=config, step=step)
         self._step_key = columns[0]
-        self._writer = self._make_writer(
-            str(folder / "tensorboard"), purge_step=step + 1 if step else None
-        )
+        self._writer = self._make_writer(str(folder / "tensorboard"), purge_step=step + 1)
 
     def log(self, metrics: Mapping[str, float]) -> None:
         """Add a row here and there."""

@@ -26,3 +26,13 @@ def test_tensorboard_reads_every_step_once(tmp_path: Path) -> None:
     assert curve == [(10, 1.0), (20, 2.0), (40, 7.0)]
     rows = (tmp_path / "metrics.csv").read_text().splitlines()
     assert [row.split(",")[0] for row in rows] == ["frames", "10", "20", "40"]
+
+
+def test_a_run_that_goes_on_from_its_first_frame_hides_what_came_after(tmp_path: Path) -> None:
+    for value in (1.0, 2.0):
+        logger = TensorboardLogger()
+        logger.open(tmp_path, columns=COLUMNS, config={})
+        logger.log({"frames": 10, "train/return": value})
+        logger.close()
+    events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    assert [event.value for event in events.Scalars("train/return")] == [2.0]
