@@ -18,7 +18,8 @@ from experiments.train_settings import TRAINING
 from fishrl.envs.scene import Frame
 from fishrl.training.description import to_plain
 from fishrl.training.run_folder import write_yaml
-from fishrl.viewer import Drawing
+from fishrl.viewer import Drawing, Server
+from fishrl.viewer.process import HOST
 from tests.experiments.gait.tasks import OVERRIDES
 from tests.experiments.test_gait import SETTINGS
 from tests.training.conftest import read_rows
@@ -100,12 +101,18 @@ def test_a_live_view_streams_and_stays_until_an_interrupt(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = view.main.read([*GAIT, "policy=pid", "live=true", "periods=1", "port=29600"])
+    servers: list[Server] = []
     waited: list[bool] = []
 
+    def serve(*, port: int) -> Server:
+        servers.append(Server(port=port))
+        return servers[-1]
+
     def wait() -> None:
-        socket.create_connection(("127.0.0.1", 29600), timeout=2.0).close()
+        socket.create_connection((HOST, servers[0].port), timeout=2.0).close()
         waited.append(True)
 
+    monkeypatch.setattr(view, "Server", serve)
     monkeypatch.setattr(view, "wait_for_interrupt", wait)
     view.main.run(config)
     assert waited == [True]

@@ -6,6 +6,7 @@ import csv
 import json
 import signal
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -116,9 +117,12 @@ def test_the_last_evaluation_is_of_the_best_checkpoint(
     toy: Toy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     training = toy.begin(eval_frames=40)
-    num_captures = iter([1, 9, 5, 2, 3, 4, 0, 0, 0, 0])
+    num_captures = iter([1, 2, 9, 5, 3, 4, 0, 0, 0, 0])
+    seen: list[dict[str, torch.Tensor]] = []
 
-    def scripted(*args: Any, **kwargs: Any) -> Episodes:
+    def scripted(policy: Any, **kwargs: Any) -> Episodes:
+        if policy is training.learner.actor:
+            seen.append(deepcopy(policy.state_dict()))
         captured, nothing = torch.arange(10) < next(num_captures), torch.zeros(10)
         return Episodes(
             returns=nothing,
@@ -130,7 +134,10 @@ def test_the_last_evaluation_is_of_the_best_checkpoint(
         )
 
     monkeypatch.setattr(training, "evaluate", scripted)
-    assert training.run()["best_checkpoint_frames"] == 80
+    assert training.run()["best_checkpoint_frames"] == 120
+    last = seen.pop()
+    same = [all(torch.equal(last[name], each[name]) for name in last) for each in seen]
+    assert same == [False, False, True, False, False, False]
 
 
 class Watcher(Observer):
