@@ -97,12 +97,13 @@ def measure_memory_mb() -> float:
     What several of them share counts once (proportional set size). Pages of files, such as the
     libraries, are left out: how many of them count depends on other programs that use them, too.
     """
-    total_kb = 0.0
+    total_kb, pids = 0.0, ["self"]
     try:
-        tasks = Path("/proc/self/task").iterdir()
-        children = [pid for task in tasks for pid in (task / "children").read_text().split()]
-        for pid in ("self", *children):
+        for task in Path("/proc/self/task").iterdir():
             with suppress(FileNotFoundError, ProcessLookupError):  # it has just ended
+                pids += (task / "children").read_text().split()
+        for pid in pids:
+            with suppress(FileNotFoundError, ProcessLookupError):
                 text = Path(f"/proc/{pid}/smaps_rollup").read_text()
                 for kind in ("Pss_Anon", "Pss_Shmem"):
                     total_kb += float(text.partition(f"\n{kind}:")[2].split()[0])
