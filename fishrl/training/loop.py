@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import random
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -333,6 +335,9 @@ class Training:
 
     def _save(self, path: Path, *, is_needed: bool = True) -> bool:
         """Save, if not needed then if possible: a run outlives a disk that is full for a while."""
+        if path == self.folder.last:  # the rows that it counts outlive a power failure, too
+            with suppress(OSError), self.folder.metrics.open("rb") as rows:
+                os.fsync(rows.fileno())
         try:
             save_checkpoint(
                 path,

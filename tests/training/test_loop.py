@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import signal
 from collections.abc import Mapping
 from copy import deepcopy
@@ -53,6 +54,23 @@ def test_a_run_writes_its_settings_metrics_checkpoints_and_summary(toy: Toy) -> 
     others = {"mean_return", "mean_time_to_success_T", "wall_seconds", "mlups"}
     assert rates | others <= written.keys()
     assert (written["episodes"], written["frames"], written["seed"]) == (10, 240, 0)
+
+
+def test_the_rows_that_a_checkpoint_counts_are_on_the_disk_before_it(
+    toy: Toy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    training, sync = toy.begin(name="run", total_frames=80, **QUICK), os.fsync
+    flushed = []
+
+    def sync_and_note(file: int) -> None:
+        path = Path(os.readlink(f"/proc/self/fd/{file}"))
+        flushed.append(path.name if path == training.folder.metrics else path.parent.name)
+        sync(file)
+
+    monkeypatch.setattr(os, "fsync", sync_and_note)
+    training.run()
+    last = len(flushed) - flushed[::-1].index("metrics.csv")
+    assert flushed[last] == "..last.new" and "..last.new" in flushed[:last]
 
 
 def test_the_same_seed_twice_gives_the_same_metrics_and_another_seed_others(
