@@ -5,8 +5,9 @@ interval the controller observes position and heading and commands a turn from i
 observations; the body turns smoothly over the interval. The fish faces upstream at heading pi.
 """
 
+import hashlib
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from math import pi, radians
@@ -104,12 +105,16 @@ class PolicySteering(Steering):
         turn_degrees: turn per T.
         ahead_bl: distance of the point upstream of the nose, body lengths.
         decisions_per_T: the control rate; it learned with one.
+
+    Attributes:
+        weights: hash of the file; in keys of kept results it stands for the path.
     """
 
-    path: str = str(Path(__file__).with_name("steering.pt"))
+    path: str = field(default=str(Path(__file__).with_name("steering.pt")), repr=False)
     turn_degrees: float = bounded(15.0, least=0, largest=180)
     ahead_bl: float = bounded(2.0, greater=0)
     decisions_per_T: int = bounded(4, least=1)
+    weights: str = field(default="", init=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -119,6 +124,8 @@ class PolicySteering(Steering):
                 f"steering weights {self.path}: layers of widths {widths}, expected 16 inputs and "
                 "3 actions, those of a policy trained on Predation"
             )
+        content = Path(self.path).expanduser().read_bytes()
+        object.__setattr__(self, "weights", hashlib.sha256(content).hexdigest())
 
     @property
     def num_stacked(self) -> int:  # type: ignore[override]

@@ -2,6 +2,7 @@
 
 from math import pi, radians
 from pathlib import Path
+from shutil import copyfile
 
 import pytest
 import torch
@@ -9,6 +10,7 @@ from torch import Tensor
 
 from fishrl.envs.steering import PIDSteering, PolicySteering, Steering, load_weights, save_weights
 from fishrl.modules import make_mlp
+from fishrl.physics.cache_key import make_key
 
 
 def observe_series(steering: Steering, y: list[float], heading: float = pi) -> Tensor:
@@ -85,6 +87,17 @@ def test_the_network_sees_a_point_upstream_as_it_saw_food(tmp_path: Path) -> Non
     (seen,) = steering.observe(nose, middle, torch.tensor([pi]).double())
     expected = torch.tensor([-2.0, -0.5, 4.25**0.5, torch.atan(torch.tensor(0.25))]).double()
     torch.testing.assert_close(seen, expected, rtol=0, atol=1e-6)
+
+
+def test_keys_of_kept_results_depend_on_the_weights_and_not_on_their_place(tmp_path: Path) -> None:
+    paths = [tmp_path / name for name in "ab"]
+    keys = []
+    for seed in range(2):
+        network = make_mlp((16, 8, 3), generator=torch.Generator().manual_seed(seed))
+        save_weights(linear_layers(network), paths[0])
+        copyfile(*paths)
+        keys.append({make_key(PolicySteering(path=str(path))) for path in paths})
+    assert len(keys[0]) == len(keys[1]) == 1 and keys[0] != keys[1]
 
 
 def test_weights_that_do_not_fit_are_refused(tmp_path: Path) -> None:
