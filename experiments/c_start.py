@@ -5,8 +5,8 @@ strokes of ``fishrl.physics.C_START``, beginning there; the durations stay. The 
 of the centre of mass after 2.7 T, less a penalty for each part of the muscles' work beyond that of
 the published strokes on the same grid. The candidates of a generation swim in one batch of flows.
 ``c_start.json`` in the folder keeps every candidate: the same command goes on where it ended, also
-with more generations. In the end the best one and the published one swim on finer grids, and
-``c_start.png`` shows them.
+with more generations, as long as the code is the same. In the end the best one and the published
+one swim on finer grids, and ``c_start.png`` shows them.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 try:
@@ -35,6 +36,7 @@ from experiments.validation.c_start import draw_picture, run_strokes, take_pictu
 from fishrl.bounds import Checked, bounded
 from fishrl.extras import show_install
 from fishrl.physics import C_START, Stroke, Strokes
+from fishrl.physics.cache_key import hash_sources
 from fishrl.training.run_folder import RunFolder, write_json
 
 logger = logging.getLogger(__name__)
@@ -44,6 +46,7 @@ LOW = np.array([-2.0 * pi] * 6 + [0.0, 0.0])
 HIGH = np.array([0.0] * 6 + [1.0, 2.0 * pi])
 #: Loss of distance, L, per relative excess of work: more than any excess was seen to gain.
 PENALTY = 2.0
+_SOURCES = ("experiments.c_start", "experiments.validation.c_start")
 
 
 @dataclass(kw_only=True)
@@ -78,7 +81,8 @@ class CStartSettings(Checked):
     def identity(self) -> dict[str, Any]:
         """What every candidate depends on."""
         free = ("folder", "generations", "finer", "workers", "compile")
-        return {name: value for name, value in asdict(self).items() if name not in free}
+        given = {name: value for name, value in asdict(self).items() if name not in free}
+        return given | {"code": hash_sources(*_SOURCES), "torch": str(torch.__version__)}
 
 
 def to_numbers(strokes: Strokes) -> NDArray[np.float64]:
@@ -114,7 +118,10 @@ class Search:
         if self.file.exists():
             self.found = json.loads(self.file.read_text(encoding="utf-8"))
             if self.found["settings"] != settings.identity:
-                raise ValueError(f"{self.file}: holds another search, {self.found['settings']}")
+                raise ValueError(
+                    f"{self.file}: holds another search, {self.found['settings']}; give another "
+                    "folder"
+                )
 
     def run(self) -> None:
         """Search until there are as many generations as wanted."""

@@ -63,6 +63,17 @@ def test_an_interrupted_search_goes_on_exactly_and_finds_better_strokes(tmp_path
 
 @pytest.mark.sweep
 @pytest.mark.usefixtures("toy")
+def test_what_other_code_found_is_not_gone_on_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    find(tmp_path, 1)
+    monkeypatch.setattr(c_start, "hash_sources", lambda *_: "other code")
+    with pytest.raises(ValueError, match="holds another search"):
+        find(tmp_path, 2)
+
+
+@pytest.mark.sweep
+@pytest.mark.usefixtures("toy")
 def test_more_work_than_published_and_divergence_cost(tmp_path: Path) -> None:
     found = find(tmp_path, 1)
     generation = {
