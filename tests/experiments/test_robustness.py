@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,15 +17,26 @@ from experiments.statistics import compare_paired
 from experiments.train_settings import TRAINING
 from fishrl.envs import KarmanGait
 from fishrl.modules import LateralLineClassifier
-from fishrl.training.description import make
+from fishrl.training.description import make, to_plain
 
 POLICY = Path("zoo/gait_small_ablation")
 
 
+def flatten(settings: Any, path: str = "") -> dict[str, str]:
+    """Return nested settings by their path."""
+    if not isinstance(settings, dict):
+        return {path: str(settings)}
+    parts = (flatten(value, f"{path}.{name}") for name, value in settings.items())
+    return {key: value for part in parts for key, value in part.items()}
+
+
 def test_a_condition_changes_its_setting_alone() -> None:
     trial = load_trial(POLICY, periods=2.0)
+    before = flatten(to_plain(trial.task))
     for changes in CONDITIONS.values():
-        assert (vary(trial, changes).task == trial.task) == (not changes)
+        after = flatten(to_plain(vary(trial, changes).task))
+        assert dict(after.items() - before.items()) == flatten(to_plain(changes))
+        assert after.keys() == before.keys()
     wide = vary(trial, {"stream": {"diameter_bl": 0.6}})
     assert wide.task.stream.diameter_bl == 0.6
     assert wide.task.stream.speeds_bl == trial.task.stream.speeds_bl
