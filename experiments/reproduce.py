@@ -28,6 +28,7 @@ from experiments.free_stream import main as free_stream
 from experiments.program import program, show_command
 from experiments.reproduction.page import ARMS, find_fitted, write_page
 from experiments.sweeps.jobs import find_runs
+from experiments.sweeps.runs import read_run
 from experiments.train_lateral_line import main as train_lateral_line
 from experiments.train_settings import TRAINING, make_plan
 from experiments.validation.swimmer import CASE
@@ -116,12 +117,14 @@ class Job:
         words: program and settings.
         updates: of nodes, about, by all flows.
         gradient_steps: of all seeds.
+        num_runs: of a training, one per seed.
     """
 
     name: str
     words: tuple[str, ...]
     updates: float = 0.0
     gradient_steps: float = 0.0
+    num_runs: int = 0
 
 
 def count_updates(task: AbstractTask, periods: float) -> float:
@@ -144,6 +147,7 @@ def plan_training(name: str, settings: Sequence[str], scale: Scale, folder: Path
         words=("train", "--multirun", *settings, seeds, f"folder={folder / name}"),
         updates=len(scale.seeds) * count_updates(task, decisions * task.interval_T),
         gradient_steps=len(scale.seeds) * run.total_frames * plan.learning.updates_per_frame,
+        num_runs=len(scale.seeds),
     )
 
 
@@ -204,9 +208,12 @@ class Record:
         self.jobs: dict[str, dict[str, Any]] = json.loads(text)
 
     def is_finished(self, job: Job) -> bool:
-        """Tell whether a job has been finished with these settings."""
+        """Tell whether a job has been finished with these settings, and its runs are there."""
         entry = self.jobs.get(job.name, {})
-        return entry.get("is_finished", False) and entry["words"] == list(job.words)
+        if not entry.get("is_finished", False) or entry["words"] != list(job.words):
+            return False
+        runs = find_runs(job.words[2:]) if job.num_runs else []
+        return sum(read_run(run).status == "finished" for run in runs) == job.num_runs
 
     def note(self, job: Job, *, seconds: float, is_finished: bool) -> None:
         """Add to the time that a job has taken."""

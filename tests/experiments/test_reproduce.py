@@ -14,6 +14,7 @@ from experiments.program import list_choices
 from experiments.reproduce import Job, Record, list_jobs, run_job
 from experiments.reproduction import page
 from experiments.sweeps.jobs import find_or_begin, find_runs, plan_jobs
+from fishrl.training.run_folder import write_json
 
 
 @pytest.mark.parametrize("name", list_choices()["scale"])
@@ -83,6 +84,17 @@ def test_a_finished_job_is_not_repeated_unless_its_settings_change(tmp_path: Pat
     record = Record(tmp_path)
     assert record.is_finished(job) and record.jobs["summary"]["seconds"] > 0
     assert not record.is_finished(Job(name="summary", words=("pages", "elsewhere")))
+
+
+def test_a_training_whose_run_is_gone_is_repeated(tmp_path: Path) -> None:
+    job, record = list_by_name(tmp_path)["ablation"], Record(tmp_path)
+    record.note(job, seconds=1.0, is_finished=True)
+    assert not record.is_finished(job)
+    ((name, settings),) = plan_jobs(job.words[2:])
+    run = find_or_begin(settings, name=name)
+    assert not record.is_finished(job)
+    write_json(run.summary, {"frames": 16})
+    assert record.is_finished(job)
 
 
 def test_a_job_that_fails_is_not_finished(tmp_path: Path) -> None:
