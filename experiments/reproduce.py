@@ -34,6 +34,7 @@ from experiments.train_settings import TRAINING, make_plan
 from experiments.validation.swimmer import CASE
 from fishrl.bounds import Checked, bounded
 from fishrl.envs import AbstractTask, KarmanGait, make_env
+from fishrl.training.algorithms import DiscreteSAC
 from fishrl.training.baselines import make_baselines
 from fishrl.training.description import make
 from fishrl.training.learner import one_thread
@@ -274,12 +275,12 @@ def write_command(scale: Scale) -> str:
 
 
 def measure_speed(plan: Plan) -> tuple[float, float]:
-    """Return node updates and gradient steps per second of a training, on this machine."""
+    """Return node updates and gradient steps (of discrete SAC) per second, on this machine."""
     gait: Any = plan.task
     task = replace(gait, stream=replace(gait.stream, has_disc=False))  # needs no wake
     num_envs, num = plan.learning.num_envs, 4
     env = make_env(task=task, num_envs=num_envs)
-    learner = plan.algorithm.make_learner(PolicySpec.for_task(task), plan.learning)
+    learner = DiscreteSAC().make_learner(PolicySpec.for_task(task), plan.learning)
     env.rollout(1)
     began = time.perf_counter()
     steps = env.rollout(num, break_when_any_done=False)

@@ -14,6 +14,7 @@ from experiments.program import list_choices
 from experiments.reproduce import Job, Record, list_jobs, run_job
 from experiments.reproduction import page
 from experiments.sweeps.jobs import find_or_begin, find_runs, plan_jobs
+from experiments.train_settings import TRAINING, make_plan
 from fishrl.training.run_folder import write_json
 
 
@@ -75,6 +76,12 @@ def test_the_plan_counts_the_default_baselines_of_the_task(tmp_path: Path) -> No
         list_by_name(tmp_path, f"baselines={given}")["ablation"].updates for given in ("null", "[]")
     )
     assert default > none
+
+
+def test_hours_are_estimated_also_if_another_algorithm_trains() -> None:
+    gait = reproduce.main.read(["scale=tiny"]).scale.gait
+    plan = make_plan(TRAINING.read([*gait, "algorithm=ppo"]))
+    assert min(reproduce.measure_speed(plan)) > 0
 
 
 def test_a_finished_job_is_not_repeated_unless_its_settings_change(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from copy import deepcopy
 from dataclasses import asdict
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +22,19 @@ from fishrl.training.description import make, to_plain
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import RunFolder, write_yaml
 
-PROGRAMS: list[tuple[Program, tuple[str, ...]]] = [
-    (evaluate.main, ("checkpoint={run}", "task.time_limit=3", "compile=false")),
-    (view.main, ("run={run}", "save={run}/x.rrd", "compile=false")),
-    (train.main, ("resume={run}",)),
-    (transfer.main, ("runs=[{run}]", "baselines=[]", "folder={run}/transfer")),
-    (export_steering.main, ("run={run}", "path={run}/steering.pt")),
+PROGRAMS: dict[str, tuple[Program, tuple[str, ...]]] = {
+    "evaluate": (evaluate.main, ("checkpoint={run}", "task.time_limit=3", "compile=false")),
+    "view": (view.main, ("run={run}", "save={run}/x.rrd", "compile=false")),
+    "train": (train.main, ("resume={run}",)),
+    "transfer": (transfer.main, ("runs=[{run}]", "baselines=[]", "folder={run}/transfer")),
+    "export_steering": (export_steering.main, ("run={run}", "path={run}/steering.pt")),
+}
+KINDS = ("task", "nested", "module", "algorithm", "logger")
+CASES = [
+    *product(("train",), KINDS),  # checked as settings of a command line
+    *product(("export_steering",), KINDS),  # checked as a stored plan
+    *product(("evaluate", "view"), ("module", "algorithm")),  # one each
+    ("transfer", "module"),
 ]
 
 
@@ -71,11 +79,11 @@ def store(folder: Path, mark: Path, kind: str) -> Path:
     return run.path
 
 
-@pytest.mark.parametrize("kind", ["task", "nested", "module", "algorithm", "logger"])
-@pytest.mark.parametrize(("main", "arguments"), PROGRAMS)
+@pytest.mark.parametrize(("name", "kind"), CASES)
 def test_a_program_refuses_what_a_run_names(
-    tmp_path: Path, mark: Path, main: Program, arguments: tuple[str, ...], kind: str
+    tmp_path: Path, mark: Path, name: str, kind: str
 ) -> None:
+    main, arguments = PROGRAMS[name]
     run = store(tmp_path, mark, kind)
     with pytest.raises(SystemExit, match=r"error: _target_: \S+: (is no|module 'planted')") as end:
         main([argument.format(run=run) for argument in arguments])
