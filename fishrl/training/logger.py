@@ -109,7 +109,7 @@ class CsvLogger:
 
 
 class WandbLogger(CsvLogger):
-    """Weights & Biases beside the CSV file; raises ImportError if wandb is not installed.
+    """Weights & Biases beside the CSV file.
 
     Args:
         project: project of Weights & Biases.
@@ -118,12 +118,8 @@ class WandbLogger(CsvLogger):
 
     def __init__(self, *, project: str = "fishrl", is_offline: bool = False) -> None:
         super().__init__()
-        try:
-            import wandb
-        except ImportError as error:
-            raise ImportError(
-                "logger=wandb needs the package wandb: pip install 'wandb>=0.25'; or logger=csv"
-            ) from error
+        import wandb
+
         self._wandb = wandb
         self.project, self.is_offline = project, is_offline
         self._run: Any = None

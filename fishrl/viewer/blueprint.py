@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from fishrl.envs.scene import Choice, Panel, Scene
-from fishrl.viewer.drawing import LEGEND, TIMELINE, import_rerun, name_flow, name_panel
+from fishrl.viewer.drawing import LEGEND, TIMELINE, name_flow, name_panel
 
 #: Length of the time window of live plots.
 LIVE_WINDOW_T = 20.0
@@ -12,7 +12,6 @@ LIVE_WINDOW_T = 20.0
 
 def make_blueprint(scene: Scene, flows: Mapping[int, str], *, is_live: bool = False) -> Any:
     """Return rerun's blueprint of a scene, given the titles of its flows by index."""
-    import_rerun()
     import rerun.blueprint as rrb
 
     tabs = [_lay_out(rrb, scene, flow, title, is_live) for flow, title in flows.items()]

@@ -51,17 +51,6 @@ class FieldFormat(StrEnum):
     U8 = "u8"
 
 
-def import_rerun() -> ModuleType:
-    """Return rerun, or raise ImportError saying what to install."""
-    try:
-        import rerun
-    except ImportError as error:
-        raise ImportError(
-            "rerun is not installed: `pip install 'rerun-sdk>=0.41,<0.42'` brings the viewer"
-        ) from error
-    return rerun
-
-
 def name_flow(flow: int) -> str:
     """Return the entity below which a flow is drawn."""
     return f"flow_{flow}"
@@ -89,8 +78,10 @@ class Drawing:
         field_format: FieldFormat = FieldFormat.JPEG,
         is_live: bool = False,
     ) -> None:
+        import rerun
+
         self.stream, self.scene, self.field_format = stream, scene, field_format
-        self._rerun, self._is_live, self._log = import_rerun(), is_live, stream.log
+        self._rerun, self._is_live, self._log = rerun, is_live, stream.log
         self._trails: dict[tuple[int, str], deque[tuple[float, Points]]] = {}
         self._before: dict[int, Frame] = {}
         self._draw_legends()

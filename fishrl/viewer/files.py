@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from fishrl.envs.scene import Scene
 from fishrl.viewer.blueprint import make_blueprint
-from fishrl.viewer.drawing import TIMELINE, Drawing, FieldFormat, import_rerun
+from fishrl.viewer.drawing import TIMELINE, Drawing, FieldFormat
 from fishrl.viewer.process import Viewer
 
 _APPLICATION = "fishrl"
@@ -40,10 +40,11 @@ def start_drawing(
         ValueError: if the format is unknown, or neither file nor viewer is given.
         FileNotFoundError: if the file's folder does not exist.
     """
+    import rerun as rr
+
     chosen = FieldFormat(field_format)
     if save is None and url is None:
         raise ValueError("neither save nor url is given: give one of them")
-    rr = import_rerun()
     sinks: list[Any] = []
     name = "live"
     if save is not None:
@@ -73,7 +74,6 @@ def open_recording(path: str | os.PathLike[str]) -> None:
         FileNotFoundError: if there is no recording.
         ValueError: if the viewer fails.
     """
-    import_rerun()
     words = ["-m", "rerun", "--bind", "127.0.0.1", "--port", "auto", str(find_recording(path))]
     status = subprocess.run([sys.executable, *words], check=False).returncode
     if status:
@@ -196,7 +196,6 @@ class _Client:
 @contextmanager
 def _headless(path: str | os.PathLike[str], time_T: float | None) -> Iterator[_Client]:
     recording = find_recording(path)
-    import_rerun()
     with Viewer("--headless", "--hide-welcome-screen", port=_PORT) as process:
         viewer = _Client(process)
         first, last = viewer.load(recording)

@@ -10,7 +10,6 @@ import time
 from typing import Any, Self
 
 from fishrl.children import start_child
-from fishrl.viewer.drawing import import_rerun
 
 HOST = "127.0.0.1"
 _PATIENCE_S = 300.0
@@ -30,7 +29,6 @@ class Viewer:
     """
 
     def __init__(self, *options: str, port: int) -> None:
-        import_rerun()
         self._options = options
         self.port = find_port(port)
         self.url = f"rerun+http://{HOST}:{self.port}/proxy"

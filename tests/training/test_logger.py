@@ -14,7 +14,6 @@ from types import SimpleNamespace
 import pytest
 
 from fishrl.training import complete
-from fishrl.training.description import make
 from fishrl.training.logger import CsvLogger, WandbLogger
 from fishrl.training.run_folder import RunFolder, write_json
 from tests.training.conftest import Toy
@@ -122,13 +121,6 @@ def test_a_run_of_a_wandb_agent_goes_on_under_the_name_the_agent_gave_it(
         WandbLogger().open(tmp_path, columns=["frames"], config={})
     assert asked[1] == "agentsid"
     assert (tmp_path / "wandb_id").read_text() == "agentsid"
-
-
-def test_without_wandb_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "wandb", None)
-    with pytest.raises(ImportError, match="pip install 'wandb"):
-        make({"_target_": "fishrl.training.logger.WandbLogger"}, kind=CsvLogger)
-    make({"_target_": "fishrl.training.logger.CsvLogger"}, kind=CsvLogger)
 
 
 def test_numbers_that_json_does_not_know_become_null(tmp_path: Path) -> None:

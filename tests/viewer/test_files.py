@@ -166,14 +166,6 @@ def test_a_file_needs_a_folder_and_a_drawing_a_place(tmp_path: Path) -> None:
         start_drawing(make_scene(), flows=FLOWS)
 
 
-def test_without_rerun_the_error_says_what_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(ImportError, match="pip install 'rerun-sdk"):
-        write(tmp_path / "x.rrd")
-
-
 def test_a_run_folder_stands_for_its_capture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
