@@ -267,7 +267,9 @@ def _as_type(hint: Any) -> Any:
 
 
 def quote(value: str) -> str:
-    """Write a value so that hydra reads it as it is."""
+    """Write a value so that hydra reads it as it is: a plain path bare, others in quotes."""
+    if re.fullmatch(r"[\w.~+-]*/[\w./~+-]*", value, re.ASCII):
+        return value
     return QuotedString(value, Quote.single).with_quotes()
 
 

@@ -279,7 +279,7 @@ def measure_speed(plan: Plan) -> tuple[float, float]:
     gait: Any = plan.task
     task = replace(gait, stream=replace(gait.stream, has_disc=False))  # needs no wake
     num_envs, num = plan.learning.num_envs, 4
-    env = make_env(task=task, num_envs=num_envs)
+    env = make_env(task=task, num_envs=num_envs, device=plan.run.device, compile=plan.run.compile)
     learner = DiscreteSAC().make_learner(PolicySpec.for_task(task), plan.learning)
     env.rollout(1)
     began = time.perf_counter()

@@ -220,7 +220,7 @@ def write_figure(path: Path, results: Mapping[str, Any]) -> None:
         chart.legend(loc="lower left", fontsize=8)
 
 
-@program(RobustnessSettings, groups={})
+@program(RobustnessSettings)
 def main(settings: RobustnessSettings) -> None:
     """Try all policies under every condition, and write tables and figure."""
     torch.set_num_threads(1)

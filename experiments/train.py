@@ -13,6 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from experiments.configuration import quote
 from experiments.figures.run_pictures import record_run
 from experiments.live import LiveObserver
 from experiments.program import program, show_command
@@ -107,8 +108,8 @@ def report(summary: dict[str, Any], *, folder: Path, modules: Sequence[str]) -> 
         if not path.name.startswith("."):
             print(f"  {path}")
     has_recording = (folder / "capture.rrd").is_file()
-    viewed = [str(folder)] if has_recording else [f"run={folder}", *modules]
-    evaluated = [f"checkpoint={folder}", *modules]
+    viewed = [str(folder)] if has_recording else [f"run={quote(str(folder))}", *modules]
+    evaluated = [f"checkpoint={quote(str(folder))}", *modules]
     print(f"\nevaluate: {show_command('experiments.evaluate', *evaluated)}")
     print(f"view: {show_command('experiments.view', *viewed)}")
 

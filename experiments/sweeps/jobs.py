@@ -202,7 +202,7 @@ def list_changes(folder: RunFolder, config: TrainConfig, given: Collection[str])
 def run_alone(path: Path, *changes: str) -> Run:
     """Start or resume a run in a process of its own and wait for it; it prints to output.log."""
     run = read_run(path)
-    arguments = [*list_arguments(quote(str(path)), run.config), *changes]
+    arguments = [*list_arguments(path, run.config), *changes]
     command = [sys.executable, "-m", "experiments.train", *arguments]
     with (
         Progress() as bar,

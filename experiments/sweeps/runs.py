@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from experiments.configuration import list_modules
+from experiments.configuration import list_modules, quote
 from experiments.program import show_command
 from fishrl.training.aliases import update_config
 from fishrl.training.logger import read_rows
@@ -52,9 +52,9 @@ class Run:
         return show_command("experiments.train", *list_arguments(self.path, self.config))
 
 
-def list_arguments(path: Path | str, config: Mapping[str, Any]) -> list[str]:
+def list_arguments(path: Path, config: Mapping[str, Any]) -> list[str]:
     """Return the arguments that resume a run, with the modules outside fishrl that it needs."""
-    return [f"resume={path}", *name_modules(config)]
+    return [f"resume={quote(str(path))}", *name_modules(config)]
 
 
 def name_modules(config: Mapping[str, Any]) -> list[str]:

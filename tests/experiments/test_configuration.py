@@ -10,6 +10,8 @@ import pytest
 from omegaconf import OmegaConf
 
 from experiments import evaluate, train, train_lateral_line, view
+from experiments.configuration import parse
+from experiments.sweeps.runs import list_arguments
 from fishrl.envs import AbstractTask, KarmanGait
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.description import make, to_plain
@@ -188,3 +190,12 @@ def test_a_folder_of_runs_is_no_run(tmp_path: Path) -> None:
     for take in (lambda: read([f"resume='{tmp_path}'"]), lambda: read_metadata(tmp_path)):
         with pytest.raises(ValueError, match="holds runs; name one of them, such as"):
             take()
+
+
+@pytest.mark.parametrize(
+    "folder",
+    ["runs/x", "x", "runs/try (2)", "it's/x", "/home/josé/a=1", "[x]/a,b", "a/b c", "null"],
+)
+def test_the_command_that_resumes_a_run_is_read_for_any_folder(folder: str) -> None:
+    (override,) = parse(list_arguments(Path(folder), {}))
+    assert str(override.value()) == folder

@@ -1,4 +1,4 @@
-"""Every YAML of a training under conf/ trains briefly, on kinematic fish."""
+"""Every YAML of a training under conf/ trains briefly, on kinematic fish; presets are composed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ import pytest
 
 from experiments import train
 from experiments.configuration import CONF
+from experiments.program import list_choices
 from experiments.train_settings import TRAINING
+from fishrl.envs import AbstractTask
+from fishrl.training.description import make
 from fishrl.training.interruption import SIGNALS
 from tests.experiments.gait.tasks import OVERRIDES
 
@@ -19,6 +22,7 @@ pytestmark = pytest.mark.usefixtures("kinematic")
 YAMLS = sorted(
     path.relative_to(CONF).as_posix()
     for group in TRAINING.groups
+    if group != "preset"
     for path in (CONF / group).glob("*.yaml")
 )
 TINY = [
@@ -42,11 +46,15 @@ MORE = {
     "karman_gait_continuous": ["algorithm=sac"],
     "follower": ["algorithm=sac"],
     "follower_disc": ["algorithm=sac", "task.diameter_bl=0.5"],
-    "follower_small": ["algorithm=sac"],
     "karman_varied": ["task.body_length=28"],
-    "gait_varied": ["task.body_length=28"],
     "wandb": ["logger.is_offline=true"],
 }
+
+
+@pytest.mark.parametrize("preset", list_choices()["preset"])
+def test_every_preset_makes_a_task_of_its_own_scale(preset: str) -> None:
+    task = make(TRAINING.read([f"preset={preset}"]).task, kind=AbstractTask)
+    assert task.flow_config().width > task.body_length
 
 
 @pytest.mark.parametrize("yaml", YAMLS)

@@ -11,6 +11,7 @@ from fishrl.training.progress import Progress
 from tests.experiments.test_export import TINY
 
 
+@pytest.mark.usefixtures("kinematic")
 def test_minari_reads_the_transitions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     tiny = [words for words in TINY if not words.startswith(("periods", "frames_per_T"))]

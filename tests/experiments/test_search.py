@@ -117,7 +117,7 @@ def test_a_search_that_is_ended_saves_its_trial_and_leaves_it_unfinished(
         while started.poll() is None and not (run / "mark").exists():
             time.sleep(0.1)
         started.terminate()
-        _, said = started.communicate(timeout=60.0)
+        _, said = started.communicate(timeout=600.0)
     assert started.returncode == 1
     assert "interrupted; the same command goes on" in said
     assert "Traceback" not in said

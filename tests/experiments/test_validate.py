@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from math import inf, nan
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 
 from experiments import validate as program
 from experiments.validate import CASES
-from experiments.validation import cavity, channel_cylinder, poiseuille, wake
+from experiments.validation import cavity, channel_cylinder, poiseuille, runner, wake
 from experiments.validation.case import Case, Check, Job, Runs
 from experiments.validation.plots import find_extreme, fit_order
 from experiments.validation.runner import Outcome, fingerprint, run_cases
@@ -27,12 +28,19 @@ def _read_log(tmp_path: Path) -> list[str]:
     return sorted((tmp_path / "log").read_text().split())
 
 
+@pytest.fixture
+def threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run cases in threads, which begin sooner than processes."""
+    monkeypatch.setattr(runner, "_open_pool", ThreadPoolExecutor)
+
+
 def _run(tmp_path: Path, *, is_fresh: bool = False, **settings: object) -> Outcome:
     case = make_squares(log=tmp_path / "log", **settings)  # type: ignore[arg-type]
     (outcome,) = run_cases([case], folder=tmp_path / "results", is_fresh=is_fresh)
     return outcome
 
 
+@pytest.mark.usefixtures("threads")
 def test_a_cached_result_is_read_and_a_changed_argument_or_a_fresh_run_runs_again(
     tmp_path: Path,
 ) -> None:
@@ -56,6 +64,7 @@ def test_failed_jobs_are_misses_and_the_others_go_on(tmp_path: Path) -> None:
     assert {check.verdict for check in outcome.checks} == {"MISSED"}
 
 
+@pytest.mark.usefixtures("threads")
 def test_results_that_cannot_be_checked_are_a_miss(tmp_path: Path) -> None:
     outcome = _run(tmp_path, values=(), others=[(toy_cases.square_nothing, {})])
     assert [check.verdict for check in outcome.checks] == ["MISSED"]
@@ -85,7 +94,7 @@ Program = Callable[..., tuple[int | str | None, Path]]
 
 
 @pytest.fixture
-def run_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Program:
+def run_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: None) -> Program:
     """Run the program with toy cases; return its exit status and the folder of the docs."""
 
     def run(*arguments: str, **settings: object) -> tuple[int | str | None, Path]:

@@ -32,7 +32,7 @@ def count_tensors() -> int:
 
 def measure_own_memory_mb() -> float:
     """Without children, which earlier tests may have left."""
-    found = re.search(r"\nPss_Anon: *(\d+)", Path("/proc/self/smaps_rollup").read_text())
+    found = re.search(r"\nAnonymous: *(\d+)", Path("/proc/self/smaps_rollup").read_text())
     assert found is not None
     return int(found[1]) / 1e3
 

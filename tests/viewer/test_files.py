@@ -60,7 +60,7 @@ def write(path: Path, *, num_frames: int = 3, field_format: str = "jpeg") -> Non
 
 def run_rerun(*arguments: str) -> str:
     command = [sys.executable, "-m", "rerun", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
