@@ -184,15 +184,11 @@ class Choice:
 
     Args:
         names: of the actions, in their order.
-        key: of the action.
-        mask: key of ``[num_actions]`` bool.
         fish: index into both, where there is an action of each of several fish.
         name: of the plot.
     """
 
     names: tuple[str, ...]
-    key: str = "action"
-    mask: str = "action_mask"
     fish: int | None = None
     name: str = "action (line) among the legal ones (dots)"
 
@@ -243,7 +239,7 @@ class Scene:
         keys = set[str]()
         for panel in self.panels:
             if isinstance(panel, Choice):
-                keys |= {panel.key, panel.mask}
+                keys |= {"action", "action_mask"}
             elif panel.is_output:
                 keys |= {series.key for series in panel.series}
         return keys

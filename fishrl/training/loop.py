@@ -25,7 +25,7 @@ from fishrl.training.checkpoint import CheckpointNotWritten, load_checkpoint, sa
 from fishrl.training.classifier import Recognition
 from fishrl.training.collector import make_collector
 from fishrl.training.description import describe
-from fishrl.training.evaluation import Evaluator, fixed_starts
+from fishrl.training.evaluation import evaluate_from, fixed_starts
 from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children
 from fishrl.training.learner import one_thread
 from fishrl.training.metrics import Counters, list_metrics, measure_memory_mb
@@ -94,7 +94,6 @@ class Training:
                 recognition=recognition,
                 seed=TRAIN_SEED + learning.seed,
             )
-        self.evaluator = Evaluator(self.collector.env)
         self.observer.begin(self.collector.env)
 
     def components(self) -> dict[str, Any]:
@@ -312,9 +311,10 @@ class Training:
         starts = fixed_starts(self.task, num_starts, seed=seed)
         try:
             with self.collector.lend_env():
-                return self.evaluator.run(
+                return evaluate_from(
+                    self.collector.env,
                     self.make_interruptible(policy),
-                    starts=starts,
+                    starts,
                     on_episodes=on_episodes,
                     on_step=self.observer.settle,
                 )

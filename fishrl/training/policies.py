@@ -16,7 +16,7 @@ from fishrl.envs.transforms import equip
 from fishrl.training.baselines import make_baseline
 from fishrl.training.checkpoint import load_checkpoint, read_metadata
 from fishrl.training.classifier import Recognition, find_classifier, load_recognition
-from fishrl.training.evaluation import Evaluator, fixed_starts
+from fishrl.training.evaluation import evaluate_from, fixed_starts
 from fishrl.training.observer import Hooks
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
@@ -128,9 +128,10 @@ def evaluate(
     with closing(env), closing(observer):
         observer.begin(env)
         progress.start("evaluation", total=episodes)
-        result = Evaluator(env).run(
+        result = evaluate_from(
+            env,
             act,
-            starts=fixed_starts(task, episodes, seed=seed),
+            fixed_starts(task, episodes, seed=seed),
             on_episodes=progress.advance,
             on_step=observer.settle,
         )

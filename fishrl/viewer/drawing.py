@@ -198,12 +198,12 @@ class Drawing:
 
     def _draw_choice(self, path: str, choice: Choice, frame: Frame) -> None:
         own = ... if choice.fish is None else choice.fish
-        if choice.key in frame.values:
-            action = frame.values[choice.key][own]
+        if "action" in frame.values:
+            action = frame.values["action"][own]
             chosen = action.int().argmax() if action.dim() else action  # of one-hot actions
             self._plot(f"{path}/chosen", float(chosen))
-        if choice.mask in frame.values:
-            mask = frame.values[choice.mask][own]
+        if "action_mask" in frame.values:
+            mask = frame.values["action_mask"][own]
             for index, is_legal in enumerate(mask.reshape(-1).tolist()):
                 if is_legal:
                     self._plot(f"{path}/legal_{index}", float(index))

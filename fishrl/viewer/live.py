@@ -22,25 +22,22 @@ logger = logging.getLogger(__name__)
 class Server(Viewer):
     """Takes in a stream and passes it to windows and, at ``page``, browsers on this machine.
 
-    It keeps the newest frames that fit into its memory, for those that join late. Closing a window
+    It keeps the newest frames that fit into 512 MB, for those that join late. Closing a window
     does not end it, and an open window keeps its frames when the server ends.
 
     Args:
         port: where streams arrive; the next free one if it is taken.
-        memory: limit of what it keeps.
         opens_window: open a window; by default where there is a screen.
 
     Raises:
         ValueError: if no port is free, or it does not start.
     """
 
-    def __init__(
-        self, *, port: int = 9876, memory: str = "512MB", opens_window: bool | None = None
-    ) -> None:
+    def __init__(self, *, port: int = 9876, opens_window: bool | None = None) -> None:
         port = find_port(port)
         web_port = find_port(port + 1)
         options = ("--serve-web", "--web-viewer-port", str(web_port))
-        super().__init__(*options, "--server-memory-limit", memory, port=port)
+        super().__init__(*options, "--server-memory-limit", "512MB", port=port)
         escaped = self.url.replace("+", "%2B").replace(":", "%3A").replace("/", "%2F")
         self.page = f"http://{HOST}:{web_port}?url={escaped}"
         if has_screen() if opens_window is None else opens_window:

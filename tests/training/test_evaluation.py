@@ -10,20 +10,20 @@ import torch
 
 from fishrl.envs.episodes import Episodes, Policy
 from fishrl.modules import PursuitPolicy, RandomPolicy
-from fishrl.training.evaluation import Evaluator, fixed_starts
+from fishrl.training.evaluation import evaluate_from, fixed_starts
 from tests.training.toy_fish import ToyPredation, make_toy_env
 
 
 class Fixed:
-    """An evaluator with its starts."""
+    """An env with its starts."""
 
     def __init__(self, num_envs: int, num_starts: int, **task_arguments: float) -> None:
         task = ToyPredation(**task_arguments)  # type: ignore[arg-type]
         self.starts = fixed_starts(task, num_starts, seed=0)
-        self.evaluator = Evaluator(make_toy_env(task=task, num_envs=num_envs, seed=5))
+        self.env = make_toy_env(task=task, num_envs=num_envs, seed=5)
 
     def run(self, policy: Policy, **kwargs: Any) -> Episodes:
-        return self.evaluator.run(policy, starts=self.starts, **kwargs)
+        return evaluate_from(self.env, policy, self.starts, **kwargs)
 
 
 def test_an_evaluation_repeats_even_on_an_env_that_was_used() -> None:
@@ -34,7 +34,7 @@ def test_an_evaluation_repeats_even_on_an_env_that_was_used() -> None:
     assert sum(ended) == 12
     assert torch.equal(first.returns, again.returns)
     assert not torch.equal(first.returns, other.returns)
-    env = evaluator.evaluator.env  # it draws its own starts again
+    env = evaluator.env  # it draws its own starts again
     assert (env.reset()["start_index"] == -1).all()
     starts = [fixed_starts(ToyPredation(), 6, seed=seed)["position"] for seed in (0, 0, 1)]
     assert torch.equal(starts[0], starts[1]) and not torch.equal(starts[0], starts[2])

@@ -117,6 +117,7 @@ def test_every_algorithm_goes_on_exactly_with_equal_effort_and_legal_actions(
         "task": {"divergence_rate": 0.03, **legal},
         "algorithm": algorithm,
         "buffer_size": 130,  # the oldest are forgotten on the way
+        "eval_frames": 80,  # all choose the best among the same
         **QUICK,
     }
     whole = toy.begin(name="whole", **settings)
