@@ -120,7 +120,8 @@ def test_every_task_is_trained(task: str, runs: Path, monkeypatch: pytest.Monkey
     is_continuous = task.endswith("_continuous") or task.startswith("follower")
     more = ["algorithm=sac"] if is_continuous else []
     more += ["task.diameter_bl=0.5"] if task == "follower_disc" else []
-    more += [f"task.stream.diameter_bl={[0.4, 0.5, 0.6, 0.7] * 3}"] if task == "karman_varied" else []
+    if task == "karman_varied":
+        more += [f"task.stream.diameter_bl={[0.4, 0.5, 0.6, 0.7] * 3}"]
     _train(runs, task, f"task={task}", *more, *_set_task(REAL.get(task, KINEMATIC)))
 
 
