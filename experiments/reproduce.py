@@ -280,13 +280,14 @@ def measure_speed(plan: Plan) -> tuple[float, float]:
     task = replace(gait, stream=replace(gait.stream, has_disc=False))  # needs no wake
     num_envs, num = plan.learning.num_envs, 4
     env = make_env(task=task, num_envs=num_envs, device=plan.run.device, compile=plan.run.compile)
-    learner = DiscreteSAC().make_learner(PolicySpec.for_task(task), plan.learning)
+    device = plan.run.policy_device
+    learner = DiscreteSAC().make_learner(PolicySpec.for_task(task), plan.learning, device=device)
     env.rollout(1)
     began = time.perf_counter()
     steps = env.rollout(num, break_when_any_done=False)
     seconds = time.perf_counter() - began
     env.close()
-    learner.store(steps.reshape(-1))
+    learner.store(steps.reshape(-1).to(device))
     with one_thread():
         learner.update()  # traces the step
         began = time.perf_counter()

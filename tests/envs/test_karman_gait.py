@@ -90,9 +90,11 @@ def test_the_named_flow_picks_the_row_and_the_gear_outlasts_a_change_of_name() -
     assert after["flow_index"].squeeze(-1).tolist() == [0, 1]
 
 
-def test_a_missing_name_of_the_flow_is_refused() -> None:
+def test_a_named_flow_that_there_is_not_and_a_missing_name_are_refused() -> None:
     env = make(2, reads_flow_class=True)
     env.reset()
+    with pytest.raises(ValueError, match=r"flow_class = \[0, 3\]: allowed is 0 to 2"):
+        act(env, CRUISE, CRUISE, flow_class=[0, 3])
     with pytest.raises(ValueError, match=r"KarmanGait reads \['flow_class'\].*append the transf"):
         act(env, CRUISE, CRUISE)
 

@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict
 
 from fishrl.envs import FlowEnv, Predation, make_env
-from tests.envs.conftest import SMALL, act, make_flows, read_flows
+from tests.envs.conftest import SMALL, act, assert_resets_rewrite_all, make_flows, read_flows
 
 #: A tank of 5 L x 3 L, where an eager action takes about a second.
 TINY = SMALL | {
@@ -40,6 +40,10 @@ def test_the_fish_swims_ahead_turns_as_commanded_and_goes_on_exactly_when_saved(
         assert torch.equal(read_flows(other)[name], value), name
     turned = math.degrees(float(env.solver.body.heading[0]) - math.pi)
     assert turned == pytest.approx(15.0, abs=1e-9)
+
+
+def test_an_episode_does_not_depend_on_what_its_flow_was_used_for(task: Predation) -> None:
+    assert_resets_rewrite_all(task)
 
 
 def test_with_continuous_actions_each_beat_of_approach_earns_one() -> None:

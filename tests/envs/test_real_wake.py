@@ -11,7 +11,7 @@ from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.stations import SafeArea
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
-from tests.envs.conftest import act, make_flows, read_flows
+from tests.envs.conftest import act, assert_resets_rewrite_all, make_flows, read_flows
 
 #: A stream of 4 L x 2.4 L, where an eager action takes about a second.
 TINY = {
@@ -67,6 +67,10 @@ def test_a_row_of_a_batch_equals_the_same_row_alone_and_resets_touch_no_other(
     act(alone, 1)
     for name, value in read_flows(alone).items():
         assert torch.equal(value[0], read_flows(env)[name][1]), name
+
+
+def test_an_episode_does_not_depend_on_what_its_flow_was_used_for(task: KarmanGait) -> None:
+    assert_resets_rewrite_all(task)
 
 
 def test_a_saved_environment_goes_on_exactly_and_resets_alike(task: KarmanGait) -> None:

@@ -229,7 +229,10 @@ class KarmanGait(AbstractTask):
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
         """Choose the frequency and turn as ``steering`` commands."""
-        _, frequency = self.control.choose(before["gear"], action, self._name_flow(before))
+        flow, num = self._name_flow(before), len(self.stream.speeds_bl)
+        if not ((flow >= 0) & (flow < num)).all():
+            raise ValueError(f"flow_class = {flow.tolist()}: allowed is 0 to {num - 1}")
+        _, frequency = self.control.choose(before["gear"], action, flow)
         return Command(self.steering.turn(before["steering"]), frequency / self.scales.period)
 
     def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
