@@ -21,6 +21,7 @@ from experiments.program import Program, TaskSettings, list_choices, read_argume
 from experiments.train_settings import PolicySettings
 from fishrl.envs import AbstractTask
 from fishrl.training import LearningSettings, RunSettings
+from fishrl.training.description import describe as describe_object
 from fishrl.viewer import ViewerSettings
 
 HEAD = """# Configuration reference
@@ -88,8 +89,9 @@ def _describe_shared(kind: type, *, level: int) -> list[str]:
 
 def _describe_group(group: str) -> list[str]:
     """Return the objects that a group chooses, then those inside them."""
-    targets = [get_object(name) for name in sorted(set(_find_targets(group)))]
     chosen = {get_object(name) for name in _find_targets(group, is_outer=True)}
+    inside = {name for kind in chosen for name in _walk(describe_object(kind()))}
+    targets = [get_object(name) for name in sorted({*_find_targets(group), *inside})]
     targets.sort(key=lambda kind: kind not in chosen)
     return [f"### {kind.__name__}\n\n{describe_own(kind)}" for kind in targets]
 

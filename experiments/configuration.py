@@ -17,7 +17,8 @@ import argparse
 import inspect
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, make_dataclass
+from dataclasses import MISSING as NOTHING
+from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass
 from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
@@ -35,7 +36,7 @@ from yaml import YAMLError  # type: ignore[import-untyped]
 from fishrl.bounds import FITTING, check_bounds, is_huge, suggest
 from fishrl.envs import AbstractTask
 from fishrl.training.algorithms import Algorithm
-from fishrl.training.description import TARGET, find_class, list_classes, make
+from fishrl.training.description import TARGET, find_class, list_classes, make, to_plain
 from fishrl.training.logger import CsvLogger
 
 CONF = Path(__file__).parent / "conf"
@@ -209,8 +210,9 @@ def make_schema(node: Any, path: str, *, kind: Any, modules: Sequence[str]) -> A
     """Return the schema of a ``_target_`` and of those nested in it.
 
     Args:
-        node: ``_target_`` and the arguments that YAML files and command line name. Where the
-            ``_target_`` of an argument is left out, the type in the signature is taken.
+        node: ``_target_`` and the arguments that YAML files and command line name. Objects that
+            a field of a dataclass makes by default are added; where the ``_target_`` of another
+            argument is left out, the type in the signature is taken.
         path: of the node, for messages.
         kind: see ``description.make``.
         modules: see ``description.make``.
@@ -220,6 +222,10 @@ def make_schema(node: Any, path: str, *, kind: Any, modules: Sequence[str]) -> A
     made = find_class(str(node[TARGET]), kind=kind, modules=modules)
     entries: list[Any] = [(TARGET, str, field(default=str(node[TARGET])))]
     below: dict[str, Any] = {}
+    for name, default in _list_parts(made):
+        given = node.setdefault(name, default)
+        if OmegaConf.is_dict(given) and TARGET not in given:
+            node[name] = OmegaConf.merge(default, given)
     for name, parameter in inspect.signature(made, eval_str=True).parameters.items():
         hint, value = parameter.annotation, node.get(name)
         is_object = OmegaConf.is_dict(value)
@@ -242,6 +248,15 @@ def make_schema(node: Any, path: str, *, kind: Any, modules: Sequence[str]) -> A
     for name, schema in below.items():
         base[name] = schema
     return base
+
+
+def _list_parts(made: type) -> Iterator[tuple[str, dict[str, Any]]]:
+    """List the objects that fields of a dataclass make by default, described."""
+    for each in fields(made) if is_dataclass(made) else ():
+        if each.init and each.default_factory is not NOTHING:
+            part = to_plain(each.default_factory())
+            if isinstance(part, dict) and TARGET in part:
+                yield each.name, part
 
 
 def _list(value: Any) -> Any:

@@ -92,10 +92,13 @@ def test_what_is_no_single_setting_is_refused_in_one_line(argument: str) -> None
     assert "\n" not in str(error.value)
 
 
-def test_an_argument_that_no_file_names_takes_its_class_from_the_signature(tmp_path: Path) -> None:
+def test_objects_that_no_file_names_are_those_that_the_task_makes_by_default(
+    tmp_path: Path,
+) -> None:
     folder = write_task(tmp_path, "_target_: fishrl.envs.tasks.karman_gait.KarmanGait")
     settings = read([folder, "task=own", "task.stream.speeds_bl=[1.0,2.0,3.0]"])
     assert settings.task["stream"]["num_phases"] == 8
+    assert settings.task["control"]["bank"]["rows"] == to_plain(KarmanGait().control.bank.rows)
     assert make(settings.task, kind=AbstractTask).stream.speeds_bl == (1.0, 2.0, 3.0)
 
 
