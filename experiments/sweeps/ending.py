@@ -9,8 +9,9 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from types import FrameType
+
+import psutil
 
 from fishrl.training.interruption import list_heeded
 
@@ -65,18 +66,11 @@ def leave_ending_to_sweep() -> None:
 
 
 def find_trainings() -> set[int]:
-    """Return the trainings that descend from this process; on Linux only."""
-    parents: dict[int, int] = {}
+    """Return the trainings that descend from this process."""
     trainings = set()
-    for folder in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):  # it has ended
-            status = (folder / "stat").read_text(encoding="utf-8", errors="replace")
-            state, parent = status.rpartition(")")[2].split()[:2]  # behind the name
-            parents[int(folder.name)] = int(parent)
-            command = (folder / "cmdline").read_bytes()
-            if b"experiments.train" in command and b"resume=" in command and state != "Z":
-                trainings.add(int(folder.name))
-    below = {os.getpid()}
-    while more := {process for process, parent in parents.items() if parent in below} - below:
-        below |= more
-    return (trainings & below) - {os.getpid()}
+    for process in psutil.Process().children(recursive=True):
+        with suppress(psutil.Error):  # it has ended
+            words = process.cmdline()
+            if "experiments.train" in words and any(w.startswith("resume=") for w in words):
+                trainings.add(process.pid)
+    return trainings

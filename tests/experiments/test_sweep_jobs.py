@@ -231,7 +231,6 @@ def test_a_run_that_was_ended_has_not_failed(
             assert jobs.run_alone(folder.path).status == status
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_trainings_below_a_process_end_before_it() -> None:
     code = "print('ready', flush=True); import sys; sys.stdin.read()"
     command = [sys.executable, "-c", code, "experiments.train", "resume=x"]
