@@ -198,27 +198,27 @@ class Training:
         counters.frames += batch.numel()
         counters.diverged += self.learner.store(split_fish(batch)) // self.task.num_fish
         counters.count(batch, success=self.task.success)
-        losses = self._update()
+        self._update()
         return {
             **counters.metrics(),
-            **{f"train/{name}": value for name, value in losses.items()},
+            **{f"train/{name}": value for name, value in counters.losses.items()},
             "time/frames_per_second": batch.numel() / seconds,
             "time/mlups": self.mlups(batch.numel(), seconds),
         }
 
-    def _update(self) -> dict[str, float]:
-        """Take the gradient steps that are due and return the last losses."""
+    def _update(self) -> None:
+        """Take the gradient steps that are due."""
         learning, counters = self.plan.learning, self.counters
         learned_from = counters.frames - learning.warmup_frames
         per_frame = learning.updates_per_frame * self.task.num_fish
         due = math.floor(per_frame * learned_from) - counters.updates
         if due <= 0 or not self.learner.is_ready:
-            return {}
+            return
         with one_thread():
             for _ in range(due):
                 losses = self.learner.update()
                 counters.updates += 1
-        return {name: float(losses[name]) for name in self.learner.reports}
+        counters.losses = {name: float(losses[name]) for name in self.learner.reports}
 
     def _conclude(self) -> dict[str, float]:
         """Complete the metrics of the newest frames: evaluate, log and save if due."""
@@ -230,6 +230,7 @@ class Training:
         counters.wall_seconds = metrics["time/wall_seconds"] = self.wall_seconds()
         if is_evaluated or self._has_crossed(run.log_frames):
             self.plan.logger.log(metrics | {"time/memory_mb": measure_memory_mb()})
+            counters.losses = {}
         counters.pending = {}
         if is_over or self._has_crossed(run.checkpoint_frames):
             self._save(self.folder.last, is_needed=is_over)

@@ -40,7 +40,8 @@ def list_metrics(losses: tuple[str, ...], counted: Sequence[str] = ()) -> tuple[
 class Counters:
     """Counters of a run.
 
-    ``pending`` are metrics of the newest frames, not yet complete; a resumed run completes them.
+    ``losses`` are those of the last gradient step, until they are logged. ``pending`` are metrics
+    of the newest frames, not yet complete; a resumed run completes them.
     """
 
     frames: int = 0
@@ -51,6 +52,7 @@ class Counters:
     collect_seconds: float = 0.0
     best: list[float] = field(default_factory=list)
     recent: deque[list[float]] = field(default_factory=lambda: deque(maxlen=WINDOW))
+    losses: dict[str, float] = field(default_factory=dict)
     pending: dict[str, float] = field(default_factory=dict)
 
     def state_dict(self) -> dict[str, Any]:

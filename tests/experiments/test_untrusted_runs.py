@@ -12,7 +12,20 @@ from typing import Any
 import pytest
 import torch
 
-from experiments import evaluate, export_steering, summarize, train, transfer, view
+from experiments import (
+    changing_streams,
+    evaluate,
+    export,
+    export_data,
+    export_policy,
+    export_steering,
+    following,
+    robustness,
+    summarize,
+    train,
+    transfer,
+    view,
+)
 from experiments.program import Program
 from experiments.sweeps.jobs import find_or_begin
 from experiments.train_settings import TRAINING
@@ -28,13 +41,18 @@ PROGRAMS: dict[str, tuple[Program, tuple[str, ...]]] = {
     "train": (train.main, ("resume={run}",)),
     "transfer": (transfer.main, ("runs=[{run}]", "baselines=[]", "folder={run}/transfer")),
     "export_steering": (export_steering.main, ("run={run}", "path={run}/steering.pt")),
+    "export_policy": (export_policy.main, ("run={run}", "folder={run}/policy")),
+    "export": (export.main, ("checkpoint={run}", "save={run}/flow.nc")),
+    "export_data": (export_data.main, ("checkpoint={run}", "name=a/b-v0", "folder={run}/data")),
+    "following": (following.main, ("runs=[{run}]", "folder={run}/following")),
+    "robustness": (robustness.main, ("runs=[{run}]", "folder={run}/robustness")),
+    "changing_streams": (changing_streams.main, ("runs=[{run}]", "folder={run}/changing")),
 }
 KINDS = ("task", "nested", "module", "algorithm", "logger")
 CASES = [
     *product(("train",), KINDS),  # checked as settings of a command line
     *product(("export_steering",), KINDS),  # checked as a stored plan
-    *product(("evaluate", "view"), ("module", "algorithm")),  # one each
-    ("transfer", "module"),
+    *product((n for n in PROGRAMS if n not in ("train", "export_steering")), ("task", "module")),
 ]
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from fishrl.training import DQN, DRQN, Algorithm, DiscreteSAC
+from fishrl.training import DQN, DRQN, PPO, SAC, Algorithm, DiscreteSAC
 from tests.training.conftest import Toy
 
 GOLDENS = Path(__file__).parents[1] / "goldens"
@@ -17,6 +17,8 @@ ALGORITHMS: dict[str, Algorithm] = {
     "dqn": DQN(epsilon_frames=60),
     "double_dqn": DQN(is_double=True, epsilon_frames=60),
     "drqn": DRQN(sequence_length=4, epsilon_frames=60),
+    "sac": SAC(),
+    "ppo": PPO(rollout_length=8),
 }
 
 
@@ -31,7 +33,9 @@ def read(path: Path) -> list[dict[str, float]]:
 
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_a_seed_gives_the_learning_curve_it_always_gave(name: str, toy: Toy) -> None:
-    toy.begin(algorithm=ALGORITHMS[name], name=name, baselines=(), final_episodes=1).run()
+    algorithm = ALGORITHMS[name]
+    task = {"is_continuous": not algorithm.takes_discrete}
+    toy.begin(algorithm=algorithm, task=task, name=name, baselines=(), final_episodes=1).run()
     rows, expected = read(toy.folder / name / "metrics.csv"), read(GOLDENS / f"toy_{name}.csv")
     assert len(rows) == len(expected)
     for row, golden in zip(rows, expected, strict=True):

@@ -6,10 +6,8 @@ import csv
 import json
 import math
 import os
-import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -109,18 +107,21 @@ def test_wandb_writes_offline_beside_the_csv(
 def test_a_run_of_a_wandb_agent_goes_on_under_the_name_the_agent_gave_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[str] = []
-
-    def init(*, id: str, **_: object) -> SimpleNamespace:
-        asked.append(id)
-        return SimpleNamespace(id="agentsid" if len(asked) == 1 else id)  # whatever was asked for
-
-    fake = SimpleNamespace(init=init, Settings=dict)
-    monkeypatch.setitem(sys.modules, "wandb", fake)
-    for _ in range(2):
-        WandbLogger().open(tmp_path, columns=["frames"], config={})
-    assert asked[1] == "agentsid"
+    monkeypatch.setenv("WANDB_SILENT", "true")
+    with monkeypatch.context() as agent:
+        agent.setenv("WANDB_SWEEP_ID", "sweepid")
+        agent.setenv("WANDB_RUN_ID", "agentsid")
+        open_and_close(tmp_path)
+    open_and_close(tmp_path)  # resumed without the agent
     assert (tmp_path / "wandb_id").read_text() == "agentsid"
+    recorded = tmp_path.glob("wandb/offline-run-*/*.wandb")
+    assert {path.name for path in recorded} == {"run-agentsid.wandb"}
+
+
+def open_and_close(folder: Path) -> None:
+    logger = WandbLogger(is_offline=True)
+    logger.open(folder, columns=["frames"], config={})
+    logger.close()
 
 
 def test_numbers_that_json_does_not_know_become_null(tmp_path: Path) -> None:
