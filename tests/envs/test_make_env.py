@@ -1,7 +1,10 @@
 """The environment with its transforms. No flow needed."""
 
+from functools import partial
+
 import pytest
 import torch
+from torchrl.envs import SerialEnv
 
 from fishrl.envs import Predation, make_env
 from tests.envs.conftest import SMALL, keep_straight, starts_at
@@ -47,3 +50,25 @@ def test_the_return_adds_up_over_an_episode_and_restarts_with_its_row() -> None:
     assert rollout.shape == (2, 3)  # 1.3 L to the food, 0.25 L of it for free, at 0.4 L an action
     assert rollout["next", "episode_reward"][0].squeeze(-1).tolist() == [1.0, 2.0, 23.0]
     assert rollout["next", "captured"][0].squeeze(-1).tolist() == [False, False, True]
+
+
+def test_flows_and_frame_stacks_are_saved_apart_and_go_on_in_an_equal_environment() -> None:
+    make = partial(make_env, task=Predation(**SMALL), num_envs=2, compile=False)
+    first, second = make(seed=1), make(seed=2)
+    state = first.rollout(3)[:, -1]["next"].exclude("reward")
+    second.reset()
+    second.load_state_dict(first.state_dict())
+    second.base_env.load_state_dict(first.base_env.state_dict())
+    one, other = (env.step(keep_straight(state.clone()))["next"] for env in (first, second))
+    assert (one == other).all()
+    assert not torch.equal(one["observation_stack"], state["observation_stack"])
+
+
+def test_environments_side_by_side_start_apart_once_they_are_seeded() -> None:
+    make = partial(make_env, task=Predation(**SMALL), num_envs=2, compile=False)
+    for seed, is_same in ((None, True), (3, False)):
+        envs = SerialEnv(2, make)
+        if seed is not None:
+            envs.set_seed(seed)
+        one, other = envs.reset()["observation"]
+        assert torch.equal(one, other) is is_same
