@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -207,7 +208,9 @@ def find_delays(done: Record, task: KarmanGait) -> list[float]:
     speeds = starts["stream_speeds"]
     known = torch.tensor(task.stream.speeds_bl, dtype=torch.float64)
     before = torch.cat((known[starts["flow_index"]][:, None], speeds), 1)
-    labels = (before[..., None] - known).abs().argmin(-1)
+    sizes = torch.tensor(task.stream.diameters_bl)
+    is_other = sizes != sizes[starts["flow_index"]][:, None, None]  # behind another disc
+    labels = (before[..., None] - known).abs().masked_fill(is_other, math.inf).argmin(-1)
     times = [*task.stream.changes.list_times(speeds.shape[1]), math.inf]
     delays = []
     for episode in range(len(speeds)):
@@ -295,6 +298,10 @@ def main(settings: ChangingSettings) -> None:
     """Try all policies, and write table and figure."""
     torch.set_num_threads(1)
     changes = make(settings.task, kind=KarmanGait).stream.changes
+    usual = deepcopy(main.read(()).task)
+    usual["stream"]["changes"] = settings.task["stream"]["changes"]
+    if settings.task != usual:
+        raise ValueError("task: the runs bring their own; give task.stream.changes alone")
     if changes is None:
         raise ValueError("task.stream.changes is None: take task=karman_changing")
 

@@ -117,6 +117,7 @@ def draw(
 def main(settings: DriftSettings) -> None:
     """Sweep, write, draw."""
     task, frequencies = make(settings.task, kind=KarmanGait), tuple(settings.frequencies)
+    trials.check_one_disc(task)
     flows = len(task.stream.speeds_bl)
     task = replace(
         task,

@@ -43,7 +43,7 @@ class ExportDataSettings(PolicySettings):
         folder: folder of the datasets; Minari finds them by ``MINARI_DATASETS_PATH=<folder>``.
         episodes: fixed starts, one episode each.
         num_envs: flows that advance together.
-        samples_actions: sample the actions of a learned policy, as in training.
+        samples_actions: sample the actions of a stochastic policy (SAC, PPO), as in training.
     """
 
     name: str = MISSING

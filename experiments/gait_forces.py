@@ -23,6 +23,7 @@ from torch import Tensor
 from experiments.figures.style import COLOURS
 from experiments.gait.diagnostics import find_phase
 from experiments.gait.figures import flow_panels
+from experiments.gait.trials import check_one_disc
 from experiments.pages import write_csv
 from experiments.program import TaskSettings, program
 from fishrl.bounds import bounded
@@ -204,6 +205,7 @@ def draw(path: Path, table: list[dict[str, float]], settings: ForceSettings) -> 
 def main(settings: ForceSettings) -> None:
     """Measure, write and draw."""
     task, folder = make(settings.task, kind=KarmanGait), Path(settings.folder)
+    check_one_disc(task)
     if task.wakes is None:
         raise ValueError("task.stream.has_disc=false: in a free stream no vortices are shed")
     folder.mkdir(parents=True, exist_ok=True)

@@ -109,7 +109,8 @@ def search(settings: SearchSettings) -> Any:
     )
     ranges = {key: str(distribution) for key, distribution in space.items()}
     identity = str([settings.fixed, ranges, settings.metric, settings.seeds, settings.minimize])
-    if study.user_attrs.get("identity", identity) != identity:
+    has_begun = any(trial.value is not None for trial in study.trials)
+    if has_begun and study.user_attrs.get("identity", identity) != identity:
         raise ValueError(f"{folder}: holds another search, {study.user_attrs['identity']}")
     study.set_user_attr("identity", identity)
     for trial in study.get_trials(states=[optuna.trial.TrialState.RUNNING]):

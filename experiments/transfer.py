@@ -37,7 +37,7 @@ class TransferSettings(TaskSettings):
         baselines: policies to compare with; see ``trials.make_trial``.
         recognition: source of the labels of all runs instead of their own: ``oracle``, the file of
             a classifier or ``zoo/<name>``.
-        samples_actions: sample the actions of learned policies, as in training.
+        samples_actions: sample the actions of stochastic policies (SAC, PPO), as in training.
         folder: folder for tables, figures and histories.
     """
 
@@ -57,10 +57,11 @@ def transfer(
 
     Those are ``shedding``: its frequencies, per T; ``arms``: diagnostics per arm and flow over its
     seeds; ``trials``: of each policy alone; ``work``: per arm and flow as it adds up in time.
-    ``ValueError`` for equal names and tasks that cannot be compared.
+    ``ValueError`` for equal names, tasks that cannot be compared, and several half discs.
     """
     check_names([trial.name for trial in tried])
     trials.check_shared(tried)
+    trials.check_one_disc(tried[0].task)
     folder, task, best = Path(settings.folder), tried[0].task, tried[0].arm
     speeds, interval_T = task.stream.speeds_bl, task.interval_T
     shedding = trials.list_shedding(task)
@@ -117,6 +118,8 @@ def main(settings: TransferSettings) -> None:
         given: Any = {"periods": periods, "recognition": settings.recognition}
         tried = [trials.load_trial(Path(run), **given) for run in settings.runs]
         banked = [trial.task for trial in tried if trial.task.control.num_flows is not None]
+        if banked and settings.task != main.read(()).task:
+            raise ValueError("task, preset: the runs bring their own; leave them out")
         task = banked[0] if banked else make(settings.task, kind=KarmanGait)
         tried += [trials.make_trial(name, task, periods=periods) for name in settings.baselines]
         transfer(tried, settings, progress)

@@ -21,6 +21,9 @@ PANELS = {
     RATE: ("train/success_rate", "eval/success_rate"),
     "critic loss": ("train/loss_qvalue",),
     "actor loss": ("train/loss_actor",),
+    "critic loss of PPO": ("train/loss_critic",),
+    "actor loss of PPO": ("train/loss_objective",),
+    "entropy [nats]": ("train/entropy",),
     "entropy / log(legal actions)": ("train/entropy_fraction",),
     "temperature α": ("train/alpha",),
 }
@@ -65,6 +68,8 @@ def write_learning_curve(
 ) -> None:
     """Draw return, success rate, losses, entropy and temperature of a run against env frames."""
     series = read_metrics(metrics)
+    if "train/entropy_fraction" in series:  # which says more
+        series.pop("train/entropy", None)
     curves = {
         title: [
             Curve(LABELS[i], *series[column], number=i)

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import cycle
 from math import ceil, pi
 from pathlib import Path
 from typing import Any
@@ -77,7 +78,7 @@ def write_training(path: Path, runs: Mapping[str, Sequence[Path]]) -> None:
     """Draw survival, return and loss during training: a line per run folder, a colour per arm."""
     with panels(path, columns=len(_TRAINING), size=(11, 3.3), sharex=True) as grid:
         for axes, (column, label) in zip(grid[0], _TRAINING.items(), strict=True):
-            for colour, (arm, folders) in zip(COLOURS, runs.items(), strict=False):
+            for (arm, folders), colour in zip(runs.items(), cycle(COLOURS), strict=False):
                 for number, folder in enumerate(folders):
                     series = read_metrics(folder / "metrics.csv").get(column, ())
                     name = arm if number == 0 else None
@@ -180,7 +181,7 @@ def write_lean(
 ) -> None:
     """Draw lean of each flow (``measure_lean``) against tail beats, per time and per length."""
     with panels(path, columns=2, size=(9, 3.6), sharey=True) as grid:
-        for (rates, lean), speed, colour in zip(leans, speeds, COLOURS, strict=False):
+        for (rates, lean), speed, colour in zip(leans, speeds, cycle(COLOURS), strict=False):
             for axes, at in zip(grid[0], (rates.numpy(), rates.numpy() / speed), strict=True):
                 axes.plot(at, lean.numpy(), ".", color=colour, markersize=2, alpha=0.25)
                 bins = np.round(at / _LEAN_BIN)

@@ -104,6 +104,15 @@ def check_shared(tried: Sequence[Trial]) -> None:
             raise ValueError(f"tasks differ in {setting}: {values}; try them separately")
 
 
+def check_one_disc(task: KarmanGait) -> None:
+    """Raise ValueError for flows behind several discs: results are named by the speed alone."""
+    if len(set(task.stream.diameters_bl)) > 1:
+        raise ValueError(
+            "flows behind several half discs: give one task.stream.diameter_bl (policies that were "
+            "trained behind several are compared by experiments.robustness)"
+        )
+
+
 def prolong(task: KarmanGait, periods: float) -> KarmanGait:
     """Return the task with all flows, steady, fixed starts, and ``periods`` in T."""
     return replace(

@@ -69,6 +69,8 @@ class CollectionSettings(TaskSettings):
                 f"{type(task).__name__} has no two flows to tell apart by a lateral line: take "
                 "task=karman_gait with two or more stream.speeds_bl"
             )
+        if task.lateral_line.num_neuromasts < 2:
+            raise ValueError("task.lateral_line.num_neuromasts = 1: a classifier needs two or more")
         if task.action_bounds is not None:
             raise ValueError("signals are recorded at discrete actions: take task=karman_gait")
         whole = {"features": KNOWN, "is_averaged": False, "noise": 0.0, "silence": 0.0, "delay": 0}

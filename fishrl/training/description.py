@@ -33,13 +33,22 @@ def describe(made: Any) -> dict[str, Any]:
     cannot be written into a file, a ValueError is raised.
     """
     kind = type(made)
-    target = f"{kind.__module__}.{kind.__qualname__}"
+    module = find_main() if kind.__module__ == "__main__" else kind.__module__
+    target = f"{module}.{kind.__qualname__}"
     described: dict[str, Any] = {TARGET: target}
     for name in inspect.signature(kind).parameters:
         if not hasattr(made, name):
             raise ValueError(f"{target}: keep the argument {name!r} as an attribute of that name")
         described[name] = to_plain(getattr(made, name))
     return described
+
+
+def find_main() -> str:
+    """Return the name under which other programs can import the script that runs."""
+    main = sys.modules["__main__"]
+    if (spec := getattr(main, "__spec__", None)) is not None:
+        return str(spec.name)
+    return Path(getattr(main, "__file__", "__main__")).stem
 
 
 def to_plain(value: Any) -> Any:
@@ -117,7 +126,7 @@ def find_class(
 ) -> type[T]:
     """Return the class of a dotted name, which may be a former one; see ``make``."""
     module, _, last = ALIASES.get(name, name).rpartition(".")
-    loaded = sys.modules.get(module)
+    loaded = sys.modules.get("__main__" if module == find_main() else module)
     if loaded is None and any(f"{module}.".startswith(f"{own}.") for own in ("fishrl", *modules)):
         try:
             loaded = importlib.import_module(module)

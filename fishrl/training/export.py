@@ -46,7 +46,7 @@ def export_policy(
         run: run folder.
         folder: to write; must not exist, or be empty.
         title: of the card; by default the name of the folder.
-        revision: commit of the code that trained it, for the card.
+        revision: commit of the code that exports it, for the card.
         modules: modules outside fishrl that may be imported, see ``description.make``.
 
     Returns:
@@ -95,7 +95,7 @@ def write_card(
         summary: of its run; may be empty.
         title: of the card.
         frames: env frames after which the policy was saved.
-        revision: commit of the code.
+        revision: commit of the code that exports it.
     """
     header = {"library_name": "fishrl", "license": "mit", "tags": ["reinforcement-learning"]}
     task = type(plan.task).__name__
@@ -108,7 +108,7 @@ def write_card(
         "seed": plan.learning.seed,
         "env frames": f"{frames:,} of {plan.run.total_frames:,}",
         "recognition of the flow": recognition,
-        "fishrl": " ".join(filter(None, (__version__, revision))),
+        "exported with fishrl": " ".join(filter(None, (__version__, revision))),
     }
     names = ["policy", *summary.get("baselines", [])]
     prefixes = ["", *(f"{name}_" for name in names[1:])]

@@ -14,28 +14,26 @@ from fishrl.training.logger import CsvLogger
 class TensorboardLogger(CsvLogger):
     """TensorBoard's event files in the run folder, beside the CSV file.
 
-    Raises:
-        ImportError: if tensorboard is not installed.
+    ``open`` raises ImportError if tensorboard is not installed.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        try:
-            from torch.utils.tensorboard import SummaryWriter
-        except ImportError as error:
-            raise ImportError(
-                f"logger=tensorboard needs a package: {show_install('tensorboard')}; or logger=csv"
-            ) from error
-        self._make_writer = SummaryWriter
         self._writer: Any = None
 
     def open(
         self, folder: Path, *, columns: Sequence[str], config: Mapping[str, Any], step: int = 0
     ) -> None:
         """Start event files as well; after a resume, later steps of earlier files are hidden."""
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError as error:
+            raise ImportError(
+                f"logger=tensorboard needs a package: {show_install('tensorboard')}; or logger=csv"
+            ) from error
         super().open(folder, columns=columns, config=config, step=step)
         self._step_key = columns[0]
-        self._writer = self._make_writer(str(folder / "tensorboard"), purge_step=step + 1)
+        self._writer = SummaryWriter(str(folder / "tensorboard"), purge_step=step + 1)
 
     def log(self, metrics: Mapping[str, float]) -> None:
         """Add a row here and there."""

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 
 import pytest
 import torch
 
-from experiments import changing_streams
+from experiments import changing_streams, following, robustness
 from experiments.changing_streams import Record, find_delays, tabulate
 from experiments.gait.trials import load_trial
+from experiments.program import Program
 from experiments.statistics import half_width
 from fishrl.envs import KarmanGait
 from fishrl.envs.changes import StreamSteps
+from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.streams import Stream
 from fishrl.modules import LateralLineClassifier
 from tests.envs.conftest import SMALL
+
+PROGRAMS = (changing_streams, following, robustness)
+TWICE = "zoo/gait_small,zoo/gait_small"
 
 
 def make_record(named: list[int], length_T: float) -> Record:
@@ -40,17 +44,13 @@ def test_a_change_is_recognised_with_the_first_right_label_after_it_began(
     assert delays == [2.0, math.inf][:num]
 
 
-@pytest.mark.usefixtures("kinematic")
-def test_all_arms_are_tried_from_the_same_starts(tmp_path: Path) -> None:
-    given = ["runs=[zoo/gait_small]", "episodes=2", "periods=2", "task.stream.changes.interval_T=1"]
-    changing_streams.main.run(changing_streams.main.read([*given, f"folder={tmp_path}"]))
-    results = json.loads((tmp_path / "changing.json").read_text())
-    assert {"true label", "filter", "always the middle flow", "ablation", "pid"} <= set(results)
-    assert results["true label"]["accuracy"] == 1.0
-    assert 0.0 < results["always the middle flow"]["accuracy"] < 1.0
-    assert len(results["filter"]["survival_T"]) == 2
-    assert (tmp_path / "changing.png").stat().st_size > 5000
-    assert len((tmp_path / "changing.md").read_text().splitlines()) == 2 + len(results)
+def test_labels_of_other_discs_are_no_candidates() -> None:
+    changes = StreamSteps(times_T=(4.0,), speeds_bl=(1.5,))
+    speeds, sizes = (1.0, 1.5, 1.0, 1.5), (0.4, 0.4, 0.5, 0.5)
+    stream = Stream(changes=changes, speeds_bl=speeds, diameter_bl=sizes)
+    given = SMALL | {"wall_margin_bl": 0.25, "control": DirectFrequencies(frequencies=(0.5, 1.0))}
+    task = KarmanGait(**given, stream=stream, start_flows=(2,))
+    assert find_delays(make_record([2] * 9 + [3] * 11, 12.0), task) == [1.0]
 
 
 def test_a_policy_takes_another_classifier(tmp_path: Path) -> None:
@@ -63,10 +63,13 @@ def test_a_policy_takes_another_classifier(tmp_path: Path) -> None:
         assert isinstance(trial.recognition, LateralLineClassifier)
 
 
-@pytest.mark.parametrize("runs", ["", "zoo/gait_small,zoo/gait_small"])
-def test_policies_are_needed_all_of_different_names(runs: str) -> None:
+@pytest.mark.parametrize(
+    ("main", "runs"),
+    [(changing_streams.main, ""), *((program.main, TWICE) for program in PROGRAMS)],
+)
+def test_policies_are_needed_all_of_different_names(main: Program, runs: str) -> None:
     with pytest.raises(ValueError, match="all of different names"):
-        changing_streams.main.run(changing_streams.main.read([f"runs=[{runs}]"]))
+        main.run(main.read([f"runs=[{runs}]"]))
 
 
 def test_the_interval_of_survival_is_over_policies_where_there_are_several() -> None:

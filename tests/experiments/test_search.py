@@ -78,6 +78,24 @@ def test_what_cannot_be_searched_is_named(tmp_path: Path, arguments: list[str], 
     assert not list(tmp_path.iterdir())
 
 
+def test_a_search_without_results_can_still_be_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = {"mean_length_T": 2.0}
+
+    def run_seed(settings: search.SearchSettings, *_: object) -> float:
+        if settings.metric not in values:
+            raise ValueError(f"metric = {settings.metric}")
+        return values[settings.metric]
+
+    monkeypatch.setattr(search, "run_seed", run_seed)
+    line = [*SETTINGS, "gamma=interval(0.9,1)"]
+    with pytest.raises(ValueError, match="metric = mean_lenght_T"):
+        search.search(replace(plan_of(tmp_path, *line, metric="mean_lenght_T"), trials=1))
+    study = search.search(replace(plan_of(tmp_path, *line, metric="mean_length_T"), trials=1))
+    assert [trial.value for trial in study.trials] == [2.0]
+
+
 @pytest.mark.usefixtures("kinematic")
 def test_a_trial_that_was_cut_off_is_finished_before_new_ones(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

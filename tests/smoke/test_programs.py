@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import importlib
+import json
 import math
 import os
 import re
@@ -245,17 +246,30 @@ def test_followers_are_compared_with_fish_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_policies_are_tried_in_changing_streams(tmp_path: Path) -> None:
-    few = ["runs=[zoo/gait_small]", "episodes=1", "periods=2", "task.stream.changes.interval_T=1"]
+def test_all_arms_are_tried_in_changing_streams_from_the_same_starts(tmp_path: Path) -> None:
+    few = ["runs=[zoo/gait_small]", "episodes=2", "periods=2", "task.stream.changes.interval_T=1"]
     _run("changing_streams", *few, f"folder={tmp_path}")
-    assert (tmp_path / "changing.png").is_file()
+    results = json.loads((tmp_path / "changing.json").read_text())
+    assert {"true label", "filter", "always the middle flow", "ablation", "pid"} <= set(results)
+    assert results["true label"]["accuracy"] == 1.0
+    assert 0.0 < results["always the middle flow"]["accuracy"] < 1.0
+    assert len(results["filter"]["survival_T"]) == 2
+    assert (tmp_path / "changing.png").stat().st_size > 5000
+    assert len((tmp_path / "changing.md").read_text().splitlines()) == 2 + len(results)
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_policies_are_tried_under_other_conditions(tmp_path: Path) -> None:
-    few = ["runs=[zoo/gait_small]", "episodes=1", "periods=1"]
-    _run("robustness", *few, "conditions={aside:{start_y_bl:[0.3,0.6]}}", f"folder={tmp_path}")
-    assert (tmp_path / "robustness.png").is_file()
+def test_every_policy_is_tried_under_every_condition(tmp_path: Path) -> None:
+    few = ["runs=[zoo/gait_small,zoo/gait_small_ablation]", "episodes=2", "periods=1"]
+    slow = "slow:{stream:{speeds_bl:[0.5,0.6,1.0]}}"
+    conditions = f"conditions={{same:{{}},aside:{{start_y_bl:[0.3,0.6]}},{slow}}}"
+    _run("robustness", *few, conditions, f"folder={tmp_path}")
+    results = json.loads((tmp_path / "robustness.json").read_text())
+    assert set(results) == {"same", "aside", "slow"}
+    assert set(results["aside"]) == {"both modules", "ablation", "pid"}
+    assert torch.tensor(results["aside"]["pid"]["survival_T"]).shape == (1, 3, 2)
+    assert "| aside |" in (tmp_path / "robustness.md").read_text()
+    assert (tmp_path / "robustness.png").stat().st_size > 5000
 
 
 def test_a_sweep_is_summed_up(predation_run: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -104,6 +105,22 @@ def test_a_module_of_ones_own_is_imported_if_the_user_names_it(
 def test_a_description_that_does_not_fit_is_refused(node: Any, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         make(node, kind=AbstractTask)
+
+
+def test_a_class_of_the_script_that_runs_has_the_name_that_others_import_it_by(
+    tmp_path: Path,
+) -> None:
+    script = tmp_path / "own.py"
+    script.write_text(
+        "from fishrl.envs import Predation\n"
+        "from fishrl.training.description import describe, make\n"
+        "class Own(Predation): pass\n"
+        "if __name__ == '__main__':\n"
+        "    written = describe(Own())\n"
+        "    print(written['_target_'], type(make(written, kind=Own)) is Own)\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["own.Own", "True"]
 
 
 def test_former_names_lead_to_classes_of_today() -> None:

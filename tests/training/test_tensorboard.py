@@ -1,9 +1,13 @@
 """TensorBoard reads what the logger wrote, also after a resume."""
 
+import sys
 from pathlib import Path
 
+import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from fishrl.training.description import describe, make
+from fishrl.training.logger import CsvLogger
 from fishrl.training.tensorboard import TensorboardLogger
 
 COLUMNS = ["frames", "train/return", "eval/return"]
@@ -26,6 +30,15 @@ def test_tensorboard_reads_every_step_once(tmp_path: Path) -> None:
     assert curve == [(10, 1.0), (20, 2.0), (40, 7.0)]
     rows = (tmp_path / "metrics.csv").read_text().splitlines()
     assert [row.split(",")[0] for row in rows] == ["frames", "10", "20", "40"]
+
+
+def test_a_run_with_event_files_is_read_without_the_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    logger = make(describe(TensorboardLogger()), kind=CsvLogger)
+    with pytest.raises(ImportError, match="logger=tensorboard needs a package: pip install"):
+        logger.open(tmp_path, columns=COLUMNS, config={})
 
 
 def test_a_run_that_goes_on_from_its_first_frame_hides_what_came_after(tmp_path: Path) -> None:

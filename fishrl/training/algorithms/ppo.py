@@ -30,7 +30,7 @@ class PPO(Algorithm):
 
     Args:
         rollout_length: decisions of each flow between updates.
-        num_epochs: passes over each rollout, to within a batch where that does not divide it.
+        num_epochs: passes over each rollout.
         clip: range within which the ratio of action probabilities is clipped, 1 +- clip.
         gae_lambda: lambda of generalised advantage estimation.
         entropy_weight: weight of the entropy bonus.
@@ -49,9 +49,9 @@ class PPO(Algorithm):
     def adapt(self, settings: LearningSettings) -> LearningSettings:
         """Return the settings that give ``num_epochs`` over each rollout."""
         num_frames = settings.num_envs * self.rollout_length
-        if settings.batch_size > num_frames:
+        if num_frames % settings.batch_size:
             raise ValueError(
-                f"batch_size = {settings.batch_size}: must be at most num_envs * "
+                f"batch_size = {settings.batch_size}: must divide num_envs * "
                 f"algorithm.rollout_length = {num_frames}"
             )
         return replace(

@@ -12,7 +12,8 @@ import pytest
 import torch
 from PIL import Image
 
-from experiments.figures.learning_curve import read_metrics, write_learning_curve
+from experiments.figures import learning_curve
+from experiments.figures.learning_curve import Curve, read_metrics, write_learning_curve
 from experiments.figures.run_pictures import write_run_pictures
 from fishrl.envs import Predation
 from fishrl.envs.scene import Frame
@@ -154,6 +155,23 @@ def test_blank_cells_words_and_nan_are_left_out(tmp_path: Path) -> None:
     assert series["eval/mean_return"][0].tolist() == [128.0]
     assert series["train/loss_qvalue"][1].tolist() == [2.0, 1.0]
     assert "note" not in series
+
+
+@pytest.mark.parametrize("name", ["discrete_sac", "dqn", "drqn", "sac", "ppo"])
+def test_losses_and_entropy_of_every_algorithm_are_drawn(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[str] = []
+
+    def note(path: Path, curves: dict[str, list[Curve]], **_: object) -> bool:
+        drawn.extend(title for title, curve in curves.items() if curve)
+        return True
+
+    monkeypatch.setattr(learning_curve, "draw_curves", note)
+    metrics = Path(__file__).parents[2] / "goldens" / f"toy_{name}.csv"
+    write_learning_curve(metrics, tmp_path / "x.png")
+    assert any("critic loss" in title for title in drawn)
+    assert sum("entropy" in title for title in drawn) == (name in {"discrete_sac", "sac", "ppo"})
 
 
 @pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "frames,b\n", "frames,b\n1,2\n"])

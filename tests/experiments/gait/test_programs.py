@@ -5,14 +5,18 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from scipy import stats
 
-from experiments import drift_sweep, free_stream, gait_page
+from experiments import changing_streams, drift_sweep, free_stream, gait_page
+from experiments import transfer as transfer_program
 from experiments.gait.trials import Histories, load_trial, make_trial
 from experiments.transfer import TransferSettings, transfer
+from fishrl.envs.macro_actions import DirectFrequencies
+from fishrl.envs.streams import Stream
 from tests.experiments.gait.tasks import BRIEF, OVERRIDES, make_task
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -26,6 +30,18 @@ def test_policies_of_one_name_or_of_different_tasks_are_refused(tmp_path: Path) 
     other = make_trial("bang_bang", make_task(reynolds=400.0), periods=BRIEF)
     with pytest.raises(ValueError, match="tasks differ in reynolds"):
         transfer([pid, other], settings)
+    stream = Stream(speeds_bl=(1.0, 1.0), diameter_bl=(0.4, 0.5))
+    control = DirectFrequencies(frequencies=(0.5, 1.0))
+    task = make_task(stream=stream, control=control, start_flows=(0,))
+    several = make_trial("bang_bang", task, periods=BRIEF)
+    with pytest.raises(ValueError, match="several half discs"):
+        transfer([several], settings)
+
+
+@pytest.mark.parametrize("program", [transfer_program, changing_streams])
+def test_runs_bring_their_own_task(program: Any, tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match="the runs bring their own"):
+        program.main(["runs=[zoo/gait_small]", "task.reynolds=900", f"folder={tmp_path}"])
 
 
 def test_the_free_stream_is_held_without_a_disc(
