@@ -100,11 +100,6 @@ def test_an_illegal_action_is_named_with_its_row_and_fish() -> None:
         env.step(TensorDict({"agents": {"action": torch.ones(2, 1).long()}}, [2]))
 
 
-def test_fish_that_start_within_each_other_are_refused_at_once() -> None:
-    with pytest.raises(ValueError, match="start 0: fish 0 and 1 overlap; move them apart"):
-        FlowEnv(task=PairTask(**SMALL, gap_bl=0.02), num_envs=1, compile_flow=False)
-
-
 def test_flows_of_several_fish_are_not_labelled(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(PairTask, "flow_labels", [{"speed_bl": 1.0}, {"speed_bl": 2.0}])
     with pytest.raises(ValueError, match=r"PairTask has .* several fish"):

@@ -23,7 +23,6 @@ TINY["wall_margin_bl"] = 0.3
         ({"start_x_bl": (1.5, 1.0)}, "least"),
         ({"leader": "fisch"}, "did you mean 'fish'"),
         ({"leader_x_bl": 1.0}, "too near the edge"),
-        ({"amplitude_range": (0.5, 1.2)}, "amplitude_range"),
         ({"amplitude_range": (0.5, 0.5)}, "amplitude_range = .* least, then"),
         ({"frequency_range": (1, 1)}, "frequency_range = .* least, then"),
     ],

@@ -119,8 +119,6 @@ def test_a_shorter_interval_takes_fewer_steps_and_is_timed_in_periods() -> None:
     assert after["observation"][0, 0] - first[0] == pytest.approx(-0.2, abs=0.01)
     time = after["lateral_line"][0, :, 0, 0]
     torch.testing.assert_close(time, torch.tensor([0.25, 0.5]), rtol=0, atol=0.01)
-    with pytest.raises(ValueError, match=r"control_interval_T = 0\.0: must be greater than 0"):
-        make_task(control_interval_T=0.0)
 
 
 def test_the_frequency_may_be_repeated_as_the_paper_does() -> None:
@@ -248,10 +246,6 @@ def test_a_free_stream_needs_no_disc_and_no_wake() -> None:
         ({"start_flows": ()}, r"start_flows = \(\): give one or more of the indices 0 to 2"),
         ({"stream": Stream(speeds_bl=(1.0,)), "start_flows": (0,)}, "control has rows for 3 flows"),
         ({"start_x_bl": (0.3, 1.0)}, r"nose at \(0.30, -0.10\) L from the disc, is in the danger"),
-        (
-            {"stream": Stream(face_bl=0.1)},
-            "face_bl = 0.1, .*the half disc exceeds the domain",
-        ),
         (
             {"steering": PolicySteering()},
             "decisions_per_T = 4, but the control interval is 1 T: give 1",

@@ -48,23 +48,6 @@ def act(env: FlowEnv, *actions: int) -> TensorDict:
     )["next"]
 
 
-def test_at_reset_a_series_is_its_first_sample_repeated() -> None:
-    env = make(2)
-    trace = env.reset()["trace"]
-    assert trace.shape == (2, 4, 3)
-    assert (trace == trace[:, :1]).all()
-
-
-def test_a_series_holds_equally_spaced_samples_oldest_first_up_to_the_decision() -> None:
-    env = make(2)
-    env.reset()
-    before = env.now["x"].clone()
-    after = act(env, 0, 0)
-    nose = after["trace"][:, :, 0].double()
-    way = (before - env.now["x"])[:, None] * torch.tensor([[26.0, 52.0, 80.0, 106.0]]) / 106.0
-    torch.testing.assert_close(nose, before[:, None] - way, rtol=0, atol=1e-6)
-
-
 def test_after_a_rows_end_its_last_sample_is_repeated() -> None:
     env = make(2)
     env.reset()

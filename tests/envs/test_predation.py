@@ -212,6 +212,7 @@ BAD_ARGUMENTS: dict[str, tuple[dict[str, Any], str]] = {
     "direction": ({"food_direction": "upp"}, r"food_direction = 'upp'.*did you mean 'up'"),
     "limits": ({"food_limits_bl": (3.5, 1.5)}, r"lower limit <= food_y_bl <= upper limit"),
     "in reach": ({"start_x_bl": (2.0, 7.5)}, r"may start with its food in reach"),
+    "outside": ({"start_x_bl": (9.9, 9.9)}, r"does not fit; widen"),
     "action": ({"action": "continous"}, r"action = 'continous'.*did you mean 'continuous'"),
     "frequency": ({"frequency_range": (1.0, 0.5)}, r"give the least, then the largest"),
     "turn": ({"action": "continuous", "turn_degrees": 0}, r"turn_degrees = 0: .*greater than 0"),

@@ -12,6 +12,7 @@ from fishrl.envs.stations import SafeArea
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
 from tests.envs.conftest import act, assert_resets_rewrite_all, make_flows, read_flows
+from tests.envs.test_views import list_keys
 
 #: A stream of 4 L x 2.4 L, where an eager action takes about a second.
 TINY = {
@@ -111,3 +112,10 @@ def test_an_episode_begins_behind_the_disc_and_in_the_wake_that_its_start_names(
         spacing = outline.diff(dim=0).norm(dim=1)
         perimeter = diameter * (1.0 + 0.5 * pi)
         assert spacing.mean().item() == pytest.approx(perimeter / len(outline), rel=0.15)
+
+
+def test_everything_that_the_scene_of_a_real_disc_names_can_be_read(task: KarmanGait) -> None:
+    env = make_flows(task, 1)
+    env.reset()
+    keys = list_keys(task.make_scene())
+    assert "dcylinder_1" in keys and keys <= set(task.read_scene(env.solver, env.start))

@@ -87,8 +87,6 @@ def test_a_stream_that_changes_is_named_by_the_nearest_speed_behind_the_same_dis
     [
         ((0.4, 0.5), r"diameter_bl = \(0.4, 0.5\): 2 for 3 entries of speeds_bl; give one"),
         ((), "0 for 3 entries"),
-        ((0.4, -0.5, 0.4), "diameter_bl = .*: must be greater than 0"),
-        ((0.4, "large", 0.4), "diameter_bl = .*: must be"),
         ((0.4, 0.4, 0.3), "diameter = 6.0: must be at least 8"),  # in nodes
         ((0.4, 0.4, 1.2), r"DCylinder with num_markers = .*: they would lie 0.33 nodes apart"),
     ],

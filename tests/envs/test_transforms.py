@@ -13,9 +13,8 @@ from torchrl.envs import CatFrames, EnvBase, StepCounter, TransformedEnv, check_
 
 from fishrl.envs import FlowEnv, Predation, PredictedFlowLabel, TrueFlowLabel, make_recognition
 from fishrl.modules import LateralLineClassifier
-from fishrl.objectives import FitSettings, fit_classifier
 from tests.envs.conftest import SMALL
-from tests.sines import FLOWS, NUM_FEATURES, SENSORS, make_samples, make_signal
+from tests.sines import FLOWS, NUM_FEATURES, SENSORS, make_signal
 
 
 class SineTask:
@@ -67,18 +66,6 @@ class SineEnv(EnvBase):
         pass
 
 
-@pytest.fixture(scope="module")
-def machine() -> LateralLineClassifier:
-    """Return a machine that knows the sines."""
-    generator = torch.Generator().manual_seed(0)
-    made = LateralLineClassifier(flows=FLOWS, sensors=SENSORS, hidden=(32,), generator=generator)
-    data = make_samples(60)
-    made.set_normalisation(data["lateral_line"])
-    settings = FitSettings(learning_rate=0.003, num_epochs=30)
-    fit_classifier(made, training=data, validation=data, settings=settings, generator=generator)
-    return made
-
-
 def make(*transforms: Any, num_envs: int = 3) -> TransformedEnv:
     env = TransformedEnv(SineEnv(num_envs))
     for transform in transforms:
@@ -122,16 +109,6 @@ def test_named_but_not_observed_the_observation_stays_as_it_is(oracle: bool) -> 
     assert rollout["observation"].shape[-1] == 2
     named = rollout["flow_probabilities"].argmax(-1)
     assert torch.equal(rollout["flow_class"], named)
-
-
-def test_a_trained_machine_names_the_flow_of_every_row_after_resets_of_single_rows(
-    machine: LateralLineClassifier,
-) -> None:
-    rollout = make(*make_recognition(machine)).rollout(30, break_when_any_done=False)
-    assert rollout["next", "done"].sum(1).flatten().tolist() == [15, 10, 7]
-    assert rollout["flow_index"].unique().numel() == 3
-    named, true = rollout["next", "flow_class"], rollout["next", "flow_index"].squeeze(-1)
-    assert (named == true).double().mean() > 0.95
 
 
 def test_a_row_reset_alone_starts_its_history_anew_and_leaves_the_others() -> None:

@@ -10,13 +10,12 @@ import pytest
 import torch
 
 from experiments import evaluate, view
-from experiments.train import finish, set_up
 from experiments.train_settings import TRAINING
 from fishrl.envs import AbstractTask
 from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.description import make, to_plain
 from fishrl.training.policy_spec import PolicySpec
-from tests.experiments.test_gait import SETTINGS, make_task
+from tests.experiments.test_gait import SETTINGS
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
@@ -101,14 +100,12 @@ def test_what_the_policy_was_made_for_cannot_be_changed(
 
 
 def test_a_learned_policy_swims_in_a_changed_task(tmp_path: Path) -> None:
-    config = TRAINING.read([*OWN, f"folder={tmp_path}", "name=run", "total_frames=8"])
-    config = replace(config, baselines=(), picture_episodes=0)
-    finish(set_up(config))
     saved = tmp_path / "result.json"
-    arguments = [f"checkpoint={tmp_path / 'run'}", "episodes=2", "compile=false", f"save={saved}"]
-    changes = ["task.stream.has_disc=false", "task.time_limit=1"]
-    evaluate.main([*arguments, *changes])
+    arguments = ["checkpoint=zoo/gait_small_ablation", "episodes=2", "compile=false"]
+    arguments += ["task.stream.has_disc=false", "task.time_limit=1", f"save={saved}"]
+    evaluate.main(arguments)
     result = json.loads(saved.read_text())
-    assert result["mean_length_T"] == pytest.approx(make_task(time_limit=1).interval_T)
+    task = make(evaluate.main.read(arguments).task, kind=AbstractTask)
+    assert result["mean_length_T"] == pytest.approx(task.interval_T)
     swum = result["settings"]["task"]
-    assert (swum["stream"]["has_disc"], swum["time_limit"], swum["body_length"]) == (False, 1, 20)
+    assert (swum["stream"]["has_disc"], swum["time_limit"], swum["body_length"]) == (False, 1, 32)

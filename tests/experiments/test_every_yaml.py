@@ -1,4 +1,7 @@
-"""Every YAML of a training under conf/ trains briefly, on kinematic fish; presets are composed."""
+"""Algorithms and loggers under conf/ train briefly, on kinematic fish; others are composed.
+
+Every task is trained by ``tests/smoke``.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ pytestmark = pytest.mark.usefixtures("kinematic")
 YAMLS = sorted(
     path.relative_to(CONF).as_posix()
     for group in TRAINING.groups
-    if group != "preset"
+    if group not in ("preset", "task")
     for path in (CONF / group).glob("*.yaml")
 )
 TINY = [
@@ -42,19 +45,19 @@ MORE = {
     "drqn": ["algorithm.sequence_length=2"],
     "ppo": ["algorithm.rollout_length=2"],
     "sac": ["task=predation_continuous"],
-    "predation_continuous": ["algorithm=sac"],
-    "karman_gait_continuous": ["algorithm=sac"],
-    "follower": ["algorithm=sac"],
-    "follower_disc": ["algorithm=sac", "task.diameter_bl=0.5"],
-    "karman_varied": ["task.body_length=28"],
     "wandb": ["logger.is_offline=true"],
 }
 
 
-@pytest.mark.parametrize("preset", list_choices()["preset"])
-def test_every_preset_is_composed_and_its_flow_is_within_the_limits(preset: str) -> None:
-    settings = TRAINING.read([f"preset={preset}"])
-    assert settings.preset == preset
+@pytest.mark.parametrize(
+    ("group", "name"),
+    [(group, name) for group in ("preset", "task") for name in list_choices()[group]],
+)
+def test_every_preset_and_task_is_composed_and_its_flow_is_within_the_limits(
+    group: str, name: str
+) -> None:
+    settings = TRAINING.read([f"{group}={name}"])
+    assert settings.preset == (name if group == "preset" else None)
     make(settings.task, kind=AbstractTask).flow_config()  # refuses what cannot be simulated
 
 

@@ -48,8 +48,3 @@ def test_policies_swim_in_the_task_of_their_training() -> None:
     for given in ([], [*small, "task.frequency_range=[0.8,1.35]"]):
         with pytest.raises(ValueError, match="was trained in another task"):
             check_tasks([policy], make(main.read(given).task, kind=Follower))
-
-
-def test_policies_of_one_name_are_refused() -> None:
-    with pytest.raises(ValueError, match="all of different names"):
-        main.run(main.read(["runs=[zoo/follower_small,other/follower_small]"]))

@@ -110,12 +110,6 @@ def test_ctrl_c_while_a_program_is_imported_leaves_no_traceback(tmp_path: Path) 
     assert (done.returncode, done.stderr) == (-signal.SIGINT, b"")
 
 
-def test_an_interrupt_ends_a_program_with_its_code() -> None:
-    with pytest.raises(SystemExit) as end, plain_errors():
-        raise KeyboardInterrupt
-    assert end.value.code == 130
-
-
 def test_an_error_in_a_file_of_ones_own_is_named_with_its_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -51,11 +51,3 @@ def test_the_program_trains_goes_on_and_leaves_summary_and_pictures(
     assert {"learning_curve.png", "trajectories.png", "capture.gif", "capture.rrd"} <= written
     with Image.open(folder / "trajectories.png") as picture:
         assert min(picture.size) > 200
-
-
-def test_a_start_that_does_not_fit_ends_the_program_with_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with pytest.raises(SystemExit, match=r"error: .*does not fit"):
-        run_program(monkeypatch, "task.start_x_bl=[9.9,9.9]", f"folder={tmp_path}")
-    assert not list(tmp_path.iterdir())

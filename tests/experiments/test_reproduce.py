@@ -46,6 +46,8 @@ def test_only_policies_of_the_present_settings_are_evaluated(tmp_path: Path) -> 
         for name, settings in plan_jobs([*words, *other]):
             find_or_begin(settings, name=name)
     assert find_runs(words) == [tmp_path / "ablation" / "run-2"]
+    assert find_runs([*words, "gamma=0.7"]) == []
+    assert len(list((tmp_path / "ablation").iterdir())) == 2  # nothing is made
     assert f"runs=[{find_runs(words)[0]}]" in list_by_name(tmp_path)["transfer"].words
 
 

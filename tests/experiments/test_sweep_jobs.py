@@ -115,17 +115,6 @@ def test_the_same_settings_find_their_run_and_others_make_a_new_one(tmp_path: Pa
     assert read_run(mended.path).status == "stopped"
 
 
-def test_only_runs_of_these_settings_are_found(tmp_path: Path) -> None:
-    sweep = [f"folder={tmp_path}", "seed=0,1"]
-    for gamma in ("gamma=0.5", "gamma=0.9"):
-        for name, settings in jobs.plan_jobs([*sweep, gamma]):
-            jobs.find_or_begin(settings, name=name)
-    found = jobs.find_runs([*sweep, "gamma=0.9"])
-    assert [path.name for path in found] == ["seed_0-2", "seed_1-2"]
-    assert jobs.find_runs([*sweep, "gamma=0.99"]) == []
-    assert len(read_runs(tmp_path)) == 4  # nothing is made
-
-
 def test_settings_that_an_algorithm_adapts_find_their_run_too(tmp_path: Path) -> None:
     config = TRAINING.read([f"folder={tmp_path}", "algorithm=ppo"])
     first, again = (jobs.find_or_begin(config, name="run") for _ in range(2))

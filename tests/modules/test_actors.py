@@ -22,16 +22,6 @@ def states(num: int, *, num_actions: int = 3) -> TensorDict:
     return TensorDict({"observation_stack": stack, "action_mask": mask}, [num])
 
 
-def test_sampled_and_greedy_actions_are_legal() -> None:
-    td = states(2000)
-    actor = make_actor(num_inputs=16, num_actions=3, hidden=(32,))
-    for kind in (ExplorationType.RANDOM, ExplorationType.DETERMINISTIC):
-        with set_exploration_type(kind), torch.no_grad():
-            action = actor(td.clone())["action"]
-        assert action.dtype == torch.int64 and action.shape == (2000,)
-        assert td["action_mask"].gather(1, action[:, None]).all()
-
-
 def test_greedy_action_is_the_likeliest_legal_one() -> None:
     td = states(500)
     actor = make_actor(num_inputs=16, num_actions=3, hidden=(32,))

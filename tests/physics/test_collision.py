@@ -1,6 +1,5 @@
 """The unrolled collision against the matrices of the literature."""
 
-import pytest
 import torch
 
 from fishrl.physics.collision import (
@@ -112,11 +111,3 @@ def test_equilibrium_has_the_given_density_and_velocity() -> None:
     expected = torch.tensor([0.05, 0.1, -0.2]).double().unbind()
     got = compute_macroscopic(compute_equilibrium(*expected))
     torch.testing.assert_close(torch.stack(got), torch.stack(expected), rtol=0, atol=1e-15)
-
-
-@pytest.mark.parametrize(("field", "value"), [("energy", 0.0), ("flux", 2.0)])
-def test_rates_outside_the_stable_range_are_refused(field: str, value: float) -> None:
-    with pytest.raises(
-        ValueError, match=f"^{field} = {value}: must be greater than 0, less than 2"
-    ):
-        Rates(**{field: value})

@@ -105,11 +105,6 @@ def test_direct_solve_leaves_no_slip() -> None:
     assert measure_slip(DirectSolve(regularisation=1e-12)) < 1e-12
 
 
-def test_a_negative_regularisation_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"regularisation = -1e-06: must be at least 0"):
-        DirectSolve(regularisation=-1e-6)
-
-
 def test_direct_solve_is_the_limit_of_the_iteration() -> None:
     stencil = make_stencil(make_markers(), Roma3(), SIZE, SIZE, torch.float64)
     coupling = overlap_markers(stencil)

@@ -1,30 +1,13 @@
-"""The collector goes on bit for bit, and carries the memory of recurrent policies."""
+"""The collector carries the memory of recurrent policies."""
 
 from __future__ import annotations
 
-from copy import deepcopy
 from itertools import pairwise
 
 import torch
 
 from fishrl.training import DRQN
 from tests.training.conftest import Toy
-
-
-def test_the_collector_goes_on_bit_for_bit(toy: Toy) -> None:
-    first = toy.begin(task={"banned_action": 1})
-    batches = iter(first.collector)
-    for _ in range(7):
-        next(batches)
-    state, rng = deepcopy(first.collector.state_dict()), torch.get_rng_state()
-    expected = [next(batches).clone() for _ in range(15)]  # into new episodes and past the warm-up
-    second = toy.begin(task={"banned_action": 1})
-    second.collector.load_state_dict(state)
-    torch.set_rng_state(rng)
-    again = iter(second.collector)
-    for batch in expected:
-        assert (next(again) == batch).all()
-    assert any(bool(batch["next", "done"].any()) for batch in expected)
 
 
 def test_memory_rides_along_while_collecting_and_begins_anew_with_each_episode(toy: Toy) -> None:

@@ -71,9 +71,9 @@ def test_a_run_told_to_end_saves_and_goes_on_exactly(
 ) -> None:
     is_late = during == "evaluating"
     part = toy.begin(name="part", **QUICK)
-    run_and_stop(part, ToyFishEnv, step=3 if is_late else 23, evaluating=is_late)
+    run_and_stop(part, ToyFishEnv, step=3 if is_late else 7, evaluating=is_late)
     resumed = toy.reopen("part")
-    assert resumed.counters.frames == (120 if is_late else 184)
+    assert resumed.counters.frames == (120 if is_late else 56)  # amid the warm-up
     assert bool(resumed.counters.pending) == is_late
     resumed.run()
     assert toy.rows("part") == read_rows(whole.folder.path)
@@ -215,7 +215,7 @@ def test_a_config_cannot_run_code(tmp_path: Path) -> None:
     assert not (tmp_path / "ran").exists()
 
 
-@pytest.mark.parametrize("losses", [[15], [15, 30], [3, 3]])
+@pytest.mark.parametrize("losses", [[15, 30], [3, 3]])
 def test_a_run_goes_on_exactly_after_its_flows_are_lost_but_not_twice_from_one_checkpoint(
     toy: Toy, whole: Training, monkeypatch: pytest.MonkeyPatch, losses: list[int]
 ) -> None:

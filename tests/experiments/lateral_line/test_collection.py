@@ -12,11 +12,10 @@ from tensordict import TensorDict
 
 from experiments.lateral_line import collection as collection_module
 from experiments.lateral_line.collection import CollectionSettings, collect
-from fishrl.envs import Predation, make_env, make_recognition
+from fishrl.envs import Predation
 from fishrl.envs.changes import StreamSwitches
 from fishrl.envs.lateral_line import KNOWN, LateralLine
 from fishrl.envs.streams import Stream
-from fishrl.modules import LateralLineClassifier
 from tests.experiments.lateral_line.signals import INTERVAL, make_task
 
 
@@ -101,14 +100,3 @@ def test_other_sensors_share_the_data_and_other_flows_and_seeds_do_not(tmp_path:
 def test_a_task_without_two_flows_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="Predation has no two flows to tell apart"):
         collect(make_settings(tmp_path, task=Predation()))
-
-
-def test_a_classifier_labels_a_real_flow_for_the_policy() -> None:
-    task = make_task(reads_flow_class=True)
-    classifier = LateralLineClassifier(flows=task.flow_labels, sensors=task.lateral_line_layout)
-    transforms = make_recognition(classifier, memory=0.0)
-    env = make_env(task=task, num_envs=2, compile=False, transforms=transforms)
-    rollout = env.rollout(1, break_when_any_done=False)
-    named = rollout["next", "flow_probabilities"]
-    assert torch.allclose(named, classifier(rollout["next", "lateral_line"]).softmax(-1))
-    assert rollout["observation_stack"].shape[-1] == task.num_stacked * (task.n_obs + 2)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from fishrl.physics.bodies.fish import Fish
-from fishrl.physics.bodies.gait import GAITS, Beat, Deformation, Gait
+from fishrl.physics.bodies.gait import GAITS, Deformation, Gait
 from fishrl.physics.bodies.geometry import deform_body, locate_bodies, locate_markers, place_markers
 from fishrl.physics.bodies.midline import MidlineParams
 from fishrl.physics.bodies.motion import (
@@ -72,14 +72,6 @@ def measure_momentum(f: torch.Tensor) -> torch.Tensor:
     return torch.stack((jx.sum((-1, -2)), jy.sum((-1, -2))), -1)
 
 
-def test_naca0012_has_the_area_inertia_and_perimeter_of_the_closed_form() -> None:
-    """Area 0.08171 L^2, I_0 = 0.0045097 L^4, perimeter 2.0395 L (integrals of the section)."""
-    fish = Fish(body_length=100)
-    assert fish.area / 100**2 == pytest.approx(0.08171, rel=1e-3)
-    assert float(fish.make_params().inertia) / 100**4 == pytest.approx(0.0045097, rel=1e-3)
-    assert float(fish.make_params().spacing.sum()) / 100 == pytest.approx(2.0395, rel=1e-3)
-
-
 @pytest.mark.parametrize("gait", GAITS.values(), ids=GAITS.keys())
 def test_area_stays_within_half_a_percent_over_a_beat(gait: Gait) -> None:
     fish = Fish(body_length=50, gait=gait)
@@ -90,21 +82,6 @@ def test_area_stays_within_half_a_percent_over_a_beat(gait: Gait) -> None:
     area = compute_area(outline(fish, body))
     assert (area / area.mean() - 1.0).abs().max() < 0.005
     assert area.mean() == pytest.approx(0.08171 * 50**2, rel=0.01)
-
-
-def test_the_wave_runs_from_head_to_tail() -> None:
-    """The crest of the lateral displacement moves towards the tail as the phase advances."""
-    shape = Fish(body_length=50).make_params()
-    half = shape.axial.numel() // 2
-    phase = torch.tensor([0.3, 0.4], dtype=torch.float64)
-    one = torch.ones_like(phase)
-    bent = shape.deform(Beat(phase, one / 500, 2 * one, 0 * one, 0 * one, one, 0 * one))
-    spine = (bent.lateral - shape.lateral)[:, half // 2 : half]
-    crest = spine.abs().argmax(-1)
-    assert crest[1] >= crest[0]
-    lag = (spine[1, 1:] - spine[1, :-1] - (spine[0, 1:] - spine[0, :-1])).abs().sum()
-    shifted = spine[1, 1:] - spine[0, :-1]
-    assert lag > 0 and shifted.abs().mean() < (spine[1] - spine[0]).abs().mean()
 
 
 @pytest.mark.parametrize("motion", MOTIONS, ids=lambda m: type(m).__name__)
@@ -372,8 +349,6 @@ def test_a_bend_with_a_smaller_response_moves_the_tail_more_slowly() -> None:
     body = make_fish_body()._replace(turn=0.1 * one, turn_steps=60.0 * one, turn_clock=0 * one)
     rates = [Bending(response=each).compute_bend_rate(body).item() for each in (6.0, 2.0)]
     assert rates == pytest.approx([-0.01, -0.01 / 3.0])
-    with pytest.raises(ValueError, match="response"):
-        Bending(response=7.0)
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,7 @@ CROWD = [make_crowd(), make_crowd(tau=0.6, diameter=15.0, amplitude=0.07)]
 
 
 def test_many_bodies_in_flows_that_differ_equal_the_readable_step() -> None:
-    solver = start_crowd(CROWD)
+    solver = start_crowd(CROWD, flows_per_launch=2)
     before = tuple(BodyState(*(t.clone() for t in body)) for body in solver.bodies)
     state = FlowState(solver.populations().double(), before, torch.zeros(2, dtype=torch.float64))
     params = make_params(CROWD)

@@ -12,7 +12,7 @@ import torch
 
 from fishrl.physics import DCylinder, FlowConfig, InPlaceSolver
 from fishrl.physics.bodies.motion import Fixed
-from fishrl.physics.fast.workers import count_cores, map_shared, open_shared
+from fishrl.physics.fast.workers import count_cores
 
 CONFIG = FlowConfig(width=32, height=24, tau=0.6)
 ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="it reads /proc")
@@ -184,13 +184,6 @@ def test_a_class_that_workers_cannot_import_is_refused() -> None:
     with pytest.raises(ValueError, match=r"num_workers = 1 .* a module"):
         InPlaceSolver(config=config, num_envs=1, compile=False, num_workers=1)
     InPlaceSolver(config=config, num_envs=1, compile=False).advance_(2)
-
-
-def test_shared_memory_is_seen_by_all_who_map_it() -> None:
-    with open_shared(64) as file:
-        one, other = map_shared(file.fileno(), 64), map_shared(file.fileno(), 64)
-    one[3] = 7
-    assert int(other[3]) == 7
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="Linux alone tells")
