@@ -209,7 +209,7 @@ def test_a_gait_is_tried_in_all_streams_and_its_page_is_written(
     trial, sweep = tmp_path / "transfer", tmp_path / "sweep"
     own = _set_task(KINEMATIC)
     given = [f"runs=[{gait_run}]", "baselines=[pid]", "episodes=1", "periods=0.2"]
-    _run("transfer", *own, *given, f"folder={trial}")
+    _run("transfer", *given, f"folder={trial}")
     _run("drift_sweep", *own, "starts=1", "periods=1", "frequencies=[0.9,1.8]", f"folder={sweep}")
     few = ["episodes=1", "periods=2", "max_frequency=2", "frequency=1"]
     _run("free_stream", *own, *few, f"folder={tmp_path}/free")
