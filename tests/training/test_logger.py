@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+import wandb
 
 from fishrl.training import complete
 from fishrl.training.logger import CsvLogger, WandbLogger
@@ -119,6 +120,7 @@ def test_a_run_of_a_wandb_agent_goes_on_under_the_name_the_agent_gave_it(
 
 
 def open_and_close(folder: Path) -> None:
+    wandb.teardown()  # as in a new process, which reads the variables
     logger = WandbLogger(is_offline=True)
     logger.open(folder, columns=["frames"], config={})
     logger.close()

@@ -240,7 +240,7 @@ def test_a_toy_env_is_what_the_loop_expects(is_continuous: bool) -> None:
     [
         ({"total_frames": 96}, 0),
         ({"total_frames": 80}, 1),
-        ({"total_frames": 80, "algorithm": PPO(rollout_length=11)}, 1),
+        ({"total_frames": 80, "algorithm": PPO(rollout_length=16)}, 1),
     ],
 )
 def test_a_run_that_learns_nothing_says_so_once(
