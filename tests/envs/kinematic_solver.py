@@ -152,8 +152,9 @@ class KinematicSolver:
 
     def _name_state(self) -> dict[str, Tensor]:
         """Return the states by name; those of further fish have their number."""
-        return {
+        bodies = {
             name + f"_{index}" * (index > 0): value
             for index, body in enumerate(self._fish)
             for name, value in body._asdict().items()
         }
+        return {**bodies, "stream_speed": self.stream_speed}
