@@ -1,15 +1,16 @@
-"""TorchRL's own loss trains on one-hot actions, and masks hold."""
+"""TorchRL's own losses train on one-hot actions, and masks hold."""
 
 import pytest
 import torch
 from tensordict import TensorDict
+from tensordict.nn import InteractionType, TensorDictModule
 from torch import nn
 from torchrl.collectors import Collector
-from torchrl.data import OneHot
+from torchrl.data import LazyTensorStorage, OneHot, TensorDictReplayBuffer
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import check_env_specs
-from torchrl.modules import MLP, QValueActor
-from torchrl.objectives import DQNLoss
+from torchrl.modules import MLP, OneHotCategorical, ProbabilisticActor, QValueActor
+from torchrl.objectives import DiscreteSACLoss, DQNLoss, SoftUpdate
 
 from fishrl.envs import KarmanGait, OneHotAction, Predation, make_env
 from tests.envs.conftest import SMALL
@@ -64,6 +65,46 @@ def test_each_fish_has_its_own_one_hot_action() -> None:
     torch.testing.assert_close(turns, torch.tensor([[0.0, 0.2], [-0.2, 0.0]]))
     batch = env.rollout(12)["agents"]
     assert batch["action_mask"][batch["action"].bool()].all()
+
+
+def test_torchrl_trains_discrete_sac_where_all_actions_are_legal() -> None:
+    """Its script knows no masks."""
+    env = make_env(
+        task=Predation(**SMALL),
+        num_envs=2,
+        compile=False,
+        transforms=[OneHotAction()],
+    )
+    num_inputs = env.observation_spec["observation_stack"].shape[-1]
+    num_actions = env.action_spec.shape[-1]
+    actor = ProbabilisticActor(
+        TensorDictModule(
+            MLP(num_inputs, num_actions, num_cells=[16]), ["observation_stack"], ["logits"]
+        ),
+        in_keys=["logits"],
+        distribution_class=OneHotCategorical,
+        default_interaction_type=InteractionType.RANDOM,
+    )
+    qvalue = TensorDictModule(
+        MLP(num_inputs, num_actions, num_cells=[16]), ["observation_stack"], ["action_value"]
+    )
+    loss = DiscreteSACLoss(
+        actor_network=actor, qvalue_network=qvalue, num_actions=num_actions, num_qvalue_nets=2,
+        action_space=env.action_spec,
+    )  # fmt: skip
+    loss.make_value_estimator(gamma=0.99)
+    target = SoftUpdate(loss, eps=0.99)
+    buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(64), batch_size=8)
+    buffer.extend(collect(env, None))
+    optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
+    for _ in range(2):
+        losses = loss(buffer.sample())
+        total = losses["loss_actor"] + losses["loss_qvalue"] + losses["loss_alpha"]
+        optimiser.zero_grad()
+        total.backward()
+        optimiser.step()
+        target.step()
+        assert total.isfinite()
 
 
 def test_torchrl_trains_dqn_on_it(env: TransformedEnv) -> None:

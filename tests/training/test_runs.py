@@ -65,15 +65,17 @@ def test_a_run_killed_and_resumed_equals_one_that_was_not(toy: Toy, whole: Train
     assert_equal_weights(resumed, whole)
 
 
-@pytest.mark.parametrize("during", ["collecting", "evaluating"])
+@pytest.mark.parametrize(
+    ("step", "frames"), [(7, 56), (23, 184), (3, 120)], ids=["warm-up", "learning", "evaluating"]
+)
 def test_a_run_told_to_end_saves_and_goes_on_exactly(
-    toy: Toy, whole: Training, during: str
+    toy: Toy, whole: Training, step: int, frames: int
 ) -> None:
-    is_late = during == "evaluating"
+    is_late = step == 3  # of the evaluation at frame 120
     part = toy.begin(name="part", **QUICK)
-    run_and_stop(part, ToyFishEnv, step=3 if is_late else 7, evaluating=is_late)
+    run_and_stop(part, ToyFishEnv, step=step, evaluating=is_late)
     resumed = toy.reopen("part")
-    assert resumed.counters.frames == (120 if is_late else 56)  # amid the warm-up
+    assert resumed.counters.frames == frames
     assert bool(resumed.counters.pending) == is_late
     resumed.run()
     assert toy.rows("part") == read_rows(whole.folder.path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import FrozenInstanceError, fields
 from typing import Any
 
 import pytest
@@ -29,6 +29,14 @@ def test_every_number_of_both_has_bounds_and_none_is_in_both() -> None:
 def test_what_cannot_be_learned_with_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         LearningSettings(**wrong)
+
+
+def test_lists_from_a_file_become_tuples_and_nothing_changes_afterwards() -> None:
+    learning = LearningSettings(hidden=[16, 8])  # type: ignore[arg-type]
+    assert learning == LearningSettings(hidden=(16, 8))
+    assert RunSettings(baselines=["random"]).baselines == ("random",)  # type: ignore[arg-type]
+    with pytest.raises(FrozenInstanceError):
+        learning.seed = 3  # type: ignore[misc]
 
 
 @pytest.mark.parametrize("device", ["gpu", "cpu:7", "meta", "cuda:99"])

@@ -72,6 +72,14 @@ def measure_momentum(f: torch.Tensor) -> torch.Tensor:
     return torch.stack((jx.sum((-1, -2)), jy.sum((-1, -2))), -1)
 
 
+def test_naca0012_has_the_area_inertia_and_perimeter_of_the_closed_form() -> None:
+    """Area 0.08171 L^2, I_0 = 0.0045097 L^4, perimeter 2.0395 L (integrals of the section)."""
+    fish = Fish(body_length=100)
+    assert fish.area / 100**2 == pytest.approx(0.08171, rel=1e-3)
+    assert float(fish.make_params().inertia) / 100**4 == pytest.approx(0.0045097, rel=1e-3)
+    assert float(fish.make_params().spacing.sum()) / 100 == pytest.approx(2.0395, rel=1e-3)
+
+
 @pytest.mark.parametrize("gait", GAITS.values(), ids=GAITS.keys())
 def test_area_stays_within_half_a_percent_over_a_beat(gait: Gait) -> None:
     fish = Fish(body_length=50, gait=gait)

@@ -21,7 +21,7 @@ from fishrl.physics import (
     Strokes,
 )
 from fishrl.physics.bodies.motion import Bending, Commanded, Fixed, Free, Surging, Towed
-from fishrl.physics.bodies.state import make_body
+from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.boundaries import (
     Boundaries,
     NonEquilibrium,
@@ -216,6 +216,20 @@ def test_rows_that_need_not_advance_are_left_alone_on_a_cpu() -> None:
     every.advance_(20)
     assert torch.equal(solver.populations()[rows], every.populations()[rows])
     assert solver.body.age.tolist() == [20.0, 0.0, 20.0]
+
+
+def test_state_dict_resumes_bit_for_bit() -> None:
+    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
+    solver = make_solver(config)
+    solver.advance_(20)
+    state = solver.state_dict()
+    solver.advance_(20)
+    other = make_solver(config)
+    other.load_state_dict(state)
+    other.advance_(20)
+    assert torch.equal(other.populations(), solver.populations())
+    for name, a, b in zip(BodyState._fields, other.body, solver.body, strict=True):
+        assert torch.equal(a, b), name
 
 
 def test_a_diverged_row_is_flagged_and_harms_no_other() -> None:

@@ -126,6 +126,21 @@ def test_many_steps_and_one_equal_the_readable_step(
     assert float((torch.stack(after_odd, 1) - reference.f).abs().max()) < tolerance * scale
 
 
+def test_flows_in_one_launch_equal_flows_alone() -> None:
+    config = make_config()
+    together = start(config, flows_per_launch=3)
+    together.advance_(60)
+    for row in range(3):
+        alone = start(config, rows=[row])
+        alone.advance_(60)
+        torch.testing.assert_close(
+            together.populations()[row], alone.populations()[0], rtol=0.0, atol=1e-7
+        )
+        torch.testing.assert_close(
+            together.body.position[row], alone.body.position[0], rtol=0.0, atol=1e-6
+        )
+
+
 def test_half_precision_storage_stays_near_single_precision() -> None:
     """Eleven bits of the deviation: a hundredth of the stream after 400 steps is ample.
 
