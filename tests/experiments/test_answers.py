@@ -11,7 +11,20 @@ from typing import Any
 
 import pytest
 
-from experiments import reproduce, search, train
+from experiments import (
+    benchmark,
+    drift_sweep,
+    evaluate,
+    free_stream,
+    gait_forces,
+    reproduce,
+    search,
+    train,
+    train_lateral_line,
+    transfer,
+    validate,
+    view,
+)
 from experiments.configuration import list_keys
 from experiments.program import Program
 from fishrl.envs import Predation
@@ -21,7 +34,17 @@ from fishrl.training import train as train_policy
 
 PROGRAMS: dict[str, tuple[Program, tuple[str, ...]]] = {
     "train": (train.main, ()),
+    "train drqn": (train.main, ("algorithm=drqn", "preset=gait_small")),
+    "evaluate": (evaluate.main, ("policy=random",)),
+    "view": (view.main, ("policy=random", "save=x.rrd")),
+    "transfer": (transfer.main, ()),
+    "drift_sweep": (drift_sweep.main, ()),
+    "gait_forces": (gait_forces.main, ()),
+    "free_stream": (free_stream.main, ()),
+    "train_lateral_line": (train_lateral_line.main, ()),
     "reproduce": (reproduce.main, ("plan=true",)),
+    "benchmark": (benchmark.main, ()),
+    "validate": (validate.main, ()),
     "search": (search.main, ("folder=x", "gamma=interval(0.9,1)")),
 }
 ODD = ("nan", "inf", "-inf", "-1", "0", "0.5", "1e300", "1e-300", str(10**30), str(10**400))
@@ -29,10 +52,11 @@ WORDS = ("null", "true", "x", "''", "[]", "[nan]", "[1,-1]", "[1e9]", "{a:1}")
 
 
 def find_keys(name: str) -> list[str]:
+    """Return all settings of ``train``, and of others their own."""
     main, given_words = PROGRAMS[name]
     own = [entry.name for entry in fields(main.command_line.schema)]
-    if name == "search":
-        return own
+    if name != "train":
+        return [key for key in own if key not in ("task", "modules")]
     return sorted({*list_keys(main.command_line.compose(given_words)), *own} - {"task", "modules"})
 
 
