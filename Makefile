@@ -34,10 +34,10 @@ $(STAMP): pyproject.toml constraints.txt
 	@touch $@
 
 train: $(STAMP) ## train a policy to catch moving food; ARGS="seed=1 ..." sets any setting
-	$(BIN)/python -m experiments.train $(ARGS)
+	$(BIN)/fishrl train $(ARGS)
 
 demo: $(STAMP) ## film trained policies that catch food and hold station
-	$(BIN)/python -m fishrl.demo $(ARGS)
+	$(BIN)/fishrl demo $(ARGS)
 
 test: $(STAMP) ## run the tests, including a short training; ARGS="tests/physics" selects some
 	$(BIN)/python -m pytest $(PARALLEL) -m "$(MARKERS)" $(ARGS)

@@ -16,10 +16,11 @@ from typing import Any
 from hydra.utils import get_object
 from omegaconf import OmegaConf
 
-from experiments.configuration import CONF
-from experiments.program import Program, TaskSettings, list_choices, read_arguments, write_value
-from experiments.train_settings import PolicySettings
+from fishrl.__main__ import PROGRAMS
 from fishrl.envs import AbstractTask
+from fishrl.programs.configuration import CONF
+from fishrl.programs.program import Program, TaskSettings, list_choices, read_arguments, write_value
+from fishrl.programs.train_settings import PolicySettings
 from fishrl.training import LearningSettings, RunSettings
 from fishrl.training.description import describe as describe_object
 from fishrl.viewer import ViewerSettings
@@ -30,7 +31,7 @@ Every setting is an argument of a constructor, set on the command line by `key=v
 an argument of an object:
 
 ```sh
-python -m experiments.train task=karman_gait task.body_length=64 algorithm.alpha_init=0.5 gamma=0.98
+fishrl train task=karman_gait task.body_length=64 algorithm.alpha_init=0.5 gamma=0.98
 ```
 
 An unknown key is reported with the nearest existing one, an invalid value with the allowed range.
@@ -50,7 +51,7 @@ SHARED = {
     TaskSettings: "Programs that study a task",
 }
 #: Programs in the order of their use; the others follow by name.
-FIRST = ("train", "evaluate", "view", "summarize", "search", "export", "export_policy")
+FIRST = [f"fishrl {name}" for name in PROGRAMS]
 
 
 def write_reference(path: Path) -> None:
@@ -75,7 +76,7 @@ def make_reference() -> str:
     programs = list_programs()
     for name in sorted(programs, key=_rank):
         own = describe_own(programs[name].command_line.schema)
-        parts.append(f"### python -m experiments.{name}\n\n{own}")
+        parts.append(f"### {name}\n\n{own}")
     return "\n".join(parts)
 
 
@@ -97,13 +98,13 @@ def _describe_group(group: str) -> list[str]:
 
 
 def list_programs() -> dict[str, Program]:
-    """Return the programs of ``experiments`` by name, those with a task first."""
-    found: dict[str, Program] = {}
-    for path in sorted(CONF.parent.glob("*.py")):
+    """Return the programs by the command that runs them, those with a task first."""
+    names = {f"fishrl {name}": f"fishrl.programs.{name.replace('-', '_')}" for name in PROGRAMS}
+    for path in sorted((Path(__file__).parents[1] / "experiments").glob("*.py")):
         if '__name__ == "__main__"' in path.read_text(encoding="utf-8"):
-            main = import_module(f"experiments.{path.stem}").main
-            if isinstance(main, Program):
-                found[path.stem] = main
+            names[f"python -m experiments.{path.stem}"] = f"experiments.{path.stem}"
+    mains = {name: import_module(module).main for name, module in names.items()}
+    found = {name: main for name, main in mains.items() if isinstance(main, Program)}
     return dict(sorted(found.items(), key=lambda item: not item[1].command_line.groups))
 
 

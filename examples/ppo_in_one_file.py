@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torch.distributions import Categorical
 
 from fishrl.envs import AbstractTask, KarmanGait, Predation, make_env
-from fishrl.envs.gymnasium import FlowVectorEnv
+from fishrl.wrappers.gymnasium import FlowVectorEnv
 
 
 @dataclass(frozen=True, kw_only=True)

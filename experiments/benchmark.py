@@ -23,8 +23,8 @@ from experiments.benchmarks.machine import describe_machine
 from experiments.benchmarks.measuring import BenchmarkSettings, Results, measure
 from experiments.benchmarks.plots import write_plots
 from experiments.benchmarks.report import describe_run, list_tables, write_page
-from experiments.configuration import unknown
-from experiments.program import program
+from fishrl.programs.configuration import unknown
+from fishrl.programs.program import program
 
 logger = logging.getLogger(__name__)
 #: Group, code, and what makes its cases; an ImportError says that the code is not installed.

@@ -29,14 +29,14 @@ try:
 except ImportError:  # it comes with the extra `sweep`
     cmaes = None  # type: ignore[assignment]
 
-from experiments.figures.style import panels, tidy
-from experiments.pages import write_table
-from experiments.program import program
 from experiments.validation.c_start import draw_picture, run_strokes, take_picture
 from fishrl.bounds import Checked, bounded
 from fishrl.extras import show_install
 from fishrl.physics import C_START, Stroke, Strokes
 from fishrl.physics.cache_key import hash_sources
+from fishrl.programs.figures.style import panels, tidy
+from fishrl.programs.pages import write_table
+from fishrl.programs.program import program
 from fishrl.training.run_folder import RunFolder, write_json
 
 logger = logging.getLogger(__name__)

@@ -23,11 +23,6 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 
-from experiments.figures.style import COLOURS, panels
-from experiments.gait.trials import PERIODS, Trial, check_shared, load_trial, make_trial
-from experiments.pages import write_table
-from experiments.program import TaskSettings, check_names, program
-from experiments.statistics import Statistic, show
 from fishrl.bounds import bounded
 from fishrl.envs import (
     KarmanGait,
@@ -39,6 +34,11 @@ from fishrl.envs import (
 from fishrl.envs.episodes import run_episodes
 from fishrl.envs.transforms import HISTORY, LATERAL_LINE, FlowLabelTransform
 from fishrl.modules import LateralLineClassifier
+from fishrl.programs.figures.style import COLOURS, panels
+from fishrl.programs.gait.trials import PERIODS, Trial, check_shared, load_trial, make_trial
+from fishrl.programs.pages import write_table
+from fishrl.programs.program import TaskSettings, check_names, program
+from fishrl.programs.statistics import Statistic, show
 from fishrl.training.description import make
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress

@@ -17,15 +17,15 @@ import numpy as np
 import torch
 from scipy import stats
 
-from experiments.figures.style import COLOURS
-from experiments.gait import trials
-from experiments.gait.figures import flow_panels
-from experiments.pages import write_csv
-from experiments.program import TaskSettings, program
 from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.stations import SafeArea
+from fishrl.programs.figures.style import COLOURS
+from fishrl.programs.gait import trials
+from fishrl.programs.gait.figures import flow_panels
+from fishrl.programs.pages import write_csv
+from fishrl.programs.program import TaskSettings, program
 from fishrl.training.description import make
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress

@@ -13,10 +13,10 @@ from pathlib import Path
 from omegaconf import MISSING
 from torch import nn
 
-from experiments.program import program
 from fishrl.envs import Predation
 from fishrl.envs.steering import PolicySteering, save_weights
 from fishrl.files import staged
+from fishrl.programs.program import program
 from fishrl.training.policies import load_plan, load_policy
 
 

@@ -17,14 +17,14 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
-from experiments.figures.style import panels, tidy
-from experiments.pages import write_table
-from experiments.program import TaskSettings, check_names, program
-from experiments.statistics import Statistic
 from fishrl.bounds import bounded
 from fishrl.envs import Follower, make_env
 from fishrl.envs.episodes import run_episodes
 from fishrl.envs.views import compute_fields
+from fishrl.programs.figures.style import panels, tidy
+from fishrl.programs.pages import write_table
+from fishrl.programs.program import TaskSettings, check_names, program
+from fishrl.programs.statistics import Statistic
 from fishrl.training import load_policy
 from fishrl.training.baselines import make_baseline
 from fishrl.training.description import make

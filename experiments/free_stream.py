@@ -13,14 +13,14 @@ from pathlib import Path
 
 import torch
 
-from experiments.gait import trials
-from experiments.gait.diagnostics import WORKS, measure_lean, trace_work
-from experiments.program import TaskSettings, program
-from experiments.statistics import half_width
 from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.modules import PID
+from fishrl.programs.gait import trials
+from fishrl.programs.gait.diagnostics import WORKS, measure_lean, trace_work
+from fishrl.programs.program import TaskSettings, program
+from fishrl.programs.statistics import half_width
 from fishrl.training.baselines import make_gait_policy
 from fishrl.training.description import make
 from fishrl.training.progress import Progress

@@ -20,16 +20,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from experiments.figures.style import COLOURS
-from experiments.gait.diagnostics import find_phase
-from experiments.gait.figures import flow_panels
-from experiments.gait.trials import check_one_disc
-from experiments.pages import write_csv
-from experiments.program import TaskSettings, program
 from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait
 from fishrl.envs.starts import place_fish
 from fishrl.physics import InPlaceSolver, Towed
+from fishrl.programs.figures.style import COLOURS
+from fishrl.programs.gait.diagnostics import find_phase
+from fishrl.programs.gait.figures import flow_panels
+from fishrl.programs.gait.trials import check_one_disc
+from fishrl.programs.pages import write_csv
+from fishrl.programs.program import TaskSettings, program
 from fishrl.training.description import make
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress

@@ -12,12 +12,12 @@ from shutil import copyfile
 from statistics import fmean
 from typing import Any
 
-from experiments.gait import figures, tables
-from experiments.gait.trials import list_shedding, load_trial
 from experiments.gait_forces import find_thrust_phase
-from experiments.pages import fill, write_table
-from experiments.program import program
-from experiments.statistics import show
+from fishrl.programs.gait import figures, tables
+from fishrl.programs.gait.trials import list_shedding, load_trial
+from fishrl.programs.pages import fill, write_table
+from fishrl.programs.program import program
+from fishrl.programs.statistics import show
 from fishrl.training.policy_zoo import find_folder
 
 #: Time before the first moment of the figure of a period, in which fish find their place, T.
@@ -33,12 +33,12 @@ class GaitPageSettings:
 
     Args:
         docs: folder of the documentation.
-        design: folders of ``experiments.transfer`` with baseline pid, by the name of their task.
-        fixed: folder of ``experiments.transfer`` with baselines of one frequency.
+        design: folders of ``fishrl transfer`` with baseline pid, by the name of their task.
+        fixed: folder of ``fishrl transfer`` with baselines of one frequency.
         drift: folder of ``experiments.drift_sweep``.
         forces: folder of ``experiments.gait_forces``.
-        line: run folder of ``experiments.train_lateral_line``.
-        transfer: folder of ``experiments.transfer``.
+        line: run folder of ``fishrl train-lateral-line``.
+        transfer: folder of ``fishrl transfer``.
         part: of the page that ``transfer`` fills; any other than ``transfer`` also begins the names
             of its figures and of the part and figure of work.
         runs: run folders of ``transfer`` and ``zoo/<name>``; the first policy swims in the figure

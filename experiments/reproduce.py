@@ -25,15 +25,16 @@ from omegaconf import MISSING
 
 from experiments.benchmarks.machine import describe_machine
 from experiments.free_stream import main as free_stream
-from experiments.program import program, show_command
 from experiments.reproduction.page import ARMS, find_fitted, write_page
-from experiments.sweeps.jobs import find_runs
-from experiments.sweeps.runs import read_run
-from experiments.train_lateral_line import main as train_lateral_line
-from experiments.train_settings import TRAINING, make_plan
 from experiments.validation.swimmer import CASE
+from fishrl.__main__ import PROGRAMS
 from fishrl.bounds import Checked, bounded
 from fishrl.envs import AbstractTask, KarmanGait, make_env
+from fishrl.programs.program import program, show_command
+from fishrl.programs.sweeps.jobs import find_runs
+from fishrl.programs.sweeps.runs import read_run
+from fishrl.programs.train_lateral_line import main as train_lateral_line
+from fishrl.programs.train_settings import TRAINING, make_plan
 from fishrl.training.algorithms import DiscreteSAC
 from fishrl.training.baselines import make_baselines
 from fishrl.training.description import make
@@ -169,7 +170,7 @@ def list_jobs(scale: Scale, folder: Path) -> Iterator[Job]:
     num_samples = train_lateral_line.read(line).num_samples
     yield Job(
         name="classifier",
-        words=("train_lateral_line", *line, f"folder={folder}", "name=classifier"),
+        words=("train-lateral-line", *line, f"folder={folder}", "name=classifier"),
         updates=count_updates(task, num_samples * task.interval_T),
     )
     fitted = find_fitted(folder)
@@ -244,9 +245,10 @@ def alone(folder: Path) -> Iterator[int]:
 
 def run_job(job: Job, record: Record, lock: int) -> None:
     """Run a job; ValueError if it fails."""
-    module = f"experiments.{job.words[0]}"
-    print(f"\n{show_command(module, *job.words[1:])}", flush=True)
-    child = subprocess.Popen([sys.executable, "-m", module, *job.words[1:]], pass_fds=[lock])
+    name, *words = job.words
+    command = ["fishrl", name] if name in PROGRAMS else [f"experiments.{name}"]
+    print(f"\n{show_command(command[-1], *words)}", flush=True)
+    child = subprocess.Popen([sys.executable, "-m", *command, *words], pass_fds=[lock])
     try:
         while child.returncode is None:
             began = time.monotonic()

@@ -19,9 +19,13 @@ import numpy as np
 import torch
 from omegaconf import OmegaConf
 
-from experiments.figures.style import COLOURS, panels
-from experiments.gait.diagnostics import diagnose
-from experiments.gait.trials import (
+from fishrl.bounds import Checked, bounded
+from fishrl.envs import KarmanGait
+from fishrl.envs.streams import Stream
+from fishrl.modules import LateralLineClassifier
+from fishrl.programs.figures.style import COLOURS, panels
+from fishrl.programs.gait.diagnostics import diagnose
+from fishrl.programs.gait.trials import (
     PERIODS,
     Histories,
     Trial,
@@ -31,13 +35,9 @@ from experiments.gait.trials import (
     make_trial,
     run_trial,
 )
-from experiments.pages import write_table
-from experiments.program import check_names, program
-from experiments.statistics import compare_paired
-from fishrl.bounds import Checked, bounded
-from fishrl.envs import KarmanGait
-from fishrl.envs.streams import Stream
-from fishrl.modules import LateralLineClassifier
+from fishrl.programs.pages import write_table
+from fishrl.programs.program import check_names, program
+from fishrl.programs.statistics import compare_paired
 from fishrl.training.description import make, to_plain
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
@@ -68,7 +68,7 @@ class RobustnessSettings(Checked):
 
     Args:
         runs: policies of ``task=karman_gait``; those of one kind are the seeds of an arm.
-        baselines: policies to compare with, as in ``experiments.transfer``.
+        baselines: policies to compare with, as in ``fishrl transfer``.
         conditions: settings of the task by the name of the condition; without any ``CONDITIONS``.
         reference: arm that the others are compared with, start by start.
         episodes: episodes of each policy in each stream.

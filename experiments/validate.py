@@ -14,12 +14,12 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 
-from experiments.configuration import unknown
-from experiments.program import program
 from experiments.validation.case import MISSED, Case
 from experiments.validation.report import render_table, summarise, write_report
 from experiments.validation.runner import run_cases
 from fishrl.bounds import Checked, bounded
+from fishrl.programs.configuration import unknown
+from fishrl.programs.program import program
 
 # in the order of the report
 NAMES = (

@@ -15,6 +15,11 @@ TENSORS = {
     *("torch", "tensordict", "numpy"),
     *("fishrl.bounds", "fishrl.children", "fishrl.files", "fishrl.memory"),
 }
+#: Of the programs, which nothing in the library imports.
+PROGRAMS = TENSORS | {
+    *("torchrl", "hydra", "omegaconf", "yaml", "tqdm", "psutil", "matplotlib", "PIL", "scipy"),
+    *("optuna", "huggingface_hub", "minari", "gymnasium", "xarray", "pyvista", "fishrl"),
+}
 TASK_SIDE = {"fishrl.physics", "fishrl.envs"}
 # The first pattern that matches a file rules it; "a.b" allows "a.b" and "a.b.c".
 LAYERS: tuple[tuple[str, set[str]], ...] = (
@@ -36,11 +41,11 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/envs/transforms.py", TENSORS | {"torchrl"} | TASK_SIDE),
     ("fishrl/envs/wakes.py", TENSORS | {"tqdm"} | TASK_SIDE),
     (
-        "fishrl/envs/gymnasium.py",
+        "fishrl/wrappers/gymnasium.py",
         TENSORS | {"torchrl", "gymnasium", "fishrl.extras", "fishrl.viewer"} | TASK_SIDE,
     ),
     (
-        "fishrl/envs/stable_baselines.py",
+        "fishrl/wrappers/stable_baselines.py",
         {"numpy", "torchrl", "stable_baselines3", "fishrl.extras"} | TASK_SIDE,
     ),
     ("fishrl/envs/", TENSORS | TASK_SIDE),
@@ -48,7 +53,9 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/objectives/", TENSORS | {"torchrl", "fishrl.objectives"}),
     ("fishrl/training/", TENSORS | {"torchrl", "tqdm", "yaml", "wandb", "ray", "fishrl"}),
     ("fishrl/zoo/", TENSORS | {"fishrl"}),
-    ("fishrl/demo/", TENSORS | {"fishrl"}),
+    ("fishrl/__main__.py", {"fishrl.programs"}),
+    ("fishrl/programs/", PROGRAMS),
+    ("fishrl/wrappers/", set()),
     (
         "fishrl/viewer/",
         TENSORS
@@ -69,7 +76,7 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
 TORCHRL_SIDE = {f"fishrl.envs.{name}" for name in ("flow_env", "making", "transforms", "episodes")}
 ON_USE = {"rerun", "wandb"}
 #: Modules for users of other frameworks: nothing else imports them, nor what they need.
-WAYS_IN = [ROOT / "fishrl/envs" / name for name in ("gymnasium.py", "stable_baselines.py")]
+WAYS_IN = [ROOT / "fishrl/wrappers" / name for name in ("gymnasium.py", "stable_baselines.py")]
 FRAMEWORKS = {"gymnasium", "stable_baselines3", "sb3_contrib"}
 
 
@@ -152,8 +159,8 @@ def test_rerun_and_wandb_are_imported_on_use() -> None:
 
 
 def test_only_the_ways_in_import_other_frameworks() -> None:
-    ways = {"fishrl.envs.gymnasium", "fishrl.envs.stable_baselines"}
-    allowed = {*WAYS_IN, ROOT / "experiments/export_data.py"}  # datasets name their spaces
+    ways = {"fishrl.wrappers"}
+    allowed = {*WAYS_IN, ROOT / "fishrl/programs/export_data.py"}  # datasets name their spaces
     for path in set(_sources("fishrl", "experiments")) - allowed:
         wrong = [name for name in _names(path) if _is_within(name, FRAMEWORKS | ways)]
         assert not wrong, f"{_relative(path)} imports {wrong}"
@@ -191,7 +198,7 @@ def test_no_file_or_folder_is_called_after_nothing() -> None:
 
 
 def test_the_library_logs_and_never_prints() -> None:
-    for path in _sources("fishrl"):
+    for path in set(_sources("fishrl")) - set(_sources("fishrl/programs")):
         calls = [node for node in ast.walk(_parse(path)) if isinstance(node, ast.Call)]
         lines = [call.lineno for call in calls if ast.unparse(call.func) == "print"]
         assert not lines, f"{_relative(path)} prints on lines {lines}: use logging"

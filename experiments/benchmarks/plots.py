@@ -9,7 +9,7 @@ from matplotlib.patches import Patch
 
 from experiments.benchmarks.measuring import FISH, KERNEL, PERIODIC, WALLS, Case, Results
 from experiments.benchmarks.report import measure_speed
-from experiments.figures.style import COLOURS, panels
+from fishrl.programs.figures.style import COLOURS, panels
 
 SCOPES = {KERNEL: COLOURS[4], PERIODIC: COLOURS[0], WALLS: COLOURS[2], FISH: COLOURS[1]}
 

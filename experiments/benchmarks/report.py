@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.benchmarks.measuring import Case, Results
-from experiments.pages import fill, write_table
+from fishrl.programs.pages import fill, write_table
 
 MARK = "measured"  # name of the place of the page that is filled
 

@@ -9,14 +9,14 @@ from typing import Any
 
 from markdown_it import MarkdownIt
 
-from experiments.gait import figures
-from experiments.gait.tables import PAPER_WORK_RATIO, divide_work, write_results
 from experiments.gait_page import draw_transfer, read, write_free_stream
-from experiments.pages import fill, write_table
-from experiments.statistics import Statistic, show
-from experiments.summarize import summarize
-from experiments.sweeps.jobs import find_runs
-from experiments.sweeps.runs import read_run
+from fishrl.programs.gait import figures
+from fishrl.programs.gait.tables import PAPER_WORK_RATIO, divide_work, write_results
+from fishrl.programs.pages import fill, write_table
+from fishrl.programs.statistics import Statistic, show
+from fishrl.programs.summarize import summarize
+from fishrl.programs.sweeps.jobs import find_runs
+from fishrl.programs.sweeps.runs import read_run
 from fishrl.training.run_folder import read_config
 
 #: Folder and name of each kind of policy in the second task.

@@ -12,11 +12,11 @@ from math import pi
 
 from matplotlib.figure import Figure
 
-from experiments.figures.style import COLOURS
 from experiments.validation.case import Case, Check, Result, Runs
 from experiments.validation.plots import GREY, fit_order, name_ticks
 from experiments.validation.swimmer import draw_speed, make_swim
 from fishrl.physics.bodies.gait import GAITS
+from fishrl.programs.figures.style import COLOURS
 
 BODY_LENGTH, QUICK_LENGTH = 100, 50
 NUM_BEATS, QUICK_BEATS = 10, 6

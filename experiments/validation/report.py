@@ -9,9 +9,9 @@ from pathlib import Path
 
 import matplotlib as mpl
 
-from experiments.pages import write_table
 from experiments.validation.case import MISSED, PASS, RECORDED, Check, as_range
 from experiments.validation.runner import FIGURE_STYLE, Outcome
+from fishrl.programs.pages import write_table
 from fishrl.training.run_folder import write_json
 
 HEADS = ("quantity", "ours", "reference", "error", "tolerance", "verdict", "resolution")

@@ -27,10 +27,10 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from experiments.benchmarks.machine import describe_machine
-from experiments.figures.style import COLOURS, STYLE, tidy
 from experiments.validation.case import Case, Check, Job, Runs
 from fishrl.files import staged
 from fishrl.physics.cache_key import hash_sources, make_key
+from fishrl.programs.figures.style import COLOURS, STYLE, tidy
 
 FIGURE_STYLE: Any = STYLE | {
     "axes.prop_cycle": cycler(color=COLOURS),

@@ -18,11 +18,11 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
-from experiments.figures.style import COLOURS
 from experiments.validation.case import Case, Check, Job, Result, Runs, as_range, check_finest
 from experiments.validation.plots import GREY
 from experiments.validation.wake import make_even, start_flow
 from fishrl.physics import Boundaries, Cylinder, FlowConfig, Free, NoSlip
+from fishrl.programs.figures.style import COLOURS
 
 NUM_SAMPLES = 300
 SPEED = 0.05

@@ -14,18 +14,18 @@ from math import pi
 import torch
 from matplotlib.figure import Figure
 
-from experiments.figures.style import COLOURS
 from experiments.validation.case import Case, Check, Job, Result, Runs
 from experiments.validation.plots import name_ticks
 from experiments.validation.wake import PINNED, STREAM
 from fishrl.physics import Cylinder, Fish, FlowConfig, FlowState, Free, Scales
-from fishrl.physics.bodies.geometry import locate_bodies
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.boundaries import Boundaries
 from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.flow import FlowParams, make_params, make_rest
+from fishrl.physics.geometry import locate_bodies
 from fishrl.physics.immersed_boundary import DirectSolve, ForceSolve, IterativeForcing, interpolate
 from fishrl.physics.step import exchange, gather, gather_fluid, spread, step
+from fishrl.programs.figures.style import COLOURS
 
 RELAXATIONS = {1.0: "--", 1.7: "-"}  # with the lines of the figure
 COUNTS = (1, 2, 3, 4, 6, 10, 20)

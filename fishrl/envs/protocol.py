@@ -10,10 +10,10 @@ from typing import Protocol
 
 from torch import Tensor
 
-from fishrl.physics.bodies.geometry import Markers
 from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.flow import FlowConfig
+from fishrl.physics.geometry import Markers
 
 
 class Solver(Protocol):

@@ -7,10 +7,10 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.sensors import compute_clearance
-from fishrl.physics.bodies.geometry import locate_markers
 from fishrl.physics.bodies.outline import BodyConfig
-from fishrl.physics.bodies.placement import MIN_GAP, do_overlap
 from fishrl.physics.bodies.state import make_body
+from fishrl.physics.geometry import locate_markers
+from fishrl.physics.placement import MIN_GAP, do_overlap
 
 
 def place_fish(starts: TensorDictBase, fish: BodyConfig) -> tuple[Tensor, Tensor]:

@@ -149,7 +149,7 @@ class LateralLineClassifier(nn.Module):
                     raise ValueError(
                         f"{what}: the lateral-line classifier was trained for {key} = "
                         f"{known.get(key)!r}, here it is {given.get(key)!r}: train one for this "
-                        "task with experiments.train_lateral_line, or change the task back"
+                        "task with fishrl train-lateral-line, or change the task back"
                     )
 
     def save(self, path: str | Path) -> None:
@@ -169,7 +169,7 @@ class LateralLineClassifier(nn.Module):
     @classmethod
     def load(cls, path: str | Path) -> LateralLineClassifier:
         """Read a classifier, on the CPU and in ``eval`` mode; raise ValueError for other files."""
-        what, remedy = "lateral-line classifier", "write one with experiments.train_lateral_line"
+        what, remedy = "lateral-line classifier", "write one with fishrl train-lateral-line"
         entries = ("format", "settings", "state")
         content = load_tensors(path, what=what, remedy=remedy, entries=entries)
         if content["format"] != _FORMAT:

@@ -2,7 +2,6 @@
 
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.gait import CARANGIFORM, CARLING, LONG_WAVE, Gait
-from fishrl.physics.bodies.geometry import Markers
 from fishrl.physics.bodies.motion import (
     Bending,
     Commanded,
@@ -37,6 +36,7 @@ from fishrl.physics.diagnostics import (
 )
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import Coupling, FlowConfig, FlowParams, FlowState, Sponge
+from fishrl.physics.geometry import Markers
 from fishrl.physics.storage import Storage
 from fishrl.physics.units import Scales, compute_tau
 

@@ -28,8 +28,6 @@ from math import inf
 import torch
 from torch import Tensor
 
-from fishrl.physics.bodies.coupling import move_body, solve_body_force
-from fishrl.physics.bodies.geometry import BodyGeometry, locate_bodies
 from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.boundaries import apply_boundaries_
@@ -39,7 +37,9 @@ from fishrl.physics.collision import (
     compute_force_increment,
     compute_macroscopic,
 )
+from fishrl.physics.coupling import move_body, solve_body_force
 from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, compute_stream_speed
+from fishrl.physics.geometry import BodyGeometry, locate_bodies
 from fishrl.physics.immersed_boundary import interpolate
 from fishrl.physics.streaming import stream
 

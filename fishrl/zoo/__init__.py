@@ -11,7 +11,7 @@ Example::
 
 Wherever a run folder or a checkpoint is accepted, ``zoo/predation_small`` names one of them, and
 the programs take ``policy=zoo/predation_small``. Each folder below this one was written by
-``python -m experiments.export_policy``; its ``README.md`` says how the policy was trained and
+``fishrl export-policy``; its ``README.md`` says how the policy was trained and
 evaluated.
 """
 

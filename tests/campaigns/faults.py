@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from experiments.program import program
 from fishrl.bounds import Checked, bounded
+from fishrl.programs.program import program
 
 #: A fish of 16 nodes in a tank of 80 x 48, evaluated and saved every few decisions.
 TRAINING = [
@@ -54,7 +54,7 @@ def start(folder: Path, frames: int) -> subprocess.Popen[bytes]:
     if (folder / "run" / "config.yaml").is_file():
         words = [f"resume={folder / 'run'}"]
     with (folder / "log").open("ab") as log:
-        command = [sys.executable, "-m", "experiments.train", *words]
+        command = [sys.executable, "-m", "fishrl", "train", *words]
         return subprocess.Popen(command, stdout=log, stderr=log)
 
 

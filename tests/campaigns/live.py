@@ -1,6 +1,6 @@
 """Train for hours with the live view on: ``python -m tests.campaigns.live hours=2``.
 
-Starts ``experiments.train live=true``, with any settings (``training=["preset=gait_paper"]``), and
+Starts ``fishrl train live=true``, with any settings (``training=["preset=gait_paper"]``), and
 prints memory, open files and shared memory of the training, its flow workers and the viewer's
 server, and the speed of the flows. After the hours it ends the training by SIGTERM: the training
 must save, exit with status 143 and leave no process and no shared memory behind; ``resume=`` goes
@@ -20,8 +20,8 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from experiments.program import program
 from fishrl.bounds import Checked, bounded
+from fishrl.programs.program import program
 
 
 @dataclass(kw_only=True)
@@ -83,7 +83,7 @@ def main(settings: LiveSettings) -> None:
     resumed = [word.partition("=")[2] for word in words if word.startswith("resume=")]
     run = Path(resumed[0] if resumed else f"{settings.folder}/live")
     words = ["live=true", *settings.training] if resumed else words
-    training = subprocess.Popen([sys.executable, "-m", "experiments.train", *words])
+    training = subprocess.Popen([sys.executable, "-m", "fishrl", "train", *words])
     began, seen = time.monotonic(), len(read_speeds(run / "metrics.csv"))
     for row in range(1, settings.rows + 1):
         wait = began + 3600 * settings.hours * row / settings.rows - time.monotonic()

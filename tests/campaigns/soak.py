@@ -20,10 +20,10 @@ from dataclasses import dataclass, replace
 import torch
 from tensordict import TensorDictBase
 
-from experiments.program import program
 from fishrl.bounds import Checked, bounded
 from fishrl.envs import Predation, make_env
 from fishrl.physics import Boundaries, FlowConfig, NoSlip
+from fishrl.programs.program import program
 from tests.campaigns.live import measure
 
 #: Relative; round-off of single precision, 6e-8, over the mean of 5e4 nodes is less.

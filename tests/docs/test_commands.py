@@ -16,10 +16,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from experiments.program import Program
-from experiments.sweeps.jobs import plan_jobs
-from experiments.train_settings import TRAINING
 from fishrl.envs import AbstractTask
+from fishrl.programs.program import Program
+from fishrl.programs.sweeps.jobs import plan_jobs
+from fishrl.programs.train_settings import TRAINING
 from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.description import make, to_plain
 from fishrl.training.policy_spec import PolicySpec
@@ -30,7 +30,11 @@ ROOT = DOCS.parent
 #: All but the page that ``make docs`` makes of the programs themselves.
 WRITTEN = [page for page in sorted(DOCS.rglob("*.md")) if page.name != "configuration.md"]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *WRITTEN]
-PROGRAM = re.compile(r"\bpython (?:-m )?(experiments\.[\w.]*|examples/\w+\.py)([^`\n|]*)")
+PROGRAM = re.compile(
+    r"(?:\bpython (?:-m )?(?=experiments\.|examples/)|(?:^|`)(?=fishrl [a-z]))"
+    r"(experiments\.[\w.]*|examples/\w+\.py|fishrl [a-z-]+)([^`\n|]*)",
+    re.MULTILINE,
+)
 TARGET = re.compile(r"(?:^|`)make ([a-z-]+)(?![\w ]*=\d)", re.MULTILINE)
 EXTRA = re.compile(r"pip install [^\n`]*\[([\w-]+)\]")
 #: Runs that the pages speak of, and what is swum in them.
@@ -120,7 +124,8 @@ def test_a_program_understands_what_the_pages_show(
     page: str, module: str, line: str, home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = _split(line, home)
-    main = import_module(module.removesuffix(".py").replace("/", ".")).main
+    name = module.replace("fishrl ", "fishrl.programs.").replace("-", "_")
+    main = import_module(name.removesuffix(".py").replace("/", ".")).main
     if not isinstance(main, Program):
         _parse(main, words, monkeypatch)
     elif "--multirun" in words:

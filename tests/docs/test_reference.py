@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from docs.reference import describe, list_programs, make_reference
-from experiments.program import list_choices
 from fishrl import physics
 from fishrl.envs import KarmanGait, Predation
+from fishrl.programs.program import list_choices
 from fishrl.training.loop import FINAL_SEED, SELECTION_SEED
 from tests.docs.pages import DOCS
 

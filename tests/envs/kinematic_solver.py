@@ -4,11 +4,11 @@ import torch
 from torch import Tensor
 
 from fishrl.physics.bodies.fish import Fish
-from fishrl.physics.bodies.geometry import Markers, deform_body, place_markers
 from fishrl.physics.bodies.motion import Driven
 from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.flow import FlowConfig
+from fishrl.physics.geometry import Markers, deform_body, place_markers
 
 SPEED_BL = 0.4  # body lengths per tail beat
 

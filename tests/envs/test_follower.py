@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict
 
 from fishrl.envs import FlowEnv, Follower, make_env
-from fishrl.physics.bodies.placement import do_overlap
+from fishrl.physics.placement import do_overlap
 from fishrl.training.baselines import make_baseline
 from tests.envs.conftest import SMALL, make_flows
 

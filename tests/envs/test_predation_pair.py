@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDict
 
 from fishrl.envs import FlowEnv, PredationPair, make_env
-from fishrl.envs.gymnasium import FlowVectorEnv
+from fishrl.wrappers.gymnasium import FlowVectorEnv
 from tests.envs.conftest import SMALL, make_flows
 from tests.envs.test_real_flow import TINY
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.experiments.real_wake import develop
+from tests.programs.real_wake import develop
 
 
 @pytest.fixture(scope="session")

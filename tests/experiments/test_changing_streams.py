@@ -10,14 +10,14 @@ import torch
 
 from experiments import changing_streams, following, robustness
 from experiments.changing_streams import Record, find_delays, tabulate
-from experiments.gait.trials import load_trial
-from experiments.program import Program
-from experiments.statistics import half_width
 from fishrl.envs import KarmanGait
 from fishrl.envs.changes import StreamSteps
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.streams import Stream
 from fishrl.modules import LateralLineClassifier
+from fishrl.programs.gait.trials import load_trial
+from fishrl.programs.program import Program
+from fishrl.programs.statistics import half_width
 from tests.envs.conftest import SMALL
 
 PROGRAMS = (changing_streams, following, robustness)

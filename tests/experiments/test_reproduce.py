@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from experiments import reproduce
-from experiments.program import list_choices
 from experiments.reproduce import Job, Record, list_jobs, run_job
 from experiments.reproduction import page
-from experiments.sweeps.jobs import find_or_begin, find_runs, plan_jobs
-from experiments.train_settings import TRAINING, make_plan
+from fishrl.programs.program import list_choices
+from fishrl.programs.sweeps.jobs import find_or_begin, find_runs, plan_jobs
+from fishrl.programs.train_settings import TRAINING, make_plan
 from fishrl.training.run_folder import write_json
 
 

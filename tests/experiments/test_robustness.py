@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from experiments import robustness
-from experiments.gait.trials import load_trial, make_trial
 from experiments.robustness import CONDITIONS, list_trials, vary
-from experiments.statistics import compare_paired
-from experiments.train_settings import TRAINING
 from fishrl.envs import KarmanGait
 from fishrl.modules import LateralLineClassifier
+from fishrl.programs.gait.trials import load_trial, make_trial
+from fishrl.programs.statistics import compare_paired
+from fishrl.programs.train_settings import TRAINING
 from fishrl.training.description import make, to_plain
 
 POLICY = Path("zoo/gait_small_ablation")

@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from fishrl.physics.bodies.fish import Fish
-from fishrl.physics.bodies.geometry import deform_body, place_markers
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.delta import Hat, Kernel, Peskin4, Roma3
 from fishrl.physics.flow import FlowConfig
+from fishrl.physics.geometry import deform_body, place_markers
 from fishrl.physics.immersed_boundary import (
     DirectSolve,
     IterativeForcing,

@@ -23,10 +23,10 @@ import pytest
 import torch
 
 import fishrl.viewer.files
-from experiments.program import list_choices
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
 from fishrl.physics import InPlaceSolver
+from fishrl.programs.program import list_choices
 from tests.docs.pages import DOCS
 from tests.docs.test_tutorials import BRIEF, CHANNEL
 from tests.envs.conftest import SMALL, move_kinematically

@@ -1,7 +1,7 @@
 """A run made before the training loop moved into the library loads, is evaluated and goes on.
 
 ``tests/goldens/drqn_run.tar.xz`` is a run of 16 frames by that version, and the table beside it
-holds the metrics of the same run made 24 frames long. To make them anew: ``experiments.train
+holds the metrics of the same run made 24 frames long. To make them anew: ``fishrl train
 algorithm=drqn`` with the settings in ``config.yaml`` of the archive.
 """
 

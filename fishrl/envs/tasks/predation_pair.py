@@ -13,7 +13,7 @@ from fishrl.envs.protocol import Solver
 from fishrl.envs.sensors import compute_clearance, compute_gap, sense_target
 from fishrl.envs.starts import place_outline
 from fishrl.envs.tasks.predation import CHANCE_UP, AbstractPredation
-from fishrl.physics.bodies.placement import MIN_GAP
+from fishrl.physics.placement import MIN_GAP
 
 
 @final

@@ -11,12 +11,12 @@ from importlib.util import find_spec
 import torch
 from torch.utils import _pytree as pytree
 
-from fishrl.physics.bodies.coupling import Surface, move_body, prescribe_surface, report_bodies
-from fishrl.physics.bodies.geometry import BodyGeometry, locate_bodies
+from fishrl.physics.coupling import Surface, move_body, prescribe_surface, report_bodies
 from fishrl.physics.fast.compiled import Kernel
 from fishrl.physics.fast.kernels import BodyArguments, Exchange, copy_tree
 from fishrl.physics.fast.layout import InPlaceLayout
 from fishrl.physics.flow import Coupling, FlowConfig
+from fishrl.physics.geometry import BodyGeometry, locate_bodies
 from fishrl.physics.immersed_boundary import IterativeForcing
 
 logger = logging.getLogger(__name__)

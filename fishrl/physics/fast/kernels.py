@@ -6,7 +6,6 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from fishrl.physics.bodies.geometry import BodyGeometry, locate_bodies
 from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.boundaries import Boundary, Side
@@ -19,6 +18,7 @@ from fishrl.physics.collision import (
 from fishrl.physics.fast.compiled import Kernel
 from fishrl.physics.fast.layout import InPlaceLayout
 from fishrl.physics.flow import FlowConfig, FlowParams, compute_stream_speed
+from fishrl.physics.geometry import BodyGeometry, locate_bodies
 from fishrl.physics.lattice import OPPOSITE, Q
 from fishrl.physics.step import exchange
 from fishrl.physics.storage import Storage

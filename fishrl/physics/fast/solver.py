@@ -10,9 +10,7 @@ from typing import IO
 import torch
 from torch import Tensor
 
-from fishrl.physics.bodies.geometry import Markers, deform_body, locate_markers, place_markers
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
-from fishrl.physics.bodies.placement import check_placement, lies_inside, spread_starts
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
 from fishrl.physics.fast.batch import FlowBatch, set_rows_
@@ -20,7 +18,9 @@ from fishrl.physics.fast.checks import check_tensor, read_frequency
 from fishrl.physics.fast.compiled import Kernel, find_compiler_problem
 from fishrl.physics.fast.workers import Workers, can_send, count_cores, map_shared, open_shared
 from fishrl.physics.flow import FlowConfig, compute_stream_speed, list_configs
+from fishrl.physics.geometry import Markers, deform_body, locate_markers, place_markers
 from fishrl.physics.lattice import Q
+from fishrl.physics.placement import check_placement, lies_inside, spread_starts
 from fishrl.physics.units import MAX_IMPOSED_SPEED
 
 logger = logging.getLogger(__name__)

@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from fishrl.physics.bodies.geometry import BodyGeometry, locate_bodies
 from fishrl.physics.boundaries import Side
 from fishrl.physics.fast.compiled import Kernel, compile_inplace, is_own
 from fishrl.physics.fast.coupled import make_couple, make_exchange, make_move, make_place
@@ -29,6 +28,7 @@ from fishrl.physics.fast.kernels import (
 )
 from fishrl.physics.fast.layout import FlowData, InPlaceLayout
 from fishrl.physics.flow import FlowConfig
+from fishrl.physics.geometry import BodyGeometry, locate_bodies
 
 _GRAPH_PAIRS = 50  # most pairs of steps in one CUDA graph
 # The bodies' part is small and scatters: one thread, and weights are kept, not computed again for

@@ -7,7 +7,6 @@ import torch
 
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.gait import GAITS, Deformation, Gait
-from fishrl.physics.bodies.geometry import deform_body, locate_bodies, locate_markers, place_markers
 from fishrl.physics.bodies.midline import MidlineParams
 from fishrl.physics.bodies.motion import (
     Bending,
@@ -30,6 +29,7 @@ from fishrl.physics.flow import (
     make_rest,
     make_uniform,
 )
+from fishrl.physics.geometry import deform_body, locate_bodies, locate_markers, place_markers
 from fishrl.physics.step import step
 from fishrl.physics.units import Scales
 

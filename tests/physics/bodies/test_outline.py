@@ -7,13 +7,13 @@ import pytest
 import torch
 
 from fishrl.physics.bodies.fish import Fish
-from fishrl.physics.bodies.geometry import deform_body, place_markers
 from fishrl.physics.bodies.motion import Driven, Fixed, Oscillating
 from fishrl.physics.bodies.outline import BodyConfig, Cylinder, DCylinder, Ellipse, Foil
 from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.shear import ShearParams
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.diagnostics import compute_area
+from fishrl.physics.geometry import deform_body, place_markers
 
 ONE = torch.ones(1, dtype=torch.float64)
 

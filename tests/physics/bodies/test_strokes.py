@@ -9,7 +9,6 @@ import torch
 
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.gait import Beat
-from fishrl.physics.bodies.geometry import deform_body, place_markers
 from fishrl.physics.bodies.midline import MidlineParams
 from fishrl.physics.bodies.motion import Free
 from fishrl.physics.bodies.sections import Section
@@ -18,6 +17,7 @@ from fishrl.physics.bodies.strokes import C_START, Stroke, Strokes
 from fishrl.physics.cases import make_swimmer_config
 from fishrl.physics.diagnostics import compute_area
 from fishrl.physics.flow import make_params
+from fishrl.physics.geometry import deform_body, place_markers
 from tests.physics.bodies.test_fish import (
     SCALES,
     compute_centre,

@@ -1,1 +1,0 @@
-"""Watch trained policies swim: ``python -m fishrl.demo``."""

@@ -1,0 +1,108 @@
+"""Whether bodies lie apart from each other and within the grid: checked when they are placed."""
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import torch
+from torch import Tensor
+from torch.utils import _pytree as pytree
+
+from fishrl.physics.bodies.outline import BodyParams
+from fishrl.physics.bodies.state import BodyState
+from fishrl.physics.flow import FlowConfig
+from fishrl.physics.geometry import locate_markers
+
+#: Smallest distance between markers of two bodies, nodes.
+MIN_GAP = 1.0
+
+
+def check_placement(
+    config: FlowConfig, params: Sequence[BodyParams], states: Sequence[BodyState], rows: Tensor
+) -> None:
+    """Raise ValueError if bodies of the flows in ``rows`` ``[B]`` overlap or leave the grid.
+
+    For set-up: it reads its result on the host, which waits for a GPU.
+
+    Args:
+        config: of the flows.
+        params: of each body.
+        states: of each body.
+        rows: bool, which flows to look at.
+
+    Raises:
+        ValueError: naming the first flow and bodies that are misplaced.
+    """
+    margin = config.kernel.margin
+    names = [f"{index} ({type(body).__name__})" for index, body in enumerate(config.bodies)]
+    chosen = rows.nonzero()[:, 0]
+    params, states = pytree.tree_map(lambda t: t[chosen], (list(params), list(states)))
+    outlines = [locate_markers(*body) for body in zip(params, states, strict=True)]
+    for name, outline in zip(names, outlines, strict=True):
+        _require(
+            chosen,
+            lies_inside(outline, config),
+            f"body {name} reaches beyond the grid: keep its markers within x = "
+            f"{margin:g} to {config.width - 1 - margin:g} and y = {margin:g} to "
+            f"{config.height - 1 - margin:g}",
+        )
+    for (name, one), (other_name, other) in combinations(zip(names, outlines, strict=True), 2):
+        _require(
+            chosen,
+            ~do_overlap(one, other),
+            f"bodies {name} and {other_name} overlap: move them apart, at least {MIN_GAP:g} node "
+            "between their markers",
+        )
+
+
+def spread_starts(
+    position: Tensor | None,
+    heading: Tensor | None,
+    config: FlowConfig,
+    num_envs: int,
+    device: torch.device,
+) -> tuple[Tensor, Tensor]:
+    """Return positions ``[B, M, 2]`` and headings ``[B, M]`` of all bodies, float64."""
+    shape = num_envs, max(1, len(config.bodies))
+    middle = torch.tensor([0.5 * config.width, 0.5 * config.height]).expand(*shape, 2)
+    position = middle if position is None else position
+    heading = torch.zeros(shape) if heading is None else heading
+    got = tuple(position.shape), tuple(heading.shape)
+    position, heading = position.to(device, torch.float64), heading.to(device, torch.float64)
+    if shape[1] == 1:
+        position, heading = position.reshape(-1, 1, 2), heading.reshape(-1, 1)
+    if position.shape != (*shape, 2) or heading.shape != shape:
+        raise ValueError(
+            f"position and heading have shapes {got[0]} and {got[1]}: give {(*shape, 2)} and "
+            f"{shape}, one for each of the {shape[1]} bodies in {num_envs} flows"
+        )
+    return position, heading
+
+
+def lies_inside(outline: Tensor, config: FlowConfig) -> Tensor:
+    """Return ``[B]`` bool: whether the markers ``[B, N, 2]`` of a body reach the grid alone."""
+    low = config.kernel.margin
+    x, y = outline.unbind(-1)
+    is_inside = (x > low) & (x < config.width - 1 - low) & (y > low) & (y < config.height - 1 - low)
+    return is_inside.all(-1)
+
+
+def do_overlap(one: Tensor, other: Tensor) -> Tensor:
+    """Return ``[B]`` bool: whether closed outlines ``[B, N, 2]`` touch or contain each other."""
+    is_near = (torch.cdist(one, other) < MIN_GAP).flatten(1).any(-1)
+    return is_near | _contains(one, other).any(-1) | _contains(other, one).any(-1)
+
+
+def _contains(outline: Tensor, points: Tensor) -> Tensor:
+    """Return ``[B, P]`` bool: whether points lie inside a closed outline, by its crossings."""
+    x, y = points[:, :, None].unbind(-1)
+    x0, y0 = outline[:, None].unbind(-1)
+    x1, y1 = outline.roll(-1, 1)[:, None].unbind(-1)
+    spans = (y0 > y) != (y1 > y)
+    is_right = x < x0 + (x1 - x0) * (y - y0) / torch.where(spans, y1 - y0, 1.0)
+    return (spans & is_right).sum(-1) % 2 == 1
+
+
+def _require(flows: Tensor, is_right: Tensor, problem: str) -> None:
+    """Raise ValueError for the first of some flows ``[B]`` that is not right, ``[B]`` bool."""
+    if not is_right.all():
+        raise ValueError(f"flow {int(flows[is_right.int().argmin()])}: {problem}")

@@ -1,0 +1,1 @@
+"""The programs of fishrl, ``fishrl <program> key=value``; only ``experiments`` imports them."""

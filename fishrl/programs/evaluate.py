@@ -1,0 +1,76 @@
+"""Evaluate a policy: ``fishrl evaluate checkpoint=runs/<name> episodes=32``.
+
+``policy=random|pursuit|intercept`` evaluates a baseline instead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from fishrl.bounds import bounded
+from fishrl.envs import AbstractTask
+from fishrl.programs.live import LiveObserver
+from fishrl.programs.program import program
+from fishrl.programs.train_settings import PolicySettings, read_task
+from fishrl.training import evaluate as run_evaluation
+from fishrl.training.description import make, to_plain
+from fishrl.training.progress import Progress
+from fishrl.training.run_folder import write_json
+from fishrl.viewer import ViewerSettings, check_folder
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateConfig(PolicySettings, ViewerSettings):
+    """Settings of an evaluation.
+
+    Args:
+        episodes: fixed starts, one episode each; with ``seed=0`` those of every run's final
+            evaluation, with 1 those that selected its checkpoint.
+        num_envs: flows that advance together.
+        save: file for the result and all these settings as JSON, or nothing.
+    """
+
+    episodes: int = bounded(32, least=1)
+    num_envs: int = bounded(16, least=1)
+    save: str | None = None
+
+
+def evaluate(config: EvaluateConfig, **hooks: Any) -> dict[str, Any]:
+    """Run one episode from each of the fixed starts, and return the result with its policy."""
+    task = make(config.task, kind=AbstractTask)
+    source = str(config.policy) if config.learned is None else Path(config.learned)
+    result = run_evaluation(
+        source,
+        task=task,
+        recognition=config.recognition,
+        episodes=config.episodes,
+        num_envs=config.num_envs,
+        seed=config.seed,
+        device=config.device,
+        compile=config.compile,
+        observer=LiveObserver(config, num_flows=min(config.num_envs, config.episodes)),
+        **hooks,
+    )
+    about = {"policy": config.checkpoint or config.policy, "task": type(task).__name__}
+    return {**about, "preset": config.preset, "seed": config.seed, **result}
+
+
+@program(EvaluateConfig, groups={"task": "predation", "preset": None}, stored=read_task)
+def main(settings: EvaluateConfig) -> None:
+    """Evaluate, print the result, and store it where ``save`` says."""
+    path = None if settings.save is None else Path(settings.save).expanduser()
+    if path is not None:
+        check_folder(path)
+    with Progress() as progress:
+        result = evaluate(settings, progress=progress)
+    for name, value in result.items():
+        shown = f"{value:.3f}" if isinstance(value, float) else value
+        print(f"{name:<24}{shown}")
+    if path is not None:
+        write_json(path, result | {"settings": to_plain(asdict(settings))})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""Write the flow around a policy's fish for other tools: ``fishrl export ...``.
+
+``checkpoint=runs/<name> save=flow.nc`` simulates one episode and writes velocity, pressure and
+vorticity over time, and the outlines of all bodies, in body lengths L and tail-beat periods T.
+The ending of ``save`` says how: ``.nc`` NetCDF and ``.zarr`` Zarr, both read by xarray, ``.pvd``
+VTK files for ParaView. Needs the extra ``export``.
+"""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import MISSING
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from fishrl.bounds import bounded
+from fishrl.envs import FlowEnv, run_episodes
+from fishrl.extras import show_install
+from fishrl.programs.program import program
+from fishrl.programs.train_settings import PolicySettings, read_task
+from fishrl.training.evaluation import fixed_starts
+from fishrl.training.progress import Progress
+from fishrl.viewer import check_folder
+from fishrl.viewer.fields import WRITERS, make_dataset, read_fields
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportSettings(PolicySettings):
+    """Settings of an export.
+
+    Args:
+        save: file or folder to write, ending in ``.nc``, ``.zarr`` or ``.pvd``.
+        periods: T after which the episode is cut; ``null`` runs it to its end.
+        frames_per_T: frames per period, approximately.
+    """
+
+    save: str = MISSING
+    periods: float | None = bounded(5.0, greater=0)
+    frames_per_T: int = bounded(8, least=1)
+
+    def __post_init__(self) -> None:
+        """Check that the format is known, too."""
+        super().__post_init__()
+        if Path(self.save).suffix not in WRITERS:
+            raise ValueError(f"save = {self.save}: must end in one of {', '.join(WRITERS)}")
+
+
+def simulate(settings: ExportSettings, *, progress: Progress) -> xr.Dataset:
+    """Run one episode and return its fields ``(time, y, x)`` and outlines ``(time, marker)``."""
+    task, recognition, policy = settings.make_policy()
+    max_decisions = min(task.time_limit, task.count_decisions(settings.periods))
+    stride = max(1, round(task.checks_per_action / task.interval_T / settings.frames_per_T))
+    frames: list[dict[str, Any]] = []
+    num_checks = 0
+
+    def read(flows: FlowEnv) -> None:
+        frame = read_fields(flows.solver, task.scales)
+        if not frames or frame["time"] > frames[-1]["time"]:  # a flow stands still after the end
+            frames.append(frame)
+
+    def count(running: Tensor, flows: FlowEnv) -> None:
+        nonlocal num_checks
+        num_checks += 1
+        if num_checks % stride == 0:
+            read(flows)
+
+    def end(running: Tensor, step: TensorDictBase) -> None:
+        progress.advance(1)
+        if step["next", "done"].all():
+            read(env.base_env)  # the last moment of the episode
+
+    with closing(settings.make_env(task, recognition, num_envs=1, progress=progress)) as env:
+        progress.start("episode", total=max_decisions)
+        run_episodes(
+            env,
+            policy,
+            fixed_starts(task, 1, seed=settings.seed),
+            max_decisions=max_decisions,
+            on_begin=lambda begun, state: read(env.base_env),
+            on_step=end,
+            on_frame=count,
+        )
+    return make_dataset(frames, body_length=task.scales.body_length)
+
+
+@program(ExportSettings, groups={"task": "predation", "preset": None}, stored=read_task)
+def main(settings: ExportSettings) -> None:
+    """Simulate and write."""
+    path = Path(settings.save).expanduser()
+    check_folder(path)
+    try:
+        import pyvista  # noqa: F401
+        import xarray  # noqa: F401
+    except ImportError as error:
+        raise ImportError(f"exports need packages: {show_install('export')}") from error
+    with Progress() as progress:
+        flow = simulate(settings, progress=progress)
+    WRITERS[path.suffix](flow, path)
+    print(f"written to {path}: {flow.sizes['time']} moments, {flow.nbytes / 1e6:.0f} MB in memory")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,80 @@
+"""Export a learned policy: ``fishrl export-policy run=runs/<name> folder=<folder>``.
+
+Writes its weights, settings, learning curve, final evaluation and model card, without what only its
+training needs; every program takes the folder as ``checkpoint=<folder>``. ``upload=<user>/<name>``
+also uploads it to the Hugging Face Hub, which needs the extra ``hub`` and a login
+(``hf auth login``, or ``HF_TOKEN``).
+"""
+
+from __future__ import annotations
+
+import subprocess
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from omegaconf import MISSING
+
+from fishrl.extras import show_install
+from fishrl.programs.program import program
+from fishrl.training.export import export_policy
+
+
+@dataclass(kw_only=True)
+class ExportPolicySettings:
+    """Settings of an export.
+
+    Args:
+        run: folder of a run.
+        folder: folder to write.
+        title: title of the model card; by default the name of the folder.
+        upload: repository of the Hugging Face Hub to upload the folder to, ``<user>/<name>``; it is
+            created, for everyone to read, if it does not exist.
+    """
+
+    run: str = MISSING
+    folder: str = MISSING
+    title: str | None = None
+    upload: str | None = None
+
+
+def read_revision() -> str | None:
+    """Return the commit of this code, or None where it is not a git checkout."""
+    command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "HEAD"]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    return done.stdout.strip() or None
+
+
+def upload(folder: Path, repository: str) -> str:
+    """Upload a folder to a repository of the Hugging Face Hub; return the address of the commit.
+
+    Raises:
+        OSError: if the hub cannot be reached or refuses.
+    """
+    from huggingface_hub import HfApi
+    from huggingface_hub.errors import HTTPError
+
+    api = HfApi()
+    try:
+        api.create_repo(repository, exist_ok=True)
+        return str(api.upload_folder(repo_id=repository, folder_path=folder))
+    except HTTPError as error:
+        raise OSError(f"upload = {repository}: {' '.join(str(error).split())}") from error
+
+
+@program(ExportPolicySettings)
+def main(settings: ExportPolicySettings) -> None:
+    """Export and say where."""
+    if settings.upload is not None and find_spec("huggingface_hub") is None:
+        raise ImportError(f"upload needs a package: {show_install('hub')}")
+    folder = export_policy(
+        settings.run, settings.folder, title=settings.title, revision=read_revision()
+    )
+    size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+    print(f"written to {folder}: {size / 1e6:.2f} MB")
+    if settings.upload is not None:
+        print(f"uploaded to {upload(folder, settings.upload)}")
+
+
+if __name__ == "__main__":
+    main()

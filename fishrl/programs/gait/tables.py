@@ -1,0 +1,105 @@
+"""Tables of the Kármán gait study, with the paper's numbers beside ours."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import nan
+
+from fishrl.programs.gait.diagnostics import WORKS
+from fishrl.programs.pages import write_table
+from fishrl.programs.statistics import show
+
+#: Work in a free stream over that in the wake, conditions I to III: Li et al. 2023, Table 4.
+PAPER_WORK_RATIO = (7577.94 / 1526.73, 14682.95 / 2145.74, 51520.26 / 3057.03)
+#: Of each table: heading, entry of ``diagnose``, format.
+STATION = (
+    ("episodes", "episodes", ".0f"),
+    ("survival, T", "survival_T", ".1f"),
+    ("lasted", "survivors", ".0%"),
+    ("label correct", "named_right", ".1%"),
+    ("x, L", "x_mean", ".2f"),
+    ("beat / shedding", "frequency_over_shedding", ".2f"),
+    ("in street", "in_street", ".0%"),
+    ("in gait", "in_gait", ".0%"),
+)
+MOTION = (
+    ("up", "accelerations", ".0%"),
+    ("down", "decelerations", ".0%"),
+    ("angle mean, °", "angle_mean", ".1f"),
+    ("max, °", "angle_max", ".1f"),
+    ("sway, L", "sway", ".3f"),
+    ("phase lock", "phase_lock", ".2f"),
+    ("work per T", "work", ".3f"),
+    ("pushing", "positive_work", ".3f"),
+    ("lateral", "lateral_work", ".3f"),
+)
+ENDS = (
+    ("lasted", "survivors", ".0%"),
+    ("at the disc", "ended_near", ".0%"),
+    ("swept away", "ended_far", ".0%"),
+    ("aside", "ended_aside", ".0%"),
+    ("diverged", "diverged", ".0f"),
+)
+WORK_HEADS = (
+    *("stream, L/T", "work, wake", "free", "ratio", "saved", "pushing: ratio"),
+    *("lateral (paper's form), wake", "free", "ratio", "paper's ratio"),
+)
+
+#: Of each arm, per flow, as ``diagnose`` or ``combine_seeds`` returns.
+Results = Mapping[str, Sequence[Mapping[str, float]]]
+
+
+def write_results(results: Results, speeds: Sequence[float]) -> str:
+    """Return Markdown tables of station, motion and ends of episodes, a row per arm and flow.
+
+    ``speeds`` are those of the flows, L / T.
+    """
+    tables = []
+    for columns in (STATION, MOTION, ENDS):
+        rows = []
+        for name, flows in results.items():
+            for speed, flow in zip(speeds, flows, strict=True):
+                errors = {"survival_T": flow["survival_error_T"]}
+                cells = (show(flow[key], form, errors.get(key, nan)) for _, key, form in columns)
+                rows.append([name, f"{speed:g}", *cells])
+        heads = ["policy", "stream, L/T", *(head for head, _, _ in columns)]
+        tables.append(write_table(heads, rows))
+    return "\n".join(tables)
+
+
+def write_survival(corner: str, results: Results, speeds: Sequence[float]) -> str:
+    """Return a Markdown table of survival, a row per name and a column per flow."""
+    rows = [
+        [
+            name,
+            f"{flows[0]['episodes']:.0f}",
+            *(show(flow["survival_T"], ".0f", flow["survival_error_T"]) for flow in flows),
+        ]
+        for name, flows in results.items()
+    ]
+    return write_table([corner, "episodes", *(f"{speed:g} L/T" for speed in speeds)], rows)
+
+
+def divide_work(still: Mapping[str, float], wake: Mapping[str, float], name: str) -> float:
+    """Return the work in a free stream over that in the wake; NaN unless both are positive."""
+    return still[name] / wake[name] if min(still[name], wake[name]) > 0.0 else nan
+
+
+def write_work(
+    in_wake: Sequence[Mapping[str, float]],
+    free: Sequence[Mapping[str, float]],
+    speeds: Sequence[float],
+) -> str:
+    """Return a Markdown table: work per T in the wake and in the free stream, and their ratio."""
+    papers = PAPER_WORK_RATIO if len(speeds) == len(PAPER_WORK_RATIO) else [nan] * len(speeds)
+    rows = []
+    for speed, wake, still, paper in zip(speeds, in_wake, free, papers, strict=True):
+        work, pushing, lateral = (divide_work(still, wake, name) for name in WORKS)
+        cells = (
+            *((wake["work"], ".3f"), (still["work"], ".2f"), (work, ".1f")),
+            *((1.0 - 1.0 / work, ".1%"), (pushing, ".1f")),
+            *((wake["lateral_work"], ".3f"), (still["lateral_work"], ".2f"), (lateral, ".1f")),
+            (paper, ".2f"),
+        )
+        rows.append([f"{speed:g}", *(show(value, form) for value, form in cells)])
+    return write_table(WORK_HEADS, rows)

@@ -1,0 +1,164 @@
+"""Labelled signals from real flows: collected once, in pieces that survive an interruption.
+
+Half of the actions are random and half hold a station drawn for each episode, so that the fish
+visits the states of an untrained policy and of a trained one. The row of frequencies is drawn
+independently of the flow: otherwise the tail beat would reveal the flow, and in use a wrong
+prediction would confirm itself.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase, pad
+from torch import Tensor
+from torchrl.envs import TransformedEnv
+
+from fishrl.bounds import bounded
+from fishrl.envs import make_env
+from fishrl.envs.episodes import run_episodes
+from fishrl.envs.lateral_line import KNOWN
+from fishrl.files import load_tensors, staged
+from fishrl.physics.cache_key import hash_sources, make_key
+from fishrl.programs.program import TaskSettings
+from fishrl.training.baselines import make_pid
+from fishrl.training.progress import Progress
+
+#: Share of random actions.
+RANDOM_SHARE = 0.5
+_ENTRIES = (
+    *("lateral_line", "frequency", "is_decision"),
+    *("flow_index", "named_flow", "start"),
+)
+_SOURCES = ("fishrl.envs", "fishrl.modules", "fishrl.training.baselines", __name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CollectionSettings(TaskSettings):
+    """Settings of a collection.
+
+    Args:
+        task: task all of whose flows are classified, whatever ``task.start_flows`` is.
+        seed: seed of data, splits and fits.
+        device: cpu or cuda, for the flows.
+        compile: compile the flow solver.
+        data_folder: cache of collected data, shared by all studies that can use them.
+        num_envs: flows that advance together.
+        num_samples: decisions to collect, one signal of a control interval each.
+        max_decisions: decisions after which an episode is truncated.
+    """
+
+    seed: int = bounded(0, least=0)
+    device: str = "cpu"
+    compile: bool = True
+    data_folder: str = "runs/lateral_line_data"
+    num_envs: int = bounded(16, least=1)
+    num_samples: int = bounded(6000, least=1)
+    max_decisions: int = bounded(60, least=1)
+
+    @property
+    def recorded_task(self) -> Any:
+        """The task that records every feature of every neuromast, whatever it senses itself."""
+        task = self.task
+        if len(task.flow_labels) < 2 or not task.lateral_line_layout:
+            raise ValueError(
+                f"{type(task).__name__} has no two flows to tell apart by a lateral line: take "
+                "task=karman_gait with two or more stream.speeds_bl"
+            )
+        if task.lateral_line.num_neuromasts < 2:
+            raise ValueError("task.lateral_line.num_neuromasts = 1: a classifier needs two or more")
+        if task.action_bounds is not None:
+            raise ValueError("signals are recorded at discrete actions: take task=karman_gait")
+        whole = {"features": KNOWN, "is_averaged": False, "noise": 0.0, "silence": 0.0, "delay": 0}
+        line = replace(task.lateral_line, **whole)
+        limit = self.max_decisions
+        return replace(task, lateral_line=line, reads_flow_class=True, time_limit=limit)
+
+    @property
+    def place(self) -> Path:
+        """Folder of the data, another one whenever they may differ."""
+        settings = (self.recorded_task, self.num_envs, self.max_decisions, self.seed)
+        key = make_key(*settings, hash_sources(*_SOURCES), torch.__version__)
+        return Path(self.data_folder).expanduser() / key
+
+
+def collect(settings: CollectionSettings, progress: Progress | None = None) -> TensorDict:
+    """Collect episodes until they hold ``num_samples`` decisions, or read those of before.
+
+    Returns:
+        TensorDict ``[E, D]`` of E episodes and at most D decisions: ``lateral_line``
+        ``[E, D, W, P, F]`` with F features as in ``KNOWN``, sensed in the interval before each
+        decision; ``is_decision`` bool, false after the end; ``flow_index`` (of a changing stream,
+        the flow nearest to it at the decision), ``named_flow`` (the row of frequencies in use) and
+        ``episode`` int64; ``start`` ``[E, D, 2]``, the nose's initial position in L; ``frequency``
+        in beats per T.
+    """
+    s, progress = settings, progress or Progress(is_shown=False)
+    task, place = s.recorded_task, s.place
+    place.mkdir(parents=True, exist_ok=True)
+    pieces: list[TensorDict] = []
+    num_done, env = 0, None
+    progress.start("collection", total=s.num_samples)
+    while num_done < s.num_samples:
+        path = place / f"piece-{len(pieces):04d}.pt"
+        if not path.is_file():
+            env = env or make_env(
+                task=task, num_envs=s.num_envs, device=s.device, compile=s.compile
+            )
+            with staged(path) as stage:
+                torch.save(record_piece(env, len(pieces), seed=s.seed).to_dict(), stage)
+        content = load_tensors(path, what="data", remedy="delete the file", entries=_ENTRIES)
+        pieces.append(TensorDict(content, content["is_decision"].shape))
+        num_new = int(pieces[-1]["is_decision"].sum())
+        progress.advance(min(num_new, s.num_samples - num_done), episodes=sum(map(len, pieces)))
+        num_done += num_new
+    if env is not None:
+        env.close()
+    data: TensorDict = torch.cat(pieces)
+    episode = torch.arange(data.shape[0])[:, None].expand(data.shape)
+    return data.set("episode", episode.contiguous())
+
+
+def record_piece(env: TransformedEnv, number: int, *, seed: int) -> TensorDict:
+    """Return the episodes ``[B, D]`` of a piece; they depend on env, seed and number alone."""
+    task, num = env.base_env.task, env.batch_size[0]
+    num_flows = len(task.flow_labels)
+    # a CPU generator has a seed of 32 bits; these differ from those of training and evaluation
+    word = hashlib.sha256(f"lateral line {seed} {number}".encode()).digest()
+    generator = torch.Generator().manual_seed(int.from_bytes(word[:4], "big"))
+    starts = task.sample_starts(num, generator)
+    flow = (torch.arange(num) + num * number) % num_flows  # as many episodes of each
+    row = torch.randint(num_flows, (num,), generator=generator)
+    starts["flow_index"] = flow
+    duration_T = task.time_limit * task.interval_T
+    starts.update(task.stream.draw_changes(flow, starts["episode_key"], duration_T=duration_T))
+    area = task.safe_area
+    low, high = area.near_bl + area.rim_bl, area.far_bl - area.rim_bl
+    station = low + (high - low) * torch.rand(num, generator=generator)
+    holder = make_pid(task, station_bl=station.to(env.device))
+    start = (starts["head"] / task.body_length).float()
+    decisions: list[TensorDict] = []
+
+    def act(state: TensorDictBase) -> TensorDictBase:
+        state["flow_class"] = row.to(env.device)
+        random = torch.multinomial(state["action_mask"].float().cpu(), 1, generator=generator)
+        held = holder(state)["action"].cpu()
+        is_random = torch.rand(num, generator=generator) < RANDOM_SHARE
+        return state.set("action", torch.where(is_random, random.squeeze(-1), held).to(env.device))
+
+    def keep(start_of: Tensor, step: TensorDictBase) -> None:
+        sensed = {
+            "lateral_line": step["lateral_line"].cpu(),
+            "frequency": step["frequency"].squeeze(-1).float().cpu(),
+            "is_decision": start_of.cpu() >= 0,
+            "flow_index": step["flow_index"].squeeze(-1).cpu(),
+        }
+        constant = {"named_flow": row, "start": start}
+        decisions.append(TensorDict({**sensed, **constant}, [num]))
+
+    run_episodes(env, act, starts, on_step=keep)
+    return pad(torch.stack(decisions, 1), [0, 0, 0, task.time_limit - len(decisions)])

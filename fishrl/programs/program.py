@@ -1,0 +1,246 @@
+"""Programs: a function run with settings given as ``key=value``; errors take one line.
+
+``@program`` makes a program of a function and of a dataclass with its settings::
+
+    @program(TransferSettings, groups={"task": "karman_gait", "preset": None})
+    def main(settings: TransferSettings) -> None: ...
+
+and ``main()`` where the module is run.
+``fishrl transfer runs=[a,b] episodes=34 task.reynolds=400`` then checks the settings
+and calls the function. ``groups`` are for programs that make a task, algorithm or logger, with
+``make(settings.task, kind=AbstractTask)``; fields without a default have to be given. ``--help``
+prints the module's docstring and the settings with what the ``Args:`` of the dataclass say, ``--cfg
+job`` prints all settings. ``ValueError``, ``ImportError`` and ``OSError`` end the program with one
+line. In Python, ``main.read([...])`` returns the settings of a command line and
+``main.run(settings)`` runs them.
+"""
+
+from __future__ import annotations
+
+import gc
+import inspect
+import json
+import logging
+import os
+import re
+import shlex
+import shutil
+import signal
+import sys
+import sysconfig
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from omegaconf import MISSING, OmegaConf
+from tqdm import tqdm
+
+from fishrl.bounds import Checked
+from fishrl.programs.configuration import CONF, CommandLine, split_options
+from fishrl.training.interruption import SIGNALS, exit_status
+
+
+@dataclass(frozen=True)
+class Program:
+    """A function of settings, run from the command line; ``sweep`` runs ``--multirun``."""
+
+    run: Callable[[Any], None]
+    command_line: CommandLine
+    sweep: Callable[[Sequence[str]], None] | None = None
+
+    def read(self, arguments: Sequence[str] = ()) -> Any:
+        """Return the settings of a command line; see ``CommandLine.read``."""
+        return self.command_line.read(arguments)
+
+    def __call__(self, arguments: Sequence[str] | None = None) -> None:
+        """Run a command line, by default that of the process."""
+        if not gc.isenabled():
+            gc.freeze()  # what imports made is kept to the end
+            gc.enable()
+        set_up_logging()
+        words = list(sys.argv[1:] if arguments is None else arguments)
+        with plain_errors(), interruptible():
+            options = split_options(words)
+            if options.help:
+                print(self.describe(words))
+            elif options.cfg:
+                print(OmegaConf.to_yaml(self.command_line.compose(words)))
+            elif not options.multirun:
+                self.run(self.read(words))
+            elif self.sweep is not None:
+                self.sweep(words)
+            else:
+                raise ValueError("--multirun: only fishrl train runs sweeps")
+
+    def describe(self, arguments: Sequence[str] = ()) -> str:
+        """Return the help: the module's docstring, choices and settings with their defaults."""
+        line = self.command_line
+        config, choices = line.compose(arguments), list_choices()
+        lines = [(sys.modules[self.run.__module__].__doc__ or "").strip(), ""]
+        lines += [f"{name}: one of {', '.join(choices[name])}" for name in line.groups]
+        if line.groups:
+            lines.append(
+                "modules=[...]: modules of your own that define tasks, algorithms, loggers"
+            )
+            lines.append("")
+        lines.append("settings, as key=value:")
+        texts = read_arguments(line.schema)
+        for name in map(str, config):
+            value = "???" if OmegaConf.is_missing(config, name) else config[name]
+            if OmegaConf.is_dict(value):
+                lines.append(f"  {name}:  ({name}.<key>=<value>)")
+                lines += [f"    {entry}" for entry in OmegaConf.to_yaml(value).splitlines()]
+            else:
+                lines.append(f"  {name}={write_value(value)}  {texts.get(name, '')}")
+        return "\n".join(lines).replace("``", "`")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskSettings(Checked):
+    """Settings of programs that study a task.
+
+    Args:
+        task: the task.
+        preset: name of a preset; only its task is used.
+    """
+
+    task: Any = MISSING
+    preset: str | None = None
+
+
+def program(
+    schema: type | CommandLine, *, sweep: Callable[[Sequence[str]], None] | None = None, **line: Any
+) -> Callable[[Callable[[Any], None]], Program]:
+    """Make a program of a function of its settings; ``line`` are arguments of ``CommandLine``."""
+    taken = schema if isinstance(schema, CommandLine) else CommandLine(schema=schema, **line)
+    return lambda run: Program(run, taken, sweep)
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Raise ValueError unless there are policies, all of different names."""
+    if not names or len(set(names)) < len(names):
+        raise ValueError(f"policies are called {sorted(names)}: give some, all of different names")
+
+
+def write_value(value: Any) -> str:
+    """Write a plain value or a list of them as on a command line."""
+    if isinstance(value, bool) or value is None:
+        return json.dumps(value)
+    if OmegaConf.is_list(value) or isinstance(value, list | tuple):
+        return f"[{','.join(map(write_value, value))}]"
+    return str(value)
+
+
+def read_arguments(kind: type) -> dict[str, str]:
+    """Return the entries of ``Args:`` in the docstrings of a class and its bases, by argument."""
+    texts: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        doc, name = inspect.cleandoc(base.__doc__ or ""), ""
+        match = re.search(r"^Args:\n((?:(?: .*)?\n?)*)", doc, re.MULTILINE)
+        for line in match.group(1).splitlines() if match else ():
+            begins = re.match(r" {4}(\w+): (.*)", line)
+            if begins:
+                name = begins.group(1)
+                texts[name] = begins.group(2)
+            elif name and line.strip():
+                texts[name] += " " + line.strip()
+    return texts
+
+
+def list_choices() -> dict[str, list[str]]:
+    """List the config groups and the choices in each."""
+    return {
+        group.name: sorted(path.stem for path in group.glob("*.yaml"))
+        for group in sorted(CONF.iterdir())
+        if group.is_dir()
+    }
+
+
+def set_up_logging() -> None:
+    """Print log lines above the progress bar, of TorchRL only warnings."""
+    level = os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # for other processes, too
+    logging.getLogger("torchrl").setLevel(level)
+    logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[_AboveBar()])
+    logging.getLogger("hydra").setLevel(logging.CRITICAL)  # its errors are raised too
+
+
+class _AboveBar(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        tqdm.write(self.format(record), file=sys.stderr)
+
+
+def show_command(program: str, *arguments: str) -> str:
+    """Return the command that runs a program with this Python, as typed here.
+
+    Args:
+        program: one of ``fishrl``, such as ``train``, or a module like ``experiments.validate``.
+        *arguments: words that follow it.
+    """
+    here, on_path = Path(sys.executable), Path(shutil.which("python") or "")
+    folder = here.parent
+    folder = folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder
+    is_active = on_path.parent == here.parent
+    if "." in program:
+        start = ["python" if is_active else str(folder / here.name), "-m", program]
+    else:
+        start = ["fishrl" if is_active else str(folder / "fishrl"), program]
+    return shlex.join([*start, *arguments])
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM raise KeyboardInterrupt, so that the program cleans up behind itself.
+
+    A signal that is ignored, as with ``nohup``, stays so.
+    """
+
+    def end(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt(number)
+
+    before = {n: signal.getsignal(n) for n in SIGNALS if signal.getsignal(n) != signal.SIG_IGN}
+    for number in before:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def plain_errors() -> Iterator[None]:
+    """End the program with one line for a user error, and with status 130 for Ctrl-C.
+
+    An error raised in a user's own file names its line. Other errors keep their traceback, and so
+    do all if the environment variable ``FISHRL_DEBUG`` is set.
+    """
+    try:
+        yield
+    except (ValueError, ImportError, OSError) as error:
+        if os.environ.get("FISHRL_DEBUG"):
+            raise
+        sys.exit(f"error: {error}{_find_line(error)}")
+    except KeyboardInterrupt as end:
+        print("interrupted", file=sys.stderr)
+        sys.exit(exit_status(end))
+
+
+def _find_line(error: Exception) -> str:
+    """Return the line of a user's own file that an error comes from; nothing if it is ours."""
+    root = Path(__file__).parents[1]
+    ours = [root / "experiments", root / "fishrl"]
+    libraries = [Path(path) for name, path in sysconfig.get_paths().items() if "lib" in name]
+
+    def lies_in(frame: traceback.FrameSummary, folders: Iterable[Path]) -> bool:
+        return any(Path(frame.filename).is_relative_to(folder) for folder in folders)
+
+    frames = traceback.extract_tb(error.__traceback__)
+    files = [frame for frame in frames if not frame.filename.startswith("<")]
+    own = [frame for frame in files if not lies_in(frame, [*ours, *libraries])]
+    if not own or lies_in(files[-1], ours):
+        return ""
+    return f" ({own[-1].filename}:{own[-1].lineno}, in {own[-1].name})"

@@ -1,0 +1,197 @@
+"""Search for good settings with Optuna: ``fishrl search folder=runs/search ...``.
+
+What is searched is written ``gamma=interval(0.9,1)``, ``learning_rate=tag(log,interval(a,b))``,
+``batch_size=int(interval(16,128))`` or ``hidden=choice([64],[64,64])``; other settings are those
+of every trial, as for ``fishrl train``. Each trial trains as a job of a sweep does. The study
+lies in ``study.db`` in the folder: the same command continues it, an interrupted or killed trial
+first; started several times at once, it searches with several processes.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import logging
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hydra.core.override_parser.types import IntervalSweep
+
+try:
+    import optuna
+except ImportError:  # it comes with the extra `sweep`
+    optuna = None  # type: ignore[assignment]
+
+from fishrl.bounds import Checked, bounded
+from fishrl.extras import show_install
+from fishrl.programs.configuration import parse, quote
+from fishrl.programs.program import program, show_command
+from fishrl.programs.sweeps.ending import ending_runs
+from fishrl.programs.sweeps.jobs import LOOK_SECONDS, find_or_begin, run_alone
+from fishrl.programs.sweeps.runs import read_run
+from fishrl.programs.train_settings import TRAINING
+from fishrl.training.run_folder import HeldError, RunFolder
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(kw_only=True)
+class SearchSettings(Checked):
+    """Settings of a search, beside those of its trainings.
+
+    Args:
+        folder: folder of the study and its runs.
+        trials: number of trials in the study, including failed ones and those of other processes.
+        seeds: runs per trial, over which the metric is averaged.
+        metric: entry of ``summary.json`` to optimise.
+        minimize: minimise the metric instead of maximising it.
+        overrides: settings of the trainings; on the command line, all keys not listed here.
+    """
+
+    folder: str
+    trials: int = bounded(20, least=1)
+    seeds: int = bounded(1, least=1)
+    metric: str = "mean_return"
+    minimize: bool = False
+    overrides: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        """Check the bounds, and that something is searched."""
+        super().__post_init__()
+        self.folder = str(Path(self.folder).expanduser())
+        for override in parse(TRAINING.prepare(self.overrides)):
+            if override.key_or_group in ("seed", "name", "resume"):
+                raise ValueError(f"{override.key_or_group}: is set by the search; leave it out")
+        space = self.space()
+        if not space:
+            raise ValueError("nothing to search: give a setting as key=interval(low,high)")
+        some = {k: d.choices[0] if hasattr(d, "choices") else d.low for k, d in space.items()}
+        TRAINING.compose([*self.fixed, *(f"{key}={value}" for key, value in some.items())])
+
+    @property
+    def fixed(self) -> list[str]:
+        """The settings that every trial shares, as hydra reads them."""
+        lines = TRAINING.prepare(self.overrides)
+        searched = {o.input_line for o in parse(lines) if o.is_sweep_override()}
+        return [line for line in lines if line not in searched]
+
+    def space(self) -> dict[str, Any]:
+        """Return Optuna's distribution of each setting that is searched."""
+        if optuna is None:
+            raise ImportError(f"the search needs Optuna: {show_install('sweep')}")
+        made: Any = optuna.distributions
+        space: dict[str, Any] = {}
+        for override in parse(TRAINING.prepare(self.overrides)):
+            key, value = override.get_key_element(), override.value()
+            if isinstance(value, IntervalSweep):
+                is_whole = isinstance(value.start, int) and isinstance(value.end, int)
+                kind = made.IntDistribution if is_whole else made.FloatDistribution
+                space[key] = kind(value.start, value.end, log="log" in value.tags)
+            elif override.is_sweep_override():
+                choices = list(override.sweep_string_iterator())
+                space[key] = made.CategoricalDistribution(choices)
+        return space
+
+
+def search(settings: SearchSettings) -> Any:
+    """Run trials until Optuna's study has as many as wanted, those that were cut off first."""
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    folder, space = Path(settings.folder), settings.space()
+    folder.mkdir(parents=True, exist_ok=True)
+    study = optuna.create_study(
+        storage=f"sqlite:///{folder.resolve() / 'study.db'}",
+        study_name="search",
+        direction="minimize" if settings.minimize else "maximize",
+        load_if_exists=True,
+    )
+    ranges = {key: str(distribution) for key, distribution in space.items()}
+    identity = str([settings.fixed, ranges, settings.metric, settings.seeds, settings.minimize])
+    has_begun = any(trial.value is not None for trial in study.trials)
+    if has_begun and study.user_attrs.get("identity", identity) != identity:
+        raise ValueError(f"{folder}: holds another search, {study.user_attrs['identity']}")
+    study.set_user_attr("identity", identity)
+    for trial in study.get_trials(states=[optuna.trial.TrialState.RUNNING]):
+        run_trial(settings, study, trial.number)
+    while len(study.trials) < settings.trials:
+        # Each trial has its own seed, also where several processes search: nothing is drawn twice.
+        with (folder / "study.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            study.sampler = optuna.samplers.TPESampler(seed=len(study.trials))
+            number = study.ask(space).number
+        try:
+            run_trial(settings, study, number)
+        except optuna.exceptions.UpdateFinishedTrialError:
+            logger.info("another search began meanwhile and gave the new trial up")
+    return study
+
+
+def run_trial(settings: SearchSettings, study: Any, number: int) -> None:
+    """Train with the settings of a trial, unless another process is at it or has done it."""
+    place = RunFolder(Path(settings.folder) / ".trials" / f"{number:04d}")
+    place.path.mkdir(parents=True, exist_ok=True)
+    try:
+        lock = place.hold()
+    except HeldError:
+        return
+    with lock:
+        trial = study.trials[number]  # read anew: another process may just have finished it
+        if trial.state != optuna.trial.TrialState.RUNNING:
+            return
+        chosen = [f"{key}={value}" for key, value in trial.params.items()]
+        is_whole = set(trial.params) == set(settings.space())  # else killed before it was begun
+        seeds = range(settings.seeds) if is_whole else ()
+        values: list[Any] = [run_seed(settings, number, chosen, seed) for seed in seeds]
+        if not values or None in values:
+            study.tell(number, state=optuna.trial.TrialState.FAIL)
+            return
+        study.tell(number, sum(values) / len(values))
+        logger.info("trial %d: %s: %g", number, " ".join(chosen), sum(values) / len(values))
+
+
+def run_seed(
+    settings: SearchSettings, number: int, chosen: Sequence[str], seed: int
+) -> float | None:
+    """Run one seed of a trial, or read its result; None if it failed."""
+    place = [f"seed={seed}", f"folder={quote(settings.folder)}"]
+    name = f"trial_{number:04d}-seed_{seed}"
+    try:
+        path = find_or_begin(TRAINING.read([*settings.fixed, *chosen, *place]), name=name).path
+    except ValueError as error:
+        logger.info("%s: failed: %s", name, error)
+        return None
+    while read_run(path).status == "running":  # as one that outlived its search
+        time.sleep(LOOK_SECONDS)
+    run = read_run(path)
+    if run.status != "finished":
+        run = run_alone(path)
+    if run.status != "finished":
+        logger.info("%s: %s: %s", name, run.status, run.reason)
+        return None
+    if settings.metric not in run.summary:
+        numbers = sorted(k for k, v in run.summary.items() if isinstance(v, int | float))
+        raise ValueError(f"metric = {settings.metric}: not in {path}; there is {numbers}")
+    value = run.summary[settings.metric]
+    return None if value is None else float(value)
+
+
+@program(SearchSettings, others="overrides")
+def main(settings: SearchSettings) -> None:
+    """Search, and print the best trials."""
+    try:
+        with ending_runs():
+            study = search(settings)
+    except KeyboardInterrupt:
+        sys.exit("interrupted; the same command goes on")
+    done = [trial for trial in study.trials if trial.value is not None]
+    print(f"\n{len(done)} of {len(study.trials)} trials finished in {settings.folder}")
+    for trial in sorted(done, key=lambda t: t.value, reverse=not settings.minimize)[:5]:
+        chosen = " ".join(f"{key}={value}" for key, value in trial.params.items())
+        print(f"  trial {trial.number:<4} {settings.metric} {trial.value:<12.6g} {chosen}")
+    print(f"table and curves: {show_command('summarize', settings.folder)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,122 @@
+"""Groups of runs that differ only in their seed and in harmless settings."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from fishrl.programs.sweeps.runs import HARMLESS, Run
+from fishrl.training.run_folder import RunFolder
+
+#: Settings that do not separate groups.
+_APART = ("seed", "logger", *HARMLESS)
+#: Settings that imply several others, and so distinguish groups first.
+_FIRST = ("preset", "task._target_")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Group:
+    """Runs with the same settings, finished or not.
+
+    Attributes:
+        settings: those in which the groups of a sweep differ, as words.
+        runs: all of them.
+    """
+
+    settings: dict[str, str]
+    runs: list[Run]
+
+    @property
+    def label(self) -> str:
+        """The settings in one line."""
+        known = {key: value for key, value in self.settings.items() if value != "–"}
+        words = (v if k.endswith("_target_") else f"{k} {v}" for k, v in known.items())
+        return ", ".join(words) or "all"
+
+    @property
+    def seeds(self) -> list[Run]:
+        """One run per seed, the one with the most frames; repetitions add no information."""
+        best: dict[Any, Run] = {}
+        for run in self.runs:
+            known = best.setdefault(run.config.get("seed"), run)
+            if (run.status == "finished", run.frames) > (known.status == "finished", known.frames):
+                best[run.config.get("seed")] = run
+        return list(best.values())
+
+    @property
+    def finished(self) -> list[Run]:
+        """The runs that count in the tables."""
+        return [run for run in self.seeds if run.status == "finished"]
+
+    def by_seed(self, name: str) -> dict[Any, float]:
+        """Return an entry of the summaries of the finished runs by seed, where it is a number."""
+        entries: dict[Any, Any] = {
+            run.config.get("seed"): run.summary.get(name) for run in self.finished
+        }
+        return {seed: float(value) for seed, value in entries.items() if is_number(value)}
+
+    def numbers(self, name: str) -> list[float]:
+        """Return the values of ``by_seed``."""
+        return list(self.by_seed(name).values())
+
+
+def group_runs(runs: Sequence[Run]) -> list[Group]:
+    """Put runs together that differ only in seed and harmless settings, in the order they come in.
+
+    Each group is labelled by the fewest settings that distinguish all groups; those that follow
+    from others, such as what a preset sets, are left out. So are runs that never began.
+    """
+    begun = [run for run in runs if run.config]
+    flat = [_settings_of(run) for run in begun]
+    keys = _find_distinguishing(flat)
+    groups: dict[tuple[str, ...], Group] = {}
+    for run, settings in zip(begun, flat, strict=True):
+        label = {key: settings.get(key, "–") for key in keys}
+        groups.setdefault(tuple(label.values()), Group(settings=label, runs=[])).runs.append(run)
+    return list(groups.values())
+
+
+def is_number(value: Any) -> bool:
+    """Tell whether an entry of a summary is a finite number."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _find_distinguishing(flat: Sequence[Mapping[str, str]]) -> list[str]:
+    """List the fewest settings that separate all groups."""
+
+    def count(keys: Sequence[str]) -> int:
+        return len({tuple(settings.get(key, "–") for key in keys) for settings in flat})
+
+    kept: list[str] = []
+    for name in dict.fromkeys([*_FIRST, *(name for settings in flat for name in settings)]):
+        if count([*kept, name]) > count(kept):
+            kept.append(name)
+    for name in list(kept):
+        others = [key for key in kept if key != name]
+        if count(others) == count(kept):
+            kept = others
+    return kept
+
+
+def _settings_of(run: Run) -> dict[str, str]:
+    """Return the settings of a run, with its classifier named by content instead of by file."""
+    flat, own = _flatten(run.config), RunFolder(run.path).classifier
+    if flat.get("recognition") == own.name and own.is_file():
+        flat["recognition"] = f"classifier {hashlib.sha256(own.read_bytes()).hexdigest()[:8]}"
+    return flat
+
+
+def _flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+    flat: dict[str, str] = {}
+    for name, value in config.items():
+        key = f"{prefix}{name}"
+        if key in _APART:
+            continue
+        if isinstance(value, Mapping):
+            flat |= _flatten(value, f"{key}.")
+        else:
+            flat[key] = str(value).rsplit(".", 1)[-1] if name == "_target_" else str(value)
+    return flat

@@ -1,0 +1,142 @@
+"""Runs as read from their folders: settings, results, status, and the command to resume them."""
+
+from __future__ import annotations
+
+import fcntl
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from fishrl.programs.configuration import list_modules, quote
+from fishrl.programs.program import show_command
+from fishrl.training.aliases import update_config
+from fishrl.training.logger import read_rows
+from fishrl.training.run_folder import RunFolder, read_config, read_summary
+from fishrl.viewer import ViewerSettings
+
+#: Settings that change neither what a run learns nor how it is evaluated: where it lies, and what
+#: is shown, logged, saved and compared.
+HARMLESS = (
+    *(entry.name for entry in fields(ViewerSettings)),
+    *("folder", "name", "resume", "log_frames", "checkpoint_frames", "keep_checkpoints"),
+    *("baselines", "picture_episodes"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """One run, as read from its folder.
+
+    Attributes:
+        path: its folder.
+        status: ``finished``, ``running``, ``failed`` (the reason is known) or ``stopped``.
+        reason: why it failed, or what failed once it was finished, in one line.
+        frames: done, as far as ``metrics.csv`` says.
+        config: its settings; empty if they could not be made.
+        summary: of a finished run.
+    """
+
+    path: Path
+    status: str
+    reason: str
+    frames: int
+    config: dict[str, Any]
+    summary: dict[str, Any]
+
+    @property
+    def command(self) -> str:
+        """Command that resumes the run alone."""
+        if not self.config:
+            return "fix the setting and repeat the command of the sweep"
+        return show_command("train", *list_arguments(self.path, self.config))
+
+
+def list_arguments(path: Path, config: Mapping[str, Any]) -> list[str]:
+    """Return the arguments that resume a run, with the modules outside fishrl that it needs."""
+    return [f"resume={quote(str(path))}", *name_modules(config)]
+
+
+def name_modules(config: Mapping[str, Any]) -> list[str]:
+    """Return ``modules=[...]`` with the modules outside fishrl that a run needs, if any."""
+    own = sorted({name for name in list_modules(config) if name.split(".")[0] != "fishrl"})
+    return [f"modules=[{','.join(own)}]"] if own else []
+
+
+def read_runs(folder: Path) -> list[Run]:
+    """Read every run in a folder, begun or not; raise ValueError if there is none.
+
+    Studies that train no policy, such as those of the lateral line, are left out.
+    """
+    paths = [folder, *sorted(folder.iterdir())] if folder.is_dir() else []
+    found = [p for p in paths if RunFolder(p).config.is_file() or RunFolder(p).failure.is_file()]
+    if folder in found:
+        raise ValueError(
+            f"{folder}: is a single run; give the folder that holds it, {folder.absolute().parent}"
+        )
+    runs = [run for run in map(read_run, found) if not run.config or "total_frames" in run.config]
+    if not runs:
+        raise ValueError(
+            f"{folder}: holds no runs; give the folder of a sweep, such as runs/sweep-<time>"
+        )
+    return runs
+
+
+def read_run(path: Path) -> Run:
+    """Read one run; raise ValueError if its files are damaged."""
+    folder = RunFolder(path)
+    summary: dict[str, Any] = {}
+    config: dict[str, Any] = {}
+    try:
+        if folder.summary.is_file():
+            summary = read_summary(folder.summary)
+        if folder.config.is_file():
+            config = update_config(read_config(folder.config))
+    except Exception as error:
+        raise ValueError(f"{path}: damaged ({error}); mend or delete it") from error
+    frames = count_frames(path)
+    status, reason = "finished" if summary else "stopped", ""
+    if is_held(path):
+        status = "running"
+    elif folder.failure.is_file():
+        lines = folder.failure.read_text(encoding="utf-8").strip().splitlines()
+        status, reason = "finished" if summary else "failed", lines[-1] if lines else "unknown"
+    return Run(
+        path=path, status=status, reason=reason, frames=frames, config=config, summary=summary
+    )
+
+
+def count_frames(path: Path) -> int:
+    """Return the frames in the last whole row of a run's metrics."""
+    metrics = RunFolder(path).metrics
+    if not metrics.is_file():
+        return 0
+    rows = read_rows(metrics)
+    return int(rows[-1]["frames"]) if rows else 0
+
+
+def is_held(path: Path) -> bool:
+    """Tell whether another process writes a run; see ``RunFolder.hold``."""
+    lock = RunFolder(path).lock
+    if not lock.is_file():
+        return False
+    with lock.open() as file:
+        try:
+            fcntl.lockf(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except (BlockingIOError, PermissionError):
+            return True
+        except OSError:  # a file system without locks
+            return False
+    return False
+
+
+def advise(runs: Sequence[Run]) -> str:
+    """Report how many runs are finished, what failed in each, and how to resume it."""
+    finished = sum(run.status == "finished" for run in runs)
+    lines = [f"{finished} of {len(runs)} runs finished"]
+    for run in runs:
+        if run.status != "finished" or run.reason:
+            because = f" ({run.reason})" if run.reason else ""
+            lines.append(f"- {run.path.name}: {run.status} at frame {run.frames}{because}")
+            lines += [f"  rerun: {run.command}"] if run.status != "running" else []
+    return "\n".join(lines)

@@ -1,0 +1,143 @@
+"""Train a policy: ``fishrl train task=predation preset=small seed=0``.
+
+``resume=<run folder>`` continues a run that was stopped or killed. A finished run is left unchanged
+unless ``total_frames`` extends it, or another final evaluation is asked for.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from fishrl.programs.configuration import quote
+from fishrl.programs.figures.run_pictures import record_run
+from fishrl.programs.live import LiveObserver
+from fishrl.programs.program import program, show_command
+from fishrl.programs.sweeps.jobs import sweep
+from fishrl.programs.sweeps.runs import list_arguments, name_modules
+from fishrl.programs.train_settings import TRAINING, TrainConfig, make_plan
+from fishrl.training.checkpoint import read_metadata
+from fishrl.training.description import to_plain
+from fishrl.training.evaluation import fixed_starts
+from fishrl.training.interruption import Interrupted, exit_status
+from fishrl.training.loop import FINAL_SEED, Training
+from fishrl.training.plan import LEARNING, PARTS, RUN
+from fishrl.training.progress import Progress
+from fishrl.training.run_folder import RunFolder, read_config
+from fishrl.training.runs import begin, complete, find_summary, reopen
+
+#: When the program started, apart from the imports above.
+BEGAN = time.perf_counter()
+
+#: Settings that are not taken from the stored run on resume.
+_OF_THE_MOMENT = ("live", "recognition", "resume")
+#: Settings that, if changed, evaluate or draw a finished run again.
+_OF_THE_END = ("total_frames", "final_episodes", "baselines", "picture_episodes")
+
+
+class RunObserver(LiveObserver):
+    """The live view of a run, and its pictures at the end."""
+
+    def __init__(self, config: TrainConfig) -> None:
+        super().__init__(config, num_flows=config.num_envs)
+        self.config = config
+
+    def finish(self, training: Training, summary: Mapping[str, Any]) -> None:
+        """Record the policy from some starts of the final evaluation and draw the pictures."""
+        if self.config.picture_episodes == 0:
+            return
+        starts = fixed_starts(training.task, self.config.final_episodes, seed=FINAL_SEED)
+        starts = starts[: self.config.picture_episodes]
+        training.progress.start("pictures", total=starts.shape[0])
+        record_run(
+            training.folder.path,
+            training.collector.env,
+            training.make_interruptible(training.learner.actor),
+            starts,
+            settings=self.config,
+            baselines={name: summary[f"{name}_success_rate"] for name in summary["baselines"]},
+            on_episodes=training.progress.advance,
+        )
+
+
+def set_up(config: TrainConfig, **hooks: Any) -> Training:
+    """Set up a run, new or resumed; invalid settings raise an error here, not later."""
+    hooks["observer"] = RunObserver(config)
+    if config.resume:
+        return reopen(config.resume, **hooks, **list_changes(config))
+    return begin(make_plan(config), recognition=config.recognition, **hooks)
+
+
+def list_changes(config: TrainConfig) -> dict[str, Any]:
+    """Return the settings that may be others than in the run that is resumed."""
+    stored = read_config(RunFolder.of_existing(str(config.resume)).config)
+    fixed = (*LEARNING, *PARTS, *_OF_THE_MOMENT)
+    plain = to_plain(asdict(config))
+    return {n: v for n, v in plain.items() if n not in fixed and (n in RUN or n in stored)}
+
+
+def finish(training: Training) -> dict[str, Any]:
+    """Run a training to its end, draw its pictures, print the table, and return the summary."""
+    summary = complete(training)
+    training.progress.close()
+    modules = name_modules(training.plan.to_config())
+    report(summary, folder=training.folder.path, modules=modules)
+    return summary
+
+
+def report(summary: dict[str, Any], *, folder: Path, modules: Sequence[str]) -> None:
+    """Print results of all policies, the files written, and commands to continue with.
+
+    ``modules`` are the arguments that those commands need for classes outside fishrl.
+    """
+    word = summary["success"]
+    heads = f"{word:>14}{'mean return':>14}{'mean duration':>16}{f'until {word}':>18}"
+    print(f"\n{'policy':<12}{heads}")
+    for name in ("learned", *summary["baselines"]):
+        keys = ("success_rate", "mean_return", "mean_length_T", "mean_time_to_success_T")
+        prefix = "" if name == "learned" else f"{name}_"
+        rate, value, length, duration = (summary[prefix + key] for key in keys)
+        shown = "-" if duration != duration else f"{duration:.1f} T"
+        print(f"{name:<12}{rate:>13.0%} {value:>13.1f}{length:>14.1f} T{shown:>18}")
+    print(f"({summary['episodes']} fixed starts, {summary['wall_seconds'] / 60:.1f} minutes)\n")
+    for path in sorted(folder.iterdir()):
+        if not path.name.startswith("."):
+            print(f"  {path}")
+    has_recording = (folder / "capture.rrd").is_file()
+    viewed = [str(folder)] if has_recording else [f"run={quote(str(folder))}", *modules]
+    evaluated = [f"checkpoint={quote(str(folder))}", *modules]
+    print(f"\nevaluate: {show_command('evaluate', *evaluated)}")
+    print(f"view: {show_command('view', *viewed)}")
+
+
+@program(TRAINING, sweep=sweep)
+def main(settings: TrainConfig) -> None:
+    """Train, or resume a run; print the command to resume it if it is interrupted."""
+    if settings.resume:
+        changes = {n: v for n, v in list_changes(settings).items() if n in _OF_THE_END}
+        if find_summary(settings.resume, **changes) is not None:
+            print(f"{settings.resume}: already finished; total_frames=... extends it")
+            return
+    with Progress() as progress:
+        training = set_up(settings, progress=progress, began=BEGAN)
+        arguments = list_arguments(training.folder.path, training.plan.to_config())
+        hint = f"resume with: {show_command('train', *arguments)}"
+        try:
+            finish(training)
+        except Interrupted as end:
+            frames = read_metadata(training.folder.path, which="last")[1]["frames"]
+            print(f"{end}: saved at frame {frames}; {hint}", file=sys.stderr)
+            sys.exit(128 + end.number)
+        except KeyboardInterrupt as end:
+            print(f"interrupted; {hint}", file=sys.stderr)
+            sys.exit(exit_status(end))
+        except OSError as error:
+            sys.exit(f"error: {error}\n{hint}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,131 @@
+"""Evaluate frozen policies in streams they were not trained in: ``fishrl transfer``.
+
+Runs the learned policies of run folders (``runs=[runs/a,runs/b]``, of ``task=karman_gait``) and
+baselines from the same fixed starts in every flow. Writes tables, figures and ``transfer.json``;
+histories are cached.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from fishrl.bounds import bounded
+from fishrl.envs import KarmanGait
+from fishrl.programs.gait import figures, trials
+from fishrl.programs.gait.diagnostics import combine_seeds, diagnose, measure_lean, trace_work
+from fishrl.programs.gait.tables import write_results
+from fishrl.programs.program import TaskSettings, check_names, program
+from fishrl.training.description import make
+from fishrl.training.progress import Progress
+from fishrl.training.run_folder import write_json
+
+
+@dataclass(frozen=True, kw_only=True)
+class TransferSettings(TaskSettings):
+    """Settings of a transfer test.
+
+    Args:
+        runs: run folders of ``task=karman_gait``; runs of one kind are its seeds. The
+            baselines use the task of the first run with macro-actions.
+        episodes: episodes in each flow.
+        periods: duration of a trial in T.
+        baselines: policies to compare with; see ``trials.make_trial``.
+        recognition: source of the labels of all runs instead of their own: ``oracle``, the file of
+            a classifier or ``zoo/<name>``.
+        samples_actions: sample the actions of stochastic policies (SAC, PPO), as in training.
+        folder: folder for tables, figures and histories.
+    """
+
+    runs: tuple[str, ...] = ()
+    episodes: int = bounded(100, least=1)
+    periods: float = bounded(trials.PERIODS, greater=0)
+    baselines: tuple[str, ...] = ("pid", "pid+policy", "bang_bang", "shedding")
+    recognition: str | None = None
+    samples_actions: bool = False
+    folder: str = "runs/transfer"
+
+
+def transfer(
+    tried: Sequence[trials.Trial], settings: TransferSettings, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Run all trials, write tables and figures, and return the results.
+
+    Those are ``shedding``: its frequencies, per T; ``arms``: diagnostics per arm and flow over its
+    seeds; ``trials``: of each policy alone; ``work``: per arm and flow as it adds up in time.
+    ``ValueError`` for equal names, tasks that cannot be compared, and several half discs.
+    """
+    check_names([trial.name for trial in tried])
+    trials.check_shared(tried)
+    trials.check_one_disc(tried[0].task)
+    folder, task, best = Path(settings.folder), tried[0].task, tried[0].arm
+    speeds, interval_T = task.stream.speeds_bl, task.interval_T
+    shedding = trials.list_shedding(task)
+    arms: dict[str, list[list[trials.Histories]]] = {}
+    alone: dict[str, list[dict[str, float]]] = {}
+    for trial in tried:
+        flows = trials.run_trial(
+            trial,
+            episodes=settings.episodes,
+            folder=folder,
+            samples_actions=settings.samples_actions,
+            progress=progress,
+        )
+        arms.setdefault(trial.arm, []).append(flows)
+        alone[trial.name] = [
+            diagnose(flow, trial.task, shedding_frequency=frequency)
+            for flow, frequency in zip(flows, trials.list_shedding(trial.task), strict=True)
+        ]
+    combined, work = {}, {}
+    for arm, recorded in arms.items():
+        seeds = [alone[trial.name] for trial in tried if trial.arm == arm]
+        combined[arm] = [combine_seeds(flow) for flow in zip(*seeds, strict=True)]
+        together = [trials.stack(flow) for flow in zip(*recorded, strict=True)]
+        work[arm] = [trace_work(flow, interval_T=interval_T) for flow in together]
+    results = {
+        "speeds_bl": list(speeds),
+        "shedding": shedding,
+        "arms": combined,
+        "trials": alone,
+        "episodes": settings.episodes,
+        "samples_actions": settings.samples_actions,
+        "work": work,
+    }
+    write_json(folder / "transfer.json", results)
+    (folder / "transfer.md").write_text(write_results(combined, speeds), encoding="utf-8")
+    first = {arm: seeds[0] for arm, seeds in arms.items()}
+    everything = zip(*(flows for seeds in arms.values() for flows in seeds), strict=True)
+    leans = [measure_lean(trials.stack(flow), interval_T=interval_T) for flow in everything]
+    figures.write_survival(folder / "survival.png", arms, speeds=speeds)
+    figures.write_paths(folder / "paths.png", first, task=task)
+    figures.write_places(folder / "places.png", first, task=task)
+    figures.write_decisions(folder / "decisions.png", first[best], task=task, shedding=shedding)
+    figures.write_lean(folder / "lean.png", leans, speeds=speeds)
+    figures.write_work(folder / "work.png", work[best], None, speeds=speeds)
+    return results
+
+
+@program(TransferSettings, groups={"task": "karman_gait", "preset": "gait_small"})
+def main(settings: TransferSettings) -> None:
+    """Load and evaluate the policies, and print the tables."""
+    torch.set_num_threads(1)
+    periods = settings.periods
+    with Progress() as progress:
+        given: Any = {"periods": periods, "recognition": settings.recognition}
+        tried = [trials.load_trial(Path(run), **given) for run in settings.runs]
+        banked = [trial.task for trial in tried if trial.task.control.num_flows is not None]
+        if banked and settings.task != main.read(()).task:
+            raise ValueError("task, preset: the runs bring their own; leave them out")
+        task = banked[0] if banked else make(settings.task, kind=KarmanGait)
+        tried += [trials.make_trial(name, task, periods=periods) for name in settings.baselines]
+        transfer(tried, settings, progress)
+    print((Path(settings.folder) / "transfer.md").read_text(encoding="utf-8"))
+    print(f"written to {settings.folder}")
+
+
+if __name__ == "__main__":
+    main()

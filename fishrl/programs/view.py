@@ -1,0 +1,197 @@
+"""Show what a policy does, in the rerun viewer: ``fishrl view run=runs/<name>``.
+
+``policy=pid preset=gait_small`` shows a baseline, ``live=true`` streams while it runs, ``save=``
+writes a recording or a film, ``screenshot=`` a picture; a path alone opens a recording that exists.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from fishrl.bounds import bounded
+from fishrl.envs.scene import Frame
+from fishrl.programs.program import program
+from fishrl.programs.train_settings import PolicySettings, read_task
+from fishrl.training.evaluation import fixed_starts
+from fishrl.training.progress import Progress
+from fishrl.viewer import (
+    Recording,
+    Server,
+    ViewerSettings,
+    check_folder,
+    find_recording,
+    has_screen,
+    make_scene,
+    name_flows,
+    open_recording,
+    record_episodes,
+    start_drawing,
+    write_screenshot,
+)
+from fishrl.viewer.film import FILMS
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewConfig(PolicySettings, ViewerSettings):
+    """Settings of the viewer program.
+
+    Args:
+        recording: a ``.rrd`` file, or a run folder with one, to open as it is.
+        run: run folder of the policy to show.
+        episodes: fixed starts, one flow each, of which ``flows`` are shown; all by default.
+        periods: T after which an episode is cut; ``null`` runs it to its end.
+        save: file to write: a recording ``.rrd``, by default one in the temporary folder, or a film
+            of one flow, ``.mp4`` or ``.gif``.
+        screenshot: PNG to write instead of opening a window.
+        time: time of the picture, in T; by default the middle of the recording.
+    """
+
+    recording: str | None = None
+    run: str | None = None
+    episodes: int = bounded(1, least=1)
+    periods: float | None = bounded(20.0, greater=0)
+    save: str | None = None
+    screenshot: str | None = None
+    time: float | None = bounded(None, least=0)
+
+    def __post_init__(self) -> None:
+        """Check both kinds of settings."""
+        super().__post_init__()
+        if self.recording is not None and (self.save or self.live):
+            raise ValueError("save and live: are for policies; a recording is only opened")
+        endings = (".rrd", *FILMS)
+        if self.save is not None and Path(self.save).suffix not in endings:
+            raise ValueError(f"save = {self.save}: must end in one of {', '.join(endings)}")
+        if self.is_film and (self.screenshot or self.live or len(self.shown) > 1):
+            raise ValueError(
+                f"save = {self.save}: a film is of one flow (flows=[0]); leave out screenshot, live"
+            )
+
+    @property
+    def shown(self) -> list[int]:
+        """The flows that are shown."""
+        return self.choose_flows(self.episodes, default=self.episodes)
+
+    @property
+    def is_film(self) -> bool:
+        """Whether a film is written instead of a recording."""
+        return self.save is not None and Path(self.save).suffix in FILMS
+
+    @property
+    def sources(self) -> dict[str, str | None]:
+        """Add ``run`` and ``recording``."""
+        recording = {"the path of a .rrd file": self.recording}
+        return {"run=<run folder>": self.run} | recording | super().sources
+
+    @property
+    def learned(self) -> str | None:
+        """Where the learned policy lies, if it is no baseline."""
+        return self.run or super().learned
+
+
+def record(
+    settings: ViewConfig, *, save: Path, url: str | None = None, progress: Progress | None = None
+) -> str:
+    """Run a policy from fixed starts, draw its flows, and return the size of the recording.
+
+    The flows go to the file ``save`` and to the viewer's server at ``url``.
+    """
+    progress = progress or Progress(is_shown=False)
+    check_folder(save)
+    flows = settings.shown
+    task, recognition, policy = settings.make_policy()
+    starts = fixed_starts(task, settings.episodes, seed=settings.seed)
+    max_decisions = min(task.time_limit, task.count_decisions(settings.periods))
+    times: dict[int, list[float]] = {flow: [] for flow in flows}
+    with ExitStack() as stack:
+        env = settings.make_env(task, recognition, num_envs=len(flows), progress=progress)
+        stack.callback(env.close)
+        scene = make_scene(env, field=settings.field, field_limit=settings.field_limit)
+        names = name_flows(task, flows, starts)
+        film, drawing = Recording(scene=scene), None
+        if not settings.is_film:
+            drawing = stack.enter_context(
+                start_drawing(
+                    scene, flows=names, save=save, url=url, field_format=settings.field_format
+                )
+            )
+
+        def draw(start: int, frame: Frame) -> None:
+            times[flows[start]].append(frame.time)
+            if drawing is None:
+                film.frames.append(frame)
+            else:
+                drawing.draw(flows[start], frame)
+
+        progress.start("recording", total=max_decisions)
+        record_episodes(
+            env,
+            policy,
+            starts[flows],
+            scene=scene,
+            give=draw,
+            frames_per_T=settings.frames_per_T,
+            max_decisions=max_decisions,
+            on_step=lambda running, step: progress.advance(1),
+        )
+    if settings.is_film:
+        FILMS[save.suffix](film, save)
+    periods = sum(max(flow, default=0.0) for flow in times.values())
+    rate = sum(map(len, times.values())) / max(periods, 1e-9)
+    written = save.suffix[1:] if settings.is_film else settings.field_format
+    return (
+        f"{save.stat().st_size / 1e6:.2f} MB for {periods:.1f} T of {len(flows)} flows "
+        f"({written}, {rate:.1f} frames per T)"
+    )
+
+
+def wait_for_interrupt() -> None:
+    """Return on Ctrl-C."""
+    print("the episodes are over; the live view stays until you press Ctrl-C")
+    with suppress(KeyboardInterrupt):
+        while True:
+            time.sleep(1.0)
+
+
+@program(
+    ViewConfig,
+    groups={"task": "predation", "preset": None},
+    stored=read_task,
+    positional="recording",
+)
+def main(settings: ViewConfig) -> None:
+    """Open, record, stream or take a screenshot, as the settings say."""
+    opens = not (settings.live or settings.save or settings.screenshot)
+    with ExitStack() as stack:
+        folder = stack.enter_context(TemporaryDirectory(prefix="fishrl-"))
+        path = Path(settings.recording or settings.save or f"{folder}/view.rrd")
+        if settings.recording is not None:
+            find_recording(path)
+        if settings.screenshot is not None:
+            check_folder(settings.screenshot)
+        if opens and not has_screen():
+            raise ValueError(
+                "no screen to open a window on: give save=<file.rrd>, screenshot=<file.png>, or "
+                "live=true for a browser"
+            )
+        if settings.recording is None:
+            server = stack.enter_context(Server(port=settings.port)) if settings.live else None
+            with Progress() as progress:
+                url = None if server is None else server.url
+                size = record(settings, save=path, url=url, progress=progress)
+            print(f"{settings.save}: {size}" if settings.save else size)
+            if server is not None:
+                wait_for_interrupt()
+        if settings.screenshot is not None:
+            write_screenshot(path, settings.screenshot, time_T=settings.time)
+            print(f"written: {settings.screenshot}")
+        elif opens:
+            open_recording(path)
+
+
+if __name__ == "__main__":
+    main()

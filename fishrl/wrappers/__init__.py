@@ -1,0 +1,1 @@
+"""Wrappers for users of other frameworks; nothing else in fishrl imports them."""

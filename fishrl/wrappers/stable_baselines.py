@@ -1,0 +1,109 @@
+"""A ``VecEnv`` of flows for Stable-Baselines3.
+
+Needs the extra ``stable-baselines3``; import it by its full name:
+``from fishrl.wrappers.stable_baselines import FlowVecEnv``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from torchrl.envs import TransformedEnv
+
+from fishrl.extras import show_install
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+except ImportError as error:
+    raise ImportError(
+        "fishrl.wrappers.stable_baselines needs Stable-Baselines3: "
+        + show_install("stable-baselines3")
+    ) from error
+
+from fishrl.wrappers.gymnasium import FlowVectorEnv
+
+Array = np.ndarray[Any, Any]
+
+
+class FlowVecEnv(VecEnv):
+    """Wrap an environment of ``make_env`` with B flows as a ``VecEnv`` of B rows.
+
+    ``env_method("action_masks")`` returns the legal actions, as ``MaskablePPO`` of sb3-contrib
+    expects. Use algorithms without masks for tasks in which all actions are always legal, or
+    continuous.
+
+    Args:
+        env: an environment of ``make_env``, which this wrapper owns and closes.
+    """
+
+    def __init__(self, env: TransformedEnv) -> None:
+        self.vector = FlowVectorEnv(env, autoreset_mode="SameStep")
+        super().__init__(
+            self.vector.num_envs,
+            self.vector.single_observation_space,
+            self.vector.single_action_space,
+        )
+        self._actions: Array = np.zeros(self.num_envs, dtype=np.int64)
+
+    def reset(self) -> Array:
+        """Start new episodes in all rows, with the seed of a preceding call of ``seed``."""
+        observations, infos = self.vector.reset(seed=self._seeds[0])
+        self._reset_seeds()
+        self._reset_options()
+        self.reset_infos = self._split(infos)
+        return observations
+
+    def step_async(self, actions: Array) -> None:
+        """Store the actions ``[B]`` for ``step_wait``."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[Array, Array, Array, list[dict[str, Any]]]:
+        """Return observations ``[B, ...]``, rewards, dones and a dict of infos per row.
+
+        Rows that end are reset at once; their infos hold ``terminal_observation`` and
+        ``TimeLimit.truncated``.
+        """
+        observations, rewards, terminated, truncated, infos = self.vector.step(self._actions)
+        dones = terminated | truncated
+        final = infos.pop("final_obs", None)
+        last = self._split(infos.pop("final_info", {}))
+        rows = self._split(infos)
+        for row in range(self.num_envs):
+            if dones[row]:
+                self.reset_infos[row] = rows[row]
+                rows[row] = last[row] | {"terminal_observation": final[row]}
+            rows[row]["TimeLimit.truncated"] = bool(truncated[row] and not terminated[row])
+        return observations, rewards.astype(np.float32), dones, rows
+
+    def close(self) -> None:
+        """End the solver's processes, if any."""
+        self.vector.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Return an attribute, which is the same for all rows."""
+        value = getattr(self.vector, attr_name)
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Raise ValueError: all rows share one environment."""
+        raise ValueError(
+            f"{attr_name} = {value}: rows share one environment; make another with make_env"
+        )
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call a method of the vector environment and return its rows."""
+        result = getattr(self.vector, method_name)(*method_args, **method_kwargs)
+        return [result[row] for row in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """Return False for each row: there are no individual environments."""
+        return [False for _ in self._get_indices(indices)]
+
+    def _split(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
+        """Turn infos of all rows into one dict per row."""
+        names: Sequence[str] = [name for name in infos if not name.startswith("_")]
+        return [{name: infos[name][row] for name in names} for row in range(self.num_envs)]

@@ -1,0 +1,212 @@
+"""The pictures of a run, chosen by what its scene offers."""
+
+import dataclasses
+import gc
+import weakref
+from math import pi
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from fishrl.envs import Predation
+from fishrl.envs.scene import Frame
+from fishrl.programs.figures import learning_curve
+from fishrl.programs.figures.learning_curve import Curve, read_metrics, write_learning_curve
+from fishrl.programs.figures.run_pictures import write_run_pictures
+from fishrl.viewer import Recording, film
+
+METRICS = """frames,train/return,eval/mean_return,train/success_rate,train/loss_qvalue,note
+64,-5.0,,0.0,2.0,warm-up
+128,-3.0,-4.0,0.1,nan,
+192,2.0,,0.5,1.0,
+"""
+
+
+def make_recording(
+    *, num_frames: int = 17, has_succeeded: bool = True, lane: float = 1.5
+) -> Recording:
+    """Return vortices of alternating sign, shed by a beating outline that heads for its food."""
+    task, length = Predation(body_length=20, reynolds=500.0, wall_margin_bl=0.25), 20.0
+    time = torch.arange(num_frames) / 4
+    nose = torch.stack((7.5 - 0.8 * time, lane + 0.2 * (0.7 * time).sin()), 1) * length
+    s = torch.linspace(0, 2 * pi, 41)[:-1]
+    body_x = 0.5 * (1 - s.cos())
+    wave = 0.1 * body_x * (2 * pi * (body_x - time[:, None])).sin()
+    body_y = wave + 0.06 * s.sin()
+    outline = nose[:, None] + length * torch.stack((body_x.expand_as(body_y), body_y), -1)
+    rows, columns = torch.meshgrid(torch.arange(100), torch.arange(200), indexing="ij")
+    vorticity = torch.zeros(num_frames, 100, 200)
+    for i, age in enumerate(time.tolist()):
+        for k in range(int(2 * age) + 1):
+            x_k, y_k = (9.0 - 0.4 * k) * length, (lane + 0.15 * (-1) ** k) * length
+            r2 = (columns - x_k) ** 2 + (rows - y_k) ** 2
+            core = (0.15 * length) ** 2 * (1 + 0.3 * max(age - k / 2, 0.0))
+            vorticity[i] += 12.0 * (-1) ** k * torch.exp(-r2 / core)
+    values = {
+        "vorticity": vorticity.half(),
+        "fish": outline,
+        "midline": outline,
+        "head": nose,
+        "food": torch.tensor([2.5, lane]).mul(length).expand(num_frames, 2),
+    }
+    frames = [
+        Frame(time=float(time[i]), values={name: value[i] for name, value in values.items()})
+        for i in range(num_frames)
+    ]
+    return Recording(scene=task.make_scene(), frames=frames, has_succeeded=has_succeeded)
+
+
+@pytest.fixture
+def run_dir(tmp_path: Path) -> Path:
+    (tmp_path / "metrics.csv").write_text(METRICS)
+    return tmp_path
+
+
+def scale_vorticity(recording: Recording, factor: float) -> Recording:
+    frames = [
+        dataclasses.replace(
+            frame, values={**frame.values, "vorticity": factor * frame.values["vorticity"]}
+        )
+        for frame in recording.frames
+    ]
+    return dataclasses.replace(recording, frames=frames)
+
+
+def test_a_task_with_a_goal_gets_every_picture(run_dir: Path) -> None:
+    recordings = [make_recording(has_succeeded=False), make_recording(num_frames=9, lane=3.0)]
+    write_run_pictures(run_dir, recordings, baselines={"random": 0.1})
+    written = {path.name for path in run_dir.glob("*.[pg]*") if path.stat().st_size > 1000}
+    assert written == {
+        *("learning_curve.png", "trajectories.png", "vorticity_sequence.png"),
+        *("vorticity_last.png", "capture.gif"),
+    }
+    with Image.open(run_dir / "capture.gif") as picture:  # the first capture, frame by frame
+        assert picture.n_frames == 9
+
+
+def test_a_task_without_a_goal_gets_the_learning_curve(run_dir: Path) -> None:
+    recording = make_recording(num_frames=2)
+    recording.scene = dataclasses.replace(recording.scene, marks=())
+    write_run_pictures(run_dir, [recording], baselines={})
+    assert [path.name for path in run_dir.glob("*.[pg]*")] == ["learning_curve.png"]
+
+
+def test_the_animation_shrinks_until_it_fits(tmp_path: Path) -> None:
+    recording = make_recording(num_frames=5)
+    film.write_animation(recording, tmp_path / "large.gif")
+    limit = (tmp_path / "large.gif").stat().st_size // 2
+    film.write_animation(recording, tmp_path / "small.gif", max_bytes=limit)
+    assert (tmp_path / "small.gif").stat().st_size <= limit
+    with pytest.raises(ValueError, match="max_bytes = 10: "):
+        film.write_animation(recording, tmp_path / "x.gif", max_bytes=10)
+
+
+def test_colours_are_symmetric_about_zero_and_saturate_at_a_round_number() -> None:
+    recording = make_recording()
+    limit = film.choose_limit(recording)
+    assert limit == film.choose_limit(scale_vorticity(recording, -1.0))
+    assert limit in (1.0, 1.5, 2.0, 3.0, 5.0, 7.5, 10.0, 15.0)
+    assert film.choose_limit(scale_vorticity(recording, 0.0)) == 1.0
+    scene = recording.scene.choose_field("vorticity", limit=4.2)
+    assert film.choose_limit(dataclasses.replace(recording, scene=scene)) == 4.2
+
+
+def test_flows_are_drawn_in_body_lengths() -> None:
+    recording = make_recording(num_frames=5)
+    figure, flow = film.make_single(recording.scene, limit=5.0)
+    flow.show(recording.frames)
+    x, y = flow.paths["head"].get_data()
+    assert np.allclose([x[-1], y[-1]], recording.stack_bl("head")[-1].numpy())
+    assert flow.clock.get_text() == "t = 1.0 T"
+    assert figure.axes[0].get_xlabel() == "x / L"
+
+
+def test_a_film_shows_the_field_that_its_scene_has_chosen() -> None:
+    recording = make_recording(num_frames=5)
+    recording.scene = recording.scene.choose_field("speed")
+    recording.frames = [
+        dataclasses.replace(
+            frame, values={**frame.values, "speed": 0.1 * frame.values["vorticity"].abs()}
+        )
+        for frame in recording.frames
+    ]
+    limit = film.choose_limit(recording)
+    assert limit == pytest.approx(1.5)  # nothing is beyond it; the strongest vortex turns by 12
+    figure, flow = film.make_single(recording.scene, limit=limit)
+    flow.show(recording.frames)
+    assert flow.image.get_clim() == (0.0, limit)
+    assert figure.axes[1].get_ylabel() == "speed  [L/T]"
+
+
+def test_snapshots_are_spread_over_the_episode() -> None:
+    recording = make_recording()
+    frames = film.find_frames(recording, 4)
+    assert frames == [4, 8, 12, 16]
+    assert torch.equal(recording.time[frames], torch.tensor([1.0, 2.0, 3.0, 4.0]).double())
+
+
+def test_blank_cells_words_and_nan_are_left_out(tmp_path: Path) -> None:
+    (tmp_path / "metrics.csv").write_text(METRICS)
+    series = read_metrics(tmp_path / "metrics.csv")
+    assert series["eval/mean_return"][0].tolist() == [128.0]
+    assert series["train/loss_qvalue"][1].tolist() == [2.0, 1.0]
+    assert "note" not in series
+
+
+@pytest.mark.parametrize("name", ["discrete_sac", "dqn", "drqn", "sac", "ppo"])
+def test_losses_and_entropy_of_every_algorithm_are_drawn(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[str] = []
+
+    def note(path: Path, curves: dict[str, list[Curve]], **_: object) -> bool:
+        drawn.extend(title for title, curve in curves.items() if curve)
+        return True
+
+    monkeypatch.setattr(learning_curve, "draw_curves", note)
+    metrics = Path(__file__).parents[2] / "goldens" / f"toy_{name}.csv"
+    write_learning_curve(metrics, tmp_path / "x.png")
+    assert any("critic loss" in title for title in drawn)
+    assert sum("entropy" in title for title in drawn) == (name in {"discrete_sac", "sac", "ppo"})
+
+
+@pytest.mark.parametrize("text", ["", "a,b\n1,2\n", "frames,b\n", "frames,b\n1,2\n"])
+def test_metrics_without_a_known_column_are_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "metrics.csv").write_text(text)
+    with pytest.raises(ValueError, match=r"no column 'frames'|no rows yet|needs one or more of"):
+        write_learning_curve(tmp_path / "metrics.csv", tmp_path / "x.png")
+
+
+def test_a_film_has_every_frame(tmp_path: Path) -> None:
+    recording = make_recording(num_frames=5)
+    film.write_film(recording, tmp_path / "film.mp4", dpi=50.0)
+    num_frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "film.mp4"))
+    assert num_frames == 5
+    assert seconds == pytest.approx(5 / 14, abs=0.05)
+
+
+def test_a_path_begins_anew_with_an_episode() -> None:
+    recording = make_recording(num_frames=4)
+    painter = film.FramePainter(recording.scene, limit=5.0, dpi=40.0)
+    first = painter.paint(dataclasses.replace(recording.frames[0], begins=True))
+    later = painter.paint(recording.frames[3])
+    again = painter.paint(dataclasses.replace(recording.frames[0], begins=True))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, later)
+
+
+def test_a_painter_keeps_paths_but_no_fields_of_earlier_frames() -> None:
+    recording = make_recording(num_frames=2)
+    painter = film.FramePainter(recording.scene, limit=5.0, dpi=40.0)
+    field = recording.frames[0].values["vorticity"].clone()
+    kept = weakref.ref(field)
+    frame = recording.frames[0]
+    painter.paint(dataclasses.replace(frame, values={**frame.values, "vorticity": field}))
+    del field
+    painter.paint(recording.frames[1])
+    gc.collect()
+    assert kept() is None

@@ -1,0 +1,157 @@
+"""Numbers made of histories that are known by heart."""
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from fishrl.envs.stations import SafeArea
+from fishrl.programs.gait.diagnostics import (
+    combine_seeds,
+    diagnose,
+    find_phase,
+    measure_lean,
+    trace_work,
+)
+from fishrl.programs.gait.tables import write_results, write_work
+from fishrl.programs.gait.trials import Histories, pick, stack
+from fishrl.programs.statistics import half_width
+
+NUM, FRAMES, SHED = 40, 16, 0.625
+
+
+def make_histories(*, lengths: list[int], beat: float = SHED) -> Histories:
+    """Fish at x = 1.5 + 0.01 t that beat at one rate in a wake that sheds at SHED."""
+    time = torch.arange(NUM + 1.0).double()
+    fine = (1 + torch.arange(NUM * FRAMES).double()) / FRAMES
+    lengths_T = torch.tensor(lengths, dtype=torch.float64)
+    gone = time > lengths_T[:, None]
+    lost = gone.repeat_interleave(FRAMES, 1)[:, FRAMES:]
+
+    def cut(values: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
+        return values.expand(len(lengths), -1).masked_fill(mask, math.nan)
+
+    return Histories(
+        flow=torch.zeros(len(lengths), dtype=torch.int64),
+        place=torch.stack((cut(1.5 + 0.01 * time, gone), cut(0.0 * time, gone)), -1),
+        frequency=cut(torch.full((NUM,), beat).double(), gone[:, 1:]),
+        named=cut((time[1:] % 4 == 0).double(), gone[:, 1:]),
+        angle_of_attack=cut(0.1 * torch.ones(NUM).double(), gone[:, 1:]),
+        work=cut(2.0 * time, gone),
+        positive_work=cut(3.0 * time, gone),
+        lateral_work=cut(1.0 * time, gone),
+        lengths_T=lengths_T,
+        terminated=lengths_T < NUM,
+        diverged=torch.zeros(len(lengths), dtype=torch.bool),
+        beat=cut((2.0 * math.pi * beat * fine) % (2.0 * math.pi), lost),
+        aside=cut(0.2 * torch.sin(2.0 * math.pi * SHED * fine), lost),
+        lift=cut(0.7 + torch.sin(2.0 * math.pi * SHED * fine + 1.0), lost),
+    )
+
+
+def reduce(histories: Histories, *, shed: float = SHED, interval_T: float = 1.0) -> dict[str, Any]:
+    area = SafeArea(far_bl=1.75)
+    task: Any = SimpleNamespace(safe_area=area, time_limit=NUM, interval_T=interval_T)
+    return diagnose(histories, task, shedding_frequency=shed)
+
+
+def test_survival_is_a_mean_with_its_interval() -> None:
+    result = reduce(make_histories(lengths=[40, 40, 20, 10]))
+    assert result["survival_T"] == pytest.approx(27.5)
+    assert result["survivors"] == 0.5
+    lost = make_histories(lengths=[40, 40])._replace(terminated=torch.tensor([True, False]))
+    assert reduce(lost)["survivors"] == 0.5  # one left the safe area in the last decision
+    rounded = make_histories(lengths=[40, 40])._replace(lengths_T=torch.tensor([39.9999, 40.0]))
+    assert reduce(rounded)["survivors"] == 1.0
+    deviation = np.std([40, 40, 20, 10], ddof=1)
+    assert result["survival_error_T"] == pytest.approx(3.182 * deviation / 2.0, rel=1e-3)
+    assert result["diverged"] == 0
+
+
+def test_work_adds_up_once_per_T_as_long_as_a_fish_swims() -> None:
+    trace = trace_work(make_histories(lengths=[20, 9]), interval_T=0.25)  # 5 T and a little over 2
+    assert trace["time_T"] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    assert trace["work"] == [0.0, 8.0, 16.0, 24.0, 32.0, 40.0]
+    assert trace["lateral_work"] == [0.0, 4.0, 8.0, 12.0, 16.0, 20.0]
+
+
+def test_rates_are_per_T_of_all_episodes_together() -> None:
+    result = reduce(make_histories(lengths=[40, 10]))
+    assert [result[name] for name in ("work", "positive_work", "lateral_work")] == [2.0, 3.0, 1.0]
+    assert result["angle_mean"] == pytest.approx(math.degrees(0.1))
+    assert result["named_right"] == pytest.approx(38 / 50)  # every fourth is named wrongly
+
+
+def test_an_end_is_named_after_the_nearest_border() -> None:
+    result = reduce(make_histories(lengths=[40, 23]))
+    assert (result["ended_far"], result["ended_near"], result["ended_aside"]) == (0.5, 0.0, 0.0)
+
+
+def test_gait_needs_the_right_beat() -> None:
+    assert reduce(make_histories(lengths=[40]))["in_gait"] == 1.0
+    fast = reduce(make_histories(lengths=[40], beat=2.0 * SHED))
+    assert (fast["in_street"], fast["in_gait"]) == (1.0, 0.0)
+    assert fast["frequency_over_shedding"] == pytest.approx(2.0)
+
+
+def test_a_beat_in_step_with_the_lift_is_locked_and_another_is_not() -> None:
+    assert reduce(make_histories(lengths=[40]))["phase_lock"] > 0.95
+    assert reduce(make_histories(lengths=[40], beat=1.25 * SHED))["phase_lock"] < 0.5
+    assert math.isnan(reduce(make_histories(lengths=[3]))["phase_lock"])
+    assert math.isnan(reduce(make_histories(lengths=[40]), shed=math.nan)["phase_lock"])
+    time = np.arange(640) / 16
+    signal = 3.0 + np.cos(2.0 * np.pi * SHED * time + 0.4) + np.cos(2.0 * np.pi * 3.0 * time)
+    off = np.angle(np.exp(1j * (find_phase(signal, SHED, 16) - 2.0 * np.pi * SHED * time - 0.4)))
+    assert np.abs(off).max() < 1e-6
+
+
+def test_frames_of_shorter_intervals_are_timed_in_periods() -> None:
+    slow = make_histories(lengths=[40])._replace(lengths_T=torch.tensor([20.0]))
+    result = reduce(slow, shed=2.0 * SHED, interval_T=0.5)
+    assert result["phase_lock"] > 0.95
+    assert result["sway"] == pytest.approx(0.2, rel=0.06)
+
+
+@pytest.mark.filterwarnings("error")
+def test_episodes_too_short_to_sway_are_left_out_without_a_warning() -> None:
+    assert math.isnan(reduce(make_histories(lengths=[1, 0]))["sway"])
+
+
+def test_lean_is_what_a_swaying_body_points_off_the_stream_on_average() -> None:
+    histories = make_histories(lengths=[40, 12])
+    sway = 0.2 * (-1.0) ** torch.arange(NUM)
+    lean = torch.where(torch.arange(NUM) < 16, 0.1, -0.05)
+    histories = histories._replace(angle_of_attack=histories.angle_of_attack * 0 + lean + sway)
+    rates, leans = measure_lean(histories, interval_T=1.0)
+    degrees = torch.tensor([0.1, 0.1, 0.05, 0.05, 0.05, 0.1]) * 180.0 / math.pi
+    torch.testing.assert_close(leans, degrees.double(), rtol=1e-6, atol=1e-6)  # 40 T, then 12
+    assert rates.tolist() == pytest.approx([SHED] * 6)
+
+
+def test_seeds_are_averaged_and_their_spread_is_the_error() -> None:
+    both = combine_seeds([reduce(make_histories(lengths=[n])) for n in (40, 20)])
+    assert both["survival_T"] == pytest.approx(30.0)
+    assert both["survival_error_T"] == pytest.approx(half_width([40.0, 20.0]))
+    assert both["episodes"] == 2
+
+
+def test_recordings_of_different_length_go_together() -> None:
+    long, short = make_histories(lengths=[40]), make_histories(lengths=[10])
+    both = stack([long, Histories(*(v[:, :11] if v.dim() > 1 else v for v in short))])
+    assert both.place.shape[0] == 2
+    assert torch.equal(pick(both, torch.tensor([True, False])).place, long.place)
+    assert bool(both.place[1, 11:].isnan().all())
+
+
+def test_tables_have_a_row_per_policy_and_flow_and_ratios_of_work() -> None:
+    result = reduce(make_histories(lengths=[40, 23]))
+    table = write_results({"pid": [result, result], "passive": [result, result]}, (1.0, 1.5))
+    assert len(table.splitlines()) == 3 * 6 + 2
+    assert "| pid | 1.5 | 2 | 31.5 ±" in table
+    assert "| passive | 1 | 50% | 0% | 50% | 0% | 0 |" in table
+    free = [{"work": 8.0, "positive_work": 9.0, "lateral_work": 5.0}]
+    row = "| 1 | 2.000 | 8.00 | 4.0 | 75.0% | 3.0 | 1.000 | 5.00 | 5.0 | – |"
+    assert row in write_work([result], free, (1,))

@@ -1,0 +1,132 @@
+"""Trials: fixed starts in every flow, and histories that are not recorded twice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+
+import fishrl.envs.task
+from fishrl.envs.changes import StreamSwitches
+from fishrl.envs.macro_actions import DirectFrequencies
+from fishrl.envs.streams import Stream
+from fishrl.envs.wakes import WakeBank
+from fishrl.programs.gait import trials
+from fishrl.programs.gait.trials import Histories, Trial, make_trial, record, run_trial
+from tests.envs.kinematic_solver import KinematicSolver
+from tests.programs.gait.tasks import BRIEF, make_task
+
+pytestmark = pytest.mark.usefixtures("kinematic")
+
+LIFT = 0.003  # rho (nodes / step)^2 nodes, on the obstacle of each row times its number
+
+
+class LiftedSolver(KinematicSolver):
+    """An obstacle beside the fish, on which the flow pushes with a constant lift."""
+
+    @property
+    def bodies(self) -> list:
+        lift = LIFT * torch.arange(1.0, self.num_envs + 1.0).double()
+        impulse = torch.stack((0.5 * self.body.age, lift * self.body.age), -1)
+        return [self.body, SimpleNamespace(impulse=impulse)]
+
+
+def test_lift_is_the_obstacles_impulse_by_time_in_rho_L_and_T(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(fishrl.envs.task, "InPlaceSolver", LiftedSolver)
+    task = make_task(time_limit=2)
+    index = torch.ones(2, dtype=torch.int64)
+    trial = Trial(
+        name="cruise",
+        arm="cruise",
+        task=task,
+        make_policy=lambda: lambda td: td.set("action", index),
+        identity="",
+    )
+    starts = task.sample_starts(2, torch.Generator().manual_seed(0))
+    lift = record(trial, starts).lift
+    unit = task.body_length * (task.body_length / task.scales.period) ** 2
+    expected = (LIFT / unit * torch.tensor([[1.0], [2.0]])).double().expand_as(lift)
+    assert lift.shape == (2, 2 * trials.FRAMES)
+    torch.testing.assert_close(lift, expected)
+
+
+def test_a_trial_is_as_long_however_short_the_training_episodes() -> None:
+    for time_limit, dt in ((3, 0.25), (900, 0.25), (3, 0.5)):
+        task = make_task(
+            time_limit=time_limit, control_interval_T=dt, checks_per_action=round(28 * dt)
+        )
+        tried = make_trial("pid", task).task
+        assert 100.0 <= tried.time_limit * tried.interval_T < 100.0 + dt + 0.01
+
+
+def test_whatever_shapes_a_trial_has_it_recorded_anew_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trial = make_trial("bang_bang", make_task(), periods=BRIEF)
+    first = trials.stack(run_trial(trial, episodes=1, folder=tmp_path))
+    recorded = []
+
+    def pretend(*_: Any, **__: Any) -> Histories:
+        recorded.append(None)
+        return first
+
+    monkeypatch.setattr(trials, "record", pretend)
+
+    def count(trial: Trial, **settings: Any) -> int:
+        for _ in range(2):  # the second time it is read
+            again = run_trial(trial, **{"episodes": 1, "folder": tmp_path, **settings})
+            for a, b in zip(first, trials.stack(again), strict=True):
+                torch.testing.assert_close(a, b, rtol=0.0, atol=0.0, equal_nan=True)
+        return len(recorded)
+
+    assert count(trial) == 0
+    assert count(replace(trial, identity="other weights")) == 1
+    assert count(make_trial("bang_bang", make_task(repeats_frequency=True), periods=BRIEF)) == 2
+    assert count(trial, episodes=2) == 3
+    assert count(trial, samples_actions=True) == 4
+    monkeypatch.setattr(trials, "hash_sources", lambda *_: "other code")
+    assert count(trial) == 5
+    for path in tmp_path.glob("histories/*.pt"):
+        path.write_bytes(b"not a file")
+    with pytest.raises(ValueError, match="cannot be read; delete the file"):
+        count(trial)
+
+
+def test_trials_are_in_steady_streams() -> None:
+    changes = StreamSwitches(interval_T=10.0)
+    task = make_task(stream=Stream(has_disc=False, changes=changes))
+    assert make_trial("pid", task).task.stream.changes is None
+
+
+def test_a_policy_that_does_not_observe_the_label_is_the_ablation() -> None:
+    control = DirectFrequencies(frequencies=(0.5, 1.0))
+    for observes, arm in ((True, "lateral line alone"), (False, "ablation")):
+        task = make_task(control=control, observes_flow=observes)
+        assert trials.name_arm(task, "machine.pt") == arm
+
+
+@pytest.mark.parametrize("name", ["pid+pd", "fixed-99", "shedding"])
+def test_baselines_that_cannot_be_are_refused(name: str) -> None:
+    free = make_task(stream=Stream(has_disc=False))
+    with pytest.raises(ValueError, match="baseline"):
+        make_trial(name, free, periods=BRIEF)
+
+
+def test_constant_frequencies_are_zero_that_of_the_shedding_or_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rates = torch.tensor([0.001, 0.0012, 0.0014], dtype=torch.float64)
+    bank = WakeBank(populations=torch.zeros(3, 1, 1, 1, 1), shedding_frequencies=rates)
+    monkeypatch.setattr(Stream, "load_wakes", lambda *_: bank)
+    task = make_task()
+    shed = (rates * task.scales.period).tolist()
+    for name, expected in (("passive", [0.0] * 3), ("shedding", shed), ("fixed-0.6", [0.6] * 3)):
+        trial = make_trial(name, task, periods=BRIEF)
+        flows = run_trial(trial, episodes=1, folder=tmp_path)
+        assert [float(flow.frequency[0, 0]) for flow in flows] == pytest.approx(expected)

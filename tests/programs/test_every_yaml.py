@@ -1,0 +1,76 @@
+"""Algorithms and loggers under conf/ train briefly, on kinematic fish; others are composed.
+
+Every task is trained by ``tests/smoke``.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+
+from fishrl.envs import AbstractTask
+from fishrl.programs import train
+from fishrl.programs.configuration import CONF
+from fishrl.programs.program import list_choices
+from fishrl.programs.train_settings import TRAINING
+from fishrl.training.description import make
+from fishrl.training.interruption import SIGNALS
+from tests.programs.gait.tasks import OVERRIDES
+
+pytestmark = pytest.mark.usefixtures("kinematic")
+
+YAMLS = sorted(
+    path.relative_to(CONF).as_posix()
+    for group in TRAINING.groups
+    if group not in ("preset", "task")
+    for path in (CONF / group).glob("*.yaml")
+)
+TINY = [
+    *(
+        *OVERRIDES,
+        "compile=false",
+        "num_envs=2",
+        "task.time_limit=2",
+        "total_frames=4",
+        "warmup_frames=2",
+    ),
+    *("batch_size=2", "hidden=[8]", "eval_frames=4", "eval_episodes=1", "final_episodes=1"),
+    *("picture_episodes=0", "baselines=[]", "name=run"),
+]
+#: What a choice needs besides.
+MORE = {
+    "drqn": ["algorithm.sequence_length=2"],
+    "ppo": ["algorithm.rollout_length=2"],
+    "sac": ["task=predation_continuous"],
+    "wandb": ["logger.is_offline=true"],
+}
+
+
+@pytest.mark.parametrize(
+    ("group", "name"),
+    [(group, name) for group in ("preset", "task") for name in list_choices()[group]],
+)
+def test_every_preset_and_task_is_composed_and_its_flow_is_within_the_limits(
+    group: str, name: str
+) -> None:
+    settings = TRAINING.read([f"{group}={name}"])
+    assert settings.preset == (name if group == "preset" else None)
+    make(settings.task, kind=AbstractTask).flow_config()  # refuses what cannot be simulated
+
+
+@pytest.mark.parametrize("yaml", YAMLS)
+def test_every_yaml_is_composed_and_runs_and_leaves_the_handlers_of_signals_as_they_were(
+    yaml: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("WANDB_SILENT", "true")
+    group, _, file = yaml.partition("/")
+    name = Path(file).stem
+    before = [signal.getsignal(number) for number in SIGNALS]
+    words = [*TINY, f"folder={tmp_path}", f"{group}={name}", *MORE.get(name, [])]
+    train.main.run(train.main.read(words))
+    assert [signal.getsignal(number) for number in SIGNALS] == before
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert (summary["frames"], summary["updates"] > 0) == (4, True)

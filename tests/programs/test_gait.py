@@ -1,0 +1,152 @@
+"""Trainings of a gait with flow labels, evaluated and tried in every flow, on kinematic fish."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from fishrl.envs import KarmanGait, Predation
+from fishrl.envs.steering import PolicySteering
+from fishrl.envs.transforms import equip
+from fishrl.modules import LateralLineClassifier
+from fishrl.programs import evaluate, export_steering, transfer
+from fishrl.programs.gait.trials import load_trial, make_trial, name_arm
+from fishrl.programs.train import finish, set_up
+from fishrl.programs.train_settings import TRAINING
+from fishrl.training.classifier import keep_recognition, load_recognition
+from tests.envs.conftest import SMALL, move_kinematically
+from tests.programs.gait.tasks import BRIEF, OVERRIDES, make_task
+from tests.training.conftest import read_rows
+
+pytestmark = pytest.mark.usefixtures("kinematic")
+
+SETTINGS = [
+    *("task=karman_gait", "preset=gait_small", *OVERRIDES, "task.time_limit=12", "compile=false"),
+    *("num_envs=4", "total_frames=48", "warmup_frames=16", "buffer_size=100", "batch_size=8"),
+    *("eval_frames=48", "eval_episodes=4", "final_episodes=4", "hidden=[16]", "picture_episodes=0"),
+]
+
+
+def make_machine(path: Path, task: KarmanGait | None = None) -> str:
+    task = task or make_task()
+    machine = LateralLineClassifier(
+        flows=task.flow_labels,
+        sensors=task.lateral_line_layout,
+        generator=torch.Generator().manual_seed(0),
+    )
+    machine.save(path)
+    return str(path)
+
+
+def run(folder: Path, *overrides: str, **settings: object) -> dict[str, Any]:
+    config = TRAINING.read([*SETTINGS, f"folder={folder}", *overrides])
+    return finish(set_up(replace(config, **settings)))
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a run whose flows a classifier labels, and one with true labels."""
+    folder = tmp_path_factory.mktemp("runs")
+    choice = make_machine(folder / "m.pt")
+    with pytest.MonkeyPatch.context() as patch:
+        move_kinematically(patch)
+        summary = run(folder, "name=machine", "picture_episodes=1", recognition=choice)
+        run(folder, "name=oracle", "seed=1", "baselines=[]", recognition="oracle")
+    assert summary["success"] == "survived"
+    assert summary["baselines"] == ["pid", "random"]
+    assert 0.0 < summary["mean_length_T"] <= 6.0
+    assert summary["train_diverged"] == 0
+    return folder
+
+
+def test_trained_gaits_are_tried_in_every_flow(trained: Path, tmp_path: Path) -> None:
+    assert (trained / "machine" / "learning_curve.png").is_file()
+    assert (trained / "machine" / "machine.pt").is_file()
+    assert not (trained / "oracle" / "machine.pt").exists()
+    trials = [load_trial(trained / name, periods=BRIEF) for name in ("machine", "oracle")]
+    trials.append(make_trial("pid", trials[0].task, periods=BRIEF))
+    settings = transfer.TransferSettings(task=None, episodes=2, folder=str(tmp_path))
+    results = transfer.transfer(trials, settings)
+    arms = results["arms"]
+    assert list(arms) == ["both modules", "oracle", "pid"]
+    assert [flow["episodes"] for flows in arms.values() for flow in flows] == [2] * 9
+    assert all(flow["named_right"] == 1.0 for flow in arms["oracle"])
+    written = {path.name for path in tmp_path.iterdir()}
+    figures = ("survival", "paths", "places", "decisions", "lean", "work")
+    assert {"transfer.md", "transfer.json", *(f"{name}.png" for name in figures)} <= written
+    assert name_arm(make_task(), None) == "macro-actions alone"
+    shutil.copytree(trained / "oracle", tmp_path / "oracle")
+    for file in (tmp_path / "oracle").rglob("*-actor/*"):
+        file.write_bytes(b"other weights")
+    assert load_trial(tmp_path / "oracle", periods=BRIEF).identity != trials[1].identity
+
+
+def list_learned(folder: Path) -> dict[str, str]:
+    """Return what the last row of a run says of its learning."""
+    *_, last = read_rows(folder)
+    return {name: value for name, value in last.items() if name.startswith(("frames", "train/"))}
+
+
+def test_a_run_with_a_lateral_line_goes_on_exactly(trained: Path, tmp_path: Path) -> None:
+    choice = make_machine(tmp_path / "m.pt")
+    run(tmp_path, "name=part", "total_frames=24", recognition=choice)
+    (tmp_path / "m.pt").unlink()
+    (tmp_path / "part").rename(tmp_path / "moved")
+    config = TRAINING.read([*SETTINGS, f"folder={tmp_path}"])
+    config = replace(config, recognition="machine.pt", resume=str(tmp_path / "moved"))
+    resumed = finish(set_up(config))
+    # the shorter run was evaluated at its end too, and the best of all evaluations is what counts
+    whole = json.loads((trained / "machine" / "summary.json").read_text())
+    assert resumed["updates"] == whole["updates"] > 0
+    assert list_learned(tmp_path / "moved") == list_learned(trained / "machine")
+    assert read_rows(tmp_path / "moved")[-1] == read_rows(trained / "machine")[-1]
+
+
+def test_an_evaluation_takes_the_machine_of_the_run(trained: Path, tmp_path: Path) -> None:
+    shutil.copytree(trained / "machine", tmp_path / "moved")
+    saved = tmp_path / "result.json"
+    arguments = [f"checkpoint={tmp_path / 'moved'}", "episodes=3", "compile=false"]
+    evaluate.main([*arguments, f"save={saved}"])
+    result = json.loads(saved.read_text())
+    assert (result["episodes"], result["task"]) == (3, "KarmanGait")
+
+
+def test_recognition_fits_the_task_or_says_why(tmp_path: Path) -> None:
+    task = make_task()
+    assert equip(task, None) == (task, [])
+    assert equip(task, "oracle")[0] == replace(task, reads_flow_class=True)
+    with pytest.raises(ValueError, match="Predation has no flows to tell apart"):
+        equip(Predation(**SMALL), "oracle")
+    for read in (load_recognition, partial(keep_recognition, folder=tmp_path)):
+        with pytest.raises(ValueError, match="no such file"):
+            read(str(tmp_path / "none.pt"))
+    other = make_task(reynolds=400.0)
+    with pytest.raises(ValueError, match="reynolds"):
+        equip(task, load_recognition(make_machine(tmp_path / "other.pt", other)))
+
+
+def test_a_classifier_of_the_zoo_is_named_like_its_policy(tmp_path: Path) -> None:
+    kept = keep_recognition("zoo/gait_narrow", tmp_path)
+    ours, theirs = (load_recognition(name, tmp_path) for name in (kept, "zoo/gait_narrow"))
+    assert isinstance(ours, LateralLineClassifier) and isinstance(theirs, LateralLineClassifier)
+    assert ours.flows == theirs.flows
+    torch.testing.assert_close(ours.state_dict(), theirs.state_dict(), rtol=0, atol=0)
+
+
+def test_a_policy_of_predation_becomes_a_heading_controller(tmp_path: Path) -> None:
+    path = tmp_path / "steering.pt"
+    export_steering.main(["run=zoo/predation_small", f"path={path}"])
+    steering = PolicySteering(path=str(path))
+    observations = torch.zeros(3, steering.num_stacked, 4, dtype=torch.float64)
+    assert steering.turn(observations).shape == (3,)
+    settings = export_steering.main.read(["run=zoo/gait_small", f"path={tmp_path / 'no.pt'}"])
+    with pytest.raises(ValueError, match="must be a policy trained on Predation"):
+        export_steering.main.run(settings)
+    assert not (tmp_path / "no.pt").exists()

@@ -1,0 +1,66 @@
+"""Sweeps through the launchers beside hydra's own, which the extra `sweep` brings."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from tests.experiments.test_sweep_jobs import HERE, ROOT, SETTINGS, run_sweep
+
+from fishrl.programs.sweeps.runs import read_run, read_runs
+from fishrl.training.checkpoint import read_metadata
+
+pytestmark = pytest.mark.sweep
+
+
+def test_a_job_that_fails_leaves_the_others_of_submitit_alone(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    command = [*SETTINGS, f"folder={tmp_path}", f"logger._target_={HERE}.Gliding,{HERE}.Killed"]
+    settings = ("hydra/launcher=submitit_local", "hydra.launcher.timeout_min=10")
+    assert run_sweep(*command, *settings) == 1
+    runs = {run.path.name.rpartition(".")[2]: run.status for run in read_runs(tmp_path)}
+    assert runs == {"Gliding": "finished", "Killed": "failed"}
+    assert "1 of 2 runs finished" in capfd.readouterr().out
+    logs = [log for log in (tmp_path / ".submitit").glob("*/*.out") if log.stat().st_size > 0]
+    assert len({log.parent for log in logs}) == 2  # one process for each job
+
+
+@pytest.mark.usefixtures("heeds_ctrl_c")
+def test_runs_of_joblib_save_before_it_kills_them(tmp_path: Path) -> None:
+    command = ["-m", "fishrl", "train", "--multirun", "hydra/launcher=joblib", *SETTINGS]
+    command += ["hydra.launcher.n_jobs=2", f"folder={tmp_path}", "seed=0,1"]
+    command.append(f"logger._target_={HERE}.Lingering")
+    sweep = subprocess.Popen(
+        [sys.executable, *command],
+        cwd=ROOT,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    marks = [tmp_path / name / "mark" for name in ("seed_0", "seed_1")]
+    try:
+        while sweep.poll() is None and not all(mark.exists() for mark in marks):
+            time.sleep(0.1)
+        os.killpg(sweep.pid, signal.SIGINT)  # as Ctrl-C in a terminal, which every process hears
+        out, error = sweep.communicate(timeout=600.0)
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(sweep.pid, signal.SIGKILL)
+    assert sweep.returncode == 1, error
+    assert "Traceback" not in error
+    assert "interrupted; the same command with the same folder=... goes on" in error
+    assert "0 of 2 runs finished" in out
+    for mark in marks:
+        assert (read_run(mark.parent).status, read_run(mark.parent).frames) == ("stopped", 8)
+        assert read_metadata(mark.parent, which="last")[1]["frames"] == 8
+        said = (mark.parent / "output.log").read_text(encoding="utf-8")
+        assert "SIGINT: saved at frame 8" in said

@@ -1,0 +1,150 @@
+"""Programs: their help, their errors, and the commands that they advise."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+import yaml
+
+from fishrl.programs import evaluate, summarize, train
+from fishrl.programs.configuration import CommandLine
+from fishrl.programs.program import Program, plain_errors, set_up_logging, show_command
+
+ROOT = Path(__file__).parents[2]
+
+
+def run_program(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", *arguments],
+        cwd=ROOT,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+
+
+def test_help_shows_choices_settings_and_what_they_mean(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    train.main(["--help", "preset=gait_small"])
+    said = capsys.readouterr().out
+    assert "preset: one of follower_small, gait_half, gait_narrow, gait_paper, gait_small" in said
+    assert "  num_envs=16  flows that advance together." in said
+    assert "  compile=true  " in said
+    assert "  recognition=null  " in said
+    assert "  hidden=[256,256]  " in said
+    assert "    body_length: 32\n" in said
+    assert "    wall_margin_bl: 0.25\n" in said  # a default of the task, which no YAML names
+    summarize.main(["-h"])
+    assert "  folder=???  folder of a sweep" in capsys.readouterr().out
+
+
+def test_a_mistake_ends_a_program_with_one_line(tmp_path: Path) -> None:
+    done = run_program("fishrl", "train", "totl_frames=3", f"folder={tmp_path}")
+    assert (done.returncode, done.stderr) == (
+        1,
+        "error: there is no 'totl_frames'; did you mean 'total_frames'?\n",
+    )
+    assert not list(tmp_path.iterdir())
+
+
+def test_cfg_prints_the_settings_and_other_options_are_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    train.main(["--cfg", "job", "seed=3"])
+    assert yaml.safe_load(capsys.readouterr().out)["seed"] == 3
+    with pytest.raises(SystemExit, match="error: unrecognized arguments: --info"):
+        train.main(["--info"])
+    with pytest.raises(SystemExit, match=r"only fishrl train runs sweeps"):
+        evaluate.main(["--multirun", "seed=0,1"])
+
+
+def test_the_traceback_of_an_error_is_shown_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FISHRL_DEBUG", "1")
+    with pytest.raises(ValueError, match="there is no 'totl_frames'"):
+        train.main(["totl_frames=3"])
+
+
+def test_a_program_shows_only_warnings_of_torchrl(monkeypatch: pytest.MonkeyPatch) -> None:
+    torchrl = logging.getLogger("torchrl")
+    monkeypatch.setattr(torchrl, "level", logging.INFO)
+    monkeypatch.delenv("RL_LOGGING_LEVEL", raising=False)
+    set_up_logging()
+    assert not torchrl.isEnabledFor(logging.INFO)
+    monkeypatch.setenv("RL_LOGGING_LEVEL", "DEBUG")
+    set_up_logging()
+    assert torchrl.isEnabledFor(logging.DEBUG)
+
+
+@pytest.mark.usefixtures("heeds_ctrl_c")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_program_as_an_interrupt(number: signal.Signals) -> None:
+    before = signal.getsignal(number)
+    with pytest.raises(SystemExit) as ended:
+        Program(
+            lambda _: signal.raise_signal(number), CommandLine(schema=summarize.SummarizeSettings)
+        )(["folder=x"])
+    assert ended.value.code == 128 + number
+    assert signal.getsignal(number) is before
+
+
+@pytest.mark.usefixtures("heeds_ctrl_c")
+def test_ctrl_c_while_a_program_is_imported_leaves_no_traceback(tmp_path: Path) -> None:
+    (tmp_path / "torch.py").write_text("import signal\nsignal.raise_signal(signal.SIGINT)")
+    done = subprocess.run(
+        [sys.executable, "-m", "fishrl", "train"],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        check=False,
+        capture_output=True,
+    )
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, b"")
+
+
+def test_an_error_in_a_file_of_ones_own_is_named_with_its_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = """
+    from pathlib import Path
+    from fishrl.envs import Predation
+    def observe():
+        one, two = 3 * [0.0]
+    def read():
+        return Path("x.json").read_text()
+    def make():
+        return Predation(body_length=3)
+    """
+    (tmp_path / "buggy.py").write_text(dedent(code))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    buggy = import_module("buggy")
+    place = f"({tmp_path / 'buggy.py'}"
+    for function, end in ((buggy.observe, ":5, in observe)"), (buggy.read, ":7, in read)")):
+        with pytest.raises(SystemExit) as stop, plain_errors():
+            function()
+        assert str(stop.value).startswith("error: ")
+        assert str(stop.value).endswith(place + end)
+    with pytest.raises(SystemExit) as stop, plain_errors():
+        buggy.make()  # our own message needs no place
+    assert place not in str(stop.value)
+
+
+def test_commands_are_shown_as_typed_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place = tmp_path / "my clone" / ".venv" / "bin"
+    place.mkdir(parents=True)
+    for name in ("python", "python3"):
+        (place / name).symlink_to(sys.executable)
+    monkeypatch.setattr(sys, "executable", str(place / "python3"))
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.chdir(tmp_path / "my clone")
+    assert show_command("view", "a b") == (".venv/bin/fishrl view 'a b'")
+    monkeypatch.setenv("PATH", f"{place}:{tmp_path}")
+    assert show_command("experiments.validate") == "python -m experiments.validate"

@@ -1,0 +1,96 @@
+"""A training in a wake that really sheds goes on, after a stop, as if nothing had been."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from fishrl.envs import FlowEnv
+from fishrl.programs.train import set_up
+from fishrl.programs.train_settings import TrainConfig
+from fishrl.training.checkpoint import read_metadata
+from fishrl.training.loop import Training
+from tests.programs.real_wake import gait_settings
+from tests.training.conftest import read_rows
+from tests.training.stops import run_and_stop
+
+pytestmark = pytest.mark.learning
+
+FRAMES = 16
+
+
+def begin(folder: Path, wakes: Path, **settings: Any) -> Training:
+    config = TrainConfig(
+        task=gait_settings(wakes),
+        logger={"_target_": "fishrl.training.logger.CsvLogger"},
+        preset="tiny",
+        folder=str(folder),
+        compile=False,
+        num_envs=2,
+        total_frames=FRAMES,
+        warmup_frames=4,
+        updates_per_frame=1.0,
+        batch_size=4,
+        buffer_size=8,  # which overflows
+        hidden=[16],
+        log_frames=2,
+        checkpoint_frames=2,
+        eval_frames=8,
+        eval_episodes=1,
+        picture_episodes=0,
+        **settings,
+    )
+    return set_up(config)
+
+
+def read_states(run: Path) -> dict[str, Any]:
+    """Return what the newest checkpoint holds, by component; without times."""
+    path, _ = read_metadata(run, which="last")
+    states = {file.parent.name: torch.load(file) for file in sorted(path.rglob("*.pt"))}
+    assert {name.split("-")[-1] for name in states} == {
+        *("actor", "loss", "optimiser", "buffer", "collector", "rng", "counters")
+    }
+    for state in states.values():
+        for name in ("wall_seconds", "collect_seconds"):
+            state.pop(name, None)
+    return states
+
+
+def list_leaves(state: Any, path: str = "") -> dict[str, Any]:
+    """Return tensors and numbers of a nested state by their paths."""
+    if isinstance(state, dict):
+        items = [(str(key), value) for key, value in state.items()]
+    elif isinstance(state, list | tuple):
+        items = [(str(i), value) for i, value in enumerate(state)]
+    else:
+        return {path: state}
+    return {k: v for key, value in items for k, v in list_leaves(value, f"{path}/{key}").items()}
+
+
+def test_a_training_in_a_real_wake_that_is_interrupted_equals_one_that_is_not(
+    tmp_path: Path, real_wake: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fishrl.training.loop.Training._summarize", lambda training: {})
+    whole = begin(tmp_path, real_wake, name="whole")
+    whole.run()
+    part = begin(tmp_path, real_wake, name="part")
+    run_and_stop(part, FlowEnv, step=5)
+    assert read_metadata(tmp_path / "part", which="last")[1]["frames"] == 10
+    assert (part.collector.env.base_env.now["age"] > 0).all()  # amid episodes
+    part.close()
+    resumed = begin(tmp_path, real_wake, resume=str(tmp_path / "part"))
+    assert resumed.counters.frames == 10
+    resumed.run()
+    assert resumed.counters.episodes > 2
+    assert read_rows(tmp_path / "part") == read_rows(tmp_path / "whole")
+    assert len(read_rows(tmp_path / "part")) == FRAMES // 2
+    theirs, ours = (list_leaves(read_states(tmp_path / name)) for name in ("whole", "part"))
+    assert list(ours) == list(theirs)
+    for path, value in theirs.items():
+        if isinstance(value, torch.Tensor):
+            assert torch.equal(ours[path], value), path
+        else:
+            assert ours[path] == value, path

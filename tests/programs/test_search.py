@@ -1,0 +1,244 @@
+"""The search with Optuna: its ranges, resumed studies, and failed trials."""
+
+from __future__ import annotations
+
+import fcntl
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from threading import Barrier
+from typing import Any
+
+import pytest
+from tests.experiments.test_summarize import hold_elsewhere
+from tests.experiments.test_sweep_jobs import HERE, ROOT, SETTINGS
+
+from fishrl.programs import search, train
+from fishrl.programs.search import SearchSettings
+from fishrl.programs.sweeps import jobs
+from fishrl.programs.sweeps.runs import Run, is_held, read_run, read_runs
+from fishrl.programs.train_settings import TRAINING
+from fishrl.training.checkpoint import read_metadata
+
+optuna = pytest.importorskip("optuna", reason="pip install -e '.[sweep]'")
+pytestmark = pytest.mark.sweep
+
+
+def plan_of(folder: Path, *overrides: str, trials: int = 20, **others: Any) -> SearchSettings:
+    return SearchSettings(folder=str(folder), overrides=list(overrides), trials=trials, **others)
+
+
+def empty_study(plan: SearchSettings) -> Any:
+    """Begin a study of which no trial has run."""
+    plan.trials = 0
+    return search.search(plan)
+
+
+def test_every_kind_of_range_is_searched(tmp_path: Path) -> None:
+    plan = plan_of(
+        tmp_path,
+        "gamma=interval(0.9,1)",
+        "learning_rate=tag(log,interval(1e-5,1e-2))",
+        "batch_size=int(interval(16,128))",
+        "hidden=choice([64],[64,64])",
+        "task.time_limit=10,20",
+        "preset=paper",
+    )
+    from optuna.distributions import CategoricalDistribution as Choice
+    from optuna.distributions import FloatDistribution as Float
+    from optuna.distributions import IntDistribution as Whole
+
+    assert plan.space() == {
+        "++gamma": Float(0.9, 1.0),
+        "++learning_rate": Float(1e-5, 1e-2, log=True),
+        "++batch_size": Whole(16, 128),
+        "++hidden": Choice(["[64]", "[64,64]"]),
+        "++task.time_limit": Choice(["10", "20"]),
+    }
+    assert plan.fixed == ["preset=paper"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["preset=small"], "nothing to search"),
+        (["gama=interval(0,1)"], "did you mean 'gamma'"),
+        (["gamma=interval(0,1)", "task.time_limt=3"], "did you mean 'task.time_limit'"),
+        (["gamma=interval(0,1)", "seed=1"], "seed: is set by the search"),
+        (["gamma=interval(1,0)"], "low"),
+        (["gamma=interval(0,1)", "trials=0"], "trials = 0"),
+    ],
+)
+def test_what_cannot_be_searched_is_named(tmp_path: Path, arguments: list[str], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        search.main.read([f"folder={tmp_path / 'new'}", *arguments])
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_search_without_results_can_still_be_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = {"mean_length_T": 2.0}
+
+    def run_seed(settings: search.SearchSettings, *_: object) -> float:
+        if settings.metric not in values:
+            raise ValueError(f"metric = {settings.metric}")
+        return values[settings.metric]
+
+    monkeypatch.setattr(search, "run_seed", run_seed)
+    line = [*SETTINGS, "gamma=interval(0.9,1)"]
+    with pytest.raises(ValueError, match="metric = mean_lenght_T"):
+        search.search(replace(plan_of(tmp_path, *line, metric="mean_lenght_T"), trials=1))
+    study = search.search(replace(plan_of(tmp_path, *line, metric="mean_length_T"), trials=1))
+    assert [trial.value for trial in study.trials] == [2.0]
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_a_trial_that_was_cut_off_is_finished_before_new_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def run_here(path: Path) -> Run:
+        train.main([f"resume={path}"])
+        return read_run(path)
+
+    monkeypatch.setattr(search, "run_alone", run_here)
+    line = [*SETTINGS, "gamma=interval(0.9,1)"]
+    plan = plan_of(tmp_path, *line, metric="mean_length_T")
+    study = empty_study(plan)
+    cut_off = study.ask(plan.space())  # and then the process was killed
+    study = search.search(replace(plan, trials=2))
+    assert [trial.state.name for trial in study.trials] == ["COMPLETE", "COMPLETE"]
+    assert study.trials[0].params == cut_off.params
+    runs = read_runs(tmp_path)
+    assert [run.path.name for run in runs] == ["trial_0000-seed_0", "trial_0001-seed_0"]
+    for trial, run in zip(study.trials, runs, strict=True):
+        assert run.config["gamma"] == trial.params["++gamma"]
+        assert run.summary["mean_length_T"] == trial.value
+    assert len(search.search(replace(plan, trials=2)).trials) == 2  # nothing is left to do
+    with pytest.raises(ValueError, match="holds another search"):
+        search.search(plan_of(tmp_path, *line, "batch_size=8", metric="mean_length_T"))
+    gamma = f"gamma={runs[0].config['gamma']}"
+    with pytest.raises(ValueError, match=r"metric = mean_retrun: not in .*'mean_return'"):
+        search.run_seed(plan_of(tmp_path, *line, metric="mean_retrun"), 0, [gamma], 0)
+
+
+def test_a_search_that_is_ended_saves_its_trial_and_leaves_it_unfinished(
+    tmp_path: Path,
+) -> None:
+    line = [*SETTINGS, f"logger._target_={HERE}.Lingering", "gamma=interval(0.9,1)"]
+    command = [sys.executable, "-m", "fishrl", "search", f"folder={tmp_path}", *line]
+    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as started:
+        run = tmp_path / "trial_0000-seed_0"
+        while started.poll() is None and not (run / "mark").exists():
+            time.sleep(0.1)
+        started.terminate()
+        _, said = started.communicate(timeout=600.0)
+    assert started.returncode == 1
+    assert "interrupted; the same command goes on" in said
+    assert "Traceback" not in said
+    assert not is_held(run)  # nothing is left behind
+    assert (read_run(run).status, read_metadata(run, which="last")[1]["frames"]) == ("stopped", 8)
+    study = optuna.load_study(study_name="search", storage=f"sqlite:///{tmp_path / 'study.db'}")
+    (trial,) = study.trials
+    assert trial.state.name == "RUNNING"  # which the same command takes up
+
+
+def test_a_run_that_outlived_its_search_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(search, "run_alone", lambda _: pytest.fail("run again"))
+    plan = plan_of(tmp_path, "gamma=interval(0.9,1)")
+    settings = ["gamma=0.95", "seed=0", f"folder={tmp_path}"]
+    place = jobs.find_or_begin(TRAINING.read(settings), name="trial_0000-seed_0")
+    seen, result = tmp_path / "seen", tmp_path / "result"
+    result.write_text('{"mean_return": 2.5}')
+    then = f"""import os
+while not os.path.exists({str(seen)!r}):
+    time.sleep(0.02)
+os.rename({str(result)!r}, {str(place.summary)!r})"""
+
+    def look(path: Path) -> Run:
+        run = read_run(path)
+        if run.status == "running":
+            seen.touch()  # and it ends
+        return run
+
+    monkeypatch.setattr(search, "read_run", look)
+    with hold_elsewhere(place.path, then):
+        assert search.run_seed(plan, 0, ["gamma=0.95"], 0) == 2.5
+    assert seen.exists()
+
+
+def test_failed_trials_are_recorded_and_others_follow(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(search, "run_seed", lambda *_: None)
+    line = [f"folder={tmp_path}", "gamma=interval(0,1)", "trials=3"]
+    search.main(line)
+    assert "0 of 3 trials finished" in capsys.readouterr().out
+    study = search.search(search.main.read(line))
+    assert [trial.state.name for trial in study.trials] == ["FAIL"] * 3
+    assert len({trial.params["++gamma"] for trial in study.trials}) == 3  # nothing is drawn twice
+
+
+def test_searches_that_begin_at_once_draw_different_settings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sampler, lock, both = optuna.samplers.TPESampler, fcntl.flock, Barrier(2)
+
+    def meet(*arguments: Any) -> None:
+        both.wait(60.0)  # neither has counted the trials yet
+        lock(*arguments)
+
+    def hesitate(*, seed: int | None = None) -> Any:
+        time.sleep(0.5)  # the other search counts the trials meanwhile
+        return sampler(seed=seed)
+
+    monkeypatch.setattr(search, "run_trial", lambda *_: None)
+    plan = plan_of(tmp_path, "gamma=interval(0,1)")
+    study = empty_study(plan)
+    monkeypatch.setattr(optuna.samplers, "TPESampler", hesitate)
+    monkeypatch.setattr(search.fcntl, "flock", meet)
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(search.search, [replace(plan, trials=1)] * 2))
+    assert len({trial.params["++gamma"] for trial in study.trials}) == len(study.trials) == 2
+
+
+def test_a_search_in_the_home_folder_has_one_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert plan_of(Path("~/search"), "gamma=interval(0,1)").folder == f"{tmp_path}/search"
+
+
+def test_two_searches_share_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(search, "run_seed", lambda *_: None)
+    plan = plan_of(tmp_path, "gamma=interval(0,1)")
+    study = empty_study(plan)
+    theirs = study.ask(plan.space())
+    place = search.RunFolder(tmp_path / ".trials" / f"{theirs.number:04d}")
+    place.path.mkdir(parents=True)
+    with hold_elsewhere(place.path):
+        study = search.search(replace(plan, trials=2))
+    assert [trial.state.name for trial in study.trials] == ["RUNNING", "FAIL"]
+
+
+def test_a_trial_that_another_search_has_finished_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = plan_of(tmp_path, "gamma=interval(0.9,1)")
+    study = empty_study(plan)
+    for _ in range(2):
+        study.ask(plan.space())  # and then the process was killed
+
+    def run_seed(_: SearchSettings, number: int, *__: object) -> float:
+        if number == 0:  # while the other search is at the other trial
+            study.tell(1, 5.0)
+        return 1.0
+
+    monkeypatch.setattr(search, "run_seed", run_seed)
+    study = search.search(replace(plan, trials=2))
+    assert [trial.value for trial in study.trials] == [1.0, 5.0]

@@ -1,0 +1,361 @@
+"""From run folders to tables and curves: groups, statistics, and which runs to repeat."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import fcntl
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+
+from fishrl.programs import summarize
+from fishrl.programs.statistics import Statistic, find_improvement, find_interquartile_mean
+from fishrl.programs.summarize import average, tabulate_differences
+from fishrl.programs.sweeps.groups import group_runs
+from fishrl.programs.sweeps.runs import count_frames, read_run, read_runs
+from fishrl.training.run_folder import HeldError, RunFolder, write_yaml
+
+ROOT = Path(__file__).parents[2]
+
+
+def write_run(
+    sweep: Path,
+    name: str,
+    *,
+    seed: int = 0,
+    curve: dict[int, float] | None = None,
+    summary: dict[str, Any] | None = None,
+    **settings: Any,
+) -> Path:
+    folder = RunFolder(sweep / name)
+    folder.path.mkdir(parents=True)
+    config = {
+        "task": {"_target_": "fishrl.envs.Predation"},
+        "seed": seed,
+        "total_frames": 100,
+        "name": name,
+        "folder": str(sweep),
+        **settings,
+    }
+    OmegaConf.save(OmegaConf.create(config), folder.config)
+    if curve is not None:
+        rows = "".join(f"{x},{y},{y / 10}\n" for x, y in curve.items())
+        folder.metrics.write_text(f"frames,eval/mean_return,eval/success_rate\n{rows}")
+    if summary is not None:
+        folder.summary.write_text(json.dumps({"success": "captured", "seed": seed, **summary}))
+    return folder.path
+
+
+def summary_of(value: float) -> dict[str, Any]:
+    return {
+        "success_rate": value / 10,
+        "mean_return": value,
+        "mean_length_T": 3.0,
+        "mean_time_to_success_T": None,
+        "wall_seconds": 90.0,
+        "baselines": [],
+    }
+
+
+@pytest.fixture
+def sweep(tmp_path: Path) -> Path:
+    """Two values of gamma with four seeds each; one run failed, one was stopped."""
+    for gamma, values in ((0.9, (1.0, 2.0, 3.0, 10.0)), (0.99, (5.0, 7.0))):
+        for seed, value in enumerate(values):
+            given: Any = {"curve": {0: 0.0, 100: value}, "summary": summary_of(value)}
+            write_run(tmp_path, f"gamma_{gamma}-seed_{seed}", seed=seed, gamma=gamma, **given)
+    path = write_run(tmp_path, "gamma_0.99-seed_2", seed=2, gamma=0.99)
+    (path / "failure.txt").write_text("Traceback ...\nRuntimeError: out of memory\n")
+    write_run(tmp_path, "gamma_0.99-seed_3", seed=3, gamma=0.99, curve={0: 0.0, 50: 4.0})
+    return tmp_path
+
+
+def test_the_interquartile_mean_leaves_out_a_quarter_at_either_end() -> None:
+    assert find_interquartile_mean([10.0, 1.0, 2.0, 3.0]).value == 2.5
+    assert find_interquartile_mean([1.0, 2.0, 9.0]).value == 4.0
+    assert find_interquartile_mean([*range(8), 100.0]).value == 4.0  # two at either end: 2 ... 6
+    assert find_interquartile_mean([]).show(".1f") == "–"
+
+
+def test_the_probability_of_improvement_counts_pairs() -> None:
+    found = find_improvement([1.0, 2.0, 3.0], [0.0, 2.0])
+    assert found.value == pytest.approx(4.5 / 6.0)  # 1 > 0, 2 > 0, 3 > 0, 3 > 2, and one tie
+    assert find_improvement([3.0], [1.0]).show(".2f") == "1.00"
+
+
+def test_few_seeds_get_no_bootstrap_interval() -> None:
+    five, six = [1.0, 2.0, 3.0, 4.0, 5.0], [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    assert find_improvement(six, five).show(".2f") == "0.58"
+    found = find_improvement(six, six)
+    assert 0.0 <= found.low < found.value < found.high <= 1.0
+
+
+def test_bootstrap_intervals_cover_the_truth_about_as_often_as_they_say() -> None:
+    draw = np.random.default_rng(0)
+    hits = []
+    for _ in range(200):
+        ours, theirs = draw.normal(0.5, size=10), draw.normal(0.0, size=10)
+        found = find_improvement(list(ours), list(theirs))
+        hits.append(found.low <= 0.6382 <= found.high)  # normal distribution at 0.5 / sqrt(2)
+    assert 0.85 < np.mean(hits) <= 1.0  # percentile intervals of ten values are a little short
+
+
+def test_an_interval_is_students_over_the_seeds() -> None:
+    # By hand: deviation sqrt(50/3), t at 97.5 % for 3 degrees of freedom 3.182, over sqrt(4).
+    found = Statistic.of([1.0, 2.0, 3.0, 10.0])
+    assert (found.count, found.mean) == (4, 4.0)
+    assert found.half_width == pytest.approx(3.182 * (50.0 / 3.0) ** 0.5 / 2.0, abs=1e-3)
+    assert Statistic.of([1.0]).half_width != Statistic.of([1.0]).half_width
+
+
+def test_runs_that_differ_in_their_seed_alone_are_one_group(sweep: Path) -> None:
+    groups = group_runs(read_runs(sweep))
+    assert [group.settings for group in groups] == [{"gamma": "0.9"}, {"gamma": "0.99"}]
+    assert [len(group.runs) for group in groups] == [4, 4]
+    assert groups[0].numbers("mean_return") == [1.0, 2.0, 3.0, 10.0]
+    assert groups[1].numbers("mean_time_to_success_T") == []
+
+
+def test_runs_of_different_classifiers_are_different_groups(tmp_path: Path) -> None:
+    for name, content in (("a", b"1"), ("b", b"2"), ("c", b"1")):
+        path = write_run(tmp_path, name, recognition="machine.pt")
+        (path / "machine.pt").write_bytes(content)
+    write_run(tmp_path, "d", recognition="oracle")
+    write_run(tmp_path, "e", recognition="machine.pt")  # which is lost
+    groups = group_runs(read_runs(tmp_path))
+    assert [[run.path.name for run in group.runs] for group in groups] == [
+        *(["a", "c"], ["b"], ["d"], ["e"])
+    ]
+    # sha256sum of the one byte
+    assert [group.label for group in groups] == [
+        *("recognition classifier 6b86b273", "recognition classifier d4735e3a"),
+        *("recognition oracle", "recognition machine.pt"),
+    ]
+
+
+def test_groups_are_labelled_by_the_fewest_settings(tmp_path: Path) -> None:
+    for preset, frames, length in (("small", 10, 50), ("paper", 20, 100)):
+        for gamma in (0.9, 0.99):
+            task = {"_target_": "fishrl.envs.Predation", "body_length": length}
+            settings = {"preset": preset, "gamma": gamma, "total_frames": frames, "task": task}
+            write_run(tmp_path, f"{preset}-{gamma}", **settings)
+    groups = group_runs(read_runs(tmp_path))
+    assert {tuple(group.settings) for group in groups} == {("preset", "gamma")}
+    assert len(groups) == 4
+
+
+def test_the_same_seed_twice_is_one_seed(tmp_path: Path) -> None:
+    for trial, (seed, value) in enumerate([(0, 4.0), (0, 4.0), (0, 4.0), (1, 6.0)]):
+        curve, summary = {0: 0.0, 100: value}, summary_of(value)
+        write_run(tmp_path, f"trial_{trial}", seed=seed, curve=curve, summary=summary)
+    (group,) = group_runs(read_runs(tmp_path))
+    assert sorted(group.numbers("mean_return")) == [4.0, 6.0]
+    assert average(group, "eval/mean_return").y.tolist() == [0.0, 5.0]
+
+
+def test_the_table_has_mean_interval_and_iqm_and_says_what_to_rerun(sweep: Path) -> None:
+    text = summarize.summarize(sweep)
+    rows = [line for line in text.splitlines() if line.startswith("| 0.9")]
+    assert rows[0].startswith("| 0.9 | 4 | 40.0% ± 65.0% | 25.0% |")
+    assert "| 4.00 ± 6.50 | 2.50 |" in rows[0] and "| 0.200 ± " in rows[0]
+    assert rows[1].startswith("| 0.99 | 2/4 |")
+    assert "6 of 8 runs finished" in text
+    assert "gamma_0.99-seed_2: failed at frame 0 (RuntimeError: out of memory)" in text
+    assert "gamma_0.99-seed_3: stopped at frame 50" in text
+    assert f"fishrl train resume={sweep}/gamma_0.99-seed_3" in text
+    assert "seed_0: " not in text
+    assert (sweep / "summary.md").read_text() in text
+    some = sorted(sweep.glob("gamma_0.9-*"))
+    assert "4 of 4 runs finished" in summarize.summarize(sweep, paths=some)
+
+
+def test_groups_are_compared_seed_by_seed(tmp_path: Path) -> None:
+    for algorithm, values in (("dqn", (1.0, 2.0, 3.0)), ("sac", (2.0, 4.1, 6.2))):
+        for seed, value in enumerate(values):
+            curve = {0: 0.0, 100: value}
+            summary = summary_of(value) | {"frames": 100, "updates": 400}
+            name = f"{algorithm}-{seed}"
+            settings: Any = {"seed": seed, "algorithm": {"_target_": algorithm}}
+            write_run(tmp_path, name, curve=curve, summary=summary, **settings)
+    text = summarize.summarize(tmp_path)
+    assert "100 frames and 400 gradient steps each." in text
+    # Returns differ by -1, -2.1 and -3.2: deviation 1.1, t of 2 degrees of freedom 4.303. Rates of
+    # success are a tenth, their curves' means half of that.
+    half = 4.303 * 1.1 / 3**0.5
+    row = f"| sac | -21.0% ± {10 * half:.1f}% | -2.10 ± {half:.2f} | -0.105 ± "
+    assert row in text
+    groups = group_runs(read_runs(tmp_path))
+    for run in groups[1].runs:
+        run.summary["mean_return"] += 10.0
+    assert "| **-12.10 ± " in tabulate_differences(groups)  # the interval excludes zero
+    path = tmp_path / "dqn-0" / "summary.json"
+    path.write_text(json.dumps(summary_of(1.0) | {"frames": 50, "updates": 400}))
+    assert "Efforts differ" in summarize.summarize(tmp_path)
+
+
+def test_the_bias_of_selecting_a_checkpoint_is_shown(tmp_path: Path) -> None:
+    for seed, curve in enumerate(({100: 8.0, 200: 5.0}, {100: 4.0, 200: 7.0})):
+        summary = summary_of(6.0) | {"best_checkpoint_frames": 100 * (seed + 1)}
+        write_run(tmp_path, f"run-{seed}", seed=seed, curve=curve, summary=summary)
+    text = summarize.summarize(tmp_path)
+    # 0.8 and 0.7 in the selection, 0.5 and 0.7 at the end, 0.6 in both final evaluations
+    assert re.search(r"evaluation: \+15.0% ± [0-9.]+% of the selected one, \+0.0% ± ", text)
+
+
+def test_tables_and_pictures_go_into_a_page(sweep: Path, tmp_path: Path) -> None:
+    docs = tmp_path / "docs"
+    (docs / "figures").mkdir(parents=True)
+    page = docs / "results.md"
+    page.write_text("A\n<!-- summary: begin -->\nold\n<!-- summary: end -->\n![x](figures/x.png)\n")
+    for name in ("x.png", "y.png"):
+        (sweep / "gamma_0.9-seed_0" / name).write_bytes(b"picture")
+    summarize.main([str(sweep), f"page='{page}'"])
+    text = page.read_text()
+    assert text.startswith("A\n") and "old" not in text and "| gamma_0.9-seed_0 | 10.0% |" in text
+    figures = sorted(path.name for path in (docs / "figures").iterdir())
+    assert figures == ["results.png", "x.png"]
+    page.write_text("no mark")
+    with pytest.raises(ValueError, match="put one line <!-- summary: begin -->"):
+        summarize.summarize(sweep, page=page)
+
+
+def test_a_finished_run_whose_pictures_failed_counts_and_its_failure_is_told(sweep: Path) -> None:
+    (sweep / "gamma_0.9-seed_0" / "failure.txt").write_text("ValueError: no driver\n")
+    assert len(group_runs(read_runs(sweep))[0].finished) == 4
+    text = summarize.summarize(sweep)
+    assert "6 of 8 runs finished" in text
+    assert "gamma_0.9-seed_0: finished at frame 100 (ValueError: no driver)" in text
+
+
+def test_the_csv_files_hold_every_number_and_every_run(sweep: Path) -> None:
+    summarize.summarize(sweep)
+    with (sweep / "summary.csv").open(newline="") as file:
+        rows = {(row["gamma"], row["metric"]): row for row in csv.DictReader(file)}
+    row = rows["0.9", "mean_return"]
+    assert (row["seeds"], row["mean"], row["iqm"]) == ("4", "4", "2.5")
+    assert float(row["ci95_high"]) - 4.0 == pytest.approx(4.0 - float(row["ci95_low"]))
+    metrics = set(summary_of(0.0)) - {"mean_time_to_success_T", "baselines"} | {
+        "curve_mean",
+        "last_rate",
+    }
+    assert {metric for _, metric in rows} == metrics
+    with (sweep / "runs.csv").open(newline="") as file:
+        runs = {row["run"]: row for row in csv.DictReader(file)}
+    assert len(runs) == 8
+    assert runs["gamma_0.99-seed_2"]["status"] == "failed"
+    assert runs["gamma_0.9-seed_3"]["mean_return"] == "10.0"
+
+
+def test_curves_are_means_over_the_runs_that_have_come_so_far(sweep: Path) -> None:
+    groups = group_runs(read_runs(sweep))
+    _, frames, mean, half, _ = average(groups[1], "eval/mean_return")
+    assert frames.tolist() == [0.0, 50.0, 100.0]
+    assert mean.tolist() == pytest.approx([0.0, (2.5 + 3.5 + 4.0) / 3, 6.0])
+    assert half[2] == pytest.approx(12.706, abs=1e-3)  # of 5 and 7: t 12.706, deviation sqrt(2)
+    assert average(groups[1], "nothing").x.size == 0
+
+
+def test_runs_that_do_not_count_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="holds no runs; give the folder of a sweep"):
+        read_runs(tmp_path)
+    (tmp_path / "gamma_2").mkdir()
+    (tmp_path / "gamma_2" / "failure.txt").write_text("gamma = 2: must be at most 1\n")
+    with pytest.raises(ValueError, match=r"no run has begun\n.*\n.*gamma_2: .* must be at most 1"):
+        summarize.summarize(tmp_path)
+    run = write_run(tmp_path, "run")
+    text = summarize.summarize(tmp_path)
+    assert "fix the setting" in text and "| 0/1 | – | – |" in text
+    assert not (tmp_path / "curves.png").exists()
+    (run / "summary.json").write_text("{")
+    with pytest.raises(ValueError, match=r"run: damaged .* repair or delete it"):
+        read_runs(tmp_path)
+
+
+def test_a_study_that_trains_no_policy_is_no_run_of_a_sweep(sweep: Path) -> None:
+    (sweep / "lateral-line").mkdir()
+    write_yaml(sweep / "lateral-line" / "config.yaml", {"num_samples": 6000, "seed": 0})
+    assert len(read_runs(sweep)) == 8
+
+
+def test_runs_that_differ_in_their_logger_alone_are_one_group(tmp_path: Path) -> None:
+    for seed, logger in enumerate(("CsvLogger", "WandbLogger")):
+        target = f"fishrl.training.logger.{logger}"
+        write_run(tmp_path, logger, seed=seed, logger={"_target_": target})
+    assert len(group_runs(read_runs(tmp_path))) == 1
+
+
+def test_a_run_without_an_evaluation_is_summarized(tmp_path: Path) -> None:
+    path = write_run(tmp_path, "run", curve={50: 1.0}, summary=summary_of(1.0))
+    (path / "metrics.csv").write_text("frames,eval/mean_return,eval/success_rate\n50,,\n")
+    assert "1 of 1 runs finished" in summarize.summarize(tmp_path)
+
+
+def test_frames_are_those_of_the_last_whole_row(tmp_path: Path) -> None:
+    path = write_run(tmp_path, "run", curve={16: 1.0})
+    with (path / "metrics.csv").open("a") as file:
+        file.write("2")  # killed while writing
+    assert count_frames(path) == 16
+    assert count_frames(tmp_path) == 0
+
+
+@contextmanager
+def hold_elsewhere(path: Path, then: str = "sys.stdin.read()") -> Iterator[None]:
+    """Let another process hold a run and then do something, until it is killed."""
+    code = f"import fcntl, sys, time; held = open({str(RunFolder(path).lock)!r}, 'a'); "
+    code += f"fcntl.lockf(held, fcntl.LOCK_EX); print(1, flush=True); {then}"
+    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "cwd": ROOT}
+    with subprocess.Popen([sys.executable, "-c", code], **pipes) as holder:
+        assert holder.stdout.readline() == b"1\n"
+        yield
+        holder.kill()
+
+
+def test_a_run_is_held_by_one_process_until_that_is_killed(tmp_path: Path) -> None:
+    path = write_run(tmp_path, "run", summary=summary_of(1.0))
+    with hold_elsewhere(path):
+        assert read_run(path).status == "running"
+        assert "rerun" not in summarize.summarize(tmp_path)
+        with pytest.raises(HeldError, match="another process writes it; wait for it or end it"):
+            RunFolder(path).hold()
+    assert read_run(path).status == "finished"
+    RunFolder(path).hold().close()
+
+
+def test_a_file_system_without_locks_is_tolerated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = write_run(tmp_path, "run", summary=summary_of(1.0))
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "lockf", refuse)
+    with caplog.at_level("INFO"):
+        RunFolder(path).hold().close()
+    assert "cannot be locked" in caplog.text
+    assert read_run(path).status == "finished"
+
+
+def test_a_failure_is_noted_and_forgotten_when_it_is_tried_again(tmp_path: Path) -> None:
+    path = write_run(tmp_path, "run")
+    with pytest.raises(KeyboardInterrupt), RunFolder(path).noting_failure():
+        raise KeyboardInterrupt
+    with pytest.raises(HeldError), RunFolder(path).noting_failure():
+        raise HeldError
+    assert read_run(path).status == "stopped"
+    with pytest.raises(RuntimeError), RunFolder(path).noting_failure():
+        raise RuntimeError("no memory")
+    assert (read_run(path).status, read_run(path).reason) == ("failed", "RuntimeError: no memory")
+    with RunFolder(path).noting_failure():
+        pass
+    assert read_run(path).status == "stopped"

@@ -1,0 +1,132 @@
+"""A task and an algorithm of a user's own, in a folder of their own, on kinematic fish."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+
+from fishrl.envs import AbstractTask
+from fishrl.programs import evaluate, search, train, view
+from fishrl.training.description import make
+from tests.docs.pages import read_blocks
+from tests.envs.conftest import SMALL
+
+
+@pytest.fixture
+def outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder with the tutorial's two files, on Python's path."""
+    for block in read_blocks("tutorials/new_task.md"):
+        if block.file:
+            path = tmp_path / "my_fish" / block.file
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(block.code, encoding="utf-8")
+    (tmp_path / "my_fish" / "my_learning.py").write_text(
+        "from fishrl.training.algorithms import DQN\nclass MyDQN(DQN): pass\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path / "my_fish"))
+    forget(monkeypatch)
+    return tmp_path / "my_fish"
+
+
+def forget(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Begin as a new process does, without the modules of the user."""
+    for name in ("hold_station", "my_learning"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+
+
+SETTINGS = [
+    *("task=hold_station", *(f"task.{name}={value}" for name, value in SMALL.items())),
+    *("task.time_limit=3", "compile=false", "num_envs=2", "total_frames=8", "warmup_frames=4"),
+    *("log_frames=4", "checkpoint_frames=8", "eval_frames=8", "eval_episodes=2"),
+    *("final_episodes=2", "batch_size=4", "hidden=[8]"),
+]
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_a_task_from_outside_is_trained_and_evaluated_without_any_edit(
+    outside: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    run = tmp_path / "runs" / "mine"
+    own = ["algorithm=dqn", "algorithm._target_=my_learning.MyDQN", f"folder={run.parent}"]
+    folder = f"--config-dir={outside / 'conf'}"
+    train.main([folder, *SETTINGS, *own, "name=mine"])
+    summary = json.loads((run / "summary.json").read_text())
+    assert (summary["frames"], summary["baselines"]) == (8, ["random"])
+    assert (run / "learning_curve.png").is_file()
+    advice = next(x for x in capsys.readouterr().out.splitlines() if x.startswith("evaluate: "))
+    saved = tmp_path / "result.json"
+    given = [f"checkpoint={run}", "episodes=2", "compile=false", f"save={saved}"]
+    trusted = "modules=[hold_station,my_learning]"
+    for needed in ([folder], ["modules=[hold_station]"]):  # my_learning is named nowhere
+        forget(monkeypatch)
+        with pytest.raises(SystemExit, match=r"if you trust it, give modules=\[my_learning\]"):
+            evaluate.main([*given, *needed])
+    forget(monkeypatch)
+    assert trusted in shlex.split(advice)
+    evaluate.main([*given, trusted])
+    evaluate.main([*given, "modules=my_learning", folder])
+    assert json.loads(saved.read_text())["task"] == "HoldStation"
+    forget(monkeypatch)
+    view.main([f"run={run}", trusted, "compile=false", "periods=1", f"save={run / 'x.rrd'}"])
+    assert (run / "x.rrd").is_file()
+    forget(monkeypatch)
+    train.main([f"resume={run}", trusted, "total_frames=12"])
+    assert json.loads((run / "summary.json").read_text())["frames"] == 12
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["--config-dir", "{}"], ["hydra.searchpath=[file://{}]"]],
+)
+def test_a_folder_of_configuration_may_be_named_in_any_of_hydras_ways(
+    outside: Path, words: list[str]
+) -> None:
+    folder = [word.format(outside / "conf") for word in words]
+    settings = train.main.read([*folder, "task=hold_station", "task.leash_bl=1.25"])
+    task = make(settings.task, kind=AbstractTask)
+    assert (type(task).__name__, task.leash_bl, task.body_length) == ("HoldStation", 1.25, 50)
+    watched = view.main.read([*folder, "task=hold_station", "policy=random"])
+    assert watched.task["_target_"] == "hold_station.HoldStation"
+    searched = search.main.read([*folder, "task=hold_station", "folder=x", "gamma=interval(0,1)"])
+    assert list(searched.space()) == ["++gamma"]
+    assert train.main.read(searched.fixed).task["_target_"] == "hold_station.HoldStation"
+
+
+def test_a_preset_from_outside_is_found_too(outside: Path) -> None:
+    settings = train.main.read([f"--config-dir={outside / 'conf'}", "preset=mine"])
+    assert (settings.num_envs, settings.preset) == (8, "mine")
+    assert (settings.task["leash_bl"], settings.task["time_limit"]) == (1.5, 20)
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "said"),
+    [
+        ("preset", "# @package _global_\nnum_env: 2", "no 'num_env'; did you mean 'num_envs'?"),
+        ("preset", "# @package _global_\nnum_envs: [", "wrong.yaml"),
+        ("preset", "num_envs: 2", "preset"),
+        ("task", "body_length: 20", "task: its YAML file must begin with _target_"),
+        ("task", "{_target_: fishrl.envs.Predation, reynold: 9}", "did you mean 'task.reynolds'?"),
+    ],
+)
+def test_mistakes_in_files_of_ones_own_are_named(
+    outside: Path, file: str, text: str, said: str
+) -> None:
+    (outside / "conf" / file / "wrong.yaml").write_text(text)
+    with pytest.raises(ValueError, match=re.escape(said)):
+        train.main.read([f"--config-dir={outside / 'conf'}", f"{file}=wrong"])
+
+
+def test_a_module_that_is_not_on_the_path_is_answered_with_what_to_do(
+    outside: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if p != str(outside)])
+    with pytest.raises(ValueError, match=r"hold_station.*PYTHONPATH"):
+        train.main.read([f"--config-dir={outside / 'conf'}", "task=hold_station"])

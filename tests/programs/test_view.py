@@ -1,0 +1,186 @@
+"""The program that shows flows, and live views of trainings, on kinematic fish."""
+
+from __future__ import annotations
+
+import re
+import socket
+import subprocess
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import imageio_ffmpeg
+import pytest
+from tests.experiments.test_gait import SETTINGS
+
+from fishrl.envs.scene import Frame
+from fishrl.programs import view
+from fishrl.programs.train import finish, set_up
+from fishrl.programs.train_settings import TRAINING
+from fishrl.training.description import to_plain
+from fishrl.training.run_folder import write_yaml
+from fishrl.viewer import Drawing, Server
+from fishrl.viewer.process import HOST
+from tests.programs.gait.tasks import OVERRIDES
+from tests.training.conftest import read_rows
+
+pytestmark = pytest.mark.usefixtures("kinematic")
+
+GAIT = ["preset=gait_small", *OVERRIDES, "compile=false"]
+
+
+def list_entities(path: Path) -> str:
+    command = [sys.executable, "-m", "rerun", "rrd", "print", "-v", str(path)]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+def test_some_flows_of_a_batch_are_recorded_and_their_size_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "x.rrd"
+    arguments = ["policy=pid", "episodes=4", "flows=[1,3]", "periods=1", f"save={path}"]
+    view.main([*GAIT, "recognition=oracle", *arguments])
+    said = capsys.readouterr().out
+    number = r"(\d+\.\d+)"
+    words = rf"{path}: {number} MB for {number} T of 2 flows \(jpeg, {number} frames per T"
+    size, periods, _ = map(float, re.match(words, said).groups())
+    assert size == pytest.approx(path.stat().st_size / 1e6, abs=0.005)
+    assert 1.7 < periods < 4.0  # whole decisions, which are longer than half a T at this size
+    shown = list_entities(path)
+    assert "/flow_1/plots/class_probabilities/2" in shown
+    assert "/flow_3/world/neuromasts" in shown
+    assert "/flow_0/" not in shown
+
+
+@pytest.mark.parametrize("ending", ["mp4", "gif"])
+def test_a_flow_is_filmed(ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    film = f"{tmp_path}/x.{ending}"
+    words = ["policy=pursuit", "compile=false", "periods=1"]
+    view.main([*words, f"save={film}"])
+    assert f"({ending}, " in capsys.readouterr().out
+    num_frames, _ = imageio_ffmpeg.count_frames_and_secs(film)
+    assert num_frames > 4
+    with pytest.raises(SystemExit, match="a film is of one flow"):
+        view.main([*words, "episodes=2", f"save={film}"])
+
+
+def test_the_learned_fish_of_a_run_is_shown_in_its_own_task(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = TRAINING.read([*SETTINGS, f"folder={tmp_path}", "name=run"])
+    config = replace(config, recognition="oracle", baselines=(), picture_episodes=2)
+    config = replace(config, total_frames=16, eval_frames=16)
+    finish(set_up(config))
+    assert "/flow_0/plots/class_probabilities" in list_entities(tmp_path / "run" / "capture.rrd")
+    settings = view.main.read([f"run={tmp_path / 'run'}", "task.stream.speeds_bl=[1.0,1.2,1.4]"])
+    assert (settings.recognition, settings.preset) == ("oracle", "gait_small")
+    assert settings.task["body_length"] == 20
+    assert settings.task["stream"]["speeds_bl"] == [1.0, 1.2, 1.4]
+    assert settings.task["stream"]["_target_"] == "fishrl.envs.streams.Stream"
+    path = tmp_path / "x.rrd"
+    view.main([f"run={tmp_path / 'run'}", f"save={path}", "periods=1", "compile=false"])
+    assert path.is_file()
+
+
+def test_a_path_alone_opens_the_recording_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "it's = a run"
+    folder.mkdir()
+    (folder / "capture.rrd").touch()
+    opened: list[Path] = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(view, "open_recording", opened.append)
+    monkeypatch.chdir(tmp_path)
+    (folder / "capture.rrd").rename(tmp_path / "it's one.rrd")
+    view.main(["it's one.rrd"])
+    assert opened == [Path("it's one.rrd")]
+
+
+def test_a_live_view_streams_and_stays_until_an_interrupt(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = view.main.read([*GAIT, "policy=pid", "live=true", "periods=1", "port=29600"])
+    servers: list[Server] = []
+    waited: list[bool] = []
+
+    def serve(*, port: int) -> Server:
+        servers.append(Server(port=port))
+        return servers[-1]
+
+    def wait() -> None:
+        socket.create_connection((HOST, servers[0].port), timeout=2.0).close()
+        waited.append(True)
+
+    monkeypatch.setattr(view, "Server", serve)
+    monkeypatch.setattr(view, "wait_for_interrupt", wait)
+    view.main.run(config)
+    assert waited == [True]
+    said = capsys.readouterr().out
+    assert " MB for " in said
+    assert ".rrd" not in said  # the file goes with the program
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "error: give exactly one of run=<run folder>"),
+        (["nowhere.rrd"], r"error: no \.rrd file at nowhere\.rrd"),
+        (["run=nowhere"], "error: checkpoint nowhere: there is none"),
+        (["policy=pid", "field_format=jpg"], "error: field_format = jpg: .*did you mean 'jpeg'"),
+        ([*GAIT, "policy=pid", "flows=[1]", "save=x.rrd"], r"error: flows = \[1\]: must be some"),
+        (["policy=pid", "save=x.avi"], r"error: save = x\.avi: must end in one of \.rrd, \.mp4"),
+        ([*GAIT, "policy=pid", "save=nowhere/x.rrd"], "error: no folder nowhere: make it first"),
+        (
+            [*GAIT, "policy=pid", "save=x.rrd", "screenshot=nowhere/x.png"],
+            "error: no folder nowhere: make it first",
+        ),
+        ([*GAIT, "policy=pid", "save=x.rrd", "screenshot=/"], "error: /: cannot be written"),
+        ([*GAIT, "policy=pid"], "error: no screen to open a window on: give save="),
+    ],
+)
+def test_errors_are_one_line(
+    arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(view, "has_screen", lambda: False)
+    with pytest.raises(SystemExit, match=said) as error:
+        view.main(arguments)
+    assert "\n" not in str(error.value)
+
+
+def test_a_training_with_a_live_view_learns_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = [*SETTINGS, "recognition=oracle", f"folder={tmp_path}", "picture_episodes=0"]
+    settings += ["total_frames=32", "warmup_frames=8", "eval_frames=16", "eval_episodes=2"]
+    settings += ["final_episodes=1", "baselines=[]", "task.time_limit=4"]
+    finish(set_up(TRAINING.read([*settings, "name=alone"])))
+    drawn: list[tuple[int, Frame]] = []
+    draw = Drawing.draw
+
+    def note(drawing: Drawing, flow: int, frame: Frame) -> None:
+        drawn.append((flow, frame))
+        draw(drawing, flow, frame)
+
+    monkeypatch.setattr(Drawing, "draw", note)
+    seen = ["name=seen", "live=true", "flows=[1,2]", "port=29620", "live_share=1.0"]
+    summary = finish(set_up(TRAINING.read([*settings, *seen])))
+    assert read_rows(tmp_path / "seen") == read_rows(tmp_path / "alone")
+    assert summary["frames"] == 32
+    for flow in (1, 2):
+        frames = [frame for own, frame in drawn if own == flow]
+        # 8 decisions of a quarter of a T each in training alone, about 8 frames in a T
+        assert len(frames) > 8 * 0.25 * 8 * 0.7
+        times = [frame.time for frame in frames]
+        assert times == sorted(times)
+        assert sum(frame.begins for frame in frames) > 1  # evaluations, and training again
+        assert {"flow_probabilities", "action_mask", "signal"} <= set(frames[0].values)
+    assert {flow for flow, _ in drawn} == {1, 2}
+
+
+def test_a_resumed_run_is_live_only_on_request(tmp_path: Path) -> None:
+    config = TRAINING.read(["live=true"])
+    write_yaml(tmp_path / "config.yaml", to_plain(asdict(config)))
+    assert not TRAINING.read([f"resume='{tmp_path}'"]).live
+    assert TRAINING.read([f"resume='{tmp_path}'", "live=true"]).live

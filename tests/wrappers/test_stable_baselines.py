@@ -1,0 +1,89 @@
+"""Stable-Baselines3 itself learns on flows, on kinematic fish."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from sb3_contrib import MaskablePPO
+from stable_baselines3 import DQN, PPO
+from stable_baselines3.common.vec_env import VecMonitor
+
+from fishrl.envs import Predation, make_env
+from fishrl.wrappers.stable_baselines import FlowVecEnv
+from tests.envs.conftest import SMALL
+from tests.envs.masked_task import MaskedTask
+
+pytestmark = pytest.mark.usefixtures("kinematic")
+
+
+def make(task: Any = None, *, num_envs: int = 2) -> FlowVecEnv:
+    task = task or Predation(**SMALL, time_limit=3)
+    return FlowVecEnv(make_env(task=task, num_envs=num_envs, compile=False))
+
+
+def keep(num: int = 2) -> np.ndarray:
+    return np.ones(num, dtype=np.int64)
+
+
+def test_a_row_that_ends_begins_anew_and_tells_its_end() -> None:
+    envs = make()
+    envs.seed(0)
+    first = envs.reset()
+    envs.seed(0)
+    assert np.array_equal(envs.reset(), first)
+    for _ in range(2):
+        _, _, dones, infos = envs.step(keep())
+        assert not dones.any()
+        assert all("terminal_observation" not in info for info in infos)
+    envs.vector.flows.solver.body.position[0] = torch.nan
+    observations, rewards, dones, infos = envs.step(keep())
+    assert dones.tolist() == [True, True]
+    assert rewards[0] == 0.0
+    assert [info["TimeLimit.truncated"] for info in infos] == [True, True]
+    assert [info["diverged"] for info in infos] == [True, False]
+    assert [info["step_count"] for info in infos] == [3, 3]
+    assert [info["step_count"] for info in envs.reset_infos] == [0, 0]
+    assert not np.array_equal(infos[1]["terminal_observation"], observations[1])
+    assert np.isfinite(infos[0]["terminal_observation"]).all()
+
+
+def test_attributes_and_methods_are_given_row_by_row() -> None:
+    envs = make(num_envs=3)
+    envs.reset()
+    assert envs.get_attr("num_envs", indices=[0, 2]) == [3, 3]
+    assert not envs.has_attr("nothing_there")
+    assert np.stack(envs.env_method("action_masks", indices=1)).tolist() == [[True] * 3]
+    assert envs.env_is_wrapped(VecMonitor) == [False] * 3
+    with pytest.raises(ValueError, match="rows share one environment"):
+        envs.set_attr("task", None)
+    envs.close()
+    assert envs.vector.flows.solver.is_closed
+
+
+@pytest.mark.learning
+@pytest.mark.parametrize(("kind", "action"), [(DQN, "discrete"), (PPO, "continuous")])
+def test_algorithms_without_masks_train_a_fish_that_may_do_anything(
+    kind: type, action: str
+) -> None:
+    envs = make(Predation(**SMALL, time_limit=3, action=action), num_envs=4)
+    short = {"n_steps": 16, "batch_size": 16} if kind is PPO else {"learning_starts": 16}
+    model = kind("MlpPolicy", VecMonitor(envs), seed=0, device="cpu", **short)
+    before = [p.detach().clone() for p in model.policy.parameters()]
+    model.learn(64)
+    assert model.num_timesteps >= 64
+    assert max(episode["l"] for episode in model.ep_info_buffer) == 3
+    after = list(model.policy.parameters())
+    assert any(not torch.equal(a, b) for a, b in zip(before, after, strict=True))
+    assert all(p.isfinite().all() for p in after)
+
+
+@pytest.mark.learning
+def test_a_masked_algorithm_never_takes_an_illegal_action() -> None:
+    envs = make(MaskedTask(**SMALL, time_limit=6), num_envs=3)
+    model = MaskablePPO("MlpPolicy", envs, n_steps=16, batch_size=16, seed=0, device="cpu")
+    model.learn(96)  # an illegal action would end it with an error
+    assert model.num_timesteps >= 96
+    assert (~envs.vector.action_masks()).any() or model.rollout_buffer.action_masks.min() == 0
