@@ -46,7 +46,7 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ),
     (
         "fishrl/wrappers/stable_baselines.py",
-        {"numpy", "torchrl", "stable_baselines3", "fishrl.extras"} | TASK_SIDE,
+        {"numpy", "torchrl", "stable_baselines3", "fishrl.extras", "fishrl.wrappers"} | TASK_SIDE,
     ),
     ("fishrl/envs/", TENSORS | TASK_SIDE),
     ("fishrl/modules/", TENSORS | {"torchrl", "fishrl.modules"}),
