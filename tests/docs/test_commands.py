@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from fishrl.__main__ import PROGRAMS
+from fishrl.__main__ import list_programs
 from fishrl.envs import AbstractTask
 from fishrl.programs.program import Program
 from fishrl.programs.sweeps.jobs import plan_jobs
@@ -33,7 +33,7 @@ WRITTEN = [page for page in sorted(DOCS.rglob("*.md")) if page.name != "configur
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *WRITTEN]
 PROGRAM = re.compile(
     r"(?:\bpython (?:-m )?(?=experiments\.|examples/)|"
-    rf"(?:^|`)(?=fishrl (?:{'|'.join(PROGRAMS)})\b))"
+    rf"(?:^|`)(?=fishrl (?:{'|'.join(list_programs())})\b))"
     r"(experiments\.[\w.]*|examples/\w+\.py|fishrl [a-z-]+)([^`\n|]*)",
     re.MULTILINE,
 )
