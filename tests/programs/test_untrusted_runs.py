@@ -12,21 +12,18 @@ from typing import Any
 import pytest
 import torch
 
-from experiments import (
-    changing_streams,
+from experiments import changing_streams, export_steering, following, robustness
+from fishrl.envs import AbstractTask
+from fishrl.programs import (
     evaluate,
     export,
     export_data,
     export_policy,
-    export_steering,
-    following,
-    robustness,
     summarize,
     train,
     transfer,
     view,
 )
-from fishrl.envs import AbstractTask
 from fishrl.programs.program import Program
 from fishrl.programs.sweeps.jobs import find_or_begin
 from fishrl.programs.train_settings import TRAINING
