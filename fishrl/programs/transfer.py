@@ -8,13 +8,12 @@ histories are cached.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
+from pydantic import PositiveFloat, PositiveInt
 
-from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait
 from fishrl.programs.gait import figures, trials
 from fishrl.programs.gait.diagnostics import combine_seeds, diagnose, measure_lean, trace_work
@@ -25,7 +24,6 @@ from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
 
 
-@dataclass(frozen=True, kw_only=True)
 class TransferSettings(TaskSettings):
     """Settings of a transfer test.
 
@@ -42,8 +40,8 @@ class TransferSettings(TaskSettings):
     """
 
     runs: tuple[str, ...] = ()
-    episodes: int = bounded(100, least=1)
-    periods: float = bounded(trials.PERIODS, greater=0)
+    episodes: PositiveInt = 100
+    periods: PositiveFloat = trials.PERIODS
     baselines: tuple[str, ...] = ("pid", "pid+policy", "bang_bang", "shedding")
     recognition: str | None = None
     samples_actions: bool = False
