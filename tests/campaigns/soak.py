@@ -32,7 +32,6 @@ SMALL = {"body_length": 32, "reynolds": 2000.0, "max_wall_speed": 0.1, "wall_mar
 LIMITS = {"memory_mb": 20.0, "files": 0.0, "shm_mb": 0.0}
 
 
-@dataclass(frozen=True, kw_only=True)
 class Tank(Predation):  # type: ignore[misc]
     """Predation between walls that conserve mass."""
 
