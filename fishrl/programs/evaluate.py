@@ -11,8 +11,8 @@ from typing import Any
 from pydantic import PositiveInt
 
 from fishrl.programs.live import LiveObserver
-from fishrl.programs.program import program
 from fishrl.programs.policy_settings import PolicySettings, read_task
+from fishrl.programs.program import program
 from fishrl.settings import describe
 from fishrl.training import evaluate as run_evaluation
 from fishrl.training.progress import Progress

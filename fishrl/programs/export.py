@@ -18,8 +18,8 @@ from torch import Tensor
 
 from fishrl.envs import FlowEnv, run_episodes
 from fishrl.extras import show_install
-from fishrl.programs.program import program
 from fishrl.programs.policy_settings import PolicySettings, read_task
+from fishrl.programs.program import program
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
 from fishrl.viewer import check_folder

@@ -23,8 +23,8 @@ from torchrl.envs.utils import ExplorationType
 
 from fishrl.envs import run_episodes
 from fishrl.extras import show_install
-from fishrl.programs.program import program
 from fishrl.programs.policy_settings import PolicySettings, read_task
+from fishrl.programs.program import program
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
 

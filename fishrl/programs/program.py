@@ -31,6 +31,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 from types import FrameType
 from typing import Any
 
@@ -42,6 +43,10 @@ from fishrl.programs.configuration import CommandLine, split_options
 from fishrl.settings import REQUIRED, TARGET, Settings, build, describe, list_fields, to_plain
 from fishrl.settings.plain import list_classes
 from fishrl.training.interruption import SIGNALS, exit_status
+
+
+#: Of lines of the help.
+_WIDTH: dict[str, Any] = {"width": 100, "initial_indent": "  ", "subsequent_indent": " " * 8}
 
 
 @dataclass(frozen=True)
@@ -135,9 +140,9 @@ def _list_settings(key: str, value: Any, text: str) -> Iterator[str]:
     """List a setting and those below it, each with its meaning."""
     plain = "???" if value is REQUIRED else to_plain(value)
     if not isinstance(plain, dict) or TARGET not in plain:
-        yield f"  {key}={write_value(plain)}  {text}".rstrip()
+        yield fill(f"{key}={write_value(plain)}  {text}", **_WIDTH)
         return
-    yield f"  {key}._target_={plain[TARGET]}  {text}".rstrip()
+    yield fill(f"{key}._target_={plain[TARGET]}  {text}", **_WIDTH)
     texts = read_arguments(type(value))
     for name in list(plain)[1:]:
         yield from _list_settings(f"{key}.{name}", getattr(value, name), texts.get(name, ""))

@@ -30,7 +30,6 @@ from fishrl.programs.configuration import parse, quote
 from fishrl.programs.program import program, show_command
 from fishrl.programs.sweeps.ending import ending_runs
 from fishrl.programs.sweeps.jobs import LOOK_SECONDS, Job, run_job
-from fishrl.programs.sweeps.runs import read_run
 from fishrl.programs.train_settings import TRAINING
 from fishrl.settings import Settings
 from fishrl.training.run_folder import HeldError, RunFolder
@@ -172,7 +171,7 @@ def run_seed(
         return None
     if settings.metric not in run.summary:
         numbers = sorted(k for k, v in run.summary.items() if isinstance(v, int | float))
-        raise ValueError(f"metric = {settings.metric}: not in {path}; there is {numbers}")
+        raise ValueError(f"metric = {settings.metric}: not in {run.path}; there is {numbers}")
     value = run.summary[settings.metric]
     return None if value is None else float(value)
 

@@ -1,7 +1,8 @@
 """Train a policy: ``fishrl train task=predation preset=small seed=0``.
 
-``resume=<run folder>`` continues a run that was stopped or killed. A finished run is left unchanged
-unless ``total_frames`` extends it, or another final evaluation is asked for.
+``name=<folder>`` begins the run in that folder, or continues the one there;
+``resume=<run folder>`` does so with its own settings. A finished run is left unchanged unless
+``total_frames`` extends it, or another final evaluation is asked for.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -18,25 +18,23 @@ from fishrl.programs.figures.run_pictures import record_run
 from fishrl.programs.live import LiveObserver
 from fishrl.programs.program import program, show_command
 from fishrl.programs.sweeps.jobs import sweep
-from fishrl.programs.sweeps.runs import list_arguments, name_modules
-from fishrl.programs.train_settings import TRAINING, TrainConfig, make_plan
+from fishrl.programs.sweeps.runs import show_modules, show_resume
+from fishrl.programs.train_settings import (
+    TRAINING,
+    TrainConfig,
+    is_finished,
+    list_changes,
+    make_plan,
+)
 from fishrl.training.checkpoint import read_metadata
-from fishrl.training.description import to_plain
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.interruption import Interrupted, exit_status
 from fishrl.training.loop import FINAL_SEED, Training
-from fishrl.training.plan import LEARNING, PARTS, RUN
 from fishrl.training.progress import Progress
-from fishrl.training.run_folder import RunFolder, read_config
-from fishrl.training.runs import begin, complete, find_summary, reopen
+from fishrl.training.runs import begin, complete, reopen
 
 #: When the program started, apart from the imports above.
 BEGAN = time.perf_counter()
-
-#: Settings that are not taken from the stored run on resume.
-_OF_THE_MOMENT = ("live", "recognition", "resume")
-#: Settings that, if changed, evaluate or draw a finished run again.
-_OF_THE_END = ("total_frames", "final_episodes", "baselines", "picture_episodes")
 
 
 class RunObserver(LiveObserver):
@@ -65,27 +63,23 @@ class RunObserver(LiveObserver):
 
 
 def set_up(config: TrainConfig, **hooks: Any) -> Training:
-    """Set up a run, new or resumed; invalid settings raise an error here, not later."""
+    """Begin the run of these settings, or continue the one in its folder.
+
+    Raises:
+        ValueError: for invalid settings, and for others than those of the run that is continued.
+    """
     hooks["observer"] = RunObserver(config)
-    if config.resume:
-        return reopen(config.resume, **hooks, **list_changes(config))
-    return begin(make_plan(config), recognition=config.recognition, **hooks)
+    plan = make_plan(config)
+    if config.has_begun:
+        return reopen(str(config.path), modules=config.modules, **list_changes(config), **hooks)
+    return begin(plan, recognition=config.recognition, **hooks)
 
 
-def list_changes(config: TrainConfig) -> dict[str, Any]:
-    """Return the settings that may be others than in the run that is resumed."""
-    stored = read_config(RunFolder.of_existing(str(config.resume)).config)
-    fixed = (*LEARNING, *PARTS, *_OF_THE_MOMENT)
-    plain = to_plain(asdict(config))
-    return {n: v for n, v in plain.items() if n not in fixed and (n in RUN or n in stored)}
-
-
-def finish(training: Training) -> dict[str, Any]:
+def finish(training: Training, modules: Sequence[str] = ()) -> dict[str, Any]:
     """Run a training to its end, draw its pictures, print the table, and return the summary."""
     summary = complete(training)
     training.progress.close()
-    modules = name_modules(training.plan.to_config())
-    report(summary, folder=training.folder.path, modules=modules)
+    report(summary, folder=training.folder.path, modules=show_modules(modules))
     return summary
 
 
@@ -116,18 +110,15 @@ def report(summary: dict[str, Any], *, folder: Path, modules: Sequence[str]) -> 
 
 @program(TRAINING, sweep=sweep)
 def main(settings: TrainConfig) -> None:
-    """Train, or resume a run; print the command to resume it if it is interrupted."""
-    if settings.resume:
-        changes = {n: v for n, v in list_changes(settings).items() if n in _OF_THE_END}
-        if find_summary(settings.resume, **changes) is not None:
-            print(f"{settings.resume}: already finished; total_frames=... extends it")
-            return
+    """Begin or continue a run; print the command to resume it if it is interrupted."""
+    if settings.has_begun and is_finished(settings):
+        print(f"{settings.path}: already finished; total_frames=... extends it")
+        return
     with Progress() as progress:
         training = set_up(settings, progress=progress, began=BEGAN)
-        arguments = list_arguments(training.folder.path, training.plan.to_config())
-        hint = f"resume with: {show_command('train', *arguments)}"
+        hint = f"resume with: {show_resume(training.folder.path, settings.modules)}"
         try:
-            finish(training)
+            finish(training, settings.modules)
         except Interrupted as end:
             frames = read_metadata(training.folder.path, which="last")[1]["frames"]
             print(f"{end}: saved at frame {frames}; {hint}", file=sys.stderr)

@@ -83,8 +83,11 @@ TRAINING = CommandLine(
     name="train",
     schema=TrainConfig,
     groups={
-        **{"task": "predation", "algorithm": "discrete_sac", "logger": "csv"},
-        **{"preset": None, "experiment": None},
+        "task": "predation",
+        "algorithm": "discrete_sac",
+        "logger": "csv",
+        "preset": None,
+        "experiment": None,
     },
     stored=read_resumed,
 )

@@ -14,8 +14,8 @@ from tempfile import TemporaryDirectory
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
 from fishrl.envs.scene import Frame
-from fishrl.programs.program import program
 from fishrl.programs.policy_settings import PolicySettings, read_task
+from fishrl.programs.program import program
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
 from fishrl.viewer import (

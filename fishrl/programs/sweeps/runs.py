@@ -14,6 +14,7 @@ from fishrl.training.aliases import update_config
 from fishrl.training.logger import read_rows
 from fishrl.training.run_folder import RunFolder, read_config, read_summary
 
+
 @dataclass(frozen=True, kw_only=True)
 class Run:
     """One run, as read from its folder.
