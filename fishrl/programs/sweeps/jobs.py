@@ -48,6 +48,11 @@ class Job(NamedTuple):
     settings: TrainConfig
     words: list[str]
 
+    @property
+    def path(self) -> Path:
+        """The run folder."""
+        return Path(str(self.settings.path))
+
 
 @dataclass(frozen=True)
 class Launch:
@@ -79,10 +84,10 @@ class Launch:
 
 def sweep(arguments: Sequence[str]) -> None:
     """Run a sweep, report on its runs, and end the program with 1 unless all are finished."""
-    launch, jobs = plan_jobs(arguments)
+    launch, jobs = _plan(arguments)
     if jobs[0].settings.folder == TRAINING.list_defaults()["folder"]:
         arguments = [*arguments, f"folder=runs/sweep-{time.strftime('%Y%m%d-%H%M%S')}"]
-        launch, jobs = plan_jobs(arguments)
+        launch, jobs = _plan(arguments)
     folder = Path(jobs[0].settings.folder).expanduser()
     folder.mkdir(parents=True, exist_ok=True)
     command = f"{show_command('train', *arguments)}\n"
@@ -94,14 +99,23 @@ def sweep(arguments: Sequence[str]) -> None:
     except KeyboardInterrupt:
         is_cut_off = True
         print("\ninterrupted; the same command with the same folder=... continues", file=sys.stderr)
-    runs = [read_run(job.settings.path) for job in jobs]
+    runs = [read_run(job.path) for job in jobs]
     print(f"\n{folder}: {advise(runs, modules=jobs[0].settings.modules)}")
     print(f"table and curves: {show_command('summarize', str(folder))}")
     sys.exit(int(is_cut_off or any(run.status != "finished" for run in runs)))
 
 
-def plan_jobs(arguments: Sequence[str]) -> tuple[Launch, list[Job]]:
+def plan_jobs(arguments: Sequence[str]) -> list[Job]:
     """Return the jobs of a sweep in hydra's order; raise ValueError for wrong settings of any."""
+    return _plan(arguments)[1]
+
+
+def find_runs(arguments: Sequence[str]) -> list[Path]:
+    """Return the folders of those runs of a sweep that have begun."""
+    return sorted(job.path for job in plan_jobs(arguments) if job.settings.has_begun)
+
+
+def _plan(arguments: Sequence[str]) -> tuple[Launch, list[Job]]:
     overrides = TRAINING.prepare(arguments)
     own = [line for line in overrides if not re.match("hydra[./]", line)]
     swept = {each.input_line for each in parse(own) if each.is_sweep_override()}
@@ -147,7 +161,7 @@ def run_job(job: Job) -> Run:
 
     A run that is finished, or that another process writes, is left alone.
     """
-    path = job.settings.path
+    path = job.path
     run = read_run(path)
     if run.status == "running" or (run.status == "finished" and is_finished(job.settings)):
         return run
