@@ -26,7 +26,7 @@ from omegaconf import MISSING
 from experiments.benchmarks.machine import describe_machine
 from experiments.reproduction.page import ARMS, find_fitted, write_page
 from experiments.validation.swimmer import CASE
-from fishrl.__main__ import PROGRAMS
+from fishrl.__main__ import list_programs
 from fishrl.bounds import Checked, bounded
 from fishrl.envs import AbstractTask, KarmanGait, make_env
 from fishrl.programs.gait.free_stream import MAX_PERIODS
@@ -238,7 +238,7 @@ def alone(folder: Path) -> Iterator[int]:
 def run_job(job: Job, record: Record, lock: int) -> None:
     """Run a job; ValueError if it fails."""
     name, *words = job.words
-    command = ["fishrl", name] if name in PROGRAMS else [f"experiments.{name}"]
+    command = ["fishrl", name] if name in list_programs() else [f"experiments.{name}"]
     print(f"\n{show_command(command[-1], *words)}", flush=True)
     child = subprocess.Popen([sys.executable, "-m", *command, *words], pass_fds=[lock])
     try:
