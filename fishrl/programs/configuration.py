@@ -236,13 +236,17 @@ def parse(overrides: Iterable[str]) -> list[Override]:
 def explain(error: Exception) -> ValueError:
     """Turn an error of hydra or omegaconf into one line."""
     if isinstance(error, MissingConfigException) and error.options:
-        name = str(error.missing_cfg_file).rpartition("/")[2]
-        near = suggest(name, error.options) or f". There is: {', '.join(error.options)}"
-        return ValueError(f"there is no {name!r}{near}")
+        return unknown(str(error.missing_cfg_file).rpartition("/")[2], error.options)
     if isinstance(error.__cause__, OmegaConfBaseException) and "full_key" in str(error.__cause__):
         key = error.__cause__.full_key
         return ValueError(f"there is no {key!r} here; --config-dir <folder> adds YAML files")
     return ValueError(" ".join(str(error).split()).replace("'++", "'"))
+
+
+def unknown(word: str, known: Sequence[str]) -> ValueError:
+    """Return the error for an unknown word, with the nearest right one or all that there are."""
+    near = suggest(word, known) or f". There is: {', '.join(known)}"
+    return ValueError(f"there is no {word!r}{near}")
 
 
 def list_modules(node: Any) -> Iterator[str]:

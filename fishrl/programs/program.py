@@ -44,7 +44,6 @@ from fishrl.settings import REQUIRED, TARGET, Settings, build, describe, list_fi
 from fishrl.settings.plain import list_classes
 from fishrl.training.interruption import SIGNALS, exit_status
 
-
 #: Of lines of the help.
 _WIDTH: dict[str, Any] = {"width": 100, "initial_indent": "  ", "subsequent_indent": " " * 8}
 
