@@ -183,6 +183,8 @@ class CommandLine:
             return f"{self.positional}={quote(word)}"
         if not (key and equals) and not word.startswith("~"):
             raise ValueError(f"{word!r}: settings are given as key=value, without spaces")
+        if key not in self.groups and (CONF / key).is_dir():
+            raise unknown(key, sorted(bare))
         if key in self.groups and value.startswith(("[", "{")):
             raise ValueError(f"{word}: must be one name")
         return word if key in bare or re.match(r"~|hydra[./]|.*[/@]", key) else f"++{word}"
