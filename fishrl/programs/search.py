@@ -97,8 +97,12 @@ class SearchSettings(Settings):
         return space
 
 
-def search(settings: SearchSettings) -> Any:
-    """Run trials until Optuna's study has as many as wanted, those that were cut off first."""
+def open_study(settings: SearchSettings) -> Any:
+    """Return Optuna's study of a search, new or with the trials of before.
+
+    Raises:
+        ValueError: if its folder holds another search, with results.
+    """
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     folder, space = settings.path, settings.space()
     folder.mkdir(parents=True, exist_ok=True)
@@ -114,14 +118,20 @@ def search(settings: SearchSettings) -> Any:
     if has_begun and study.user_attrs.get("identity", identity) != identity:
         raise ValueError(f"{folder}: holds another search, {study.user_attrs['identity']}")
     study.set_user_attr("identity", identity)
+    return study
+
+
+def search(settings: SearchSettings) -> Any:
+    """Run trials until the study has as many as wanted, those that were cut off first."""
+    study = open_study(settings)
     for trial in study.get_trials(states=[optuna.trial.TrialState.RUNNING]):
         run_trial(settings, study, trial.number)
     while len(study.trials) < settings.trials:
         # Each trial has its own seed, also where several processes search: nothing is drawn twice.
-        with (folder / "study.lock").open("w") as lock:
+        with (settings.path / "study.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             study.sampler = optuna.samplers.TPESampler(seed=len(study.trials))
-            number = study.ask(space).number
+            number = study.ask(settings.space()).number
         try:
             run_trial(settings, study, number)
         except optuna.exceptions.UpdateFinishedTrialError:

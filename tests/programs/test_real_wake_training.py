@@ -12,7 +12,7 @@ from fishrl.envs import FlowEnv, KarmanGait
 from fishrl.programs.train import set_up
 from fishrl.programs.train_settings import TrainConfig
 from fishrl.settings import build
-from fishrl.training.algorithms import DiscreteSAC
+from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.logger import CsvLogger
 from fishrl.training.loop import Training

@@ -30,7 +30,7 @@ from fishrl.programs.configuration import parse, run_hydra, split_options
 from fishrl.programs.program import set_up_logging, show_command
 from fishrl.programs.sweeps.ending import ending_runs, leave_ending_to_sweep
 from fishrl.programs.sweeps.runs import Run, advise, count_frames, read_run
-from fishrl.programs.train_settings import TRAINING, TrainConfig, is_finished
+from fishrl.programs.train_settings import TRAINING, TrainConfig, is_finished, list_changes
 from fishrl.training.interruption import SIGNALS
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder
@@ -88,6 +88,9 @@ def sweep(arguments: Sequence[str]) -> None:
     if jobs[0].settings.folder == TRAINING.list_defaults()["folder"]:
         arguments = [*arguments, f"folder=runs/sweep-{time.strftime('%Y%m%d-%H%M%S')}"]
         launch, jobs = _plan(arguments)
+    for job in jobs:
+        if job.settings.has_begun:
+            list_changes(job.settings)  # refuses others than the run has
     folder = Path(jobs[0].settings.folder).expanduser()
     folder.mkdir(parents=True, exist_ok=True)
     command = f"{show_command('train', *arguments)}\n"
@@ -159,11 +162,12 @@ def name_job(overrides: Sequence[str]) -> str:
 def run_job(job: Job) -> Run:
     """Begin or continue a run in a process of its own and wait for it; it prints to output.log.
 
-    A run that is finished, or that another process writes, is left alone.
+    A run that is finished, or that another process writes, is left alone. Raise ValueError if the
+    run has other settings.
     """
     path = job.path
     run = read_run(path)
-    if run.status == "running" or (run.status == "finished" and is_finished(job.settings)):
+    if run.status == "running" or (job.settings.has_begun and is_finished(job.settings)):
         return run
     path.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "fishrl", "train", *job.words]
