@@ -5,11 +5,11 @@ from __future__ import annotations
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
-from fishrl.training.observer import Observer
+from fishrl.training import Callback
 from fishrl.viewer import LiveView, ViewerSettings
 
 
-class LiveObserver(Observer):
+class LiveObserver(Callback):
     """Streams some of ``num_flows`` flows to the viewer if the settings say so."""
 
     def __init__(self, settings: ViewerSettings, *, num_flows: int) -> None:
