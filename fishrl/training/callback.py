@@ -52,38 +52,41 @@ class Callback:
         """Release resources; only ``on_begin`` may follow, when a run continues after an error."""
 
 
-class Callbacks(Callback):
-    """Several callbacks as one, called in their order."""
+def join(callbacks: Iterable[Callback]) -> Callback:
+    """Return several callbacks as one, which calls them in their order."""
+    return _Joined(callbacks)
 
-    def __init__(self, callbacks: Iterable[Callback] = ()) -> None:
-        self.all = tuple(callbacks)
+
+class _Joined(Callback):
+    def __init__(self, callbacks: Iterable[Callback]) -> None:
+        self._all = tuple(callbacks)
 
     def on_begin(self, env: EnvBase) -> None:
-        for each in self.all:
+        for each in self._all:
             each.on_begin(env)
 
     def on_phase(self, phase: str, *, total: int | None = None, done: int = 0) -> None:
-        for each in self.all:
+        for each in self._all:
             each.on_phase(phase, total=total, done=done)
 
     def on_progress(self, amount: int, shown: Mapping[str, float] = NOTHING) -> None:
-        for each in self.all:
+        for each in self._all:
             each.on_progress(amount, shown)
 
     def on_step(self, step: TensorDictBase) -> None:
-        for each in self.all:
+        for each in self._all:
             each.on_step(step)
 
     def on_new_episodes(self) -> None:
-        for each in self.all:
+        for each in self._all:
             each.on_new_episodes()
 
     def on_end(
         self, summary: Mapping[str, Any], *, folder: Path, env: EnvBase, policy: Policy
     ) -> None:
-        for each in self.all:
+        for each in self._all:
             each.on_end(summary, folder=folder, env=env, policy=policy)
 
     def on_close(self) -> None:
-        for each in self.all:
+        for each in self._all:
             each.on_close()

@@ -16,7 +16,7 @@ from tensordict import TensorDictBase
 
 from fishrl.envs.agents import split_fish
 from fishrl.envs.episodes import name_counted
-from fishrl.training.callback import Callback, Callbacks
+from fishrl.training.callback import Callback, join
 from fishrl.training.collector import make_collector
 from fishrl.training.description import describe
 from fishrl.training.evaluation import SELECTION_SEED, TRAIN_SEED, Evaluator
@@ -50,7 +50,7 @@ class Training:
     ) -> None:
         self._began, self._lock = time.perf_counter(), folder.hold()
         self.resolved, self.folder, self.plan = resolved, folder, resolved.plan
-        self.task, self.callbacks = resolved.task, Callbacks(callbacks)
+        self.task, self.callbacks = resolved.task, join(callbacks)
         self.counters, self.interruption = Counters(), interruption or Interruption()
         seed = self.plan.learning.seed
         random.seed(seed)
@@ -204,7 +204,8 @@ class Training:
         self.callbacks.on_phase("evaluation")
         num_starts = self.plan.run.eval_episodes
         result = self.evaluator.evaluate(
-            self.learner.actor, num_starts=num_starts, seed=SELECTION_SEED)
+            self.learner.actor, num_starts=num_starts, seed=SELECTION_SEED
+        )
         metrics, best = result.metrics(), self.counters.best
         score = [metrics["success_rate"], metrics["mean_return"]]
         if score >= best:

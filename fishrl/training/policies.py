@@ -13,7 +13,7 @@ from fishrl.envs import AbstractTask, make_env
 from fishrl.envs.episodes import Policy
 from fishrl.envs.transforms import equip, make_labelling
 from fishrl.training.baselines import make_baseline
-from fishrl.training.callback import Callback, Callbacks
+from fishrl.training.callback import Callback, join
 from fishrl.training.checkpoint import load_checkpoint, read_metadata
 from fishrl.training.classifier import Recognition, find_classifier, load_recognition
 from fishrl.training.evaluation import evaluate_from, fixed_starts
@@ -97,7 +97,7 @@ def evaluate(
         ValueError: for invalid settings, and checkpoints that do not fit the task.
     """
     check_device(device)
-    called = Callbacks(callbacks)
+    called = join(callbacks)
     if isinstance(policy, Path):
         path, plan = load_plan(policy, modules=modules)
         task = task or plan.task

@@ -139,9 +139,7 @@ def reopen(
     with run.noting_failure():
         stored = Plan.from_config(read_config(run.config), modules=modules)
         plan = stored.change(**changes)
-        resolved = resolve(
-            plan, recognition=plan.recognition, folder=run.path, make_env=make_env
-        )
+        resolved = resolve(plan, recognition=plan.recognition, folder=run.path, make_env=make_env)
         training = Training(resolved, folder=run, callbacks=callbacks)
         if run.has_begun():
             try:
@@ -179,7 +177,7 @@ def complete(training: Training) -> dict[str, Any]:
                 training = Training(
                     training.resolved,
                     folder=folder,
-                    callbacks=training.callbacks.all,
+                    callbacks=[training.callbacks],
                     interruption=interruption,  # it may have received a signal meanwhile
                 )
                 training.restore()
