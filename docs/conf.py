@@ -2,7 +2,6 @@
 
 import sys
 from pathlib import Path
-from shutil import copyfile
 from typing import Any
 
 from docutils import nodes
@@ -34,6 +33,7 @@ nb_execution_mode = "force"
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True
 nb_merge_streams = True
+autodoc_default_options = {"members": True, "show-inheritance": True}
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
@@ -68,16 +68,8 @@ def drop_object(_app: Any, page: nodes.document) -> None:
             line.parent.remove(line)
 
 
-def copy_films(app: Any, error: Exception | None) -> None:
-    """Copy the films of the trained policies, which the gallery shows."""
-    if error is None:
-        for film in HERE.parent.glob("fishrl/zoo/*/film.mp4"):
-            copyfile(film, Path(app.outdir) / "_static" / f"{film.parent.name}.mp4")
-
-
 def setup(app: Any) -> None:
     """Connect the above."""
     app.connect("autodoc-skip-member", skip)
     app.connect("autodoc-process-signature", tidy)
     app.connect("doctree-read", drop_object)
-    app.connect("build-finished", copy_films)

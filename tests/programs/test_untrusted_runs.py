@@ -60,7 +60,7 @@ def mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "planted.py").write_text(
         f"import pathlib\npathlib.Path({str(mark)!r}).touch()\n"
         "from fishrl.envs import KarmanGait as Task\n"
-        "from fishrl.training.algorithms import DiscreteSAC as Algorithm\n"
+        "from fishrl.training import DiscreteSAC as Algorithm\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     return mark
