@@ -68,7 +68,7 @@ def test_a_diverged_flow_keeps_the_frames_before_its_last_decision_or_its_start(
     flows = Recorded(frames_per_T=4)
     flows.act()
     flows.diverge()
-    assert flows.times(0)[-1] == at(2.0)[0]
+    assert flows.times(0)[-1:] == at(2.0)
     assert flows.times(1) == at(0.0, 0.25, 0.5, 0.75, 1.0)
     flows = Recorded(frames_per_T=4)
     flows.diverge()
