@@ -1,5 +1,6 @@
 """How Sphinx builds these pages: ``make docs``."""
 
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -68,8 +69,14 @@ def drop_object(_app: Any, page: nodes.document) -> None:
             line.parent.remove(line)
 
 
+def link_studies(_app: Any, _page: str, source: list[str]) -> None:
+    """Link records of studies, which are no pages of the site, as files."""
+    source[0] = re.sub(r"\]\(((?:\.\./)+studies/[^)]*\.md)\)", r"](path:\1)", source[0])
+
+
 def setup(app: Any) -> None:
     """Connect the above."""
     app.connect("autodoc-skip-member", skip)
     app.connect("autodoc-process-signature", tidy)
     app.connect("doctree-read", drop_object)
+    app.connect("source-read", link_studies)

@@ -195,7 +195,7 @@ class Training:
             "frames per s": metrics["time/frames_per_second"],
             "MLUPS": metrics["time/mlups"],
             "return": metrics["train/return"],
-            self.task.success: metrics["train/success_rate"],
+            self.resolved.success: metrics["train/success_rate"],
         }
         self.callbacks.on_progress(self.plan.learning.num_envs, shown)
 
@@ -221,7 +221,7 @@ class Training:
         return {
             **self.evaluator.compare(self.learner.actor),
             "task": self.resolved.spec.task,
-            "success": self.task.success,
+            "success": self.resolved.success,
             "baselines": list(self.resolved.baselines),
             "preset": self.plan.preset,
             "algorithm": describe(self.plan.algorithm),

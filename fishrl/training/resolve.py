@@ -45,6 +45,11 @@ class ResolvedRun:
     baselines: tuple[str, ...]
     make_env: MakeEnv = make_flow_env
 
+    @property
+    def success(self) -> str:
+        """What a successful episode did, in a word."""
+        return self.task.success or "survived"
+
     def make_flows(
         self, *, num_envs: int, seed: int, transforms: Sequence[Transform] = ()
     ) -> EnvBase:

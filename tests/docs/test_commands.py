@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from fishrl.__main__ import PROGRAMS
+from fishrl.__main__ import list_programs
 from fishrl.envs import AbstractTask
 from fishrl.programs.program import Program
 from fishrl.programs.sweeps.jobs import plan_jobs
@@ -26,7 +26,7 @@ from tests.docs.pages import DOCS, PAGES, read_blocks
 ROOT = DOCS.parent
 PROGRAM = re.compile(
     r"(?:\bpython (?:-m )?(?=experiments\.|examples/)|"
-    rf"(?:^|`)(?=fishrl (?:{'|'.join(PROGRAMS)})\b))"
+    rf"(?:^|`)(?=fishrl (?:{'|'.join(list_programs())})\b))"
     r"(experiments\.[\w.]*|examples/\w+\.py|fishrl [a-z-]+)([^`\n|]*)",
     re.MULTILINE,
 )
