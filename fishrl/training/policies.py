@@ -128,14 +128,8 @@ def evaluate(
     try:
         called.on_begin(env)
         called.on_phase("evaluation", total=episodes)
-        result = evaluate_from(
-            env,
-            act,
-            fixed_starts(task, episodes, seed=seed),
-            on_episodes=called.on_progress,
-            on_step=called.on_step,
-        )
+        starts = fixed_starts(task, episodes, seed=seed)
+        return evaluate_from(env, act, starts, callbacks=called).metrics()
     finally:
         called.on_close()
         env.close()
-    return result.metrics()

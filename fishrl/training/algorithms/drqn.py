@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import torch
 from tensordict.nn import TensorDictSequential
@@ -14,8 +14,7 @@ from fishrl.bounds import bounded
 from fishrl.modules import RecurrentPolicy, make_recurrent_value_actor
 from fishrl.objectives import RecurrentDQNLoss
 from fishrl.training.algorithms.dqn import DQN
-from fishrl.training.learner import Networks
-from fishrl.training.off_policy import OffPolicyLearner
+from fishrl.training.learner import Networks, OffPolicyLearner
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.settings import LearningSettings
 
@@ -85,11 +84,8 @@ class DRQN(DQN):
             init_key=None,
             truncated_key=None,
         )
-        actor: Any = networks.actor
+        primer = cast(RecurrentPolicy, networks.actor).make_primer()
+        keys = (TRAJECTORY, STEP)
         return OffPolicyLearner(
-            networks,
-            settings,
-            sampler=sampler,
-            keys=(TRAJECTORY, STEP),
-            transforms=(actor.make_primer(),),
+            networks._replace(transforms=(primer,)), settings, sampler=sampler, keys=keys
         )
