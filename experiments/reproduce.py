@@ -35,7 +35,7 @@ from fishrl.programs.sweeps.jobs import find_runs
 from fishrl.programs.sweeps.runs import read_run
 from fishrl.programs.train_lateral_line import main as train_lateral_line
 from fishrl.programs.train_settings import TRAINING, make_plan
-from fishrl.training.algorithms import DiscreteSAC
+from fishrl.training import DiscreteSAC
 from fishrl.training.baselines import make_baselines
 from fishrl.training.description import make
 from fishrl.training.learner import one_thread

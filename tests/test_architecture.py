@@ -30,6 +30,8 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/extras.py", {"packaging"}),
     ("fishrl/memory.py", {"torch"}),
     ("fishrl/physics/fast/body_kernel.py", {"torch", "triton"}),
+    # bodies know nothing of flows
+    ("fishrl/physics/bodies/", TENSORS | {"fishrl.physics.bodies", "fishrl.physics.lattice"}),
     ("fishrl/physics/", TENSORS | {"fishrl.physics"}),
     ("fishrl/envs/__init__.py", TASK_SIDE),
     ("fishrl/envs/scene.py", {"torch"}),

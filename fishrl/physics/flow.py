@@ -19,9 +19,9 @@ from fishrl.physics.boundaries import Boundaries, Side
 from fishrl.physics.collision import Rates, compute_equilibrium
 from fishrl.physics.delta import Kernel, Roma3
 from fishrl.physics.immersed_boundary import ForceSolve, IterativeForcing
-from fishrl.physics.lattice import Q
+from fishrl.physics.lattice import MAX_IMPOSED_SPEED, Q
 from fishrl.physics.storage import Storage
-from fishrl.physics.units import MAX_IMPOSED_SPEED, check_tau
+from fishrl.physics.units import check_tau
 
 
 class Coupling(Enum):

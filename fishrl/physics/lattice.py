@@ -9,3 +9,6 @@ CY = (0, 0, 1, 0, -1, 1, 1, -1, -1)
 W = (4 / 9, *(4 * [1 / 9]), *(4 * [1 / 36]))
 OPPOSITE = (0, 3, 4, 1, 2, 7, 8, 5, 6)
 Q = 9
+
+#: Largest speed that an edge or a prescribed motion may impose, nodes per step: Mach 0.52.
+MAX_IMPOSED_SPEED = 0.3

@@ -15,8 +15,6 @@ from fishrl.physics.bodies.gait import CARLING, Gait
 MIN_TAU = 0.501
 MAX_TAU = 2.0
 MAX_WALL_SPEED = 0.15
-# Largest speed that an edge or a prescribed motion may impose: Mach 0.52.
-MAX_IMPOSED_SPEED = 0.3
 # Fastest wall in the default presets: Mach 0.12. Vortices shed in a turn reach 2 to 3 times that.
 DEFAULT_WALL_SPEED = 0.07
 

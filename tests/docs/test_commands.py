@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from fishrl.__main__ import PROGRAMS
 from fishrl.envs import AbstractTask
 from fishrl.programs.program import Program
 from fishrl.programs.sweeps.jobs import plan_jobs
@@ -31,7 +32,8 @@ ROOT = DOCS.parent
 WRITTEN = [page for page in sorted(DOCS.rglob("*.md")) if page.name != "configuration.md"]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *WRITTEN]
 PROGRAM = re.compile(
-    r"(?:\bpython (?:-m )?(?=experiments\.|examples/)|(?:^|`)(?=fishrl [a-z]))"
+    r"(?:\bpython (?:-m )?(?=experiments\.|examples/)|"
+    rf"(?:^|`)(?=fishrl (?:{'|'.join(PROGRAMS)})\b))"
     r"(experiments\.[\w.]*|examples/\w+\.py|fishrl [a-z-]+)([^`\n|]*)",
     re.MULTILINE,
 )

@@ -34,13 +34,13 @@ def test_types_defaults_and_inherited_words_are_shown() -> None:
     assert row in table  # the words of AbstractTask
     assert "| `domain_bl` | `tuple[float, float]` | `[10.0,5.0]` |" in table
     assert "| `stream` | `Stream` | `Stream(…)` |" in describe(KarmanGait)
-    assert "| `name` | `str \\| None` | `null` |" in describe(SCHEMAS["train"])
+    assert "| `name` | `str \\| None` | `null` |" in describe(SCHEMAS["fishrl train"])
 
 
 def test_the_seeds_of_evaluations_are_those_of_the_training() -> None:
     said = f"{FINAL_SEED} gives those of every run's final evaluation, "
     said += f"{SELECTION_SEED} those that selected its checkpoint."
-    for program in ("evaluate", "view"):
+    for program in ("fishrl evaluate", "fishrl view"):
         assert said in describe(SCHEMAS[program])
 
 

@@ -11,22 +11,10 @@ from typing import Any
 
 import pytest
 
-from experiments import (
-    benchmark,
-    drift_sweep,
-    evaluate,
-    free_stream,
-    gait_forces,
-    reproduce,
-    search,
-    train,
-    train_lateral_line,
-    transfer,
-    validate,
-    view,
-)
+from experiments import benchmark, drift_sweep, free_stream, gait_forces, reproduce, validate
 from fishrl.envs import Predation
 from fishrl.memory import check_memory
+from fishrl.programs import evaluate, search, train, train_lateral_line, transfer, view
 from fishrl.programs.configuration import list_keys
 from fishrl.programs.program import Program
 from fishrl.training import LearningSettings, RunSettings

@@ -12,21 +12,18 @@ from typing import Any
 import pytest
 import torch
 
-from experiments import (
-    changing_streams,
+from experiments import changing_streams, export_steering, following, robustness
+from fishrl.envs import AbstractTask
+from fishrl.programs import (
     evaluate,
     export,
     export_data,
     export_policy,
-    export_steering,
-    following,
-    robustness,
     summarize,
     train,
     transfer,
     view,
 )
-from fishrl.envs import AbstractTask
 from fishrl.programs.program import Program
 from fishrl.programs.sweeps.jobs import find_or_begin
 from fishrl.programs.train_settings import TRAINING
@@ -63,7 +60,7 @@ def mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "planted.py").write_text(
         f"import pathlib\npathlib.Path({str(mark)!r}).touch()\n"
         "from fishrl.envs import KarmanGait as Task\n"
-        "from fishrl.training.algorithms import DiscreteSAC as Algorithm\n"
+        "from fishrl.training import DiscreteSAC as Algorithm\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     return mark

@@ -1,1 +1,1 @@
-"""Bodies: outlines, gaits, motion, and their coupling to the flow."""
+"""Bodies: outlines, gaits, motions and states, without the flow around them."""

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from fishrl.bounds import Checked, bounded
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.units import MAX_IMPOSED_SPEED
+from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 
 
 def compute_turn_rate(body: BodyState) -> Tensor:

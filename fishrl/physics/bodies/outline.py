@@ -19,7 +19,7 @@ from fishrl.physics.bodies.midline import MidlineParams
 from fishrl.physics.bodies.motion import Bending, Fixed, Motion
 from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.shear import ShearParams
-from fishrl.physics.units import MAX_IMPOSED_SPEED
+from fishrl.physics.lattice import MAX_IMPOSED_SPEED
 
 _STATIONS = 20001  # quadrature and arc-length stations along the body; set-up cost only
 

@@ -19,9 +19,8 @@ from fishrl.physics.fast.compiled import Kernel, find_compiler_problem
 from fishrl.physics.fast.workers import Workers, can_send, count_cores, map_shared, open_shared
 from fishrl.physics.flow import FlowConfig, compute_stream_speed, list_configs
 from fishrl.physics.geometry import Markers, deform_body, locate_markers, place_markers
-from fishrl.physics.lattice import Q
+from fishrl.physics.lattice import MAX_IMPOSED_SPEED, Q
 from fishrl.physics.placement import check_placement, lies_inside, spread_starts
-from fishrl.physics.units import MAX_IMPOSED_SPEED
 
 logger = logging.getLogger(__name__)
 
