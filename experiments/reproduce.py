@@ -4,7 +4,7 @@
 the command that is printed. The same command continues after an interruption, also ``kill -9``;
 finished jobs are not repeated unless their settings change. ``plan=true`` only lists what is left
 and how long it takes on this machine. Tables and figures are written to ``reproduction.md`` and
-``reproduction.html`` in the folder, and with ``docs=docs`` into the documentation.
+``reproduction.html`` in the folder; ``docs=docs`` writes the comparison into the documentation.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class ReproduceSettings(Checked):
         scale: what is run; ``scale.<entry>=<value>`` changes an entry.
         folder: folder for runs, tables and figures; by default runs/reproduction-<scale>.
         plan: list the remaining jobs without running them.
-        docs: folder of the documentation, whose page is written too.
+        docs: folder of the documentation; the comparison is written into its page.
     """
 
     scale: Scale = MISSING

@@ -157,15 +157,14 @@ def draw(folder: Path, runs: Mapping[str, Sequence[Path]], pictures: Path) -> No
     figures.write_work(pictures / "work.png", in_wake, free["work"], speeds=work["speeds_bl"])
 
 
-def render(
+def render_comparison(
     folder: Path,
     runs: Mapping[str, Sequence[Path]],
     jobs: Mapping[str, Mapping[str, Any]],
     *,
     command: str,
-    place: str,
 ) -> str:
-    """Return the page of a scale in Markdown; its figures lie in ``place``."""
+    """Return the command, its hours and the paper's numbers next to ours, in Markdown."""
     transfer = read(str(folder / "transfer"))
     free = read(str(folder / "free_stream"), "free_stream.json")
     line = read(str(find_fitted(folder)), "lateral_line.json")
@@ -176,12 +175,19 @@ def render(
         for m in (job["machine"] for job in jobs.values())
     }
     hours = sum(job["seconds"] for job in jobs.values()) / 3600
+    table = compare(transfer, free, line, [time for time in times if time is not None])
+    spent = f"{hours:.1f} hours on {'; '.join(sorted(machines))}."
+    return f"```sh\n{command}\n```\n\n{spent}\n\n{table}"
+
+
+def render(
+    folder: Path, runs: Mapping[str, Sequence[Path]], jobs: Mapping[str, Mapping[str, Any]]
+) -> str:
+    """Return all other tables, and the figures, of a scale in Markdown."""
+    transfer = read(str(folder / "transfer"))
+    free = read(str(folder / "free_stream"), "free_stream.json")
     shown = {**{key: text for key, (_, text) in FIGURES.items()}, **GAIT_FIGURES}
     parts = [
-        f"```sh\n{command}\n```",
-        f"{hours:.1f} hours on {'; '.join(sorted(machines))}.",
-        "### The paper's numbers and ours",
-        compare(transfer, free, line, [time for time in times if time is not None]),
         "### Settings of the second task",
         list_settings(runs["both"][0]),
         "### Task 1: predation",
@@ -190,7 +196,7 @@ def render(
         write_results(transfer["arms"], transfer["speeds_bl"]),
         write_free_stream(free, transfer["arms"][ARMS["both"]]),
         "### Figures",
-        *(f"![{text}]({place}/{key}.png)\n\n*{text}*" for key, text in shown.items()),
+        *(f"![{text}](figures/{key}.png)\n\n*{text}*" for key, text in shown.items()),
         "### Jobs",
         list_jobs(jobs),
     ]
@@ -212,20 +218,17 @@ def write_page(
         jobs: from ``jobs.json``.
         name: of the scale.
         command: that made them.
-        docs: folder of the documentation; its page has marks ``<!-- <name>: begin -->``.
+        docs: folder of the documentation; the comparison is written into its page, which has
+            marks ``<!-- <name>: begin -->``.
     """
     runs = {arm: find_runs(jobs[arm]["words"][2:]) for arm in ("predation", *ARMS)}
     draw(folder, runs, folder / "figures")
-    text = render(folder, runs, jobs, command=command, place="figures")
+    comparison = render_comparison(folder, runs, jobs, command=command)
+    text = f"{comparison}\n{render(folder, runs, jobs)}"
     (folder / "reproduction.md").write_text(f"# Reproduction, {name}\n\n{text}", encoding="utf-8")
     html = MarkdownIt("commonmark").enable("table").render(text)
     page = folder / "reproduction.html"
     page.write_text(f"<!doctype html><meta charset='utf-8'>{html}", encoding="utf-8")
     if docs is not None:
-        place = f"figures/reproduction/{name}"
-        (Path(docs) / place).mkdir(parents=True, exist_ok=True)
-        for picture in (folder / "figures").glob("*.png"):
-            copyfile(picture, Path(docs) / place / picture.name)
-        text = render(folder, runs, jobs, command=command, place=place)
-        fill(Path(docs) / "reproduction.md", name, text)
+        fill(Path(docs) / "reproduction.md", name, comparison)
     return page
