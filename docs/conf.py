@@ -1,5 +1,6 @@
 """How Sphinx builds these pages: ``make docs``."""
 
+import re
 import sys
 from pathlib import Path
 from shutil import copyfile
@@ -7,6 +8,8 @@ from typing import Any
 
 from docutils import nodes
 
+#: Links to the records of studies, which lie outside the site.
+RECORD = re.compile(r"\[([^\]]+)\]\(((?:\.\./)+studies/\w+/README\.md)\)")
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE)]
 
@@ -68,6 +71,11 @@ def drop_object(_app: Any, page: nodes.document) -> None:
             line.parent.remove(line)
 
 
+def offer_records(_app: Any, _page: str, source: list[str]) -> None:
+    """Offer the records of studies as files."""
+    source[0] = RECORD.sub(lambda link: f"{{download}}`{link[1]} <{link[2]}>`", source[0])
+
+
 def copy_films(app: Any, error: Exception | None) -> None:
     """Copy the films of the trained policies, which the gallery shows."""
     if error is None:
@@ -80,4 +88,5 @@ def setup(app: Any) -> None:
     app.connect("autodoc-skip-member", skip)
     app.connect("autodoc-process-signature", tidy)
     app.connect("doctree-read", drop_object)
+    app.connect("source-read", offer_records)
     app.connect("build-finished", copy_films)
