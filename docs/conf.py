@@ -3,7 +3,6 @@
 import re
 import sys
 from pathlib import Path
-from shutil import copyfile
 from typing import Any
 
 from docutils import nodes
@@ -37,6 +36,7 @@ nb_execution_mode = "force"
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True
 nb_merge_streams = True
+autodoc_default_options = {"members": True, "show-inheritance": True}
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
@@ -76,17 +76,9 @@ def offer_records(_app: Any, _page: str, source: list[str]) -> None:
     source[0] = RECORD.sub(lambda link: f"{{download}}`{link[1]} <{link[2]}>`", source[0])
 
 
-def copy_films(app: Any, error: Exception | None) -> None:
-    """Copy the films of the trained policies, which the gallery shows."""
-    if error is None:
-        for film in HERE.parent.glob("fishrl/zoo/*/film.mp4"):
-            copyfile(film, Path(app.outdir) / "_static" / f"{film.parent.name}.mp4")
-
-
 def setup(app: Any) -> None:
     """Connect the above."""
     app.connect("autodoc-skip-member", skip)
     app.connect("autodoc-process-signature", tidy)
     app.connect("doctree-read", drop_object)
     app.connect("source-read", offer_records)
-    app.connect("build-finished", copy_films)

@@ -27,7 +27,7 @@ from experiments.benchmarks.machine import describe_machine
 from experiments.free_stream import main as free_stream
 from experiments.reproduction.page import ARMS, find_fitted, write_page
 from experiments.validation.swimmer import CASE
-from fishrl.__main__ import PROGRAMS
+from fishrl.__main__ import list_programs
 from fishrl.bounds import Checked, bounded
 from fishrl.envs import AbstractTask, KarmanGait, make_env
 from fishrl.programs.program import program, show_command
@@ -246,7 +246,7 @@ def alone(folder: Path) -> Iterator[int]:
 def run_job(job: Job, record: Record, lock: int) -> None:
     """Run a job; ValueError if it fails."""
     name, *words = job.words
-    command = ["fishrl", name] if name in PROGRAMS else [f"experiments.{name}"]
+    command = ["fishrl", name] if name in list_programs() else [f"experiments.{name}"]
     print(f"\n{show_command(command[-1], *words)}", flush=True)
     child = subprocess.Popen([sys.executable, "-m", *command, *words], pass_fds=[lock])
     try:

@@ -62,7 +62,3 @@ def main(settings: LateralLineSettings) -> None:
         study_lateral_line(made, collect(made, progress), folder.path, progress)
     print((folder.path / "lateral_line.md").read_text(encoding="utf-8"))
     print(f"written to {folder.path}")
-
-
-if __name__ == "__main__":
-    main()

@@ -125,7 +125,3 @@ def main(settings: TransferSettings) -> None:
         transfer(tried, settings, progress)
     print((Path(settings.folder) / "transfer.md").read_text(encoding="utf-8"))
     print(f"written to {settings.folder}")
-
-
-if __name__ == "__main__":
-    main()

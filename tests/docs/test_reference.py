@@ -54,14 +54,13 @@ def test_every_choice_is_listed_and_the_page_is_not_kept_in_the_repository() -> 
 @pytest.mark.parametrize(
     "package", ["physics", "envs", "modules", "objectives", "training", "viewer"]
 )
-def test_every_public_name_has_its_place_in_the_api_pages(package: str) -> None:
+def test_every_public_name_is_on_an_api_page(package: str) -> None:
     module = importlib.import_module(f"fishrl.{package}")
     page = (DOCS / "api" / f"{package}.md").read_text(encoding="utf-8")
-    shown = set(re.findall(r"automodule:: (\S+)\n   :members:", page))
-    one_by_one = set(re.findall(rf"auto\w+:: fishrl\.{package}\.(\w+)", page))
+    shown = set(re.findall(r"automodule:: (\S+)", page))
     public = {name: getattr(module, name) for name in module.__all__}
     homes = {name: value.__module__ for name, value in public.items() if hasattr(value, "__name__")}
-    lost = {name for name, home in homes.items() if home not in shown and name not in one_by_one}
+    lost = {name for name, home in homes.items() if not shown & {home, module.__name__}}
     assert homes and not lost, lost
 
 

@@ -12,7 +12,7 @@ import pytest
 from experiments import reproduce
 from experiments.reproduce import Job, Record, list_jobs, run_job
 from experiments.reproduction import page
-from fishrl.__main__ import PROGRAMS
+from fishrl.__main__ import list_programs
 from fishrl.programs.program import list_choices
 from fishrl.programs.sweeps.jobs import find_or_begin, find_runs, plan_jobs
 from fishrl.programs.train_settings import TRAINING, make_plan
@@ -31,7 +31,7 @@ def test_every_job_of_a_scale_is_a_command_that_its_program_takes(
         if words[0] == "--multirun":
             assert len(plan_jobs(words[1:])) == len(scale.seeds)
         else:
-            package = "fishrl.programs" if program in PROGRAMS else "experiments"
+            package = "fishrl.programs" if program in list_programs() else "experiments"
             import_module(f"{package}.{program.replace('-', '_')}").main.read(words)
         assert job.updates > 0
 
