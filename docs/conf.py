@@ -7,8 +7,6 @@ from typing import Any
 
 from docutils import nodes
 
-#: Links to the records of studies, which lie outside the site.
-RECORD = re.compile(r"\[([^\]]+)\]\(((?:\.\./)+studies/\w+/README\.md)\)")
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE)]
 
@@ -71,9 +69,9 @@ def drop_object(_app: Any, page: nodes.document) -> None:
             line.parent.remove(line)
 
 
-def offer_records(_app: Any, _page: str, source: list[str]) -> None:
-    """Offer the records of studies as files."""
-    source[0] = RECORD.sub(lambda link: f"{{download}}`{link[1]} <{link[2]}>`", source[0])
+def link_studies(_app: Any, _page: str, source: list[str]) -> None:
+    """Link records of studies, which are no pages of the site, as files."""
+    source[0] = re.sub(r"\]\(((?:\.\./)+studies/[^)]*\.md)\)", r"](path:\1)", source[0])
 
 
 def setup(app: Any) -> None:
@@ -81,4 +79,4 @@ def setup(app: Any) -> None:
     app.connect("autodoc-skip-member", skip)
     app.connect("autodoc-process-signature", tidy)
     app.connect("doctree-read", drop_object)
-    app.connect("source-read", offer_records)
+    app.connect("source-read", link_studies)
