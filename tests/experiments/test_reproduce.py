@@ -54,12 +54,12 @@ def test_only_policies_of_the_present_settings_are_evaluated(tmp_path: Path) -> 
 
 
 def test_the_newest_classifier_with_results_is_used(tmp_path: Path) -> None:
-    for number, (name, is_compared) in enumerate(
+    for number, (name, is_finished) in enumerate(
         {"classifier": False, "classifier-10": True, "classifier-2": True}.items()
     ):
         (tmp_path / name).mkdir()
         (tmp_path / name / "machine.pt").touch()
-        if is_compared:
+        if is_finished:
             (tmp_path / name / "lateral_line.json").touch()
             os.utime(tmp_path / name / "lateral_line.json", (number, number))
     assert page.find_fitted(tmp_path) == tmp_path / "classifier-2"

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import torch
 
-from experiments import changing_streams, export_steering, following, robustness
+from experiments import export_steering
 from fishrl.envs import AbstractTask
 from fishrl.programs import (
     evaluate,
@@ -41,9 +41,6 @@ PROGRAMS: dict[str, tuple[Program, tuple[str, ...]]] = {
     "export_policy": (export_policy.main, ("run={run}", "folder={run}/policy")),
     "export": (export.main, ("checkpoint={run}", "save={run}/flow.nc")),
     "export_data": (export_data.main, ("checkpoint={run}", "name=a/b-v0", "folder={run}/data")),
-    "following": (following.main, ("runs=[{run}]", "folder={run}/following")),
-    "robustness": (robustness.main, ("runs=[{run}]", "folder={run}/robustness")),
-    "changing_streams": (changing_streams.main, ("runs=[{run}]", "folder={run}/changing")),
 }
 KINDS = ("task", "nested", "module", "algorithm", "logger")
 CASES = [
