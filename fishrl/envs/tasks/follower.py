@@ -1,15 +1,16 @@
 """Follower: swim behind a fish or a half disc with as little work as possible."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from math import inf, pi, radians
-from typing import ClassVar, final
+from typing import Annotated, ClassVar, Literal, final
 
 import torch
+from pydantic import Field, PositiveFloat
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.bounds import bounded, check_bounds, suggest
+from fishrl.envs.extensions import HasHistory, HasScene
 from fishrl.envs.protocol import Solver
 from fishrl.envs.scene import Area, Scene
 from fishrl.envs.sensors import compute_clearance, compute_gap, wrap_angle
@@ -21,14 +22,15 @@ from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.motion import Bending, Driven
 from fishrl.physics.flow import FlowConfig, Sponge
 
-LEADERS = ("fish", "disc", "none")
 #: Time constants of the bend in an action; a faster one would fling the tail.
 RESPONSE = 2.0
 
+_Frequency = Annotated[float, Field(gt=0, le=10)]
+_Share = Annotated[float, Field(ge=0, le=1)]
+
 
 @final
-@dataclass(frozen=True, kw_only=True)
-class Follower(AbstractTask):
+class Follower(AbstractTask, HasHistory, HasScene):
     """Hold a place in the wake of a leader by bending the midline and choosing the tail beat.
 
     The leader beats once per T and is held in place, in a stream along +x of the speed at which it
@@ -68,7 +70,6 @@ class Follower(AbstractTask):
     """
 
     num_draws: ClassVar[int] = 4
-    counted: ClassVar[tuple[str, ...]] = ("contact",)
 
     body_length: int = 32
     reynolds: float = 5000.0
@@ -78,45 +79,39 @@ class Follower(AbstractTask):
     time_limit: int = 200
     control_interval_T: float = 0.5
     checks_per_action: int = 16
-    leader: str = "fish"
-    stream_speed_bl: float = bounded(0.35, greater=0)
-    turn_degrees: float = bounded(6.0, greater=0, largest=30)
-    frequency_range: tuple[float, float] = bounded((0.7, 1.35), greater=0, largest=10)
-    amplitude_range: tuple[float, float] | None = bounded(None, least=0, largest=1)
-    cost_alone: float = bounded(0.11, greater=0)
-    diameter_bl: float = bounded(0.3125, greater=0)
-    leader_x_bl: float = bounded(1.75, greater=0)
+    leader: Literal["fish", "disc", "none"] = "fish"
+    stream_speed_bl: PositiveFloat = 0.35
+    turn_degrees: Annotated[float, Field(gt=0, le=30)] = 6.0
+    frequency_range: tuple[_Frequency, _Frequency] = (0.7, 1.35)
+    amplitude_range: tuple[_Share, _Share] | None = None
+    cost_alone: PositiveFloat = 0.11
+    diameter_bl: PositiveFloat = 0.3125
+    leader_x_bl: PositiveFloat = 1.75
     start_x_bl: tuple[float, float] = (1.0, 1.5)
     start_y_bl: tuple[float, float] = (-0.25, 0.25)
-    start_degrees: float = bounded(20.0, least=0, largest=180)
+    start_degrees: Annotated[float, Field(ge=0, le=180)] = 20.0
     range_bl: tuple[float, float] = (0.5, 3.0)
-    aside_bl: float = bounded(1.0, greater=0)
-    contact_bl: float = bounded(0.1, greater=0)
+    aside_bl: PositiveFloat = 1.0
+    contact_bl: PositiveFloat = 0.1
     wake_folder: str = "runs/wakes"
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         pairs = ("frequency_range", "start_x_bl", "start_y_bl", "range_bl")
         for name in (*pairs, *("amplitude_range",) * (self.amplitude_range is not None)):
             pair = getattr(self, name)
             if not (pair[0] < pair[1] or (pair[0] == pair[1] and name.startswith("start"))):
                 raise ValueError(f"{name} = {pair}: give the least, then the largest")
-        if self.leader not in LEADERS:
-            raise ValueError(
-                f"leader = {self.leader!r}: allowed is {', '.join(LEADERS)}"
-                f"{suggest(str(self.leader), LEADERS)}"
-            )
         super().__post_init__()
         corners = torch.cartesian_prod(*[torch.linspace(0.0, 1.0, 3).double()] * 3)
         self.check_starts(self.starts_from(torch.nn.functional.pad(corners, (0, 1))))
 
     @property
-    def n_obs(self) -> int:  # type: ignore[override]
+    def n_obs(self) -> int:
         """Length of one observation."""
         return 10 + 2 * self.num_actions
 
     @property
-    def num_actions(self) -> int:  # type: ignore[override]
+    def num_actions(self) -> int:
         """Number of the numbers in an action."""
         return len(self.action_bounds)
 
@@ -333,12 +328,12 @@ class Follower(AbstractTask):
             "contact": now["gap"] < self.contact,
         }
 
-    def make_scene(self) -> Scene:
+    def add_to_scene(self, scene: Scene) -> Scene:
         """Add the range of the centre of mass."""
         (x, y), length, aside = self.origin, self.body_length, self.aside_bl * self.body_length
         low, high = (x + length * end for end in self.range_bl)
         area = Area(key="range", low=(low, y - aside), high=(high, y + aside))
-        return super().make_scene().extend(areas=(area,))
+        return scene.extend(areas=(area,))
 
     def _locate(self, position: Tensor) -> Tensor:
         x, y = self.origin  # numbers: a tensor would have to be copied to a GPU each time
