@@ -1,4 +1,4 @@
-# CPU:   docker build -t fishrl . && docker run --rm -v "$PWD/demo:/fishrl/programs/demo" fishrl
+# CPU:   docker build -t fishrl . && docker run --rm -v "$PWD/demo:/fishrl/demo" fishrl
 # CUDA:  docker build -t fishrl --build-arg TORCH_BACKEND=cu130 . && docker run --rm --gpus all fishrl ...
 ARG PYTHON=3.13
 FROM python:${PYTHON}-slim
@@ -16,4 +16,4 @@ COPY fishrl fishrl
 COPY experiments experiments
 RUN uv pip install --system --no-cache --torch-backend=${TORCH_BACKEND} -c constraints.txt -e .
 
-CMD ["python", "-m", "fishrl.programs.demo"]
+CMD ["fishrl", "demo"]

@@ -5,6 +5,8 @@ STAMP := $(VENV)/.installed
 DOCS_STAMP := $(VENV)/.docs
 TRITON_STAMP := $(VENV)/.triton
 ARGS ?=
+# The build of torch that everything is resolved for.
+TORCH ?= $(shell grep '^torch==' constraints.txt)
 # The first of these that is Python 3.11 to 3.14; or choose one: make setup PYTHON=/path/to/python3.13
 PYTHON ?= $(shell for p in python3 python3.11 python3.12 python3.13 python3.14; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 15))' 2>/dev/null \
@@ -15,7 +17,7 @@ MARKERS ?= not slow and not smoke
 PROCESSES ?= -n auto --maxprocesses 4
 PARALLEL ?= $(PROCESSES) --dist loadfile --no-loadscope-reorder
 
-.PHONY: help setup demo train test test-gpu test-gpu-proxy test-all smoke docs check bench bench-peers validate validate-quick format clean
+.PHONY: help constraints coverage setup demo train test test-gpu test-gpu-proxy test-all smoke docs check bench bench-peers validate validate-quick format clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -28,7 +30,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@echo "setting up $(VENV) with $(PYTHON): a few minutes, once"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "1/2 torch"
-	@$(BIN)/python -m pip install --quiet "$$(grep '^torch==' constraints.txt)" -c constraints.txt
+	@$(BIN)/python -m pip install --quiet "$(TORCH)" -c constraints.txt
 	@echo "2/2 everything else"
 	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet -e '.[dev]' -c constraints.txt
 	@touch $@
@@ -68,6 +70,19 @@ $(DOCS_STAMP): $(STAMP)
 
 docs: $(DOCS_STAMP) ## build the documentation into build/docs; warnings are errors
 	$(BIN)/python -m sphinx -W --keep-going -b html docs build/docs
+
+# pip-compile resolves all extras for this Python; the builds of torch differ between machines, so its version is given.
+constraints: ## rewrite constraints.txt with the newest versions that pyproject.toml allows; TORCH=torch==2.14.1
+	@$(PYTHON) -m venv build/pip-tools && build/pip-tools/bin/python -m pip install --quiet pip-tools
+	@echo "$(TORCH)" > build/pip-tools/torch.txt
+	@build/pip-tools/bin/pip-compile --quiet --all-extras --allow-unsafe --no-annotate --no-header --strip-extras \
+		--no-emit-index-url --no-emit-find-links --no-emit-trusted-host \
+		--constraint build/pip-tools/torch.txt --output-file build/pip-tools/pins.txt pyproject.toml
+	@{ grep '^#' constraints.txt; grep -E '^[A-Za-z0-9_.-]+==' build/pip-tools/pins.txt; } > build/pip-tools/new.txt
+	@mv build/pip-tools/new.txt constraints.txt
+
+coverage: $(STAMP) ## run the tests and report which lines of fishrl they miss, in build/coverage
+	$(BIN)/python -m pytest $(PARALLEL) -m "$(MARKERS)" --cov=fishrl --cov-report=term:skip-covered --cov-report=html:build/coverage $(ARGS)
 
 check: $(STAMP) ## lint, formatting, types, import rules
 	$(BIN)/ruff check .

@@ -1,8 +1,8 @@
 """How Sphinx builds these pages: ``make docs``."""
 
+import re
 import sys
 from pathlib import Path
-from shutil import copyfile
 from typing import Any
 
 from docutils import nodes
@@ -34,6 +34,7 @@ nb_execution_mode = "force"
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True
 nb_merge_streams = True
+autodoc_default_options = {"members": True, "show-inheritance": True}
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
@@ -68,11 +69,9 @@ def drop_object(_app: Any, page: nodes.document) -> None:
             line.parent.remove(line)
 
 
-def copy_films(app: Any, error: Exception | None) -> None:
-    """Copy the films of the trained policies, which the gallery shows."""
-    if error is None:
-        for film in HERE.parent.glob("fishrl/zoo/*/film.mp4"):
-            copyfile(film, Path(app.outdir) / "_static" / f"{film.parent.name}.mp4")
+def link_studies(_app: Any, _page: str, source: list[str]) -> None:
+    """Link records of studies, which are no pages of the site, as files."""
+    source[0] = re.sub(r"\]\(((?:\.\./)+studies/[^)]*\.md)\)", r"](path:\1)", source[0])
 
 
 def setup(app: Any) -> None:
@@ -80,4 +79,4 @@ def setup(app: Any) -> None:
     app.connect("autodoc-skip-member", skip)
     app.connect("autodoc-process-signature", tidy)
     app.connect("doctree-read", drop_object)
-    app.connect("build-finished", copy_films)
+    app.connect("source-read", link_studies)

@@ -16,7 +16,7 @@ from typing import Any
 from hydra.utils import get_object
 from omegaconf import OmegaConf
 
-from fishrl.__main__ import PROGRAMS
+from fishrl.__main__ import list_programs as list_names
 from fishrl.envs import AbstractTask
 from fishrl.programs.configuration import CONF
 from fishrl.programs.program import Program, TaskSettings, list_choices, read_arguments, write_value
@@ -51,7 +51,7 @@ SHARED = {
     TaskSettings: "Programs that study a task",
 }
 #: Programs in the order of their use; the others follow by name.
-FIRST = [f"fishrl {name}" for name in PROGRAMS]
+FIRST = [f"fishrl {name}" for name in list_names()]
 
 
 def write_reference(path: Path) -> None:
@@ -99,7 +99,7 @@ def _describe_group(group: str) -> list[str]:
 
 def list_programs() -> dict[str, Program]:
     """Return the programs by the command that runs them, those with a task first."""
-    names = {f"fishrl {name}": f"fishrl.programs.{name.replace('-', '_')}" for name in PROGRAMS}
+    names = {f"fishrl {name}": f"fishrl.programs.{name.replace('-', '_')}" for name in list_names()}
     for path in sorted((Path(__file__).parents[1] / "experiments").glob("*.py")):
         if '__name__ == "__main__"' in path.read_text(encoding="utf-8"):
             names[f"python -m experiments.{path.stem}"] = f"experiments.{path.stem}"

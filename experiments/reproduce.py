@@ -4,7 +4,7 @@
 the command that is printed. The same command continues after an interruption, also ``kill -9``;
 finished jobs are not repeated unless their settings change. ``plan=true`` only lists what is left
 and how long it takes on this machine. Tables and figures are written to ``reproduction.md`` and
-``reproduction.html`` in the folder, and with ``docs=docs`` into the documentation.
+``reproduction.html`` in the folder.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from typing import Any
 from omegaconf import MISSING
 
 from experiments.benchmarks.machine import describe_machine
-from experiments.free_stream import main as free_stream
 from experiments.reproduction.page import ARMS, find_fitted, write_page
 from experiments.validation.swimmer import CASE
-from fishrl.__main__ import PROGRAMS
+from fishrl.__main__ import list_programs
 from fishrl.bounds import Checked, bounded
 from fishrl.envs import AbstractTask, KarmanGait, make_env
+from fishrl.programs.gait.free_stream import MAX_PERIODS
 from fishrl.programs.program import program, show_command
 from fishrl.programs.sweeps.jobs import find_runs
 from fishrl.programs.sweeps.runs import read_run
 from fishrl.programs.train_lateral_line import main as train_lateral_line
 from fishrl.programs.train_settings import TRAINING, make_plan
-from fishrl.training.algorithms import DiscreteSAC
+from fishrl.training import DiscreteSAC
 from fishrl.training.baselines import make_baselines
 from fishrl.training.description import make
 from fishrl.training.learner import one_thread
@@ -66,25 +66,23 @@ class Scale:
         name: of the scale.
         predation: of ``train``, for the first task.
         gait: of ``train``, for the second.
-        stream: of the task in ``train_lateral_line`` and ``free_stream``.
-        lateral_line: of ``train_lateral_line``.
-        free_stream: of ``free_stream``.
+        lateral_line: of ``train-lateral-line``.
         swimmer: of ``validate``.
         seeds: of the trainings.
         episodes: of each policy in each stream.
         periods: duration of such an episode in T.
+        free_episodes: episodes in each stream without the half disc.
     """
 
     name: str = MISSING
     predation: list[str] = field(default_factory=list)
     gait: list[str] = field(default_factory=list)
-    stream: list[str] = field(default_factory=list)
     lateral_line: list[str] = field(default_factory=list)
-    free_stream: list[str] = field(default_factory=list)
     swimmer: list[str] = field(default_factory=list)
     seeds: tuple[int, ...] = bounded((0,), entries=1, least=0)
     episodes: int = bounded(34, least=1)
     periods: float = bounded(100.0, greater=0)
+    free_episodes: int = bounded(4, least=1)
 
 
 @dataclass(kw_only=True)
@@ -95,13 +93,11 @@ class ReproduceSettings(Checked):
         scale: what is run; ``scale.<entry>=<value>`` changes an entry.
         folder: folder for runs, tables and figures; by default runs/reproduction-<scale>.
         plan: list the remaining jobs without running them.
-        docs: folder of the documentation, whose page is written too.
     """
 
     scale: Scale = MISSING
     folder: str | None = None
     plan: bool = False
-    docs: str | None = None
 
     def __post_init__(self) -> None:
         """Make the scale; check the bounds."""
@@ -166,11 +162,13 @@ def list_jobs(scale: Scale, folder: Path) -> Iterator[Job]:
     )
     yield plan_training("predation", scale.predation, scale, folder)
     task = make(TRAINING.read(scale.gait).task, kind=KarmanGait)
-    line = (*scale.stream, *scale.lateral_line)
-    num_samples = train_lateral_line.read(line).num_samples
+    num_samples = train_lateral_line.read(scale.lateral_line).num_samples
     yield Job(
         name="classifier",
-        words=("train-lateral-line", *line, f"folder={folder}", "name=classifier"),
+        words=(
+            *("train-lateral-line", "paper_epochs=1000", *scale.lateral_line),
+            *(f"folder={folder}", "name=classifier"),
+        ),
         updates=count_updates(task, num_samples * task.interval_T),
     )
     fitted = find_fitted(folder)
@@ -182,22 +180,16 @@ def list_jobs(scale: Scale, folder: Path) -> Iterator[Job]:
         yield job
         trained += find_runs(job.words[2:]) if (folder / arm).is_dir() else []
     trials = 3 * scale.episodes * (len(ARMS) * len(scale.seeds) + 2)
+    # in a free stream the tail beats six times faster, and needs as many more steps
+    free = 3 * scale.free_episodes * 6 * min(scale.periods, MAX_PERIODS)
     yield Job(
         name="transfer",
         words=(
             *("transfer", f"runs=[{','.join(map(str, trained))}]", "baselines=[pid,shedding]"),
             *(f"episodes={scale.episodes}", f"periods={scale.periods:g}"),
-            f"folder={folder / 'transfer'}",
+            *(f"free_episodes={scale.free_episodes}", f"folder={folder / 'transfer'}"),
         ),
-        updates=count_updates(task, trials * scale.periods),
-    )
-    stream = (*scale.stream, *scale.free_stream)
-    free = free_stream.read(stream)
-    yield Job(
-        name="free_stream",
-        words=("free_stream", *stream, f"folder={folder / 'free_stream'}"),
-        # a tail that beats six times faster needs as many more steps
-        updates=6 * count_updates(task, 3 * free.episodes * free.periods),
+        updates=count_updates(task, trials * scale.periods + free),
     )
 
 
@@ -246,7 +238,7 @@ def alone(folder: Path) -> Iterator[int]:
 def run_job(job: Job, record: Record, lock: int) -> None:
     """Run a job; ValueError if it fails."""
     name, *words = job.words
-    command = ["fishrl", name] if name in PROGRAMS else [f"experiments.{name}"]
+    command = ["fishrl", name] if name in list_programs() else [f"experiments.{name}"]
     print(f"\n{show_command(command[-1], *words)}", flush=True)
     child = subprocess.Popen([sys.executable, "-m", *command, *words], pass_fds=[lock])
     try:
@@ -320,9 +312,7 @@ def main(settings: ReproduceSettings) -> None:
         for job in list_jobs(scale, folder):
             if not record.is_finished(job):
                 run_job(job, record, lock)
-        page = write_page(
-            folder, record.jobs, name=scale.name, command=write_command(scale), docs=settings.docs
-        )
+        page = write_page(folder, record.jobs, name=scale.name, command=write_command(scale))
         print(f"written: {page}")
 
 

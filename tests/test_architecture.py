@@ -12,8 +12,8 @@ FORBIDDEN_NAMES = {"utils", "util", "common", "core", "helpers", "helper", "misc
 MAX_LINES = 400
 
 TENSORS = {
-    *("torch", "tensordict", "numpy"),
-    *("fishrl.bounds", "fishrl.children", "fishrl.files", "fishrl.memory"),
+    *("torch", "tensordict", "numpy", "pydantic"),
+    *("fishrl.bounds", "fishrl.children", "fishrl.files", "fishrl.memory", "fishrl.settings"),
 }
 #: Of the programs, which nothing in the library imports.
 PROGRAMS = TENSORS | {
@@ -25,6 +25,7 @@ TASK_SIDE = {"fishrl.physics", "fishrl.envs"}
 LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/__init__.py", set()),
     ("fishrl/bounds.py", set()),
+    ("fishrl/settings/", {"numpy", "pydantic", "pydantic_core", "fishrl.settings"}),
     ("fishrl/children.py", set()),
     ("fishrl/files.py", {"torch"}),
     ("fishrl/extras.py", {"packaging"}),
@@ -70,7 +71,6 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
             "xarray",
             "pyvista",
             "fishrl.viewer",
-            "fishrl.bounds",
         }
         | TASK_SIDE,
     ),

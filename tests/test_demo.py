@@ -19,7 +19,7 @@ def test_a_policy_swims_until_its_film_ends() -> None:
 def test_recorded_films_come_before_anything_heavy_is_imported(tmp_path: Path) -> None:
     code = (
         "import sys, fishrl.children as c; c.start_child = lambda *_: sys.exit('swim')\n"
-        "from fishrl.programs.demo.__main__ import main\n"
+        "from fishrl.programs.demo import main\n"
         "assert 'torch' not in sys.modules; main(['--folder', sys.argv[1]])"
     )
     done = subprocess.run(

@@ -22,7 +22,7 @@ from experiments.benchmarks.measuring import BenchmarkSettings, Case, make_flow_
 from fishrl.envs import Predation, make_env
 from fishrl.modules import make_actor
 from fishrl.physics import InPlaceSolver
-from fishrl.training.algorithms import DiscreteSAC
+from fishrl.training import DiscreteSAC
 from fishrl.training.collector import ResumableCollector
 from fishrl.training.learner import one_thread
 from fishrl.training.policy_spec import PolicySpec

@@ -1,7 +1,9 @@
-"""The page of a reproduction: the paper's tables, figures and numbers, with ours beside them."""
+"""The page of a reproduction: the paper's tables, figures and numbers, next to ours."""
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shutil import copyfile
@@ -9,10 +11,15 @@ from typing import Any
 
 from markdown_it import MarkdownIt
 
-from experiments.gait_page import draw_transfer, read, write_free_stream
 from fishrl.programs.gait import figures
-from fishrl.programs.gait.tables import PAPER_WORK_RATIO, divide_work, write_results
-from fishrl.programs.pages import fill, write_table
+from fishrl.programs.gait.tables import (
+    PAPER_WORK_RATIO,
+    divide_work,
+    write_free_stream,
+    write_results,
+)
+from fishrl.programs.gait.trials import list_shedding, load_trial
+from fishrl.programs.pages import write_table
 from fishrl.programs.statistics import Statistic, show
 from fishrl.programs.summarize import summarize
 from fishrl.programs.sweeps.jobs import find_runs
@@ -34,28 +41,46 @@ FIGURES = {
     "predation": ("{folder}/predation/curves.png", "Task 1: learning curves"),
     "trajectories": ("{hunt}/trajectories.png", "Task 1: paths to the food"),
     "vorticity": ("{hunt}/vorticity_sequence.png", "Task 1: vorticity before a capture"),
+    "survival": ("{folder}/transfer/survival.png", "Task 2: survival of each episode"),
+    "paths": ("{folder}/transfer/paths.png", "Task 2: paths of the nose"),
+    "decisions": (
+        "{folder}/transfer/decisions.png",
+        "Task 2: tail-beat frequency and angle of attack against time",
+    ),
+    "work": ("{folder}/transfer/work.png", "Task 2: work in the wake and in a free stream"),
 }
-#: Figures of the second task, which are drawn for the page.
-GAIT_FIGURES = {
+#: Figures that are drawn for the page.
+DRAWN = {
     "training": "Task 2: survival, return and actor loss in training",
-    "survival": "Task 2: survival of each episode",
-    "paths": "Task 2: paths of the nose",
-    "decisions": "Task 2: tail-beat frequency and angle of attack against time",
     "period": "Task 2: vorticity in one shedding period",
-    "work": "Task 2: work in the wake and in a free stream",
 }
+#: Time before the first moment of the figure of a period, in which fish find their place, T.
+SETTLED_T = 20.0
 HEADS = ("quantity, in the flows I, II, III", "paper", "ours", "likely reason of a difference")
 
 
 def find_fitted(folder: Path) -> Path | None:
-    """Return the folder of the newest classifier that has been compared with the others."""
+    """Return the folder of the newest classifier whose fit is finished, or None."""
     fitted = folder.glob("classifier*/lateral_line.json")
     newest = max(fitted, key=lambda path: path.stat().st_mtime, default=None)
     return newest and newest.parent
 
 
-def compare(transfer: Any, free: Any, line: Any, captures: Sequence[float]) -> str:
-    """Return each number of the paper beside ours, and why they may differ.
+def read(path: Path) -> Any:
+    """Return the results in a JSON file; NaN where there is null."""
+
+    def restore(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: restore(entry) for name, entry in value.items()}
+        if isinstance(value, list):
+            return [restore(entry) for entry in value]
+        return math.nan if value is None else value
+
+    return restore(json.loads(path.read_text(encoding="utf-8")))
+
+
+def compare(transfer: Any, line: Any, captures: Sequence[float]) -> str:
+    """Return each number of the paper next to ours, and why they may differ.
 
     The paper's are from the text and the tables 2 to 4 of Li et al. 2023. ``captures`` are the
     mean times to capture of the predation policies, in T.
@@ -63,7 +88,7 @@ def compare(transfer: Any, free: Any, line: Any, captures: Sequence[float]) -> s
     arms, speeds = transfer["arms"], transfer["speeds_bl"]
     both, ablation = arms[ARMS["both"]], arms[ARMS["ablation"]]
     shedding = [0.4 * rate / u for rate, u in zip(transfer["shedding"], speeds, strict=True)]
-    works = zip(free["flows"], both, strict=True)
+    works = zip(transfer["free_stream"]["flows"], both, strict=True)
     ratios = [divide_work(flow, wake, "lateral_work") for flow, wake in works]
     quantities: list[tuple[str, Sequence[float], Sequence[float], str, str]] = [
         (
@@ -149,12 +174,16 @@ def draw(folder: Path, runs: Mapping[str, Sequence[Path]], pictures: Path) -> No
     places = {"folder": folder, "classifier": find_fitted(folder), "hunt": runs["predation"][0]}
     for name, (file, _) in FIGURES.items():
         copyfile(file.format(**places), pictures / f"{name}.png")
-    trained = [str(run) for arm in ARMS for run in runs[arm]]
-    draw_transfer(str(folder / "transfer"), trained, pictures)
-    work = read(str(folder / "transfer"))
-    free = read(str(folder / "free_stream"), "free_stream.json")
-    in_wake = work["work"][ARMS["both"]]
-    figures.write_work(pictures / "work.png", in_wake, free["work"], speeds=work["speeds_bl"])
+    figures.write_training(
+        pictures / "training.png", {name: runs[arm] for arm, name in ARMS.items()}
+    )
+    trial = load_trial(runs["both"][0])
+    figures.write_period(
+        pictures / "period.png",
+        trial,
+        num_decisions=trial.task.count_decisions(SETTLED_T),
+        periods_T=[1.0 / frequency for frequency in list_shedding(trial.task)],
+    )
 
 
 def render(
@@ -163,12 +192,12 @@ def render(
     jobs: Mapping[str, Mapping[str, Any]],
     *,
     command: str,
-    place: str,
 ) -> str:
-    """Return the page of a scale in Markdown; its figures lie in ``place``."""
-    transfer = read(str(folder / "transfer"))
-    free = read(str(folder / "free_stream"), "free_stream.json")
-    line = read(str(find_fitted(folder)), "lateral_line.json")
+    """Return the page of a scale in Markdown; its figures lie in ``figures``."""
+    transfer = read(folder / "transfer" / "transfer.json")
+    fitted = find_fitted(folder)
+    assert fitted is not None  # the job of the classifier is finished
+    line = read(fitted / "lateral_line.json")
     hunts = [read_run(path).summary for path in runs["predation"]]
     times = [summary["mean_time_to_success_T"] for summary in hunts]  # None without a capture
     machines = {
@@ -176,21 +205,22 @@ def render(
         for m in (job["machine"] for job in jobs.values())
     }
     hours = sum(job["seconds"] for job in jobs.values()) / 3600
-    shown = {**{key: text for key, (_, text) in FIGURES.items()}, **GAIT_FIGURES}
+    shown = {key: text for key, (_, text) in FIGURES.items()} | DRAWN
+    both, speeds = transfer["arms"][ARMS["both"]], transfer["speeds_bl"]
     parts = [
         f"```sh\n{command}\n```",
         f"{hours:.1f} hours on {'; '.join(sorted(machines))}.",
         "### The paper's numbers and ours",
-        compare(transfer, free, line, [time for time in times if time is not None]),
+        compare(transfer, line, [time for time in times if time is not None]),
         "### Settings of the second task",
         list_settings(runs["both"][0]),
         "### Task 1: predation",
         (folder / "predation" / "summary.md").read_text(encoding="utf-8").partition("\n")[2],
         "### Task 2: Kármán gait",
-        write_results(transfer["arms"], transfer["speeds_bl"]),
-        write_free_stream(free, transfer["arms"][ARMS["both"]]),
+        write_results(transfer["arms"], speeds),
+        write_free_stream(transfer["free_stream"], both, speeds),
         "### Figures",
-        *(f"![{text}]({place}/{key}.png)\n\n*{text}*" for key, text in shown.items()),
+        *(f"![{text}](figures/{key}.png)\n\n*{text}*" for key, text in shown.items()),
         "### Jobs",
         list_jobs(jobs),
     ]
@@ -198,12 +228,7 @@ def render(
 
 
 def write_page(
-    folder: Path,
-    jobs: Mapping[str, Mapping[str, Any]],
-    *,
-    name: str,
-    command: str,
-    docs: str | None = None,
+    folder: Path, jobs: Mapping[str, Mapping[str, Any]], *, name: str, command: str
 ) -> Path:
     """Write ``reproduction.md`` and ``reproduction.html`` with figures into the folder.
 
@@ -212,20 +237,12 @@ def write_page(
         jobs: from ``jobs.json``.
         name: of the scale.
         command: that made them.
-        docs: folder of the documentation; its page has marks ``<!-- <name>: begin -->``.
     """
     runs = {arm: find_runs(jobs[arm]["words"][2:]) for arm in ("predation", *ARMS)}
     draw(folder, runs, folder / "figures")
-    text = render(folder, runs, jobs, command=command, place="figures")
+    text = render(folder, runs, jobs, command=command)
     (folder / "reproduction.md").write_text(f"# Reproduction, {name}\n\n{text}", encoding="utf-8")
     html = MarkdownIt("commonmark").enable("table").render(text)
     page = folder / "reproduction.html"
     page.write_text(f"<!doctype html><meta charset='utf-8'>{html}", encoding="utf-8")
-    if docs is not None:
-        place = f"figures/reproduction/{name}"
-        (Path(docs) / place).mkdir(parents=True, exist_ok=True)
-        for picture in (folder / "figures").glob("*.png"):
-            copyfile(picture, Path(docs) / place / picture.name)
-        text = render(folder, runs, jobs, command=command, place=place)
-        fill(Path(docs) / "reproduction.md", name, text)
     return page

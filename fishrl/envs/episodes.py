@@ -1,7 +1,7 @@
 """The episode runner: one episode from each of a set of starts, in all flows of an env at once."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import torch
@@ -27,7 +27,7 @@ class Episodes:
         terminated: ``[E]`` bool, whether the task itself ended the episode.
         diverged: ``[E]`` bool, whether the flow diverged; such an episode counts as no success.
         interval_T: duration of a decision in T.
-        counted: ``[E]`` bool each, flags at the end by name, see ``count_flags``.
+        counted: ``[E]`` bool each, flags at the end by name, see ``name_counted``.
     """
 
     returns: Tensor
@@ -85,16 +85,17 @@ def run_episodes(
         on_step: called after each decision with the rows that ran, and the step ``[B]`` as the env
             returns it; flows and ``FlowEnv.now`` are still those of its end.
         on_frame: called ``frames_per_action`` times within a decision, at equal intervals, with the
-            running rows and the ``FlowEnv``; without it, ``FlowEnv.on_frame`` stays.
+            rows whose episode lasted up to this moment, and the ``FlowEnv``; without it,
+            ``FlowEnv.on_frame`` stays.
     """
     base, num_starts = env.base_env, starts.shape[0]
     act = policy if base.task.num_fish == 1 else EachFish(policy)
-    device, num_rows = base.device, env.batch_size[0]
+    device, num_rows, counted = base.device, env.batch_size[0], name_counted(env)
     returns = torch.zeros(num_starts, device=device)
     lengths = torch.zeros(num_starts, dtype=torch.int64, device=device)
     flags = {
         name: torch.zeros(num_starts, dtype=torch.bool, device=device)
-        for name in ("succeeded", "terminated", "diverged", *name_counted(env))
+        for name in ("succeeded", "terminated", "diverged", *counted)
     }
     start_of = torch.arange(num_rows, device=device)
     start_of = start_of.masked_fill(start_of >= num_starts, -1)
@@ -102,7 +103,7 @@ def run_episodes(
 
     def show_frame(flows: FlowEnv) -> None:
         if on_frame is not None:
-            on_frame(start_of, flows)
+            on_frame(start_of.masked_fill(~flows.is_moving, -1), flows)
 
     with (
         base.set_starts(starts, on_frame=show_frame if on_frame else base.on_frame),
@@ -123,7 +124,8 @@ def run_episodes(
             lengths[index] += 1
             ended = after.select("terminated", "diverged")
             ended["succeeded"] = has_succeeded(after, base.task.success) & after["done"]
-            ended.update(count_flags(after, base.task.counted))
+            for name, (entry, column) in counted.items():
+                ended[name] = after[entry][:, column, None]
             for name, flag in flags.items():
                 flag[index] = ended[name][is_open, 0]
             # A reset hands the next starts to the rows that are done, in order of rows.
@@ -137,33 +139,33 @@ def run_episodes(
         returns=returns.cpu(),
         lengths=lengths.cpu(),
         interval_T=base.task.interval_T,
-        counted={name: done.pop(name) for name in name_counted(env)},
+        counted={name: done.pop(name) for name in counted},
         **done,
     )
 
 
-def count_flags(data: TensorDictBase, names: Sequence[str]) -> dict[str, Tensor]:
-    """Return a task's ``counted`` flags ``[B, n]`` as ``[B, 1]`` each, with a number if n > 1."""
+def name_counted(env: EnvBase) -> dict[str, tuple[str, int]]:
+    """Return entry and column of each flag that is counted at the end of episodes, by its name.
+
+    They are the booleans of ``report`` other than ``success``; the columns of one with several are
+    ``<name>_0`` and so on.
+    """
+    base = env.base_env
+    known = {"diverged", "action_mask", base.task.success}
     return {
-        f"{name}_{i}" if data[name].shape[-1] > 1 else name: flag.unsqueeze(-1)
-        for name in names
-        for i, flag in enumerate(data[name].unbind(-1))
+        f"{name}_{column}" if spec.shape[-1] > 1 else name: (name, column)
+        for name, spec in base.observation_spec.items()
+        if spec.dtype == torch.bool and name not in known
+        for column in range(spec.shape[-1])
     }
 
 
-def name_counted(env: EnvBase) -> list[str]:
-    """Return the names of the flags that an env's task counts, see ``count_flags``."""
-    counted = env.base_env.task.counted
-    return list(count_flags(env.observation_spec.zero(), counted)) if counted else []
-
-
-def has_succeeded(after: TensorDictBase, name: str) -> Tensor:
+def has_succeeded(after: TensorDictBase, success: str | None) -> Tensor:
     """Return whether episodes that ended in the states ``after`` accomplished their task.
 
-    ``name`` is the entry named by ``success`` of the task; without that entry, episodes that
-    lasted until the time limit succeeded.
+    ``success`` is that of the task: an entry, or None if reaching the time limit is success.
     """
-    flag: Tensor | None = after.get(name)
-    if flag is not None:
-        return flag & ~after["diverged"]
-    return after["truncated"] & ~after["terminated"] & ~after["diverged"]
+    if success is None:
+        return after["truncated"] & ~after["terminated"] & ~after["diverged"]
+    flag: Tensor = after[success]
+    return flag & ~after["diverged"]

@@ -13,7 +13,7 @@ from math import inf
 import torch
 from torch import Tensor
 
-#: For the paper's three flows, from the sweep of ``experiments.drift_sweep``. In each row the
+#: For the paper's three flows, from ``studies/drift_sweep``. In each row the
 #: second frequency is the shedding frequency, which roughly holds station, and the last one swims
 #: upstream.
 DEFAULT_ROWS = (

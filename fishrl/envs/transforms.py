@@ -12,6 +12,7 @@ from torch.nn.functional import one_hot
 from torchrl.data import Bounded, Categorical, Composite, TensorSpec, Unbounded
 from torchrl.envs import CatFrames, EnvBase, Transform
 
+from fishrl.envs.extensions import HasFlowLabels
 from fishrl.envs.task import AbstractTask
 
 #: Gives the policy the true label of its flow; see ``equip``.
@@ -63,7 +64,7 @@ class FlowLabelTransform(Transform):
 
     def check_task(self, task: Any) -> None:
         """Raise ValueError unless the task has ``num_flows`` labelled flows."""
-        flows = getattr(task, "flow_labels", ())
+        flows = task.flow_labels if isinstance(task, HasFlowLabels) else []
         if len(flows) != self.num_flows:
             raise ValueError(
                 f"{type(task).__name__} has {len(flows)} labelled flows, expected "
@@ -158,7 +159,7 @@ class PredictedFlowLabel(FlowLabelTransform):
 
     def check_task(self, task: Any) -> None:
         """Raise ValueError unless the classifier was trained for flows and sensors of the task."""
-        if not task.lateral_line_layout:
+        if not (isinstance(task, HasFlowLabels) and task.lateral_line_layout):
             raise ValueError(
                 f"{type(task).__name__} has no lateral line: use a task with `flow_labels` and "
                 "`lateral_line_layout`, such as KarmanGait"
@@ -242,7 +243,7 @@ def equip(
     """
     if recognition is None:
         return task, []
-    if not task.flow_labels or task.num_fish > 1:
+    if not isinstance(task, HasFlowLabels) or task.num_fish > 1:
         raise ValueError(
             f"recognition: {type(task).__name__} has no flows to tell apart, or several fish; "
             "leave it out, or take a task of one fish with `flow_labels`"

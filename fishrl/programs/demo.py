@@ -31,9 +31,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.stdout.write(f"{film}: recorded film of zoo/{name}\n")
     sys.stdout.write("now in a flow computed here: about a minute, most of it compilation\n")
     sys.stdout.flush()
-    swim = "import gc; gc.disable(); from fishrl.programs.swim import main; main()"
+    swim = "import gc; gc.disable(); from fishrl.programs.swim import film; "
     running = [
-        start_child(swim, name, str(folder / title), str(periods), *["--eager"] * options.eager)
+        start_child(
+            f"{swim}film({name!r}, {str(folder / title)!r}, periods={periods}, "
+            f"compile={not options.eager})"
+        )
         for name, title, periods in SHOWS
     ]
     try:
@@ -42,7 +45,3 @@ def main(arguments: Sequence[str] | None = None) -> None:
             sys.exit("not every film could be made")
     except KeyboardInterrupt:
         sys.exit("interrupted")
-
-
-if __name__ == "__main__":
-    main()

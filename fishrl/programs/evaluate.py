@@ -70,7 +70,3 @@ def main(settings: EvaluateConfig) -> None:
         print(f"{name:<24}{shown}")
     if path is not None:
         write_json(path, result | {"settings": to_plain(asdict(settings))})
-
-
-if __name__ == "__main__":
-    main()

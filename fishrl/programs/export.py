@@ -104,7 +104,3 @@ def main(settings: ExportSettings) -> None:
         flow = simulate(settings, progress=progress)
     WRITERS[path.suffix](flow, path)
     print(f"written to {path}: {flow.sizes['time']} moments, {flow.nbytes / 1e6:.0f} MB in memory")
-
-
-if __name__ == "__main__":
-    main()

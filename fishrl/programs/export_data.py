@@ -148,7 +148,3 @@ def main(settings: ExportDataSettings) -> None:
         f"written to {Path(settings.folder) / settings.name}: {data.total_steps} transitions of "
         f"{data.total_episodes} episodes; read with MINARI_DATASETS_PATH={settings.folder}"
     )
-
-
-if __name__ == "__main__":
-    main()

@@ -74,7 +74,3 @@ def main(settings: ExportPolicySettings) -> None:
     print(f"written to {folder}: {size / 1e6:.2f} MB")
     if settings.upload is not None:
         print(f"uploaded to {upload(folder, settings.upload)}")
-
-
-if __name__ == "__main__":
-    main()

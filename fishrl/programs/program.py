@@ -231,7 +231,7 @@ def plain_errors() -> Iterator[None]:
 
 def _find_line(error: Exception) -> str:
     """Return the line of a user's own file that an error comes from; nothing if it is ours."""
-    root = Path(__file__).parents[1]
+    root = Path(__file__).parents[2]
     ours = [root / "experiments", root / "fishrl"]
     libraries = [Path(path) for name, path in sysconfig.get_paths().items() if "lib" in name]
 

@@ -191,7 +191,3 @@ def main(settings: SearchSettings) -> None:
         chosen = " ".join(f"{key}={value}" for key, value in trial.params.items())
         print(f"  trial {trial.number:<4} {settings.metric} {trial.value:<12.6g} {chosen}")
     print(f"table and curves: {show_command('summarize', settings.folder)}")
-
-
-if __name__ == "__main__":
-    main()

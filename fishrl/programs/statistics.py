@@ -102,19 +102,3 @@ def _bootstrap(statistic: Any, *groups: Sequence[float]) -> Interval:
         samples, statistic, vectorized=True, method="percentile", n_resamples=2000, rng=0
     ).confidence_interval
     return Interval(value=value, low=float(interval.low), high=float(interval.high))
-
-
-def compare_paired(ours: np.ndarray, theirs: np.ndarray) -> Interval:
-    """Return the difference of the means of values ``[seeds, starts]`` with the same starts.
-
-    The interval is Student's t. Its variance is that of the differences over the starts and, where
-    there are several, that of the means over the seeds of either; the fewest of them give the
-    degrees of freedom. Without two starts there is none.
-    """
-    parts = [(ours.mean(0) - theirs.mean(0)), *(v.mean(1) for v in (ours, theirs) if len(v) > 1)]
-    value, fewest = float(ours.mean() - theirs.mean()), min(map(len, parts))
-    if fewest < 2:
-        return Interval(value=value, low=math.nan, high=math.nan)
-    error = math.sqrt(sum(float(stats.sem(part)) ** 2 for part in parts))
-    half = float(stats.t.ppf(0.975, fewest - 1)) * error
-    return Interval(value=value, low=value - half, high=value + half)

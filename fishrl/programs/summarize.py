@@ -246,7 +246,3 @@ def main(settings: SummarizeSettings) -> None:
     """Print the tables."""
     page = None if settings.page is None else Path(settings.page)
     print(summarize(Path(settings.folder), page=page))
-
-
-if __name__ == "__main__":
-    main()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import gc
 import logging
 import math
@@ -60,14 +59,15 @@ def swim(name: str, *, periods: float, compile: bool = True) -> tuple[Recording,
     return recording, "succeeded" if bool(episodes.succeeded) else "failed"
 
 
-def main() -> None:
-    """Film the policy that the command line of the process names."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("name", help="of the policy")
-    parser.add_argument("path", help="of the films and the picture, without their endings")
-    parser.add_argument("periods", type=float, help="T after which the film ends at the latest")
-    parser.add_argument("--eager", action="store_true", help="do not compile the flow step")
-    options = parser.parse_args()
+def film(name: str, path: str, *, periods: float, compile: bool = True) -> None:
+    """Film a policy of the zoo in a process of its own.
+
+    Args:
+        name: of the policy.
+        path: of the films and the picture, without their endings.
+        periods: T after which the film ends at the latest.
+        compile: compile the flow step.
+    """
     logging.basicConfig(format="%(message)s", stream=sys.stdout)
     logger.setLevel(logging.INFO)
     logging.getLogger("torchrl").setLevel(logging.ERROR)  # on other builds of torch
@@ -75,14 +75,14 @@ def main() -> None:
     gc.freeze()  # what imports made is kept to the end
     gc.enable()
     began = time.perf_counter()
-    recording, ending = swim(options.name, periods=options.periods, compile=not options.eager)
+    recording, ending = swim(name, periods=periods, compile=compile)
     swam = time.perf_counter()
-    write_flow(recording, f"{options.path}.png")
+    write_flow(recording, f"{path}.png")
     pictures = render_frames(recording)
     for suffix, write in FILMS.items():
-        write(recording, f"{options.path}{suffix}", pictures=pictures)
+        write(recording, f"{path}{suffix}", pictures=pictures)
     logger.info(
         "%s.mp4, .gif, .png: zoo/%s %s after %.1f T; computed in %.0f s, drawn in %.0f s",
-        *(options.path, options.name, ending, recording.frames[-1].time),
+        *(path, name, ending, recording.frames[-1].time),
         *(swam - began, time.perf_counter() - swam),
     )

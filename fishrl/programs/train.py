@@ -137,7 +137,3 @@ def main(settings: TrainConfig) -> None:
             sys.exit(exit_status(end))
         except OSError as error:
             sys.exit(f"error: {error}\n{hint}")
-
-
-if __name__ == "__main__":
-    main()

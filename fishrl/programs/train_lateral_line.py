@@ -18,8 +18,8 @@ from tensordict import TensorDict
 
 from fishrl.envs import AbstractTask
 from fishrl.programs.lateral_line.collection import collect
+from fishrl.programs.lateral_line.fitting import Design, LateralLineSettings, fit
 from fishrl.programs.lateral_line.report import describe, write_figures, write_page
-from fishrl.programs.lateral_line.study import LateralLineSettings, Study
 from fishrl.programs.program import program
 from fishrl.training.description import make, to_plain
 from fishrl.training.progress import Progress
@@ -28,24 +28,27 @@ from fishrl.training.run_folder import RunFolder, write_json, write_yaml
 logger = logging.getLogger(__name__)
 
 
-def study_lateral_line(
+def train_lateral_line(
     settings: LateralLineSettings, episodes: TensorDict, folder: Path, progress: Progress
 ) -> dict[str, Any]:
-    """Fit the classifier and those to compare it with, to episodes as ``collect`` returns.
+    """Fit the classifier to episodes as ``collect`` returns, and perhaps the paper's.
 
-    Writes results and figures to the folder, and returns those of ``lateral_line.json``.
+    Writes classifier, results and figures to the folder; returns what ``lateral_line.json`` has.
     """
-    study = Study(settings, episodes)
-    progress.start("fits", total=2)
-    fit = study.fit_own()
-    fit.classifier.save(folder / "machine.pt")
-    progress.advance(1)
-    paper = study.fit_paper()
-    progress.advance(1)
-    findings = describe(study, fit, paper, study.answer(progress))
+    designs = {"classifier": Design.own(settings)}
+    if settings.paper_epochs:
+        designs["paper"] = Design.of_the_paper(settings)
+    progress.start("fits", total=len(designs))
+    fits = {}
+    for name, design in designs.items():
+        fits[name] = fit(settings, episodes, design)
+        if name == "classifier":
+            fits[name].classifier.save(folder / "machine.pt")
+        progress.advance(1)
+    findings = describe(episodes, fits)
     write_json(folder / "lateral_line.json", findings)
     (folder / "lateral_line.md").write_text(write_page(findings), encoding="utf-8")
-    write_figures(findings, {"this classifier": fit, "as in the paper": paper}, folder)
+    write_figures(fits, [flow["name"] for flow in findings["flows"]], folder)
     return findings
 
 
@@ -59,10 +62,6 @@ def main(settings: LateralLineSettings) -> None:
     write_yaml(folder.config, to_plain(asdict(settings)))
     logger.info("run folder: %s, data: %s", folder.path, place)
     with Progress() as progress:
-        study_lateral_line(made, collect(made, progress), folder.path, progress)
+        train_lateral_line(made, collect(made, progress), folder.path, progress)
     print((folder.path / "lateral_line.md").read_text(encoding="utf-8"))
     print(f"written to {folder.path}")
-
-
-if __name__ == "__main__":
-    main()

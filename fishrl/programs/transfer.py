@@ -18,7 +18,8 @@ from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait
 from fishrl.programs.gait import figures, trials
 from fishrl.programs.gait.diagnostics import combine_seeds, diagnose, measure_lean, trace_work
-from fishrl.programs.gait.tables import write_results
+from fishrl.programs.gait.free_stream import hold_in_free_stream
+from fishrl.programs.gait.tables import write_free_stream, write_results
 from fishrl.programs.program import TaskSettings, check_names, program
 from fishrl.training.description import make
 from fishrl.training.progress import Progress
@@ -38,6 +39,8 @@ class TransferSettings(TaskSettings):
         recognition: source of the labels of all runs instead of their own: ``oracle``, the file of
             a classifier or ``zoo/<name>``.
         samples_actions: sample the actions of stochastic policies (SAC, PPO), as in training.
+        free_episodes: episodes in each stream without the half disc, held by a PID controller,
+            whose work is compared with that of the first policy; 0 for none.
         folder: folder for tables, figures and histories.
     """
 
@@ -47,6 +50,7 @@ class TransferSettings(TaskSettings):
     baselines: tuple[str, ...] = ("pid", "pid+policy", "bang_bang", "shedding")
     recognition: str | None = None
     samples_actions: bool = False
+    free_episodes: int = bounded(0, least=0)
     folder: str = "runs/transfer"
 
 
@@ -56,7 +60,8 @@ def transfer(
     """Run all trials, write tables and figures, and return the results.
 
     Those are ``shedding``: its frequencies, per T; ``arms``: diagnostics per arm and flow over its
-    seeds; ``trials``: of each policy alone; ``work``: per arm and flow as it adds up in time.
+    seeds; ``trials``: of each policy alone; ``work``: per arm and flow as it adds up in time;
+    ``free_stream``: as ``hold_in_free_stream`` returns, or None.
     ``ValueError`` for equal names, tasks that cannot be compared, and several half discs.
     """
     check_names([trial.name for trial in tried])
@@ -86,6 +91,15 @@ def transfer(
         combined[arm] = [combine_seeds(flow) for flow in zip(*seeds, strict=True)]
         together = [trials.stack(flow) for flow in zip(*recorded, strict=True)]
         work[arm] = [trace_work(flow, interval_T=interval_T) for flow in together]
+    free = None
+    if settings.free_episodes:
+        free = hold_in_free_stream(
+            task,
+            episodes=settings.free_episodes,
+            periods=settings.periods,
+            folder=folder,
+            progress=progress,
+        )
     results = {
         "speeds_bl": list(speeds),
         "shedding": shedding,
@@ -94,9 +108,13 @@ def transfer(
         "episodes": settings.episodes,
         "samples_actions": settings.samples_actions,
         "work": work,
+        "free_stream": free,
     }
     write_json(folder / "transfer.json", results)
-    (folder / "transfer.md").write_text(write_results(combined, speeds), encoding="utf-8")
+    text = write_results(combined, speeds)
+    if free is not None:
+        text += f"\n{write_free_stream(free, combined[best], speeds)}"
+    (folder / "transfer.md").write_text(text, encoding="utf-8")
     first = {arm: seeds[0] for arm, seeds in arms.items()}
     everything = zip(*(flows for seeds in arms.values() for flows in seeds), strict=True)
     leans = [measure_lean(trials.stack(flow), interval_T=interval_T) for flow in everything]
@@ -105,7 +123,8 @@ def transfer(
     figures.write_places(folder / "places.png", first, task=task)
     figures.write_decisions(folder / "decisions.png", first[best], task=task, shedding=shedding)
     figures.write_lean(folder / "lean.png", leans, speeds=speeds)
-    figures.write_work(folder / "work.png", work[best], None, speeds=speeds)
+    in_free = None if free is None else free["work"]
+    figures.write_work(folder / "work.png", work[best], in_free, speeds=speeds)
     return results
 
 
@@ -125,7 +144,3 @@ def main(settings: TransferSettings) -> None:
         transfer(tried, settings, progress)
     print((Path(settings.folder) / "transfer.md").read_text(encoding="utf-8"))
     print(f"written to {settings.folder}")
-
-
-if __name__ == "__main__":
-    main()

@@ -191,7 +191,3 @@ def main(settings: ViewConfig) -> None:
             print(f"written: {settings.screenshot}")
         elif opens:
             open_recording(path)
-
-
-if __name__ == "__main__":
-    main()

@@ -18,7 +18,8 @@ Example::
 ``resume("runs/first", total_frames=4000)`` continues a finished or interrupted run exactly.
 """
 
-from fishrl.training.algorithms import DQN, DRQN, PPO, SAC, Algorithm, DiscreteSAC
+from fishrl.training.algorithms import Algorithm
+from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.baselines import Baseline, find_baselines
 from fishrl.training.interruption import Interrupted
 from fishrl.training.observer import Hooks, Observer
@@ -28,10 +29,6 @@ from fishrl.training.runs import begin, complete, find_summary, make_folder, reo
 from fishrl.training.settings import LearningSettings, RunSettings
 
 __all__ = [
-    "DQN",
-    "DRQN",
-    "PPO",
-    "SAC",
     "Algorithm",
     "Baseline",
     "DiscreteSAC",

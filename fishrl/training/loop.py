@@ -176,7 +176,7 @@ class Training:
                 "frames per s": metrics["time/frames_per_second"],
                 "MLUPS": metrics["time/mlups"],
                 "return": metrics["train/return"],
-                self.task.success: metrics["train/success_rate"],
+                self.task.success or "survived": metrics["train/success_rate"],
             }
             self.progress.advance(self.plan.learning.num_envs, **shown)
         if counters.updates == 0:
@@ -286,7 +286,7 @@ class Training:
             summary |= {f"{prefix}{key}": value for key, value in result.metrics().items()}
         return summary | {
             "task": self.spec.task,
-            "success": self.task.success,
+            "success": self.task.success or "survived",
             "baselines": list(self.baselines),
             "preset": self.plan.preset,
             "algorithm": describe(self.plan.algorithm),

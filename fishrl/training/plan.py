@@ -8,7 +8,8 @@ from typing import Any
 
 from fishrl.bounds import suggest
 from fishrl.envs import AbstractTask
-from fishrl.training.algorithms import DQN, DRQN, PPO, SAC, Algorithm, DiscreteSAC
+from fishrl.training.algorithms import Algorithm
+from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.aliases import FORMER_SETTINGS, update_config
 from fishrl.training.description import describe, make, to_plain
 from fishrl.training.logger import CsvLogger
@@ -20,8 +21,6 @@ RUN = tuple(entry.name for entry in fields(RunSettings))
 PARTS = ("task", "algorithm", "logger", "preset", "recognition")
 #: Those of a run, apart from ``extra``.
 SETTINGS = {*LEARNING, *RUN, *PARTS, *FORMER_SETTINGS}
-#: Suggested in place of one that does not fit a task.
-ALGORITHMS: tuple[type[Algorithm], ...] = (DQN, DRQN, PPO, SAC, DiscreteSAC)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,14 +49,7 @@ class Plan:
 
     def __post_init__(self) -> None:
         """Check algorithm and ``extra``, and adapt the settings to the algorithm."""
-        if not self.algorithm.takes(self.task):
-            kind = "discrete" if self.task.action_bounds is None else "continuous"
-            kind = f"{kind} actions" + " of several fish" * (self.task.num_fish > 1)
-            fitting = [one.__module__.split(".")[-1] for one in ALGORITHMS if one.takes(self.task)]
-            raise ValueError(
-                f"algorithm = {type(self.algorithm).__name__}: does not learn {kind}, "
-                f"which {type(self.task).__name__} has here; take one of {', '.join(fitting)}"
-            )
+        self.algorithm.check(self.task)
         for name in self.extra:
             if name in SETTINGS:
                 raise ValueError(f"extra: {name} is a setting of the run itself; take another name")

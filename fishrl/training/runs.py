@@ -16,7 +16,8 @@ from fishrl.envs import AbstractTask
 from fishrl.envs.transforms import equip
 from fishrl.extras import show_install
 from fishrl.memory import check_memory
-from fishrl.training.algorithms import Algorithm, DiscreteSAC
+from fishrl.training.algorithms import Algorithm
+from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.baselines import make_baselines
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.classifier import Recognition, keep_recognition, load_recognition

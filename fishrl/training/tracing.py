@@ -1,4 +1,4 @@
-"""A function whose tensor operations are traced once and then run without the Python around them.
+"""Trace the tensor operations of a function once, then run them without the Python around them.
 
 A gradient step of a small network spends most of its time in Python: modules with exchanged
 weights, tensordicts, distributions, autograd. Its tensor operations are the same at each step.
@@ -7,13 +7,14 @@ weights, tensordicts, distributions, autograd. Its tensor operations are the sam
 from collections.abc import Callable, Sequence
 
 import torch
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import CudaGraphModule
 from torch import Tensor
 from torch._functorch.compile_utils import fx_graph_cse
 from torch.fx import Graph, GraphModule, Node
 from torch.fx.experimental.proxy_tensor import make_fx
 
-Function = Callable[..., Sequence[Tensor]]
+Operations = Callable[..., Sequence[Tensor]]
 
 # Without autograd and profiler they do nothing.
 _IDLE = (
@@ -25,42 +26,45 @@ _TRANSPOSE = torch.ops.aten.t.default
 
 
 class Traced:
-    """Call ``function``, and once traced run its tensor operations alone.
+    """Call ``function`` on batches, and once traced run its tensor operations alone.
 
-    These are the same operations in the same order, backward passes included, on the arguments and
-    on the tensors that ``function`` reads or changes beside them, such as parameters. Whatever else
-    changes from call to call must therefore be an argument. What would be computed twice, such as
-    the values of the same critics in two losses, is computed once.
+    These are the same operations in the same order, backward passes included, on the entries of the
+    batch and on the other tensors that ``function`` reads or changes, such as parameters. All else
+    that changes from call to call must therefore be an entry of the batch. What would be computed
+    twice, such as the values of the same critics in two losses, is computed once.
 
     On a GPU they are launched as one CUDA graph.
 
-    The second call in a row with arguments of the same number and shapes is traced: the first may
-    have created something. Later calls with others go to ``function`` itself.
+    The second call in a row with entries of the same names and shapes is traced: the first may have
+    created something. Later calls with others go to ``function`` itself.
 
     Args:
-        function: of tensors, which it may change in place; returns tensors. What it does must not
-            depend on their values: torch raises a RuntimeError while it is traced otherwise.
+        function: of a batch, whose entries it may change in place; returns tensors. What it does
+            must not depend on their values: torch raises a RuntimeError while it is traced
+            otherwise.
     """
 
-    def __init__(self, function: Function) -> None:
+    def __init__(self, function: Callable[[TensorDictBase], Sequence[Tensor]]) -> None:
         self._function = function
-        self._operations: Function | None = None
-        self._form: list[torch.Size] = []
+        self._operations: Operations | None = None
+        self._form: list[object] = []
 
-    def __call__(self, *tensors: Tensor) -> Sequence[Tensor]:
+    def __call__(self, batch: TensorDictBase) -> Sequence[Tensor]:
         """Return what the function returns."""
-        form = [tensor.shape for tensor in tensors]
+        names, tensors = zip(*batch.items(True, True), strict=True)
+        form = [names, *(tensor.shape for tensor in tensors)]
         if form != self._form:
             if self._operations is None:
                 self._form = form
-            return self._function(*tensors)
+            return self._function(batch)
         if self._operations is not None:
             return self._operations(*tensors)
         results: Sequence[Tensor] = ()
 
         def run(*given: Tensor) -> Sequence[Tensor]:
             nonlocal results
-            results = self._function(*given)
+            entries = TensorDict(dict(zip(names, given, strict=True)), batch.batch_size)
+            results = self._function(entries)
             return results
 
         operations = _strip(make_fx(run)(*tensors))
@@ -73,8 +77,8 @@ class Traced:
 
 
 def _strip(traced: GraphModule) -> GraphModule:
-    """Return the operations of a graph that do something, each once."""
-    graph = Graph()  # flat arguments and results, which cost less than those of any structure
+    """Return the operations of a graph that have an effect, each once."""
+    graph = Graph()  # flat arguments and results cost less than nested ones
     graph.output(graph.graph_copy(traced.graph, {}))
     first: dict[tuple[object, ...], Node] = {}
     for node in graph.find_nodes(op="get_attr"):

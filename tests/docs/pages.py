@@ -1,10 +1,15 @@
-"""The pages of the docs as programs: their blocks of code, as written and as made small."""
+"""Blocks of code of README and pages, as printed and as reduced for tests."""
 
 import re
 from pathlib import Path
 from typing import NamedTuple
 
 DOCS = Path(__file__).parents[2] / "docs"
+#: README and all pages but the one that ``make docs`` generates.
+PAGES = [
+    *(DOCS.parent / name for name in ("README.md", "CONTRIBUTING.md")),
+    *(page for page in sorted(DOCS.rglob("*.md")) if page.name != "configuration.md"),
+]
 FENCE = re.compile(r"^```(python|yaml)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FILE = re.compile(r"<!-- file: (\S+) -->")
 SMALLER = re.compile(r'<!-- tests: "(.*)" -> "(.*)" -->')
@@ -16,8 +21,8 @@ class Block(NamedTuple):
     Attributes:
         language: python or yaml.
         code: as the reader sees it.
-        small: as the tests run it: ``<!-- tests: "this" -> "that" -->`` before the block.
-        file: the name it is to be stored under, if any: ``<!-- file: name -->``.
+        small: as the tests run it, after ``<!-- tests: "this" -> "that" -->`` above the block.
+        file: name to store it under, from ``<!-- file: name -->``, if any.
     """
 
     language: str
@@ -45,13 +50,12 @@ def read_blocks(page: str) -> list[Block]:
 
 
 def list_pages() -> list[str]:
-    """Return the pages that have Python in them."""
-    pages = sorted(DOCS.rglob("*.md"))
-    names = [path.relative_to(DOCS).as_posix() for path in pages]
+    """Return the pages with Python blocks."""
+    names = [page.relative_to(DOCS).as_posix() for page in sorted(DOCS.rglob("*.md"))]
     return [name for name in names if any(b.language == "python" for b in read_blocks(name))]
 
 
 def count_lines(code: str) -> int:
-    """Return how many lines say something: neither empty nor a comment alone."""
+    """Return the number of lines that are neither empty nor a comment."""
     lines = [line.strip() for line in code.splitlines()]
     return sum(bool(line) and not line.startswith("#") for line in lines)

@@ -1,8 +1,4 @@
-"""Every command that README and pages show is one: each program is asked to read it.
-
-The programs themselves run in tests/smoke; here each line as it is written must name a program,
-its options and settings rightly, without being run.
-"""
+"""Every command on README and pages is parsed by its program, without running it."""
 
 import argparse
 import re
@@ -16,6 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from fishrl.__main__ import list_programs
 from fishrl.envs import AbstractTask
 from fishrl.programs.program import Program
 from fishrl.programs.sweeps.jobs import plan_jobs
@@ -24,20 +21,18 @@ from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.description import make, to_plain
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import RunFolder, write_whole
-from tests.docs.pages import DOCS, read_blocks
+from tests.docs.pages import DOCS, PAGES, read_blocks
 
 ROOT = DOCS.parent
-#: All but the page that ``make docs`` makes of the programs themselves.
-WRITTEN = [page for page in sorted(DOCS.rglob("*.md")) if page.name != "configuration.md"]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *WRITTEN]
 PROGRAM = re.compile(
-    r"(?:\bpython (?:-m )?(?=experiments\.|examples/)|(?:^|`)(?=fishrl [a-z]))"
+    r"(?:\bpython (?:-m )?(?=experiments\.|examples/)|"
+    rf"(?:^|`)(?=fishrl (?:{'|'.join(list_programs())})\b))"
     r"(experiments\.[\w.]*|examples/\w+\.py|fishrl [a-z-]+)([^`\n|]*)",
     re.MULTILINE,
 )
 TARGET = re.compile(r"(?:^|`)make ([a-z-]+)(?![\w ]*=\d)", re.MULTILINE)
 EXTRA = re.compile(r"pip install [^\n`]*\[([\w-]+)\]")
-#: Runs that the pages speak of, and what is swum in them.
+#: Runs that the pages mention, with their settings.
 RUNS = {
     "runs/name": [],
     "runs/predation-seed0": [],
@@ -69,12 +64,12 @@ COMMANDS = _list_commands()
 
 
 class _Read(BaseException):
-    """A program has read its command line."""
+    """Raised when a program has parsed its command line."""
 
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Stand in a folder with the runs, task and algorithm from outside that the pages speak of."""
+    """Change to a folder with the runs, tasks and algorithms that the pages mention."""
     folder = tmp_path_factory.mktemp("home")
     for block in (*read_blocks("tutorials/new_task.md"), *read_blocks("algorithms.md")):
         if block.file is not None:
@@ -100,17 +95,17 @@ def _write_runs() -> None:
 
 
 def _split(line: str, home: Path) -> list[str]:
-    """Split a command line as a shell does, with the pages' names for runs filled in."""
+    """Split a command line as a shell does, with ``<name>`` replaced by ``name``."""
     line = re.sub(r"<([^>]+)>", lambda match: match[1].replace(" ", "-"), line)
     words = [word for word in shlex.split(line, comments=True) if word != "..."]
     return [word.replace("~", str(home)) for word in words]
 
 
 def _parse(main: Callable[[], None], words: list[str], patch: pytest.MonkeyPatch) -> None:
-    """Let a program read its command line with argparse, and stop it there."""
+    """Let a program parse its command line with argparse, and stop it there."""
     parse = argparse.ArgumentParser.parse_args
 
-    def stop(parser: argparse.ArgumentParser) -> None:
+    def stop(parser: argparse.ArgumentParser, *_: object) -> None:
         parse(parser, words)
         raise _Read
 
@@ -120,7 +115,7 @@ def _parse(main: Callable[[], None], words: list[str], patch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize(("page", "module", "line"), COMMANDS)
-def test_a_program_understands_what_the_pages_show(
+def test_command_of_a_page_is_parsed_by_its_program(
     page: str, module: str, line: str, home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = _split(line, home)
@@ -134,13 +129,13 @@ def test_a_program_understands_what_the_pages_show(
         main.read(words)
 
 
-def test_there_are_commands_of_every_kind() -> None:
+def test_commands_are_found_on_pages_of_every_kind() -> None:
     assert len(COMMANDS) > 50
     assert {page for page, _, _ in COMMANDS} >= {"README.md", "docs/sweeps.md", "docs/viewer.md"}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_targets_and_extras_of_the_pages_are_there(page: Path) -> None:
+def test_targets_and_extras_on_pages_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     for target in TARGET.findall(text):

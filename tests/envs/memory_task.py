@@ -9,11 +9,12 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from fishrl.envs import AbstractTask, Command
+from fishrl.envs.extensions import HasHistory
 from fishrl.physics.fast.solver import InPlaceSolver
 
 
 @dataclass(frozen=True, kw_only=True)
-class MemoryTask(AbstractTask):
+class MemoryTask(AbstractTask, HasHistory):
     """Glide to the left: 0 straight on, 1 turn by the hint; sum up the actions."""
 
     n_obs: ClassVar[int] = 2

@@ -12,6 +12,7 @@ import pytest
 from experiments import reproduce
 from experiments.reproduce import Job, Record, list_jobs, run_job
 from experiments.reproduction import page
+from fishrl.__main__ import list_programs
 from fishrl.programs.program import list_choices
 from fishrl.programs.sweeps.jobs import find_or_begin, find_runs, plan_jobs
 from fishrl.programs.train_settings import TRAINING, make_plan
@@ -30,7 +31,8 @@ def test_every_job_of_a_scale_is_a_command_that_its_program_takes(
         if words[0] == "--multirun":
             assert len(plan_jobs(words[1:])) == len(scale.seeds)
         else:
-            import_module(f"experiments.{program}").main.read(words)
+            package = "fishrl.programs" if program in list_programs() else "experiments"
+            import_module(f"{package}.{program.replace('-', '_')}").main.read(words)
         assert job.updates > 0
 
 
@@ -52,12 +54,12 @@ def test_only_policies_of_the_present_settings_are_evaluated(tmp_path: Path) -> 
 
 
 def test_the_newest_classifier_with_results_is_used(tmp_path: Path) -> None:
-    for number, (name, is_compared) in enumerate(
+    for number, (name, is_finished) in enumerate(
         {"classifier": False, "classifier-10": True, "classifier-2": True}.items()
     ):
         (tmp_path / name).mkdir()
         (tmp_path / name / "machine.pt").touch()
-        if is_compared:
+        if is_finished:
             (tmp_path / name / "lateral_line.json").touch()
             os.utime(tmp_path / name / "lateral_line.json", (number, number))
     assert page.find_fitted(tmp_path) == tmp_path / "classifier-2"
@@ -87,12 +89,12 @@ def test_hours_are_estimated_also_if_another_algorithm_trains() -> None:
 
 
 def test_a_finished_job_is_not_repeated_unless_its_settings_change(tmp_path: Path) -> None:
-    job = Job(name="summary", words=("pages",))  # a module that begins in no time
+    job = Job(name="summary", words=("benchmarks.machine",))  # a module that begins in no time
     with reproduce.alone(tmp_path) as lock:
         run_job(job, Record(tmp_path), lock)
     record = Record(tmp_path)
     assert record.is_finished(job) and record.jobs["summary"]["seconds"] > 0
-    assert not record.is_finished(Job(name="summary", words=("pages", "elsewhere")))
+    assert not record.is_finished(Job(name="summary", words=("benchmarks.machine", "elsewhere")))
 
 
 def test_a_training_whose_run_is_gone_is_repeated(tmp_path: Path) -> None:

@@ -11,8 +11,18 @@ from tensordict.nn import CudaGraphModule
 from torch import Tensor
 
 from fishrl.envs import Predation
-from fishrl.training import LearningSettings, Plan, RunSettings, begin, reopen, resume, train
-from fishrl.training.algorithms import DRQN, SAC, DiscreteSAC
+from fishrl.training import (
+    DiscreteSAC,
+    LearningSettings,
+    Plan,
+    RunSettings,
+    begin,
+    reopen,
+    resume,
+    train,
+)
+from fishrl.training.algorithms.drqn import DRQN
+from fishrl.training.algorithms.sac import SAC
 from fishrl.training.loop import Training
 from fishrl.training.policy_spec import PolicySpec
 from tests.envs.conftest import move_kinematically

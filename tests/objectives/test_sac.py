@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from tensordict import TensorDict
 
-from fishrl.training import SAC
+from fishrl.training.algorithms.sac import SAC
 from fishrl.training.policy_spec import PolicySpec
 from tests.objectives.transitions import NUM_INPUTS, make_transitions
 

@@ -11,22 +11,10 @@ from typing import Any
 
 import pytest
 
-from experiments import (
-    benchmark,
-    drift_sweep,
-    evaluate,
-    free_stream,
-    gait_forces,
-    reproduce,
-    search,
-    train,
-    train_lateral_line,
-    transfer,
-    validate,
-    view,
-)
+from experiments import benchmark, reproduce, validate
 from fishrl.envs import Predation
 from fishrl.memory import check_memory
+from fishrl.programs import evaluate, search, train, train_lateral_line, transfer, view
 from fishrl.programs.configuration import list_keys
 from fishrl.programs.program import Program
 from fishrl.training import LearningSettings, RunSettings
@@ -38,9 +26,6 @@ PROGRAMS: dict[str, tuple[Program, tuple[str, ...]]] = {
     "evaluate": (evaluate.main, ("policy=random",)),
     "view": (view.main, ("policy=random", "save=x.rrd")),
     "transfer": (transfer.main, ()),
-    "drift_sweep": (drift_sweep.main, ()),
-    "gait_forces": (gait_forces.main, ()),
-    "free_stream": (free_stream.main, ()),
     "train_lateral_line": (train_lateral_line.main, ()),
     "reproduce": (reproduce.main, ("plan=true",)),
     "benchmark": (benchmark.main, ()),

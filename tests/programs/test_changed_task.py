@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from tests.experiments.test_gait import SETTINGS
 
 from fishrl.envs import AbstractTask
 from fishrl.programs import evaluate, view
@@ -16,6 +15,7 @@ from fishrl.programs.train_settings import TRAINING
 from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.description import make, to_plain
 from fishrl.training.policy_spec import PolicySpec
+from tests.programs.test_gait import SETTINGS
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 

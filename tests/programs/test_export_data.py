@@ -5,10 +5,10 @@ from pathlib import Path
 import minari
 import numpy as np
 import pytest
-from tests.experiments.test_export import TINY
 
 from fishrl.programs import export_data
 from fishrl.training.progress import Progress
+from tests.programs.test_export import TINY
 
 
 @pytest.mark.usefixtures("kinematic")

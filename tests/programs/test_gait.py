@@ -12,11 +12,12 @@ from typing import Any
 import pytest
 import torch
 
+from experiments import export_steering
 from fishrl.envs import KarmanGait, Predation
 from fishrl.envs.steering import PolicySteering
 from fishrl.envs.transforms import equip
 from fishrl.modules import LateralLineClassifier
-from fishrl.programs import evaluate, export_steering, transfer
+from fishrl.programs import evaluate, transfer
 from fishrl.programs.gait.trials import load_trial, make_trial, name_arm
 from fishrl.programs.train import finish, set_up
 from fishrl.programs.train_settings import TRAINING

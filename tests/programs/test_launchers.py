@@ -11,10 +11,10 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from tests.experiments.test_sweep_jobs import HERE, ROOT, SETTINGS, run_sweep
 
 from fishrl.programs.sweeps.runs import read_run, read_runs
 from fishrl.training.checkpoint import read_metadata
+from tests.programs.test_sweep_jobs import HERE, ROOT, SETTINGS, run_sweep
 
 pytestmark = pytest.mark.sweep
 

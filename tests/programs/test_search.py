@@ -13,8 +13,6 @@ from threading import Barrier
 from typing import Any
 
 import pytest
-from tests.experiments.test_summarize import hold_elsewhere
-from tests.experiments.test_sweep_jobs import HERE, ROOT, SETTINGS
 
 from fishrl.programs import search, train
 from fishrl.programs.search import SearchSettings
@@ -22,6 +20,8 @@ from fishrl.programs.sweeps import jobs
 from fishrl.programs.sweeps.runs import Run, is_held, read_run, read_runs
 from fishrl.programs.train_settings import TRAINING
 from fishrl.training.checkpoint import read_metadata
+from tests.programs.test_summarize import hold_elsewhere
+from tests.programs.test_sweep_jobs import HERE, ROOT, SETTINGS
 
 optuna = pytest.importorskip("optuna", reason="pip install -e '.[sweep]'")
 pytestmark = pytest.mark.sweep

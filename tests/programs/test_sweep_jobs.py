@@ -169,7 +169,9 @@ def test_a_killed_job_leaves_the_others_and_goes_on_alone(
     said = capfd.readouterr().out
     assert "1 of 2 runs finished" in said
     assert f"rerun: {run.command}" in said
-    alone = subprocess.run([sys.executable, *shlex.split(run.command)[1:]], cwd=ROOT, check=False)
+    alone = subprocess.run(
+        [sys.executable, "-m", "fishrl", *shlex.split(run.command)[1:]], cwd=ROOT, check=False
+    )
     assert alone.returncode == 0
     assert read_rows(killed) == read_rows(whole)  # as if nothing had happened
     before = (whole / "summary.json").stat().st_mtime_ns

@@ -26,7 +26,7 @@ def outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(block.code, encoding="utf-8")
     (tmp_path / "my_fish" / "my_learning.py").write_text(
-        "from fishrl.training.algorithms import DQN\nclass MyDQN(DQN): pass\n"
+        "from fishrl.training.algorithms.dqn import DQN\nclass MyDQN(DQN): pass\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path / "my_fish"))
     forget(monkeypatch)

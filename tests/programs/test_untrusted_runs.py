@@ -12,21 +12,18 @@ from typing import Any
 import pytest
 import torch
 
-from experiments import (
-    changing_streams,
+from experiments import export_steering
+from fishrl.envs import AbstractTask
+from fishrl.programs import (
     evaluate,
     export,
     export_data,
     export_policy,
-    export_steering,
-    following,
-    robustness,
     summarize,
     train,
     transfer,
     view,
 )
-from fishrl.envs import AbstractTask
 from fishrl.programs.program import Program
 from fishrl.programs.sweeps.jobs import find_or_begin
 from fishrl.programs.train_settings import TRAINING
@@ -44,9 +41,6 @@ PROGRAMS: dict[str, tuple[Program, tuple[str, ...]]] = {
     "export_policy": (export_policy.main, ("run={run}", "folder={run}/policy")),
     "export": (export.main, ("checkpoint={run}", "save={run}/flow.nc")),
     "export_data": (export_data.main, ("checkpoint={run}", "name=a/b-v0", "folder={run}/data")),
-    "following": (following.main, ("runs=[{run}]", "folder={run}/following")),
-    "robustness": (robustness.main, ("runs=[{run}]", "folder={run}/robustness")),
-    "changing_streams": (changing_streams.main, ("runs=[{run}]", "folder={run}/changing")),
 }
 KINDS = ("task", "nested", "module", "algorithm", "logger")
 CASES = [
@@ -63,7 +57,7 @@ def mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "planted.py").write_text(
         f"import pathlib\npathlib.Path({str(mark)!r}).touch()\n"
         "from fishrl.envs import KarmanGait as Task\n"
-        "from fishrl.training.algorithms import DiscreteSAC as Algorithm\n"
+        "from fishrl.training import DiscreteSAC as Algorithm\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     return mark

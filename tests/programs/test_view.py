@@ -11,7 +11,6 @@ from pathlib import Path
 
 import imageio_ffmpeg
 import pytest
-from tests.experiments.test_gait import SETTINGS
 
 from fishrl.envs.scene import Frame
 from fishrl.programs import view
@@ -22,6 +21,7 @@ from fishrl.training.run_folder import write_yaml
 from fishrl.viewer import Drawing, Server
 from fishrl.viewer.process import HOST
 from tests.programs.gait.tasks import OVERRIDES
+from tests.programs.test_gait import SETTINGS
 from tests.training.conftest import read_rows
 
 pytestmark = pytest.mark.usefixtures("kinematic")

@@ -11,7 +11,8 @@ import pytest
 import torch
 
 from fishrl.envs import PredationPair, make_env
-from fishrl.training import DQN, begin, complete, runs
+from fishrl.training import begin, complete, runs
+from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.cluster import ClusterCollector
 from tests.envs.conftest import SMALL, move_kinematically
 from tests.training.conftest import Toy, make_toy_plan

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import torch
 
-from fishrl.training import DRQN
+from fishrl.training.algorithms.drqn import DRQN
 from tests.training.conftest import Toy
 
 

@@ -8,7 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from fishrl.training import DQN, DRQN, PPO, SAC, Algorithm, DiscreteSAC
+from fishrl.training import Algorithm, DiscreteSAC
+from fishrl.training.algorithms.dqn import DQN
+from fishrl.training.algorithms.drqn import DRQN
+from fishrl.training.algorithms.ppo import PPO
+from fishrl.training.algorithms.sac import SAC
 from tests.training.conftest import Toy
 
 GOLDENS = Path(__file__).parents[1] / "goldens"

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from fishrl.training import DRQN, DiscreteSAC
+from fishrl.training import DiscreteSAC
+from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.metrics import measure_memory_mb
 from tests.training.conftest import QUICK, Toy
 

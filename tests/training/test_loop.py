@@ -18,7 +18,10 @@ from torchrl.envs.utils import check_env_specs
 
 from fishrl.envs import Predation
 from fishrl.envs.episodes import Episodes
-from fishrl.training import DRQN, PPO, SAC, Algorithm, DiscreteSAC, Interrupted, Observer, begin
+from fishrl.training import Algorithm, DiscreteSAC, Interrupted, Observer, begin
+from fishrl.training.algorithms.drqn import DRQN
+from fishrl.training.algorithms.ppo import PPO
+from fishrl.training.algorithms.sac import SAC
 from fishrl.training.loop import Training
 from fishrl.training.metrics import list_metrics
 from tests.envs.conftest import SMALL

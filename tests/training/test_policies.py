@@ -9,7 +9,9 @@ import pytest
 
 from fishrl.envs import make_env
 from fishrl.modules import LateralLineClassifier
-from fishrl.training import PPO, SAC, Algorithm, DiscreteSAC, evaluate, load_plan, load_policy
+from fishrl.training import Algorithm, DiscreteSAC, evaluate, load_plan, load_policy
+from fishrl.training.algorithms.ppo import PPO
+from fishrl.training.algorithms.sac import SAC
 from fishrl.training.loop import Training
 from fishrl.zoo import find_policy
 from tests.training.conftest import QUICK, Toy

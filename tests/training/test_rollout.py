@@ -6,8 +6,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from fishrl.training import PPO
-from fishrl.training.rollout import Rollout
+from fishrl.training.algorithms.ppo import PPO
+from fishrl.training.on_policy import Rollout
 from tests.training.conftest import Toy
 
 

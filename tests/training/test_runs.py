@@ -11,10 +11,6 @@ import torch
 
 from fishrl.envs import Predation
 from fishrl.training import (
-    DQN,
-    DRQN,
-    PPO,
-    SAC,
     DiscreteSAC,
     LearningSettings,
     RunSettings,
@@ -26,6 +22,10 @@ from fishrl.training import (
     runs,
     train,
 )
+from fishrl.training.algorithms.dqn import DQN
+from fishrl.training.algorithms.drqn import DRQN
+from fishrl.training.algorithms.ppo import PPO
+from fishrl.training.algorithms.sac import SAC
 from fishrl.training.loop import Training
 from fishrl.training.run_folder import read_config, write_yaml
 from tests.envs.conftest import SMALL

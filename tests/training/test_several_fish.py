@@ -12,9 +12,6 @@ from fishrl.envs import PredationPair, make_env
 from fishrl.envs.episodes import run_episodes
 from fishrl.modules import PursuitPolicy
 from fishrl.training import (
-    DQN,
-    DRQN,
-    PPO,
     Algorithm,
     DiscreteSAC,
     LearningSettings,
@@ -24,6 +21,9 @@ from fishrl.training import (
     evaluate,
     reopen,
 )
+from fishrl.training.algorithms.dqn import DQN
+from fishrl.training.algorithms.drqn import DRQN
+from fishrl.training.algorithms.ppo import PPO
 from tests.envs.conftest import SMALL
 from tests.training.conftest import assert_equal_weights, read_rows
 
@@ -101,7 +101,7 @@ def test_a_resumed_run_goes_on_exactly(tmp_path: Path) -> None:
 
 
 def test_a_recurrent_policy_of_several_fish_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="DRQN: does not learn discrete actions of several fish"):
+    with pytest.raises(ValueError, match="the discrete actions of several fish"):
         make_plan(tmp_path, algorithm=DRQN())
 
 

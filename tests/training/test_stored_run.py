@@ -15,7 +15,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from fishrl.training import DRQN, evaluate, load_plan, load_policy, resume
+from fishrl.training import evaluate, load_plan, load_policy, resume
+from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.export import export_policy
 from tests.training.test_goldens import GOLDENS, read
 

@@ -6,9 +6,12 @@ import copy
 
 import pytest
 import torch
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.training import DQN, SAC, Algorithm, DiscreteSAC
+from fishrl.training import Algorithm, DiscreteSAC
+from fishrl.training.algorithms.dqn import DQN
+from fishrl.training.algorithms.sac import SAC
 from fishrl.training.learner import Learner
 from fishrl.training.tracing import Traced
 from tests.training.conftest import Toy
@@ -61,25 +64,29 @@ def test_a_traced_step_gives_the_numbers_of_the_step_without_the_python_of_the_l
     assert len({float(run["loss_qvalue"]) for run in expected}) == 3
 
 
-def test_arguments_of_other_shapes_go_to_the_function() -> None:
+def make_batch(size: int) -> TensorDict:
+    return TensorDict({"x": torch.ones(size)}, [size])
+
+
+def test_a_batch_of_another_shape_goes_to_the_function() -> None:
     calls: list[int] = []
 
-    def double(x: Tensor) -> list[Tensor]:
-        calls.append(len(x))
-        return [2.0 * x]
+    def double(batch: TensorDictBase) -> list[Tensor]:
+        calls.append(len(batch))
+        return [2.0 * batch["x"]]
 
     traced = Traced(double)
     for size in (2, 3, 3, 3, 2, 3):
-        (result,) = traced(torch.ones(size))
+        (result,) = traced(make_batch(size))
         assert torch.equal(result, torch.full((size,), 2.0))
     assert calls == [2, 3, 3, 2]
 
 
 def test_a_function_that_branches_on_values_is_refused() -> None:
-    def branch(x: Tensor) -> list[Tensor]:
-        return [x if x.sum() > 0.0 else -x]
+    def branch(batch: TensorDictBase) -> list[Tensor]:
+        return [batch["x"] if batch["x"].sum() > 0.0 else -batch["x"]]
 
     traced = Traced(branch)
-    traced(torch.ones(2))
+    traced(make_batch(2))
     with pytest.raises(RuntimeError, match="tracing tensor"):
-        traced(torch.ones(2))
+        traced(make_batch(2))

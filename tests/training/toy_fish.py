@@ -40,8 +40,7 @@ class ToyPredation:
     n_obs, num_stacked, n_substeps, checks_per_action = 4, 4, 10, 1
     interval_T, turn_degrees, food_limits_bl, food_y_bl = 1.0, 15.0, (1.5, 3.5), 2.5
     food_still_T, food_direction, success = 5.0, "up", "captured"
-    num_fish, counted = 1, ()
-    flow_labels, num_label_inputs = (), 0
+    num_fish = 1
     scales = SimpleNamespace(period=10, body_length=10)
 
     time_limit: int = 30

@@ -244,7 +244,7 @@ def test_what_cannot_be_is_refused() -> None:
 def test_a_missing_framework_is_an_error_with_the_command_to_install_it(
     monkeypatch: pytest.MonkeyPatch, module: str, needs: str, extra: str
 ) -> None:
-    name = f"fishrl.envs.{module}"
+    name = f"fishrl.wrappers.{module}"
     monkeypatch.setitem(sys.modules, needs, None)
     monkeypatch.delitem(sys.modules, name, raising=False)
     with pytest.raises(ImportError, match=rf"needs .*: pip install .*{extra}"):

@@ -41,7 +41,6 @@ class PredationPair(AbstractPredation):
     n_obs: ClassVar[int] = 8
     num_draws: ClassVar[int] = 5
     num_fish: ClassVar[int] = 2
-    counted: ClassVar[tuple[str, ...]] = ("caught", "contact")
 
     start_y_bl: tuple[float, float] = (1.0, 4.0)
     contact_bl: float = bounded(0.15, greater=0, largest=10)

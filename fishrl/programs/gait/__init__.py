@@ -1,1 +1,1 @@
-"""Study of the Kármán gait: trials in every stream, diagnostics, tables and figures."""
+"""Kármán gait: trials in every stream, diagnostics, tables and figures."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from math import nan
+from typing import Any
 
 from fishrl.programs.gait.diagnostics import WORKS
 from fishrl.programs.pages import write_table
@@ -40,6 +41,7 @@ ENDS = (
     ("aside", "ended_aside", ".0%"),
     ("diverged", "diverged", ".0f"),
 )
+HELD_HEADS = ("stream, L/T", "beats per T", "drift, L/T", "lean, °", "held")
 WORK_HEADS = (
     *("stream, L/T", "work, wake", "free", "ratio", "saved", "pushing: ratio"),
     *("lateral (paper's form), wake", "free", "ratio", "paper's ratio"),
@@ -67,33 +69,24 @@ def write_results(results: Results, speeds: Sequence[float]) -> str:
     return "\n".join(tables)
 
 
-def write_survival(corner: str, results: Results, speeds: Sequence[float]) -> str:
-    """Return a Markdown table of survival, a row per name and a column per flow."""
-    rows = [
-        [
-            name,
-            f"{flows[0]['episodes']:.0f}",
-            *(show(flow["survival_T"], ".0f", flow["survival_error_T"]) for flow in flows),
-        ]
-        for name, flows in results.items()
-    ]
-    return write_table([corner, "episodes", *(f"{speed:g} L/T" for speed in speeds)], rows)
-
-
 def divide_work(still: Mapping[str, float], wake: Mapping[str, float], name: str) -> float:
     """Return the work in a free stream over that in the wake; NaN unless both are positive."""
     return still[name] / wake[name] if min(still[name], wake[name]) > 0.0 else nan
 
 
-def write_work(
-    in_wake: Sequence[Mapping[str, float]],
-    free: Sequence[Mapping[str, float]],
-    speeds: Sequence[float],
+def write_free_stream(
+    free: Mapping[str, Any], in_wake: Sequence[Mapping[str, float]], speeds: Sequence[float]
 ) -> str:
-    """Return a Markdown table: work per T in the wake and in the free stream, and their ratio."""
+    """Return Markdown tables of free streams, and of their work over that in the wake.
+
+    ``free`` is as ``hold_in_free_stream`` returns, ``in_wake`` as ``diagnose`` per flow.
+    """
+    forms = (("frequency", ".2f"), ("drift", "+.4f"), ("lean", ".1f"))
+    held, rows = [], []
     papers = PAPER_WORK_RATIO if len(speeds) == len(PAPER_WORK_RATIO) else [nan] * len(speeds)
-    rows = []
-    for speed, wake, still, paper in zip(speeds, in_wake, free, papers, strict=True):
+    for speed, wake, still, paper in zip(speeds, in_wake, free["flows"], papers, strict=True):
+        count = f"{still['held']} of {still['episodes']}"
+        held.append([f"{speed:g}", *(show(still[name], form) for name, form in forms), count])
         work, pushing, lateral = (divide_work(still, wake, name) for name in WORKS)
         cells = (
             *((wake["work"], ".3f"), (still["work"], ".2f"), (work, ".1f")),
@@ -102,4 +95,5 @@ def write_work(
             (paper, ".2f"),
         )
         rows.append([f"{speed:g}", *(show(value, form) for value, form in cells)])
-    return write_table(WORK_HEADS, rows)
+    scales = f"Free stream: T = {free['steps_per_T']} steps, Mach {free['mach']:.2f}."
+    return f"{write_table(HELD_HEADS, held)}\n{write_table(WORK_HEADS, rows)}\n{scales}\n"

@@ -108,8 +108,8 @@ def check_one_disc(task: KarmanGait) -> None:
     """Raise ValueError for flows behind several discs: results are named by the speed alone."""
     if len(set(task.stream.diameters_bl)) > 1:
         raise ValueError(
-            "flows behind several half discs: give one task.stream.diameter_bl (policies that were "
-            "trained behind several are compared by experiments.robustness)"
+            "flows behind several half discs: give one task.stream.diameter_bl (fishrl evaluate "
+            "takes policies that were trained behind several)"
         )
 
 
@@ -148,12 +148,7 @@ def load_trial(run: Path, *, periods: float = PERIODS, recognition: str | None =
 
 
 def name_arm(task: KarmanGait, recognition: str | None) -> str:
-    """Name the kind of a learned policy, and say if it was trained behind several discs."""
-    has_several = len(set(task.stream.diameters_bl)) > 1
-    return _name_kind(task, recognition) + ", several discs" * has_several
-
-
-def _name_kind(task: KarmanGait, recognition: str | None) -> str:
+    """Name the kind of a learned policy."""
     if isinstance(task.control, ContinuousFrequency):
         return "continuous frequency"
     if isinstance(task.control, DirectFrequencies):

@@ -1,1 +1,1 @@
-"""Study of the lateral line: data, fits of classifiers, questions, and the report."""
+"""Lateral-line classifiers: signals of real flows, fits to them, and their accuracy."""

@@ -21,6 +21,7 @@ from torchrl.envs import TransformedEnv
 from fishrl.bounds import bounded
 from fishrl.envs import make_env
 from fishrl.envs.episodes import run_episodes
+from fishrl.envs.extensions import HasFlowLabels
 from fishrl.envs.lateral_line import KNOWN
 from fishrl.files import load_tensors, staged
 from fishrl.physics.cache_key import hash_sources, make_key
@@ -64,7 +65,8 @@ class CollectionSettings(TaskSettings):
     def recorded_task(self) -> Any:
         """The task that records every feature of every neuromast, whatever it senses itself."""
         task = self.task
-        if len(task.flow_labels) < 2 or not task.lateral_line_layout:
+        has_labels = isinstance(task, HasFlowLabels) and len(task.flow_labels) > 1
+        if not (has_labels and task.lateral_line_layout):
             raise ValueError(
                 f"{type(task).__name__} has no two flows to tell apart by a lateral line: take "
                 "task=karman_gait with two or more stream.speeds_bl"

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib import import_module
+from inspect import isabstract
+from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
@@ -13,7 +17,8 @@ from torchrl.objectives import LossModule
 
 from fishrl.bounds import Checked
 from fishrl.envs import AbstractTask
-from fishrl.training.learner import Learner
+from fishrl.training.learner import Learner, Networks
+from fishrl.training.off_policy import OffPolicyLearner
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.settings import LearningSettings
 
@@ -47,6 +52,17 @@ class Algorithm(Checked, ABC):
         fits = cls.takes_discrete if task.action_bounds is None else cls.takes_continuous
         return fits and (cls.takes_several or task.num_fish == 1)
 
+    def check(self, task: AbstractTask) -> None:
+        """Raise ValueError, naming the algorithms that fit, unless it learns a task's actions."""
+        if not self.takes(task):
+            kind = "discrete" if task.action_bounds is None else "continuous"
+            kind = f"{kind} actions" + " of several fish" * (task.num_fish > 1)
+            fitting = [name for name, kind in find_algorithms().items() if kind.takes(task)]
+            raise ValueError(
+                f"algorithm = {type(self).__name__}: does not learn the {kind} of "
+                f"{type(task).__name__} with these settings; take one of {', '.join(fitting)}"
+            )
+
     def adapt(self, settings: LearningSettings) -> LearningSettings:
         """Return the common settings with those that follow from this algorithm's own."""
         return settings
@@ -70,30 +86,35 @@ class Algorithm(Checked, ABC):
         """Make the policy that collects, with the same weights; by default the policy itself."""
         return policy
 
-    def choose_sampling(self, policy: Any, settings: LearningSettings) -> dict[str, Any]:
-        """Return further arguments of ``Learner``, such as its ``sampler``; by default none.
+    def assemble(self, networks: Networks, settings: LearningSettings) -> Learner:
+        """Return the learner of new networks, by default one that replays past transitions.
 
-        Without a sampler transitions are drawn uniformly; ``DRQN`` draws sequences, and ``PPO``
-        learns from rollouts.
+        ``DRQN`` replays sequences, and ``PPO`` learns from rollouts.
         """
-        return {}
+        return OffPolicyLearner(networks, settings, is_traced=self.is_traced)
 
     def make_learner(
         self, spec: PolicySpec, settings: LearningSettings, *, device: str = "cpu"
     ) -> Learner:
         """Make a new policy and its learner; ``settings.seed`` fixes the initial weights.
 
-        Of several fish, the buffer holds the decisions of each.
+        With several fish, the buffer holds the decisions of each.
         """
         generator = torch.Generator().manual_seed(settings.seed)
         policy = self.make_policy(spec, hidden=settings.hidden, generator=generator).to(device)
         loss = self.make_loss(policy, spec, hidden=settings.hidden, generator=generator)
-        return Learner(
-            actor=policy,
-            explorer=self.make_explorer(policy, spec, device=device),
-            loss=loss,
-            settings=replace(settings, buffer_size=settings.buffer_size * spec.num_fish),
-            device=device,
-            is_traced=self.is_traced,
-            **self.choose_sampling(policy, settings),
-        )
+        explorer = self.make_explorer(policy, spec, device=device)
+        per_fish = replace(settings, buffer_size=settings.buffer_size * spec.num_fish)
+        return self.assemble(Networks(policy, explorer, loss), per_fish)
+
+
+def find_algorithms() -> dict[str, type[Algorithm]]:
+    """Find the algorithms of this package by the names of their modules."""
+    found = {}
+    for each in pkgutil.iter_modules([str(Path(__file__).parent)]):
+        module = import_module(f"{__package__}.{each.name}")
+        for kind in vars(module).values():
+            is_own = isinstance(kind, type) and kind.__module__ == module.__name__
+            if is_own and issubclass(kind, Algorithm) and not isabstract(kind):
+                found[each.name] = kind
+    return found

@@ -14,6 +14,8 @@ from fishrl.bounds import bounded
 from fishrl.modules import RecurrentPolicy, make_recurrent_value_actor
 from fishrl.objectives import RecurrentDQNLoss
 from fishrl.training.algorithms.dqn import DQN
+from fishrl.training.learner import Networks
+from fishrl.training.off_policy import OffPolicyLearner
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.settings import LearningSettings
 
@@ -70,8 +72,8 @@ class DRQN(DQN):
         """Make the policy that collects; the environment carries its LSTM state."""
         return super().make_explorer(policy.network, spec, device=device)
 
-    def choose_sampling(self, policy: Any, settings: LearningSettings) -> dict[str, Any]:
-        """Sample sequences."""
+    def assemble(self, networks: Networks, settings: LearningSettings) -> OffPolicyLearner:
+        """Return a learner that replays sequences."""
         # Episodes lie in pieces between those of other flows, diverged decisions are missing.
         sampler = SliceSampler(
             slice_len=self.sequence_length,
@@ -83,5 +85,11 @@ class DRQN(DQN):
             init_key=None,
             truncated_key=None,
         )
-        primer = policy.make_primer()
-        return {"keys": (TRAJECTORY, STEP), "sampler": sampler, "transforms": [primer]}
+        actor: Any = networks.actor
+        return OffPolicyLearner(
+            networks,
+            settings,
+            sampler=sampler,
+            keys=(TRAJECTORY, STEP),
+            transforms=(actor.make_primer(),),
+        )

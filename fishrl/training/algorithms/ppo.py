@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import torch
-from torchrl.data import SamplerWithoutReplacement
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 
 from fishrl.bounds import bounded
 from fishrl.modules import make_actor, make_continuous_actor, make_state_critic
 from fishrl.training.algorithms.algorithm import Algorithm
+from fishrl.training.learner import Networks
+from fishrl.training.on_policy import OnPolicyLearner
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.settings import LearningSettings
 
@@ -87,10 +87,8 @@ class PPO(Algorithm):
             normalize_advantage=True,
         )
 
-    def choose_sampling(self, policy: Any, settings: LearningSettings) -> dict[str, Any]:
-        """Sample every transition of a rollout once in each epoch."""
-        return {
-            "sampler": SamplerWithoutReplacement(),
-            "rollout_length": self.rollout_length,
-            "gae_lambda": self.gae_lambda,
-        }
+    def assemble(self, networks: Networks, settings: LearningSettings) -> OnPolicyLearner:
+        """Return a learner of rollouts."""
+        return OnPolicyLearner(
+            networks, settings, rollout_length=self.rollout_length, gae_lambda=self.gae_lambda
+        )

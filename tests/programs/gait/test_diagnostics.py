@@ -16,7 +16,7 @@ from fishrl.programs.gait.diagnostics import (
     measure_lean,
     trace_work,
 )
-from fishrl.programs.gait.tables import write_results, write_work
+from fishrl.programs.gait.tables import write_free_stream, write_results
 from fishrl.programs.gait.trials import Histories, pick, stack
 from fishrl.programs.statistics import half_width
 
@@ -152,6 +152,8 @@ def test_tables_have_a_row_per_policy_and_flow_and_ratios_of_work() -> None:
     assert len(table.splitlines()) == 3 * 6 + 2
     assert "| pid | 1.5 | 2 | 31.5 ±" in table
     assert "| passive | 1 | 50% | 0% | 50% | 0% | 0 |" in table
-    free = [{"work": 8.0, "positive_work": 9.0, "lateral_work": 5.0}]
+    held = {"held": 1, "episodes": 2, "frequency": 4.0, "drift": 0.001, "lean": 5.0}
+    flows = [held | {"work": 8.0, "positive_work": 9.0, "lateral_work": 5.0}]
+    free = write_free_stream({"flows": flows, "steps_per_T": 900, "mach": 0.17}, [result], (1,))
     row = "| 1 | 2.000 | 8.00 | 4.0 | 75.0% | 3.0 | 1.000 | 5.00 | 5.0 | – |"
-    assert row in write_work([result], free, (1,))
+    assert row in free and "| 1 | 4.00 | +0.0010 | 5.0 | 1 of 2 |" in free

@@ -1,4 +1,4 @@
-"""Small tasks and synthetic episodes for tests of the lateral-line study."""
+"""Small tasks and synthetic episodes for tests of lateral-line classifiers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fishrl.envs.macro_actions import FrequencyBank, MacroActions
 from fishrl.envs.stations import SafeArea
 from fishrl.envs.streams import Stream
 from fishrl.envs.tasks import KarmanGait
-from fishrl.programs.lateral_line.study import LateralLineSettings, Study
+from fishrl.programs.lateral_line.fitting import LateralLineSettings
 
 INTERVAL = 4
 
@@ -55,6 +55,6 @@ def make_episodes(num: int = 40, length: int = 5) -> TensorDict:
     return constant.update({"lateral_line": signal, "is_decision": is_decision})
 
 
-def make_study(**settings: Any) -> Study:
+def make_settings(**settings: Any) -> LateralLineSettings:
     given = {"num_epochs": 15, "learning_rate": 0.01, "hidden": (8,), **settings}
-    return Study(LateralLineSettings(task=make_task(), **given), make_episodes())
+    return LateralLineSettings(task=make_task(), **given)

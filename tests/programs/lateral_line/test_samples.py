@@ -10,8 +10,8 @@ from tensordict import TensorDict
 from fishrl.envs.lateral_line import KNOWN, LateralLine
 from fishrl.physics import Fish, FlowConfig, InPlaceSolver
 from fishrl.physics.flow import make_uniform
-from fishrl.programs.lateral_line.study import Question, cut_windows, mirror
-from tests.programs.lateral_line.signals import make_study
+from fishrl.programs.lateral_line.fitting import Design, cut_samples, cut_windows, mirror
+from tests.programs.lateral_line import signals
 
 #: Two episodes of at most three decisions with four samples each, numbered; one neuromast.
 SIGNAL = torch.arange(24.0).view(2, 3, 4, 1, 1)
@@ -84,9 +84,11 @@ def test_a_window_ends_at_every_sample_but_the_repeated_ones_of_the_reset() -> N
 
 
 def test_a_classifier_reads_some_features_or_their_mean() -> None:
-    study = make_study()
-    signal = study.episodes["lateral_line"][0, 0, -1:]  # of the first whole interval
-    each = study.cut(Question(features=("slip", "u_x")))["lateral_line"]
-    mean = study.cut(Question(features=("slip", "u_x"), is_averaged=True))["lateral_line"]
-    assert torch.equal(each[0, ..., 1], signal[..., KNOWN.index("u_x")])
-    assert torch.allclose(mean, each.mean(-2, keepdim=True))
+    episodes = signals.make_episodes()
+    signal = episodes["lateral_line"][0, 0, -1:]  # of the first whole interval
+    each, mean = (
+        cut_samples(episodes, Design(features=("slip", "u_x"), is_averaged=is_averaged))
+        for is_averaged in (False, True)
+    )
+    assert torch.equal(each["lateral_line"][0, ..., 1], signal[..., KNOWN.index("u_x")])
+    torch.testing.assert_close(mean["lateral_line"], each["lateral_line"].mean(-2, keepdim=True))

@@ -6,7 +6,11 @@ import dataclasses
 
 import pytest
 
-from fishrl.training import DQN, DRQN, PPO, SAC, Algorithm, DiscreteSAC
+from fishrl.training import Algorithm, DiscreteSAC
+from fishrl.training.algorithms.dqn import DQN
+from fishrl.training.algorithms.drqn import DRQN
+from fishrl.training.algorithms.ppo import PPO
+from fishrl.training.algorithms.sac import SAC
 from fishrl.training.description import describe, make
 from tests.training.conftest import Toy
 
@@ -38,14 +42,14 @@ def test_an_exploration_that_rises_is_refused() -> None:
         (
             SAC(),
             False,
-            "SAC: does not learn discrete actions.* take one of dqn, drqn, ppo, discrete_sac",
+            "SAC: does not learn the discrete actions.* one of discrete_sac, dqn, drqn, ppo$",
         ),
         (
             DiscreteSAC(),
             True,
-            "DiscreteSAC: does not learn continuous actions.* take one of ppo, sac",
+            "DiscreteSAC: does not learn the continuous actions.* take one of ppo, sac$",
         ),
-        (DRQN(), True, "DRQN: does not learn continuous actions"),
+        (DRQN(), True, "DRQN: does not learn the continuous actions"),
     ],
 )
 def test_actions_that_an_algorithm_does_not_learn_are_refused_at_once(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from fishrl.training import DRQN
+from fishrl.training.algorithms.drqn import DRQN
 from tests.training.conftest import Toy
 
 ALGORITHM = DRQN(sequence_length=4, epsilon_frames=60)

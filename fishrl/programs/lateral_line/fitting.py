@@ -1,0 +1,215 @@
+"""Classifiers, fitted to the signals of some episodes and scored on those of others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from fishrl.bounds import bounded
+from fishrl.envs.lateral_line import KNOWN, PAPER
+from fishrl.modules import LateralLineClassifier
+from fishrl.modules.lateral_line import BOOKKEEPING
+from fishrl.objectives import (
+    Curves,
+    FitSettings,
+    Score,
+    fit_classifier,
+    score_classifier,
+    split_episodes,
+)
+from fishrl.programs.lateral_line.collection import CollectionSettings
+
+#: Control intervals that the classifier reads by default.
+NUM_INTERVALS = 8
+#: Shares of the episodes: to fit on, to stop by, to score on.
+SHARES = (0.6, 0.2, 0.2)
+#: Features that change their sign in a mirror along the stream.
+_ODD = ("u_y", "left", "shear")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LateralLineSettings(CollectionSettings, FitSettings):
+    """Settings of a classifier, besides those of its data and fit.
+
+    Args:
+        folder: folder of all run folders.
+        name: name of the run folder; by default made from task and seed.
+        window: samples that the classifier reads, the newest; by default those of eight intervals.
+        hidden: widths of its hidden layers.
+        is_recurrent: read the window sample by sample with a GRU.
+        noise: noise added to the training signals, as a share of each feature's standard deviation.
+        paper_epochs: epochs of a classifier as in the paper, fitted for comparison; 0 for none.
+    """
+
+    folder: str = "runs"
+    name: str | None = None
+    window: int | None = bounded(None, least=1)
+    hidden: tuple[int, ...] = bounded((128, 128), least=1)
+    batch_size: int = bounded(256, least=1)
+    patience: int | None = bounded(15, least=1)
+    is_recurrent: bool = False
+    weight_decay: float = bounded(1e-3, least=0)
+    noise: float = bounded(0.5, least=0)
+    paper_epochs: int = bounded(0, least=0)
+
+
+def mirror(signal: Tensor, *, features: Sequence[str], middle_bl: float) -> Tensor:
+    """Return the signal ``[N, W, P, F]`` of the mirror image of a fish in that of its flow.
+
+    Flow, disc and fish are symmetric about y = ``middle_bl``, so the image is as valid a sample as
+    the original; a learned heading controller, which need not be symmetric, is mirrored with them.
+    Neuromasts are as ``LateralLine`` orders them, or their mean.
+    """
+    num = signal.shape[2]
+    order = list(range(num))
+    for right in range(num % 2, num, 2):
+        order[right], order[right + 1] = right + 1, right
+    image = signal[:, :, order].clone()
+    for number, name in enumerate(features):
+        if name in _ODD:
+            image[..., number].neg_()
+        elif name == "y":
+            image[..., number] = 2.0 * middle_bl - image[..., number]
+    return image
+
+
+def cut_windows(episodes: TensorDictBase, *, num_samples: int) -> TensorDict:
+    """Cut the signal of each episode into windows, one that ends at each of its samples.
+
+    Before the start the first sample is repeated, as the environment does. ``episodes`` are
+    ``[E, D]`` as ``collect`` returns.
+
+    Returns:
+        TensorDict ``[N]`` with ``lateral_line`` ``[N, num_samples, P, F]``; ``decision``, the
+        number (from 0) of the decision that the last sample precedes; ``is_whole``, whether the
+        window ends right at the decision; and the other entries of ``episodes``.
+    """
+    signal = episodes["lateral_line"]
+    rows, num_decisions, interval = signal.shape[:3]
+    series = signal.flatten(1, 2)  # [E, D * W, P, F]
+    first = series[:, :1].expand(-1, num_samples - 1, -1, -1)
+    windows = torch.cat((first, series), 1).unfold(1, num_samples, 1).movedim(-1, 2)
+    is_whole = (torch.arange(num_decisions * interval) + 1) % interval == 0
+    decision = torch.arange(num_decisions).repeat_interleave(interval)
+    samples = episodes.exclude("lateral_line").apply(
+        lambda entry: entry.repeat_interleave(interval, 1), batch_size=[rows, len(decision)]
+    )
+    is_used = samples["is_decision"]
+    # at reset all samples of the interval are the first one
+    is_used = is_used & (is_whole | (decision > 0))
+    samples["decision"], samples["is_whole"] = (v.expand(rows, -1) for v in (decision, is_whole))
+    samples["lateral_line"] = windows
+    return samples[is_used]
+
+
+class Fit(NamedTuple):
+    """A classifier, its learning curves and its scores."""
+
+    classifier: LateralLineClassifier
+    curves: Curves
+    fitted: Score  #: on the samples that it was fitted on, which end at any time
+    held_out: Score  #: on episodes that had no part in the fit, at the decisions
+    test: TensorDict  #: the samples of those
+
+
+@dataclass(frozen=True, kw_only=True)
+class Design:
+    """What a classifier reads, and how it is fitted."""
+
+    features: tuple[str, ...]  #: names from ``KNOWN``
+    num_samples: int = 1  #: length of the window
+    is_averaged: bool = False  #: read the mean over the neuromasts
+    sensed: tuple[str, ...] | None = None  #: features of its lateral line, if more than it reads
+    noise: float = 0.0  #: added while fitting, in shares of each feature's standard deviation
+    fitting: FitSettings | None = None  #: by default that of the settings
+    max_samples: int | None = None  #: to fit on at most
+    is_mirrored: bool = True  #: fit on the mirror image of each sample too
+    is_recurrent: bool = False  #: read the window sample by sample
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Features of the signal."""
+        return self.sensed or self.features
+
+    @classmethod
+    def own(cls, settings: LateralLineSettings) -> Design:
+        """Return the design of a classifier for the task's lateral line."""
+        line = settings.task.lateral_line
+        return cls(
+            features=tuple(name for name in line.features if name not in BOOKKEEPING),
+            num_samples=settings.window or NUM_INTERVALS * line.num_samples,
+            is_averaged=line.is_averaged,
+            sensed=line.features,
+            noise=settings.noise,
+            is_recurrent=settings.is_recurrent,
+        )
+
+    @classmethod
+    def of_the_paper(cls, settings: LateralLineSettings) -> Design:
+        """Return the design of the paper's classifier."""
+        return cls(
+            features=PAPER,
+            is_averaged=True,
+            fitting=replace(FitSettings.of_the_paper(), num_epochs=settings.paper_epochs),
+            max_samples=settings.num_samples,
+            is_mirrored=False,
+        )
+
+
+def cut_samples(episodes: TensorDict, design: Design) -> TensorDict:
+    """Return the samples ``[N]`` that a classifier reads, from episodes as ``collect`` returns."""
+    columns = [KNOWN.index(name) for name in design.columns]
+    signal = episodes["lateral_line"][..., columns]
+    if design.is_averaged:
+        signal = signal.mean(-2, keepdim=True)
+    episodes = episodes.copy().set("lateral_line", signal)
+    return cut_windows(episodes, num_samples=design.num_samples)
+
+
+def fit(settings: LateralLineSettings, episodes: TensorDict, design: Design) -> Fit:
+    """Fit a classifier to some of the episodes and score it on others."""
+    samples = cut_samples(episodes, design)
+    divider, generator = (torch.Generator().manual_seed(1000 * settings.seed) for _ in range(2))
+    labels = samples["episode"], samples["flow_index"]
+    masks = split_episodes(*labels, shares=SHARES, generator=divider)
+    training, validation, test = (samples[mask] for mask in masks)
+    test = test[test["is_whole"]]
+    if design.max_samples is not None and len(training) > design.max_samples:
+        drawn = torch.randperm(len(training), generator=generator)
+        training = training[drawn[: design.max_samples]]
+    flows: Sequence[dict[str, Any]] = settings.task.flow_labels
+    if design.is_mirrored:
+        flow, signal = flows[0], training["lateral_line"]
+        num_nodes = round(flow["domain_bl"][1] * flow["body_length"])
+        middle_bl = 0.5 * (num_nodes - 1) / flow["body_length"]
+        image = mirror(signal, features=design.columns, middle_bl=middle_bl)
+        training = torch.cat((training, training.copy().set("lateral_line", image)))
+    sensors = settings.recorded_task.lateral_line_layout | {"features": list(design.columns)}
+    if design.is_averaged:
+        sensors["num_neuromasts"] = 1
+    classifier = LateralLineClassifier(
+        flows=flows,
+        sensors=sensors,
+        features=design.features,
+        num_samples=design.num_samples,
+        hidden=settings.hidden,
+        is_recurrent=design.is_recurrent,
+        generator=generator,
+    )
+    classifier.set_normalisation(training["lateral_line"])
+    deviation = training["lateral_line"].flatten(0, 1).std(0)  # [P, F]
+    curves = fit_classifier(
+        classifier,
+        training=training,
+        validation=validation,
+        settings=design.fitting or settings,
+        generator=generator,
+        noise=design.noise * deviation,
+    )
+    fitted, held_out = (score_classifier(classifier, part) for part in (training, test))
+    return Fit(classifier, curves, fitted, held_out, test)

@@ -1,0 +1,167 @@
+"""The base of settings: frozen dataclasses that check the types and bounds of their fields."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import typing
+from dataclasses import MISSING, Field, field
+from enum import Enum
+from functools import cache
+from typing import TYPE_CHECKING, Any, NamedTuple, dataclass_transform
+
+import numpy as np
+import pydantic
+from pydantic.dataclasses import dataclass
+from pydantic.fields import FieldInfo
+from pydantic_core import ArgsKwargs, PydanticUndefined, core_schema
+
+from fishrl.settings.messages import explain
+
+#: Default of a field that must be given.
+REQUIRED: Any = inspect.Parameter.empty
+
+_CONFIG = pydantic.ConfigDict(
+    strict=True, extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False
+)
+
+
+class Role(Enum):
+    """What a setting of a training affects; stated in the annotation of its field."""
+
+    RESULT = "what is learned"  # of a field that states none
+    EVALUATION = "the final evaluation alone"
+    HARMLESS = "what is logged, saved or shown"
+
+
+class FieldErrors(ValueError):
+    """Fields that do not fit: a line for each, which begins with its name."""
+
+
+@dataclass_transform(
+    kw_only_default=True, frozen_default=True, field_specifiers=(field, pydantic.Field)
+)
+class Settings:
+    """Base of settings: each subclass is a frozen, keyword-only dataclass that checks its fields.
+
+    Numbers are finite, and whole ones have at most 64 bits. Nothing is converted but NumPy's
+    numbers, whole numbers where a float is expected, and lists, which become tuples. A subclass,
+    which needs no decorator, repeats the type of a field whose default it changes and keeps bounds
+    and role. Checks that concern several fields belong in ``__post_init__``.
+
+    Raises:
+        ValueError: with a line per error, ``name = value: must be ...``.
+    """
+
+    if TYPE_CHECKING:
+        __dataclass_fields__: typing.ClassVar[dict[str, Field[Any]]]
+        __pydantic_fields__: typing.ClassVar[dict[str, FieldInfo]]
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        annotated, inherited = inspect.get_annotations(cls), dict[str, FieldInfo]()
+        for base in reversed(cls.__mro__[1:]):
+            inherited |= vars(base).get("__pydantic_fields__", {})
+        for name, info in inherited.items():
+            if name in annotated and "ClassVar" not in str(annotated[name]):
+                setattr(cls, name, _keep_bounds(info, vars(cls).get(name, info)))
+            elif name in vars(cls) and name not in annotated:
+                raise TypeError(f"{cls.__name__}.{name} changes a field: repeat its type")
+        dataclass(config=_CONFIG, frozen=True, kw_only=True)(cls)
+        cls.__init__ = _check_init  # type: ignore[method-assign, assignment]
+
+    def __post_init__(self) -> None:
+        """Check what concerns several fields."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> core_schema.CoreSchema:
+        """Return the schema; an object in a field has been checked, so its class suffices."""
+        if vars(cls).get("__pydantic_complete__"):
+            return core_schema.is_instance_schema(cls)
+        schema: core_schema.CoreSchema = handler(source)
+        return schema
+
+
+def _keep_bounds(inherited: FieldInfo, given: Any) -> FieldInfo:
+    """Return a field with its own default, and with the bounds and role of its base class."""
+    is_field = isinstance(given, Field | FieldInfo)
+    default = given.default if is_field else given
+    factory = given.default_factory if is_field else None
+    if callable(factory):
+        info = pydantic.Field(default_factory=factory)
+    else:
+        info = pydantic.Field(
+            default=... if default is MISSING or default is PydanticUndefined else default
+        )
+    own = given.metadata if isinstance(given, FieldInfo) and given is not inherited else ()
+    info.metadata = [*inherited.metadata, *own]
+    return typing.cast(FieldInfo, info)
+
+
+def _check_init(self: Any, /, **values: Any) -> None:
+    """Check and set the fields: the constructor of all settings."""
+    lines: dict[str, str] = {}
+    for name, value in values.items():
+        try:
+            values[name] = _to_python(value)
+        except ValueError as error:
+            lines[name] = f"{name} = {value}: must be {error}"
+    try:
+        self.__pydantic_validator__.validate_python(ArgsKwargs((), values), self_instance=self)
+    except pydantic.ValidationError as error:
+        found = error.errors(include_url=False)
+        if not found[0]["loc"] and not lines:  # raised by __post_init__
+            raise found[0]["ctx"]["error"] from None
+        known = type(self).__pydantic_fields__
+        lines = {str(e["loc"][0]): "" for e in found if e["loc"]} | lines
+        for name in lines:
+            of_name = [entry for entry in found if entry["loc"] and entry["loc"][0] == name]
+            lines[name] = lines[name] or explain(name, of_name, value=values.get(name), known=known)
+    if lines:
+        raise FieldErrors("\n".join(lines.values()))
+
+
+def _to_python(value: Any) -> Any:
+    """Return a value with lists as tuples and NumPy's numbers as Python's, none of them odd."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if type(value) in (list, tuple):
+        return tuple(_to_python(entry) for entry in value)
+    if isinstance(value, int) and abs(value) >= 2**63:
+        raise ValueError("a number of at most 64 bits")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError("finite")
+    return value
+
+
+class Entry(NamedTuple):
+    """A field of a class: what its constructor takes."""
+
+    name: str
+    type: Any
+    default: Any
+    role: Role
+
+
+def list_fields(kind: type) -> list[Entry]:
+    """List what the constructor of a class takes; ``REQUIRED`` is the default of what it must."""
+    entries = []
+    for name, info in find_schema(kind).__pydantic_fields__.items():
+        role = next((mark for mark in info.metadata if isinstance(mark, Role)), Role.RESULT)
+        factory: Any = info.default_factory
+        default = factory() if factory is not None else info.default
+        default = REQUIRED if default is PydanticUndefined else default
+        entries.append(Entry(name, info.annotation, default, role))
+    return entries
+
+
+@cache
+def find_schema(kind: type) -> type[Settings]:
+    """Return a class, or settings with the arguments of a class that is none itself."""
+    if issubclass(kind, Settings):
+        return kind
+    hints = typing.get_type_hints(kind.__init__, include_extras=True)  # type: ignore[misc]
+    given = inspect.signature(kind).parameters.values()
+    body: dict[str, Any] = {p.name: p.default for p in given if p.default is not p.empty}
+    body["__annotations__"] = {p.name: hints.get(p.name, Any) for p in given}
+    return type(kind.__name__, (Settings,), body | {"__module__": kind.__module__})

@@ -1,0 +1,219 @@
+"""Objects as plain nested data, as hydra composes it and files store it, and back.
+
+The data of an object are ``{"_target_": "module.Class", argument: value, ...}``; values are
+numbers, words, lists, mappings or the data of other objects. Building makes only classes of the
+type that a field asks for, from fishrl or from modules that the user has imported or named: a file
+cannot choose other code.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import sys
+import typing
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from enum import Enum
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from fishrl.settings.base import FieldErrors, Settings, find_schema, list_fields
+from fishrl.settings.messages import suggest
+
+T = TypeVar("T")
+TARGET = "_target_"
+
+
+def describe(made: Any) -> dict[str, Any]:
+    """Return an object as ``{"_target_": "module.Class", argument: value, ...}``, plain data.
+
+    An object keeps each argument of its constructor as an attribute of the same name.
+
+    Raises:
+        ValueError: if it does not, or holds what cannot be written into a file.
+    """
+    kind = type(made)
+    module = find_main() if kind.__module__ == "__main__" else kind.__module__
+    described: dict[str, Any] = {TARGET: f"{module}.{kind.__qualname__}"}
+    for name in inspect.signature(kind).parameters:
+        if not hasattr(made, name):
+            raise ValueError(f"{described[TARGET]}: keep the argument {name!r} as an attribute")
+        described[name] = to_plain(getattr(made, name))
+    return described
+
+
+def to_plain(value: Any) -> Any:
+    """Return a value as JSON and YAML hold it: lists, mappings, and objects as described."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, Enum):
+        return value.name
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, list | tuple):
+        return [to_plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {str(name): to_plain(item) for name, item in value.items()}
+    if callable(value):
+        raise ValueError(f"{value!r}: cannot be written into a file")
+    return describe(value)
+
+
+def find_main() -> str:
+    """Return the name under which other programs can import the script that runs."""
+    main = sys.modules["__main__"]
+    if (spec := getattr(main, "__spec__", None)) is not None:
+        return str(spec.name)
+    return Path(getattr(main, "__file__", "__main__")).stem
+
+
+def build(kind: type[T] | tuple[type[T], ...], node: Any, *, modules: Collection[str] = ()) -> T:
+    """Make an object of plain nested data.
+
+    Args:
+        kind: class of the object or a base of it, or several.
+        node: its arguments. ``_target_`` names the class; without it, arguments of an object in a
+            field change the default of that field.
+        modules: modules outside fishrl that may be imported for a ``_target_``, named by the user
+            and never by a file. Those that are imported already need not be named.
+
+    Raises:
+        ValueError: with a line per error, for unknown and missing keys, wrong types and bounds,
+            and classes that are not of the type that the field asks for.
+    """
+    builder = _Builder(modules)
+    made = builder.make(node, kind if isinstance(kind, tuple) else (kind,), path="")
+    errors = [*(_refuse(key, builder.known) for key in builder.unknown), *builder.errors]
+    if errors:
+        error, cause = ValueError("\n".join(errors)), builder.cause
+        raise error.with_traceback(cause.__traceback__ if cause else None) from cause
+    return typing.cast(T, made)
+
+
+def _refuse(key: str, known: Sequence[str]) -> str:
+    """Return the error for an unknown key, with the nearest right one or what there is."""
+    place = key.rpartition(".")[0]
+    here = [name.rpartition(".")[2] for name in known if name.rpartition(".")[0] == place]
+    there = f". There is: {', '.join(here)}" if here else ""
+    return f"there is no {key!r}{suggest(key, known) or there}"
+
+
+class _Builder:
+    """Makes nested objects, and continues after an error so that all are reported."""
+
+    def __init__(self, modules: Collection[str]) -> None:
+        self.modules = modules
+        self.errors: list[str] = []
+        self.unknown: list[str] = []
+        self.known: list[str] = []  # dotted keys of all classes that occur
+        self.cause: Exception | None = None
+
+    def make(self, node: Any, kinds: tuple[type, ...], *, path: str, default: Any = None) -> Any:
+        """Return the object of a node, or None after an error."""
+        prefix = f"{path}." if path else ""
+        try:
+            kind = self._find_kind(node, kinds, default)
+        except ValueError as error:
+            self.errors.append(f"{path}: {error}" if path else str(error))
+            return None
+        entries = {entry.name: entry for entry in list_fields(kind)}
+        self._learn_keys(kind, prefix)
+        values: dict[str, Any] = {}
+        if TARGET not in node and isinstance(default, Settings):
+            values = {name: getattr(default, name) for name in entries}
+        failed = []
+        for name, value in node.items():
+            if name in entries:
+                count = len(self.errors)
+                below = values.get(name, entries[name].default)
+                values[name] = self._make_part(value, entries[name].type, prefix + name, below)
+                failed += [name][: len(self.errors) - count]
+            elif name != TARGET:
+                self.unknown.append(prefix + name)
+        values = {name: value for name, value in values.items() if name not in failed}
+        try:
+            return _call(kind, values)
+        except FieldErrors as error:
+            lines = [line for line in str(error).splitlines() if line.split(":")[0] not in failed]
+            self.errors += [prefix + line for line in lines]
+        except (TypeError, ValueError) as error:  # of __post_init__; it may follow from the others
+            if not failed:
+                is_of_field = str(error).split(" ")[0].rstrip(":") in entries
+                start = prefix if is_of_field or not path else f"{path}: "
+                self.errors.append(f"{start}{error}")
+                self.cause = error
+        return None
+
+    def _find_kind(self, node: Any, kinds: tuple[type, ...], default: Any) -> type:
+        """Return the class that a node names, else that of the default, else of the annotation."""
+        if isinstance(node, Mapping):
+            if TARGET in node:
+                return find_class(str(node[TARGET]), kinds, modules=self.modules)
+            if isinstance(default, Settings):
+                return type(default)
+            if len(kinds) == 1 and not inspect.isabstract(kinds[0]):
+                return kinds[0]
+        raise ValueError(f"give a {TARGET} and its arguments; got {node!r}")
+
+    def _make_part(self, value: Any, hint: Any, path: str, default: Any) -> Any:
+        """Return a value with objects in place of their nodes, of the types in an annotation."""
+        kinds = tuple(dict.fromkeys(list_classes(hint)))
+        if isinstance(value, Mapping):
+            is_mapping = any(issubclass(kind, Mapping) for kind in kinds)
+            if TARGET in value or isinstance(default, Settings) or (kinds and not is_mapping):
+                return self.make(value, kinds, path=path, default=default)
+        elif isinstance(value, list | tuple):
+            return [self._make_part(item, hint, path, None) for item in value]
+        elif isinstance(value, str):
+            for kind in kinds:
+                if issubclass(kind, Enum):
+                    value = kind.__members__.get(value, value)
+        return value
+
+    def _learn_keys(self, kind: type, prefix: str) -> None:
+        """Remember the keys of a class and of the objects in its fields by default."""
+        for entry in list_fields(kind):
+            self.known.append(f"{prefix}{entry.name}")
+            if isinstance(entry.default, Settings):
+                self._learn_keys(type(entry.default), f"{prefix}{entry.name}.")
+
+
+def _call(kind: type, values: Mapping[str, Any]) -> Any:
+    """Call a constructor with arguments that are checked first."""
+    schema = find_schema(kind)
+    checked = schema(**values)
+    return checked if schema is kind else kind(**{n: getattr(checked, n) for n in values})
+
+
+def list_classes(hint: Any) -> Iterator[type]:
+    """List the classes in an annotation such as ``Steering | None`` that an object may be of."""
+    plain = (Any, object, str, int, float, bool, bytes, type(None))
+    if isinstance(hint, type) and typing.get_origin(hint) is None and hint not in plain:
+        yield hint
+    for part in typing.get_args(hint):
+        yield from list_classes(part)
+
+
+def find_class(name: str, kinds: tuple[type, ...], *, modules: Collection[str] = ()) -> type:
+    """Return the class of a dotted name if it is one of some kinds; see ``build``."""
+    module, _, last = name.rpartition(".")
+    loaded = sys.modules.get("__main__" if module == find_main() else module)
+    if loaded is None and any(f"{module}.".startswith(f"{own}.") for own in ("fishrl", *modules)):
+        try:
+            loaded = importlib.import_module(module)
+        except (ImportError, ValueError) as error:
+            raise ValueError(f"{TARGET}: {name}: {error} (is its folder on PYTHONPATH?)") from error
+    if loaded is None:
+        raise ValueError(
+            f"{TARGET}: {name}: module {module!r} is not imported; if you trust it, give "
+            f"modules=[{module}]"
+        )
+    found = getattr(loaded, last, None)
+    if not isinstance(found, type) or not issubclass(found, kinds):
+        wanted = " or ".join(kind.__name__ for kind in kinds) or "plain value"
+        raise ValueError(f"{TARGET}: {name}: is no {wanted}")
+    return found

@@ -1,0 +1,44 @@
+"""Fits of lateral-line classifiers: what they learn, and what is written."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from fishrl.envs.lateral_line import LOCAL
+from fishrl.modules import LateralLineClassifier
+from fishrl.programs.lateral_line.fitting import Design, fit
+from fishrl.programs.train_lateral_line import train_lateral_line
+from fishrl.training.progress import Progress
+from tests.programs.lateral_line.signals import INTERVAL, make_episodes, make_settings, make_task
+
+QUIET = Progress(is_shown=False)
+
+
+def test_classifier_learns_the_difference_between_flows_from_informative_features() -> None:
+    local, place = Design(features=LOCAL, num_samples=INTERVAL), Design(features=("t", "x"))
+    fits = [fit(make_settings(), make_episodes(), design) for design in (local, place)]
+    assert fits[0].held_out.accuracy > 0.95
+    assert fits[1].held_out.accuracy < 0.75
+
+
+def test_program_writes_page_numbers_figures_and_a_classifier_that_the_task_takes(
+    tmp_path: Path,
+) -> None:
+    settings, task = make_settings(num_epochs=10, paper_epochs=3), make_task()
+    findings = train_lateral_line(settings, make_episodes(), tmp_path, QUIET)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        *("lateral_line.md", "lateral_line.json", "machine.pt", "curves.png", "confusion.png")
+    }
+    assert json.loads((tmp_path / "lateral_line.json").read_text())["chance"] == 0.5
+    page = (tmp_path / "lateral_line.md").read_text(encoding="utf-8")
+    for name in ("classifier", "paper"):
+        assert f"{findings[name]['held_out_accuracy']:.1%}" in page
+    classifier = LateralLineClassifier.load(tmp_path / "machine.pt")
+    classifier.check(flows=task.flow_labels, sensors=task.lateral_line_layout)
+    assert classifier.features == list(LOCAL)
+
+
+def test_classifier_of_the_paper_is_fitted_on_request_alone(tmp_path: Path) -> None:
+    findings = train_lateral_line(make_settings(num_epochs=1), make_episodes(), tmp_path, QUIET)
+    assert "paper" not in findings

@@ -1,0 +1,87 @@
+"""``fishrl`` itself: the list of programs, and tab completion as the shell asks for it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fishrl.__main__ import list_programs
+
+ROOT = Path(__file__).parents[2]
+
+
+def run(*words: str, line: str | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "fishrl", *words],
+        cwd=ROOT,
+        env=os.environ | ({} if line is None else {"COMP_LINE": line}),
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+
+
+def test_fishrl_alone_lists_each_program_with_the_first_line_of_its_docstring() -> None:
+    said = run().stdout
+    assert {"train", "evaluate", "view", "export-data", "demo"} <= set(list_programs())
+    assert {"configuration", "swim"}.isdisjoint(list_programs())  # no programs
+    for name, line in list_programs().items():
+        assert name in said
+        assert line.replace("``", "`") in said
+
+
+def test_an_unknown_program_is_answered_with_the_nearest_name() -> None:
+    done = run("trian", "seed=0")
+    assert (done.returncode, done.stderr) == (
+        1,
+        "error: there is no program 'trian'; did you mean 'train'?\n",
+    )
+
+
+@pytest.mark.parametrize(
+    ("line", "completed"),
+    [
+        ("fishrl eval", ["evaluate"]),
+        ("fishrl train task=karman_g", ["karman_gait", "_continuous", "_direct"]),
+        ("fishrl train tot", ["total_frames="]),
+        ("fishrl train --multirun seed=0,1 alg", ["algorithm=", "algorithm."]),
+        ("fishrl train task=karman_gait task.stream.has", ["task.stream.has_disc="]),
+        ("fishrl train totl=3 se", []),
+    ],
+)
+def test_the_shell_completes_programs_choices_and_nested_settings(
+    line: str, completed: list[str]
+) -> None:
+    done = run("-sc", "query=bash", line=line)
+    words = done.stdout.split()
+    assert bool(words) == bool(completed), done.stderr
+    assert all(part in done.stdout for part in completed)
+    assert all(word.startswith(line.split()[-1]) for word in words)
+
+
+def test_bash_completes_with_the_function_that_fishrl_installs(tmp_path: Path) -> None:
+    (tmp_path / "fishrl").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m fishrl "$@"\n')
+    (tmp_path / "fishrl").chmod(0o700)
+    (tmp_path / "conf" / "task").mkdir(parents=True)
+    (tmp_path / "conf" / "task" / "predator.yaml").touch()
+    line = f"fishrl train --config-dir {tmp_path / 'conf'} task=preda"
+    script = f"""
+    COMP_WORDBREAKS="="; eval "$(fishrl -sc install=bash)"
+    COMP_LINE="{line}" COMP_CWORD=4
+    hydra_bash_completion; echo "${{COMPREPLY[@]}}"
+    """
+    done = subprocess.run(
+        ["bash", "-c", script],
+        cwd=ROOT,
+        env=os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"},
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    own = "task=predator"
+    shipped = ["task=predation", "task=predation_continuous", "task=predation_pair"]
+    assert sorted(done.stdout.split()) == sorted([own, *shipped]), done.stderr

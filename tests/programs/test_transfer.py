@@ -1,0 +1,50 @@
+"""Policies tried in every stream and compared, on kinematic fish."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fishrl.envs.macro_actions import DirectFrequencies
+from fishrl.envs.streams import Stream
+from fishrl.programs import transfer as program
+from fishrl.programs.gait.trials import make_trial
+from fishrl.programs.transfer import TransferSettings, transfer
+from tests.programs.gait.tasks import BRIEF, make_task
+
+pytestmark = pytest.mark.usefixtures("kinematic")
+
+
+def test_policies_of_one_name_or_of_different_tasks_are_refused(tmp_path: Path) -> None:
+    settings = TransferSettings(task=None, episodes=1, folder=str(tmp_path))
+    pid = make_trial("pid", make_task(), periods=BRIEF)
+    with pytest.raises(ValueError, match="all of different names"):
+        transfer([pid, pid], settings)
+    other = make_trial("bang_bang", make_task(reynolds=400.0), periods=BRIEF)
+    with pytest.raises(ValueError, match="tasks differ in reynolds"):
+        transfer([pid, other], settings)
+    stream = Stream(speeds_bl=(1.0, 1.0), diameter_bl=(0.4, 0.5))
+    control = DirectFrequencies(frequencies=(0.5, 1.0))
+    task = make_task(stream=stream, control=control, start_flows=(0,))
+    several = make_trial("bang_bang", task, periods=BRIEF)
+    with pytest.raises(ValueError, match="several half discs"):
+        transfer([several], settings)
+
+
+def test_runs_bring_their_own_task(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match="the runs bring their own"):
+        program.main(["runs=[zoo/gait_small]", "task.reynolds=900", f"folder={tmp_path}"])
+
+
+def test_work_is_compared_with_a_free_stream_held_without_a_disc(tmp_path: Path) -> None:
+    settings = TransferSettings(
+        task=None, episodes=2, periods=4.0, free_episodes=1, folder=str(tmp_path)
+    )
+    results = transfer([make_trial("pid", make_task(), periods=4.0)], settings)
+    free = results["free_stream"]
+    assert [(flow["held"], flow["episodes"]) for flow in free["flows"]] == [(1, 1)] * 3
+    assert [len(flow["work"]) for flow in free["work"]] == [5, 5, 5]  # at 0 to 4 T
+    page = (tmp_path / "transfer.md").read_text(encoding="utf-8")
+    assert "| stream, L/T | work, wake | free | ratio |" in page
+    assert f"T = {free['steps_per_T']} steps" in page

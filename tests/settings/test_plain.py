@@ -1,0 +1,213 @@
+"""Objects are written as plain data and made again; a file cannot name other code."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import field
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import PositiveInt
+
+from fishrl.settings import Settings, build, describe, find_class, suggest, to_plain
+
+
+class Colour(Enum):
+    RED = (1, 0)
+
+
+class Line(Settings):
+    size: PositiveInt = 16
+    features: tuple[str, ...] = ("pressure", "velocity")
+    colour: Colour = Colour.RED
+
+
+class Gait(Settings):
+    speed: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.speed > 9:
+            raise ValueError(f"speed = {self.speed}: must be that of a fish")
+
+
+class Task(Settings):
+    gap_bl: float = 1.0
+    line: Line = Line(features=("pressure",))
+    gait: Gait | None = None
+    gaits: tuple[Gait, ...] = ()
+    more: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Plain:
+    def __init__(self, *, size: int, names: tuple[str, ...] = (), parts: Any = None) -> None:
+        self.size, self.names, self.parts = size, names, parts
+
+
+class Hiding:
+    def __init__(self, *, size: int) -> None:
+        self._size = size
+
+
+class Training(Settings):
+    task: Task
+    logger: Plain | None = None
+    seed: int = 0
+
+
+TASK = f"{__name__}.Task"
+
+
+def errors_of(node: Any, kind: type = Training) -> list[str]:
+    with pytest.raises(ValueError) as caught:  # noqa: PT011  # the message is returned
+        build(kind, node)
+    return str(caught.value).splitlines()
+
+
+@pytest.mark.parametrize(
+    "task",
+    [
+        Task(gap_bl=2),
+        Task(line=Line(size=3), gait=Gait(speed=3), gaits=(Gait(), Gait(speed=2))),
+        Task(more={"a": [1, {"b": None}]}),
+    ],
+)
+def test_an_object_is_the_same_after_a_trip_through_a_file(task: Task) -> None:
+    assert build(Task, json.loads(json.dumps(describe(task)))) == task
+
+
+def test_a_node_without_a_class_changes_the_default_of_the_field_that_holds_it() -> None:
+    made = build(Training, {"task": {"line": {"size": 4}, "gait": {"speed": 2}}})
+    assert made.task.line == Line(size=4, features=("pressure",))
+    assert made.task.gait == Gait(speed=2)
+    named = build(Task, {"line": {"_target_": f"{__name__}.Line", "size": 4}})
+    assert named.line == Line(size=4)
+
+
+def test_errors_have_a_line_each_with_dotted_keys() -> None:
+    node = {"task": {"line": {"size": 0, "featurs": 1}, "gap_bl": "x"}, "seed": 1.5}
+    assert errors_of(node) == [
+        "there is no 'task.line.featurs'; did you mean 'task.line.features'?",
+        "task.line.size = 0: must be greater than 0",
+        "task.gap_bl = 'x': must be a number",
+        "seed = 1.5: must be a whole number",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("node", "line"),
+    [
+        ({"task": {}, "gap_bl": 1}, "there is no 'gap_bl'; did you mean 'task.gap_bl'?"),
+        ({"task": {}, "siz": 1}, "there is no 'siz'; did you mean 'task.line.size'?"),
+        ({"task": {}, "xyz": 1}, "there is no 'xyz'. There is: task, logger, seed"),
+        ({}, "task: has no default, so it must be given"),
+        ({"task": None}, "task = None: must be of type Task"),
+        ({"task": {"gait": {"speed": 10}}}, "task.gait.speed = 10.0: must be that of a fish"),
+        (
+            {"task": {"line": {"colour": "BLUE"}}},
+            "task.line.colour = 'BLUE': must be of type Colour",
+        ),
+        ({"task": {}, "logger": {"size": "3"}}, "logger.size = '3': must be a whole number"),
+        ({"task": {}, "logger": {"sice": 3}}, "logger.size: has no default, so it must be given"),
+        ("Training", "give a _target_ and its arguments; got 'Training'"),
+    ],
+    ids=str,
+)
+def test_what_does_not_fit_is_named_with_the_nearest_right_word(node: Any, line: str) -> None:
+    assert line in errors_of(node)
+
+
+def test_an_abstract_type_needs_the_name_of_a_class() -> None:
+    from fishrl.envs import AbstractTask
+
+    with pytest.raises(ValueError, match="give a _target_"):
+        build(AbstractTask, {"body_length": 3})
+
+
+def test_a_plain_class_is_described_by_its_constructor() -> None:
+    again = build(Plain, describe(Plain(size=3, names=("a", "b"))))
+    assert (again.size, again.names, again.parts) == (3, ("a", "b"), None)
+    with pytest.raises(ValueError, match="keep the argument 'size'"):
+        describe(Hiding(size=3))
+    with pytest.raises(ValueError, match="cannot be written"):
+        describe(Plain(size=3, parts=print))
+    assert to_plain({"path": Path("a"), "colour": Colour.RED}) == {"path": "a", "colour": "RED"}
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        "os.system",  # imported, but no class
+        "pathlib.Path",  # a class of another kind
+        f"{__name__}.Line",
+        "fishrl.settings.plain.importlib.import_module",
+        "antigravity.Task",  # what nobody imported is not imported
+        "fishrl.nowhere.Task",
+        "Task",
+        "",
+        3,
+    ],
+)
+def test_a_file_can_name_classes_of_the_expected_type_only(target: Any, tmp_path: Path) -> None:
+    ran = tmp_path / "ran"
+    for node in (
+        {"_target_": target, "command": f"touch {ran}"},
+        {"_target_": TASK, "gait": {"_target_": target}},
+        {"_target_": TASK, "gaits": [{"_target_": target}]},
+        {"_target_": TASK, "gap_bl": {"_target_": target}},
+    ):
+        with pytest.raises(ValueError, match="_target_"):
+            build(Task, node)
+    with pytest.raises(ValueError, match="_target_"):
+        build(Plain, {"size": 1, "parts": {"_target_": target}})
+    assert "antigravity" not in sys.modules
+    assert not ran.exists()
+
+
+def test_a_module_of_ones_own_is_imported_if_the_user_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "swims_off.py").write_text(
+        f"from {__name__} import Task\nclass Drift(Task):\n    more_bl: float = 1.0\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    node = {"task": {"_target_": "swims_off.Drift", "more_bl": 2}}
+    with pytest.raises(ValueError, match=r"give modules=\[swims_off\]"):
+        build(Training, node)
+    assert "swims_off" not in sys.modules
+    assert build(Training, node, modules=["swims_off"]).task.more_bl == 2  # type: ignore[attr-defined]
+    monkeypatch.delitem(sys.modules, "swims_off")
+
+
+def test_a_class_of_the_script_that_runs_has_the_name_that_others_import_it_by(
+    tmp_path: Path,
+) -> None:
+    script = tmp_path / "own.py"
+    script.write_text(
+        "from fishrl.settings import Settings, build, describe\n"
+        "class Own(Settings):\n    size: int = 3\n"
+        "if __name__ == '__main__':\n"
+        "    written = describe(Own())\n"
+        "    print(written['_target_'], type(build(Own, written)) is Own)\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["own.Own", "True"]
+
+
+def test_the_traceback_of_an_error_leads_to_the_check_that_raised_it() -> None:
+    with pytest.raises(ValueError, match="fish") as caught:
+        build(Task, {"gait": {"speed": 10}})
+    assert any(entry.name == "__post_init__" for entry in caught.traceback)
+
+
+def test_the_most_similar_word_is_suggested() -> None:
+    assert suggest("learning_rat", ["gamma", "learning_rate"]) == "; did you mean 'learning_rate'?"
+    assert suggest("xyz", ["gamma", "learning_rate"]) == ""
+
+
+def test_a_class_that_is_found_has_the_expected_type() -> None:
+    assert find_class(TASK, (Settings,)) is Task

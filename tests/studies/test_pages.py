@@ -1,0 +1,55 @@
+"""The pages of the frozen studies agree with their data, and their scripts can be read."""
+
+import ast
+import re
+
+import pytest
+
+from studies.tables import STUDIES, TABLE, fill
+
+NAMES = sorted(path.parent.name for path in STUDIES.glob("*/README.md"))
+LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)]+))?\)")
+
+
+def list_anchors(page: str) -> set[str]:
+    heads = re.findall(r"^#+ (.*)$", page, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
+
+
+@pytest.mark.parametrize("study", NAMES)
+def test_tables_of_a_page_follow_from_its_data(study: str) -> None:
+    page = (STUDIES / study / "README.md").read_text(encoding="utf-8")
+    assert page == fill(study), "run python studies/tables.py"
+    data = {path.stem for path in (STUDIES / study / "data").glob("*.csv")}
+    assert data == {name for _, name in TABLE.findall(page)}
+
+
+@pytest.mark.parametrize("study", NAMES)
+def test_page_has_a_picture_commands_and_commits(study: str) -> None:
+    page = (STUDIES / study / "README.md").read_text(encoding="utf-8")
+    assert re.search(r"^!\[.+\]\(.+\.png\)$", page, re.MULTILINE)
+    assert re.search(r"^python -m experiments\.\w+", page, re.MULTILINE)
+    assert re.search(r"commits? [0-9a-f]{7}\b", page)
+
+
+@pytest.mark.parametrize("study", NAMES)
+def test_links_of_a_page_lead_somewhere(study: str) -> None:
+    folder = STUDIES / study
+    for target, anchor in LINK.findall((folder / "README.md").read_text(encoding="utf-8")):
+        path = folder / (target or "README.md")
+        assert path.is_file(), target
+        if anchor and path.suffix == ".md":
+            assert anchor in list_anchors(path.read_text(encoding="utf-8")), f"{target}#{anchor}"
+
+
+@pytest.mark.parametrize("study", NAMES)
+def test_scripts_compile_and_import_public_names_alone(study: str) -> None:
+    for path in (STUDIES / study).glob("*.py"):
+        nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8"), filename=path.name))
+        named = [a.name for n in nodes if isinstance(n, ast.ImportFrom) for a in n.names]
+        assert not [name for name in named if name.startswith("_")], path
+
+
+def test_appendix_of_the_documentation_lists_every_study() -> None:
+    appendix = (STUDIES.parent / "docs" / "studies.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"studies/(\w+)/README\.md", appendix)) == set(NAMES)
