@@ -10,16 +10,17 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
+
+from pydantic import PositiveInt
 
 from experiments.validation.case import MISSED, Case
 from experiments.validation.report import render_table, summarise, write_report
 from experiments.validation.runner import run_cases
-from fishrl.bounds import Checked, bounded
 from fishrl.programs.configuration import unknown
 from fishrl.programs.program import program
+from fishrl.settings import Settings
 
 # in the order of the report
 NAMES = (
@@ -33,8 +34,7 @@ CASES: tuple[Case, ...] = tuple(
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class ValidateSettings(Checked):
+class ValidateSettings(Settings):
     """Settings of a validation.
 
     Args:
@@ -46,10 +46,10 @@ class ValidateSettings(Checked):
         docs: folder for the pages and figures of a full run.
     """
 
-    cases: list[str] = field(default_factory=list)
+    cases: tuple[str, ...] = ()
     quick: bool = False
     fresh: bool = False
-    jobs: int = bounded(os.cpu_count() or 1, least=1)
+    jobs: PositiveInt = os.cpu_count() or 1
     folder: str = "runs/validation"
     docs: str = "docs"
 

@@ -10,17 +10,16 @@ equals M f_eq of the second-order equilibrium exactly.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
+from pydantic import Field
 from torch import Tensor
 
-from fishrl.bounds import Checked, bounded
 from fishrl.physics.lattice import CX, CY, W
+from fishrl.settings import Settings
 
 
-@dataclass(frozen=True, kw_only=True)
-class Rates(Checked):
+class Rates(Settings):
     """Relaxation rates of the moments that do not set the viscosity.
 
     Args:
@@ -33,8 +32,8 @@ class Rates(Checked):
     coupling less margin. The energy rate is theirs; a lower one damps sound more and slows a fish.
     """
 
-    energy: float = bounded(1.64, greater=0, less=2)
-    flux: float = bounded(1.7, greater=0, less=2)
+    energy: Annotated[float, Field(gt=0, lt=2)] = 1.64
+    flux: Annotated[float, Field(gt=0, lt=2)] = 1.7
 
 
 class Macroscopic(NamedTuple):
