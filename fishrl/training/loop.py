@@ -17,7 +17,7 @@ import torch
 from tensordict import TensorDictBase
 
 from fishrl.envs.agents import split_fish
-from fishrl.envs.episodes import Episodes, Policy, name_counted
+from fishrl.envs.episodes import Episodes, Policy, name_counted, run_episodes
 from fishrl.training.callback import Callback, join
 from fishrl.training.checkpoint import (
     CheckpointNotWritten,
@@ -27,7 +27,7 @@ from fishrl.training.checkpoint import (
 )
 from fishrl.training.collector import make_collector
 from fishrl.training.ending import finish
-from fishrl.training.evaluation import SELECTION_SEED, TRAIN_SEED, evaluate_from, fixed_starts
+from fishrl.training.evaluation import SELECTION_SEED, TRAIN_SEED, fixed_starts
 from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children
 from fishrl.training.learner import one_thread
 from fishrl.training.metrics import Counters, list_metrics, measure_memory_mb
@@ -185,14 +185,18 @@ class Training:
         self, policy: Policy, num_starts: int, *, seed: int, is_counted: bool = True
     ) -> Episodes:
         """Evaluate from fixed starts in the flows of training, and leave these as they were."""
-        starts = fixed_starts(self.task, num_starts, seed=seed)
+        starts, callbacks = fixed_starts(self.task, num_starts, seed=seed), self.callbacks
         try:
             with self.collector.lend_env() as env:
-                return evaluate_from(
-                    env, self.heed(policy), starts, callbacks=self.callbacks, is_counted=is_counted
+                return run_episodes(
+                    env,
+                    self.heed(policy),
+                    starts,
+                    on_step=lambda start_of, step: callbacks.on_step(step),
+                    on_episodes=callbacks.on_progress if is_counted else None,
                 )
         finally:
-            self.callbacks.on_new_episodes()
+            callbacks.on_new_episodes()
 
     def heed(self, policy: Policy) -> Policy:
         """Return a policy that acts on the learner's device, or raises ``Interrupted``."""

@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import torch
 
-from fishrl.envs.episodes import Episodes, Policy
+from fishrl.envs.episodes import Episodes, Policy, run_episodes
 from fishrl.modules import PursuitPolicy, RandomPolicy
-from fishrl.training.callback import NOTHING, Callback
-from fishrl.training.evaluation import evaluate_from, fixed_starts
+from fishrl.training.evaluation import fixed_starts
 from tests.training.toy_fish import ToyPredation, make_toy_env
-
-
-class Counter(Callback):
-    num_ended = 0
-
-    def on_progress(self, amount: int, shown: Mapping[str, float] = NOTHING) -> None:
-        self.num_ended += amount
 
 
 class Fixed:
@@ -29,18 +21,17 @@ class Fixed:
         task = ToyPredation(**task_arguments)  # type: ignore[arg-type]
         self.starts = fixed_starts(task, num_starts, seed=0)
         self.env = make_toy_env(task=task, num_envs=num_envs, seed=5)
-        self.counter = Counter()
 
-    def run(self, policy: Policy) -> Episodes:
-        return evaluate_from(self.env, policy, self.starts, callbacks=self.counter)
+    def run(self, policy: Policy, **kwargs: Any) -> Episodes:
+        return run_episodes(self.env, policy, self.starts, **kwargs)
 
 
 def test_an_evaluation_repeats_even_on_an_env_that_was_used() -> None:
-    evaluator = Fixed(5, 12)
-    first = evaluator.run(RandomPolicy(seed=1))
-    assert evaluator.counter.num_ended == 12
+    evaluator, ended = Fixed(5, 12), list[int]()
+    first = evaluator.run(RandomPolicy(seed=1), on_episodes=ended.append)
     again = evaluator.run(RandomPolicy(seed=1))
     other = evaluator.run(RandomPolicy(seed=2))
+    assert sum(ended) == 12
     assert torch.equal(first.returns, again.returns)
     assert not torch.equal(first.returns, other.returns)
     env = evaluator.env  # it draws its own starts again
