@@ -130,7 +130,7 @@ def load_trial(run: Path, *, periods: float = PERIODS, recognition: str | None =
     path, plan = load_plan(run)
     choice = find_classifier(recognition or plan.recognition, path)
     source = load_recognition(choice)
-    task, _ = equip(plan.task, source)
+    task = equip(plan.task, source)
     if not isinstance(task, KarmanGait):
         raise ValueError(f"{run}: a policy of {type(task).__name__}; give runs of task=karman_gait")
     files = sorted(path.rglob("*-actor/*"))
