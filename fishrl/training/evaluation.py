@@ -7,8 +7,6 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
-from torchrl.envs import TransformedEnv
 
 from fishrl.envs.episodes import Episodes, Policy, run_episodes
 from fishrl.training.baselines import make_baseline
@@ -55,12 +53,12 @@ class Evaluator:
         starts = fixed_starts(self._task, num_starts, seed=seed)
         try:
             with self._collector.lend_env():
-                return evaluate_from(
+                return run_episodes(
                     self._collector.env,
                     self.make_interruptible(policy),
                     starts,
                     on_episodes=on_episodes,
-                    on_step=self._callbacks.on_step,
+                    on_step=lambda start_of, step: self._callbacks.on_step(step),
                 )
         finally:
             self._callbacks.on_new_episodes()
@@ -93,29 +91,6 @@ class Evaluator:
             return state.update(policy(state.to(self._plan.run.policy_device)))
 
         return act
-
-
-def evaluate_from(
-    env: TransformedEnv,
-    policy: Policy,
-    starts: TensorDictBase,
-    *,
-    on_episodes: Callable[[int], None] | None = None,
-    on_step: Callable[[TensorDictBase], None] | None = None,
-) -> Episodes:
-    """Run one episode from each of the ``starts`` ``[E]``; a learned policy acts greedily.
-
-    The current episodes of the env are abandoned. After each decision ``on_episodes`` receives the
-    number of episodes that it ended, and ``on_step`` what the env returned.
-    """
-
-    def follow(start_of: Tensor, step: TensorDictBase) -> None:
-        if on_step is not None:
-            on_step(step)
-        if on_episodes is not None:
-            on_episodes(int(((start_of >= 0) & step["next", "done"].squeeze(-1)).sum()))
-
-    return run_episodes(env, policy, starts, on_step=follow)
 
 
 def fixed_starts(task: Any, num: int, *, seed: int) -> TensorDict:

@@ -10,13 +10,13 @@ from typing import Any
 from tensordict.nn import TensorDictModuleBase
 
 from fishrl.envs import AbstractTask, make_env
-from fishrl.envs.episodes import Policy
+from fishrl.envs.episodes import Policy, run_episodes
 from fishrl.envs.transforms import equip, make_labelling
 from fishrl.training.baselines import make_baseline
 from fishrl.training.callback import Callback, join
 from fishrl.training.checkpoint import load_checkpoint, read_metadata
 from fishrl.training.classifier import Recognition, find_classifier, load_recognition
-from fishrl.training.evaluation import evaluate_from, fixed_starts
+from fishrl.training.evaluation import fixed_starts
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.resolve import MakeEnv
@@ -128,12 +128,12 @@ def evaluate(
     try:
         called.on_begin(env)
         called.on_phase("evaluation", total=episodes)
-        result = evaluate_from(
+        result = run_episodes(
             env,
             act,
             fixed_starts(task, episodes, seed=seed),
             on_episodes=called.on_progress,
-            on_step=called.on_step,
+            on_step=lambda start_of, step: called.on_step(step),
         )
     finally:
         called.on_close()
