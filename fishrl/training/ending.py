@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from fishrl.envs.episodes import Policy
+from fishrl.settings import describe
 from fishrl.training.baselines import make_baseline
-from fishrl.training.description import describe
 from fishrl.training.evaluation import FINAL_SEED
 from fishrl.training.interruption import Interrupted
 from fishrl.training.run_folder import write_json
