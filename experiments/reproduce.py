@@ -36,7 +36,7 @@ from fishrl.programs.train_lateral_line import main as train_lateral_line
 from fishrl.programs.train_settings import TRAINING, make_plan
 from fishrl.settings import Settings, list_fields, to_plain
 from fishrl.training import DiscreteSAC
-from fishrl.training.baselines import make_baselines
+from fishrl.training.baselines import choose_baselines
 from fishrl.training.learner import one_thread
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
@@ -132,7 +132,7 @@ def plan_training(name: str, settings: Sequence[str], scale: Scale, folder: Path
     plan = make_plan(TRAINING.read(settings))
     run, task = plan.run, plan.task
     tests = run.total_frames // run.eval_frames * run.eval_episodes
-    baselines = make_baselines(run.baselines, task=task, seed=0)
+    baselines = choose_baselines(run.baselines, task)
     tests += run.final_episodes * (1 + len(baselines))
     decisions = run.total_frames + tests * task.time_limit
     seeds = f"seed={','.join(map(str, scale.seeds))}"

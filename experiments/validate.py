@@ -1,7 +1,7 @@
 """Validate the flow solver against the literature: ``python -m experiments.validate``.
 
-Runs the jobs of all cases in parallel, one core each, and writes ``docs/validation.md`` with a
-figure per case; with ``quick=true`` or a choice of ``cases`` the page goes into the folder instead.
+Runs the jobs of all cases in parallel, one core each, and writes ``docs/validation.md`` with a page
+and a figure per case; with ``quick=true`` or a choice of ``cases`` they go into the folder instead.
 Results are cached in the folder: the same command continues after an interruption, and repeats only
 jobs that a change to the physics or to a case affects. Exits with status 1 if a criterion fails.
 """
@@ -42,8 +42,8 @@ class ValidateSettings(Settings):
         quick: coarse runs only, about a minute.
         fresh: repeat cached jobs too.
         jobs: parallel processes.
-        folder: folder of the results, and of the page unless all cases run.
-        docs: folder for validation.md and figures/validation of a full run.
+        folder: folder of the results, and of the pages unless all cases run.
+        docs: folder for the pages and figures of a full run.
     """
 
     cases: tuple[str, ...] = ()

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from fishrl.physics import InPlaceSolver
-from fishrl.physics.fast.step import Stepper
+from fishrl.physics.fast.stepper import Stepper
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -41,8 +41,8 @@ def one_thread() -> Iterator[None]:
 @pytest.fixture(autouse=True)
 def real_flow() -> None:
     """Begin each test with the real flow, whatever an earlier one has left behind."""
-    task = sys.modules.get("fishrl.envs.task")  # tests of physics import no environments
-    assert task is None or task.InPlaceSolver is InPlaceSolver
+    env = sys.modules.get("fishrl.envs.flow_env")  # tests of physics import no environments
+    assert env is None or env.InPlaceSolver is InPlaceSolver
 
 
 @pytest.fixture

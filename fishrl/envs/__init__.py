@@ -1,6 +1,7 @@
 """The environment and its tasks."""
 
 from fishrl.envs.episodes import run_episodes
+from fishrl.envs.extensions import HasFlowLabels, HasHistory, HasScene
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.making import make_env
 from fishrl.envs.one_hot import OneHotAction
@@ -13,6 +14,9 @@ __all__ = [
     "Command",
     "FlowEnv",
     "Follower",
+    "HasFlowLabels",
+    "HasHistory",
+    "HasScene",
     "KarmanGait",
     "OneHotAction",
     "Predation",

@@ -30,10 +30,12 @@ from fishrl.envs.checks import (
     scale_action,
 )
 from fishrl.envs.draws import draw_uniform
+from fishrl.envs.extensions import HasHistory
 from fishrl.envs.rows import merge
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.specs import make_action_spec, make_observation_spec, make_reward_spec
 from fishrl.envs.task import AbstractTask
+from fishrl.physics.fast.solver import InPlaceSolver
 
 logger = logging.getLogger(__name__)
 
@@ -69,6 +71,8 @@ class FlowEnv(EnvBase):
         now: ``[B]`` TensorDict, the measurement behind the last observation.
         is_resting: ``[B]`` bool, rows that are not advanced and whose output is undefined;
             ``run_episodes`` sets it for rows without a start.
+        is_moving: ``[B]`` bool, for ``on_frame``: rows whose episode lasted up to this moment.
+        is_ending: ``[B]`` bool, for ``on_frame``: rows whose episode terminates at this moment.
         group_map: TorchRL's map from group to agent names, with several fish.
 
     Raises:
@@ -100,11 +104,12 @@ class FlowEnv(EnvBase):
         if task.num_fish > 1:
             names = [f"fish_{number}" for number in range(task.num_fish)]
             self.group_map = MarlGroupMapType.ALL_IN_ONE_GROUP.get_group_map(names)
+        self._history = task if isinstance(task, HasHistory) else HasHistory()
         self._schedule = make_schedule(
             task.n_substeps,
             checks=task.checks_per_action,
             frames=frames_per_action,
-            samples=task.num_samples,
+            samples=self._history.num_samples,
         )
         self._rows = torch.arange(num_envs, device=self.device)
         self._seed, self._next_start = seed, 0
@@ -112,14 +117,20 @@ class FlowEnv(EnvBase):
         self._start_index = torch.full_like(self._rows, -1)
         self._num_diverged = torch.zeros((), dtype=torch.int64, device=self.device)
         self.is_resting = torch.zeros_like(self._rows, dtype=torch.bool)
-        self.solver = task.make_solver(num_envs=num_envs, device=self.device, compile=compile_flow)
-        self.solver.compile(wait=False)  # while wakes are read or developed
+        self.is_moving, self.is_ending = ~self.is_resting, self.is_resting
+        self.solver = InPlaceSolver(
+            config=task.flow_config(),
+            num_envs=num_envs,
+            frequency=1.0 / task.scales.period,
+            device=self.device,
+            compile=compile_flow,
+        )
         self.start, _ = self._draw_starts(~self.is_resting)
         self._next_start = 0
         task.place_(self.solver, ~self.is_resting, self.start)
-        self.solver.compile()
         self.now = self._begin()
-        self._make_specs()
+        self._make_specs()  # a wrong task is reported before the compile
+        self.solver.compile()
 
     @property
     def num_diverged(self) -> int:
@@ -151,15 +162,15 @@ class FlowEnv(EnvBase):
     def _begin(self) -> TensorDict:
         """Measure at the beginning of an episode, with the first sample repeated."""
         now = self.measure()
-        if num := self.task.num_samples:
+        if num := self._history.num_samples:
             sensed = self._sense()
             self._sensors = list(sensed.keys())
             now.update(sensed.apply(lambda t: t.unsqueeze(1).expand(-1, num, *t.shape[1:])))
-        return now.update(self.task.begin(now))
+        return now.update(self._history.begin(now))
 
     def _sense(self) -> TensorDict:
         return TensorDict(
-            self.task.sense(self.solver, self.start), self.batch_size, device=self.device
+            self._history.sense(self.solver, self.start), self.batch_size, device=self.device
         )
 
     def _make_specs(self) -> None:
@@ -206,7 +217,7 @@ class FlowEnv(EnvBase):
             command.turn, self.task.n_substeps, command.frequency, command.amplitude
         )
         now, diverged = self._advance(before)
-        now.update(self.task.remember(before, action, now))
+        now.update(self._history.remember(before, action, now))
         self.now = merge(~diverged, now, self.now)
         self._count(diverged)
         terminated = self.task.is_terminated(self.now) & ~diverged
@@ -230,7 +241,7 @@ class FlowEnv(EnvBase):
         now, diverged = before, torch.zeros_like(self._rows, dtype=torch.bool)
         has_ended = self.is_resting
         samples: list[TensorDict] = []
-        if self.task.num_samples:  # a row that has ended keeps what it sensed last
+        if self._history.num_samples:  # a row that has ended keeps what it sensed last
             kept = before.select(*self._sensors).apply(lambda series: series[:, -1])
         num_due = num_unmeasured = 0  # steps to take, and since the last measurement
         num_safe = 0.0  # from then on
@@ -242,20 +253,21 @@ class FlowEnv(EnvBase):
                 continue
             self.solver.advance_(num_due, ~has_ended)
             num_due = 0
+            self.is_moving, self.is_ending = ~has_ended, torch.zeros_like(has_ended)
             if stretch.is_sample:
                 kept = merge(has_ended, kept, self._sense())
                 samples.append(kept)
             if is_check:
                 measured, num_unmeasured = self.measure(), 0
-                is_ending = self.task.is_terminated(measured) | stretch.is_last
-                is_new = is_ending & ~has_ended
+                self.is_ending = self.task.is_terminated(measured) & ~has_ended
+                is_new = ~has_ended if stretch.is_last else self.is_ending
                 # Checking whole fields is expensive: on a CPU only where rows have just ended; to
                 # ask a GPU whether any have would be to wait for it.
                 if is_new.is_cuda or is_new.any():
                     diverged = diverged | is_new & self.solver.is_diverged()
                     now = merge(is_new, measured, now.select(*measured.keys()))
                     has_ended = has_ended | is_new
-                    if self.task.num_samples and not samples:
+                    if self._history.num_samples and not samples:
                         kept = merge(is_new, self._sense(), kept)
                 num_safe = self._count_safe_steps(measured, has_ended)
             if on_frame:
@@ -286,14 +298,14 @@ class FlowEnv(EnvBase):
 
     def _read_inputs(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
         """Return the entries that the task reads in addition to the action."""
-        missing = [name for name in self.task.inputs if name not in tensordict]
+        missing = [name for name in self._history.inputs if name not in tensordict]
         if missing:
             raise ValueError(
                 f"{type(self.task).__name__} reads {missing}, which this step's tensordict lacks: "
                 "append the transform that writes it (make_env(transforms=[...])), or configure "
                 "the task not to read it"
             )
-        return {name: tensordict[name].reshape(self.batch_size) for name in self.task.inputs}
+        return {name: tensordict[name].reshape(self.batch_size) for name in self._history.inputs}
 
     def _write(self, **flags: Tensor) -> TensorDict:
         """Return observation, mask, reported entries and flags; ``[B]`` become columns."""
@@ -336,9 +348,7 @@ class FlowEnv(EnvBase):
         """Restore a state, bit for bit."""
         self.solver.load_state_dict(state["solver"])
         for name in ("start", "now"):
-            former = self.task.former_names
-            entries = {former.get(key, key): value for key, value in state[name].items()}
-            restored = TensorDict(entries, self.batch_size, device=self.device)
+            restored = TensorDict(state[name], self.batch_size, device=self.device)
             setattr(self, name, restored.clone())
         for name in ("start_index", "episode", "num_diverged"):
             setattr(self, f"_{name}", state[name].to(self.device).clone())

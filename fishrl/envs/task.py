@@ -3,29 +3,27 @@
 A task defines where fish start, what an action commands, what is measured, and how observation,
 reward and termination follow from the measurement. Everything is a tensor or TensorDict with a
 leading batch axis B; there are no loops over the batch, and rows are distinguished by masks
-(``torch.where``). A task keeps no state. What persists between decisions is in the flow, in the
-starts or in the last measurement, to which ``sense``, ``begin`` and ``remember`` can add entries.
-The environment handles specs, resets, sub-steps, divergence and checkpoints.
+(``torch.where``). A task keeps no state: what persists between decisions is in the flow, in the
+starts or in the last measurement. The environment handles specs, resets, sub-steps, divergence and
+checkpoints. ``fishrl.envs.extensions`` holds optional bases: sensor series and memory, flow labels,
+and items of the scene.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from functools import cached_property
 from math import ceil
-from typing import Annotated, Any, ClassVar, NamedTuple, final
+from typing import Annotated, Any, NamedTuple, final
 
 import torch
 from pydantic import Field, PositiveFloat, PositiveInt
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from fishrl.envs.extensions import HasHistory
 from fishrl.envs.protocol import Solver
-from fishrl.envs.scene import Scene
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.starts import check_fit, check_pattern, place_fish
-from fishrl.envs.views import make_flow_scene, read_flow_scene
 from fishrl.physics.bodies.fish import Fish
-from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import DEFAULT_WALL_SPEED, Scales
 from fishrl.settings import Settings
@@ -52,18 +50,7 @@ class Command(NamedTuple):
 class AbstractTask(Settings, ABC):
     """Base of all tasks: a fish in a tank of still water with one decision per control interval.
 
-    Class attributes of every task: ``n_obs``, length of one observation; ``num_actions``, the
-    number of discrete actions, or of components of a continuous one, see ``action_bounds``; and
-    ``num_draws``, random numbers per start. Optional ones: ``success``, the boolean entry of
-    ``report`` that marks success (default "survived": reaching the time limit is success);
-    ``inputs``, names of entries ``[B]`` that a transform writes and ``command`` reads;
-    ``num_samples``, calls of ``sense`` per action; ``former_names``, which maps names of
-    measurements in checkpoints of earlier versions to the current ones; ``counted``, names of flags
-    in ``report`` whose rate at the end of episodes is a metric; and ``num_fish``.
-
-    With ``num_fish`` = M > 1 the first M bodies of the flow are controlled fish. ``head`` and
-    ``heading`` of starts are then ``[E, M, 2]`` and ``[E, M]``; actions, commands, observations,
-    rewards and masks have the axis M after B. Termination and ``success`` remain those of the flow.
+    Sizes such as ``n_obs`` may be given as class attributes, ``n_obs: ClassVar[int] = 3``.
 
     Args:
         body_length: L in nodes; at Reynolds number 7000 at least 50 for a useful swimming speed.
@@ -77,16 +64,6 @@ class AbstractTask(Settings, ABC):
         checks_per_action: checks for termination within one action.
     """
 
-    n_obs: ClassVar[int]
-    num_actions: ClassVar[int]
-    num_draws: ClassVar[int]
-    success: ClassVar[str] = "survived"
-    inputs: ClassVar[tuple[str, ...]] = ()
-    num_samples: ClassVar[int] = 0
-    former_names: ClassVar[Mapping[str, str]] = {}
-    counted: ClassVar[tuple[str, ...]] = ()
-    num_fish: ClassVar[int] = 1
-
     body_length: Annotated[int, Field(ge=16, le=100_000)] = 50
     reynolds: PositiveFloat = 7000.0
     max_wall_speed: PositiveFloat = DEFAULT_WALL_SPEED
@@ -98,11 +75,9 @@ class AbstractTask(Settings, ABC):
     checks_per_action: PositiveInt = 25
 
     def __post_init__(self) -> None:
-        for name in ("n_obs", "num_actions", "num_draws"):
-            if not hasattr(type(self), name):
-                raise ValueError(f"{type(self).__name__} has no {name}: give it as a ClassVar[int]")
+        num_samples = self.num_samples if isinstance(self, HasHistory) else 0
         stretches = make_schedule(
-            self.n_substeps, checks=self.checks_per_action, samples=self.num_samples
+            self.n_substeps, checks=self.checks_per_action, samples=num_samples
         )
         self.flow_config()  # raises if the domain is too small for the fish
         # A marker must not leave the grid from the margin between two checks.
@@ -123,6 +98,45 @@ class AbstractTask(Settings, ABC):
             for name, value in vars(self).items()
             if not isinstance(getattr(cls, name, None), cached_property)
         }
+
+    @property
+    @abstractmethod
+    def n_obs(self) -> int:
+        """Length of one observation."""
+
+    @property
+    @abstractmethod
+    def num_actions(self) -> int:
+        """Number of discrete actions, or of components of a continuous one."""
+
+    @property
+    def action_bounds(self) -> tuple[tuple[float, float], ...] | None:
+        """Lower and upper bound of each component of a continuous action, in its own unit.
+
+        None, the default, means discrete actions. Policies write each component in [-1, 1], and the
+        environment maps it to these bounds.
+        """
+        return None
+
+    @property
+    @abstractmethod
+    def num_draws(self) -> int:
+        """Random numbers per start."""
+
+    @property
+    def num_fish(self) -> int:
+        """M, the number of controlled fish in each flow: its first bodies.
+
+        With M > 1, ``head`` and ``heading`` of starts are ``[E, M, 2]`` and ``[E, M]``; actions,
+        commands, observations, rewards and masks have the axis M after B. Termination and success
+        remain those of the flow.
+        """
+        return 1
+
+    @property
+    def success(self) -> str | None:
+        """Boolean entry of ``report`` that marks success; None: reaching the time limit does."""
+        return None
 
     @property
     def max_frequency(self) -> float:
@@ -184,38 +198,6 @@ class AbstractTask(Settings, ABC):
         bodies = (self.fish,) * self.num_fish
         return FlowConfig(width=width, height=height, tau=self.scales.tau, bodies=bodies)
 
-    @final
-    def make_solver(
-        self, *, num_envs: int, device: torch.device | str, compile: bool
-    ) -> InPlaceSolver:
-        """Return ``num_envs`` flows of this task."""
-        return InPlaceSolver(
-            config=self.flow_config(),
-            num_envs=num_envs,
-            frequency=1.0 / self.scales.period,
-            device=device,
-            compile=compile,
-        )
-
-    @property
-    def flow_labels(self) -> list[dict[str, Any]]:
-        """Properties that distinguish the flows of this task, in the order of ``flow_index``."""
-        return []
-
-    @property
-    def lateral_line_layout(self) -> Mapping[str, Any]:
-        """Layout of the entry ``lateral_line``, which a classifier must match; empty without it."""
-        return {}
-
-    @property
-    def num_label_inputs(self) -> int:
-        """Number of components that a flow-label transform appends to the observation."""
-        return 0
-
-    def read_flow_labels(self) -> "AbstractTask":
-        """Return a task whose ``command`` reads the ``flow_class`` that a transform writes."""
-        return self
-
     @abstractmethod
     def starts_from(self, uniform: Tensor) -> TensorDict:
         """Map random numbers ``[E, num_draws]`` in [0, 1), float64, to starts.
@@ -259,8 +241,7 @@ class AbstractTask(Settings, ABC):
         """Map legal actions ``[B]`` (int64, in [0, num_actions)) to commands to the body.
 
         Continuous actions are ``[B, num_actions]``, float64, within ``action_bounds``. ``before``
-        is the measurement ``[B]`` at the decision, with the entries of ``sense``, ``remember`` and
-        ``inputs``.
+        is the measurement ``[B]`` at the decision.
         """
 
     @abstractmethod
@@ -271,29 +252,6 @@ class AbstractTask(Settings, ABC):
         episode, or else the last one. ``solver.body.age`` counts the steps since reset; ``starts``
         ``[B]`` are those of the episodes. Return copies: the solver's tensors change in place.
         """
-
-    def sense(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
-        """Return ``[B, ...]`` sensor readings to be recorded as a series within each action.
-
-        Called ``num_samples`` = W times within an action, at equal intervals, the last time at its
-        end. The measurement at the next decision holds ``[B, W, ...]``, oldest first. The first
-        sample fills the series at reset; the last one is repeated after a row terminates.
-        """
-        return {}
-
-    def begin(self, now: TensorDictBase) -> dict[str, Tensor]:
-        """Return ``[B, ...]`` entries to add to the measurement at the start of an episode."""
-        return {}
-
-    def remember(
-        self, before: TensorDictBase, action: Tensor, now: TensorDictBase
-    ) -> dict[str, Tensor]:
-        """Return the entries of ``begin`` after an action; ``reward`` and ``observe`` read them.
-
-        ``before`` and ``action`` are those passed to ``command``; ``now`` is the new measurement,
-        with the series of ``sense``.
-        """
-        return {}
 
     @abstractmethod
     def observe(self, now: TensorDictBase) -> Tensor:
@@ -318,47 +276,15 @@ class AbstractTask(Settings, ABC):
         """
         return torch.zeros(now.shape, device=now.device)
 
-    @property
-    def action_bounds(self) -> tuple[tuple[float, float], ...] | None:
-        """Lower and upper bound of each component of a continuous action, in its own unit.
-
-        None, the default, means discrete actions. Policies write each component in [-1, 1], and the
-        environment maps it to these bounds.
-        """
-        return None
-
     def action_mask(self, now: TensorDictBase) -> Tensor:
         """Return ``[B, num_actions]`` bool: legal discrete actions, at least one per row."""
         shape = (*now.shape, *((self.num_fish,) if self.num_fish > 1 else ()), self.num_actions)
         return torch.ones(shape, dtype=torch.bool, device=now.device)
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
-        """Return ``[B, ...]`` entries for the environment to write beside the observation."""
-        return {}
+        """Return ``[B, ...]`` entries for the environment to write next to the observation.
 
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        """Names of the actions, or of the components of a continuous one, in their order."""
-        return tuple(f"action {index}" for index in range(self.num_actions))
-
-    def name_start(self, start: TensorDictBase) -> str:
-        """Return a short description of the flow of one start; empty by default."""
-        return ""
-
-    def make_scene(self) -> Scene:
-        """Return the scene to draw: fish, vorticity, edges, reward and action by default.
-
-        A task adds items by ``super().make_scene().extend(marks=(Marks(...),))``.
+        Booleans other than ``success`` are counted at the end of episodes: the metric
+        ``<name>_rate`` is the share of episodes in which one was true.
         """
-        return make_flow_scene(
-            self.flow_config(),
-            self.scales,
-            wall_margin=self.wall_margin,
-            action_names=self.action_names,
-            is_continuous=self.action_bounds is not None,
-            num_fish=self.num_fish,
-        )
-
-    def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
-        """Return the tensors ``[B, ...]`` of the scene by their keys; arguments as ``measure``."""
-        return read_flow_scene(solver, self.scales, num_fish=self.num_fish)
+        return {}

@@ -3,8 +3,10 @@
 from collections.abc import Sequence
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 
+from fishrl.envs.extensions import HasScene
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.protocol import Solver
 from fishrl.envs.scene import (
@@ -19,6 +21,7 @@ from fishrl.envs.scene import (
     Series,
     Trail,
 )
+from fishrl.envs.task import AbstractTask
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.diagnostics import compute_pressure, compute_vorticity
 from fishrl.physics.flow import FlowConfig
@@ -43,19 +46,16 @@ _VELOCITY = ("L/T", 2.0)
 _SIDES = ("right", "left")
 
 
-def make_flow_scene(
-    config: FlowConfig,
-    scales: Scales,
-    *,
-    wall_margin: float,
-    action_names: tuple[str, ...],
-    is_continuous: bool = False,
-    num_fish: int = 1,
-) -> Scene:
-    """Return the scene of a fish, the first body, ``wall_margin`` nodes off the edges.
+def make_scene(task: AbstractTask) -> Scene:
+    """Return the scene to draw of a task: the flow, its bodies and edges, reward and action.
 
-    With ``num_fish`` the first bodies are fish that decide, and plots have a line for each.
+    The first bodies are fish; with several, plots have a line for each. A task with ``HasScene``
+    adds to it.
     """
+    extension = task if isinstance(task, HasScene) else HasScene()
+    config, scales, num_fish = task.flow_config(), task.scales, task.num_fish
+    names = extension.action_names or tuple(f"action {index}" for index in range(task.num_actions))
+    wall_margin, is_continuous = task.wall_margin, task.action_bounds is not None
     plots = (
         ("tail-beat frequency [1/T]", "frequency", "frequency", True),
         ("angle of attack [°]", "angle_of_attack", "angle", False),
@@ -68,7 +68,7 @@ def make_flow_scene(
         for body in ("fish", *obstacles)
         for column, axis in enumerate("xy")
     )
-    return Scene(
+    scene = Scene(
         body_length=float(scales.body_length),
         width=config.width,
         height=config.height,
@@ -101,7 +101,7 @@ def make_flow_scene(
                 is_output=True,
                 is_log=True,
             ),
-            *_describe_actions(action_names, is_continuous=is_continuous, num_fish=num_fish),
+            *_describe_actions(names, is_continuous=is_continuous, num_fish=num_fish),
             *(
                 Panel(
                     name=name,
@@ -116,6 +116,7 @@ def make_flow_scene(
         "swimming. Power of the muscles and force: means since the previous frame. Arrows: the "
         f"force now, {force_bl:.3g} L for 1 ρ L³/T².",
     )
+    return extension.add_to_scene(scene)
 
 
 def name_fish(key: str, number: int) -> str:
@@ -195,8 +196,10 @@ def compute_fields(solver: Solver, scales: Scales) -> dict[str, Tensor]:
     return {key: field.half() for key, field in fields.items()}
 
 
-def read_flow_scene(solver: Solver, scales: Scales, *, num_fish: int = 1) -> dict[str, Tensor]:
-    """Return ``[B, ...]`` tensors by the keys of ``make_flow_scene``; of M fish ``[B, M]``."""
+def read_scene(task: AbstractTask, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
+    """Return ``[B, ...]`` tensors by the keys of ``make_scene``; numbers of M fish ``[B, M]``."""
+    extension = task if isinstance(task, HasScene) else HasScene()
+    scales, num_fish = task.scales, task.num_fish
     names = ("fish", *_name_obstacles(solver.config))[: len(solver.bodies)]
     values = compute_fields(solver, scales)
     for index, name in enumerate(names):
@@ -206,7 +209,8 @@ def read_flow_scene(solver: Solver, scales: Scales, *, num_fish: int = 1) -> dic
         for key in ("midline", "head"):
             values[name_fish(key, index)] = own.pop(key)
     numbers = {key: torch.stack([own[key] for own in every], -1) for key in every[0]}
-    return values | (numbers if num_fish > 1 else every[0])
+    values |= numbers if num_fish > 1 else every[0]
+    return values | extension.read_scene(solver, starts)
 
 
 def _read_fish(solver: Solver, index: int, scales: Scales) -> dict[str, Tensor]:

@@ -131,9 +131,10 @@ def _from_moments(
 def compute_force_increment(
     fluid: Macroscopic,
     force: tuple[Tensor, Tensor],
-    share: tuple[Tensor, Tensor],
     omega: Tensor | float,
     rates: Rates,
+    *,
+    share: tuple[Tensor, Tensor] | None = None,
 ) -> list[Tensor]:
     """Return what a body force adds to the post-collision populations.
 
@@ -149,13 +150,13 @@ def compute_force_increment(
     Args:
         fluid: density and unforced velocity at the nodes.
         force: total body-force density at the node (x, y).
-        share: the part of it whose increment is returned (x, y); ``force`` itself for all of it.
         omega: 1 / tau.
         rates: the other rates.
+        share: part of the force whose increment is returned (x, y); None is all of it.
     """
     _, ux, uy = fluid
     fx, fy = force
-    sx, sy = share
+    sx, sy = force if share is None else share
     half = 0.5 / fluid.rho
     # the force works on u* + (1 - s/4) F / (2 rho), with the rate s of the moment at hand
     gx, gy = fx * half, fy * half

@@ -261,6 +261,27 @@ def compute_stream_speed(params: FlowParams, clock: Tensor) -> Tensor:
     return params.former_speed + change * 0.5 * (1.0 - torch.cos(pi * part))
 
 
+def change_stream_speed(
+    params: FlowParams, clock: Tensor, speed: Tensor, num_steps: int | None
+) -> FlowParams:
+    """Return parameters with which the stream changes to ``speed`` ``[B]`` from ``clock`` on.
+
+    It does so smoothly over ``num_steps``. With None it changes at once, while a rise from rest
+    continues, to the new speed.
+    """
+    new = params._replace(stream_speed=speed)
+    if num_steps is None:
+        is_rising = params.former_speed == 0.0
+        return new._replace(ramp_steps=torch.where(is_rising, params.ramp_steps, 0.0))
+    if num_steps < 0:
+        raise ValueError(f"num_steps = {num_steps}: must be 0 or more")
+    return new._replace(
+        ramp_steps=torch.full_like(clock, num_steps),
+        former_speed=compute_stream_speed(params, clock),
+        ramp_start=clock.clone(),
+    )
+
+
 def list_configs(
     config: FlowConfig | Sequence[FlowConfig],
     num_envs: int | None,

@@ -8,14 +8,16 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from torchrl.envs import EnvBase
+
+from fishrl.envs.episodes import Policy
 from fishrl.programs.configuration import quote
 from fishrl.programs.figures.run_pictures import record_run
-from fishrl.programs.live import LiveObserver
+from fishrl.programs.live import LiveCallback
 from fishrl.programs.program import program, show_command
 from fishrl.programs.sweeps.jobs import sweep
 from fishrl.programs.sweeps.runs import show_modules, show_resume
@@ -27,58 +29,61 @@ from fishrl.programs.train_settings import (
     make_plan,
 )
 from fishrl.training.checkpoint import read_metadata
-from fishrl.training.evaluation import fixed_starts
+from fishrl.training.evaluation import FINAL_SEED, fixed_starts
 from fishrl.training.interruption import Interrupted, exit_status
-from fishrl.training.loop import FINAL_SEED, Training
+from fishrl.training.loop import Training
 from fishrl.training.progress import Progress
 from fishrl.training.runs import begin, complete, reopen
 
-#: When the program started, apart from the imports above.
-BEGAN = time.perf_counter()
 
-
-class RunObserver(LiveObserver):
+class RunCallback(LiveCallback):
     """The live view of a run, and its pictures at the end."""
 
-    def __init__(self, config: TrainConfig) -> None:
+    def __init__(self, config: TrainConfig, progress: Progress) -> None:
         super().__init__(config, num_flows=config.num_envs)
-        self.config = config
+        self.config, self.progress = config, progress
 
-    def finish(self, training: Training, summary: Mapping[str, Any]) -> None:
+    def on_end(
+        self, summary: Mapping[str, Any], *, folder: Path, env: EnvBase, policy: Policy
+    ) -> None:
         """Record the policy from some starts of the final evaluation and draw the pictures."""
         if self.config.picture_episodes == 0:
             return
-        starts = fixed_starts(training.task, self.config.final_episodes, seed=FINAL_SEED)
+        starts = fixed_starts(env.base_env.task, self.config.final_episodes, seed=FINAL_SEED)
         starts = starts[: self.config.picture_episodes]
-        training.progress.start("pictures", total=starts.shape[0])
+        self.progress.start("pictures", total=starts.shape[0])
         record_run(
-            training.folder.path,
-            training.collector.env,
-            training.make_interruptible(training.learner.actor),
+            folder,
+            env,
+            policy,
             starts,
             settings=self.config,
             baselines={name: summary[f"{name}_success_rate"] for name in summary["baselines"]},
-            on_episodes=training.progress.advance,
+            on_episodes=self.progress.advance,
         )
 
 
-def set_up(config: TrainConfig, **hooks: Any) -> Training:
+def set_up(config: TrainConfig, progress: Progress | None = None) -> Training:
     """Begin the run of these settings, or continue the one in its folder.
 
     Raises:
         ValueError: for invalid settings, and for others than those of the run that is continued.
     """
-    hooks["observer"] = RunObserver(config)
-    plan = make_plan(config)
+    progress = progress or Progress(is_shown=False)
+    callbacks = [progress, RunCallback(config, progress)]
     if config.has_begun:
-        return reopen(str(config.path), modules=config.modules, **list_changes(config), **hooks)
-    return begin(plan, recognition=config.recognition, **hooks)
+        changes = list_changes(config)
+        return reopen(str(config.path), modules=config.modules, callbacks=callbacks, **changes)
+    return begin(make_plan(config), recognition=config.recognition, callbacks=callbacks)
 
 
-def finish(training: Training, modules: Sequence[str] = ()) -> dict[str, Any]:
+def finish(
+    training: Training, progress: Progress | None = None, modules: Sequence[str] = ()
+) -> dict[str, Any]:
     """Run a training to its end, draw its pictures, print the table, and return the summary."""
     summary = complete(training)
-    training.progress.close()
+    if progress is not None:
+        progress.close()  # the table appears below it
     report(summary, folder=training.folder.path, modules=show_modules(modules))
     return summary
 
@@ -115,10 +120,10 @@ def main(settings: TrainConfig) -> None:
         print(f"{settings.path}: already finished; total_frames=... extends it")
         return
     with Progress() as progress:
-        training = set_up(settings, progress=progress, began=BEGAN)
+        training = set_up(settings, progress)
         hint = f"resume with: {show_resume(training.folder.path, settings.modules)}"
         try:
-            finish(training, settings.modules)
+            finish(training, progress, settings.modules)
         except Interrupted as end:
             frames = read_metadata(training.folder.path, which="last")[1]["frames"]
             print(f"{end}: saved at frame {frames}; {hint}", file=sys.stderr)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +19,7 @@ from fishrl.envs.episodes import has_succeeded
 WINDOW = 32
 
 
-def list_metrics(losses: tuple[str, ...], counted: Sequence[str] = ()) -> tuple[str, ...]:
+def list_metrics(losses: tuple[str, ...], counted: Iterable[str] = ()) -> tuple[str, ...]:
     """List the columns of metrics.csv, given the losses of the algorithm and what a task counts.
 
     ``train/`` is over the last episodes or of the last gradient step, ``eval/`` of the greedy
@@ -68,7 +68,7 @@ class Counters:
             setattr(self, name, value)
         self.recent = deque(state["recent"], maxlen=WINDOW)
 
-    def count(self, transitions: TensorDictBase, *, success: str) -> None:
+    def count(self, transitions: TensorDictBase, *, success: str | None) -> None:
         """Count the episodes that end in transitions ``[N]``; diverged ones are no episodes."""
         after = transitions["next"]
         has_ended = (after["done"] & ~after["diverged"]).reshape(-1)

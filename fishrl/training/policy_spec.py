@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fishrl.envs import AbstractTask
+from fishrl.envs.extensions import count_label_inputs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +44,7 @@ class PolicySpec:
     @classmethod
     def for_task(cls, task: AbstractTask, *, has_labels: bool = False) -> PolicySpec:
         """Return the sizes that a task requires; with ``has_labels`` transforms label its flows."""
-        num_labels = task.num_label_inputs if has_labels else 0
+        num_labels = count_label_inputs(task) if has_labels else 0
         return cls(
             task=type(task).__name__,
             num_inputs=(task.n_obs + num_labels) * task.num_stacked,

@@ -65,7 +65,7 @@ class LiveView:
         self._flows = settings.choose_flows(env.batch_size[0], default=1)
         scene = make_scene(env, field=settings.field, field_limit=settings.field_limit)
         self._recorder = Recorder(
-            self._base.task, scene, frames_per_T=settings.frames_per_T, give=self._draw
+            self._base, scene, frames_per_T=settings.frames_per_T, give=self._draw
         )
         self._server = Server(port=settings.port)
         self._drawing = start_drawing(
@@ -86,8 +86,8 @@ class LiveView:
     def _keep(self, base: FlowEnv) -> None:
         start = time.monotonic()
         if self._recorder.is_due() and self._spent <= self._share * (start - self._began):
-            is_resting = base.is_resting.tolist()
-            self._recorder.keep(base, [flow for flow in self._flows if not is_resting[flow]])
+            is_moving = base.is_moving.tolist()
+            self._recorder.keep([flow for flow in self._flows if is_moving[flow]])
             self._spent += time.monotonic() - start
 
     def settle(self, step: TensorDictBase) -> None:

@@ -11,8 +11,10 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
+from fishrl.envs import views
 from fishrl.envs.agents import read_entry
 from fishrl.envs.episodes import Episodes, Policy, run_episodes
+from fishrl.envs.extensions import name_flow
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.scene import Choice, Frame, Scene
 from fishrl.envs.task import AbstractTask
@@ -28,7 +30,7 @@ def make_scene(
     Raises:
         ValueError: for a field that the scene does not have.
     """
-    scene: Scene = env.base_env.task.make_scene()
+    scene: Scene = views.make_scene(env.base_env.task)
     outputs = {*env.observation_spec.keys(), "action", "reward"}
     panels = tuple(
         panel
@@ -44,14 +46,14 @@ def name_flows(
     task: AbstractTask, flows: Collection[int], starts: TensorDictBase | None = None
 ) -> dict[int, str]:
     """Return titles of flows by their index, from the starts ``[E]`` they begin with, if known."""
-    names = {flow: "" if starts is None else task.name_start(starts[flow]) for flow in flows}
+    names = {flow: "" if starts is None else name_flow(task, starts[flow]) for flow in flows}
     return {flow: f"flow {flow}" + f": {name}" * bool(name) for flow, name in names.items()}
 
 
-def read_values(task: AbstractTask, scene: Scene, base: FlowEnv) -> dict[str, Tensor]:
-    """Return what a task's scene shows now, ``[B, ...]``, without the fields that it does not."""
+def read_values(base: FlowEnv, scene: Scene) -> dict[str, Tensor]:
+    """Return what the scene of an env shows now, ``[B, ...]``: of its fields the first one."""
     hidden = {field.key for field in scene.fields[1:]}
-    values = task.read_scene(base.solver, base.start)
+    values = views.read_scene(base.task, base.solver, base.start)
     return {key: value for key, value in values.items() if key not in hidden}
 
 
@@ -65,7 +67,7 @@ class Recorder:
 
     def __init__(
         self,
-        task: AbstractTask,
+        base: FlowEnv,
         scene: Scene,
         *,
         frames_per_T: int,
@@ -73,8 +75,9 @@ class Recorder:
     ) -> None:
         if frames_per_T < 1:
             raise ValueError(f"frames_per_T = {frames_per_T}: must be at least 1")
-        self._task, self._scene, self._give = task, scene, give
-        self._stride = max(1, round(task.checks_per_action / task.interval_T / frames_per_T))
+        self._base, self._scene, self._give = base, scene, give
+        checks_per_T = base.task.checks_per_action / base.task.interval_T
+        self._stride = max(1, round(checks_per_T / frames_per_T))
         self._num_checks = 0
         self._pending: dict[int, list[Frame]] = {}
         self._last_T: dict[int, float] = {}
@@ -90,14 +93,14 @@ class Recorder:
         self._num_checks += 1
         return self._num_checks % self._stride == 0
 
-    def keep(self, base: FlowEnv, rows: Collection[int]) -> None:
+    def keep(self, rows: Collection[int]) -> None:
         """Read a frame of some rows; those that have not moved since the last one are left out."""
         if not rows:
             return
-        values = read_values(self._task, self._scene, base)
-        ages = base.solver.body.age.tolist()
+        values, solver = read_values(self._base, self._scene), self._base.solver
+        ages, period = solver.body.age.tolist(), self._base.task.scales.period
         for row in rows:
-            time, last = ages[row] / self._task.scales.period, self._last_T[row]
+            time, last = ages[row] / period, self._last_T[row]
             if time != last:
                 frame = Frame(
                     time=time,
@@ -137,6 +140,7 @@ def record_episodes(
     frames_per_T: int = 8,
     max_decisions: int | None = None,
     on_step: Callable[[Tensor, TensorDictBase], None] | None = None,
+    on_episodes: Callable[[int], None] | None = None,
 ) -> Episodes:
     """Run one episode from each start and record it, from its start to the check that ends it.
 
@@ -146,29 +150,24 @@ def record_episodes(
     """
     base = env.base_env
     start_of: dict[int, int] = {}
-    ended = set[int]()  # rows whose episode ended within the decision under way
 
     def pass_on(row: int, frame: Frame) -> None:
         give(start_of[row], frame)
 
-    recorder = Recorder(base.task, scene, frames_per_T=frames_per_T, give=pass_on)
+    recorder = Recorder(base, scene, frames_per_T=frames_per_T, give=pass_on)
 
     def begin(begun: Tensor, state: TensorDictBase) -> None:
         rows = _list_rows(begun)
         start_of.update(rows)
         recorder.begin(rows)
-        recorder.keep(base, rows)
+        recorder.keep(rows)
 
     def keep(running: Tensor, flows: FlowEnv) -> None:
-        is_over = flows.task.is_terminated(flows.measure()).tolist()
-        rows = set(_list_rows(running)) - ended
-        ending = {row for row in rows if is_over[row]}
-        recorder.keep(flows, rows if recorder.is_due() else ending)
-        ended.update(ending)
+        shown = running if recorder.is_due() else running.masked_fill(~flows.is_ending, -1)
+        recorder.keep(_list_rows(shown))
 
     def settle(running: Tensor, step: TensorDictBase) -> None:
         recorder.settle(step, _list_rows(running))
-        ended.clear()
         if on_step is not None:
             on_step(running, step)
 
@@ -180,6 +179,7 @@ def record_episodes(
         on_begin=begin,
         on_step=settle,
         on_frame=keep,
+        on_episodes=on_episodes,
     )
 
 

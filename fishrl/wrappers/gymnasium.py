@@ -206,7 +206,7 @@ class FlowVectorEnv(VectorEnv):
             raise ValueError("render: make the environment with render_mode='rgb_array'")
         solver, task = self.flows.solver, self.flows.task
         self._need_state()
-        values = read_values(task, self._scene, self.flows)
+        values = read_values(self.flows, self._scene)
         frames = [
             Frame(
                 time=float(solver.body.age[row]) / task.scales.period,

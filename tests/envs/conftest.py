@@ -7,7 +7,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-import fishrl.envs.task
+import fishrl.envs.flow_env
 from fishrl.envs import AbstractTask, FlowEnv, Predation
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
@@ -24,7 +24,7 @@ SMALL: dict[str, Any] = {
 
 def move_kinematically(patch: pytest.MonkeyPatch) -> None:
     """Replace flows by fish that move at constant speed, and developed wakes by nothing."""
-    patch.setattr(fishrl.envs.task, "InPlaceSolver", KinematicSolver)
+    patch.setattr(fishrl.envs.flow_env, "InPlaceSolver", KinematicSolver)
 
     def make_bank(stream: Stream, *_: object) -> WakeBank:
         num = len(stream.speeds_bl)

@@ -8,10 +8,11 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from fishrl.envs import AbstractTask, Command
+from fishrl.envs.extensions import HasHistory
 from fishrl.physics.fast.solver import InPlaceSolver
 
 
-class MemoryTask(AbstractTask):
+class MemoryTask(AbstractTask, HasHistory):
     """Glide to the left: 0 straight on, 1 turn by the hint; sum up the actions."""
 
     n_obs: ClassVar[int] = 2

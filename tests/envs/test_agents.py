@@ -10,6 +10,7 @@ from torchrl.envs.utils import check_marl_grouping
 
 from fishrl.envs import FlowEnv, Predation, make_env
 from fishrl.envs.agents import EachFish, average_fish, split_fish
+from fishrl.envs.extensions import HasFlowLabels
 from fishrl.modules import RandomPolicy
 from tests.envs.conftest import SMALL, make_flows, reset_rows
 from tests.envs.pair_task import PairTask
@@ -100,10 +101,15 @@ def test_an_illegal_action_is_named_with_its_row_and_fish() -> None:
         env.step(TensorDict({"agents": {"action": torch.ones(2, 1).long()}}, [2]))
 
 
-def test_flows_of_several_fish_are_not_labelled(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(PairTask, "flow_labels", [{"speed_bl": 1.0}, {"speed_bl": 2.0}])
-    with pytest.raises(ValueError, match=r"PairTask has .* several fish"):
-        make_env(task=PairTask(**SMALL), num_envs=1, recognition="oracle")
+class LabelledPair(PairTask, HasFlowLabels):
+    """Two fish in one of two flows."""
+
+    flow_labels = [{"speed_bl": 1.0}, {"speed_bl": 2.0}]
+
+
+def test_flow_labels_are_refused_for_several_fish() -> None:
+    with pytest.raises(ValueError, match=r"LabelledPair has .* several fish"):
+        make_env(task=LabelledPair(**SMALL), num_envs=1, recognition="oracle")
 
 
 def test_rows_of_each_fish_hold_its_own_entries_and_those_of_its_flow() -> None:

@@ -88,7 +88,7 @@ def test_a_size_that_is_forgotten_is_named() -> None:
     }
     sizes = {key: 1 for key in ("n_obs", "num_actions", "num_draws") if key != name}
     forgetful = type("Forgetful", (AbstractTask,), {**members, **sizes})
-    with pytest.raises(ValueError, match=rf"has no {name}: give it as a ClassVar\[int\]"):
+    with pytest.raises(TypeError, match=rf"abstract.*{name}"):
         forgetful(**BRIEF)
 
 

@@ -270,15 +270,3 @@ def test_starts_that_cannot_be_are_refused(key: str, value: float, message: str)
     starts[key].fill_(value)
     with pytest.raises(ValueError, match=message):
         task.check_starts(starts)
-
-
-def test_a_checkpoint_with_former_names_of_measurements_goes_on_exactly() -> None:
-    env, other = make(2), make(2)
-    env.reset()
-    state = env.state_dict()
-    former = {"sensed": "felt", "sensed_velocity": "felt_velocity", "steering": "sights"}
-    now = state["_extra_state"]["now"]
-    state["_extra_state"]["now"] = {former.get(name, name): now[name] for name in now}
-    other.load_state_dict(state)
-    one, two = (act(flows, CRUISE, ACCELERATE) for flows in (env, other))
-    assert (one == two).all()

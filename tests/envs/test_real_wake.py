@@ -10,6 +10,7 @@ from fishrl.envs import KarmanGait
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.stations import SafeArea
 from fishrl.envs.streams import Stream
+from fishrl.envs.views import make_scene, read_scene
 from fishrl.envs.wakes import WakeBank
 from tests.envs.conftest import act, assert_resets_rewrite_all, make_flows, read_flows
 from tests.envs.test_views import list_keys
@@ -117,5 +118,5 @@ def test_an_episode_begins_behind_the_disc_and_in_the_wake_that_its_start_names(
 def test_everything_that_the_scene_of_a_real_disc_names_can_be_read(task: KarmanGait) -> None:
     env = make_flows(task, 1)
     env.reset()
-    keys = list_keys(task.make_scene())
-    assert "dcylinder_1" in keys and keys <= set(task.read_scene(env.solver, env.start))
+    keys = list_keys(make_scene(task))
+    assert "dcylinder_1" in keys and keys <= set(read_scene(task, env.solver, env.start))

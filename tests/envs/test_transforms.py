@@ -12,12 +12,13 @@ from torchrl.data import Categorical, Composite, Unbounded
 from torchrl.envs import CatFrames, EnvBase, StepCounter, TransformedEnv, check_env_specs
 
 from fishrl.envs import FlowEnv, Predation, PredictedFlowLabel, TrueFlowLabel, make_recognition
+from fishrl.envs.extensions import HasFlowLabels
 from fishrl.modules import LateralLineClassifier
 from tests.envs.conftest import SMALL
 from tests.sines import FLOWS, NUM_FEATURES, SENSORS, make_signal
 
 
-class SineTask:
+class SineTask(HasFlowLabels):
     """What a transform asks of a task."""
 
     flow_labels = FLOWS

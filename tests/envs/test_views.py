@@ -13,7 +13,7 @@ from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.scene import Choice, Scene
 from fishrl.envs.streams import Stream
-from fishrl.envs.views import FIELDS
+from fishrl.envs.views import FIELDS, make_scene, read_scene
 from fishrl.physics import Boundaries, Fish, FlowConfig, NonEquilibrium, OpenEdge
 from tests.envs.conftest import SMALL
 from tests.envs.masked_task import MaskedTask
@@ -54,8 +54,8 @@ def list_keys(scene: Scene) -> set[str]:
 def test_everything_that_a_scene_names_can_be_read(kind: str) -> None:
     task = make_task(kind)
     env = make_env(task=task, num_envs=2, compile=False)
-    base, scene = env.base_env, task.make_scene()
-    values = task.read_scene(base.solver, base.start)
+    base, scene = env.base_env, make_scene(task)
+    values = read_scene(task, base.solver, base.start)
     absent = {DISC, *(f"{DISC}_{name}" for name in ("centre", "force", "impulse"))}
     assert list_keys(scene) <= set(values) | absent
     assert tuple(field.key for field in scene.fields) == FIELDS
@@ -70,7 +70,7 @@ def test_everything_that_a_scene_names_can_be_read(kind: str) -> None:
 def test_the_danger_area_of_the_scene_is_that_of_the_task() -> None:
     task = make_task("gait")
     assert isinstance(task, KarmanGait)
-    (area,) = [area for area in task.make_scene().areas if area.key == "danger_area"]
+    (area,) = [area for area in make_scene(task).areas if area.key == "danger_area"]
     for x, y in (area.low, area.high, (area.low[0], area.high[1])):
         place = torch.tensor([[x, y]], dtype=torch.float64) - torch.tensor(task.origin)
         margin = task.safe_area.measure_margin(place / task.body_length)
@@ -79,7 +79,7 @@ def test_the_danger_area_of_the_scene_is_that_of_the_task() -> None:
 
 def test_the_midline_of_a_straight_fish_is_its_axis() -> None:
     base = make_env(task=make_task("predation"), num_envs=1, compile=False).base_env
-    midline = base.task.read_scene(base.solver, base.start)["midline"][0]
+    midline = read_scene(base.task, base.solver, base.start)["midline"][0]
     head = base.solver.markers()[0, 0]
     assert midline[:, 1].tolist() == pytest.approx([head[1].item()] * len(midline))
     assert midline[0].tolist() == pytest.approx(head.tolist())
@@ -103,7 +103,7 @@ def test_the_angle_of_attack_follows_the_stream_of_the_flow() -> None:
     base.solver.body.heading.fill_(0.2 - 0.5 * math.pi)
     base.solver.body.velocity[:, 0] = -0.5 * base.task.scales.reference_speed
     base.solver.set_stream_speed_(torch.zeros(2), torch.tensor([False, True]))
-    angle = base.task.read_scene(base.solver, base.start)["angle_of_attack"].tolist()
+    angle = read_scene(base.task, base.solver, base.start)["angle_of_attack"].tolist()
     # without a stream the fish heads across its way
     assert angle == pytest.approx([math.degrees(0.2), math.degrees(0.2 + 0.5 * math.pi)])
 
@@ -114,7 +114,7 @@ def test_the_angle_of_attack_of_a_fish_that_bends_is_that_of_its_report() -> Non
     base = env.base_env
     base.solver.body.internal_angle.fill_(0.05)
     now = base.task.measure(base.solver, base.start)
-    angle = base.task.read_scene(base.solver, base.start)["angle_of_attack"]
+    angle = read_scene(base.task, base.solver, base.start)["angle_of_attack"]
     torch.testing.assert_close(angle, now["heading"].rad2deg())
 
 
@@ -133,7 +133,7 @@ class OwnPair(PairTask):
 def test_fish_of_any_type_are_drawn() -> None:
     task = OwnPair(**SMALL)
     base = make_env(task=task, num_envs=1, compile=False).base_env
-    assert list_keys(task.make_scene()) <= set(task.read_scene(base.solver, base.start))
+    assert list_keys(make_scene(task)) <= set(read_scene(task, base.solver, base.start))
 
 
 @pytest.mark.parametrize("turn", [0.1, -0.3])
@@ -144,7 +144,7 @@ def test_the_angle_of_attack_is_from_upstream_or_from_the_direction_of_swimming(
     base = make_env(task=make_task(kind), num_envs=1, compile=False).base_env
     base.solver.body.heading.fill_(math.pi + turn)
     if kind == "predation":
-        assert base.task.read_scene(base.solver, base.start)["angle_of_attack"].isnan().all()
+        assert read_scene(base.task, base.solver, base.start)["angle_of_attack"].isnan().all()
         base.solver.body.velocity[:, 0] = -0.5 * base.task.scales.reference_speed
-    angle = base.task.read_scene(base.solver, base.start)["angle_of_attack"].item()
+    angle = read_scene(base.task, base.solver, base.start)["angle_of_attack"].item()
     assert angle == pytest.approx(math.degrees(turn))

@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import fishrl.envs.task
+import fishrl.envs.flow_env
 from fishrl.training import interruption
 from fishrl.training.interruption import Interrupted
 from fishrl.training.logger import CsvLogger
@@ -23,7 +23,7 @@ from tests.envs.kinematic_solver import KinematicSolver
 
 if "pytest" not in sys.modules:
     interruption.TWICE_SECONDS = 60.0  # however slowly a signal that is sent twice arrives
-    fishrl.envs.task.InPlaceSolver = KinematicSolver  # type: ignore[misc, assignment]
+    fishrl.envs.flow_env.InPlaceSolver = KinematicSolver  # type: ignore[misc, assignment]
 
 
 def await_signal() -> None:

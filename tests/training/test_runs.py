@@ -17,9 +17,7 @@ from fishrl.training import (
     complete,
     evaluate,
     find_summary,
-    reopen,
     resume,
-    runs,
     train,
 )
 from fishrl.training.algorithms.dqn import DQN
@@ -154,7 +152,7 @@ def test_changes_of_a_resume_stay_and_what_is_learned_is_fixed(toy: Toy) -> None
             toy.reopen("run", **wrong)
 
 
-@pytest.mark.parametrize("name", ["gamma", "total_frames", "task", "alpha_init"])
+@pytest.mark.parametrize("name", ["gamma", "total_frames", "task"])
 def test_a_further_setting_of_the_name_of_a_real_one_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(ValueError, match=f"extra: {name} is"):
         make_toy_plan(tmp_path, extra={"pictures": 6, name: 0.5})
@@ -194,16 +192,6 @@ def test_an_older_checkpoint_takes_the_place_of_a_corrupt_one(toy: Toy) -> None:
     assert toy.reopen("run").counters.frames == 160
 
 
-def test_runs_of_before_there_was_a_choice_of_algorithms_are_known(toy: Toy) -> None:
-    toy.begin(name="run", total_frames=8, **QUICK).run()
-    path = toy.folder / "run" / "config.yaml"
-    config = read_config(path)
-    assert config.pop("algorithm")["_target_"].endswith("DiscreteSAC")
-    write_yaml(path, config | {"alpha_init": 0.7, "target_entropy_weight": 0.2})
-    resumed = toy.reopen("run", total_frames=16)
-    assert resumed.plan.algorithm == DiscreteSAC(alpha_init=0.7, target_entropy_weight=0.2)
-
-
 def test_a_config_cannot_run_code(tmp_path: Path) -> None:
     plain = make_toy_plan(tmp_path).to_config()
     evil = {"_target_": "os.system", "command": f"touch {tmp_path / 'ran'}"}
@@ -221,7 +209,7 @@ def test_a_config_cannot_run_code(tmp_path: Path) -> None:
 def test_a_run_goes_on_exactly_after_its_flows_are_lost_but_not_twice_from_one_checkpoint(
     toy: Toy, whole: Training, monkeypatch: pytest.MonkeyPatch, losses: list[int]
 ) -> None:
-    step, left = ToyFishEnv._step, list(losses)
+    step, restore, left = ToyFishEnv._step, ToyFishEnv.set_extra_state, list(losses)
     training = toy.begin(name="run", **QUICK)
     num_steps, before, handlers = 0, signal.getsignal(signal.SIGTERM), set()
 
@@ -235,12 +223,12 @@ def test_a_run_goes_on_exactly_after_its_flows_are_lost_but_not_twice_from_one_c
             raise ChildProcessError("a flow worker failed")
         return step(self, td)
 
-    def reopen_and_watch(*args: Any, **hooks: Any) -> Any:
+    def restore_and_watch(self: ToyFishEnv, state: Any) -> None:
         handlers.add(signal.getsignal(signal.SIGTERM))
-        return reopen(*args, **hooks)
+        restore(self, state)
 
     monkeypatch.setattr(ToyFishEnv, "_step", step_or_lose)
-    monkeypatch.setattr(runs, "reopen", reopen_and_watch)
+    monkeypatch.setattr(ToyFishEnv, "set_extra_state", restore_and_watch)
     if losses[-1] > 3:
         complete(training)
     else:

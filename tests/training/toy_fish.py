@@ -7,7 +7,7 @@ hunts food that moves up and down. Walls at the sides of a 10 x 5 body-length ba
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -24,24 +24,24 @@ from torchrl.envs import (
     InitTracker,
     RewardSum,
     StepCounter,
+    Transform,
     TransformedEnv,
 )
 
-from fishrl.envs import AbstractTask
-from fishrl.training.baselines import find_baselines, find_pursuers
+from fishrl.envs import AbstractTask, Predation
 
 STATE = ("position", "heading", "food", "direction", "age", "distance", "error", "start_index")
 
 
 @dataclass(kw_only=True)
+@AbstractTask.register
 class ToyPredation:
     """What the training loop asks of a task."""
 
     n_obs, num_stacked, n_substeps, checks_per_action = 4, 4, 10, 1
     interval_T, turn_degrees, food_limits_bl, food_y_bl = 1.0, 15.0, (1.5, 3.5), 2.5
     food_still_T, food_direction, success = 5.0, "up", "captured"
-    num_fish, counted = 1, ()
-    flow_labels, num_label_inputs = (), 0
+    num_fish = 1
     scales = SimpleNamespace(period=10, body_length=10)
 
     time_limit: int = 30
@@ -68,8 +68,7 @@ class ToyPredation:
         return TensorDict({"position": position}, [num])
 
 
-AbstractTask.register(ToyPredation)
-find_baselines.register(ToyPredation)(find_pursuers)
+Predation.register(ToyPredation)  # so that its baselines fit
 
 
 class ToyFishEnv(EnvBase):
@@ -206,6 +205,7 @@ def make_toy_env(
     compile: bool = False,
     starts: TensorDict | None = None,
     frames_per_action: int = 1,
+    transforms: Sequence[Transform] = (),
 ) -> TransformedEnv:
     """Stand in for ``fishrl.envs.making.make_env``."""
     env = TransformedEnv(ToyFishEnv(task=task, num_envs=num_envs, seed=seed, starts=starts))
@@ -213,6 +213,7 @@ def make_toy_env(
         InitTracker(),
         StepCounter(max_steps=task.time_limit),
         RewardSum(),
+        *transforms,
         CatFrames(
             N=task.num_stacked, dim=-1, in_keys=["observation"], out_keys=["observation_stack"]
         ),

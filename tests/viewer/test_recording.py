@@ -1,97 +1,92 @@
 """Recording flows: which moments are kept, what they carry, and when an episode ends."""
 
-from types import SimpleNamespace
+from collections import defaultdict
 from typing import Any
 
 import pytest
 import torch
-from tensordict import TensorDict
 
 from fishrl.envs import KarmanGait, Predation, make_env
-from fishrl.envs.scene import Field, Frame, Scene
+from fishrl.envs.scene import Frame
 from fishrl.viewer import Recording, make_scene, name_flows, record_episodes
 from fishrl.viewer.recording import Recorder
 from tests.envs.conftest import SMALL, keep_straight
 
-FIELD = Field(key="head", name="head", unit="", limit=1.0)
-TASK: dict[str, Any] = {**SMALL, "time_limit": 12, "food_still_T": 99.0}
+TASK: dict[str, Any] = {**SMALL, "time_limit": 12, "food_still_T": 99.0, "checks_per_action": 20}
 
 
-class FakeTask:
-    """Four checks per action and period; what is read is the age."""
-
-    checks_per_action, interval_T = 4, 1.0
-    scales = SimpleNamespace(period=8)
-
-    def read_scene(self, solver: Any, starts: Any) -> dict[str, torch.Tensor]:
-        return {"age": solver.body.age.clone()}
-
-
-class FakeFlows:
-    """Two rows with an age in steps, and the frames that a recorder gives of them."""
+class Recorded:
+    """Two flows of predation, and the frames that a recorder gives of them."""
 
     def __init__(self, *, frames_per_T: int) -> None:
-        self.age = torch.zeros(2)
-        self.base: Any = SimpleNamespace(
-            solver=SimpleNamespace(body=SimpleNamespace(age=self.age)), start=None
-        )
-        self.given: dict[int, list[Frame]] = {0: [], 1: []}
+        task = Predation(**TASK)
+        checks = task.checks_per_action
+        self.env = make_env(task=task, num_envs=2, compile=False, frames_per_action=checks)
+        self.base, self.given = self.env.base_env, defaultdict[int, list[Frame]](list)
         self.recorder = Recorder(
-            FakeTask(),  # type: ignore[arg-type]
-            Scene(body_length=1.0, width=2, height=2, fields=(FIELD,)),
+            self.base,
+            make_scene(self.env),
             frames_per_T=frames_per_T,
             give=lambda row, frame: self.given[row].append(frame),
         )
+        self.base.on_frame = lambda _: self.recorder.is_due() and self.recorder.keep([0, 1])
+        self.state = self.env.reset()
         self.recorder.begin([0, 1])
-        self.recorder.keep(self.base, [0, 1])
+        self.recorder.keep([0, 1])
 
-    def act(self, *, diverged: bool = False) -> None:
-        """Run one action of four checks; row 1 may diverge in it."""
-        for _ in range(4):
-            self.age += 2
-            if self.recorder.is_due():
-                self.recorder.keep(self.base, [0, 1])
-        after = {"reward": self.age[:, None].clone(), "diverged": torch.tensor([[False], [True]])}
-        after["diverged"] &= diverged
-        step = TensorDict({"action": torch.tensor([0, 2]), "next": after}, [2])
+    def act(self) -> None:
+        step, self.state = self.env.step_and_maybe_reset(keep_straight(self.state))
         self.recorder.settle(step, [0, 1])
+
+    def diverge(self) -> None:
+        """Let flow 1 diverge within the next action."""
+        self.base.solver.body.position[1] = torch.nan
+        self.act()
 
     def times(self, row: int) -> list[float]:
         return [frame.time for frame in self.given[row]]
 
 
-def test_frames_come_at_equal_distances_with_the_reward_of_their_action() -> None:
-    flows = FakeFlows(frames_per_T=2)
-    flows.act()
-    flows.act()
-    assert flows.times(1) == [0.0, 0.5, 1.0, 1.5, 2.0]
-    assert [frame.values["reward"].item() for frame in flows.given[1]] == [8, 8, 8, 16, 16]
-    assert [frame.values["age"].item() for frame in flows.given[1]] == [0, 4, 8, 12, 16]
+def at(*times: float) -> Any:
+    """Return times in T, to be found within a step or two: there are 106 in one T."""
+    return pytest.approx(times, abs=0.02)
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_frames_are_evenly_spaced_and_carry_the_reward_of_their_action() -> None:
+    flows = Recorded(frames_per_T=2)
+    for _ in range(2):
+        flows.act()
+    assert flows.times(1) == at(0.0, 0.5, 1.0, 1.5, 2.0)
+    rewards = [frame.values["reward"].item() for frame in flows.given[1]]
+    assert len(set(rewards[:3])) == len(set(rewards[3:])) == 1
     assert [frame.begins for frame in flows.given[1]] == [True, False, False, False, False]
 
 
-def test_a_flow_that_diverges_is_kept_up_to_the_decision_before_or_its_start() -> None:
-    flows = FakeFlows(frames_per_T=4)
+@pytest.mark.usefixtures("kinematic")
+def test_a_diverged_flow_keeps_the_frames_before_its_last_decision_or_its_start() -> None:
+    flows = Recorded(frames_per_T=4)
     flows.act()
-    flows.act(diverged=True)
-    assert flows.times(0)[-1] == 2.0
-    assert flows.times(1) == [0.0, 0.25, 0.5, 0.75, 1.0]
-    flows = FakeFlows(frames_per_T=4)
-    flows.act(diverged=True)
+    flows.diverge()
+    assert flows.times(0)[-1:] == at(2.0)
+    assert flows.times(1) == at(0.0, 0.25, 0.5, 0.75, 1.0)
+    flows = Recorded(frames_per_T=4)
+    flows.diverge()
     assert flows.times(1) == [0.0]
 
 
-def test_rows_that_stand_still_give_no_further_frame() -> None:
-    flows = FakeFlows(frames_per_T=4)
-    flows.act()
-    flows.recorder.keep(flows.base, [0])
+@pytest.mark.usefixtures("kinematic")
+def test_a_moment_is_recorded_once() -> None:
+    flows = Recorded(frames_per_T=4)
+    flows.recorder.keep([0])
     flows.act()
     assert flows.times(0) == sorted(set(flows.times(0)))
 
 
+@pytest.mark.usefixtures("kinematic")
 def test_less_than_a_frame_per_period_is_refused() -> None:
     with pytest.raises(ValueError, match="frames_per_T = 0"):
-        FakeFlows(frames_per_T=0)
+        Recorded(frames_per_T=0)
 
 
 def record(num_envs: int, *, device: str = "cpu") -> tuple[Predation, list[Recording], Any]:

@@ -10,6 +10,7 @@ from pydantic import Field, PositiveFloat
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from fishrl.envs.extensions import HasHistory, HasScene
 from fishrl.envs.protocol import Solver
 from fishrl.envs.scene import Area, Scene
 from fishrl.envs.sensors import compute_clearance, compute_gap, wrap_angle
@@ -29,7 +30,7 @@ _Share = Annotated[float, Field(ge=0, le=1)]
 
 
 @final
-class Follower(AbstractTask):
+class Follower(AbstractTask, HasHistory, HasScene):
     """Hold a place in the wake of a leader by bending the midline and choosing the tail beat.
 
     The leader beats once per T and is held in place, in a stream along +x of the speed at which it
@@ -69,7 +70,6 @@ class Follower(AbstractTask):
     """
 
     num_draws: ClassVar[int] = 4
-    counted: ClassVar[tuple[str, ...]] = ("contact",)
 
     body_length: int = 32
     reynolds: float = 5000.0
@@ -106,12 +106,12 @@ class Follower(AbstractTask):
         self.check_starts(self.starts_from(torch.nn.functional.pad(corners, (0, 1))))
 
     @property
-    def n_obs(self) -> int:  # type: ignore[override]
+    def n_obs(self) -> int:
         """Length of one observation."""
         return 10 + 2 * self.num_actions
 
     @property
-    def num_actions(self) -> int:  # type: ignore[override]
+    def num_actions(self) -> int:
         """Number of the numbers in an action."""
         return len(self.action_bounds)
 
@@ -328,12 +328,12 @@ class Follower(AbstractTask):
             "contact": now["gap"] < self.contact,
         }
 
-    def make_scene(self) -> Scene:
+    def add_to_scene(self, scene: Scene) -> Scene:
         """Add the range of the centre of mass."""
         (x, y), length, aside = self.origin, self.body_length, self.aside_bl * self.body_length
         low, high = (x + length * end for end in self.range_bl)
         area = Area(key="range", low=(low, y - aside), high=(high, y + aside))
-        return super().make_scene().extend(areas=(area,))
+        return scene.extend(areas=(area,))
 
     def _locate(self, position: Tensor) -> Tensor:
         x, y = self.origin  # numbers: a tensor would have to be copied to a GPU each time

@@ -4,12 +4,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from math import pi
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from fishrl.envs.extensions import HasFlowLabels, HasHistory, HasScene
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import FrequencyControl, MacroActions
 from fishrl.envs.protocol import Solver
@@ -26,7 +27,7 @@ from fishrl.physics.flow import FlowConfig
 
 
 @final
-class KarmanGait(AbstractTask):
+class KarmanGait(AbstractTask, HasFlowLabels, HasHistory, HasScene):
     """Hold station behind a half disc, or in a free stream, by choosing the tail-beat frequency.
 
     Positions are those of the nose relative to the middle of the disc's flat side, x downstream, in
@@ -59,8 +60,7 @@ class KarmanGait(AbstractTask):
         repeats_frequency: observe the frequency three times, as the paper does.
     """
 
-    num_draws = 5
-    former_names = {"felt": "sensed", "felt_velocity": "sensed_velocity", "sights": "steering"}
+    num_draws: ClassVar[int] = 5
 
     body_length: int = 40
     reynolds: float = 500.0
@@ -107,12 +107,12 @@ class KarmanGait(AbstractTask):
         self.check_starts(self.starts_from(torch.cat((corners, others), 1)))
 
     @property
-    def n_obs(self) -> int:  # type: ignore[override]
+    def n_obs(self) -> int:
         """Length of one observation."""
         return 4 + 2 * self.observes_velocity + (3 if self.repeats_frequency else 1)
 
     @property
-    def num_actions(self) -> int:  # type: ignore[override]
+    def num_actions(self) -> int:
         """Number of actions, or of the numbers in one."""
         return self.control.num_actions
 
@@ -122,12 +122,12 @@ class KarmanGait(AbstractTask):
         return self.control.action_bounds
 
     @property
-    def num_samples(self) -> int:  # type: ignore[override]
+    def num_samples(self) -> int:
         """Samples of the lateral line within an action."""
         return self.lateral_line.num_samples
 
     @property
-    def inputs(self) -> tuple[str, ...]:  # type: ignore[override]
+    def inputs(self) -> tuple[str, ...]:
         """Entries that ``command`` reads beside the action."""
         return ("flow_class",) if self.reads_flow_class else ()
 
@@ -333,11 +333,7 @@ class KarmanGait(AbstractTask):
         """Names given by ``control``."""
         return self.control.action_names
 
-    def name_start(self, start: TensorDictBase) -> str:
-        """Return the name of the stream."""
-        return str(self.flow_labels[int(start["flow_index"])]["name"])
-
-    def make_scene(self) -> Scene:
+    def add_to_scene(self, scene: Scene) -> Scene:
         """Add the safe area, the nose's place in it, the lateral line and the flow label."""
         (x, y), length, area = self.origin, self.body_length, self.safe_area
         danger = Area(
@@ -350,27 +346,23 @@ class KarmanGait(AbstractTask):
             Series(key="place", column=1, label="y"),
         )
         neuromasts, signals = describe_lateral_line(self.lateral_line, body_length=length)
-        return (
-            super()
-            .make_scene()
-            .extend(
-                areas=(danger,),
-                marks=(neuromasts,),
-                panels=(
-                    *self.stream.panels,
-                    describe_flow_label([label["name"] for label in self.flow_labels]),
-                    Panel(name="nose from the flat side [L]", series=place),
-                    signals,
-                ),
-                note="The danger area is outside the rectangle with red strokes.",
-            )
+        return scene.extend(
+            areas=(danger,),
+            marks=(neuromasts,),
+            panels=(
+                *self.stream.panels,
+                describe_flow_label([label["name"] for label in self.flow_labels]),
+                Panel(name="nose from the flat side [L]", series=place),
+                signals,
+            ),
+            note="The danger area is outside the rectangle with red strokes.",
         )
 
     def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
         """Add the nose's place and the lateral line."""
         neuromasts = self.lateral_line.place(solver)[0]
         signal = self.sense(solver, starts)["sensed"][..., find_shown_feature(self.lateral_line)]
-        return super().read_scene(solver, starts) | {
+        return {
             "place": self._locate(solver.markers()[:, 0]),
             "neuromasts": neuromasts,
             "signal": signal.expand(neuromasts.shape[:2]),

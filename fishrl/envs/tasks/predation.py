@@ -9,6 +9,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from fishrl.envs.extensions import HasScene
 from fishrl.envs.protocol import Solver
 from fishrl.envs.rewards import reward_approach
 from fishrl.envs.scene import Marks, Panel, Scene, Series
@@ -20,7 +21,7 @@ CHANCE_UP = {"up": 1.0, "down": 0.0, "random": 0.5}
 _Frequency = Annotated[float, Field(ge=0, le=10)]
 
 
-class AbstractPredation(AbstractTask):
+class AbstractPredation(AbstractTask, HasScene):
     """Base of tasks with food that rests at first and then moves up and down between two limits.
 
     Actions: 0 turn clockwise, 1 keep the heading, 2 turn counter-clockwise; or two numbers, the
@@ -98,7 +99,7 @@ class AbstractPredation(AbstractTask):
         return self.action == "continuous"
 
     @property
-    def num_actions(self) -> int:  # type: ignore[override]
+    def num_actions(self) -> int:
         """Number of actions, or of the numbers in one."""
         return len(self.action_names)
 
@@ -208,7 +209,7 @@ class AbstractPredation(AbstractTask):
         food = self.locate_food(starts, solver.body.age)
         noses = torch.stack([solver.markers(index)[:, 0] for index in range(self.num_fish)], 1)
         distance = (food[:, None] - noses).norm(dim=-1).amin(1) / self.body_length
-        return super().read_scene(solver, starts) | {"food": food, "distance": distance}
+        return {"food": food, "distance": distance}
 
     @property
     def action_names(self) -> tuple[str, ...]:
@@ -218,7 +219,7 @@ class AbstractPredation(AbstractTask):
             return f"turn, ±{self.turn_degrees:g}°", f"frequency, {low:g} to {high:g} beats/T"
         return f"turn {-self.turn_degrees:g}°", "keep", f"turn +{self.turn_degrees:g}°"
 
-    def make_scene(self) -> Scene:
+    def add_to_scene(self, scene: Scene) -> Scene:
         """Add the food and its distance."""
         food = Marks(
             key="food",
@@ -227,14 +228,10 @@ class AbstractPredation(AbstractTask):
             reach=self.capture_radius,
         )
         series = (Series(key="distance", label="nose to food"),)
-        return (
-            super()
-            .make_scene()
-            .extend(
-                marks=(food,),
-                panels=(Panel(name="distance of the food [L]", series=series),),
-                note="The circle around the food is the capture radius.",
-            )
+        return scene.extend(
+            marks=(food,),
+            panels=(Panel(name="distance of the food [L]", series=series),),
+            note="The circle around the food is the capture radius.",
         )
 
 

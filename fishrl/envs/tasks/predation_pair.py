@@ -39,7 +39,6 @@ class PredationPair(AbstractPredation):
     n_obs: ClassVar[int] = 8
     num_draws: ClassVar[int] = 5
     num_fish: ClassVar[int] = 2
-    counted: ClassVar[tuple[str, ...]] = ("caught", "contact")
 
     start_y_bl: tuple[float, float] = (1.0, 4.0)
     contact_bl: Annotated[float, Field(gt=0, le=10)] = 0.15

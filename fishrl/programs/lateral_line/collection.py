@@ -15,12 +15,13 @@ from typing import Any
 
 import torch
 from pydantic import NonNegativeInt, PositiveInt
-from tensordict import TensorDict, TensorDictBase, pad
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
 from fishrl.envs import make_env
 from fishrl.envs.episodes import run_episodes
+from fishrl.envs.extensions import HasFlowLabels
 from fishrl.envs.lateral_line import KNOWN
 from fishrl.files import load_tensors, staged
 from fishrl.physics.cache_key import hash_sources, make_key
@@ -63,7 +64,8 @@ class CollectionSettings(TaskSettings):
     def recorded_task(self) -> Any:
         """The task that records every feature of every neuromast, whatever it senses itself."""
         task: Any = self.task
-        if len(task.flow_labels) < 2 or not task.lateral_line_layout:
+        has_labels = isinstance(task, HasFlowLabels) and len(task.flow_labels) > 1
+        if not (has_labels and task.lateral_line_layout):
             raise ValueError(
                 f"{type(task).__name__} has no two flows to tell apart by a lateral line: take "
                 "task=karman_gait with two or more stream.speeds_bl"
@@ -139,8 +141,6 @@ def record_piece(env: TransformedEnv, number: int, *, seed: int) -> TensorDict:
     low, high = area.near_bl + area.rim_bl, area.far_bl - area.rim_bl
     station = low + (high - low) * torch.rand(num, generator=generator)
     holder = make_pid(task, station_bl=station.to(env.device))
-    start = (starts["head"] / task.body_length).float()
-    decisions: list[TensorDict] = []
 
     def act(state: TensorDictBase) -> TensorDictBase:
         state["flow_class"] = row.to(env.device)
@@ -149,15 +149,16 @@ def record_piece(env: TransformedEnv, number: int, *, seed: int) -> TensorDict:
         is_random = torch.rand(num, generator=generator) < RANDOM_SHARE
         return state.set("action", torch.where(is_random, random.squeeze(-1), held).to(env.device))
 
-    def keep(start_of: Tensor, step: TensorDictBase) -> None:
-        sensed = {
-            "lateral_line": step["lateral_line"].cpu(),
-            "frequency": step["frequency"].squeeze(-1).float().cpu(),
-            "is_decision": start_of.cpu() >= 0,
-            "flow_index": step["flow_index"].squeeze(-1).cpu(),
+    def read(start_of: Tensor, step: TensorDictBase) -> dict[str, Tensor]:
+        return {
+            "lateral_line": step["lateral_line"],
+            "frequency": step["frequency"].squeeze(-1).float(),
+            "is_decision": torch.ones_like(start_of, dtype=torch.bool),
+            "flow_index": step["flow_index"].squeeze(-1),
         }
-        constant = {"named_flow": row, "start": start}
-        decisions.append(TensorDict({**sensed, **constant}, [num]))
 
-    run_episodes(env, act, starts, on_step=keep)
-    return pad(torch.stack(decisions, 1), [0, 0, 0, task.time_limit - len(decisions)])
+    traces = run_episodes(env, act, starts, on_step=read).traces
+    read_off = {name: traces.pad(name, value=0, length=task.time_limit) for name in traces}
+    shape = read_off["is_decision"].shape
+    start = (starts["head"] / task.body_length).float()[:, None].expand(*shape, 2)
+    return TensorDict({**read_off, "named_flow": row[:, None].expand(shape), "start": start}, shape)

@@ -14,6 +14,7 @@ from PIL import Image
 
 from fishrl.envs import Predation
 from fishrl.envs.scene import Frame
+from fishrl.envs.views import make_scene
 from fishrl.programs.figures import learning_curve
 from fishrl.programs.figures.learning_curve import Curve, read_metrics, write_learning_curve
 from fishrl.programs.figures.run_pictures import write_run_pictures
@@ -57,7 +58,7 @@ def make_recording(
         Frame(time=float(time[i]), values={name: value[i] for name, value in values.items()})
         for i in range(num_frames)
     ]
-    return Recording(scene=task.make_scene(), frames=frames, has_succeeded=has_succeeded)
+    return Recording(scene=make_scene(task), frames=frames, has_succeeded=has_succeeded)
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 
-import fishrl.envs.task
+import fishrl.envs.flow_env
 from fishrl.envs.changes import StreamSwitches
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.streams import Stream
@@ -38,7 +38,7 @@ class LiftedSolver(KinematicSolver):
 def test_lift_is_the_obstacles_impulse_by_time_in_rho_L_and_T(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(fishrl.envs.task, "InPlaceSolver", LiftedSolver)
+    monkeypatch.setattr(fishrl.envs.flow_env, "InPlaceSolver", LiftedSolver)
     task = make_task(time_limit=2)
     index = torch.ones(2, dtype=torch.int64)
     trial = Trial(
