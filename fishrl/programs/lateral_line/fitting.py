@@ -182,7 +182,8 @@ def fit(settings: LateralLineSettings, episodes: TensorDict, design: Design) -> 
     if design.max_samples is not None and len(training) > design.max_samples:
         drawn = torch.randperm(len(training), generator=generator)
         training = training[drawn[: design.max_samples]]
-    flows: Sequence[dict[str, Any]] = settings.task.flow_labels
+    task: Any = settings.task
+    flows: Sequence[dict[str, Any]] = task.flow_labels
     if design.is_mirrored:
         flow, signal = flows[0], training["lateral_line"]
         num_nodes = round(flow["domain_bl"][1] * flow["body_length"])
