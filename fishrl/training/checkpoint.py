@@ -15,7 +15,13 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointAdapter
+import torch
+from torchrl.checkpoint import (
+    Checkpoint,
+    CheckpointError,
+    GlobalRNGState,
+    StateDictCheckpointAdapter,
+)
 
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.policy_zoo import find_folder
@@ -29,6 +35,20 @@ _METADATA = {
     *("task", "num_inputs", "num_stacked", "num_actions", "is_continuous"),
     *("preset", "frames", "config", "sums", "sha256"),
 }
+
+
+class RNGState(GlobalRNGState):
+    """The state of all random number generators.
+
+    Generators of GPUs that this machine lacks are left out: a run continues with other GPUs or on a
+    CPU, though not bit for bit.
+    """
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
+        """Restore the generators of this machine."""
+        gpus = state_dict.get("torch_cuda", [])[: torch.cuda.device_count()]
+        others = {name: value for name, value in state_dict.items() if name != "torch_cuda"}
+        super().load_state_dict(others | ({"torch_cuda": gpus} if gpus else {}))
 
 
 class CheckpointNotWritten(OSError):
