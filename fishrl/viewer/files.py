@@ -33,8 +33,8 @@ def start_drawing(
 ) -> Drawing:
     """Begin to draw flows, given their titles by index, into a file, a viewer, or both.
 
-    ``save`` is the path of the ``.rrd`` file (one that exists is replaced), ``url`` that of a
-    viewer's server, see ``live.Server``; ``field_format`` is ``jpeg`` or ``u8``.
+    ``save`` is the path of the ``.rrd`` file, which is replaced if it exists, ``url`` is that of
+    a viewer's server, see ``live.Server``; ``field_format`` is ``jpeg`` or ``u8``.
 
     Raises:
         ValueError: if the format is unknown, or neither file nor viewer is given.
@@ -164,7 +164,7 @@ class _Client:
             if state.loading:
                 idle_since = time.monotonic()
             time.sleep(0.2)
-        raise ValueError(f"{recording} has no moments on the timeline {TIMELINE}: record it anew")
+        raise ValueError(f"{recording} has no moments on the timeline {TIMELINE}: record it again")
 
     def settle(self) -> bytes:
         """Return the first screenshot that equals the one before: it draws while it reads."""
