@@ -232,7 +232,6 @@ def record(
     starts: TensorDictBase,
     *,
     samples_actions: bool = False,
-    on_frame: Callable[[FlowEnv], None] = lambda _: None,
     progress: Progress | None = None,
 ) -> Histories:
     """Run one episode from each start ``[E]``, all side by side."""
@@ -272,7 +271,6 @@ def record(
         y = base.solver.markers()[:, 0, 1]
         keep(beat=base.solver.body.phase, aside=(y - task.origin[1]) / task.body_length)
         keep_impulse()
-        on_frame(flows)
 
     episodes = run_episodes(
         env,
