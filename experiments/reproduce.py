@@ -35,7 +35,7 @@ from fishrl.programs.sweeps.runs import read_run
 from fishrl.programs.train_lateral_line import main as train_lateral_line
 from fishrl.programs.train_settings import TRAINING, make_plan
 from fishrl.training import DiscreteSAC
-from fishrl.training.baselines import make_baselines
+from fishrl.training.baselines import choose_baselines
 from fishrl.training.description import make
 from fishrl.training.learner import one_thread
 from fishrl.training.plan import Plan
@@ -135,7 +135,7 @@ def plan_training(name: str, settings: Sequence[str], scale: Scale, folder: Path
     plan = make_plan(TRAINING.read(settings))
     run, task = plan.run, plan.task
     tests = run.total_frames // run.eval_frames * run.eval_episodes
-    baselines = make_baselines(run.baselines, task=task, seed=0)
+    baselines = choose_baselines(run.baselines, task)
     tests += run.final_episodes * (1 + len(baselines))
     decisions = run.total_frames + tests * task.time_limit
     seeds = f"seed={','.join(map(str, scale.seeds))}"

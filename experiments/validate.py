@@ -1,7 +1,7 @@
 """Validate the flow solver against the literature: ``python -m experiments.validate``.
 
-Runs the jobs of all cases in parallel, one core each, and writes ``docs/validation.md`` with a
-figure per case; with ``quick=true`` or a choice of ``cases`` the page goes into the folder instead.
+Runs the jobs of all cases in parallel, one core each, and writes ``docs/validation.md`` with a page
+and a figure per case; with ``quick=true`` or a choice of ``cases`` they go into the folder instead.
 Results are cached in the folder: the same command continues after an interruption, and repeats only
 jobs that a change to the physics or to a case affects. Exits with status 1 if a criterion fails.
 """
@@ -10,16 +10,17 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
+
+from pydantic import PositiveInt
 
 from experiments.validation.case import MISSED, Case
 from experiments.validation.report import render_table, summarise, write_report
 from experiments.validation.runner import run_cases
-from fishrl.bounds import Checked, bounded
 from fishrl.programs.configuration import unknown
 from fishrl.programs.program import program
+from fishrl.settings import Settings
 
 # in the order of the report
 NAMES = (
@@ -33,8 +34,7 @@ CASES: tuple[Case, ...] = tuple(
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class ValidateSettings(Checked):
+class ValidateSettings(Settings):
     """Settings of a validation.
 
     Args:
@@ -42,14 +42,14 @@ class ValidateSettings(Checked):
         quick: coarse runs only, about a minute.
         fresh: repeat cached jobs too.
         jobs: parallel processes.
-        folder: folder of the results, and of the page unless all cases run.
-        docs: folder for validation.md and figures/validation of a full run.
+        folder: folder of the results, and of the pages unless all cases run.
+        docs: folder for the pages and figures of a full run.
     """
 
-    cases: list[str] = field(default_factory=list)
+    cases: tuple[str, ...] = ()
     quick: bool = False
     fresh: bool = False
-    jobs: int = bounded(os.cpu_count() or 1, least=1)
+    jobs: PositiveInt = os.cpu_count() or 1
     folder: str = "runs/validation"
     docs: str = "docs"
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from fishrl.physics import InPlaceSolver
-from fishrl.physics.fast.step import Stepper
+from fishrl.physics.fast.stepper import Stepper
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -51,6 +51,10 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
         "fishrl/wrappers/stable_baselines.py",
         {"numpy", "torchrl", "stable_baselines3", "fishrl.extras", "fishrl.wrappers"} | TASK_SIDE,
     ),
+    (
+        "fishrl/wrappers/minari.py",
+        TENSORS | {"torchrl", "gymnasium", "minari", "fishrl.extras"} | TASK_SIDE,
+    ),
     ("fishrl/envs/", TENSORS | TASK_SIDE),
     ("fishrl/modules/", TENSORS | {"torchrl", "fishrl.modules"}),
     ("fishrl/objectives/", TENSORS | {"torchrl", "fishrl.objectives"}),
@@ -78,8 +82,10 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
 TORCHRL_SIDE = {f"fishrl.envs.{name}" for name in ("flow_env", "making", "transforms", "episodes")}
 ON_USE = {"rerun", "wandb"}
 #: Modules for users of other frameworks: nothing else imports them, nor what they need.
-WAYS_IN = [ROOT / "fishrl/wrappers" / name for name in ("gymnasium.py", "stable_baselines.py")]
-FRAMEWORKS = {"gymnasium", "stable_baselines3", "sb3_contrib"}
+WAYS_IN = [
+    ROOT / "fishrl/wrappers" / name for name in ("gymnasium.py", "minari.py", "stable_baselines.py")
+]
+FRAMEWORKS = {"gymnasium", "minari", "stable_baselines3", "sb3_contrib"}
 
 
 def _sources(*folders: str) -> list[Path]:
@@ -162,7 +168,7 @@ def test_rerun_and_wandb_are_imported_on_use() -> None:
 
 def test_only_the_ways_in_import_other_frameworks() -> None:
     ways = {"fishrl.wrappers"}
-    allowed = {*WAYS_IN, ROOT / "fishrl/programs/export_data.py"}  # datasets name their spaces
+    allowed = {*WAYS_IN, ROOT / "fishrl/programs/export_data.py"}  # its program
     for path in set(_sources("fishrl", "experiments")) - allowed:
         wrong = [name for name in _names(path) if _is_within(name, FRAMEWORKS | ways)]
         assert not wrong, f"{_relative(path)} imports {wrong}"

@@ -164,9 +164,8 @@ def make_profile(
         places[part] = place
         return record_function(part)(function)
 
-    bodies = "bodies: markers, force, motion, spreading"
-    names = {"collide": "collision", **dict.fromkeys(("bodies", "place", "couple", "move"), bodies)}
-    solver.wrap_kernels_(lambda key, kernel: name("flow", names.get(key, "edges"), kernel))
+    for step_part, _ in solver.list_calls():
+        step_part.run = name("flow", step_part.title, step_part.run)
     for owner, attribute, place, part in (
         (solver, "advance_", "flow", "calls and remainder"),
         (solver, "is_diverged", "environment", "check for divergence"),

@@ -61,9 +61,9 @@ def make_case(solver: InPlaceSolver, label: str, how: str, *, num_flows: int | N
 
 def make_kernel_case(solver: InPlaceSolver, label: str, how: str) -> Case:
     """Return the collision alone: the calls of an even and an odd step, over and over."""
-    case, calls = make_case(solver, label, how), solver.list_calls()["collide"]
+    case, (collide, arguments) = make_case(solver, label, how), solver.list_calls()[0]
     case.scope = measuring.KERNEL
-    case.advance = repeat(*(partial(function, *arguments) for function, arguments in calls))
+    case.advance = repeat(*(partial(collide.run, *given) for given in arguments))
     return case
 
 

@@ -14,12 +14,13 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
+from pydantic import Field, PositiveFloat, PositiveInt
 from tqdm import tqdm
 
-from fishrl.bounds import Checked, bounded
+from fishrl.settings import Settings
 
 _PAUSE = 0.01  # seconds; threads of GNU's OpenMP were seen to spin for four milliseconds
 _WARM_UP = 4  # such a part of a burst runs before it and is not timed
@@ -31,8 +32,7 @@ FISH = "with fish"  # the same with a swimming fish in each flow
 PROBE = "memory"  # no flow: the speed of the memory
 
 
-@dataclass(frozen=True, kw_only=True)
-class BenchmarkSettings(Checked):
+class BenchmarkSettings(Settings):
     """What to measure, and where to write it.
 
     Args:
@@ -45,10 +45,10 @@ class BenchmarkSettings(Checked):
         docs: folder of pages to write stored results of ``folder`` into; nothing is measured.
     """
 
-    body_length: int = bounded(100, least=80)  # a fish has at least 16 nodes, also in a small case
-    threads: int = bounded(os.cpu_count() or 1, least=1)
-    rounds: int = bounded(15, least=2)
-    burst: float = bounded(0.1, greater=0.0)
+    body_length: Annotated[int, Field(ge=80)] = 100  # at least 16 nodes in a small case too
+    threads: PositiveInt = os.cpu_count() or 1
+    rounds: Annotated[int, Field(ge=2)] = 15
+    burst: PositiveFloat = 0.1
     groups: tuple[str, ...] = ()
     folder: str = "runs/benchmark"
     docs: str | None = None

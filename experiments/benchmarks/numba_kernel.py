@@ -13,10 +13,10 @@ import numpy as np
 from fishrl.physics.collision import Rates
 from fishrl.physics.lattice import CX, CY
 
-Kernel = Callable[..., None]
+Advance = Callable[..., None]
 
 
-def make_kernels(width: int, height: int, pitch: int, omega: float) -> tuple[Kernel, Kernel]:
+def make_kernels(width: int, height: int, pitch: int, omega: float) -> tuple[Advance, Advance]:
     """Compile the pulling collision and the halo; ``pitch`` is that of rows with their halo."""
     import numba
 

@@ -1,9 +1,10 @@
-"""The report: one page of Markdown with figures, and all checks as JSON."""
+"""The report: a page of verdicts, a page of Markdown for each case, and all checks as JSON."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from math import inf, isfinite
 from pathlib import Path
 
@@ -15,57 +16,109 @@ from fishrl.programs.pages import write_table
 from fishrl.training.run_folder import write_json
 
 HEADS = ("quantity", "ours", "reference", "error", "tolerance", "verdict", "resolution")
-SUMMARY = ("case", "quantity", "ours", "literature", "deviation", "verdict", "all criteria")
-LONGEST_SOURCE = 40  # characters in the summary table; the tables below have all
+SUMMARY = ("case", "quantity", "ours", "reference", "deviation", "tolerance", "verdict", "met")
+NUM_DEVIATIONS = 2  # named at the top of the page
+LONGEST_SOURCE = 40  # characters in the table of verdicts; the cases' own pages have all
 INTRODUCTION = """\
 The flow solver and the swimming fish, compared with exact solutions, other codes and experiments.
-The summary table has one quantity of each case; the sections below have all quantities, missed
-criteria included."""
+The table has one quantity of each case; its link leads to all quantities, figures and set-up."""
+EXPLANATION = """\
+*Deviation* and *tolerance* are relative to the reference unless marked ±; from a range they are
+measured to its nearer end. *Met* counts the criteria of the case that are met; *recorded*
+quantities have none."""
 
 
 def write_report(outcomes: Sequence[Outcome], *, page: Path, json_path: Path, command: str) -> None:
-    """Write the page, its figures into ``figures/validation`` beside it and all checks as JSON.
+    """Write the page of verdicts, the cases' own pages, their figures, and all checks as JSON.
 
-    The page names the ``command`` that it was made by.
+    In the folder of ``page``, the cases' pages go into ``validation`` and figures into
+    ``figures/validation``. The page names the ``command`` that made it.
     """
-    figures = page.parent / "figures" / "validation"
-    figures.mkdir(parents=True, exist_ok=True)
+    figures, cases = page.parent / "figures" / "validation", page.parent / "validation"
+    for folder in (figures, cases):
+        folder.mkdir(parents=True, exist_ok=True)
     rows = []
     for outcome in outcomes:
+        name = outcome.case.name
         if outcome.figure is not None:
             with mpl.rc_context(FIGURE_STYLE):
-                outcome.figure.savefig(figures / f"{outcome.case.name}.png")
+                outcome.figure.savefig(figures / f"{name}.png")
+        (cases / f"{name}.md").write_text(render_case(outcome), encoding="utf-8")
         for check in outcome.checks:
             derived = {"error": check.error, "verdict": check.verdict}
-            rows.append({"case": outcome.case.name, **asdict(check), **derived})
+            rows.append({"case": name, **asdict(check), **derived})
     page.write_text(render(outcomes, command), encoding="utf-8")
     write_json(json_path, rows)
 
 
 def render(outcomes: Sequence[Outcome], command: str) -> str:
-    """Return the page."""
+    """Return the page of verdicts."""
     machines = {
         f"{m['cpu']}, {m['cores']} cores (each run on one), torch {m['torch']}, "
         f"Python {m['python']}"
         for outcome in outcomes
         for m in (record["machine"] for record in outcome.records.values())
     }
-    minutes = ", ".join(f"{o.case.name} {o.seconds / 60:.1f}" for o in outcomes)
     total = sum(outcome.seconds for outcome in outcomes) / 60
     parts = [
         "# Validation",
         INTRODUCTION.replace("\n", " "),
         f"```sh\n{command}\n```",
-        render_summary(outcomes),
         summarise(outcomes),
-        "Errors, deviations and tolerances are relative to the reference unless marked ±; for a "
-        "range, they are measured from its nearer end. *Recorded* quantities have no acceptance "
-        "criterion.",
-        f"Run on {'; '.join(sorted(machines)) or 'nothing'}. CPU time on one core, in minutes: "
-        f"{minutes}; {total:.1f} in total.",
-        *(part for outcome in outcomes for part in _render_case(outcome)),
+        _list_misses(outcomes),
+        _list_deviations(outcomes),
+        render_summary(outcomes),
+        EXPLANATION.replace("\n", " "),
+        f"Run on {'; '.join(sorted(machines)) or 'nothing'}; {total:.0f} minutes of CPU time.",
+        _list_pages(outcomes),
     ]
+    return _join(parts)
+
+
+def _join(parts: Sequence[str]) -> str:
     return "\n\n".join(part.strip() for part in parts if part) + "\n"
+
+
+def _link(outcome: Outcome) -> str:
+    return f"[{outcome.case.title}](validation/{outcome.case.name}.md)"
+
+
+def _list_pages(outcomes: Sequence[Outcome]) -> str:
+    """Return the table of contents, for the documentation's navigation."""
+    names = "\n".join(f"validation/{outcome.case.name}" for outcome in outcomes)
+    return f"```{{toctree}}\n:hidden:\n\n{names}\n```"
+
+
+def _list_misses(outcomes: Sequence[Outcome]) -> str:
+    """Return the criteria that are not met, with their reason."""
+    lines = [
+        f"- {_describe(outcome, check, default='Reason not known.')}"
+        for outcome in outcomes
+        for check in outcome.checks
+        if check.verdict == MISSED
+    ]
+    return "\n".join(["**Missed criteria**", "", *lines]) if lines else ""
+
+
+def _list_deviations(outcomes: Sequence[Outcome]) -> str:
+    """Return the quantities of the table that are farthest from their references."""
+    deviations = [
+        (check.error, f"- {_describe(outcome, check)}")
+        for outcome in outcomes
+        for check in [find_headline(outcome)]
+        if check is not None and not check.is_absolute and check.error and isfinite(check.error)
+    ]
+    lines = [line for _, line in sorted(deviations, reverse=True)[:NUM_DEVIATIONS]]
+    return "\n".join(["**Largest deviations in the table**", "", *lines]) if lines else ""
+
+
+def _describe(outcome: Outcome, check: Check, *, default: str = "") -> str:
+    """Return a check in one line, with the first sentence of its note."""
+    _, ours, reference, error, *_ = _make_row(check)
+    note = re.split(r"(?<=\w[\w)])\. (?=[A-Z])", check.note)[0].removesuffix(".")
+    note = f"{note[:1].upper()}{note[1:]}." if note else default
+    numbers = f"{ours}, reference {reference}, deviation {error}."
+    return f"{_link(outcome)}, {check.quantity}: {numbers} {note}".strip()
 
 
 def summarise(outcomes: Sequence[Outcome]) -> str:
@@ -79,32 +132,29 @@ def summarise(outcomes: Sequence[Outcome]) -> str:
 
 
 def render_summary(outcomes: Sequence[Outcome]) -> str:
-    """Return the summary table: a row per case, with its headline quantity."""
-    return write_table(SUMMARY, [_summarise_case(o) for o in outcomes if o.checks])
+    """Return the table of verdicts: a row per case, with its headline quantity."""
+    rows = []
+    for outcome in outcomes:
+        if headline := find_headline(outcome):
+            verdicts = [check.verdict for check in outcome.checks]
+            met, missed = verdicts.count(PASS), verdicts.count(MISSED)
+            criteria = f"{met} of {met + missed}" if met + missed else "–"
+            short = headline.source if len(headline.source) <= LONGEST_SOURCE else ""
+            row = _make_row(replace(headline, source=short))
+            rows.append((_link(outcome), *row[:-1], criteria))
+    return write_table(SUMMARY, rows)
+
+
+def find_headline(outcome: Outcome) -> Check | None:
+    """Return the check that stands for a case in the table of verdicts."""
+    named = [check for check in outcome.checks if check.quantity == outcome.case.headline]
+    return next(iter(named or outcome.checks), None)
 
 
 def render_table(outcomes: Sequence[Outcome]) -> str:
     """Return a row for each check, with the name of its case."""
     rows = [(outcome.case.name, *_make_row(c)) for outcome in outcomes for c in outcome.checks]
     return write_table(("case", *HEADS), rows)
-
-
-def _summarise_case(outcome: Outcome) -> Sequence[str]:
-    named = [check for check in outcome.checks if check.quantity == outcome.case.headline]
-    quantity, ours, reference, error, _, verdict, _ = _make_row((named or outcome.checks)[0])
-    literature, _, source = reference.partition(" (")
-    if len(source) <= LONGEST_SOURCE:
-        literature = reference
-    verdicts = [check.verdict for check in outcome.checks]
-    met, missed = verdicts.count(PASS), verdicts.count(MISSED)
-    criteria = f"{met} of {met + missed} met" if met + missed else "none"
-    link = f"[{outcome.case.title}](#{make_anchor(outcome.case.title)})"
-    return (link, quantity, ours, literature, error, verdict, criteria)
-
-
-def make_anchor(heading: str) -> str:
-    """Return the anchor that Markdown gives a heading."""
-    return "".join(c for c in heading.lower() if c.isalnum() or c in " -_").replace(" ", "-")
 
 
 def _make_row(check: Check) -> Sequence[str]:
@@ -118,11 +168,16 @@ def _make_row(check: Check) -> Sequence[str]:
     return (check.quantity, *numbers, verdict, check.resolution or "–")
 
 
-def _render_case(outcome: Outcome) -> list[str]:
+def render_case(outcome: Outcome) -> str:
+    """Return the page of one case."""
     case = outcome.case
-    parts = [f"## {case.title}", case.setup, f"Reference: {case.source}."]
+    parts = [
+        f"# {case.title}",
+        case.setup,
+        f"Reference: {case.source}. Back to [all cases](../validation.md).",
+    ]
     if outcome.figure is not None:
-        parts.append(f"![{case.title}](figures/validation/{case.name}.png)")
+        parts.append(f"![{case.title}](../figures/validation/{case.name}.png)")
     parts.append(write_table(HEADS, [_make_row(check) for check in outcome.checks]))
     notes: dict[tuple[str, str], list[str]] = {}
     for check in outcome.checks:
@@ -134,7 +189,8 @@ def _render_case(outcome: Outcome) -> list[str]:
     if tables := _render_refinement(outcome.checks):
         fold = "<details>\n<summary>Values of all runs</summary>"
         parts += [fold, *tables, "</details>"]
-    return parts
+    parts.append(f"CPU time: {outcome.seconds / 60:.1f} minutes on one core.")
+    return _join(parts)
 
 
 def _render_refinement(checks: Sequence[Check]) -> list[str]:

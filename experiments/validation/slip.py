@@ -24,7 +24,7 @@ from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.flow import FlowParams, make_params, make_rest
 from fishrl.physics.geometry import locate_bodies
 from fishrl.physics.immersed_boundary import DirectSolve, ForceSolve, IterativeForcing, interpolate
-from fishrl.physics.step import exchange, gather, gather_fluid, spread, step
+from fishrl.physics.step import couple_bodies, gather, gather_fluid, spread, step
 from fishrl.programs.figures.style import COLOURS
 
 RELAXATIONS = {1.0: "--", 1.7: "-"}  # with the lines of the figure
@@ -74,7 +74,7 @@ def measure_slip(state: FlowState, config: FlowConfig, params: FlowParams) -> fl
     place = locate_bodies(config, params.bodies, state.bodies, fluid.rho.dtype)
     nodes = place.stencil.index_nodes(config.width)
     seen = gather_fluid(fluid, nodes)
-    moved, *shares = exchange(config, params.bodies, state.bodies, place, seen)
+    moved, *shares = couple_bodies(config, params.bodies, state.bodies, place, seen)
     body, markers = moved[0], place.markers[0]
     spin = torch.stack((-markers.arm[..., 1], markers.arm[..., 0]), -1)
     wall = body.velocity[:, None] + body.angular_velocity[:, None, None] * spin

@@ -6,31 +6,28 @@ changes depend on a key of the episode: they are the same in any batch.
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from itertools import pairwise
 from math import ceil
+from typing import Annotated
 
 import torch
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 from torch import Tensor
 
-from fishrl.bounds import bounded, check_bounds
 from fishrl.envs.draws import draw_uniform
+from fishrl.settings import Settings
 
 _DRAW = 2  # 0 and 1 are those of the lateral line
 
 
-@dataclass(frozen=True, kw_only=True)
-class StreamChanges(ABC):
+class StreamChanges(Settings, ABC):
     """Changes of a stream's speed.
 
     Args:
         ramp_T: duration of a change.
     """
 
-    ramp_T: float = bounded(1.0, greater=0)
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
+    ramp_T: PositiveFloat = 1.0
 
     @property
     @abstractmethod
@@ -61,7 +58,6 @@ class StreamChanges(ABC):
         """
 
 
-@dataclass(frozen=True, kw_only=True)
 class StreamSteps(StreamChanges):
     """The same changes in every episode; with a longer ``ramp_T`` they are ramps.
 
@@ -70,8 +66,8 @@ class StreamSteps(StreamChanges):
         speeds_bl: speeds that they lead to, L / T.
     """
 
-    times_T: tuple[float, ...] = bounded(least=0, entries=1)
-    speeds_bl: tuple[float, ...] = bounded(greater=0, entries=1)
+    times_T: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=1)]
+    speeds_bl: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -111,7 +107,6 @@ class StreamSteps(StreamChanges):
         return speeds[:num].expand(len(key), num).clone()
 
 
-@dataclass(frozen=True, kw_only=True)
 class RandomChanges(StreamChanges):
     """Changes at equal intervals.
 
@@ -119,7 +114,7 @@ class RandomChanges(StreamChanges):
         interval_T: time between two changes, and before the first one.
     """
 
-    interval_T: float = bounded(20.0, greater=0)
+    interval_T: PositiveFloat = 20.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -143,7 +138,6 @@ class RandomChanges(StreamChanges):
         return [self.interval_T * (k + 1) for k in range(num)]
 
 
-@dataclass(frozen=True, kw_only=True)
 class StreamSwitches(RandomChanges):
     """Switches to another of several speeds, each with equal probability.
 
@@ -151,7 +145,7 @@ class StreamSwitches(RandomChanges):
         speeds_bl: speeds of the stream, L / T.
     """
 
-    speeds_bl: tuple[float, ...] = bounded((1.0, 1.25, 1.5), greater=0, entries=2)
+    speeds_bl: Annotated[tuple[PositiveFloat, ...], Field(min_length=2)] = (1.0, 1.25, 1.5)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -177,7 +171,6 @@ class StreamSwitches(RandomChanges):
         return torch.stack(drawn, -1) if drawn else chances
 
 
-@dataclass(frozen=True, kw_only=True)
 class StreamWalk(RandomChanges):
     """A random walk: each change is drawn uniformly, and reflected at the limits.
 
@@ -188,9 +181,9 @@ class StreamWalk(RandomChanges):
     """
 
     interval_T: float = 2.0
-    step_bl: float = bounded(0.2, greater=0)
-    low_bl: float = bounded(0.9, greater=0)
-    high_bl: float = bounded(1.6, greater=0)
+    step_bl: PositiveFloat = 0.2
+    low_bl: PositiveFloat = 0.9
+    high_bl: PositiveFloat = 1.6
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,8 +1,9 @@
 """The episode runner: one episode from each of a set of starts, in all flows of an env at once."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -12,8 +13,11 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from fishrl.envs.agents import EachFish, average_fish
 from fishrl.envs.flow_env import FlowEnv
+from fishrl.envs.traces import Traces
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
+#: Named values ``[B, ...]`` to record, or nothing.
+Values = Mapping[str, Tensor] | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +32,7 @@ class Episodes:
         diverged: ``[E]`` bool, whether the flow diverged; such an episode counts as no success.
         interval_T: duration of a decision in T.
         counted: ``[E]`` bool each, flags at the end by name, see ``name_counted``.
+        traces: what the callbacks of ``run_episodes`` returned.
     """
 
     returns: Tensor
@@ -37,6 +42,7 @@ class Episodes:
     diverged: Tensor
     interval_T: float
     counted: dict[str, Tensor] = field(default_factory=dict)
+    traces: Traces = field(default_factory=lambda: Traces(0))
 
     def metrics(self) -> dict[str, float]:
         """Reduce to numbers; the time to success is NaN where there was none."""
@@ -60,17 +66,20 @@ def run_episodes(
     *,
     max_decisions: int | None = None,
     exploration: ExplorationType = ExplorationType.DETERMINISTIC,
-    on_begin: Callable[[Tensor, TensorDictBase], None] | None = None,
-    on_step: Callable[[Tensor, TensorDictBase], None] | None = None,
-    on_frame: Callable[[Tensor, FlowEnv], None] | None = None,
+    on_begin: Callable[[Tensor, TensorDictBase], Values] | None = None,
+    on_step: Callable[[Tensor, TensorDictBase], Values] | None = None,
+    on_frame: Callable[[Tensor, FlowEnv], Values] | None = None,
+    on_episodes: Callable[[int], None] | None = None,
 ) -> Episodes:
-    """Run one episode from each of E starts, and return their outcome.
+    """Run one episode from each of E starts; return their outcome and what callbacks recorded.
 
     Starts go to the B rows in order, each to the first row that is free. A row without a start
     rests: its flow is not advanced, and its output is undefined.
 
-    The first argument of callbacks is ``start_of`` ``[B]`` int64, the index of the start that each
-    row runs, or -1 in rows that the call does not concern.
+    The first argument of ``on_begin``, ``on_step`` and ``on_frame`` is ``start_of`` ``[B]`` int64,
+    the index of the start that each row runs, or -1 in rows that the call does not concern. They
+    may return named values ``[B, ...]``; those of the rows concerned are appended to the ``traces``
+    of their episodes.
 
     Args:
         env: environment of a ``FlowEnv``; its current episodes are abandoned.
@@ -87,6 +96,7 @@ def run_episodes(
         on_frame: called ``frames_per_action`` times within a decision, at equal intervals, with the
             rows whose episode lasted up to this moment, and the ``FlowEnv``; without it,
             ``FlowEnv.on_frame`` stays.
+        on_episodes: called after each decision with the number of episodes that it ended.
     """
     base, num_starts = env.base_env, starts.shape[0]
     act = policy if base.task.num_fish == 1 else EachFish(policy)
@@ -99,11 +109,14 @@ def run_episodes(
     }
     start_of = torch.arange(num_rows, device=device)
     start_of = start_of.masked_fill(start_of >= num_starts, -1)
-    num_begun, num_decisions = num_rows, 0
+    num_begun, num_decisions, traces = num_rows, 0, Traces(num_starts)
+
+    def call(callback: Callable[[Tensor, Any], Values] | None, rows: Tensor, what: Any) -> None:
+        if callback is not None and (values := callback(rows, what)):
+            traces.add(rows, values)
 
     def show_frame(flows: FlowEnv) -> None:
-        if on_frame is not None:
-            on_frame(start_of.masked_fill(~flows.is_moving, -1), flows)
+        call(on_frame, start_of.masked_fill(~flows.is_moving, -1), flows)
 
     with (
         base.set_starts(starts, on_frame=show_frame if on_frame else base.on_frame),
@@ -112,13 +125,12 @@ def run_episodes(
     ):
         state, has_begun = env.reset(), start_of >= 0
         while (is_open := start_of >= 0).any() and num_decisions != max_decisions:
-            if on_begin is not None and has_begun.any():
-                on_begin(start_of.masked_fill(~has_begun, -1), state)
+            if has_begun.any():
+                call(on_begin, start_of.masked_fill(~has_begun, -1), state)
             num_decisions += 1
             base.is_resting = ~is_open
             step = env.step(act(state))
-            if on_step is not None:
-                on_step(start_of, step)
+            call(on_step, start_of, step)
             after, index = step["next"], start_of[is_open]
             returns[index] += average_fish(after, "reward")[is_open, 0]
             lengths[index] += 1
@@ -133,6 +145,8 @@ def run_episodes(
             start_of = torch.where(is_done, num_begun + is_done.cumsum(0) - 1, start_of)
             start_of = start_of.masked_fill(start_of >= num_starts, -1)
             num_begun += int(is_done.sum())
+            if on_episodes is not None:
+                on_episodes(int((is_done & is_open).sum()))
             state, has_begun = env.maybe_reset(env.step_mdp(step)), is_done & (start_of >= 0)
     done = {name: flag.cpu() for name, flag in flags.items()}
     return Episodes(
@@ -140,6 +154,7 @@ def run_episodes(
         lengths=lengths.cpu(),
         interval_T=base.task.interval_T,
         counted={name: done.pop(name) for name in counted},
+        traces=traces,
         **done,
     )
 

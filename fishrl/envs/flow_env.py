@@ -125,13 +125,12 @@ class FlowEnv(EnvBase):
             device=self.device,
             compile=compile_flow,
         )
-        self.solver.compile(wait=False)  # while wakes are read or developed
         self.start, _ = self._draw_starts(~self.is_resting)
         self._next_start = 0
         task.place_(self.solver, ~self.is_resting, self.start)
-        self.solver.compile()
         self.now = self._begin()
-        self._make_specs()
+        self._make_specs()  # a wrong task is reported before the compile
+        self.solver.compile()
 
     @property
     def num_diverged(self) -> int:

@@ -1,14 +1,14 @@
 """The lateral line: neuromasts along the body that sample the flow beside the skin."""
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import torch
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 from torch import Tensor
 
-from fishrl.bounds import bounded, check_bounds, suggest
 from fishrl.envs.draws import draw_uniform
 from fishrl.envs.protocol import Solver
+from fishrl.settings import Settings, suggest
 
 #: The paper's features: time since the start in T, position in body lengths, and velocity, pressure
 #: and speed in the frame at rest. Time and position leak the flow label.
@@ -21,8 +21,7 @@ SHEAR = "shear"
 KNOWN = (*PAPER, *LOCAL, SHEAR)
 
 
-@dataclass(frozen=True, kw_only=True)
-class LateralLine:
+class LateralLine(Settings):
     """P neuromasts in pairs on both sides of a fish, with one at the nose if P is odd.
 
     Velocities are in L / T, pressures in rho (L / T)^2, shear in 1 / T. Noise and dropout depend on
@@ -42,19 +41,18 @@ class LateralLine:
         delay: delay of the signals in samples; at most W.
     """
 
-    num_neuromasts: int = bounded(5, least=1, largest=10_000)
+    num_neuromasts: Annotated[int, Field(ge=1, le=10_000)] = 5
     features: tuple[str, ...] = LOCAL
-    num_samples: int = bounded(2, least=1)
-    first_bl: float = bounded(0.2, greater=0)
+    num_samples: PositiveInt = 2
+    first_bl: PositiveFloat = 0.2
     last_bl: float = 0.7
-    distance: float = bounded(2.0, greater=0)
+    distance: PositiveFloat = 2.0
     is_averaged: bool = False
-    noise: float = bounded(0.0, least=0)
-    silence: float = bounded(0.0, least=0, largest=1)
-    delay: int = bounded(0, least=0, largest=10_000)
+    noise: NonNegativeFloat = 0.0
+    silence: Annotated[float, Field(ge=0, le=1)] = 0.0
+    delay: Annotated[int, Field(ge=0, le=10_000)] = 0
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         unknown = [name for name in self.features if name not in KNOWN]
         if unknown or not self.features:
             hint = suggest(unknown[0], KNOWN) if unknown else ""

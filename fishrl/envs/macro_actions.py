@@ -6,12 +6,14 @@ last one swims upstream. When the flow label changes, the gear stays and the row
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
 from itertools import pairwise
-from math import inf
+from typing import Annotated
 
 import torch
+from pydantic import AfterValidator, Field, NonNegativeFloat, NonNegativeInt
 from torch import Tensor
+
+from fishrl.settings import Settings
 
 #: For the paper's three flows, from ``studies/drift_sweep``. In each row the
 #: second frequency is the shedding frequency, which roughly holds station, and the last one swims
@@ -23,39 +25,42 @@ DEFAULT_ROWS = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class FrequencyBank:
+def _check_rising(row: tuple[float, ...]) -> tuple[float, ...]:
+    if not all(low < high for low, high in pairwise(row)):
+        raise ValueError("rising")
+    return row
+
+
+_Row = Annotated[tuple[NonNegativeFloat, ...], Field(min_length=2), AfterValidator(_check_rising)]
+
+
+class FrequencyBank(Settings):
     """Tail-beat frequencies, one row per flow.
 
     Args:
         rows: tail beats per T, rising within each row; all rows have the same length, at least two.
     """
 
-    rows: tuple[tuple[float, ...], ...] = DEFAULT_ROWS
+    rows: Annotated[tuple[_Row, ...], Field(min_length=1)] = DEFAULT_ROWS
 
     def __post_init__(self) -> None:
-        rows = tuple(_as_row(row) for row in self.rows)
-        object.__setattr__(self, "rows", rows)
-        if not rows:
-            raise ValueError("bank.rows is empty: give one row of frequencies for each known flow")
-        if len({len(row) for row in rows}) > 1:
+        if len({len(row) for row in self.rows}) > 1:
             raise ValueError(
-                f"bank.rows have {[len(row) for row in rows]} frequencies: give all the same number"
+                f"rows have {[len(row) for row in self.rows]} frequencies: give all the same number"
             )
 
 
-@dataclass(frozen=True, kw_only=True)
-class FrequencyControl(ABC):
+class FrequencyControl(Settings, ABC):
     """Map actions to tail-beat frequencies.
 
     Args:
         first_gear: initial gear, counted from 0; by default the middle one.
     """
 
-    first_gear: int | None = None
+    first_gear: NonNegativeInt | None = None
 
     def __post_init__(self) -> None:
-        if self.first_gear is not None and not 0 <= self.first_gear < self.num_gears:
+        if self.first_gear is not None and self.first_gear >= self.num_gears:
             raise ValueError(
                 f"first_gear = {self.first_gear}: allowed is 0 to {self.num_gears - 1}"
             )
@@ -126,7 +131,6 @@ class FrequencyControl(ABC):
         return torch.ones(*gear.shape, self.num_actions, dtype=torch.bool, device=gear.device)
 
 
-@dataclass(frozen=True, kw_only=True)
 class MacroActions(FrequencyControl):
     """Decelerate (0), cruise (1) or accelerate (2): shift by one gear in the row of the flow.
 
@@ -136,7 +140,7 @@ class MacroActions(FrequencyControl):
         bank: the frequencies.
     """
 
-    bank: FrequencyBank = field(default_factory=FrequencyBank)
+    bank: FrequencyBank = FrequencyBank()
 
     @property
     def rows(self) -> tuple[tuple[float, ...], ...]:
@@ -158,7 +162,6 @@ class MacroActions(FrequencyControl):
         return torch.stack((can_slow, torch.ones_like(can_slow), can_speed), -1)
 
 
-@dataclass(frozen=True, kw_only=True)
 class DirectFrequencies(FrequencyControl):
     """Choose one of n frequencies directly, independent of the flow (the ablation).
 
@@ -166,11 +169,7 @@ class DirectFrequencies(FrequencyControl):
         frequencies: tail beats per T, rising; 0 is a passive fish.
     """
 
-    frequencies: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "frequencies", _as_row(self.frequencies))
-        super().__post_init__()
+    frequencies: _Row
 
     @property
     def rows(self) -> tuple[tuple[float, ...], ...]:
@@ -192,7 +191,6 @@ class DirectFrequencies(FrequencyControl):
         return action
 
 
-@dataclass(frozen=True, kw_only=True)
 class ContinuousFrequency(FrequencyControl):
     """Set the frequency directly, independent of the flow; the gear is not used and stays 0.
 
@@ -201,13 +199,13 @@ class ContinuousFrequency(FrequencyControl):
             whole bank of the macro-actions.
     """
 
-    frequency_range: tuple[float, float] = (0.25, 2.6)
+    frequency_range: tuple[NonNegativeFloat, NonNegativeFloat] = (0.25, 2.6)
 
     def __post_init__(self) -> None:
-        row = _as_row(self.frequency_range)
-        if len(row) != 2:
-            raise ValueError(f"frequency_range = {row}: give the least and the largest frequency")
-        object.__setattr__(self, "frequency_range", row)
+        if not self.frequency_range[0] < self.frequency_range[1]:
+            raise ValueError(
+                f"frequency_range = {self.frequency_range}: give the least, then the largest"
+            )
         super().__post_init__()
 
     @property
@@ -238,12 +236,3 @@ class ContinuousFrequency(FrequencyControl):
     def shift(self, gear: Tensor, action: Tensor) -> Tensor:
         """Return the gear as it is."""
         return gear
-
-
-def _as_row(values: object) -> tuple[float, ...]:
-    """Return rising frequencies as a tuple."""
-    row = tuple(float(value) for value in values) if isinstance(values, list | tuple) else ()
-    is_rising = all(low < high for low, high in pairwise((*row, inf)))
-    if len(row) < 2 or row[0] < 0.0 or not is_rising:
-        raise ValueError(f"frequencies = {values}: must be two or more, from 0, finite and rising")
-    return row

@@ -18,7 +18,7 @@ from torchrl.envs import (
 from fishrl.envs.agents import name_entry
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.task import AbstractTask
-from fishrl.envs.transforms import equip
+from fishrl.envs.transforms import equip, make_labelling
 
 
 def make_env(
@@ -50,7 +50,7 @@ def make_env(
     """
     if not isinstance(task, AbstractTask):
         raise ValueError(f"task = {task!r}: must be an instance of a task, such as Predation()")
-    task, labelling = equip(task, recognition)
+    task = equip(task, recognition)
     observed, stacked, action, mask = (
         name_entry(task, name)
         for name in ("observation", "observation_stack", "action", "action_mask")
@@ -71,7 +71,7 @@ def make_env(
         InitTracker(),
         StepCounter(max_steps=task.time_limit),
         RewardSum(),
-        *labelling,
+        *make_labelling(task, recognition),
         *transforms,
         CatFrames(N=task.num_stacked, dim=-1, in_keys=[observed], out_keys=[stacked]),
         *([ActionMask(action, mask)] if task.action_bounds is None else []),

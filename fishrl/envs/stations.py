@@ -1,15 +1,13 @@
 """Safe area and reward for holding station."""
 
-from dataclasses import dataclass
-
 import torch
+from pydantic import NonNegativeFloat, PositiveFloat
 from torch import Tensor
 
-from fishrl.bounds import Checked, bounded
+from fishrl.settings import Settings
 
 
-@dataclass(frozen=True, kw_only=True)
-class SafeArea(Checked):
+class SafeArea(Settings):
     """A rectangle surrounded by the danger area.
 
     Positions are (x downstream, y) from the middle of the obstacle's flat side, in body lengths.
@@ -23,8 +21,8 @@ class SafeArea(Checked):
 
     near_bl: float = 0.4
     far_bl: float = 4.0
-    aside_bl: float = bounded(1.0, greater=0)
-    rim_bl: float = bounded(0.25, least=0)
+    aside_bl: PositiveFloat = 1.0
+    rim_bl: NonNegativeFloat = 0.25
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -50,8 +48,7 @@ class SafeArea(Checked):
             )
 
 
-@dataclass(frozen=True, kw_only=True)
-class StationReward(Checked):
+class StationReward(Settings):
     """Reward for holding station with little work: r1 to r4 of the paper's Task 2.
 
     Args:
@@ -67,7 +64,7 @@ class StationReward(Checked):
 
     drift_limit_bl: float = 0.05
     work_weight: float = 0.1
-    work_reference: float = bounded(0.1, greater=0)
+    work_reference: PositiveFloat = 0.1
     danger_penalty: float = 5.0
     rim_weight: float = 10.0
 

@@ -7,22 +7,24 @@ observations; the body turns smoothly over the interval. The fish faces upstream
 
 import hashlib
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from itertools import pairwise
 from math import pi, radians
 from pathlib import Path
+from typing import Annotated
 
 import torch
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 from torch import Tensor
 from torch.nn.functional import relu
 
-from fishrl.bounds import Checked, bounded
 from fishrl.envs.sensors import sense_target, wrap_angle
 from fishrl.files import load_tensors
+from fishrl.settings import Settings
 
 
-class Steering(Checked, ABC):
+class Steering(ABC):
     """A heading controller without state: the environment keeps its observations.
 
     Attributes:
@@ -50,8 +52,7 @@ class Steering(Checked, ABC):
         """
 
 
-@dataclass(frozen=True, kw_only=True)
-class PIDSteering(Steering):
+class PIDSteering(Settings, Steering):
     """PID control of the lateral position: aim upstream, and back towards the centreline.
 
     The controlled point is the body's middle: the nose sways with every beat, and sampled about
@@ -69,12 +70,12 @@ class PIDSteering(Steering):
         max_turn_degrees: largest turn in one interval.
     """
 
-    num_stacked: int = bounded(32, least=2)
-    gain: float = bounded(1.0, least=0)
-    integral_gain: float = bounded(1.0, least=0)
-    damping: float = bounded(0.0, least=0)
-    max_angle_degrees: float = bounded(15.0, greater=0, largest=90)
-    max_turn_degrees: float = bounded(15.0, greater=0, largest=90)
+    num_stacked: Annotated[int, Field(ge=2)] = 32
+    gain: NonNegativeFloat = 1.0
+    integral_gain: NonNegativeFloat = 1.0
+    damping: NonNegativeFloat = 0.0
+    max_angle_degrees: Annotated[float, Field(gt=0, le=90)] = 15.0
+    max_turn_degrees: Annotated[float, Field(gt=0, le=90)] = 15.0
 
     def observe(self, nose: Tensor, middle: Tensor, heading: Tensor) -> Tensor:
         """Return the lateral offset of the middle, and the heading."""
@@ -91,8 +92,7 @@ class PIDSteering(Steering):
         return wrap_angle(pi + aim.clamp(-most, most) - heading).clamp(-step, step)
 
 
-@dataclass(frozen=True, kw_only=True)
-class PolicySteering(Steering):
+class PolicySteering(Settings, Steering):
     """Steer with the network that learned to catch food, towards a point upstream.
 
     It acts greedily: turn clockwise, keep, turn counter-clockwise. The point lies ahead of the
@@ -111,9 +111,9 @@ class PolicySteering(Steering):
     """
 
     path: str = field(default=str(Path(__file__).with_name("steering.pt")), repr=False)
-    turn_degrees: float = bounded(15.0, least=0, largest=180)
-    ahead_bl: float = bounded(2.0, greater=0)
-    decisions_per_T: int = bounded(4, least=1)
+    turn_degrees: Annotated[float, Field(ge=0, le=180)] = 15.0
+    ahead_bl: PositiveFloat = 2.0
+    decisions_per_T: PositiveInt = 4
     weights: str = field(default="", init=False)
 
     def __post_init__(self) -> None:

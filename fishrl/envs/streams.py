@@ -1,17 +1,17 @@
 """Streams of several speeds, which may change within an episode, with or without half discs."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from math import floor, inf, pi
-from typing import Any
+from typing import Annotated, Any
 
 import torch
+from pydantic import Field, PositiveFloat, PositiveInt
 from tensordict import TensorDictBase
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from fishrl.bounds import bounded, check_bounds
 from fishrl.envs.changes import StreamChanges
 from fishrl.envs.protocol import Solver
 from fishrl.envs.scene import Panel, Series
@@ -21,10 +21,10 @@ from fishrl.physics.bodies.outline import BodyParams, DCylinder
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import MAX_WALL_SPEED, Scales
+from fishrl.settings import Settings
 
 
-@dataclass(frozen=True, kw_only=True)
-class Stream:
+class Stream(Settings):
     """Streams along +x that differ in speed and in the diameter of their half disc.
 
     Inflow and sides move with the stream; the outflow is transparent to plane sound waves. The flat
@@ -43,24 +43,21 @@ class Stream:
         wake_folder: cache of developed wakes.
     """
 
-    speeds_bl: tuple[float, ...] = bounded((1.0, 1.25, 1.5), greater=0, entries=1)
+    speeds_bl: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)] = (1.0, 1.25, 1.5)
     changes: StreamChanges | None = None
     has_disc: bool = True
-    diameter_bl: float | tuple[float, ...] = bounded(0.4, greater=0)
-    face_bl: float = bounded(2.5, greater=0)
-    num_phases: int = bounded(8, least=1)
-    num_travels: float = bounded(100.0, greater=0)
+    diameter_bl: PositiveFloat | tuple[PositiveFloat, ...] = 0.4
+    face_bl: PositiveFloat = 2.5
+    num_phases: PositiveInt = 8
+    num_travels: PositiveFloat = 100.0
     wake_folder: str = "runs/wakes"
 
     def __post_init__(self) -> None:
-        check_bounds(self)
-        speeds = tuple(float(speed) for speed in self.speeds_bl)
-        object.__setattr__(self, "speeds_bl", speeds)
-        num = len(self.diameter_bl) if isinstance(self.diameter_bl, tuple) else len(speeds)
-        if num != len(speeds):
+        num = len(self.speeds_bl)
+        if isinstance(self.diameter_bl, tuple) and len(self.diameter_bl) != num:
             raise ValueError(
-                f"diameter_bl = {self.diameter_bl}: {num} for {len(speeds)} entries of speeds_bl; "
-                "give one for each, or a number for all"
+                f"diameter_bl = {self.diameter_bl}: {len(self.diameter_bl)} for {num} entries of "
+                "speeds_bl; give one for each, or a number for all"
             )
         names = [label["name"] for label in self.labels]
         if self.has_disc and len(set(names)) < len(names):

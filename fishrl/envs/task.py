@@ -10,16 +10,15 @@ and items of the scene.
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from functools import cached_property
 from math import ceil
-from typing import Any, NamedTuple, final
+from typing import Annotated, Any, NamedTuple, final
 
 import torch
+from pydantic import Field, PositiveFloat, PositiveInt
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.bounds import bounded, check_bounds
 from fishrl.envs.extensions import HasHistory
 from fishrl.envs.protocol import Solver
 from fishrl.envs.schedule import make_schedule
@@ -27,6 +26,9 @@ from fishrl.envs.starts import check_fit, check_pattern, place_fish
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import DEFAULT_WALL_SPEED, Scales
+from fishrl.settings import Settings
+
+_Size = Annotated[float, Field(gt=0, le=1e6)]
 
 
 class Command(NamedTuple):
@@ -45,8 +47,7 @@ class Command(NamedTuple):
     amplitude: Tensor | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class AbstractTask(ABC):
+class AbstractTask(Settings, ABC):
     """Base of all tasks: a fish in a tank of still water with one decision per control interval.
 
     Sizes such as ``n_obs`` may be given as class attributes, ``n_obs: ClassVar[int] = 3``.
@@ -63,18 +64,17 @@ class AbstractTask(ABC):
         checks_per_action: checks for termination within one action.
     """
 
-    body_length: int = bounded(50, least=16, largest=100_000)
-    reynolds: float = bounded(7000.0, greater=0)
-    max_wall_speed: float = bounded(DEFAULT_WALL_SPEED, greater=0)
-    domain_bl: tuple[float, float] = bounded((10.0, 5.0), greater=0, largest=1e6)
-    wall_margin_bl: float = bounded(0.1, least=0, largest=1e6)
-    num_stacked: int = bounded(4, least=1, largest=10_000)
-    time_limit: int = bounded(30, least=1)
-    control_interval_T: float = bounded(1.0, greater=0, largest=10)
-    checks_per_action: int = bounded(25, least=1)
+    body_length: Annotated[int, Field(ge=16, le=100_000)] = 50
+    reynolds: PositiveFloat = 7000.0
+    max_wall_speed: PositiveFloat = DEFAULT_WALL_SPEED
+    domain_bl: tuple[_Size, _Size] = (10.0, 5.0)
+    wall_margin_bl: Annotated[float, Field(ge=0, le=1e6)] = 0.1
+    num_stacked: Annotated[int, Field(ge=1, le=10_000)] = 4
+    time_limit: PositiveInt = 30
+    control_interval_T: Annotated[float, Field(gt=0, le=10)] = 1.0
+    checks_per_action: PositiveInt = 25
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         num_samples = self.num_samples if isinstance(self, HasHistory) else 0
         stretches = make_schedule(
             self.n_substeps, checks=self.checks_per_action, samples=num_samples
@@ -230,7 +230,7 @@ class AbstractTask(ABC):
         position, heading = place_fish(starts, self.fish)
         solver.reset_(rows, position, heading)
 
-    def prepare_(self, solver: Solver, starts: TensorDictBase) -> None:  # noqa: B027  # optional
+    def prepare_(self, solver: Solver, starts: TensorDictBase) -> None:  # optional
         """Change the flow before an action, for example its stream speed; by default do nothing.
 
         ``starts`` ``[B]`` are those of the episodes; ``solver.body.age`` counts the steps since.

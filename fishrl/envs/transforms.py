@@ -225,12 +225,8 @@ class TrueFlowLabel(FlowLabelTransform):
         return one_hot(index, self.num_flows).float()
 
 
-def equip(
-    task: AbstractTask, recognition: nn.Module | str | None
-) -> tuple[AbstractTask, list[Transform]]:
-    """Return the task that reads flow labels, and the transforms that write them.
-
-    The transforms stand before the frame stack.
+def equip(task: AbstractTask, recognition: nn.Module | str | None) -> AbstractTask:
+    """Return the task that reads the flow labels which ``make_labelling`` writes.
 
     Args:
         task: the task.
@@ -242,22 +238,31 @@ def equip(
             trained for other flows or sensors.
     """
     if recognition is None:
-        return task, []
+        return task
     if not isinstance(task, HasFlowLabels) or task.num_fish > 1:
         raise ValueError(
             f"recognition: {type(task).__name__} has no flows to tell apart, or several fish; "
             "leave it out, or take a task of one fish with `flow_labels`"
         )
-    is_observed = task.num_label_inputs > 0
     if isinstance(recognition, nn.Module):
         check: Any = recognition.check
         check(flows=task.flow_labels, sensors=task.lateral_line_layout)
-        transforms = make_recognition(recognition, is_observed=is_observed)
-    elif recognition == ORACLE:
-        transforms = [TrueFlowLabel(num_flows=len(task.flow_labels), is_observed=is_observed)]
-    else:
+    elif recognition != ORACLE:
         raise ValueError(f"recognition = {recognition!r}: give {ORACLE!r} or a classifier")
-    return task.read_flow_labels(), transforms
+    return task.read_flow_labels()
+
+
+def make_labelling(task: AbstractTask, recognition: nn.Module | str | None) -> list[Transform]:
+    """Return new transforms that write flow labels, to stand before the frame stack.
+
+    Arguments as for ``equip``.
+    """
+    if recognition is None or not isinstance(task, HasFlowLabels):
+        return []
+    is_observed = task.num_label_inputs > 0
+    if isinstance(recognition, nn.Module):
+        return make_recognition(recognition, is_observed=is_observed)
+    return [TrueFlowLabel(num_flows=len(task.flow_labels), is_observed=is_observed)]
 
 
 def make_recognition(

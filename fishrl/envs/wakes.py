@@ -10,13 +10,13 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NoReturn
+from typing import Annotated, NoReturn
 
 import torch
+from pydantic import Field, PositiveFloat, PositiveInt
 from torch import Tensor
 from tqdm import tqdm
 
-from fishrl.bounds import Checked, bounded
 from fishrl.files import load_tensors, staged
 from fishrl.memory import check_memory
 from fishrl.physics.bodies.motion import Fixed
@@ -24,6 +24,7 @@ from fishrl.physics.cache_key import hash_sources, make_key
 from fishrl.physics.diagnostics import find_crossings, measure_cycles
 from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
+from fishrl.settings import Settings
 
 logger = logging.getLogger(__name__)
 
@@ -32,8 +33,7 @@ _BAR = "{desc} {percentage:3.0f}%|{bar:20}| {n:.0f}/{total:.0f}{unit} [{elapsed}
 _SAMPLES_PER_TRAVEL = 16  # of the lift; a shedding period is about five travels
 
 
-@dataclass(frozen=True, kw_only=True)
-class WakeRecipe(Checked):
+class WakeRecipe(Settings):
     """Parameters of a bank of wakes. A *travel* is the time D / U.
 
     Args:
@@ -48,9 +48,9 @@ class WakeRecipe(Checked):
     config: FlowConfig
     position: tuple[float, float]
     heading: float
-    speeds: tuple[float, ...] = bounded(greater=0, entries=1)
-    num_phases: int = bounded(8, least=1)
-    num_travels: float = bounded(100.0, greater=0)
+    speeds: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)]
+    num_phases: PositiveInt = 8
+    num_travels: PositiveFloat = 100.0
 
     @property
     def key(self) -> str:

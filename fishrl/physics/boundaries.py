@@ -8,16 +8,16 @@ function per boundary, which takes views of one edge and returns new values.
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import torch
+from pydantic import Field
 from torch import Tensor
 
-from fishrl.bounds import bounded
 from fishrl.physics.collision import Macroscopic, compute_equilibrium, compute_macroscopic
 from fishrl.physics.lattice import CX, CY, OPPOSITE, W
+from fishrl.settings import Settings
 
 Index = tuple[slice, slice, slice]
 
@@ -98,8 +98,7 @@ def _extrapolate(
     return {q: t + (neighbour[q] - e) for q, (t, e) in enumerate(pairs)}
 
 
-@dataclass(frozen=True, kw_only=True)
-class NonEquilibrium(Boundary):
+class NonEquilibrium(Settings, Boundary):
     """Non-equilibrium extrapolation of Guo, Zheng & Shi 2002, eq. 6 (second order).
 
     f_b = f_eq(rho_b, u_b) + f_n - f_eq(rho_n, u_n), with n the inner neighbour, which also provides
@@ -113,7 +112,7 @@ class NonEquilibrium(Boundary):
     """
 
     velocity: tuple[float, float] | None = None
-    density: float | None = bounded(None, greater=0, less=2)
+    density: Annotated[float, Field(gt=0, lt=2)] | None = None
     profile: Profile = Profile.UNIFORM
 
     def __post_init__(self) -> None:
@@ -133,8 +132,7 @@ class NonEquilibrium(Boundary):
         return _extrapolate(neighbour, fluid, Macroscopic(drho_b, ux_b, uy_b))
 
 
-@dataclass(frozen=True, kw_only=True)
-class OpenEdge(Boundary):
+class OpenEdge(Settings, Boundary):
     """A non-reflecting edge: sound leaves, where a fixed velocity or density would reflect it.
 
     Non-equilibrium extrapolation with the velocity of the neighbour and the density of an outgoing
@@ -168,8 +166,7 @@ class OpenEdge(Boundary):
         return _extrapolate(neighbour, fluid, Macroscopic(wave, ux, uy))
 
 
-@dataclass(frozen=True, kw_only=True)
-class NoSlip(Boundary):
+class NoSlip(Settings, Boundary):
     """Half-way bounce-back: a wall half a node outside the edge nodes (Ladd 1994).
 
     f_in = f_out(opposite) + 6 w c . U. The mass that a sliding wall carries along itself enters and
@@ -201,8 +198,7 @@ class NoSlip(Boundary):
         return edge
 
 
-@dataclass(frozen=True)
-class Periodic(Boundary):
+class Periodic(Settings, Boundary):
     """The flow leaves on one side and enters on the other; see ``list_crossings``."""
 
     is_local = True
@@ -216,8 +212,7 @@ class Periodic(Boundary):
         return {}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Boundaries:
+class Boundaries(Settings):
     """The four edges; the default is a closed tank."""
 
     left: Boundary = NonEquilibrium(velocity=(0.0, 0.0))

@@ -10,17 +10,16 @@ equals M f_eq of the second-order equilibrium exactly.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
+from pydantic import Field
 from torch import Tensor
 
-from fishrl.bounds import Checked, bounded
 from fishrl.physics.lattice import CX, CY, W
+from fishrl.settings import Settings
 
 
-@dataclass(frozen=True, kw_only=True)
-class Rates(Checked):
+class Rates(Settings):
     """Relaxation rates of the moments that do not set the viscosity.
 
     Args:
@@ -33,8 +32,8 @@ class Rates(Checked):
     coupling less margin. The energy rate is theirs; a lower one damps sound more and slows a fish.
     """
 
-    energy: float = bounded(1.64, greater=0, less=2)
-    flux: float = bounded(1.7, greater=0, less=2)
+    energy: Annotated[float, Field(gt=0, lt=2)] = 1.64
+    flux: Annotated[float, Field(gt=0, lt=2)] = 1.7
 
 
 class Macroscopic(NamedTuple):
@@ -132,9 +131,10 @@ def _from_moments(
 def compute_force_increment(
     fluid: Macroscopic,
     force: tuple[Tensor, Tensor],
-    share: tuple[Tensor, Tensor],
     omega: Tensor | float,
     rates: Rates,
+    *,
+    share: tuple[Tensor, Tensor] | None = None,
 ) -> list[Tensor]:
     """Return what a body force adds to the post-collision populations.
 
@@ -150,13 +150,13 @@ def compute_force_increment(
     Args:
         fluid: density and unforced velocity at the nodes.
         force: total body-force density at the node (x, y).
-        share: the part of it whose increment is returned (x, y); ``force`` itself for all of it.
         omega: 1 / tau.
         rates: the other rates.
+        share: part of the force whose increment is returned (x, y); None is all of it.
     """
     _, ux, uy = fluid
     fx, fy = force
-    sx, sy = share
+    sx, sy = force if share is None else share
     half = 0.5 / fluid.rho
     # the force works on u* + (1 - s/4) F / (2 rho), with the rate s of the moment at hand
     gx, gy = fx * half, fy * half

@@ -1,16 +1,16 @@
 """A flow: its static configuration, its parameters and its state."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from enum import Enum
 from math import pi
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import torch
+from pydantic import Field, NonNegativeInt, PositiveInt
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
-from fishrl.bounds import bounded, check_bounds
 from fishrl.memory import check_memory
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
@@ -22,6 +22,7 @@ from fishrl.physics.immersed_boundary import ForceSolve, IterativeForcing
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED, Q
 from fishrl.physics.storage import Storage
 from fishrl.physics.units import check_tau
+from fishrl.settings import Settings
 
 
 class Coupling(Enum):
@@ -31,8 +32,7 @@ class Coupling(Enum):
     EXPLICIT = "explicit"  # the paper's eqs. 5 and 6: the last step's velocity sets the force
 
 
-@dataclass(frozen=True, kw_only=True)
-class Sponge:
+class Sponge(Settings):
     """A strip along an edge where the viscosity rises smoothly and damps vortices and sound.
 
     Args:
@@ -41,17 +41,15 @@ class Sponge:
         side: which edge.
     """
 
-    length: int = bounded(least=1)
+    length: PositiveInt
     tau: float = 1.0
     side: Side = Side.RIGHT
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         check_tau(self.tau)
 
 
-@dataclass(frozen=True, kw_only=True)
-class FlowConfig:
+class FlowConfig(Settings):
     """The static configuration of a flow.
 
     Flows of one batch may differ in ``tau``, ``stream_speed``, ``ramp_steps`` and in the size, gait
@@ -75,22 +73,21 @@ class FlowConfig:
             traffic, for GPUs (a CPU gains nothing).
     """
 
-    width: int = bounded(least=4, largest=2**31 - 1)
-    height: int = bounded(least=4, largest=2**31 - 1)
+    width: Annotated[int, Field(ge=4, le=2**31 - 1)]
+    height: Annotated[int, Field(ge=4, le=2**31 - 1)]
     tau: float
     stream_speed: float = 1.0
-    ramp_steps: int = bounded(0, least=0)
+    ramp_steps: NonNegativeInt = 0
     bodies: tuple[BodyConfig, ...] = ()
-    rates: Rates = field(default_factory=Rates)
-    boundaries: Boundaries = field(default_factory=Boundaries)
+    rates: Rates = Rates()
+    boundaries: Boundaries = Boundaries()
     sponges: tuple[Sponge, ...] = ()
-    kernel: Kernel = field(default_factory=Roma3)
-    force_solve: ForceSolve = field(default_factory=IterativeForcing)
+    kernel: Kernel = Roma3()
+    force_solve: ForceSolve = IterativeForcing()
     coupling: Coupling = Coupling.IMPLICIT
     storage: Storage = Storage.FLOAT32
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         check_tau(self.tau)
         self.force_solve.check(self.kernel)
         if self.fish is None and any(isinstance(body, Fish) for body in self.bodies):
@@ -262,6 +259,27 @@ def compute_stream_speed(params: FlowParams, clock: Tensor) -> Tensor:
     part = torch.where(params.ramp_steps > 0.0, age / params.ramp_steps, 1.0).clamp(max=1.0)
     change = params.stream_speed - params.former_speed
     return params.former_speed + change * 0.5 * (1.0 - torch.cos(pi * part))
+
+
+def change_stream_speed(
+    params: FlowParams, clock: Tensor, speed: Tensor, num_steps: int | None
+) -> FlowParams:
+    """Return parameters with which the stream changes to ``speed`` ``[B]`` from ``clock`` on.
+
+    It does so smoothly over ``num_steps``. With None it changes at once, while a rise from rest
+    continues, to the new speed.
+    """
+    new = params._replace(stream_speed=speed)
+    if num_steps is None:
+        is_rising = params.former_speed == 0.0
+        return new._replace(ramp_steps=torch.where(is_rising, params.ramp_steps, 0.0))
+    if num_steps < 0:
+        raise ValueError(f"num_steps = {num_steps}: must be 0 or more")
+    return new._replace(
+        ramp_steps=torch.full_like(clock, num_steps),
+        former_speed=compute_stream_speed(params, clock),
+        ramp_start=clock.clone(),
+    )
 
 
 def list_configs(

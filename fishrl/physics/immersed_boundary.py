@@ -8,14 +8,14 @@ iterating needs no pass over the grid.
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
+from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 from torch import Tensor
 
-from fishrl.bounds import Checked, bounded
 from fishrl.physics.delta import Kernel
+from fishrl.settings import Settings
 
 
 class Stencil(NamedTuple):
@@ -97,7 +97,7 @@ def _overlap(first: Tensor, weights: Tensor) -> Tensor:
     return total
 
 
-class ForceSolve(Checked, ABC):
+class ForceSolve(Settings, ABC):
     """A method that solves A g = r for the force g at the markers."""
 
     @abstractmethod
@@ -121,7 +121,6 @@ class ForceSolve(Checked, ABC):
         """
 
 
-@dataclass(frozen=True, kw_only=True)
 class IterativeForcing(ForceSolve):
     """Iterative force correction, the paper's eq. 4: g += w r, r -= w A r.
 
@@ -135,8 +134,8 @@ class IterativeForcing(ForceSolve):
         relaxation: w; stable up to 2 / ``kernel.spectrum``.
     """
 
-    num_iterations: int = bounded(4, least=1)
-    relaxation: float = bounded(1.7, greater=0)
+    num_iterations: PositiveInt = 4
+    relaxation: PositiveFloat = 1.7
 
     @classmethod
     def zhang(cls, num_iterations: int = 10) -> "IterativeForcing":
@@ -162,7 +161,6 @@ class IterativeForcing(ForceSolve):
         return solution, residual
 
 
-@dataclass(frozen=True, kw_only=True)
 class DirectSolve(ForceSolve):
     """Exact no slip by inverting A (Wu & Shu 2009); for bodies that stay still, and as reference.
 
@@ -171,7 +169,7 @@ class DirectSolve(ForceSolve):
             A nearly singular, and single precision needs about 1e-4. A cylinder needs none.
     """
 
-    regularisation: float = bounded(1e-4, least=0)
+    regularisation: NonNegativeFloat = 1e-4
 
     def check(self, kernel: Kernel) -> None:
         """Accept every kernel."""

@@ -1,19 +1,22 @@
 """One step of the flow and the bodies in it, as the paper writes it. Read this file first.
 
 This is the readable step: batched, functional, of any float type, differentiable. The in-place step
-(``fast/step.py``) calls the same collision, boundaries and body functions and is tested against it.
+(``fast/stepper.py``) calls the same collision, boundaries and body functions and is tested against
+it.
 
-The method in one paragraph. A flow is nine populations ``f`` at every node; their sum is the
-density, their first moment the momentum. A step relaxes them towards equilibrium (collision), moves
-each to the next node along its own direction (streaming) and sets those that come in at the edges.
-A body is a closed line of markers that exchanges velocity and force with the nodes around it: the
-fluid velocity is interpolated to the markers, the force that removes the slip between fluid and
-body is solved for, together with the motion of bodies that move freely, and spread to the nodes.
+The method in one paragraph. A flow is nine populations f_i at every node, the densities of fluid
+that moves along the nine lattice directions c_i. ``f`` holds their deviations f_i - w_i from fluid
+at rest; these sum to rho - 1, and their first moment is the momentum. A step relaxes the
+populations towards equilibrium (collision), moves each to the next node along its direction
+(streaming) and sets those that enter at the edges. A body is a closed line of markers that
+exchanges velocity and force with the nodes around it: the fluid velocity is interpolated to the
+markers; the force that removes the slip between fluid and body, and the motion of bodies that move
+freely, are solved for together; and the force is spread to the nodes.
 
 In symbols, in lattice units (distance of nodes and time step 1), with the paper's equation numbers;
 A_kl = ds sum_x W_k W_l, and m_f is the mass of the fluid inside a body:
 
-    rho = sum_i f_i,  rho u* = sum_i c_i f_i      fluid before this step's force
+    rho = 1 + sum_i f_i,  rho u* = sum_i c_i f_i  fluid before this step's force
     U*_l = sum_x W_l u*                           at marker l, weights W_l      (eq. 2)
     A g = U_d - U*                                no slip: U_d is the body's    (eq. 4)
     (M - m_f) dU/dt = -sum_l 2 rho g_l ds         rigid motion, with eq. 4      (eqs. 5, 6)
@@ -38,7 +41,13 @@ from fishrl.physics.collision import (
     compute_macroscopic,
 )
 from fishrl.physics.coupling import move_body, solve_body_force
-from fishrl.physics.flow import FlowConfig, FlowParams, FlowState, compute_stream_speed
+from fishrl.physics.flow import (
+    FlowConfig,
+    FlowParams,
+    FlowState,
+    compute_stream_speed,
+    make_params,
+)
 from fishrl.physics.geometry import BodyGeometry, locate_bodies
 from fishrl.physics.immersed_boundary import interpolate
 from fishrl.physics.streaming import stream
@@ -47,25 +56,26 @@ from fishrl.physics.streaming import stream
 def step(
     state: FlowState,
     config: FlowConfig,
-    params: FlowParams,
+    params: FlowParams | None = None,
     external_force: Tensor | None = None,
 ) -> FlowState:
     """Advance a batch of flows by one step.
 
     Args:
         state: populations ``[B, Q, Y, X]`` and bodies.
-        config: of the flows. ``tau``, ``stream_speed`` and ``ramp_steps`` are read from ``params``
-            instead, which has them for each flow.
-        params: of each flow and of the bodies, from ``make_params``.
+        config: of all flows.
+        params: tau, stream and bodies of each flow, where they differ from ``config`` or from each
+            other; None makes them from ``config``, which with bodies is worth doing once, by
+            ``make_params([config] * B)``.
         external_force: ``[B, 2, Y, X]`` body-force density, added to the bodies'.
 
     Returns:
         The state one step later; the argument is unchanged.
 
     Raises:
-        ValueError: for a state with more or fewer bodies than ``config``.
+        ValueError: if the state has more or fewer bodies than ``config``.
 
-    Source: the paper's eqs. 1 to 6, with the changes listed in the theory page: implicit coupling
+    Source: the paper's eqs. 1 to 6, with the changes listed on the theory page: implicit coupling
     and the force increment of ``compute_force_increment``.
     """
     if len(state.bodies) != len(config.bodies):
@@ -73,41 +83,42 @@ def step(
             f"the state has {len(state.bodies)} bodies, the config {len(config.bodies)}: give "
             "FlowConfig(bodies=...) and FlowState(f, bodies) the same number"
         )
-    f = state.f.unbind(1)
+    if params is None:
+        params = make_params([config] * len(state.f), state.f.device)
+    f, bodies = state.f.unbind(1), state.bodies
     fluid = compute_macroscopic(f)
     # bodies: from the fluid at their markers to their motion and the force on the fluid
     force = torch.zeros_like(state.f[:, :2]) if external_force is None else external_force
-    bodies = state.bodies
     if bodies:
         geometry = locate_bodies(config, params.bodies, bodies, f[0].dtype)
         nodes = geometry.stencil.index_nodes(config.width)
         nearby = gather_fluid(fluid, nodes)
-        bodies, share_x, share_y = exchange(config, params.bodies, bodies, geometry, nearby)
+        bodies, share_x, share_y = couple_bodies(config, params.bodies, bodies, geometry, nearby)
         spread_x, spread_y = spread(share_x, nodes, fluid.rho), spread(share_y, nodes, fluid.rho)
         force = force + torch.stack((spread_x, spread_y), 1)
-    # collision: of the fluid alone, plus what the whole force at each node adds to it
-    fx, fy = force.unbind(1)
+    # collision: of the fluid alone, plus what the force at each node adds to it
     omega = config.compute_omega(params.tau).to(fluid.drho)
-    increment = compute_force_increment(fluid, (fx, fy), (fx, fy), omega, config.rates)
+    fx, fy = force.unbind(1)
     collided = collide_mrt(f, omega, config.rates)
+    increment = compute_force_increment(fluid, (fx, fy), omega, config.rates)
     outgoing = [a + b for a, b in zip(collided, increment, strict=True)]
-    # streaming, and the edges at the speed that the stream has by now (no clock: its full speed)
+    # streaming, and the edges at the present speed of the stream (no clock: its full speed)
     incoming = stream(outgoing)
     clock = torch.full_like(params.ramp_steps, inf) if state.clock is None else state.clock + 1.0
     apply_boundaries_(incoming, outgoing, config.boundaries, compute_stream_speed(params, clock))
     return FlowState(torch.stack(incoming, 1), bodies, clock)
 
 
-def exchange(
+def couple_bodies(
     config: FlowConfig,
     params: Sequence[BodyParams],
     states: Sequence[BodyState],
     geometry: BodyGeometry,
     fluid: Macroscopic,
 ) -> tuple[tuple[BodyState, ...], Tensor, Tensor]:
-    """Let fluid and bodies act on each other: solve force and rigid motion together.
+    """Solve for the force between fluid and bodies and for the bodies' motion, together.
 
-    ``fluid`` is that at the S x S nodes around each of the N markers, ``[B, S * S, N]``.
+    ``fluid`` is given at the S x S nodes around each of the N markers, ``[B, S * S, N]``.
 
     Returns:
         The bodies after the step and each marker's share of the nodes' force density along x and y,

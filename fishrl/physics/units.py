@@ -5,10 +5,12 @@ the tail, 2 pi f L times the largest amplitude a(x), or of the stream, so the bu
 nu = L^2 / (Re T), tau = 3 nu + 1/2.
 """
 
-from dataclasses import dataclass
+from typing import Annotated
 
-from fishrl.bounds import bounded, check_bounds
+from pydantic import Field, NonNegativeFloat, PositiveFloat
+
 from fishrl.physics.bodies.gait import CARLING, Gait
+from fishrl.settings import Settings
 
 # Validated range. Below MIN_TAU the collision is no longer stable for vortices shed in a turn;
 # above MAX_TAU the boundary's slip grows. Walls move well below the speed of sound, 0.577.
@@ -52,8 +54,7 @@ def compute_tau(*, length: float, speed: float, reynolds: float) -> float:
     return tau
 
 
-@dataclass(frozen=True, kw_only=True)
-class Scales:
+class Scales(Settings):
     """Lattice units of a swimming fish.
 
     Args:
@@ -65,15 +66,14 @@ class Scales:
         stream_speed_bl: fastest stream, L / T.
     """
 
-    body_length: int = bounded(least=16)
-    reynolds: float = bounded(greater=0)
-    period: int = bounded(least=2)
+    body_length: Annotated[int, Field(ge=16)]
+    reynolds: PositiveFloat
+    period: Annotated[int, Field(ge=2)]
     gait: Gait = CARLING
-    max_frequency: float = bounded(1.0, greater=0)
-    stream_speed_bl: float = bounded(0.0, least=0)
+    max_frequency: PositiveFloat = 1.0
+    stream_speed_bl: NonNegativeFloat = 0.0
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         if self.period % 2:
             raise ValueError(f"period = {self.period}: must be an even number of steps")
         fastest, name = max((self.tail_speed, "tail speed"), (self.stream_speed, "stream speed"))

@@ -17,9 +17,8 @@ import argparse
 import inspect
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import MISSING as NOTHING
-from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass
-from functools import cache, partial
+from dataclasses import dataclass, field, fields, make_dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn, cast, get_args, get_origin
@@ -35,8 +34,10 @@ from yaml import YAMLError  # type: ignore[import-untyped]
 
 from fishrl.bounds import FITTING, check_bounds, is_huge, suggest
 from fishrl.envs import AbstractTask
+from fishrl.settings import REQUIRED, TARGET, Settings, find_class, list_fields, to_plain
+from fishrl.settings.plain import list_classes
 from fishrl.training.algorithms import Algorithm
-from fishrl.training.description import TARGET, find_class, list_classes, make, to_plain
+from fishrl.training.description import make
 from fishrl.training.logger import CsvLogger
 
 CONF = Path(__file__).parent / "conf"
@@ -45,7 +46,7 @@ PRIMARY = "program"
 #: What the groups make.
 KINDS: dict[str, type] = {"task": AbstractTask, "algorithm": Algorithm, "logger": CsvLogger}
 
-Settings = Mapping[str, Any]
+Values = Mapping[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +66,7 @@ class CommandLine:
     schema: type
     groups: Mapping[str, str | None] = field(default_factory=dict)
     is_training: bool = False
-    stored: Callable[[Settings], Settings] | None = None
+    stored: Callable[[Values], Values] | None = None
     positional: str | None = None
     others: str | None = None
 
@@ -219,15 +220,16 @@ def make_schema(node: Any, path: str, *, kind: Any, modules: Sequence[str]) -> A
     """
     if TARGET not in node:
         raise ValueError(f"{path}: its YAML file must begin with _target_: <module>.<class>")
-    made = find_class(str(node[TARGET]), kind=kind, modules=modules)
+    kinds = kind if isinstance(kind, tuple) else (kind,)
+    made = find_class(str(node[TARGET]), kinds, modules=modules)
     entries: list[Any] = [(TARGET, str, field(default=str(node[TARGET])))]
     below: dict[str, Any] = {}
     for name, default in _list_parts(made):
         given = node.setdefault(name, default)
         if OmegaConf.is_dict(given) and TARGET not in given:
             node[name] = OmegaConf.merge(default, given)
-    for name, parameter in inspect.signature(made, eval_str=True).parameters.items():
-        hint, value = parameter.annotation, node.get(name)
+    for name, hint, default, _ in list_fields(made):
+        value = node.get(name)
         is_object = OmegaConf.is_dict(value)
         if is_object and TARGET not in value and inspect.isclass(hint) and hint is not dict:
             value[TARGET] = f"{hint.__module__}.{hint.__qualname__}"
@@ -235,12 +237,12 @@ def make_schema(node: Any, path: str, *, kind: Any, modules: Sequence[str]) -> A
             kinds = tuple(list_classes(hint))
             below[name] = make_schema(value, f"{path}.{name}", kind=kinds, modules=modules)
             entries.append((name, Any, field(default=None)))
-        elif _is_plain(parameter.default):
+        elif _is_plain(default):
             wanted = get_args(hint)  # of a tuple, whose length omegaconf does not check
             is_fixed = get_origin(hint) is tuple and Ellipsis not in wanted
             if is_fixed and OmegaConf.is_list(value) and len(value) != len(wanted):
                 raise ValueError(f"{path}.{name}={list(value)}: must hold {len(wanted)} values")
-            default = MISSING if parameter.default is parameter.empty else parameter.default
+            default = MISSING if default is REQUIRED else default
             entries.append((name, _as_type(hint), field(default_factory=partial(_list, default))))
         elif name in node:
             entries.append((name, Any, field(default=None)))
@@ -252,11 +254,9 @@ def make_schema(node: Any, path: str, *, kind: Any, modules: Sequence[str]) -> A
 
 def _list_parts(made: type) -> Iterator[tuple[str, dict[str, Any]]]:
     """List the objects that fields of a dataclass make by default, described."""
-    for each in fields(made) if is_dataclass(made) else ():
-        if each.init and each.default_factory is not NOTHING:
-            part = to_plain(each.default_factory())
-            if isinstance(part, dict) and TARGET in part:
-                yield each.name, part
+    for name, _, default, _ in list_fields(made):
+        if isinstance(default, Settings):
+            yield name, to_plain(default)
 
 
 def _list(value: Any) -> Any:
@@ -268,10 +268,9 @@ def _is_plain(value: Any) -> bool:
     if isinstance(value, tuple):
         return all(_is_plain(entry) for entry in value)
     plain = (bool, int, float, str, type(None))
-    return value is inspect.Parameter.empty or isinstance(value, plain)
+    return value is REQUIRED or isinstance(value, plain)
 
 
-@cache
 def _as_type(hint: Any) -> Any:
     """Return the type for omegaconf to check; ``Any`` for those it does not know."""
     try:

@@ -11,7 +11,7 @@ from typing import Any
 
 from fishrl.bounds import bounded
 from fishrl.envs import AbstractTask
-from fishrl.programs.live import LiveObserver
+from fishrl.programs.live import LiveCallback
 from fishrl.programs.program import program
 from fishrl.programs.train_settings import PolicySettings, read_task
 from fishrl.training import evaluate as run_evaluation
@@ -37,8 +37,9 @@ class EvaluateConfig(PolicySettings, ViewerSettings):
     save: str | None = None
 
 
-def evaluate(config: EvaluateConfig, **hooks: Any) -> dict[str, Any]:
+def evaluate(config: EvaluateConfig, *, progress: Progress | None = None) -> dict[str, Any]:
     """Run one episode from each of the fixed starts, and return the result with its policy."""
+    live = LiveCallback(config, num_flows=min(config.num_envs, config.episodes))
     task = make(config.task, kind=AbstractTask)
     source = str(config.policy) if config.learned is None else Path(config.learned)
     result = run_evaluation(
@@ -50,8 +51,7 @@ def evaluate(config: EvaluateConfig, **hooks: Any) -> dict[str, Any]:
         seed=config.seed,
         device=config.device,
         compile=config.compile,
-        observer=LiveObserver(config, num_flows=min(config.num_envs, config.episodes)),
-        **hooks,
+        callbacks=[live] if progress is None else [progress, live],
     )
     about = {"policy": config.checkpoint or config.policy, "task": type(task).__name__}
     return {**about, "preset": config.preset, "seed": config.seed, **result}

@@ -10,15 +10,16 @@ from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from omegaconf import MISSING
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from fishrl.bounds import bounded
-from fishrl.envs import FlowEnv, run_episodes
+from fishrl.envs import run_episodes
 from fishrl.extras import show_install
 from fishrl.programs.program import program
 from fishrl.programs.train_settings import PolicySettings, read_task
@@ -57,37 +58,28 @@ def simulate(settings: ExportSettings, *, progress: Progress) -> xr.Dataset:
     task, recognition, policy = settings.make_policy()
     max_decisions = min(task.time_limit, task.count_decisions(settings.periods))
     stride = max(1, round(task.checks_per_action / task.interval_T / settings.frames_per_T))
-    frames: list[dict[str, Any]] = []
-    num_checks = 0
+    is_due = cycle([*[False] * (stride - 1), True])  # at a check
+    env = settings.make_env(task, recognition, num_envs=1, progress=progress)
 
-    def read(flows: FlowEnv) -> None:
-        frame = read_fields(flows.solver, task.scales)
-        if not frames or frame["time"] > frames[-1]["time"]:  # a flow stands still after the end
-            frames.append(frame)
+    def read(start_of: Tensor, what: object) -> dict[str, Tensor]:
+        return read_fields(env.base_env.solver, task.scales)
 
-    def count(running: Tensor, flows: FlowEnv) -> None:
-        nonlocal num_checks
-        num_checks += 1
-        if num_checks % stride == 0:
-            read(flows)
-
-    def end(running: Tensor, step: TensorDictBase) -> None:
+    def end(start_of: Tensor, step: TensorDictBase) -> dict[str, Tensor]:
         progress.advance(1)
-        if step["next", "done"].all():
-            read(env.base_env)  # the last moment of the episode
+        return read(start_of, step) if step["next", "done"].all() else {}
 
-    with closing(settings.make_env(task, recognition, num_envs=1, progress=progress)) as env:
+    with closing(env):
         progress.start("episode", total=max_decisions)
-        run_episodes(
+        episodes = run_episodes(
             env,
             policy,
             fixed_starts(task, 1, seed=settings.seed),
             max_decisions=max_decisions,
-            on_begin=lambda begun, state: read(env.base_env),
+            on_begin=read,
             on_step=end,
-            on_frame=count,
+            on_frame=lambda start_of, flows: read(start_of, flows) if next(is_due) else {},
         )
-    return make_dataset(frames, body_length=task.scales.body_length)
+    return make_dataset(episodes.traces.of(0), body_length=task.scales.body_length)
 
 
 @program(ExportSettings, groups={"task": "predation", "preset": None}, stored=read_task)

@@ -5,32 +5,35 @@ from __future__ import annotations
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
-from fishrl.training.observer import Observer
+from fishrl.training import Callback
 from fishrl.viewer import LiveView, ViewerSettings
 
 
-class LiveObserver(Observer):
+class LiveCallback(Callback):
     """Streams some of ``num_flows`` flows to the viewer if the settings say so."""
 
     def __init__(self, settings: ViewerSettings, *, num_flows: int) -> None:
         self.settings = settings
-        self.live: LiveView | Observer = Observer()  # which does nothing
+        self.live: LiveView | None = None
         if settings.live:
             settings.choose_flows(num_flows, default=1)  # raises if one does not exist
 
-    def begin(self, env: EnvBase) -> None:
+    def on_begin(self, env: EnvBase) -> None:
         """Start the live view."""
         if self.settings.live:
             self.live = LiveView(env, self.settings)
 
-    def settle(self, step: TensorDictBase) -> None:
+    def on_step(self, step: TensorDictBase) -> None:
         """Show the frames of a completed step."""
-        self.live.settle(step)
+        if self.live is not None:
+            self.live.settle(step)
 
-    def restart(self) -> None:
+    def on_new_episodes(self) -> None:
         """Expect new episodes."""
-        self.live.restart()
+        if self.live is not None:
+            self.live.restart()
 
-    def close(self) -> None:
+    def on_close(self) -> None:
         """End the live view."""
-        self.live.close()
+        if self.live is not None:
+            self.live.close()

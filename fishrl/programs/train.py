@@ -7,31 +7,30 @@ unless ``total_frames`` extends it, or another final evaluation is asked for.
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from torchrl.envs import EnvBase
+
+from fishrl.envs.episodes import Policy
 from fishrl.programs.configuration import quote
 from fishrl.programs.figures.run_pictures import record_run
-from fishrl.programs.live import LiveObserver
+from fishrl.programs.live import LiveCallback
 from fishrl.programs.program import program, show_command
 from fishrl.programs.sweeps.jobs import sweep
 from fishrl.programs.sweeps.runs import list_arguments, name_modules
 from fishrl.programs.train_settings import TRAINING, TrainConfig, make_plan
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.description import to_plain
-from fishrl.training.evaluation import fixed_starts
+from fishrl.training.evaluation import FINAL_SEED, fixed_starts
 from fishrl.training.interruption import Interrupted, exit_status
-from fishrl.training.loop import FINAL_SEED, Training
+from fishrl.training.loop import Training
 from fishrl.training.plan import LEARNING, PARTS, RUN
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, read_config
 from fishrl.training.runs import begin, complete, find_summary, reopen
-
-#: When the program started, apart from the imports above.
-BEGAN = time.perf_counter()
 
 #: Settings that are not taken from the stored run on resume.
 _OF_THE_MOMENT = ("live", "recognition", "resume")
@@ -39,37 +38,40 @@ _OF_THE_MOMENT = ("live", "recognition", "resume")
 _OF_THE_END = ("total_frames", "final_episodes", "baselines", "picture_episodes")
 
 
-class RunObserver(LiveObserver):
+class RunCallback(LiveCallback):
     """The live view of a run, and its pictures at the end."""
 
-    def __init__(self, config: TrainConfig) -> None:
+    def __init__(self, config: TrainConfig, progress: Progress) -> None:
         super().__init__(config, num_flows=config.num_envs)
-        self.config = config
+        self.config, self.progress = config, progress
 
-    def finish(self, training: Training, summary: Mapping[str, Any]) -> None:
+    def on_end(
+        self, summary: Mapping[str, Any], *, folder: Path, env: EnvBase, policy: Policy
+    ) -> None:
         """Record the policy from some starts of the final evaluation and draw the pictures."""
         if self.config.picture_episodes == 0:
             return
-        starts = fixed_starts(training.task, self.config.final_episodes, seed=FINAL_SEED)
+        starts = fixed_starts(env.base_env.task, self.config.final_episodes, seed=FINAL_SEED)
         starts = starts[: self.config.picture_episodes]
-        training.progress.start("pictures", total=starts.shape[0])
+        self.progress.start("pictures", total=starts.shape[0])
         record_run(
-            training.folder.path,
-            training.collector.env,
-            training.make_interruptible(training.learner.actor),
+            folder,
+            env,
+            policy,
             starts,
             settings=self.config,
             baselines={name: summary[f"{name}_success_rate"] for name in summary["baselines"]},
-            on_episodes=training.progress.advance,
+            on_episodes=self.progress.advance,
         )
 
 
-def set_up(config: TrainConfig, **hooks: Any) -> Training:
+def set_up(config: TrainConfig, progress: Progress | None = None) -> Training:
     """Set up a run, new or resumed; invalid settings raise an error here, not later."""
-    hooks["observer"] = RunObserver(config)
+    progress = progress or Progress(is_shown=False)
+    callbacks = [progress, RunCallback(config, progress)]
     if config.resume:
-        return reopen(config.resume, **hooks, **list_changes(config))
-    return begin(make_plan(config), recognition=config.recognition, **hooks)
+        return reopen(config.resume, callbacks=callbacks, **list_changes(config))
+    return begin(make_plan(config), recognition=config.recognition, callbacks=callbacks)
 
 
 def list_changes(config: TrainConfig) -> dict[str, Any]:
@@ -80,10 +82,11 @@ def list_changes(config: TrainConfig) -> dict[str, Any]:
     return {n: v for n, v in plain.items() if n not in fixed and (n in RUN or n in stored)}
 
 
-def finish(training: Training) -> dict[str, Any]:
+def finish(training: Training, progress: Progress | None = None) -> dict[str, Any]:
     """Run a training to its end, draw its pictures, print the table, and return the summary."""
     summary = complete(training)
-    training.progress.close()
+    if progress is not None:
+        progress.close()  # the table appears below it
     modules = name_modules(training.plan.to_config())
     report(summary, folder=training.folder.path, modules=modules)
     return summary
@@ -123,11 +126,11 @@ def main(settings: TrainConfig) -> None:
             print(f"{settings.resume}: already finished; total_frames=... extends it")
             return
     with Progress() as progress:
-        training = set_up(settings, progress=progress, began=BEGAN)
+        training = set_up(settings, progress)
         arguments = list_arguments(training.folder.path, training.plan.to_config())
         hint = f"resume with: {show_command('train', *arguments)}"
         try:
-            finish(training)
+            finish(training, progress)
         except Interrupted as end:
             frames = read_metadata(training.folder.path, which="last")[1]["frames"]
             print(f"{end}: saved at frame {frames}; {hint}", file=sys.stderr)

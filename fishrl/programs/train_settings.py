@@ -106,7 +106,7 @@ class PolicySettings(TaskSettings):
         """Return the task, equipped with the source of its flow labels, and the policy."""
         check_device(self.device)
         recognition = load_recognition(self.recognition)
-        task, _ = equip(make(self.task, kind=AbstractTask), recognition)
+        task = equip(make(self.task, kind=AbstractTask), recognition)
         if self.learned is None:
             return task, recognition, make_baseline(str(self.policy), task=task, seed=self.seed)
         has_labels = recognition is not None

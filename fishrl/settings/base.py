@@ -147,6 +147,8 @@ def list_fields(kind: type) -> list[Entry]:
     """List what the constructor of a class takes; ``REQUIRED`` is the default of what it must."""
     entries = []
     for name, info in find_schema(kind).__pydantic_fields__.items():
+        if info.init is False:
+            continue
         role = next((mark for mark in info.metadata if isinstance(mark, Role)), Role.RESULT)
         factory: Any = info.default_factory
         default = factory() if factory is not None else info.default

@@ -45,6 +45,8 @@ def _say(error: Any) -> str:
     if kind == "literal_error":
         choices = str(ctx["expected"]).replace(" or ", ", ").replace("'", "").split(", ")
         return f"{ctx['expected']}{suggest(str(error['input']), choices)}"
+    if kind == "value_error":  # of a validator, which completes "must be ..."
+        return str(ctx["error"])
     return words[kind].format(**ctx) if kind in words else str(error["msg"])
 
 

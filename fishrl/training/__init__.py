@@ -20,24 +20,25 @@ Example::
 
 from fishrl.training.algorithms import Algorithm
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
-from fishrl.training.baselines import Baseline, find_baselines
+from fishrl.training.baselines import baseline, find_baselines
+from fishrl.training.callback import Callback
 from fishrl.training.interruption import Interrupted
-from fishrl.training.observer import Hooks, Observer
 from fishrl.training.plan import Plan
 from fishrl.training.policies import evaluate, load_plan, load_policy
+from fishrl.training.progress import Progress
 from fishrl.training.runs import begin, complete, find_summary, make_folder, reopen, resume, train
 from fishrl.training.settings import LearningSettings, RunSettings
 
 __all__ = [
     "Algorithm",
-    "Baseline",
+    "Callback",
     "DiscreteSAC",
-    "Hooks",
     "Interrupted",
     "LearningSettings",
-    "Observer",
     "Plan",
+    "Progress",
     "RunSettings",
+    "baseline",
     "begin",
     "complete",
     "evaluate",

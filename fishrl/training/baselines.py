@@ -1,26 +1,23 @@
-"""Baselines: hand-crafted controllers of each task, by name.
+"""Baselines: hand-crafted controllers to compare learned policies with.
 
-Every task has ``random``. Your own task registers further ones::
+Each names the tasks that it fits. One for a task of your own stands next to the task::
 
-    @find_baselines.register
-    def _(task: MyTask) -> dict[str, Baseline]:
-        return {"steady": Baseline(lambda seed: SteadyPolicy()), **find_random(task)}
+    @baseline("steady", MyTask)
+    def make_steady(task: MyTask, seed: int) -> SteadyPolicy:
+        return SteadyPolicy()
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial, singledispatch
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from fishrl.bounds import suggest
-from fishrl.envs import AbstractTask, Follower, KarmanGait, Predation, PredationPair
-from fishrl.envs.macro_actions import ContinuousFrequency, DirectFrequencies, MacroActions
+from fishrl.envs import Follower, KarmanGait, Predation, PredationPair
 from fishrl.modules import (
     PID,
     BangBang,
@@ -33,128 +30,158 @@ from fishrl.modules import (
 )
 from fishrl.modules.gait_controllers import FrequencyController
 
+#: Makes a policy for a task, given the seed of its random numbers.
+MakePolicy = Callable[[Any, int], TensorDictModuleBase]
+M = TypeVar("M", bound=MakePolicy)
 
-@dataclass(frozen=True)
-class Baseline:
-    """A policy to compare with.
+
+class Baseline(NamedTuple):
+    """A policy to compare with, see ``baseline`` for its entries."""
+
+    name: str
+    tasks: tuple[type, ...]
+    make: MakePolicy
+    fits: Callable[[Any], bool]
+    is_default: bool
+
+
+_REGISTERED: list[Baseline] = []
+
+
+def baseline(
+    name: str,
+    *tasks: type,
+    fits: Callable[[Any], bool] = lambda task: True,
+    is_default: bool = True,
+) -> Callable[[M], M]:
+    """Register the decorated function, which makes a policy, as a baseline.
 
     Args:
-        make: makes it, given the seed of its random numbers.
-        is_default: whether learned policies are compared with it by default.
+        name: of the baseline; a later registration replaces an earlier one for the same task.
+        *tasks: classes of tasks that it can act in.
+        fits: whether it can act in a task with its settings.
+        is_default: compare learned policies with it by default.
     """
 
-    make: Callable[[int], TensorDictModuleBase]
-    is_default: bool = True
+    def register(make: M) -> M:
+        _REGISTERED.append(Baseline(name, tasks, make, fits, is_default))
+        return make
+
+    return register
 
 
-def find_random(task: AbstractTask) -> dict[str, Baseline]:
-    """Return random actions, the baseline of every task."""
-    num_numbers = None if task.action_bounds is None else task.num_actions
-    return {"random": Baseline(lambda seed: RandomPolicy(seed=seed, num_numbers=num_numbers))}
-
-
-@singledispatch
 def find_baselines(task: Any) -> dict[str, Baseline]:
-    """Return the baselines of a task by name; for a class of tasks register them, see above."""
-    return find_random(task)
+    """Return the baselines that fit a task by name, the last registered first."""
+    found: dict[str, Baseline] = {}
+    for each in reversed(_REGISTERED):
+        if isinstance(task, each.tasks) and each.fits(task):
+            found.setdefault(each.name, each)
+    return found
 
 
-def list_baselines(task: Any) -> list[str]:
-    """Name the baselines that a learned policy is compared with by default."""
-    return [name for name, baseline in find_baselines(task).items() if baseline.is_default]
+def choose_baselines(names: Sequence[str] | None, task: Any) -> tuple[str, ...]:
+    """Return the names of baselines of a task, by default all that learned policies compete with.
 
-
-def make_baselines(
-    names: Sequence[str] | None, *, task: Any, seed: int
-) -> dict[str, TensorDictModuleBase]:
-    """Make baselines by name, by default those of ``list_baselines``; see ``make_baseline``."""
-    names = list_baselines(task) if names is None else names
-    return {name: make_baseline(name, task=task, seed=seed) for name in names}
+    Raises:
+        ValueError: naming those that fit, if one does not.
+    """
+    known = find_baselines(task)
+    if names is None:
+        return tuple(name for name, each in known.items() if each.is_default)
+    for name in names:
+        if name not in known:
+            raise ValueError(
+                f"baseline {name!r}: {type(task).__name__} with these settings has "
+                f"{', '.join(known)}{suggest(name, known)}"
+            )
+    return tuple(names)
 
 
 def make_baseline(name: str, *, task: Any, seed: int) -> TensorDictModuleBase:
-    """Make a baseline of a task, or raise ValueError; ``seed`` is that of random actions."""
-    known = find_baselines(task)
-    if name not in known:
-        raise ValueError(
-            f"baseline {name!r}: {type(task).__name__} with these settings has "
-            f"{', '.join(known)}{suggest(name, known)}"
-        )
-    return known[name].make(seed)
+    """Make a baseline of a task; ``seed`` is that of random actions.
+
+    Raises:
+        ValueError: see ``choose_baselines``.
+    """
+    choose_baselines([name], task)
+    return find_baselines(task)[name].make(task, seed)
 
 
-@find_baselines.register(Predation)
-def find_pursuers(task: Any) -> dict[str, Baseline]:
-    """Return the baselines of predation; *intercept* plans in whole T, from two observations."""
-    how: dict[str, Any] = {
+@baseline("random", object)
+def make_random(task: Any, seed: int) -> RandomPolicy:
+    """Make random actions, a baseline of every task."""
+    num_numbers = None if task.action_bounds is None else task.num_actions
+    return RandomPolicy(seed=seed, num_numbers=num_numbers)
+
+
+def _describe_actions(task: Any) -> dict[str, Any]:
+    return {
         "turn": math.radians(task.turn_degrees),
         "is_continuous": task.action_bounds is not None,
     }
-    intercept = partial(
-        InterceptPolicy,
-        **how,
+
+
+@baseline("pursuit", Predation, PredationPair)
+def make_pursuit(task: Any, seed: int) -> PursuitPolicy:
+    """Make pursuit of the food; each of two fish acts as if the other were not there."""
+    return PursuitPolicy(**_describe_actions(task))
+
+
+def _is_intercept_possible(task: Any) -> bool:
+    """Tell whether decisions are 1 T apart and two observations show how the food moves."""
+    return task.num_stacked >= 2 and math.isclose(task.interval_T, 1.0, rel_tol=0.01)
+
+
+@baseline("intercept", Predation, fits=_is_intercept_possible)
+def make_intercept(task: Any, seed: int) -> InterceptPolicy:
+    """Make interception of the food, whose course is known."""
+    return InterceptPolicy(
+        **_describe_actions(task),
         food_speed_bl=task.food_speed_bl,
         food_limits_bl=task.food_limits_bl,
         food_start_bl=task.food_y_bl,
         food_still_T=task.food_still_T,
         food_direction={"up": 1, "down": -1}.get(task.food_direction, 0),
     )
-    pursuit = {"pursuit": Baseline(lambda seed: PursuitPolicy(**how)), **find_random(task)}
-    if task.num_stacked < 2 or not math.isclose(task.interval_T, 1.0, rel_tol=0.01):
-        return pursuit
-    return {"intercept": Baseline(lambda seed: intercept()), **pursuit}
 
 
-@find_baselines.register
-def _(task: PredationPair) -> dict[str, Baseline]:
-    """Return pursuit of the food by each fish as if the other were not there."""
-    turn, is_continuous = math.radians(task.turn_degrees), task.action_bounds is not None
-    pursuit = partial(PursuitPolicy, turn=turn, is_continuous=is_continuous)
-    return {"pursuit": Baseline(lambda seed: pursuit()), **find_random(task)}
-
-
-@find_baselines.register
-def _(task: KarmanGait) -> dict[str, Baseline]:
-    """Return station-holding controllers, given the label that selects the task's row."""
-
-    def follow(controller: FrequencyController) -> Baseline:
-        return Baseline(lambda seed: make_gait_policy(controller, task), is_default=False)
-
-    known = {
-        "pid": Baseline(lambda seed: make_pid(task)),
-        "passive": follow(FixedFrequency(0.0)),
-        "bang_bang": follow(BangBang()),
-        **find_random(task),
-    }
-    if task.stream.has_disc:  # in a free stream no vortices are shed
-        known["shedding"] = Baseline(lambda seed: make_shedding(task), is_default=False)
-    return known
-
-
-@find_baselines.register
-def _(task: Follower) -> dict[str, Baseline]:
-    """Return the controller that keeps a place in line behind the leader."""
-    keep = KeepPlace(
+@baseline("keep_place", Follower)
+def make_keep_place(task: Follower, seed: int) -> KeepPlace:
+    """Make the controller that keeps a place in line behind the leader."""
+    return KeepPlace(
         turn=math.radians(task.turn_degrees),
         frequency_range=task.frequency_range,
         num_actions=task.num_actions,
     )
-    return {"keep_place": Baseline(lambda seed: keep), **find_random(task)}
 
 
-def make_shedding(task: KarmanGait) -> GaitPolicy:
-    """Make the policy that beats with the shedding frequency of each flow; develops the wakes."""
-    if task.wakes is None:
-        raise ValueError("baseline 'shedding': in a free stream no vortices are shed")
-    frequencies = task.wakes.shedding_frequencies * task.scales.period
+@baseline("shedding", KarmanGait, fits=lambda task: task.stream.has_disc, is_default=False)
+def make_shedding(task: KarmanGait, seed: int) -> GaitPolicy:
+    """Make a fish that beats with the shedding frequency of each flow; develops the wakes."""
+    wakes: Any = task.wakes
+    frequencies = wakes.shedding_frequencies * task.scales.period
     return make_gait_policy(FixedFrequency(frequencies.tolist()), task)
 
 
-def make_pid(task: KarmanGait, *, station_bl: float | Tensor = 2.1) -> GaitPolicy:
+@baseline("bang_bang", KarmanGait, is_default=False)
+def make_bang_bang(task: KarmanGait, seed: int) -> GaitPolicy:
+    """Make the controller that beats as fast as it can, or not at all."""
+    return make_gait_policy(BangBang(), task)
+
+
+@baseline("passive", KarmanGait, is_default=False)
+def make_passive(task: KarmanGait, seed: int) -> GaitPolicy:
+    """Make a fish that does not beat, as far as its actions allow."""
+    return make_gait_policy(FixedFrequency(0.0), task)
+
+
+@baseline("pid", KarmanGait)
+def make_pid(task: KarmanGait, seed: int = 0, *, station_bl: float | Tensor = 2.1) -> GaitPolicy:
     """Make a PID controller of the distance to the obstacle, with setpoints ``[B]`` or one."""
-    frequency: float | list[float] = 0.5 * task.control.max_frequency
-    if isinstance(task.control, MacroActions):  # the middle of each row about holds a station
-        frequency = [row[len(row) // 2] for row in task.control.bank.rows]
+    control = task.control
+    frequency: float | list[float] = 0.5 * control.max_frequency
+    if control.num_flows is not None:  # the middle of each row roughly holds station
+        frequency = [row[len(row) // 2] for row in control.rows]
     damping = 4.0 / task.interval_T  # per decision; 4 beats per T and L / T
     return make_gait_policy(PID(station_bl=station_bl, frequency=frequency, damping=damping), task)
 
@@ -162,11 +189,10 @@ def make_pid(task: KarmanGait, *, station_bl: float | Tensor = 2.1) -> GaitPolic
 def make_gait_policy(controller: FrequencyController, task: KarmanGait) -> GaitPolicy:
     """Make the policy that follows a frequency controller with the control of the task."""
     control = task.control
-    if isinstance(control, DirectFrequencies):
-        return GaitPolicy(controller=controller, rows=[control.frequencies], is_direct=True)
-    if isinstance(control, ContinuousFrequency):
-        return GaitPolicy(controller=controller, rows=control.rows, is_continuous=True)
-    if not isinstance(control, MacroActions):
-        raise ValueError(f"baselines cannot act through {type(control).__name__}")
-    flow = "flow_class" if task.reads_flow_class else "flow_index"
-    return GaitPolicy(controller=controller, rows=control.bank.rows, flow_key=flow)
+    return GaitPolicy(
+        controller=controller,
+        rows=control.rows,
+        is_direct=control.num_flows is None,
+        is_continuous=control.action_bounds is not None,
+        flow_key="flow_class" if task.reads_flow_class else "flow_index",
+    )

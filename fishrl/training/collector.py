@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import deepcopy
 from functools import partial
@@ -11,25 +11,21 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict
-from torch import nn
 from torchrl.collectors import Collector
 from torchrl.data import Composite
-from torchrl.envs import ActionMask, EnvBase, Transform
+from torchrl.envs import ActionMask, EnvBase
 
-from fishrl.envs import AbstractTask
 from fishrl.envs.agents import EachFish
 from fishrl.training.learner import Learner
-from fishrl.training.plan import Plan
-
-MakeEnv = Callable[..., EnvBase]
+from fishrl.training.resolve import ResolvedRun
 
 
 class ResumableCollector(Collector):
     """TorchRL's collector, whose state also holds the flows and the state they are about to act in.
 
     The parent saves the buffers of the transforms and its counters, but neither the base env nor
-    the TensorDict that it carries from step to step: after loading, episodes would start anew on
-    the frame stacks of the old ones.
+    the TensorDict that it carries from step to step: after loading, new episodes would begin on the
+    frame stacks of the old ones.
     """
 
     def state_dict(self) -> OrderedDict:
@@ -84,29 +80,17 @@ class RemoteCollector(ResumableCollector):
         super().load_state_dict(state, **kwargs)
 
 
-def make_collector(
-    plan: Plan,
-    task: AbstractTask,
-    learner: Learner,
-    *,
-    make_env: MakeEnv,
-    recognition: nn.Module | str | None,
-    seed: int,
-) -> Any:
+def make_collector(resolved: ResolvedRun, learner: Learner, *, seed: int) -> Any:
     """Make the collector of a run, in this process or in those of a cluster.
 
-    ``task`` is that of the plan, as ``recognition`` equips it; the learner's explorer acts, for
-    each fish if there are several.
+    The learner's explorer acts, for each fish if there are several.
     """
-    explorer = learner.explorer
-    if task.num_fish > 1:
+    explorer, plan = learner.explorer, resolved.plan
+    if resolved.task.num_fish > 1:
         explorer = EachFish(explorer, explorer.out_keys)
     settings, run = plan.learning, plan.run
-    given: dict[str, Any] = {} if recognition is None else {"recognition": recognition}
-    given |= {"task": task, "device": run.device, "compile": run.compile}
-    make = partial(_make_equipped, make_env, learner.transforms, **given)
-    # observers may read the flows at every check for termination
-    env = make(num_envs=settings.num_envs, seed=seed, frames_per_action=task.checks_per_action)
+    make_env = partial(resolved.make_flows, transforms=learner.transforms)
+    env = make_env(num_envs=settings.num_envs, seed=seed)
     policy_device = run.learner_device and next(learner.actor.parameters()).device
     if not settings.ray_collectors:
         return ResumableCollector(
@@ -123,17 +107,9 @@ def make_collector(
     return ClusterCollector(
         RemoteCollector,
         env=env,
-        make_env=make,
+        make_env=make_env,
         explorer=explorer,
         settings=settings,
         seed=seed,
         device=run.device,
     )
-
-
-def _make_equipped(make_env: MakeEnv, transforms: Sequence[Transform], **arguments: Any) -> EnvBase:
-    """Make an env with its own copies of transforms."""
-    env = make_env(**arguments)
-    for transform in transforms:
-        env.append_transform(transform.clone())
-    return env

@@ -1,4 +1,4 @@
-"""Evaluation of a policy: one episode from each of a set of fixed starts."""
+"""Evaluation of policies: one episode from each of a set of fixed starts."""
 
 from __future__ import annotations
 
@@ -7,35 +7,92 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
-from torchrl.envs import TransformedEnv
 
 from fishrl.envs.episodes import Episodes, Policy, run_episodes
+from fishrl.training.baselines import make_baseline
+from fishrl.training.callback import Callback
+from fishrl.training.interruption import Interruption
+from fishrl.training.resolve import ResolvedRun
+
+#: Training draws its starts from generators far from those of the fixed starts, which choose the
+#: best checkpoint and end a run.
+TRAIN_SEED, SELECTION_SEED, FINAL_SEED = 1000, 1, 0
 
 
-def evaluate_from(
-    env: TransformedEnv,
-    policy: Policy,
-    starts: TensorDictBase,
-    *,
-    on_episodes: Callable[[int], None] | None = None,
-    on_step: Callable[[TensorDictBase], None] | None = None,
-) -> Episodes:
-    """Run one episode from each of the ``starts`` ``[E]``; a learned policy acts greedily.
+class Evaluator:
+    """Evaluate policies in the flows of a training, and leave these as they were.
 
-    The current episodes of the env are abandoned. After each decision ``on_episodes`` gets the
-    number of episodes that it ended, and ``on_step`` what the env returned.
+    Args:
+        resolved: the run.
+        collector: lends its flows.
+        callbacks: see ``Callback``.
+        interruption: ends an evaluation early by raising ``Interrupted``.
     """
 
-    def follow(start_of: Tensor, step: TensorDictBase) -> None:
-        if on_step is not None:
-            on_step(step)
-        if on_episodes is not None:
-            on_episodes(int(((start_of >= 0) & step["next", "done"].squeeze(-1)).sum()))
+    def __init__(
+        self,
+        resolved: ResolvedRun,
+        collector: Any,
+        *,
+        callbacks: Callback,
+        interruption: Interruption,
+    ) -> None:
+        self._task, self._plan, self._baselines = resolved.task, resolved.plan, resolved.baselines
+        self._collector, self._callbacks = collector, callbacks
+        self._interruption = interruption
 
-    return run_episodes(env, policy, starts, on_step=follow)
+    def evaluate(
+        self,
+        policy: Policy,
+        *,
+        num_starts: int,
+        seed: int,
+        on_episodes: Callable[[int], None] | None = None,
+    ) -> Episodes:
+        """Run one episode from each of ``num_starts`` fixed starts; a learned policy is greedy."""
+        starts = fixed_starts(self._task, num_starts, seed=seed)
+        try:
+            with self._collector.lend_env():
+                return run_episodes(
+                    self._collector.env,
+                    self.make_interruptible(policy),
+                    starts,
+                    on_episodes=on_episodes,
+                    on_step=lambda start_of, step: self._callbacks.on_step(step),
+                )
+        finally:
+            self._callbacks.on_new_episodes()
+
+    def compare(self, actor: Policy) -> dict[str, float]:
+        """Return the final metrics of a learned policy, and ``<name>_...`` of each baseline."""
+        num_starts, names = self._plan.run.final_episodes, self._baselines
+        self._callbacks.on_phase("evaluation", total=num_starts * (1 + len(names)))
+        metrics: dict[str, float] = {}
+        for name in ("", *names):
+            self._callbacks.on_phase(f"evaluation: {name or 'learned'}")
+            result = self.evaluate(
+                make_baseline(name, task=self._task, seed=FINAL_SEED) if name else actor,
+                num_starts=num_starts,
+                seed=FINAL_SEED,
+                on_episodes=self._callbacks.on_progress,
+            )
+            prefix = f"{name}_" if name else ""
+            metrics |= {f"{prefix}{key}": value for key, value in result.metrics().items()}
+        return metrics
+
+    def make_interruptible(self, policy: Policy) -> Policy:
+        """Return a policy that raises ``Interrupted`` after a signal.
+
+        It acts on the device of the learner, even if the flows are elsewhere.
+        """
+
+        def act(state: TensorDictBase) -> TensorDictBase:
+            self._interruption.check()
+            return state.update(policy(state.to(self._plan.run.policy_device)))
+
+        return act
 
 
 def fixed_starts(task: Any, num: int, *, seed: int) -> TensorDict:
-    """Draw the starts of an evaluation: the same ones for the same seed and number."""
+    """Draw the starts of an evaluation, the same for the same seed and number."""
     return task.sample_starts(num, torch.Generator().manual_seed(seed))

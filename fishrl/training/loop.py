@@ -4,97 +4,69 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 import random
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from tensordict import TensorDictBase
-from torchrl.checkpoint import GlobalRNGState
 
 from fishrl.envs.agents import split_fish
-from fishrl.envs.episodes import Episodes, Policy, name_counted
-from fishrl.envs.transforms import equip
-from fishrl.training.baselines import make_baselines
-from fishrl.training.checkpoint import CheckpointNotWritten, load_checkpoint, save_checkpoint
-from fishrl.training.classifier import Recognition
+from fishrl.envs.episodes import name_counted
+from fishrl.training.callback import Callback, join
 from fishrl.training.collector import make_collector
 from fishrl.training.description import describe
-from fishrl.training.evaluation import evaluate_from, fixed_starts
+from fishrl.training.evaluation import SELECTION_SEED, TRAIN_SEED, Evaluator
 from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children
 from fishrl.training.learner import one_thread
 from fishrl.training.metrics import Counters, list_metrics, measure_memory_mb
-from fishrl.training.observer import Hooks
-from fishrl.training.plan import Plan
-from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.resolve import ResolvedRun
 from fishrl.training.run_folder import RunFolder, write_json
+from fishrl.training.saving import RNGState, Saver
 
 logger = logging.getLogger(__name__)
-
-#: Training draws its starts from generators far from those of the fixed starts, which choose the
-#: best checkpoint and end a run.
-TRAIN_SEED, SELECTION_SEED, FINAL_SEED = 1000, 1, 0
-
-
-class RNGState(GlobalRNGState):
-    """The state of all random number generators.
-
-    Those of GPUs that are not there are left out: a run goes on with other GPUs or on a CPU, though
-    not bit for bit.
-    """
-
-    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
-        """Restore the generators of this machine."""
-        gpus = state_dict.get("torch_cuda", [])[: torch.cuda.device_count()]
-        others = {name: value for name, value in state_dict.items() if name != "torch_cuda"}
-        super().load_state_dict(others | ({"torch_cuda": gpus} if gpus else {}))
 
 
 class Training:
     """One run: collect, update, evaluate and save until ``total_frames`` is reached.
 
-    ``recognition`` is the source of flow labels, see ``fishrl.envs.make_env``; ``hooks`` see
-    ``Hooks``.
+    Args:
+        resolved: the run.
+        folder: where it is written, by no other process.
+        callbacks: see ``Callback``.
+        interruption: remembers the signal that ends the run.
     """
 
     def __init__(
         self,
-        plan: Plan,
+        resolved: ResolvedRun,
         *,
-        recognition: Recognition,
         folder: RunFolder,
-        hooks: Hooks,
+        callbacks: Iterable[Callback] = (),
+        interruption: Interruption | None = None,
     ) -> None:
-        self._lock = folder.hold()
-        self.plan, self.folder, self.config, self.hooks = plan, folder, plan.to_config(), hooks
-        self.observer, self.progress, self._began = hooks.observer, hooks.progress, hooks.began
-        self.task, _ = equip(plan.task, recognition)
-        self.spec = PolicySpec.for_task(self.task, has_labels=recognition is not None)
-        self.baselines = make_baselines(plan.run.baselines, task=self.task, seed=FINAL_SEED)
-        self.counters, self.interruption = Counters(), Interruption()
-        flow, learning = self.task.flow_config(), plan.learning
-        self.nodes_per_frame = flow.width * flow.height * self.task.n_substeps
-        random.seed(learning.seed)
-        np.random.seed(learning.seed)  # noqa: NPY002 - for whatever uses the global generator
-        torch.manual_seed(learning.seed)
-        device = plan.run.policy_device
-        self.learner = plan.algorithm.make_learner(self.spec, learning, device=device)
-        self.progress.rename("compilation" if plan.run.compile else "set-up")
+        self._began, self._lock = time.perf_counter(), folder.hold()
+        self.resolved, self.folder, self.plan = resolved, folder, resolved.plan
+        self.task, self.callbacks = resolved.task, join(callbacks)
+        self.counters, self.interruption = Counters(), interruption or Interruption()
+        seed = self.plan.learning.seed
+        random.seed(seed)
+        np.random.seed(seed)  # noqa: NPY002 - for libraries that use the global generator
+        torch.manual_seed(seed)
+        self.learner = self.plan.algorithm.make_learner(
+            resolved.spec, self.plan.learning, device=self.plan.run.policy_device
+        )
+        self.callbacks.on_phase("compilation" if self.plan.run.compile else "set-up")
         with ignore_signals_in_children():  # a checkpoint needs the flows in these processes
-            self.collector = make_collector(
-                plan,
-                self.task,
-                self.learner,
-                make_env=hooks.make_env,
-                recognition=recognition,
-                seed=TRAIN_SEED + learning.seed,
-            )
-        self.observer.begin(self.collector.env)
+            self.collector = make_collector(resolved, self.learner, seed=TRAIN_SEED + seed)
+        self._saver = Saver(resolved, folder, self.components)
+        self.evaluator = Evaluator(
+            resolved, self.collector, callbacks=self.callbacks, interruption=self.interruption
+        )
+        self.callbacks.on_begin(self.collector.env)
 
     def components(self) -> dict[str, Any]:
         """Return by name everything that the next frame depends on, for a checkpoint."""
@@ -107,16 +79,9 @@ class Training:
 
     def restore(self) -> None:
         """Continue from the last checkpoint in the folder; see ``load_checkpoint``."""
-        device = self.plan.run.policy_device
-        load_checkpoint(
-            self.folder.path, self.components(), spec=self.spec, device=device, which="last"
-        )
+        self._saver.load_last()
         self._began -= self.counters.wall_seconds
         logger.info("continuing from frame %d of %s", self.counters.frames, self.folder.path)
-
-    def wall_seconds(self) -> float:
-        """Seconds since the program started, plus those before a resume."""
-        return time.perf_counter() - self._began
 
     def run(self) -> dict[str, Any]:
         """Train, evaluate the best policy and the baselines, and return the summary.
@@ -126,12 +91,14 @@ class Training:
             ChildProcessError: if a process of the flows dies; see ``runs.complete``.
             CheckpointNotWritten: if the first or the last checkpoint cannot be written.
         """
-        counters = self.counters
         columns = list_metrics(self.learner.reports, name_counted(self.collector.env))
         self.plan.logger.open(
-            self.folder.path, columns=columns, config=self.config, step=counters.frames
+            self.folder.path,
+            columns=columns,
+            config=self.plan.to_config(),
+            step=self.counters.frames,
         )
-        if counters.frames == 0:
+        if self.counters.frames == 0:
             self._save(self.folder.last)
         try:
             self._learn()
@@ -140,78 +107,58 @@ class Training:
             raise
         summary = self._summarize()
         try:
-            self.observer.finish(self, summary)
-        except Interrupted:  # unfinished, so that a resume does it
+            self.callbacks.on_end(
+                summary,
+                folder=self.folder.path,
+                env=self.collector.env,
+                policy=self.evaluator.make_interruptible(self.learner.actor),
+            )
+        except Interrupted:  # unfinished, so that a resume repeats the end
             raise
         except Exception:
             write_json(self.folder.summary, summary)
             raise
-        summary["wall_seconds"] = self.wall_seconds()
+        summary["wall_seconds"] = self._wall_seconds()
         write_json(self.folder.summary, summary)
         return summary
 
-    def close(self) -> None:
-        """End the flows, the log and the observer."""
-        self.observer.close()
-        self.plan.logger.close()
-        self.collector.shutdown()
-        self._lock.close()
-
     def _learn(self) -> None:
-        """Run the loop until ``total_frames`` is reached.
-
-        Each round collects a frame of every flow and learns, then evaluates, logs and saves if due.
-        An interrupt in between leaves ``counters.pending``, which a resumed run completes first.
-        """
-        counters, run = self.counters, self.plan.run
-        self.progress.start(self._phase(), total=run.total_frames, done=counters.frames)
+        """Collect, store and update until ``total_frames``; evaluate, log and save when due."""
+        counters, settings = self.counters, self.plan.run
+        self.callbacks.on_phase(self._phase(), total=settings.total_frames, done=counters.frames)
         batches = iter(self.collector)
-        while counters.pending or counters.frames < run.total_frames:
-            if not counters.pending:
+        while counters.pending or counters.frames < settings.total_frames:
+            if not counters.pending:  # else this run was interrupted before it concluded the round
                 self.interruption.check()
-                counters.pending = self._collect_and_update(batches)
-            metrics = self._conclude()
-            self.progress.rename(self._phase())
-            shown = {
-                "frames per s": metrics["time/frames_per_second"],
-                "MLUPS": metrics["time/mlups"],
-                "return": metrics["train/return"],
-                self.task.success or "survived": metrics["train/success_rate"],
-            }
-            self.progress.advance(self.plan.learning.num_envs, **shown)
+                batch, seconds = self._collect(batches)
+                counters.diverged += self.learner.store(split_fish(batch)) // self.task.num_fish
+                self._update()
+                counters.pending = self._measure(batch.numel(), seconds)
+            self._conclude()
         if counters.updates == 0:
             logger.warning(
-                "no gradient step in %d frames: learning begins after warmup_frames = %d, that of "
-                "PPO after a whole rollout; raise total_frames",
+                "no gradient step in %d frames: learning begins after warmup_frames = %d, with PPO "
+                "after the first whole rollout; raise total_frames",
                 counters.frames,
                 self.plan.learning.warmup_frames,
             )
 
-    def _collect_and_update(self, batches: Iterator[TensorDictBase]) -> dict[str, float]:
-        """Step every flow once, take the gradient steps due, and return the metrics."""
-        counters = self.counters
+    def _collect(self, batches: Iterator[TensorDictBase]) -> tuple[TensorDictBase, float]:
+        """Step every flow once; return the transitions ``[num_envs]`` and the seconds taken."""
         start = time.perf_counter()
         batch = next(batches).reshape(-1)
         seconds = time.perf_counter() - start
-        self.observer.settle(batch)
-        counters.collect_seconds += seconds
-        counters.frames += batch.numel()
-        counters.diverged += self.learner.store(split_fish(batch)) // self.task.num_fish
-        counters.count(batch, success=self.task.success)
-        self._update()
-        return {
-            **counters.metrics(),
-            **{f"train/{name}": value for name, value in counters.losses.items()},
-            "time/frames_per_second": batch.numel() / seconds,
-            "time/mlups": self.mlups(batch.numel(), seconds),
-        }
+        self.callbacks.on_step(batch)
+        self.counters.collect_seconds += seconds
+        self.counters.frames += batch.numel()
+        self.counters.count(batch, success=self.task.success)
+        return batch, seconds
 
     def _update(self) -> None:
         """Take the gradient steps that are due."""
         learning, counters = self.plan.learning, self.counters
-        learned_from = counters.frames - learning.warmup_frames
         per_frame = learning.updates_per_frame * self.task.num_fish
-        due = math.floor(per_frame * learned_from) - counters.updates
+        due = math.floor(per_frame * (counters.frames - learning.warmup_frames)) - counters.updates
         if due <= 0 or not self.learner.is_ready:
             return
         with one_thread():
@@ -220,40 +167,45 @@ class Training:
                 counters.updates += 1
         counters.losses = {name: float(losses[name]) for name in self.learner.reports}
 
-    def _conclude(self) -> dict[str, float]:
-        """Complete the metrics of the newest frames: evaluate, log and save if due."""
-        run, counters, metrics = self.plan.run, self.counters, self.counters.pending
-        is_over = counters.frames >= run.total_frames
-        is_evaluated = is_over or self._has_crossed(run.eval_frames)
+    def _measure(self, num_frames: int, seconds: float) -> dict[str, float]:
+        """Return the metrics of a round without those of an evaluation."""
+        return {
+            **self.counters.metrics(),
+            **{f"train/{name}": value for name, value in self.counters.losses.items()},
+            "time/frames_per_second": num_frames / seconds,
+            "time/mlups": self._mlups(num_frames, seconds),
+        }
+
+    def _conclude(self) -> None:
+        """Evaluate, log and save if due after the round whose metrics are pending."""
+        settings, counters, metrics = self.plan.run, self.counters, self.counters.pending
+        is_over = counters.frames >= settings.total_frames
+        is_evaluated = is_over or self._has_crossed(settings.eval_frames)
         if is_evaluated:
             metrics = metrics | self._select()
-        counters.wall_seconds = metrics["time/wall_seconds"] = self.wall_seconds()
-        if is_evaluated or self._has_crossed(run.log_frames):
+        counters.wall_seconds = metrics["time/wall_seconds"] = self._wall_seconds()
+        if is_evaluated or self._has_crossed(settings.log_frames):
             self.plan.logger.log(metrics | {"time/memory_mb": measure_memory_mb()})
             counters.losses = {}
         counters.pending = {}
-        if is_over or self._has_crossed(run.checkpoint_frames):
+        if is_over or self._has_crossed(settings.checkpoint_frames):
             self._save(self.folder.last, is_needed=is_over)
-        return metrics
-
-    def _has_crossed(self, interval: int) -> bool:
-        """Tell whether the newest frames passed a multiple of ``interval``."""
-        after = self.counters.frames
-        return after // interval > (after - self.plan.learning.num_envs) // interval
-
-    def _phase(self) -> str:
-        is_warm = self.counters.frames >= self.plan.learning.warmup_frames
-        return "training" if is_warm else "warm-up"
-
-    def mlups(self, num_frames: int, seconds: float) -> float:
-        """Million lattice node updates per second of the env, sensing and policy included."""
-        return self.nodes_per_frame * num_frames / max(seconds, 1e-9) / 1e6
+        self.callbacks.on_phase(self._phase())
+        shown = {
+            "frames per s": metrics["time/frames_per_second"],
+            "MLUPS": metrics["time/mlups"],
+            "return": metrics["train/return"],
+            self.resolved.success: metrics["train/success_rate"],
+        }
+        self.callbacks.on_progress(self.plan.learning.num_envs, shown)
 
     def _select(self) -> dict[str, float]:
         """Evaluate the greedy policy and keep it if it is the best so far."""
-        self.progress.rename("evaluation")
+        self.callbacks.on_phase("evaluation")
         num_starts = self.plan.run.eval_episodes
-        result = self.evaluate(self.learner.actor, num_starts=num_starts, seed=SELECTION_SEED)
+        result = self.evaluator.evaluate(
+            self.learner.actor, num_starts=num_starts, seed=SELECTION_SEED
+        )
         metrics, best = result.metrics(), self.counters.best
         score = [metrics["success_rate"], metrics["mean_return"]]
         if score >= best:
@@ -263,94 +215,51 @@ class Training:
         return {f"eval/{name}": value for name, value in metrics.items()}
 
     def _summarize(self) -> dict[str, Any]:
-        """Evaluate the best policy and the baselines; return what ``summary.json`` holds.
-
-        Metrics of the learned policy have no prefix, those of a baseline ``<name>_``.
-        """
-        run, counters, actor = self.plan.run, self.counters, self.learner.actor
-        best = load_checkpoint(
-            self.folder.path, {"actor": actor}, spec=self.spec, device=run.policy_device
-        )
-        summary: dict[str, Any] = {}
-        policies: dict[str, Policy] = {"": actor, **self.baselines}
-        self.progress.start("evaluation", total=run.final_episodes * len(policies))
-        for name, policy in policies.items():
-            self.progress.rename(f"evaluation: {name or 'learned'}")
-            result = self.evaluate(
-                policy,
-                num_starts=run.final_episodes,
-                seed=FINAL_SEED,
-                on_episodes=self.progress.advance,
-            )
-            prefix = f"{name}_" if name else ""
-            summary |= {f"{prefix}{key}": value for key, value in result.metrics().items()}
-        return summary | {
-            "task": self.spec.task,
-            "success": self.task.success or "survived",
-            "baselines": list(self.baselines),
+        """Evaluate the best policy and the baselines; return the content of ``summary.json``."""
+        counters = self.counters
+        best_frames = self._saver.load_best(self.learner.actor)
+        return {
+            **self.evaluator.compare(self.learner.actor),
+            "task": self.resolved.spec.task,
+            "success": self.resolved.success,
+            "baselines": list(self.resolved.baselines),
             "preset": self.plan.preset,
             "algorithm": describe(self.plan.algorithm),
             "seed": self.plan.learning.seed,
             "frames": counters.frames,
-            "best_checkpoint_frames": best["frames"],
+            "best_checkpoint_frames": best_frames,
             "updates": counters.updates,
             "train_episodes": counters.episodes,
             "train_diverged": counters.diverged,
-            "wall_seconds": self.wall_seconds(),
-            "mlups": self.mlups(counters.frames, counters.collect_seconds),
+            "wall_seconds": self._wall_seconds(),
+            "mlups": self._mlups(counters.frames, counters.collect_seconds),
         }
 
-    def evaluate(
-        self,
-        policy: Policy,
-        *,
-        num_starts: int,
-        seed: int,
-        on_episodes: Callable[[int], None] | None = None,
-    ) -> Episodes:
-        """Evaluate from fixed starts in the flows of training, and leave these as they were."""
-        starts = fixed_starts(self.task, num_starts, seed=seed)
-        try:
-            with self.collector.lend_env():
-                return evaluate_from(
-                    self.collector.env,
-                    self.make_interruptible(policy),
-                    starts,
-                    on_episodes=on_episodes,
-                    on_step=self.observer.settle,
-                )
-        finally:
-            self.observer.restart()
-
-    def make_interruptible(self, policy: Policy) -> Policy:
-        """Return a policy that raises ``Interrupted`` after SIGINT or SIGTERM.
-
-        It acts on the device of the learner, wherever the flows are.
-        """
-
-        def act(state: TensorDictBase) -> TensorDictBase:
-            self.interruption.check()
-            return state.update(policy(state.to(self.plan.run.policy_device)))
-
-        return act
-
     def _save(self, path: Path, *, is_needed: bool = True) -> bool:
-        """Save, if not needed then if possible: a run outlives a disk that is full for a while."""
-        if path == self.folder.last:  # the rows that it counts outlive a power failure, too
-            with suppress(OSError), self.folder.metrics.open("rb") as rows:
-                os.fsync(rows.fileno())
-        try:
-            save_checkpoint(
-                path,
-                self.components(),
-                spec=self.spec,
-                frames=self.counters.frames,
-                config=self.config,
-                keep=self.plan.run.keep_checkpoints if path == self.folder.last else 1,
-            )
-        except CheckpointNotWritten as error:
-            if is_needed:
-                raise
-            logger.error("%s; continuing without", error)
-            return False
-        return True
+        return self._saver.save(path, frames=self.counters.frames, is_needed=is_needed)
+
+    def close(self) -> None:
+        """End the flows, the log and the callbacks."""
+        self.callbacks.on_close()
+        self.plan.logger.close()
+        self.collector.shutdown()
+        self._lock.close()
+
+    def _wall_seconds(self) -> float:
+        """Return the seconds since the run was set up, plus those before a resume."""
+        return time.perf_counter() - self._began
+
+    def _mlups(self, num_frames: int, seconds: float) -> float:
+        """Million lattice node updates per second of the env, sensing and policy included."""
+        flow = self.task.flow_config()
+        num_nodes = flow.width * flow.height * self.task.n_substeps
+        return num_nodes * num_frames / max(seconds, 1e-9) / 1e6
+
+    def _has_crossed(self, interval: int) -> bool:
+        """Tell whether the newest frames passed a multiple of ``interval``."""
+        after = self.counters.frames
+        return after // interval > (after - self.plan.learning.num_envs) // interval
+
+    def _phase(self) -> str:
+        is_warm = self.counters.frames >= self.plan.learning.warmup_frames
+        return "training" if is_warm else "warm-up"

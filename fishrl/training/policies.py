@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from contextlib import closing
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from types import EllipsisType
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
 
-from fishrl.envs import AbstractTask
-from fishrl.envs.episodes import Policy
-from fishrl.envs.transforms import equip
+from fishrl.envs import AbstractTask, make_env
+from fishrl.envs.episodes import Policy, run_episodes
+from fishrl.envs.transforms import equip, make_labelling
 from fishrl.training.baselines import make_baseline
+from fishrl.training.callback import Callback, join
 from fishrl.training.checkpoint import load_checkpoint, read_metadata
 from fishrl.training.classifier import Recognition, find_classifier, load_recognition
-from fishrl.training.evaluation import evaluate_from, fixed_starts
-from fishrl.training.observer import Hooks
+from fishrl.training.evaluation import fixed_starts
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.resolve import MakeEnv
 from fishrl.training.settings import check_device
 
 
@@ -69,7 +69,8 @@ def evaluate(
     device: str = "cpu",
     compile: bool = True,
     modules: Collection[str] = (),
-    **hooks: Any,
+    callbacks: Iterable[Callback] = (),
+    make_env: MakeEnv = make_env,
 ) -> dict[str, Any]:
     """Run one episode from each of the fixed starts.
 
@@ -86,18 +87,17 @@ def evaluate(
         device: cpu or cuda.
         compile: compile the flow step.
         modules: see ``load_plan``.
-        **hooks: ``make_env``, ``observer`` and ``progress``, see ``Hooks``.
+        callbacks: called during the evaluation, such as ``Progress()``.
+        make_env: makes the flows, with the arguments of ``fishrl.envs.make_env``.
 
     Returns:
         The numbers of ``Episodes.metrics``.
 
     Raises:
         ValueError: for invalid settings, and checkpoints that do not fit the task.
-        TypeError: for other keywords.
     """
     check_device(device)
-    given = Hooks(**hooks)
-    observer, progress = given.observer, given.progress
+    called = join(callbacks)
     if isinstance(policy, Path):
         path, plan = load_plan(policy, modules=modules)
         task = task or plan.task
@@ -106,7 +106,7 @@ def evaluate(
     if task is None:
         raise ValueError("evaluate: give a task, or the Path of a checkpoint, which brings its own")
     labels = load_recognition(None if recognition is ... else recognition)
-    task, _ = equip(task, labels)
+    task = equip(task, labels)
     has_labels = labels is not None
     act: Policy
     if isinstance(policy, Path):
@@ -115,24 +115,27 @@ def evaluate(
         act = make_baseline(policy, task=task, seed=seed)
     else:
         act = policy
-    progress.rename("compilation" if compile else "set-up")
-    env = given.make_env(
+    called.on_phase("compilation" if compile else "set-up")
+    env = make_env(
         task=task,
         num_envs=min(num_envs, episodes),
         seed=seed,
         device=device,
         compile=compile,
-        frames_per_action=task.checks_per_action,
-        **({"recognition": labels} if has_labels else {}),
+        frames_per_action=task.checks_per_action,  # callbacks may read each
+        transforms=make_labelling(task, labels),
     )
-    with closing(env), closing(observer):
-        observer.begin(env)
-        progress.start("evaluation", total=episodes)
-        result = evaluate_from(
+    try:
+        called.on_begin(env)
+        called.on_phase("evaluation", total=episodes)
+        result = run_episodes(
             env,
             act,
             fixed_starts(task, episodes, seed=seed),
-            on_episodes=progress.advance,
-            on_step=observer.settle,
+            on_episodes=called.on_progress,
+            on_step=lambda start_of, step: called.on_step(step),
         )
+    finally:
+        called.on_close()
+        env.close()
     return result.metrics()

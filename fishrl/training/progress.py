@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from typing import TextIO
 
 from tqdm import tqdm
+
+from fishrl.training.callback import NOTHING, Callback
 
 _LINE = "{desc} {percentage:3.0f}% {n_fmt}/{total_fmt} [{elapsed}<{remaining}{postfix}]"
 _BAR = _LINE.replace("%", "%|{bar:20}|")
@@ -25,7 +28,7 @@ class _Lines:
         self._stream.flush()
 
 
-class Progress:
+class Progress(Callback):
     """A bar in frames with the phase at its left: set-up, compilation, warm-up, training, ...
 
     Args:
@@ -57,6 +60,17 @@ class Progress:
     def close(self) -> None:
         """Leave the bar as it is; later output appears below it."""
         self._bar.close()
+
+    def on_phase(self, phase: str, *, total: int | None = None, done: int = 0) -> None:
+        """Begin a bar, or name another phase on the same bar."""
+        if total is None:
+            self.rename(phase)
+        else:
+            self.start(phase, total=total, done=done)
+
+    def on_progress(self, amount: int, shown: Mapping[str, float] = NOTHING) -> None:
+        """Advance the bar."""
+        self.advance(amount, **shown)
 
     def start(self, phase: str, *, total: int, done: int = 0) -> None:
         """Begin a bar of ``total`` frames or episodes, ``done`` of which are already over."""

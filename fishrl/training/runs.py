@@ -3,31 +3,24 @@
 from __future__ import annotations
 
 import logging
-import time
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import closing
 from dataclasses import replace
-from importlib.util import find_spec
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from fishrl.envs import AbstractTask
-from fishrl.envs.transforms import equip
-from fishrl.extras import show_install
-from fishrl.memory import check_memory
+from fishrl.envs import AbstractTask, make_env
 from fishrl.training.algorithms import Algorithm
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
-from fishrl.training.baselines import make_baselines
+from fishrl.training.callback import Callback
 from fishrl.training.checkpoint import read_metadata
-from fishrl.training.classifier import Recognition, keep_recognition, load_recognition
+from fishrl.training.classifier import Recognition, keep_recognition
 from fishrl.training.logger import CsvLogger
 from fishrl.training.loop import Training
-from fishrl.training.observer import Hooks
 from fishrl.training.plan import Plan
-from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.resolve import MakeEnv, resolve
 from fishrl.training.run_folder import RunFolder, read_config, read_summary, write_yaml
-from fishrl.training.settings import LearningSettings, RunSettings, check_device
+from fishrl.training.settings import LearningSettings, RunSettings
 
 logger = logging.getLogger(__name__)
 
@@ -38,11 +31,12 @@ def train(
     algorithm: Algorithm | None = None,
     learning: LearningSettings | None = None,
     run: RunSettings | None = None,
+    callbacks: Iterable[Callback] = (),
     recognition: Recognition = None,
     logger: CsvLogger | None = None,
     preset: str | None = None,
     extra: Mapping[str, Any] | None = None,
-    **hooks: Any,
+    make_env: MakeEnv = make_env,
 ) -> dict[str, Any]:
     """Train a policy, compare it with the baselines of the task, and return the summary.
 
@@ -51,15 +45,15 @@ def train(
         algorithm: the learning algorithm; by default ``DiscreteSAC()``.
         learning: settings that determine the result.
         run: where the run is written, and how often it evaluates, logs and saves.
+        callbacks: called during the run, such as ``Progress()``.
         recognition: source of flow labels, see ``fishrl.envs.make_env``, or a classifier file.
         logger: writes the metrics; by default to a CSV file.
         preset: name for these settings; part of the name of the run folder.
         extra: further settings, of other names, to keep in ``config.yaml``.
-        **hooks: ``make_env``, ``observer``, ``progress`` and ``began``, see ``Hooks``.
+        make_env: makes the flows, with the arguments of ``fishrl.envs.make_env``.
 
     Raises:
         ValueError: for invalid settings.
-        TypeError: for other keywords.
         Interrupted: after SIGINT or SIGTERM; ``resume`` continues the run.
     """
     plan = Plan(
@@ -71,38 +65,50 @@ def train(
         preset=preset,
         extra=extra or {},
     )
-    return complete(begin(plan, recognition=recognition, **hooks))
+    return complete(begin(plan, recognition=recognition, callbacks=callbacks, make_env=make_env))
 
 
 def resume(
-    folder: str | Path, /, *, modules: Collection[str] = (), **changes: Any
+    folder: str | Path,
+    /,
+    *,
+    modules: Collection[str] = (),
+    callbacks: Iterable[Callback] = (),
+    make_env: MakeEnv = make_env,
+    **changes: Any,
 ) -> dict[str, Any]:
     """Resume a run from its last checkpoint unless it is finished, and return its summary.
 
     Args:
         folder: folder of the run.
         modules: modules outside fishrl that may be imported, see ``description.make``.
-        **changes: new values of ``RunSettings``, such as ``total_frames=8000``, and hooks, see
-            ``train``.
+        callbacks: see ``train``.
+        make_env: see ``train``.
+        **changes: new values of ``RunSettings``, such as ``total_frames=8000``.
 
     Raises:
         ValueError: if there is no run, its files do not load, or a change is not possible.
         Interrupted: see ``train``.
     """
-    settings = {name: changes[name] for name in changes if name not in Hooks.__annotations__}
-    summary = find_summary(folder, modules=modules, **settings)
+    summary = find_summary(folder, modules=modules, **changes)
     if summary is not None:
         return summary
-    return complete(reopen(folder, modules=modules, **changes))
+    opened = reopen(folder, modules=modules, callbacks=callbacks, make_env=make_env, **changes)
+    return complete(opened)
 
 
-def begin(plan: Plan, *, recognition: Recognition = None, **hooks: Any) -> Training:
+def begin(
+    plan: Plan,
+    *,
+    recognition: Recognition = None,
+    callbacks: Iterable[Callback] = (),
+    make_env: MakeEnv = make_env,
+) -> Training:
     """Set up a new run; invalid settings raise an error before its folder is made."""
-    given, labels = Hooks(**hooks), load_recognition(recognition)
-    _check(plan, labels)
+    resolved = resolve(plan, recognition=recognition, make_env=make_env)
     folder, plan = make_folder(plan, recognition=recognition)
     with folder.noting_failure():
-        return Training(plan, recognition=labels, folder=folder, hooks=given)
+        return Training(replace(resolved, plan=plan), folder=folder, callbacks=callbacks)
 
 
 def make_folder(
@@ -119,17 +125,22 @@ def make_folder(
     return folder, plan
 
 
-def reopen(folder: str | Path, /, *, modules: Collection[str] = (), **changes: Any) -> Training:
+def reopen(
+    folder: str | Path,
+    /,
+    *,
+    modules: Collection[str] = (),
+    callbacks: Iterable[Callback] = (),
+    make_env: MakeEnv = make_env,
+    **changes: Any,
+) -> Training:
     """Set up a run in the state of its last checkpoint; see ``resume``."""
-    names = Hooks.__annotations__.keys() & changes
-    hooks = Hooks(**{name: changes.pop(name) for name in names})
     run = RunFolder.of_existing(folder)
     with run.noting_failure():
         stored = Plan.from_config(read_config(run.config), modules=modules)
         plan = stored.change(**changes)
-        labels = load_recognition(plan.recognition, run.path)
-        _check(plan, labels)
-        training = Training(plan, recognition=labels, folder=run, hooks=hooks)
+        resolved = resolve(plan, recognition=plan.recognition, folder=run.path, make_env=make_env)
+        training = Training(resolved, folder=run, callbacks=callbacks)
         if run.has_begun():
             try:
                 training.restore()
@@ -149,7 +160,6 @@ def complete(training: Training) -> dict[str, Any]:
     before the next checkpoint, ``ChildProcessError`` is raised.
     """
     folder, resumed_at = training.folder, None
-    hooks = vars(training.hooks)
     with training.interruption as interruption:
         while True:
             try:
@@ -161,10 +171,16 @@ def complete(training: Training) -> dict[str, Any]:
                 frames = read_metadata(folder.path, which="last")[1]["frames"]
                 if frames == resumed_at:
                     raise
-                logger.warning("%s; going on from frame %d", error, frames)
+                logger.warning("%s; continuing from frame %d", error, frames)
                 resumed_at = frames
-            training = reopen(folder.path, **hooks | {"began": time.perf_counter()})
-            training.interruption = interruption  # it may have received a signal meanwhile
+            with folder.noting_failure():
+                training = Training(
+                    training.resolved,
+                    folder=folder,
+                    callbacks=[training.callbacks],
+                    interruption=interruption,  # it may have received a signal meanwhile
+                )
+                training.restore()
 
 
 def find_summary(
@@ -187,32 +203,3 @@ def find_summary(
         and plan.run.total_frames <= summary.get("frames", 0)
     )
     return dict(summary) if same else None
-
-
-def _check(plan: Plan, recognition: Recognition) -> None:
-    """Raise for a plan that cannot run, before anything slow starts."""
-    run = plan.run
-    check_device(run.device)
-    check_device(run.policy_device)
-    if plan.learning.ray_collectors:
-        if run.device not in ("cpu", "cuda") or run.learner_device is not None:
-            raise ValueError(
-                f"device = {run.device}, learner_device = {run.learner_device}: with "
-                "ray_collectors device must be cpu, or cuda, where each collector has a GPU of its "
-                "own, and learner_device null"
-            )
-        if find_spec("ray") is None:
-            raise ValueError(f"ray_collectors: needs Ray: {show_install('cluster')}")
-    task, _ = equip(plan.task, recognition)
-    learning, sizes = plan.learning, PolicySpec.for_task(task, has_labels=recognition is not None)
-    transition = 2 * (sizes.num_inputs + sizes.num_actions)
-    weights = sum(a * b for a, b in pairwise((sizes.num_observed, *learning.hidden)))
-    needed: dict[str, dict[str, float]] = {run.device: {}, run.policy_device: {}}
-    needed[run.device]["flows"] = task.flow_config().num_bytes * learning.num_envs
-    needed[run.policy_device] |= {
-        "buffer": 4 * transition * learning.buffer_size * task.num_fish,
-        "networks": 4 * 4 * weights,  # values, gradients and Adam's two means
-    }
-    for device, parts in needed.items():
-        check_memory(device=device, **parts)
-    make_baselines(plan.run.baselines, task=task, seed=0)

@@ -5,10 +5,12 @@ Needs the extra ``export``, which is imported on use.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from torch import Tensor
 
 from fishrl.physics import InPlaceSolver, Scales, compute_pressure, compute_vorticity
 
@@ -24,36 +26,38 @@ FIELDS = {
 }
 
 
-def read_fields(solver: InPlaceSolver, scales: Scales, *, row: int = 0) -> dict[str, Any]:
-    """Return the fields and outlines of a flow at this moment, for ``make_dataset``.
+def read_fields(solver: InPlaceSolver, scales: Scales) -> dict[str, Tensor]:
+    """Return time, fields and outlines of B flows at this moment, for ``make_dataset``.
 
     Args:
-        solver: with one body or more.
+        solver: the flows.
         scales: L and T of what is returned.
-        row: which flow of the batch.
+
+    Returns:
+        ``time`` ``[B]``, the fields of ``FIELDS`` ``[B, Y, X]``, and of each body ``outline_0``
+        and so on, ``[B, N, 2]``; in L and T.
     """
     length, period = scales.body_length, scales.period
-    rho, u = (values[row : row + 1] for values in solver.macroscopic())
+    rho, u = solver.macroscopic()
     speed = length / period
-    fields = {
-        "u": u[0, 0] / speed,
-        "v": u[0, 1] / speed,
-        "p": compute_pressure(rho)[0] / speed**2,
-        "vorticity": compute_vorticity(u)[0] * period,
-    }
-    outlines = [solver.markers(index)[row] / length for index in range(len(solver.bodies))]
+    bodies = range(len(solver.bodies))
     return {
-        "time": float(solver.body.age[row]) / period,
-        "fields": {name: field.cpu().numpy().astype(np.float32) for name, field in fields.items()},
-        "outlines": [outline.cpu().numpy() for outline in outlines],
+        "time": solver.body.age / period,
+        "u": u[:, 0] / speed,
+        "v": u[:, 1] / speed,
+        "p": compute_pressure(rho) / speed**2,
+        "vorticity": compute_vorticity(u) * period,
+        **{f"outline_{body}": solver.markers(body) / length for body in bodies},
     }
 
 
-def make_dataset(frames: list[dict[str, Any]], *, body_length: float) -> xr.Dataset:
-    """Return what ``read_fields`` gave at several moments, on one time axis.
+def make_dataset(series: Mapping[str, Tensor], *, body_length: float) -> xr.Dataset:
+    """Return what ``read_fields`` gave of one flow at F moments, on one time axis.
+
+    A moment that was read twice is written once.
 
     Args:
-        frames: of one flow, in order.
+        series: by name, ``[F, ...]``, in order; such as ``Traces.of(0)``.
         body_length: L in nodes.
 
     Returns:
@@ -61,27 +65,22 @@ def make_dataset(frames: list[dict[str, Any]], *, body_length: float) -> xr.Data
     """
     import xarray as xr
 
-    height, width = frames[0]["fields"]["u"].shape
+    is_new = np.diff(series["time"].numpy(), prepend=-np.inf) > 0.0
+    values = {name: value.numpy()[is_new] for name, value in series.items()}
+    _, height, width = values["u"].shape
     axes = {
-        "time": ("time", [frame["time"] for frame in frames], {"units": "T"}),
+        "time": ("time", values.pop("time"), {"units": "T"}),
         "y": ("y", np.arange(height) / body_length, {"units": "L"}),
         "x": ("x", np.arange(width) / body_length, {"units": "L"}),
     }
     fields = {
-        name: (
-            ("time", "y", "x"),
-            np.stack([frame["fields"][name] for frame in frames]),
-            {"units": unit, "long_name": text},
-        )
+        name: (("time", "y", "x"), values.pop(name), {"units": unit, "long_name": text})
         for name, (unit, text) in FIELDS.items()
     }
+    words = {"units": "L", "long_name": "closed outline of a body, (x, y)"}
     outlines = {
-        f"outline_{body}": (
-            ("time", f"marker_{body}", "component"),
-            np.stack([frame["outlines"][body] for frame in frames]),
-            {"units": "L", "long_name": "closed outline of a body, (x, y)"},
-        )
-        for body in range(len(frames[0]["outlines"]))
+        name: (("time", name.replace("outline", "marker"), "component"), value, words)
+        for name, value in values.items()
     }
     return xr.Dataset({**fields, **outlines}, coords=axes, attrs={"nodes_per_L": body_length})
 

@@ -140,6 +140,7 @@ def record_episodes(
     frames_per_T: int = 8,
     max_decisions: int | None = None,
     on_step: Callable[[Tensor, TensorDictBase], None] | None = None,
+    on_episodes: Callable[[int], None] | None = None,
 ) -> Episodes:
     """Run one episode from each start and record it, from its start to the check that ends it.
 
@@ -178,6 +179,7 @@ def record_episodes(
         on_begin=begin,
         on_step=settle,
         on_frame=keep,
+        on_episodes=on_episodes,
     )
 
 

@@ -14,12 +14,14 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Annotated
 
-from fishrl.bounds import Checked, bounded
+from pydantic import Field, NonNegativeInt, PositiveInt
+
 from fishrl.programs.program import program
+from fishrl.settings import Settings
 
 #: A fish of 16 nodes in a tank of 80 x 48, evaluated and saved every few decisions.
 TRAINING = [
@@ -33,8 +35,7 @@ TRAINING = [
 ]
 
 
-@dataclass(kw_only=True)
-class FaultSettings(Checked):
+class FaultSettings(Settings):
     """Settings of the campaign.
 
     Args:
@@ -43,9 +44,9 @@ class FaultSettings(Checked):
         seed: of the moments.
     """
 
-    kills: int = bounded(50, least=1)
-    frames: int = bounded(96, least=2)
-    seed: int = bounded(0, least=0)
+    kills: PositiveInt = 50
+    frames: Annotated[int, Field(ge=2)] = 96
+    seed: NonNegativeInt = 0
 
 
 def start(folder: Path, frames: int) -> subprocess.Popen[bytes]:

@@ -17,15 +17,16 @@ import statistics
 import subprocess
 import sys
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
-from fishrl.bounds import Checked, bounded
+from pydantic import Field, PositiveFloat
+
 from fishrl.programs.program import program
+from fishrl.settings import Settings
 
 
-@dataclass(kw_only=True)
-class LiveSettings(Checked):
+class LiveSettings(Settings):
     """Settings of the campaign.
 
     Args:
@@ -35,10 +36,10 @@ class LiveSettings(Checked):
         training: settings of the training, or ``resume=<run folder>``.
     """
 
-    hours: float = bounded(2.0, greater=0)
-    rows: int = bounded(24, least=2)
+    hours: PositiveFloat = 2.0
+    rows: Annotated[int, Field(ge=2)] = 24
     folder: str = "runs"
-    training: list[str] = field(default_factory=lambda: ["total_frames=1000000"])
+    training: tuple[str, ...] = ("total_frames=1000000",)
 
 
 def list_family(pid: int) -> list[int]:

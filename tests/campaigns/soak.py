@@ -15,15 +15,17 @@ from __future__ import annotations
 import os
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Annotated
 
 import torch
+from pydantic import Field, NonNegativeInt, PositiveInt
 from tensordict import TensorDictBase
 
-from fishrl.bounds import Checked, bounded
 from fishrl.envs import Predation, make_env
 from fishrl.physics import Boundaries, FlowConfig, NoSlip
 from fishrl.programs.program import program
+from fishrl.settings import Settings
 from tests.campaigns.live import measure
 
 #: Relative; round-off of single precision, 6e-8, over the mean of 5e4 nodes is less.
@@ -32,7 +34,6 @@ SMALL = {"body_length": 32, "reynolds": 2000.0, "max_wall_speed": 0.1, "wall_mar
 LIMITS = {"memory_mb": 20.0, "files": 0.0, "shm_mb": 0.0}
 
 
-@dataclass(frozen=True, kw_only=True)
 class Tank(Predation):  # type: ignore[misc]
     """Predation between walls that conserve mass."""
 
@@ -42,8 +43,7 @@ class Tank(Predation):  # type: ignore[misc]
         return replace(super().flow_config(), boundaries=walls)
 
 
-@dataclass(kw_only=True)
-class SoakSettings(Checked):
+class SoakSettings(Settings):
     """Settings of the campaign.
 
     Args:
@@ -54,11 +54,11 @@ class SoakSettings(Checked):
         seed: of starts, actions and resets.
     """
 
-    steps: int = bounded(1_000_000, least=1)
-    rows: int = bounded(40, least=2)
-    reset_share: float = bounded(0.02, least=0, largest=1)
+    steps: PositiveInt = 1_000_000
+    rows: Annotated[int, Field(ge=2)] = 40
+    reset_share: Annotated[float, Field(ge=0, le=1)] = 0.02
     compile: bool = True
-    seed: int = bounded(0, least=0)
+    seed: NonNegativeInt = 0
 
 
 def measure_all(env: TensorDictBase) -> dict[str, float]:

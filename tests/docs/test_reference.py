@@ -11,7 +11,7 @@ from docs.reference import describe, list_programs, make_reference
 from fishrl import physics
 from fishrl.envs import KarmanGait, Predation
 from fishrl.programs.program import list_choices
-from fishrl.training.loop import FINAL_SEED, SELECTION_SEED
+from fishrl.training.evaluation import FINAL_SEED, SELECTION_SEED
 from tests.docs.pages import DOCS
 
 SCHEMAS = {name: made.command_line.schema for name, made in list_programs().items()}

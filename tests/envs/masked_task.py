@@ -1,6 +1,5 @@
 """A task of another kind than those of the library: it bans actions and sets the tail beat."""
 
-from dataclasses import dataclass
 from math import pi
 from typing import ClassVar
 
@@ -12,7 +11,6 @@ from fishrl.envs import AbstractTask, Command
 from fishrl.physics.fast.solver import InPlaceSolver
 
 
-@dataclass(frozen=True, kw_only=True)
 class MaskedTask(AbstractTask):
     """Get away from the right wall: 0 beats slower, 1 faster; neither beyond its limit."""
 

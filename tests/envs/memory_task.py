@@ -1,6 +1,5 @@
 """A task with sensor series, entries that persist between decisions, and an input."""
 
-from dataclasses import dataclass
 from math import pi
 from typing import ClassVar
 
@@ -13,7 +12,6 @@ from fishrl.envs.extensions import HasHistory
 from fishrl.physics.fast.solver import InPlaceSolver
 
 
-@dataclass(frozen=True, kw_only=True)
 class MemoryTask(AbstractTask, HasHistory):
     """Glide to the left: 0 straight on, 1 turn by the hint; sum up the actions."""
 

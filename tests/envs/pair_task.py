@@ -1,6 +1,5 @@
 """Two fish that learn: each is rewarded for swimming to the left."""
 
-from dataclasses import dataclass
 from math import pi
 from typing import ClassVar
 
@@ -12,7 +11,6 @@ from fishrl.envs import AbstractTask, Command
 from fishrl.physics.fast.solver import InPlaceSolver
 
 
-@dataclass(frozen=True, kw_only=True)
 class PairTask(AbstractTask):
     """The first fish starts above the second; 0 turns clockwise, 2 the other way, never twice."""
 

@@ -8,6 +8,7 @@ from torchrl.envs import TransformedEnv
 
 from fishrl.envs import FlowEnv, Predation, make_env
 from fishrl.envs.episodes import Episodes, has_succeeded, run_episodes
+from fishrl.envs.traces import Traces
 from tests.envs.conftest import SMALL, keep_straight
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -116,3 +117,40 @@ def test_the_env_draws_its_own_starts_afterwards_even_if_the_policy_failed(
 def test_starts_that_do_not_fit_the_task_are_refused(task: Predation) -> None:
     with pytest.raises(ValueError, match="head"):
         run_episodes(make(task, 2), keep_straight, draw(task).exclude("head"))
+
+
+@pytest.mark.parametrize("num_envs", [1, 2, 7])
+def test_traces_hold_each_episode_in_order_of_time(task: Predation, num_envs: int) -> None:
+    env, starts = make(task, num_envs, frames_per_action=3), draw(task)
+    base = env.base_env
+
+    def read(start_of: Tensor, what: object) -> dict[str, Tensor]:
+        return {"age": base.solver.body.age, "head": base.solver.markers()[:, 0]}
+
+    episodes = run_episodes(
+        env,
+        keep_straight,
+        starts,
+        on_begin=read,
+        on_step=lambda start_of, step: {"reward": step["next", "reward"][:, 0]},
+        on_frame=read,
+    )
+    traces = episodes.traces
+    assert set(traces) == {"age", "head", "reward"}
+    for e, (age, head) in enumerate(zip(traces["age"], traces["head"], strict=True)):
+        assert age[0] == 0.0 and (age.diff() > 0.0).all()
+        torch.testing.assert_close(head[0], starts["head"][e])
+        torch.testing.assert_close(traces["reward"][e].sum(), episodes.returns[e])
+    assert [len(reward) for reward in traces["reward"]] == episodes.lengths.tolist()
+    padded = traces.pad("age", length=3 * task.time_limit + 1)
+    assert padded.shape == (NUM_STARTS, 3 * task.time_limit + 1)
+    assert padded[0].isnan().any() and torch.equal(traces.of(0)["age"], traces["age"][0])
+
+
+def test_nothing_is_traced_of_rows_without_a_start(task: Predation) -> None:
+    traces = Traces(2)
+    traces.add(torch.tensor([1, -1]), {"x": torch.tensor([1.0, 2.0])})
+    traces.add(torch.tensor([-1, 1]), {"x": torch.tensor([3.0, 4.0])})
+    assert [trace.tolist() for trace in traces["x"]] == [[], [1.0, 4.0]]
+    with pytest.raises(KeyError):
+        traces["y"]

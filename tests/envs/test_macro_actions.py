@@ -65,7 +65,7 @@ def test_a_continuous_action_is_the_frequency() -> None:
     ("rows", "message"),
     [
         (((1.0, 2.0), (1.0, 2.0, 3.0)), r"have \[2, 3\] frequencies: give all the same number"),
-        (((2.0, 1.0),), "must be two or more, .* rising"),
+        (((2.0, 1.0),), "must be rising"),
     ],
 )
 def test_a_bank_without_a_choice_is_refused(rows: tuple, message: str) -> None:
@@ -73,7 +73,7 @@ def test_a_bank_without_a_choice_is_refused(rows: tuple, message: str) -> None:
         FrequencyBank(rows=rows)
 
 
-@pytest.mark.parametrize("gear", [-1, 4])
-def test_a_gear_that_there_is_not_is_refused(gear: int) -> None:
-    with pytest.raises(ValueError, match=rf"first_gear = {gear}: allowed is 0 to 3"):
+@pytest.mark.parametrize(("gear", "allowed"), [(-1, "at least 0"), (4, "0 to 3")])
+def test_a_gear_that_there_is_not_is_refused(gear: int, allowed: str) -> None:
+    with pytest.raises(ValueError, match=rf"first_gear = {gear}: .*{allowed}"):
         MacroActions(bank=MACRO.bank, first_gear=gear)

@@ -1,7 +1,7 @@
 """What is drawn of each task, and that all of it can be read."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -86,7 +86,6 @@ def test_the_midline_of_a_straight_fish_is_its_axis() -> None:
     assert midline[-1, 0] - head[0] == pytest.approx(20.0)
 
 
-@dataclass(frozen=True, kw_only=True)
 class AcrossStream(Predation):
     """Food in a stream along +y, which is nothing but a boundary of the flow."""
 
@@ -119,12 +118,10 @@ def test_the_angle_of_attack_of_a_fish_that_bends_is_that_of_its_report() -> Non
     torch.testing.assert_close(angle, now["heading"].rad2deg())
 
 
-@dataclass(frozen=True, kw_only=True)
 class OwnFish(Fish):
     """A fish of another type."""
 
 
-@dataclass(frozen=True, kw_only=True)
 class OwnPair(PairTask):
     """Two fish of that type."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ pytestmark = [pytest.mark.usefixtures("kinematic"), pytest.mark.learning]
 BRIEF: dict[str, Any] = {**SMALL, "control_interval_T": 0.1, "checks_per_action": 4}
 
 
-@dataclass(frozen=True, kw_only=True)
 class Eager(MaskedTask):
     """Beat fast: the reward is the tail beat, and the fastest is masked once it is reached."""
 

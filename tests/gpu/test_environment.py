@@ -10,7 +10,7 @@ from fishrl.envs import AbstractTask, KarmanGait, Predation, make_env
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
 from fishrl.physics import InPlaceSolver
-from fishrl.physics.fast.step import Stepper
+from fishrl.physics.fast.stepper import Stepper
 from tests.envs.test_real_flow import TINY as FLOW
 from tests.envs.test_real_wake import TINY as WAKE
 

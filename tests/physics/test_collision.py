@@ -55,7 +55,7 @@ def force_populations(u: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
 def collide_with_force(f: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
     shifted = (f - WEIGHTS).unbind()
     fx, fy = force
-    added = compute_force_increment(compute_macroscopic(shifted), (fx, fy), (fx, fy), OMEGA, RATES)
+    added = compute_force_increment(compute_macroscopic(shifted), (fx, fy), OMEGA, RATES)
     collided = collide_mrt(shifted, OMEGA, RATES)
     return torch.stack([a + b for a, b in zip(collided, added, strict=True)]) + WEIGHTS
 
@@ -98,9 +98,9 @@ def test_forced_collision_equals_the_papers_implicit_eq_1() -> None:
 def test_shares_of_the_force_add_up_to_the_whole() -> None:
     drho, ux, uy, fx, fy = torch.tensor([0.1, 0.2, -0.1, 0.3, 0.4]).double()
     fluid = Macroscopic(drho, ux, uy)
-    whole = compute_force_increment(fluid, (fx, fy), (fx, fy), OMEGA, RATES)
+    whole = compute_force_increment(fluid, (fx, fy), OMEGA, RATES)
     parts = [
-        compute_force_increment(fluid, (fx, fy), (a * fx, b * fy), OMEGA, RATES)
+        compute_force_increment(fluid, (fx, fy), OMEGA, RATES, share=(a * fx, b * fy))
         for a, b in ((0.3, 0.9), (0.7, 0.1))
     ]
     total = [p + q for p, q in zip(*parts, strict=True)]

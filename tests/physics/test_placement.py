@@ -84,14 +84,14 @@ def test_a_refused_start_changes_nothing_and_other_rows_are_not_looked_at() -> N
 
 def test_several_bodies_need_a_place_before_they_move() -> None:
     solver = make_solver(Cylinder(diameter=12), Cylinder(diameter=16))
-    with pytest.raises(ValueError, match="2 bodies, all in the middle"):
+    with pytest.raises(ValueError, match="the 2 bodies overlap at the centre"):
         solver.advance_(2)
     with pytest.raises(ValueError, match="overlap"):
         solver.reset_(EVERY)
     only_first = torch.tensor([True, False])
     solver.reset_(only_first, torch.tensor([[[25.0, 30.0], [65.0, 30.0]]] * 2))
     solver.advance_(2, only_first)
-    with pytest.raises(ValueError, match="2 bodies, all in the middle"):
+    with pytest.raises(ValueError, match="the 2 bodies overlap at the centre"):
         solver.advance_(2)
     place(solver, (25.0, 30.0), (65.0, 30.0))
     other = make_solver(Cylinder(diameter=12), Cylinder(diameter=16))

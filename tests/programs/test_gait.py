@@ -121,8 +121,8 @@ def test_an_evaluation_takes_the_machine_of_the_run(trained: Path, tmp_path: Pat
 
 def test_recognition_fits_the_task_or_says_why(tmp_path: Path) -> None:
     task = make_task()
-    assert equip(task, None) == (task, [])
-    assert equip(task, "oracle")[0] == replace(task, reads_flow_class=True)
+    assert equip(task, None) is task
+    assert equip(task, "oracle") == replace(task, reads_flow_class=True)
     with pytest.raises(ValueError, match="Predation has no flows to tell apart"):
         equip(Predation(**SMALL), "oracle")
     for read in (load_recognition, partial(keep_recognition, folder=tmp_path)):

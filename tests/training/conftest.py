@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import resource
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.training import LearningSettings, Plan, RunSettings, begin, reopen
+from fishrl.training import Callback, LearningSettings, Plan, RunSettings, begin, reopen
 from fishrl.training.loop import Training
 from fishrl.training.plan import LEARNING
 from tests.training.toy_fish import ToyPredation, make_toy_env
@@ -61,11 +61,13 @@ class Toy:
         self,
         *,
         recognition: Any = None,
+        callbacks: Sequence[Callback] = (),
         **settings: Any,
     ) -> Training:
-        hooks = {name: settings.pop(name) for name in ("observer", "progress") if name in settings}
         plan = make_toy_plan(self.folder, **settings)
-        self.trainings.append(begin(plan, recognition=recognition, make_env=make_toy_env, **hooks))
+        self.trainings.append(
+            begin(plan, recognition=recognition, callbacks=callbacks, make_env=make_toy_env)
+        )
         return self.trainings[-1]
 
     def reopen(self, name: str, **changes: Any) -> Training:

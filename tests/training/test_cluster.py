@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from fishrl.envs import PredationPair, make_env
-from fishrl.training import begin, complete, runs
+from fishrl.training import begin, complete
 from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.cluster import ClusterCollector
 from tests.envs.conftest import SMALL, move_kinematically
@@ -19,7 +19,7 @@ from tests.training.conftest import Toy, make_toy_plan
 
 
 def test_flows_that_cannot_be_shared_are_refused(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runs, "find_spec", lambda name: None)
+    monkeypatch.setattr("fishrl.training.resolve.find_spec", lambda name: None)
     for wrong, said in (
         ({"ray_collectors": 3}, "num_envs = 8: must be a multiple of"),
         ({"ray_collectors": -1}, "ray_collectors = -1: must be at least 0"),

@@ -96,7 +96,7 @@ def test_a_module_of_ones_own_is_imported_if_the_user_names_it(
     ("node", "said"),
     [
         ({"_target_": "fishrl.envs.Predation", "body_lenght": 3}, "did you mean 'body_length'"),
-        ({"_target_": "fishrl.envs.Predation", "time_limit": "long"}, "time_limit = long"),
+        ({"_target_": "fishrl.envs.Predation", "time_limit": "long"}, "time_limit = .long"),
         ({"_target_": "fishrl.envs.AbstractTask"}, "abstract"),
         ({"body_length": 3}, "give a _target_"),
         ("fishrl.envs.Predation", "give a _target_"),

@@ -8,9 +8,9 @@ from typing import Any
 
 import torch
 
-from fishrl.envs.episodes import Episodes, Policy
+from fishrl.envs.episodes import Episodes, Policy, run_episodes
 from fishrl.modules import PursuitPolicy, RandomPolicy
-from fishrl.training.evaluation import evaluate_from, fixed_starts
+from fishrl.training.evaluation import fixed_starts
 from tests.training.toy_fish import ToyPredation, make_toy_env
 
 
@@ -23,7 +23,7 @@ class Fixed:
         self.env = make_toy_env(task=task, num_envs=num_envs, seed=5)
 
     def run(self, policy: Policy, **kwargs: Any) -> Episodes:
-        return evaluate_from(self.env, policy, self.starts, **kwargs)
+        return run_episodes(self.env, policy, self.starts, **kwargs)
 
 
 def test_an_evaluation_repeats_even_on_an_env_that_was_used() -> None:

@@ -18,7 +18,7 @@ from torchrl.envs.utils import check_env_specs
 
 from fishrl.envs import Predation
 from fishrl.envs.episodes import Episodes
-from fishrl.training import Algorithm, DiscreteSAC, Interrupted, Observer, begin
+from fishrl.training import Algorithm, Callback, DiscreteSAC, Interrupted, begin
 from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
@@ -150,41 +150,41 @@ def test_the_last_evaluation_is_of_the_best_checkpoint(
             interval_T=1.0,
         )
 
-    monkeypatch.setattr(training, "evaluate", scripted)
+    monkeypatch.setattr(training.evaluator, "evaluate", scripted)
     assert training.run()["best_checkpoint_frames"] == 120
     last = seen.pop()
     same = [all(torch.equal(last[name], each[name]) for name in last) for each in seen]
     assert same == [False, False, True, False, False, False]
 
 
-class Watcher(Observer):
+class Watcher(Callback):
     def __init__(self, error: Exception | None = None) -> None:
         self.seen: list[str] = []
         self.error = error
 
-    def begin(self, env: Any) -> None:
+    def on_begin(self, env: Any) -> None:
         self.seen.append(f"begin {env.batch_size[0]}")
 
-    def settle(self, step: Any) -> None:
+    def on_step(self, step: Any) -> None:
         assert step["next", "reward"].numel() == 8
         if self.seen[-1] != "settle":
             self.seen.append("settle")
 
-    def restart(self) -> None:
+    def on_new_episodes(self) -> None:
         self.seen.append("restart")
 
-    def finish(self, training: Training, summary: Mapping[str, Any]) -> None:
+    def on_end(self, summary: Mapping[str, Any], *, folder: Path, env: Any, policy: Any) -> None:
         self.seen.append(f"finish {summary['frames']}")
         if self.error is not None:
             raise self.error
 
-    def close(self) -> None:
+    def on_close(self) -> None:
         self.seen.append("close")
 
 
-def test_an_observer_sees_training_and_evaluations(toy: Toy) -> None:
+def test_a_callback_sees_training_and_evaluations(toy: Toy) -> None:
     watcher = Watcher()
-    training = toy.begin(observer=watcher, total_frames=16, **QUICK)
+    training = toy.begin(callbacks=[watcher], total_frames=16, **QUICK)
     training.run()
     training.close()
     episodes = ["settle", "restart", "settle", "restart"]
@@ -196,7 +196,7 @@ def test_a_run_that_is_stopped_while_it_draws_is_not_finished(toy: Toy) -> None:
         ("stopped", Interrupted(signal.SIGTERM), False),
         ("failed", OSError("no place for pictures"), True),
     ):
-        training = toy.begin(name=name, observer=Watcher(error), total_frames=16, **QUICK)
+        training = toy.begin(name=name, callbacks=[Watcher(error)], total_frames=16, **QUICK)
         with pytest.raises(type(error)):
             training.run()
         assert (toy.folder / name / "summary.json").is_file() == is_there
@@ -252,10 +252,3 @@ def test_a_run_that_learns_nothing_says_so_once(
     toy.begin(**QUICK, **settings).run()
     said = [each for each in caplog.records if "no gradient step" in each.getMessage()]
     assert len(said) == num_warnings
-
-
-def test_a_run_whose_settings_cannot_be_leaves_no_folder(toy: Toy) -> None:
-    for wrong in ({"baselines": ("randm",)}, {"device": "cuda:99"}, {"recognition": "oracle"}):
-        with pytest.raises(ValueError, match=r"did you mean 'random'|CUDA devices|no flows"):
-            toy.begin(**wrong)
-    assert not list(Path(toy.folder).iterdir())

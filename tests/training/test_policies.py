@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from fishrl.envs import make_env
-from fishrl.modules import LateralLineClassifier
+from fishrl.envs import PredictedFlowLabel, TrueFlowLabel, make_env
 from fishrl.training import Algorithm, DiscreteSAC, evaluate, load_plan, load_policy
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
@@ -40,17 +39,17 @@ def test_a_learned_policy_is_evaluated_as_at_the_end_of_its_run(
 def test_flows_are_labelled_as_in_the_run_unless_another_source_is_named(
     is_task_given: bool,
 ) -> None:
-    run, labelled_by = find_policy("gait_small"), []
+    run, labelled_by = find_policy("gait_small"), list[list[type]]()
 
     def make(**arguments: Any) -> Any:
-        labelled_by.append(arguments.get("recognition"))
+        labelled_by.append([type(transform) for transform in arguments["transforms"]])
         return make_env(**arguments)
 
     given = {"task": replace(load_plan(run)[1].task, time_limit=2)} if is_task_given else {}
     for source in ({}, {"recognition": "oracle"}, {"recognition": None}):
         evaluate(run, **given, **source, episodes=1, compile=False, make_env=make)
-    assert isinstance(labelled_by[0], LateralLineClassifier)
-    assert labelled_by[1:] == ["oracle", None]
+    assert labelled_by[0][-1] is PredictedFlowLabel
+    assert labelled_by[1:] == [[TrueFlowLabel], []]
 
 
 def test_baselines_are_evaluated_by_name_and_any_policy_as_it_is() -> None:

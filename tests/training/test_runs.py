@@ -17,9 +17,7 @@ from fishrl.training import (
     complete,
     evaluate,
     find_summary,
-    reopen,
     resume,
-    runs,
     train,
 )
 from fishrl.training.algorithms.dqn import DQN
@@ -221,7 +219,7 @@ def test_a_config_cannot_run_code(tmp_path: Path) -> None:
 def test_a_run_goes_on_exactly_after_its_flows_are_lost_but_not_twice_from_one_checkpoint(
     toy: Toy, whole: Training, monkeypatch: pytest.MonkeyPatch, losses: list[int]
 ) -> None:
-    step, left = ToyFishEnv._step, list(losses)
+    step, restore, left = ToyFishEnv._step, ToyFishEnv.set_extra_state, list(losses)
     training = toy.begin(name="run", **QUICK)
     num_steps, before, handlers = 0, signal.getsignal(signal.SIGTERM), set()
 
@@ -235,12 +233,12 @@ def test_a_run_goes_on_exactly_after_its_flows_are_lost_but_not_twice_from_one_c
             raise ChildProcessError("a flow worker failed")
         return step(self, td)
 
-    def reopen_and_watch(*args: Any, **hooks: Any) -> Any:
+    def restore_and_watch(self: ToyFishEnv, state: Any) -> None:
         handlers.add(signal.getsignal(signal.SIGTERM))
-        return reopen(*args, **hooks)
+        restore(self, state)
 
     monkeypatch.setattr(ToyFishEnv, "_step", step_or_lose)
-    monkeypatch.setattr(runs, "reopen", reopen_and_watch)
+    monkeypatch.setattr(ToyFishEnv, "set_extra_state", restore_and_watch)
     if losses[-1] > 3:
         complete(training)
     else:

@@ -7,7 +7,7 @@ hunts food that moves up and down. Walls at the sides of a 10 x 5 body-length ba
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -24,11 +24,11 @@ from torchrl.envs import (
     InitTracker,
     RewardSum,
     StepCounter,
+    Transform,
     TransformedEnv,
 )
 
-from fishrl.envs import AbstractTask
-from fishrl.training.baselines import find_baselines, find_pursuers
+from fishrl.envs import Predation
 
 STATE = ("position", "heading", "food", "direction", "age", "distance", "error", "start_index")
 
@@ -67,8 +67,7 @@ class ToyPredation:
         return TensorDict({"position": position}, [num])
 
 
-AbstractTask.register(ToyPredation)
-find_baselines.register(ToyPredation)(find_pursuers)
+Predation.register(ToyPredation)  # so that its baselines fit
 
 
 class ToyFishEnv(EnvBase):
@@ -205,6 +204,7 @@ def make_toy_env(
     compile: bool = False,
     starts: TensorDict | None = None,
     frames_per_action: int = 1,
+    transforms: Sequence[Transform] = (),
 ) -> TransformedEnv:
     """Stand in for ``fishrl.envs.making.make_env``."""
     env = TransformedEnv(ToyFishEnv(task=task, num_envs=num_envs, seed=seed, starts=starts))
@@ -212,6 +212,7 @@ def make_toy_env(
         InitTracker(),
         StepCounter(max_steps=task.time_limit),
         RewardSum(),
+        *transforms,
         CatFrames(
             N=task.num_stacked, dim=-1, in_keys=["observation"], out_keys=["observation_stack"]
         ),

@@ -1,15 +1,15 @@
 """Follower: swim behind a fish or a half disc with as little work as possible."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from math import inf, pi, radians
-from typing import ClassVar, final
+from typing import Annotated, ClassVar, Literal, final
 
 import torch
+from pydantic import Field, PositiveFloat
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.bounds import bounded, check_bounds, suggest
 from fishrl.envs.extensions import HasHistory, HasScene
 from fishrl.envs.protocol import Solver
 from fishrl.envs.scene import Area, Scene
@@ -22,13 +22,14 @@ from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.motion import Bending, Driven
 from fishrl.physics.flow import FlowConfig, Sponge
 
-LEADERS = ("fish", "disc", "none")
 #: Time constants of the bend in an action; a faster one would fling the tail.
 RESPONSE = 2.0
 
+_Frequency = Annotated[float, Field(gt=0, le=10)]
+_Share = Annotated[float, Field(ge=0, le=1)]
+
 
 @final
-@dataclass(frozen=True, kw_only=True)
 class Follower(AbstractTask, HasHistory, HasScene):
     """Hold a place in the wake of a leader by bending the midline and choosing the tail beat.
 
@@ -78,34 +79,28 @@ class Follower(AbstractTask, HasHistory, HasScene):
     time_limit: int = 200
     control_interval_T: float = 0.5
     checks_per_action: int = 16
-    leader: str = "fish"
-    stream_speed_bl: float = bounded(0.35, greater=0)
-    turn_degrees: float = bounded(6.0, greater=0, largest=30)
-    frequency_range: tuple[float, float] = bounded((0.7, 1.35), greater=0, largest=10)
-    amplitude_range: tuple[float, float] | None = bounded(None, least=0, largest=1)
-    cost_alone: float = bounded(0.11, greater=0)
-    diameter_bl: float = bounded(0.3125, greater=0)
-    leader_x_bl: float = bounded(1.75, greater=0)
+    leader: Literal["fish", "disc", "none"] = "fish"
+    stream_speed_bl: PositiveFloat = 0.35
+    turn_degrees: Annotated[float, Field(gt=0, le=30)] = 6.0
+    frequency_range: tuple[_Frequency, _Frequency] = (0.7, 1.35)
+    amplitude_range: tuple[_Share, _Share] | None = None
+    cost_alone: PositiveFloat = 0.11
+    diameter_bl: PositiveFloat = 0.3125
+    leader_x_bl: PositiveFloat = 1.75
     start_x_bl: tuple[float, float] = (1.0, 1.5)
     start_y_bl: tuple[float, float] = (-0.25, 0.25)
-    start_degrees: float = bounded(20.0, least=0, largest=180)
+    start_degrees: Annotated[float, Field(ge=0, le=180)] = 20.0
     range_bl: tuple[float, float] = (0.5, 3.0)
-    aside_bl: float = bounded(1.0, greater=0)
-    contact_bl: float = bounded(0.1, greater=0)
+    aside_bl: PositiveFloat = 1.0
+    contact_bl: PositiveFloat = 0.1
     wake_folder: str = "runs/wakes"
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         pairs = ("frequency_range", "start_x_bl", "start_y_bl", "range_bl")
         for name in (*pairs, *("amplitude_range",) * (self.amplitude_range is not None)):
             pair = getattr(self, name)
             if not (pair[0] < pair[1] or (pair[0] == pair[1] and name.startswith("start"))):
                 raise ValueError(f"{name} = {pair}: give the least, then the largest")
-        if self.leader not in LEADERS:
-            raise ValueError(
-                f"leader = {self.leader!r}: allowed is {', '.join(LEADERS)}"
-                f"{suggest(str(self.leader), LEADERS)}"
-            )
         super().__post_init__()
         corners = torch.cartesian_prod(*[torch.linspace(0.0, 1.0, 3).double()] * 3)
         self.check_starts(self.starts_from(torch.nn.functional.pad(corners, (0, 1))))

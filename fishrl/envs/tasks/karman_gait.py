@@ -1,7 +1,7 @@
 """Kármán gait, the paper's second task: hold station in the wake of a half disc."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cached_property
 from math import pi
 from typing import Any, ClassVar, final
@@ -10,7 +10,6 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.bounds import check_bounds
 from fishrl.envs.extensions import HasFlowLabels, HasHistory, HasScene
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import FrequencyControl, MacroActions
@@ -28,7 +27,6 @@ from fishrl.physics.flow import FlowConfig
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
 class KarmanGait(AbstractTask, HasFlowLabels, HasHistory, HasScene):
     """Hold station behind a half disc, or in a free stream, by choosing the tail-beat frequency.
 
@@ -72,22 +70,21 @@ class KarmanGait(AbstractTask, HasFlowLabels, HasHistory, HasScene):
     time_limit: int = 404
     control_interval_T: float = 0.25
     checks_per_action: int = 7
-    stream: Stream = field(default_factory=Stream)
+    stream: Stream = Stream()
     start_flows: tuple[int, ...] = (0, 1, 2)
-    control: FrequencyControl = field(default_factory=MacroActions)
+    control: FrequencyControl = MacroActions()
     reads_flow_class: bool = False
     observes_flow: bool = True
-    steering: Steering = field(default_factory=PIDSteering)
-    lateral_line: LateralLine = field(default_factory=LateralLine)
+    steering: Steering = PIDSteering()
+    lateral_line: LateralLine = LateralLine()
     start_x_bl: tuple[float, float] = (1.5, 2.0)
     start_y_bl: tuple[float, float] = (-0.1, 0.1)
-    safe_area: SafeArea = field(default_factory=SafeArea)
-    reward_terms: StationReward = field(default_factory=StationReward)
+    safe_area: SafeArea = SafeArea()
+    reward_terms: StationReward = StationReward()
     observes_velocity: bool = True
     repeats_frequency: bool = False
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         num = len(self.stream.speeds_bl)
         if not self.start_flows or not all(0 <= i < num for i in self.start_flows):
             raise ValueError(

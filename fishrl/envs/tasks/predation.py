@@ -1,15 +1,14 @@
 """Predation, the paper's first task: catch moving food without touching a wall."""
 
-from dataclasses import dataclass
 from functools import cached_property
 from math import ceil, floor, pi, radians
-from typing import ClassVar, final
+from typing import Annotated, ClassVar, Literal, final
 
 import torch
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.bounds import bounded, check_bounds, suggest
 from fishrl.envs.extensions import HasScene
 from fishrl.envs.protocol import Solver
 from fishrl.envs.rewards import reward_approach
@@ -19,10 +18,9 @@ from fishrl.envs.task import AbstractTask, Command
 
 #: Probability that the food first moves up.
 CHANCE_UP = {"up": 1.0, "down": 0.0, "random": 0.5}
-ACTIONS = ("discrete", "continuous")
+_Frequency = Annotated[float, Field(ge=0, le=10)]
 
 
-@dataclass(frozen=True, kw_only=True)
 class AbstractPredation(AbstractTask, HasScene):
     """Base of tasks with food that rests at first and then moves up and down between two limits.
 
@@ -49,25 +47,20 @@ class AbstractPredation(AbstractTask, HasScene):
 
     success: ClassVar[str] = "captured"
 
-    action: str = "discrete"
-    turn_degrees: float = bounded(15.0, least=0, largest=180)
-    frequency_range: tuple[float, float] = bounded((0.5, 1.0), least=0, largest=10)
+    action: Literal["discrete", "continuous"] = "discrete"
+    turn_degrees: Annotated[float, Field(ge=0, le=180)] = 15.0
+    frequency_range: tuple[_Frequency, _Frequency] = (0.5, 1.0)
     start_x_bl: tuple[float, float] = (5.0, 7.5)
     start_y_bl: tuple[float, float] = (0.25, 4.75)
     food_x_bl: float = 2.5
     food_y_bl: float = 2.5
     food_limits_bl: tuple[float, float] = (1.5, 3.5)
-    food_still_T: float = bounded(5.0, least=0)
-    food_speed_bl: float = bounded(0.3, least=0, largest=100)
-    food_direction: str = "up"
-    capture_radius_bl: float = bounded(0.25, greater=0)
+    food_still_T: NonNegativeFloat = 5.0
+    food_speed_bl: Annotated[float, Field(ge=0, le=100)] = 0.3
+    food_direction: Literal["up", "down", "random"] = "up"
+    capture_radius_bl: PositiveFloat = 0.25
 
     def __post_init__(self) -> None:
-        check_bounds(self)
-        for name, known in (("food_direction", tuple(CHANCE_UP)), ("action", ACTIONS)):
-            if (value := getattr(self, name)) not in known:
-                hint = suggest(str(value), known)
-                raise ValueError(f"{name} = {value!r}: allowed is {', '.join(known)}{hint}")
         if not self.frequency_range[0] < self.frequency_range[1]:
             raise ValueError(
                 f"frequency_range = {self.frequency_range}: give the least, then the largest"
@@ -243,7 +236,6 @@ class AbstractPredation(AbstractTask, HasScene):
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
 class Predation(AbstractPredation):
     """Catch food that rests at first and then moves up and down between two limits.
 

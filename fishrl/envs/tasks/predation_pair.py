@@ -1,14 +1,13 @@
 """Predation by two fish that pursue the same food."""
 
-from dataclasses import dataclass
 from math import pi
-from typing import ClassVar, final
+from typing import Annotated, ClassVar, final
 
 import torch
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.bounds import bounded
 from fishrl.envs.protocol import Solver
 from fishrl.envs.sensors import compute_clearance, compute_gap, sense_target
 from fishrl.envs.starts import place_outline
@@ -17,7 +16,6 @@ from fishrl.physics.placement import MIN_GAP
 
 
 @final
-@dataclass(frozen=True, kw_only=True)
 class PredationPair(AbstractPredation):
     """Catch the same food as another fish, and keep clear of that fish.
 
@@ -43,9 +41,9 @@ class PredationPair(AbstractPredation):
     num_fish: ClassVar[int] = 2
 
     start_y_bl: tuple[float, float] = (1.0, 4.0)
-    contact_bl: float = bounded(0.15, greater=0, largest=10)
-    contact_penalty: float = bounded(20.0, least=0)
-    start_gap_bl: float = bounded(0.75, greater=0)
+    contact_bl: Annotated[float, Field(gt=0, le=10)] = 0.15
+    contact_penalty: NonNegativeFloat = 20.0
+    start_gap_bl: PositiveFloat = 0.75
 
     def __post_init__(self) -> None:
         super().__post_init__()

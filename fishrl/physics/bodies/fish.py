@@ -1,12 +1,11 @@
 """A fish: outline, gait and what moves it."""
 
-from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 import torch
+from pydantic import Field
 
-from fishrl.bounds import bounded, check_bounds
 from fishrl.physics.bodies.gait import CARLING, Gait
 from fishrl.physics.bodies.midline import Curve, MidlineParams, Slope
 from fishrl.physics.bodies.motion import Commanded, Motion
@@ -18,7 +17,6 @@ from fishrl.physics.bodies.strokes import Strokes
 _COARSE = np.linspace(0.0, 1.0, 201)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Fish(BodyConfig):
     """A fish: outline, gait and what moves it.
 
@@ -36,19 +34,18 @@ class Fish(BodyConfig):
         motion: degrees of freedom; by default the heading follows the command.
     """
 
-    body_length: float = bounded(least=16)
+    body_length: Annotated[float, Field(ge=16)]
     section: Section = Section.NACA
-    thickness: float = bounded(0.12, greater=0, largest=0.4)
+    thickness: Annotated[float, Field(gt=0, le=0.4)] = 0.12
     gait: Gait = CARLING
     keeps_length: bool = False
     strokes: Strokes | None = None
     inset: float = 0.0
-    motion: Motion = field(default_factory=Commanded)
+    motion: Motion = Commanded()
 
     deforms: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         slope = float(np.hypot(*self.gait.evaluate_modes(_COARSE, 1)[:2]).max())
         if self.keeps_length and slope > 0.95:
             raise ValueError(

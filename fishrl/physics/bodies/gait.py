@@ -9,7 +9,6 @@ from tail to head and the fish would not swim forward. Z = e1 S(X) + e2 C(X) has
 of the midline is a third. ``shear.py`` and ``midline.py`` turn them into an outline.
 """
 
-from dataclasses import dataclass
 from math import comb, pi
 from typing import NamedTuple
 
@@ -18,11 +17,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fishrl.bounds import Checked
+from fishrl.settings import Settings
 
 
-@dataclass(frozen=True, kw_only=True)
-class Gait(Checked):
+class Gait(Settings):
     """Amplitude envelope and wavenumber of a swimming gait.
 
     Args:

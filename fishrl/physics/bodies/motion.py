@@ -1,15 +1,15 @@
 """What moves a body: nothing, a prescribed motion, a command or the flow."""
 
-from dataclasses import dataclass
 from math import hypot, pi
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import torch
+from pydantic import Field, PositiveInt
 from torch import Tensor
 
-from fishrl.bounds import Checked, bounded
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
+from fishrl.settings import Settings
 
 
 def compute_turn_rate(body: BodyState) -> Tensor:
@@ -27,7 +27,7 @@ def compute_amplitude_rate(body: BodyState) -> Tensor:
     return (body.amplitude_goal - body.amplitude) * 2.0 / body.turn_steps.clamp_min(2.0)
 
 
-class Motion(Checked):
+class Motion(Settings):
     """What moves a body.
 
     Attributes:
@@ -55,7 +55,6 @@ class Motion(Checked):
         return torch.zeros_like(body.bend)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Fixed(Motion):
     """A body that does not move.
 
@@ -67,8 +66,8 @@ class Fixed(Motion):
 
     is_still: ClassVar[bool] = True
 
-    kick_speed: float = bounded(0.0, norm=MAX_IMPOSED_SPEED)
-    kick_steps: int = bounded(1, least=1)
+    kick_speed: Annotated[float, Field(ge=-MAX_IMPOSED_SPEED, le=MAX_IMPOSED_SPEED)] = 0.0
+    kick_steps: PositiveInt = 1
 
     def prescribe(self, body: BodyState) -> tuple[Tensor, Tensor]:
         """Return zero, apart from the initial kick."""
@@ -78,7 +77,6 @@ class Fixed(Motion):
         return torch.stack((zero, kick), -1), zero
 
 
-@dataclass(frozen=True, kw_only=True)
 class Driven(Motion):
     """A body that moves at a constant velocity and turns at a constant rate.
 
@@ -89,8 +87,14 @@ class Driven(Motion):
         angular_velocity: radians per step, counter-clockwise.
     """
 
-    velocity: tuple[float, float] = bounded((0.0, 0.0), norm=MAX_IMPOSED_SPEED)
-    angular_velocity: float = bounded(0.0, norm=MAX_IMPOSED_SPEED)
+    velocity: tuple[float, float] = (0.0, 0.0)
+    angular_velocity: Annotated[float, Field(ge=-MAX_IMPOSED_SPEED, le=MAX_IMPOSED_SPEED)] = 0.0
+
+    def __post_init__(self) -> None:
+        if hypot(*self.velocity) > MAX_IMPOSED_SPEED:
+            raise ValueError(
+                f"velocity = {self.velocity}: its norm must be at most {MAX_IMPOSED_SPEED}"
+            )
 
     def prescribe(self, body: BodyState) -> tuple[Tensor, Tensor]:
         """Return these velocities, whatever the body's state."""
@@ -103,7 +107,6 @@ class Driven(Motion):
         return hypot(*self.velocity) + abs(self.angular_velocity) * radius
 
 
-@dataclass(frozen=True, kw_only=True)
 class Oscillating(Motion):
     """A body that sways and pitches: x0 + sway sin(phase), heading0 + pitch sin(phase + lag).
 
@@ -140,7 +143,6 @@ class Oscillating(Motion):
         return 2.0 * pi * abs(frequency) * reach
 
 
-@dataclass(frozen=True, kw_only=True)
 class Surging(Oscillating):
     """A body that sways along y and pitches as prescribed, and that the flow moves along x.
 
@@ -150,14 +152,12 @@ class Surging(Oscillating):
     free_axes: ClassVar[tuple[int, ...]] = (0,)
 
 
-@dataclass(frozen=True)
 class Free(Motion):
     """A body that the flow moves and turns."""
 
     free_axes: ClassVar[tuple[int, ...]] = (0, 1, 2)
 
 
-@dataclass(frozen=True)
 class Commanded(Motion):
     """A fish that the flow moves and the command turns; the torque this requires is reported."""
 
@@ -168,14 +168,12 @@ class Commanded(Motion):
         return body.velocity, compute_turn_rate(body)
 
 
-@dataclass(frozen=True)
 class Towed(Commanded):
     """A commanded fish that keeps its initial velocity along x; the flow moves it along y alone."""
 
     free_axes: ClassVar[tuple[int, ...]] = (1,)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Bending(Motion):
     """A free fish that turns by bending its midline; no external torque.
 
@@ -194,7 +192,7 @@ class Bending(Motion):
     free_axes: ClassVar[tuple[int, ...]] = (0, 1, 2)
 
     gain: float = 1.0
-    response: float = bounded(6.0, greater=0, largest=6)
+    response: Annotated[float, Field(gt=0, le=6)] = 6.0
 
     def compute_bend_rate(self, body: BodyState) -> Tensor:
         """Return the relaxation towards the command."""

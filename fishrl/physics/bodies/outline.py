@@ -5,21 +5,21 @@ heading is pi faces -x and its axis points downstream of a flow along +x.
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field, NonNegativeInt
 from torch import Tensor
 
-from fishrl.bounds import bounded, check_bounds
 from fishrl.physics.bodies.midline import MidlineParams
 from fishrl.physics.bodies.motion import Bending, Fixed, Motion
 from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.shear import ShearParams
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED
+from fishrl.settings import Settings
 
 _STATIONS = 20001  # quadrature and arc-length stations along the body; set-up cost only
 
@@ -27,8 +27,7 @@ Points = NDArray[np.float64]
 BodyParams = ShearParams | MidlineParams
 
 
-@dataclass(frozen=True, kw_only=True)
-class BodyConfig(ABC):
+class BodyConfig(Settings, ABC):
     """A body in the flow.
 
     Args:
@@ -48,14 +47,13 @@ class BodyConfig(ABC):
 
     deforms: ClassVar[bool] = False
 
-    density_ratio: float = bounded(1.0, least=1)
-    marker_spacing: float = bounded(1.0, least=0.5, largest=2)
-    inset: float = bounded(0.45, least=0, largest=1)
-    num_markers: int = bounded(0, least=0)
-    motion: Motion = field(default_factory=Fixed)
+    density_ratio: Annotated[float, Field(ge=1)] = 1.0
+    marker_spacing: Annotated[float, Field(ge=0.5, le=2)] = 1.0
+    inset: Annotated[float, Field(ge=0, le=1)] = 0.45
+    num_markers: NonNegativeInt = 0
+    motion: Motion = Fixed()
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         if isinstance(self.motion, Bending) and not self.can_bend:
             raise ValueError(
                 "motion = Bending(): a command bends only a Fish without keeps_length and strokes, "
@@ -187,7 +185,6 @@ class BodyConfig(ABC):
         )
 
 
-@dataclass(frozen=True, kw_only=True)
 class Ellipse(BodyConfig):
     """An ellipse.
 
@@ -196,8 +193,8 @@ class Ellipse(BodyConfig):
         width: axis across it, nodes.
     """
 
-    length: float = bounded(least=8)
-    width: float = bounded(least=8)
+    length: Annotated[float, Field(ge=8)]
+    width: Annotated[float, Field(ge=8)]
 
     def draw(self) -> list[Points]:
         """Return one piece, from the nose round."""
@@ -206,7 +203,6 @@ class Ellipse(BodyConfig):
         return [np.stack([x, y], -1)]
 
 
-@dataclass(frozen=True, kw_only=True)
 class Cylinder(BodyConfig):
     """A circular cylinder.
 
@@ -214,14 +210,13 @@ class Cylinder(BodyConfig):
         diameter: D in nodes.
     """
 
-    diameter: float = bounded(least=8)
+    diameter: Annotated[float, Field(ge=8)]
 
     def draw(self) -> list[Points]:
         """Return one piece, from the nose round."""
         return Ellipse(length=self.diameter, width=self.diameter).draw()
 
 
-@dataclass(frozen=True, kw_only=True)
 class DCylinder(BodyConfig):
     """Half a disc; its nose is the middle of the round side.
 
@@ -232,7 +227,7 @@ class DCylinder(BodyConfig):
         diameter: D in nodes, the length of the flat side.
     """
 
-    diameter: float = bounded(least=8)
+    diameter: Annotated[float, Field(ge=8)]
 
     def draw(self) -> list[Points]:
         """Return the two quarters of the round side and the flat side between them."""
@@ -243,7 +238,6 @@ class DCylinder(BodyConfig):
         return [upper, np.stack([upper[-1], lower[0]]), lower]
 
 
-@dataclass(frozen=True, kw_only=True)
 class Foil(BodyConfig):
     """A rigid NACA 4-digit foil without camber.
 
@@ -252,8 +246,8 @@ class Foil(BodyConfig):
         thickness: largest thickness in chords (0.12 for NACA0012).
     """
 
-    chord: float = bounded(least=8)
-    thickness: float = bounded(0.12, greater=0, largest=0.4)
+    chord: Annotated[float, Field(ge=8)]
+    thickness: Annotated[float, Field(gt=0, le=0.4)] = 0.12
 
     def draw(self) -> list[Points]:
         """Return the upper side to the trailing edge and the lower side back."""

@@ -10,19 +10,19 @@ to new ones as 3 p^2 - 2 p^3, p from 0 to 1; after the last stroke they stay, an
 So the open-source CubismUP 2D does (``CStartFish``); its tau rises with the curvatures, too.
 """
 
-from dataclasses import dataclass
 from math import pi
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field, PositiveFloat
 from torch import Tensor
 
-from fishrl.bounds import bounded, check_bounds
 from fishrl.physics.bodies.gait import Beat
 from fishrl.physics.bodies.midline import Midline, accumulate
 from fishrl.physics.bodies.outline import to_tensors
+from fishrl.settings import Settings
 
 _Values = NDArray[np.float64]
 _Three = tuple[float, float, float]
@@ -31,8 +31,7 @@ _KNOTS = np.array([0.0, 0.2, 0.5, 0.75, 0.95, 1.0])
 _FREE = slice(2, 5)  # knots whose values are given; at the others the curvature is zero
 
 
-@dataclass(frozen=True, kw_only=True)
-class Stroke:
+class Stroke(Settings):
     """A smooth change of the curvature.
 
     Args:
@@ -42,19 +41,13 @@ class Stroke:
         lag: tau when it ends, waves along the body.
     """
 
-    duration: float = bounded(greater=0)
+    duration: PositiveFloat
     bend: _Three
     wave: _Three
     lag: float
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-        if len(self.bend) != 3 or len(self.wave) != 3:
-            raise ValueError(f"bend, wave = {self.bend}, {self.wave}: give three values of each")
 
-
-@dataclass(frozen=True, kw_only=True)
-class Strokes:
+class Strokes(Settings):
     """A sequence of strokes that begins straight, at rest and with tau = 0.
 
     Args:
@@ -62,13 +55,8 @@ class Strokes:
         phase: phi, radians.
     """
 
-    sequence: tuple[Stroke, ...]
+    sequence: Annotated[tuple[Stroke, ...], Field(min_length=1)]
     phase: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
-        if not self.sequence:
-            raise ValueError("sequence = (): give at least one stroke")
 
     def bound_curvature(self, x: _Values) -> _Values:
         """Return a bound abs(B) + abs(K) of the curvature at ``x`` = s / L, in 1 / L."""

@@ -8,11 +8,14 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.state import make_body
-from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.fast.checks import check_tensor
-from fishrl.physics.fast.coupled import has_kernel
-from fishrl.physics.fast.layout import FlowData, FlowMemory, InPlaceLayout
-from fishrl.physics.fast.step import FlowGroup, Scratch, Stepper
+from fishrl.physics.fast.flow_memory import FlowData, FlowMemory, GroupMemory
+from fishrl.physics.fast.gpu_body_parts import has_kernel
+from fishrl.physics.fast.group import FlowGroup
+from fishrl.physics.fast.layout import InPlaceLayout
+from fishrl.physics.fast.part import copy_tree
+from fishrl.physics.fast.sampling import sample_points
+from fishrl.physics.fast.stepper import Stepper
 from fishrl.physics.flow import FlowConfig, make_params
 
 
@@ -28,7 +31,9 @@ class FlowBatch:
         compile: whether the step will be compiled; on a GPU, a kernel then couples the bodies.
 
     Attributes:
-        flow: all numbers beside the populations, changed in place.
+        flow: everything except the populations, changed in place.
+        groups: by their number in the batch.
+        stepper: the step of all groups.
     """
 
     def __init__(
@@ -52,22 +57,26 @@ class FlowBatch:
             has_omega_field=bool(config.sponges),
         )
         self.num_bytes = memory.count_bytes()
-        self.flow, self._omega, self._data = memory.carve(allocate(self.num_bytes))
-        sample = pytree.tree_map(lambda t: t[:group_size], self._fresh)
-        is_coupled = compile and has_kernel(config, device)
-        self.scratch = Scratch(config, self.layout, sample, is_coupled)
+        self.flow, self._omega, self._populations = memory.carve(allocate(self.num_bytes))
+        self.stepper = Stepper(
+            config,
+            self.layout,
+            pytree.tree_map(lambda t: t[:group_size], self._fresh),
+            has_kernel=compile and has_kernel(config, device),
+        )
         groups = range(len(configs) // group_size) if groups is None else groups
-        self.groups = {number: self._make_group(number) for number in groups}
+        self.groups = {
+            number: FlowGroup(self.memory_of(number), config.storage, self.stepper.list_all())
+            for number in groups
+        }
         self.first = self.groups[groups[0]]
-        self.stepper = Stepper(config, self.layout, self.first, is_coupled)
 
-    def _make_group(self, number: int) -> FlowGroup:
+    def memory_of(self, number: int) -> GroupMemory:
+        """Return a group's part of the memory."""
         own = self.rows_of(number)
-        return FlowGroup(
-            config=self._config,
+        return GroupMemory(
             layout=self.layout,
-            scratch=self.scratch,
-            populations=self._data[number],
+            populations=self._populations[number],
             omega=self._omega[own],
             flow=pytree.tree_map(lambda t: t[own], self.flow),
         )
@@ -77,10 +86,8 @@ class FlowBatch:
         return slice(number * self._size, (number + 1) * self._size)
 
     def initialise_(self) -> None:
-        """Write what flows begin with: parameters, bodies at rest and relaxation rates."""
-        pairs = zip(pytree.tree_leaves(self.flow), pytree.tree_leaves(self._fresh), strict=True)
-        for own, new in pairs:
-            own.copy_(new)
+        """Write the initial parameters, bodies at rest and relaxation rates."""
+        copy_tree(self.flow, self._fresh)
         omega = self._config.compute_omega(self.flow.params.tau)
         if omega.shape[1:] == (1, 1):
             self._omega.copy_(omega[:, 0])
@@ -100,36 +107,8 @@ class FlowBatch:
         return torch.cat([~group.nodes[0][:, y, x].isfinite() for group in self.groups.values()])
 
     def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Read density and velocity between the nodes, bilinearly, before an even step.
-
-        Args:
-            points: ``[B, P, 2]`` (x, y) in nodes; those outside the grid are moved to its edge,
-                and where one is NaN, so is the result.
-
-        Returns:
-            Density ``[B, P]`` and velocity ``[B, P, 2]``, float32.
-        """
-        layout, decode, device = self.layout, self._config.storage.decode, points.device
-        last = torch.tensor([layout.width - 1.0, layout.height - 1.0], device=device)
-        place = torch.minimum(points.nan_to_num().clamp_min(0.0), last.to(points))
-        first = torch.minimum(place.floor(), last.to(points) - 1.0)
-        right, up = (place - first).float().unbind(-1)
-        x, y = first.long().unbind(-1)
-        node = y * layout.row_length + x
-        above = node + layout.row_length
-        corners = torch.stack((node, node + 1, above, above + 1), 1)
-        weights = torch.stack(
-            ((1 - up) * (1 - right), (1 - up) * right, up * (1 - right), up * right), 1
-        )
-        flow = torch.arange(len(points), device=device)[:, None, None]
-        group, own = flow // layout.num_envs, flow % layout.num_envs
-        cells = corners + own * layout.flow_length + layout.first_cell
-        f = [decode(self._data[group, cells + offset]) for offset in layout.offsets(0, False)]
-        fluid = compute_macroscopic(f)
-        values = torch.stack((fluid.rho, fluid.ux, fluid.uy), -1)
-        mean = (weights[..., None] * values).sum(1)
-        mean = mean.masked_fill(points.isnan().any(-1, keepdim=True), torch.nan)
-        return mean[..., 0], mean[..., 1:]
+        """Return density and velocity at ``points`` ``[B, P, 2]``; see ``sample_points``."""
+        return sample_points(points, self._populations, self.layout, self._config.storage)
 
     def name_state(self) -> dict[str, list[Tensor]]:
         """Return everything that the future depends on, by name, each in groups of flows.
@@ -138,8 +117,6 @@ class FlowBatch:
         """
         pairs, _ = pytree.tree_flatten_with_path(self.flow)
         named = {pytree.keystr(path).lstrip("."): [leaf] for path, leaf in pairs}
-        # states saved so far call the bodies' parameters "shapes"
-        named = {n.replace("params.bodies", "params.shapes"): leaf for n, leaf in named.items()}
         nodes = zip(*(group.nodes for group in self.groups.values()), strict=True)
         populations = {f"f{q}": list(views) for q, views in enumerate(nodes)}
         return {**populations, "omega": [self._omega], **named}
@@ -150,7 +127,6 @@ class FlowBatch:
         Raises:
             ValueError: for a state of another grid, batch, storage or version.
         """
-        state = self._read_former(state)
         own_state = self.name_state()
         for name, own in own_state.items():
             shape = (len(self.flow.clock), *own[0].shape[1:])
@@ -165,28 +141,6 @@ class FlowBatch:
         for name, own in own_state.items():
             for part, saved in zip(own, torch.split(state[name], len(own[0])), strict=True):
                 part.copy_(saved)
-
-    def _read_former(self, state: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-        """Return a state as of today for one that was saved formerly.
-
-        That held the memory of the populations itself as ``data`` ``[groups, slots]`` in place of
-        ``f0`` to ``f8``, streams only rose from rest, and fish had their gait's amplitude.
-        """
-        began = ("params.former_speed", "params.ramp_start")
-        added = {name: torch.zeros_like(self.flow.clock) for name in began}
-        shares = (".amplitude", ".amplitude_goal")
-        beats = [name for name in self.name_state() if name.endswith(shares)]
-        added |= {name: torch.ones_like(self.flow.clock) for name in beats}
-        state = added | dict(state)
-        if "data" not in state:
-            return state
-        data, height, width = state["data"], self.layout.height, self.layout.width
-        size = len(self.flow.clock) // len(data)
-        layout = InPlaceLayout(num_envs=size, height=height, width=width)
-        if data.shape[1] != layout.num_slots:
-            return state
-        groups = zip(*(layout.nodes(row, 0, False) for row in data), strict=True)
-        return {**state, **{f"f{q}": torch.cat(views) for q, views in enumerate(groups)}}
 
 
 def set_rows_(own: Any, new: Any, rows: Tensor, *, name: str) -> None:
@@ -204,7 +158,7 @@ def set_rows_(own: Any, new: Any, rows: Tensor, *, name: str) -> None:
 
 
 def _make_fresh(configs: Sequence[FlowConfig], device: torch.device) -> FlowData:
-    """Return the numbers of flows with bodies at rest in the middle of the domain."""
+    """Return the initial numbers of flows, with bodies at rest in the middle of the domain."""
     zero = torch.zeros(len(configs), dtype=torch.float64, device=device)
     middle = torch.tensor([0.5 * configs[0].width, 0.5 * configs[0].height]).double()
     body = make_body(middle.to(device).expand(len(configs), 2), zero, zero)

@@ -1,7 +1,7 @@
 """The bodies' coupling to the flow as one GPU kernel, in Triton; one program per flow.
 
-It does what ``step.exchange``, ``coupling.solve_body_force`` and the spreading in ``kernels.py`` do
-as tensor operations, which remain its reference. The numbers of equations are the paper's, as in
+It does what ``step.couple_bodies`` and ``CoupleBodies`` of ``body_parts.py`` do as tensor
+operations, which remain its reference. The numbers of equations are the paper's, as in
 ``step.py``; in its notation, for one flow with markers l = 1 .. N:
 
     U*_l = sum_x W_l u*                         interpolation                            (eq. 2)
@@ -249,9 +249,9 @@ def _force(
 
 
 @torch.library.triton_op(
-    "fishrl::couple_bodies", mutates_args=("data", "g", "slip", "mass", "change", "steps")
+    "fishrl::couple_bodies_", mutates_args=("data", "g", "slip", "mass", "change", "steps")
 )
-def couple_bodies(
+def couple_bodies_(
     data: Tensor,
     offsets: Tensor,
     first_cell: Tensor,

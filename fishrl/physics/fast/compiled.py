@@ -24,7 +24,7 @@ from fishrl.physics.cache_key import hash_sources, make_key
 
 logger = logging.getLogger(__name__)
 
-Kernel = Callable[..., Any]
+InPlaceFunction = Callable[..., Any]
 
 # Fused multiply-add, and no check of the arguments' shapes at each call: they never change.
 _SETTINGS: dict[str, object] = {
@@ -76,8 +76,12 @@ def is_own(thing: object) -> bool:
 
 
 def compile_inplace(
-    function: Kernel, example: Sequence[Tensor], *, name: str | None = None, **patches: object
-) -> Kernel:
+    function: InPlaceFunction,
+    example: Sequence[Tensor],
+    *,
+    name: str | None = None,
+    **patches: object,
+) -> InPlaceFunction:
     """Compile ``function(*tensors)``, which may mutate its arguments; itself without a compiler.
 
     Args:
@@ -116,7 +120,7 @@ def compile_inplace(
     return _reach_code(compiled)
 
 
-def _reach_code(artefact: Kernel) -> Kernel:
+def _reach_code(artefact: InPlaceFunction) -> InPlaceFunction:
     """Return the compiled code without the layers around it, which cost 5 to 10 us at each call.
 
     They serve autograd and caches. Where no code is found in them, they stay.
@@ -149,7 +153,7 @@ def _locate_artefact(name: str, example: Sequence[Tensor], settings: dict[str, o
     return Path(cache_dir()) / "fishrl" / f"{key}.bin"
 
 
-def _load(path: Path, settings: dict[str, object]) -> Kernel | None:
+def _load(path: Path, settings: dict[str, object]) -> InPlaceFunction | None:
     """Return what is kept at ``path``; None if there is nothing that can be used.
 
     The settings count here too: they are part of how Inductor finds the machine code.

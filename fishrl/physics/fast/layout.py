@@ -1,4 +1,4 @@
-"""Where a batch of flows lies in memory.
+"""Where the populations of a group of flows lie in memory.
 
 Populations stream in place (AA pattern, Bailey et al. 2009): one buffer, two kinds of step. An even
 step reads and writes the node's own slots, swapping opposite directions; an odd step reads from and
@@ -11,30 +11,13 @@ cells n + c_q and S[q] those at n, the incoming population q is S[q] before an e
 V[opposite q] before an odd one.
 """
 
-from math import prod
-from typing import NamedTuple
-
-import torch
 from torch import Tensor
-from torch.utils import _pytree as pytree
 
-from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.flow import FlowParams
 from fishrl.physics.lattice import CX, CY, OPPOSITE, Q
 
 
-class FlowData(NamedTuple):
-    """Everything about a batch of flows except populations, float64, every tensor ``[B, ...]``.
-
-    ``clock`` counts the steps since reset.
-    """
-
-    clock: Tensor
-    params: FlowParams
-    bodies: tuple[BodyState, ...]
-
-
-def _round_up(n: int) -> int:
+def round_up(n: int) -> int:
+    """Return the next multiple of 16, the numbers in a cache line."""
     return -(-n // 16) * 16
 
 
@@ -43,10 +26,10 @@ class InPlaceLayout:
 
     def __init__(self, *, num_envs: int, height: int, width: int) -> None:
         self.num_envs, self.height, self.width = num_envs, height, width
-        self.row_length = _round_up(width + 2)
-        self.flow_length = _round_up((height + 2) * self.row_length)
+        self.row_length = round_up(width + 2)
+        self.flow_length = round_up((height + 2) * self.row_length)
         self.num_cells = num_envs * self.flow_length
-        self.pad = _round_up(self.row_length + 1)
+        self.pad = round_up(self.row_length + 1)
         self.slot_length = self.num_cells + 2 * self.pad
         self.first_cell = self.row_length + 1  # of node (0, 0) within its flow
         self.num_slots = Q * self.slot_length
@@ -81,49 +64,3 @@ class InPlaceLayout:
         """Return a view ``[B, Y, X]`` of values ``[B, cells]`` without the rings."""
         rows = cells[:, : (self.height + 2) * self.row_length].view(len(cells), -1, self.row_length)
         return rows[:, 1 : self.height + 1, 1 : self.width + 1]
-
-
-class FlowMemory:
-    """The layout of one block of memory that processes can share: numbers, omega, populations.
-
-    ``sample`` holds the numbers of all flows, ``layout`` that of one group's populations of
-    ``dtype``; with ``has_omega_field`` the relaxation rate differs from node to node.
-    """
-
-    def __init__(
-        self,
-        sample: FlowData,
-        layout: InPlaceLayout,
-        *,
-        dtype: torch.dtype,
-        has_omega_field: bool,
-    ) -> None:
-        leaves, self._form = pytree.tree_flatten(sample)
-        self._shapes = [leaf.shape for leaf in leaves]
-        self._num_envs, self._dtype = len(sample.clock), dtype
-        self._omega_length = layout.flow_length if has_omega_field else 1
-        self._slots = self._num_envs // layout.num_envs, layout.num_slots
-        self._num_doubles: int = sum(prod(shape) for shape in self._shapes)
-        self._num_omegas = _round_up(self._num_envs * self._omega_length)
-
-    def count_bytes(self) -> int:
-        """Return the size of the block."""
-        return self._first_slot + self._dtype.itemsize * self._slots[0] * self._slots[1]
-
-    @property
-    def _first_slot(self) -> int:
-        return 8 * self._num_doubles + 4 * self._num_omegas
-
-    def carve(self, memory: Tensor) -> tuple[FlowData, Tensor, Tensor]:
-        """Return views of the block ``[bytes]``: numbers, omega ``[B, n]``, populations."""
-        doubles = memory[: 8 * self._num_doubles].view(torch.float64)
-        sizes = [prod(shape) for shape in self._shapes]
-        parts = [
-            part.view(shape)
-            for part, shape in zip(torch.split(doubles, sizes), self._shapes, strict=True)
-        ]
-        singles = memory[8 * self._num_doubles : self._first_slot].view(torch.float32)
-        omega = singles[: self._num_envs * self._omega_length].view(self._num_envs, -1)
-        populations = memory[self._first_slot :].view(self._dtype).view(self._slots)
-        flow: FlowData = pytree.tree_unflatten(parts, self._form)
-        return flow, omega, populations

@@ -1,11 +1,10 @@
 """A batch of flows in memory: what environments hold, reset, command, advance and read."""
 
 import logging
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import hypot
-from typing import IO
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,11 +12,16 @@ from torch import Tensor
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.collision import compute_equilibrium, compute_macroscopic
-from fishrl.physics.fast.batch import FlowBatch, set_rows_
+from fishrl.physics.fast.batch import set_rows_
 from fishrl.physics.fast.checks import check_tensor, read_frequency
-from fishrl.physics.fast.compiled import Kernel, find_compiler_problem
-from fishrl.physics.fast.workers import Workers, can_send, count_cores, map_shared, open_shared
-from fishrl.physics.flow import FlowConfig, compute_stream_speed, list_configs
+from fishrl.physics.fast.execution import Execution
+from fishrl.physics.fast.part import Part
+from fishrl.physics.flow import (
+    FlowConfig,
+    change_stream_speed,
+    compute_stream_speed,
+    list_configs,
+)
 from fishrl.physics.geometry import Markers, deform_body, locate_markers, place_markers
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED, Q
 from fishrl.physics.placement import check_placement, lies_inside, spread_starts
@@ -55,47 +59,27 @@ class InPlaceSolver:
     ) -> None:
         device = torch.device(device)
         configs = list_configs(config, num_envs, device)
-        num_envs, is_cpu = len(configs), device.type == "cpu"
         torch.set_flush_denormal(True)  # still water decays into denormals, which are slow
-        can_share = is_cpu and can_send(configs)
-        if num_workers is None:
-            is_compiled = can_share and compile and not find_compiler_problem("cpu")
-            num_workers = min(count_cores(), num_envs) if is_compiled else 0
-        if num_workers < 0 or (num_workers and not can_share):
-            raise ValueError(
-                f"num_workers = {num_workers} on {device}: allowed is 0 on a GPU, 0 or more on a "
-                "CPU if each class in the configuration is that of a module"
-            )
-        size = flows_per_launch or (1 if is_cpu else num_envs)
-        if size < 1 or num_envs % size:
-            raise ValueError(
-                f"flows_per_launch = {flows_per_launch}: must divide the number of flows {num_envs}"
-            )
         self.configs, self.config = configs, configs[0]
-        self.num_envs, self.device, self._wants_compile = num_envs, device, compile
+        self.num_envs, self.device = len(configs), device
         self._frequency = read_frequency(frequency, configs).to(device)
-        self._num_workers, self._group_size = min(num_workers, num_envs // size), size
-        self._workers: Workers | None = None
-        self._shared: IO[bytes] | None = None
-        self._is_closed = self._is_ready = False
-        self._began: float | None = None  # to compile
-        self._is_lost = torch.zeros(num_envs, dtype=torch.bool)  # after the last advance_
+        self._execution = Execution(
+            configs,
+            device=device,
+            compile=compile,
+            num_workers=num_workers,
+            flows_per_launch=flows_per_launch,
+        )
+        self._batch, self._group_size = self._execution.batch, self._execution.group_size
+        self._is_lost = torch.zeros(self.num_envs, dtype=torch.bool)  # after the last advance_
         rise = [float(each.ramp_steps) for each in configs]
         self._rise = torch.tensor(rise, dtype=torch.float64, device=device)
-        every = torch.ones(num_envs, dtype=torch.bool, device=device)
-        self._unplaced = every if len(self.config.bodies) > 1 else None  # bodies in the middle
-        self._batch = FlowBatch(
-            configs, group_size=size, device=device, allocate=self._allocate, compile=compile
-        )
+        # several bodies overlap in the middle until they are placed
+        has_many = len(self.config.bodies) > 1
+        self._unplaced = self._choose(None) if has_many else None
         self._batch.initialise_()
         for body in self.bodies:
             body.frequency.copy_(self._frequency)
-
-    def _allocate(self, num_bytes: int) -> Tensor:
-        if not self._num_workers:
-            return torch.zeros(num_bytes, dtype=torch.uint8, device=self.device)
-        self._shared = open_shared(num_bytes)
-        return map_shared(self._shared.fileno(), num_bytes)
 
     @property
     def bodies(self) -> tuple[BodyState, ...]:
@@ -112,39 +96,13 @@ class InPlaceSolver:
     def compile(self, *, wait: bool = True) -> None:
         """Compile the step and start the workers; the first ``advance_`` does it otherwise.
 
-        Without ``wait`` the workers go on compiling meanwhile, until the next call.
+        Without ``wait`` the workers compile in the background, until the next call.
         """
-        if self._is_ready or not (self._num_workers or self._wants_compile):
-            return
-        if self._began is None:
-            start = time.perf_counter()
-            logger.info("compiling the flow step (up to a minute when new) ...")
-            if self._shared is not None:
-                self._workers = Workers(
-                    self.configs,
-                    group_size=self._group_size,
-                    file=self._shared.fileno(),
-                    count=self._num_workers,
-                    compile=self._wants_compile,
-                )
-                self._shared.close()
-            else:
-                self._batch.stepper.compile()
-            self._began = start
-        if not wait:
-            return
-        if self._workers is not None:
-            self._workers.wait()
-        if self._wants_compile:  # only now: killed meanwhile, this process would leave its compiler
-            self._batch.stepper.compile("check")
-        self._is_ready = True
-        logger.info("flow step ready after %.1f s", time.perf_counter() - self._began)
+        self._execution.compile(wait=wait)
 
     def close(self) -> None:
         """End the workers, if any; the flows can still be read."""
-        self._is_closed = True
-        if self._workers is not None:
-            self._workers.close()
+        self._execution.close()
 
     def advance_(self, num_steps: int, rows: Tensor | None = None) -> None:
         """Advance the flows of ``rows`` ``[B]`` bool (None is all) by an even number of steps.
@@ -162,18 +120,16 @@ class InPlaceSolver:
         """
         if num_steps < 0 or num_steps % 2:
             raise ValueError(f"num_steps = {num_steps}: must be even and not negative")
-        if self._is_closed:
-            raise RuntimeError("this solver is closed and cannot advance: make a new one")
+        self._execution.require_open()
         is_one_launch = self.device.type == "cuda" and self._group_size == self.num_envs
         chosen = self._choose(rows).view(-1, self._group_size).any(-1)
         groups = [0] if is_one_launch else chosen.nonzero()[:, 0].tolist()
         if self._unplaced is not None and self._unplaced.view(-1, self._group_size)[groups].any():
-            raise ValueError(f"{len(self.bodies)} bodies, all in the middle: place them by reset_")
-        self.compile()
-        if self._workers is not None:
-            self._workers.advance_(num_steps, groups)
-        else:
-            self._batch.advance_(num_steps, groups)
+            raise ValueError(
+                f"the {len(self.bodies)} bodies overlap at the centre of the domain: "
+                "call reset_(position=...) first"
+            )
+        self._execution.advance_(num_steps, groups)
         if rows is None and self.device.type == "cpu":
             was_lost, self._is_lost = self._is_lost, self._batch.is_lost()
             if (self._is_lost & ~was_lost).any():
@@ -220,10 +176,10 @@ class InPlaceSolver:
         flow = self._batch.flow
         fastest = hypot(*velocity) * flow.params.stream_speed
         check_tensor("velocity times stream_speed", fastest, where=rows, largest=MAX_IMPOSED_SPEED)
-        fresh = []
-        for m in range(len(self.bodies)):
-            frequency = torch.zeros_like(heading[:, m]) + self._frequency
-            fresh.append(make_body(position[:, m], heading[:, m], frequency))
+        frequency = torch.zeros_like(heading[:, 0]) + self._frequency
+        fresh = [
+            make_body(position[:, m], heading[:, m], frequency) for m in range(len(self.bodies))
+        ]
         check_placement(self.config, flow.params.bodies, fresh, rows)
         if self._unplaced is not None:
             left = self._unplaced & ~rows
@@ -256,31 +212,20 @@ class InPlaceSolver:
             speed: nodes per step; ValueError on a CPU where ``FlowConfig`` does not allow it.
             rows: which flows.
             num_steps: over which the speed changes smoothly, from what it is now; by default it is
-                set at once, and a rise from rest goes on.
+                set immediately, and a rise from rest continues.
         """
         rows = self._choose(rows)
         check_tensor("speed", speed, (self.num_envs,), where=rows)
         if rows.device.type == "cpu" and rows.any():
             replace(self.config, stream_speed=float(speed[rows].abs().max()))
         flow = self._batch.flow
-        new = flow.params._replace(stream_speed=speed.to(flow.clock))
-        if num_steps is None:
-            is_rising = new.former_speed == 0.0
-            new = new._replace(ramp_steps=torch.where(is_rising, new.ramp_steps, 0.0))
-        elif num_steps < 0:
-            raise ValueError(f"num_steps = {num_steps}: must be 0 or more")
-        else:
-            steps = torch.full_like(flow.clock, num_steps)
-            new = new._replace(
-                ramp_steps=steps, former_speed=self.stream_speed, ramp_start=flow.clock.clone()
-            )
-        for own, value in zip(flow.params[:-1], new[:-1], strict=True):
-            own.copy_(torch.where(rows, value, own))
+        new = change_stream_speed(flow.params, flow.clock, speed.to(flow.clock), num_steps)
+        set_rows_(flow.params[:-1], new[:-1], rows, name="speed")
 
     def set_body_(self, index: int, params: BodyParams, rows: Tensor | None = None) -> None:
         """Give a body of all flows, or of those in ``rows`` ``[B]``, other parameters ``[B, ...]``.
 
-        Place it anew by ``reset_``. ValueError for another kind of body or number of markers.
+        Place it again with ``reset_``. ValueError for another kind of body or number of markers.
         """
         set_rows_(self._get_body(index)[1], params, self._choose(rows), name="params")
 
@@ -333,7 +278,8 @@ class InPlaceSolver:
 
     def populations(self) -> Tensor:
         """Return a copy of the incoming populations ``[B, Q, Y, X]`` (shifted)."""
-        return torch.cat([torch.stack(g.read(), 1) for g in self._batch.groups.values()])
+        groups = self._batch.groups.values()
+        return torch.cat([torch.stack(group.read(), 1) for group in groups])
 
     def macroscopic(self) -> tuple[Tensor, Tensor]:
         """Return density ``[B, Y, X]`` and velocity ``[B, 2, Y, X]``."""
@@ -379,7 +325,7 @@ class InPlaceSolver:
         return {name: torch.cat(own) for name, own in self._batch.name_state().items()}
 
     def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
-        """Restore ``state_dict()`` exactly, on whatever device it was saved.
+        """Restore ``state_dict()`` exactly, also if saved on another device.
 
         ValueError for a state of another grid, batch, storage or version.
         """
@@ -387,13 +333,10 @@ class InPlaceSolver:
         self._unplaced = None
         self._is_lost.zero_()
 
-    def list_calls(self) -> dict[str, list[tuple[Kernel, Sequence[Tensor]]]]:
-        """Return the calls that an even and an odd step of the first group make, by part."""
-        kernels, arguments = self._batch.stepper.kernels, self._batch.first.arguments
-        names = [name for name in kernels if name not in ("locate", "check")]
-        return {name: [(kernels[name], given) for given in arguments[name]] for name in names}
+    def list_calls(self) -> list[tuple[Part[Any], tuple[Sequence[Tensor], Sequence[Tensor]]]]:
+        """Return the parts of a step in order, for measuring them in this process.
 
-    def wrap_kernels_(self, wrap: Callable[[str, Kernel], Kernel]) -> None:
-        """Replace each part of the step in this process by ``wrap(name, part)``, to measure it."""
-        kernels = self._batch.stepper.kernels
-        kernels |= {name: wrap(name, kernels[name]) for name in self.list_calls()}
+        Each comes with the first group's arguments of ``run`` at even and at odd steps; the first
+        part is the collision.
+        """
+        return [(part, self._batch.first.arguments[part]) for part in self._batch.stepper.parts]

@@ -15,7 +15,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import partial
 from typing import IO, NamedTuple
 
@@ -113,7 +113,7 @@ class Workers:
         for process, job in zip(self._processes, jobs, strict=True):
             _send(process.stdin, job)
 
-    def advance_(self, num_steps: int, groups: Sequence[int]) -> None:
+    def advance_(self, num_steps: int, groups: Collection[int]) -> None:
         """Advance those of the workers' flows that are in ``groups``, and wait for them."""
         if not self._processes:
             raise ChildProcessError("the flow workers have ended: make a new solver")
@@ -180,7 +180,7 @@ def serve() -> None:
     )
     try:
         if job.compile:
-            batch.stepper.compile()
+            batch.stepper.compile(batch.first)
     except OSError as error:  # of the compiler
         _send(answers, str(error))
         return

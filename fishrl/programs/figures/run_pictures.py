@@ -6,7 +6,6 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon
 from tensordict import TensorDictBase
-from torch import Tensor
 from torchrl.envs import TransformedEnv
 
 from fishrl.envs.episodes import Policy
@@ -50,9 +49,6 @@ def record_run(
         starts, max_decisions = starts[flows], task.count_decisions(_MAX_PERIODS)
     recordings = [Recording(scene=scene) for _ in range(len(starts))]
 
-    def count(running: Tensor, step: TensorDictBase) -> None:
-        on_episodes(int(((running >= 0) & step["next", "done"].squeeze(-1)).sum()))
-
     with start_drawing(
         scene,
         flows=name_flows(task, flows, starts),
@@ -74,7 +70,7 @@ def record_run(
             give=give,
             frames_per_T=settings.frames_per_T,
             max_decisions=max_decisions,
-            on_step=count,
+            on_episodes=on_episodes,
         )
     for recording, has_succeeded in zip(recordings, episodes.succeeded.tolist(), strict=True):
         recording.has_succeeded = has_succeeded

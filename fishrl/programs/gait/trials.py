@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -130,7 +129,7 @@ def load_trial(run: Path, *, periods: float = PERIODS, recognition: str | None =
     path, plan = load_plan(run)
     choice = find_classifier(recognition or plan.recognition, path)
     source = load_recognition(choice)
-    task, _ = equip(plan.task, source)
+    task = equip(plan.task, source)
     if not isinstance(task, KarmanGait):
         raise ValueError(f"{run}: a policy of {type(task).__name__}; give runs of task=karman_gait")
     files = sorted(path.rglob("*-actor/*"))
@@ -235,69 +234,60 @@ def record(
     progress: Progress | None = None,
 ) -> Histories:
     """Run one episode from each start ``[E]``, all side by side."""
-    task, kept = trial.task, defaultdict[str, list[Tensor]](list)
+    task = trial.task
     env = make_env(
         task=task, num_envs=len(starts), frames_per_action=FRAMES, recognition=trial.recognition
     )
-    base, places = env.base_env, ("place", "work", "positive_work", "lateral_work")
+    base = env.base_env
     torch.manual_seed(0)  # of sampled actions
     progress = progress or Progress(is_shown=False)
     progress.start(trial.name, total=task.time_limit)
 
-    def keep(**values: Tensor) -> None:
-        for name, value in values.items():
-            kept[name].append(value.clone())
+    def read_now(*names: str) -> dict[str, Tensor]:
+        names = ("place", "work", "positive_work", "lateral_work", *names)
+        return {name: base.now[name] for name in names}
 
-    def keep_impulse() -> None:
+    def read_impulse() -> dict[str, Tensor]:
         fish, *obstacles = base.solver.bodies
         impulse = obstacles[0].impulse[:, 1] if obstacles else torch.zeros_like(fish.age)
-        keep(age=fish.age, impulse=impulse)
+        return {"age": fish.age, "impulse": impulse}
 
-    def note_start(start_of: Tensor, state: TensorDictBase) -> None:
-        keep(**{name: base.now[name] for name in places})
-        keep_impulse()
-
-    def note_decision(start_of: Tensor, step: TensorDictBase) -> None:
-        now, unnamed = base.now, torch.full(step.shape, torch.nan)
-        keep(
-            **{name: now[name] for name in (*places, "frequency")},
-            angle_of_attack=wrap_angle(now["heading"] - torch.pi),
-            named=step.get("flow_class", unnamed).reshape(-1).double(),
-            lengths_T=now["age"].float() / task.scales.period,
-        )
+    def read_decision(start_of: Tensor, step: TensorDictBase) -> dict[str, Tensor]:
         progress.advance(1)
+        unnamed = torch.full(step.shape, torch.nan)
+        return {
+            **read_now("frequency"),
+            "angle_of_attack": wrap_angle(base.now["heading"] - torch.pi),
+            "named": step.get("flow_class", unnamed).reshape(-1).double(),
+            "lengths_T": base.now["age"].float() / task.scales.period,
+        }
 
-    def note_frame(start_of: Tensor, flows: FlowEnv) -> None:
-        y = base.solver.markers()[:, 0, 1]
-        keep(beat=base.solver.body.phase, aside=(y - task.origin[1]) / task.body_length)
-        keep_impulse()
+    def read_frame(start_of: Tensor, flows: FlowEnv) -> dict[str, Tensor]:
+        y = flows.solver.markers()[:, 0, 1]
+        aside = (y - task.origin[1]) / task.body_length
+        return {"beat": flows.solver.body.phase, "aside": aside, **read_impulse()}
 
     episodes = run_episodes(
         env,
         trial.make_policy(),
         starts,
         exploration=ExplorationType.RANDOM if samples_actions else ExplorationType.DETERMINISTIC,
-        on_begin=note_start,
-        on_step=note_decision,
-        on_frame=note_frame,
+        on_begin=lambda start_of, state: read_now() | read_impulse(),
+        on_step=read_decision,
+        on_frame=read_frame,
     )
     env.close()
-    series = {name: torch.stack(values, 1).cpu() for name, values in kept.items()}
+    num_frames, traces = FRAMES * int(episodes.lengths.max()), episodes.traces
+    of_frames = {"beat": num_frames, "aside": num_frames, "age": num_frames + 1}
+    of_frames["impulse"] = of_frames["age"]
+    series = {name: traces.pad(name, length=of_frames.get(name, 0)) for name in traces}
     age, impulse = series.pop("age").diff(dim=1), series.pop("impulse").diff(dim=1)
     unit = task.body_length * (task.body_length / task.scales.period) ** 2
-    series["lift"] = impulse / age.clamp_min(1.0) / unit
-    last = episodes.lengths[:, None] - 1
-    lengths_T = series.pop("lengths_T").gather(1, last).squeeze(1)
-    num, num_frames = series["frequency"].shape[1], series["beat"].shape[1]
-    # after an end within an interval the flow stands still
-    time_T = torch.arange(1, num_frames + 1) * (task.interval_T * num / num_frames)
-    is_over, is_still = torch.arange(num) > last, time_T > lengths_T[:, None] + 1e-6
-    for name, values in series.items():
-        ended = is_still if name in ("beat", "aside", "lift") else is_over
-        values[:, -ended.shape[1] :][ended] = torch.nan
+    lengths_T = series.pop("lengths_T").gather(1, episodes.lengths[:, None] - 1).squeeze(1)
     return Histories(
         flow=starts["flow_index"].cpu(),
         lengths_T=lengths_T,
+        lift=impulse / age.clamp_min(1.0) / unit,
         terminated=episodes.terminated,
         diverged=episodes.diverged,
         **series,

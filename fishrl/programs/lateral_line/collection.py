@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase, pad
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
@@ -142,8 +142,6 @@ def record_piece(env: TransformedEnv, number: int, *, seed: int) -> TensorDict:
     low, high = area.near_bl + area.rim_bl, area.far_bl - area.rim_bl
     station = low + (high - low) * torch.rand(num, generator=generator)
     holder = make_pid(task, station_bl=station.to(env.device))
-    start = (starts["head"] / task.body_length).float()
-    decisions: list[TensorDict] = []
 
     def act(state: TensorDictBase) -> TensorDictBase:
         state["flow_class"] = row.to(env.device)
@@ -152,15 +150,16 @@ def record_piece(env: TransformedEnv, number: int, *, seed: int) -> TensorDict:
         is_random = torch.rand(num, generator=generator) < RANDOM_SHARE
         return state.set("action", torch.where(is_random, random.squeeze(-1), held).to(env.device))
 
-    def keep(start_of: Tensor, step: TensorDictBase) -> None:
-        sensed = {
-            "lateral_line": step["lateral_line"].cpu(),
-            "frequency": step["frequency"].squeeze(-1).float().cpu(),
-            "is_decision": start_of.cpu() >= 0,
-            "flow_index": step["flow_index"].squeeze(-1).cpu(),
+    def read(start_of: Tensor, step: TensorDictBase) -> dict[str, Tensor]:
+        return {
+            "lateral_line": step["lateral_line"],
+            "frequency": step["frequency"].squeeze(-1).float(),
+            "is_decision": torch.ones_like(start_of, dtype=torch.bool),
+            "flow_index": step["flow_index"].squeeze(-1),
         }
-        constant = {"named_flow": row, "start": start}
-        decisions.append(TensorDict({**sensed, **constant}, [num]))
 
-    run_episodes(env, act, starts, on_step=keep)
-    return pad(torch.stack(decisions, 1), [0, 0, 0, task.time_limit - len(decisions)])
+    traces = run_episodes(env, act, starts, on_step=read).traces
+    read_off = {name: traces.pad(name, value=0, length=task.time_limit) for name in traces}
+    shape = read_off["is_decision"].shape
+    start = (starts["head"] / task.body_length).float()[:, None].expand(*shape, 2)
+    return TensorDict({**read_off, "named_flow": row[:, None].expand(shape), "start": start}, shape)

@@ -15,15 +15,15 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.objectives import LossModule
 
-from fishrl.bounds import Checked
 from fishrl.envs import AbstractTask
+from fishrl.settings import Settings
 from fishrl.training.learner import Learner, Networks
 from fishrl.training.off_policy import OffPolicyLearner
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.settings import LearningSettings
 
 
-class Algorithm(Checked, ABC):
+class Algorithm(Settings, ABC):
     """Base of all algorithms: a frozen dataclass of the settings that only this algorithm has.
 
     With the class attribute ``is_traced`` the tensor operations of one gradient step are repeated

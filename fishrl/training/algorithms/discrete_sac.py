@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Annotated
 
 import torch
+from pydantic import Field
 from torchrl.modules import ProbabilisticActor
 
-from fishrl.bounds import bounded
 from fishrl.modules import make_actor, make_twin_critics
 from fishrl.objectives import MaskedDiscreteSACLoss
 from fishrl.training.algorithms.algorithm import Algorithm
 from fishrl.training.policy_spec import PolicySpec
 
 
-@dataclass(frozen=True, kw_only=True)
 class DiscreteSAC(Algorithm):
     """Actor, twin critics and a temperature; see ``fishrl.objectives.MaskedDiscreteSACLoss``.
 
@@ -26,8 +25,8 @@ class DiscreteSAC(Algorithm):
 
     is_traced = True
 
-    alpha_init: float = bounded(1.0, greater=0, largest=1e6)
-    target_entropy_weight: float = bounded(0.1, least=0, largest=1)
+    alpha_init: Annotated[float, Field(gt=0, le=1e6)] = 1.0
+    target_entropy_weight: Annotated[float, Field(ge=0, le=1)] = 0.1
 
     @property
     def label(self) -> str:

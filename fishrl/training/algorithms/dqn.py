@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import torch
+from pydantic import Field, PositiveInt
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 
-from fishrl.bounds import bounded
 from fishrl.modules import EpsilonGreedy, make_value_actor
 from fishrl.objectives import MaskedDQNLoss
 from fishrl.training.algorithms.algorithm import Algorithm
 from fishrl.training.policy_spec import PolicySpec
 
 
-@dataclass(frozen=True, kw_only=True)
 class DQN(Algorithm):
     """Network of action values; the policy takes the legal action with the largest value.
 
@@ -33,9 +31,9 @@ class DQN(Algorithm):
     is_traced = True
 
     is_double: bool = False
-    epsilon_start: float = bounded(1.0, least=0, largest=1)
-    epsilon_end: float = bounded(0.05, least=0, largest=1)
-    epsilon_frames: int = bounded(1000, least=1)
+    epsilon_start: Annotated[float, Field(ge=0, le=1)] = 1.0
+    epsilon_end: Annotated[float, Field(ge=0, le=1)] = 0.05
+    epsilon_frames: PositiveInt = 1000
 
     def __post_init__(self) -> None:
         """Check the bounds."""

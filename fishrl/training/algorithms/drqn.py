@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import torch
+from pydantic import PositiveInt
 from tensordict.nn import TensorDictSequential
 from torchrl.data import SliceSampler
 
-from fishrl.bounds import bounded
 from fishrl.modules import RecurrentPolicy, make_recurrent_value_actor
 from fishrl.objectives import RecurrentDQNLoss
 from fishrl.training.algorithms.dqn import DQN
@@ -22,7 +21,6 @@ from fishrl.training.settings import LearningSettings
 TRAJECTORY, STEP = ("collector", "traj_ids"), "step_count"
 
 
-@dataclass(frozen=True, kw_only=True)
 class DRQN(DQN):
     """DQN that reads only the newest observation and keeps the past in an LSTM.
 
@@ -38,7 +36,7 @@ class DRQN(DQN):
     is_traced = False  # TorchRL's LSTM looks where episodes begin
     takes_several = False  # the environment carries one LSTM state per flow
 
-    sequence_length: int = bounded(8, least=1)
+    sequence_length: PositiveInt = 8
 
     def make_policy(
         self, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator | None = None

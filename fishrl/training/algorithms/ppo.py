@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Annotated
 
 import torch
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 
-from fishrl.bounds import bounded
 from fishrl.modules import make_actor, make_continuous_actor, make_state_critic
 from fishrl.training.algorithms.algorithm import Algorithm
 from fishrl.training.learner import Networks
@@ -18,7 +19,6 @@ from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.settings import LearningSettings
 
 
-@dataclass(frozen=True, kw_only=True)
 class PPO(Algorithm):
     """Actor and critic, trained on each rollout of the current policy, which is then discarded.
 
@@ -39,12 +39,12 @@ class PPO(Algorithm):
 
     takes_continuous = True
 
-    rollout_length: int = bounded(32, least=1)
-    num_epochs: int = bounded(10, least=1)
-    clip: float = bounded(0.2, greater=0, largest=1)
-    gae_lambda: float = bounded(0.95, least=0, largest=1)
-    entropy_weight: float = bounded(0.01, least=0)
-    value_weight: float = bounded(0.5, greater=0)
+    rollout_length: PositiveInt = 32
+    num_epochs: PositiveInt = 10
+    clip: Annotated[float, Field(gt=0, le=1)] = 0.2
+    gae_lambda: Annotated[float, Field(ge=0, le=1)] = 0.95
+    entropy_weight: NonNegativeFloat = 0.01
+    value_weight: PositiveFloat = 0.5
 
     def adapt(self, settings: LearningSettings) -> LearningSettings:
         """Return the settings that give ``num_epochs`` over each rollout."""

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Annotated
 
 import torch
+from pydantic import Field
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import SACLoss
 
-from fishrl.bounds import bounded
 from fishrl.modules import make_continuous_actor, make_twin_action_critics
 from fishrl.training.algorithms.algorithm import Algorithm
 from fishrl.training.policy_spec import PolicySpec
 
 
-@dataclass(frozen=True, kw_only=True)
 class SAC(Algorithm):
     """Actor, twin critics and a temperature, for continuous actions.
 
@@ -32,8 +31,8 @@ class SAC(Algorithm):
     takes_continuous = True
     is_traced = True
 
-    alpha_init: float = bounded(1.0, greater=0, largest=1e6)
-    target_entropy: float = bounded(-1.0, largest=0.69)
+    alpha_init: Annotated[float, Field(gt=0, le=1e6)] = 1.0
+    target_entropy: Annotated[float, Field(le=0.69)] = -1.0
 
     def make_policy(
         self, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator | None = None

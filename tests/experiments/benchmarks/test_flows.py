@@ -55,9 +55,8 @@ def test_the_kernel_alone_collides_and_moves_no_fish() -> None:
 def test_the_calls_of_two_steps_are_those_of_the_solver() -> None:
     flow, twin = (make_solver(16, has_fish=True, compile=False) for _ in range(2))
     for parity in (0, 1):
-        for calls in flow.list_calls().values():
-            function, arguments = calls[parity]
-            function(*arguments)
+        for part, arguments in flow.list_calls():
+            part.run(*arguments[parity])
     twin.advance_(2)
     assert torch.equal(flow.populations(), twin.populations())
 

@@ -24,7 +24,7 @@ from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge, Peri
 from fishrl.physics.collision import compute_equilibrium
 from fishrl.physics.delta import Hat, Kernel, Peskin4
 from fishrl.physics.fast import batch as batches
-from fishrl.physics.fast.coupled import has_kernel
+from fishrl.physics.fast.gpu_body_parts import CoupleByKernel, has_kernel
 from fishrl.physics.immersed_boundary import DirectSolve, IterativeForcing
 
 IS_REAL = torch.cuda.is_available() and "device" not in sys.modules
@@ -79,8 +79,8 @@ def make_batch(config: FlowConfig, device: str, *, kernel: bool) -> batches.Flow
             compile=kernel,
         )
     batch.initialise_()
-    for memory in batch.scratch.exchange:  # nothing is read before it is written
-        memory.fill_(torch.nan)
+    for buffer in find_coupling(batch).buffers if kernel else ():
+        buffer.fill_(torch.nan)  # nothing is read before it is written
     start = torch.tensor([[16.3, 12.2], [38.0, 15.7]])
     for index, body in enumerate(batch.flow.bodies):
         body.position.copy_(start + index * torch.tensor([1.0, 5.5]))
@@ -94,6 +94,11 @@ def make_batch(config: FlowConfig, device: str, *, kernel: bool) -> batches.Flow
     still = compute_equilibrium(0.1 * rough[0], rough[1], rough[2])
     batch.first.write_(torch.arange(2, device=device), torch.stack(still, 1).to(device))
     return batch
+
+
+def find_coupling(batch: batches.FlowBatch) -> CoupleByKernel:
+    (found,) = (part for part in batch.stepper.parts if isinstance(part, CoupleByKernel))
+    return found
 
 
 def advance(config: FlowConfig, *, kernel: bool) -> tuple[Tensor, dict[str, Tensor]]:
@@ -193,7 +198,7 @@ from triton.backends.compiler import GPUTarget
 from triton.runtime.driver import driver
 from fishrl.physics import DCylinder, Fish, FlowConfig, Storage
 from fishrl.physics.fast import body_kernel
-from tests.physics.fast.test_body_kernel import make_batch
+from tests.physics.fast.test_body_kernel import find_coupling, make_batch
 
 target = GPUTarget("cuda", int(sys.argv[1]), 32)
 driver.set_active(SimpleNamespace(
@@ -210,8 +215,9 @@ class Compiled:
 torch.library.wrap_triton = Compiled
 config = FlowConfig(width=400, height=300, tau=0.51, storage=Storage[sys.argv[2]],
                     bodies=(Fish(body_length=100), DCylinder(diameter=50)))
-stepper = make_batch(config, "cpu", kernel=True).stepper
-stepper.kernels["couple"](*stepper._example.arguments["couple"][0])
+batch = make_batch(config, "cpu", kernel=True)
+coupling = find_coupling(batch)
+coupling.run(*batch.first.arguments[coupling][0])
 for kernel in made:
     with open(sys.argv[3], "wb") as file:
         file.write(kernel.asm["cubin"])

@@ -21,7 +21,7 @@ from torch import Tensor
 from fishrl.physics import Cylinder, DCylinder, Fish, FlowConfig, InPlaceSolver
 from fishrl.physics.bodies.motion import Free
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
-from fishrl.physics.fast.step import Stepper
+from fishrl.physics.fast.stepper import Stepper
 from fishrl.physics.storage import Storage
 
 IS_PRETENDED = "device" in sys.modules

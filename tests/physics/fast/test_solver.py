@@ -323,18 +323,6 @@ def test_without_a_compiler_the_flow_runs_eagerly_and_says_so_once(
     assert not solver.is_diverged().any()
 
 
-def test_a_state_saved_before_streams_could_change_goes_on_as_it_was() -> None:
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, **CHANGES["sheared"])
-    solver, other = make_solver(config), make_solver(config)
-    solver.advance_(20)
-    state = solver.state_dict()
-    del state["params.former_speed"], state["params.ramp_start"]
-    other.load_state_dict(state)
-    for each in (solver, other):
-        each.advance_(20)
-    assert torch.equal(other.populations(), solver.populations())
-
-
 @pytest.mark.compile
 def test_a_free_swimmer_at_re_7000_swims_straight_at_its_known_speed() -> None:
     """In the sixth beat, in a tank of 6 L x 3 L: 0.3457 L/T, drift -0.0069 L/T, heading off by 2.1

@@ -20,6 +20,7 @@ from fishrl.physics.boundaries import (
     Periodic,
     Profile,
 )
+from fishrl.physics.fast.body_parts import CoupleBodies
 from fishrl.physics.fast.compiled import compile_inplace, is_own
 from fishrl.physics.flow import make_params, make_uniform
 from fishrl.physics.lattice import Q
@@ -121,7 +122,7 @@ def test_many_steps_and_one_equal_the_readable_step(
     assert float((solver.body.position - reference.bodies[0].position).abs().max()) < tolerance
     batch = solver._batch
     batch.stepper.step_(batch.first, 0)
-    after_odd = batch.layout.nodes(batch._data[0], 1, False)
+    after_odd = batch.memory_of(0).incoming(1)
     reference = step(reference, config, make_params([config]))
     assert float((torch.stack(after_odd, 1) - reference.f).abs().max()) < tolerance * scale
 
@@ -185,8 +186,8 @@ def test_the_bulk_pass_is_one_loop_of_nine_loads_and_nine_stores(
     monkeypatch.setattr(GraphLowering, "save_output_code", written.append)
     solver = start(make_config(storage=storage), rows=[0])
     with inductor_config.patch(force_disable_caches=True):
-        function, arguments = solver.list_calls()["collide"][0]
-        compile_inplace(function, arguments)
+        part, (even, _) = solver.list_calls()[0]
+        compile_inplace(part.run, even)
     (code,) = written  # one graph
     assert code.count("for(int64_t ") == 1
     assert code.count("::loadu(") == code.count(".store(") == Q
@@ -199,7 +200,8 @@ def test_memory_per_node_and_flow_is_within_45_bytes() -> None:
         num_envs=1,
         compile=False,
     )
-    force = sum(part.nbytes for part in solver._batch.scratch.force)
+    (bodies,) = (part for part, _ in solver.list_calls() if isinstance(part, CoupleBodies))
+    force = sum(component.nbytes for component in bodies.force)
     assert (solver._batch.num_bytes + force) / (1000 * 500) < 45.5
 
 

@@ -82,8 +82,8 @@ def test_flows_in_processes_move_as_flows_here_do() -> None:
 def test_a_worker_that_is_killed_is_an_error_and_ends_the_others() -> None:
     solver = make_solver(2)
     solver.advance_(2)
-    assert solver._workers is not None
-    processes = list(solver._workers._processes)
+    assert solver._execution.workers is not None
+    processes = list(solver._execution.workers._processes)
     processes[1].kill()
     with pytest.raises(ChildProcessError, match="it was killed"):
         solver.advance_(2)
@@ -98,7 +98,9 @@ def test_an_interrupt_from_the_keyboard_ends_the_workers_instead_of_leaving_thei
 ) -> None:
     solver = make_solver(2)
     solver.advance_(2)
-    monkeypatch.setattr(solver._workers, "wait", lambda: signal.raise_signal(signal.SIGINT))
+    monkeypatch.setattr(
+        solver._execution.workers, "wait", lambda: signal.raise_signal(signal.SIGINT)
+    )
     with pytest.raises(KeyboardInterrupt):
         solver.advance_(2)
     with pytest.raises(ChildProcessError, match="make a new solver"):
@@ -149,8 +151,8 @@ def test_nothing_is_left_of_a_program_that_is_killed(
 def test_closing_ends_the_processes_and_a_closed_solver_does_not_advance() -> None:
     solver = make_solver(2)
     solver.advance_(2)
-    assert solver._workers is not None
-    processes = list(solver._workers._processes)
+    assert solver._execution.workers is not None
+    processes = list(solver._execution.workers._processes)
     solver.close()
     assert all(process.poll() is not None for process in processes)
     with pytest.raises(RuntimeError, match="closed and cannot advance: make a new one"):
@@ -171,8 +173,8 @@ def test_workers_find_the_classes_of_a_module_beside_the_script(tmp_path: Path) 
 
 
 def test_flows_with_a_class_of_the_script_itself_stay_in_its_process(tmp_path: Path) -> None:
-    code = f"{OWN_CLASS}{WITH_OWN}print(make()._num_workers, bool(make()._shared))"
-    assert run_elsewhere(tmp_path / "script.py", code) == "0 False\n"
+    code = f"{OWN_CLASS}{WITH_OWN}print(make()._execution.num_workers)"
+    assert run_elsewhere(tmp_path / "script.py", code) == "0\n"
 
 
 def test_a_class_that_workers_cannot_import_is_refused() -> None:

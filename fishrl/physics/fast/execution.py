@@ -1,0 +1,119 @@
+"""Where a batch of flows lies and advances: in this process, or in one process per core."""
+
+import logging
+import time
+from collections.abc import Collection, Sequence
+from typing import IO
+
+import torch
+from torch import Tensor
+
+from fishrl.physics.fast.batch import FlowBatch
+from fishrl.physics.fast.compiled import find_compiler_problem
+from fishrl.physics.fast.workers import Workers, can_send, count_cores, map_shared, open_shared
+from fishrl.physics.flow import FlowConfig
+
+logger = logging.getLogger(__name__)
+
+
+class Execution:
+    """A batch of flows and the processes that advance it; arguments as of ``InPlaceSolver``.
+
+    Attributes:
+        batch: the flows; with workers, in memory shared with them.
+        group_size: flows per group.
+        num_workers: processes beside this one.
+        workers: those processes, once they have started.
+    """
+
+    def __init__(
+        self,
+        configs: Sequence[FlowConfig],
+        *,
+        device: torch.device,
+        compile: bool,
+        num_workers: int | None,
+        flows_per_launch: int | None,
+    ) -> None:
+        num_envs, is_cpu = len(configs), device.type == "cpu"
+        can_share = is_cpu and can_send(configs)
+        if num_workers is None:
+            is_compiled = can_share and compile and not find_compiler_problem("cpu")
+            num_workers = min(count_cores(), num_envs) if is_compiled else 0
+        if num_workers < 0 or (num_workers and not can_share):
+            raise ValueError(
+                f"num_workers = {num_workers} on {device}: allowed is 0 on a GPU, 0 or more on a "
+                "CPU if each class in the configuration is that of a module"
+            )
+        self.group_size = flows_per_launch or (1 if is_cpu else num_envs)
+        if self.group_size < 1 or num_envs % self.group_size:
+            raise ValueError(
+                f"flows_per_launch = {flows_per_launch}: must divide the number of flows {num_envs}"
+            )
+        self.num_workers = min(num_workers, num_envs // self.group_size)
+        self.workers: Workers | None = None
+        self._configs, self._device, self._wants_compile = configs, device, compile
+        self._shared: IO[bytes] | None = None
+        self._is_closed = self._is_ready = False
+        self._began: float | None = None  # to compile
+        self.batch = FlowBatch(
+            configs,
+            group_size=self.group_size,
+            device=device,
+            allocate=self._allocate,
+            compile=compile,
+        )
+
+    def _allocate(self, num_bytes: int) -> Tensor:
+        if not self.num_workers:
+            return torch.zeros(num_bytes, dtype=torch.uint8, device=self._device)
+        self._shared = open_shared(num_bytes)
+        return map_shared(self._shared.fileno(), num_bytes)
+
+    def compile(self, *, wait: bool = True) -> None:
+        """Compile the step and start the workers, once; see ``InPlaceSolver.compile``."""
+        if self._is_ready or not (self.num_workers or self._wants_compile):
+            return
+        stepper, first = self.batch.stepper, self.batch.first
+        if self._began is None:
+            start = time.perf_counter()
+            logger.info("compiling the flow step (up to a minute when new) ...")
+            if self._shared is not None:
+                self.workers = Workers(
+                    self._configs,
+                    group_size=self.group_size,
+                    file=self._shared.fileno(),
+                    count=self.num_workers,
+                    compile=self._wants_compile,
+                )
+                self._shared.close()
+            else:
+                stepper.compile(first)
+            self._began = start
+        if not wait:
+            return
+        if self.workers is not None:
+            self.workers.wait()
+        if self._wants_compile:  # only now: killed meanwhile, this process would leave its compiler
+            stepper.compile_check(first)
+        self._is_ready = True
+        logger.info("flow step ready after %.1f s", time.perf_counter() - self._began)
+
+    def require_open(self) -> None:
+        """Raise RuntimeError after ``close``."""
+        if self._is_closed:
+            raise RuntimeError("this solver is closed and cannot advance: make a new one")
+
+    def advance_(self, num_steps: int, groups: Collection[int]) -> None:
+        """Advance some groups by an even number of steps, and wait for them."""
+        self.compile()
+        if self.workers is not None:
+            self.workers.advance_(num_steps, groups)
+        else:
+            self.batch.advance_(num_steps, groups)
+
+    def close(self) -> None:
+        """End the workers, if any; the flows can still be read."""
+        self._is_closed = True
+        if self.workers is not None:
+            self.workers.close()

@@ -1,0 +1,92 @@
+"""Callbacks of a training or an evaluation, such as progress bars and live views."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from tensordict import TensorDictBase
+from torchrl.envs import EnvBase
+
+from fishrl.envs.episodes import Policy
+
+NOTHING: Mapping[str, float] = {}
+
+
+class Callback:
+    """Base of callbacks: each method does nothing. They must not change what they observe."""
+
+    def on_begin(self, env: EnvBase) -> None:
+        """Receive the env before its first step; ``env.base_env.on_frame`` may be set here."""
+
+    def on_phase(self, phase: str, *, total: int | None = None, done: int = 0) -> None:
+        """Receive the name of the phase that begins.
+
+        With ``total`` it counts so many frames or episodes, ``done`` of which are over; without, it
+        is part of what is counted already.
+        """
+
+    def on_progress(self, amount: int, shown: Mapping[str, float] = NOTHING) -> None:
+        """Receive the number of further frames or episodes, and numbers that describe them."""
+
+    def on_step(self, step: TensorDictBase) -> None:
+        """Receive a completed step ``[B]`` as the env returns it."""
+
+    def on_new_episodes(self) -> None:
+        """Expect new episodes in all flows: an evaluation has ended."""
+
+    def on_end(
+        self, summary: Mapping[str, Any], *, folder: Path, env: EnvBase, policy: Policy
+    ) -> None:
+        """Receive the result of a training before ``summary.json`` is written.
+
+        Args:
+            summary: content of ``summary.json``.
+            folder: of the run.
+            env: its flows, whose episodes may be abandoned.
+            policy: the best learned policy; it raises ``Interrupted`` after a signal.
+        """
+
+    def on_close(self) -> None:
+        """Release resources; only ``on_begin`` may follow, when a run continues after an error."""
+
+
+def join(callbacks: Iterable[Callback]) -> Callback:
+    """Return several callbacks as one, which calls them in their order."""
+    return _Joined(callbacks)
+
+
+class _Joined(Callback):
+    def __init__(self, callbacks: Iterable[Callback]) -> None:
+        self._all = tuple(callbacks)
+
+    def on_begin(self, env: EnvBase) -> None:
+        for each in self._all:
+            each.on_begin(env)
+
+    def on_phase(self, phase: str, *, total: int | None = None, done: int = 0) -> None:
+        for each in self._all:
+            each.on_phase(phase, total=total, done=done)
+
+    def on_progress(self, amount: int, shown: Mapping[str, float] = NOTHING) -> None:
+        for each in self._all:
+            each.on_progress(amount, shown)
+
+    def on_step(self, step: TensorDictBase) -> None:
+        for each in self._all:
+            each.on_step(step)
+
+    def on_new_episodes(self) -> None:
+        for each in self._all:
+            each.on_new_episodes()
+
+    def on_end(
+        self, summary: Mapping[str, Any], *, folder: Path, env: EnvBase, policy: Policy
+    ) -> None:
+        for each in self._all:
+            each.on_end(summary, folder=folder, env=env, policy=policy)
+
+    def on_close(self) -> None:
+        for each in self._all:
+            each.on_close()

@@ -1,0 +1,132 @@
+"""Episodes of a policy as a Minari dataset.
+
+Needs the extra ``export``; import it by its full name:
+``from fishrl.wrappers.minari import write_dataset``. ``minari.load_dataset`` and TorchRL's
+``MinariExperienceReplay`` read the dataset.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.envs import TransformedEnv
+from torchrl.envs.utils import ExplorationType
+
+from fishrl.envs.episodes import Policy, run_episodes
+from fishrl.extras import show_install
+
+try:
+    import minari
+    from gymnasium.spaces import Box, Dict, Discrete, MultiBinary
+    from minari.data_collector import EpisodeBuffer
+    from minari.dataset.minari_dataset import parse_dataset_id
+except ImportError as error:
+    raise ImportError(f"fishrl.wrappers.minari needs packages: {show_install('export')}") from error
+
+
+def find_dataset(name: str, folder: str | Path) -> Path:
+    """Return where a dataset of this name would lie.
+
+    Raises:
+        ValueError: for an invalid name, or a dataset that exists.
+    """
+    parse_dataset_id(name)
+    path = Path(folder).expanduser().absolute() / name
+    if path.exists():
+        raise ValueError(f"{path} exists: take the next version in name={name}")
+    return path
+
+
+def write_dataset(
+    env: TransformedEnv,
+    policy: Policy,
+    starts: TensorDictBase,
+    *,
+    name: str,
+    folder: str | Path,
+    seed: int = 0,
+    samples_actions: bool = False,
+    algorithm: str | None = None,
+    on_episodes: Callable[[int], None] | None = None,
+) -> minari.MinariDataset:
+    """Run one episode from each start and write their transitions to ``<folder>/<name>``.
+
+    Observations hold ``observation``, the stack that policies see, and ``action_mask`` of discrete
+    actions; infos hold all that the task reports, such as the signals of the lateral line.
+
+    Args:
+        env: an environment of ``make_env``.
+        policy: writes ``action``.
+        starts: ``[E]``, as ``task.sample_starts`` returns.
+        name: identifier of the dataset, ``(<namespace>/)<name>-v<version>``.
+        folder: folder of the datasets; sets ``MINARI_DATASETS_PATH`` of this process.
+        seed: noted in the dataset.
+        samples_actions: sample the actions of a stochastic policy, as in training.
+        algorithm: what the policy is, noted in the dataset.
+        on_episodes: called with the number of episodes that have just ended.
+
+    Raises:
+        ValueError: for several fish, and as ``find_dataset``.
+    """
+    find_dataset(name, folder)
+    task = env.base_env.task
+    if task.num_fish > 1:
+        raise ValueError(
+            f"task: {type(task).__name__} has several fish, and Minari's datasets hold one agent"
+        )
+    is_continuous, num = task.action_bounds is not None, task.num_actions
+    masked = () if is_continuous else ("action_mask",)
+    reported = [key for key in env.base_env.observation_spec if key not in masked]
+
+    def read(start_of: Tensor, state: TensorDictBase) -> dict[str, Tensor]:
+        return dict(state.select("observation_stack", *masked, *reported).items())
+
+    def read_step(start_of: Tensor, step: TensorDictBase) -> dict[str, Tensor]:
+        outcome = step["next"].select("reward", "terminated", "truncated")
+        return {"action": step["action"], **outcome, **read(start_of, step["next"])}
+
+    traces = run_episodes(
+        env,
+        policy,
+        starts,
+        exploration=ExplorationType.RANDOM if samples_actions else ExplorationType.DETERMINISTIC,
+        on_begin=read,
+        on_step=read_step,
+        on_episodes=on_episodes,
+    ).traces
+    arrays = {key: [trace.numpy() for trace in each] for key, each in traces.items()}
+    buffers = [
+        EpisodeBuffer(
+            id=index,
+            seed=seed,
+            observations={
+                "observation": arrays["observation_stack"][index],
+                **{key: arrays[key][index].astype(np.int8) for key in masked},
+            },
+            actions=arrays["action"][index],
+            rewards=arrays["reward"][index][:, 0],
+            terminations=arrays["terminated"][index][:, 0],
+            truncations=arrays["truncated"][index][:, 0],
+            infos={key: arrays[key][index] for key in reported},
+        )
+        for index in range(len(starts))
+    ]
+    os.environ["MINARI_DATASETS_PATH"] = str(Path(folder).expanduser().absolute())
+    warnings.simplefilter("ignore", UserWarning)  # about fields for its public server
+    size = env.observation_spec["observation_stack"].shape[-1]
+    seen = Box(-np.inf, np.inf, (size,), np.float32)
+    return minari.create_dataset_from_buffers(
+        name,
+        buffers,
+        observation_space=Dict({"observation": seen, **dict.fromkeys(masked, MultiBinary(num))}),
+        action_space=Box(-1.0, 1.0, (num,), np.float32) if is_continuous else Discrete(num),
+        algorithm_name=algorithm,
+        description=f"{len(starts)} episodes of {task}",
+        requirements=["fishrl"],
+    )

@@ -1,0 +1,60 @@
+"""A run is checked before anything slow: no compile, no wakes, no folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+
+from fishrl.envs import KarmanGait, Predation, make_env
+from fishrl.envs.streams import Stream
+from fishrl.physics import InPlaceSolver
+from fishrl.training import Plan, RunSettings
+from fishrl.training.resolve import resolve
+from tests.envs.conftest import SMALL
+from tests.training.conftest import Toy
+
+
+def test_a_baseline_with_wakes_is_checked_without_developing_them(tmp_path: Path) -> None:
+    task = KarmanGait(stream=Stream(wake_folder=str(tmp_path / "wakes")))
+    plan = Plan(task=task, run=RunSettings(baselines=("shedding",)))
+    resolved = resolve(plan, recognition="oracle")
+    assert resolved.baselines == ("shedding",)
+    assert resolved.task == task.read_flow_labels() and resolved.task != task
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_wrong_observation_size_is_reported_before_the_compile(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Wrong(Predation):
+        n_obs: ClassVar[int] = 5
+
+    monkeypatch.setattr(InPlaceSolver, "compile", lambda *_, **__: pytest.fail("compiled"))
+    with pytest.raises(ValueError, match=r"Wrong.observe gives .*\(1, 4\).* shape \(1, 5\)"):
+        make_env(task=Wrong(**SMALL), num_envs=1)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"baselines": ("randm",)}, "did you mean 'random'"),
+        ({"device": "cuda:99"}, "CUDA devices"),
+        ({"recognition": "oracle"}, "no flows to tell apart"),
+        ({"buffer_size": 10**12}, "buffer .* GB: more than the .* GB of cpu"),
+    ],
+)
+def test_a_run_with_invalid_settings_leaves_no_folder(
+    toy: Toy, wrong: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        toy.begin(**wrong)
+    assert not list(toy.folder.iterdir())
+
+
+def test_labels_lengthen_the_observation_of_the_policy() -> None:
+    plan = Plan(task=KarmanGait(observes_flow=True))
+    without, with_labels = resolve(plan), resolve(plan, recognition="oracle")
+    num_flows = len(plan.task.flow_labels)
+    assert with_labels.spec.num_observed == without.spec.num_observed + num_flows
