@@ -16,7 +16,6 @@ from typing import Any, NamedTuple, TypeVar
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from fishrl.bounds import suggest
 from fishrl.envs import Follower, KarmanGait, Predation, PredationPair
 from fishrl.modules import (
     PID,
@@ -29,6 +28,7 @@ from fishrl.modules import (
     RandomPolicy,
 )
 from fishrl.modules.gait_controllers import FrequencyController
+from fishrl.settings import suggest
 
 #: Makes a policy for a task, given the seed of its random numbers.
 MakePolicy = Callable[[Any, int], TensorDictModuleBase]

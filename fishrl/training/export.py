@@ -47,7 +47,7 @@ def export_policy(
         folder: to write; must not exist, or be empty.
         title: of the card; by default the name of the folder.
         revision: commit of the code that exports it, for the card.
-        modules: modules outside fishrl that may be imported, see ``description.make``.
+        modules: modules outside fishrl that may be imported, see ``settings.build``.
 
     Returns:
         The folder.

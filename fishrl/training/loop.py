@@ -16,9 +16,9 @@ from tensordict import TensorDictBase
 
 from fishrl.envs.agents import split_fish
 from fishrl.envs.episodes import name_counted
+from fishrl.settings import describe
 from fishrl.training.callback import Callback, join
 from fishrl.training.collector import make_collector
-from fishrl.training.description import describe
 from fishrl.training.evaluation import SELECTION_SEED, TRAIN_SEED, Evaluator
 from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children
 from fishrl.training.learner import one_thread

@@ -3,28 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any
+from dataclasses import field, replace
+from typing import Annotated, Any
 
-from fishrl.bounds import suggest
 from fishrl.envs import AbstractTask
+from fishrl.settings import TARGET, Role, Settings, build, describe, list_fields, suggest, to_plain
 from fishrl.training.algorithms import Algorithm
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
-from fishrl.training.aliases import FORMER_SETTINGS, update_config
-from fishrl.training.description import describe, make, to_plain
 from fishrl.training.logger import CsvLogger
 from fishrl.training.settings import LearningSettings, RunSettings
 
-LEARNING = tuple(entry.name for entry in fields(LearningSettings))
-RUN = tuple(entry.name for entry in fields(RunSettings))
-#: Fixed once a run has begun, like ``LEARNING``.
-PARTS = ("task", "algorithm", "logger", "preset", "recognition")
-#: Those of a run, apart from ``extra``.
-SETTINGS = {*LEARNING, *RUN, *PARTS, *FORMER_SETTINGS}
 
-
-@dataclass(frozen=True, kw_only=True)
-class Plan:
+class Plan(Settings):
     """The complete settings of a run.
 
     Args:
@@ -39,11 +29,11 @@ class Plan:
     """
 
     task: AbstractTask
-    algorithm: Algorithm = field(default_factory=DiscreteSAC)
-    learning: LearningSettings = field(default_factory=LearningSettings)
-    run: RunSettings = field(default_factory=RunSettings)
-    logger: CsvLogger = field(default_factory=CsvLogger)
-    preset: str | None = None
+    algorithm: Algorithm = DiscreteSAC()
+    learning: LearningSettings = LearningSettings()
+    run: RunSettings = RunSettings()
+    logger: Annotated[CsvLogger, Role.HARMLESS] = field(default_factory=CsvLogger)
+    preset: Annotated[str | None, Role.HARMLESS] = None
     recognition: str | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
 
@@ -51,7 +41,7 @@ class Plan:
         """Check algorithm and ``extra``, and adapt the settings to the algorithm."""
         self.algorithm.check(self.task)
         for name in self.extra:
-            if name in SETTINGS:
+            if name in (*PARTS, *LEARNING, *RUN):
                 raise ValueError(f"extra: {name} is a setting of the run itself; take another name")
         object.__setattr__(self, "learning", self.algorithm.adapt(self.learning))
 
@@ -67,41 +57,27 @@ class Plan:
         return self.run.name or "-".join(word for word in words if word)
 
     def to_config(self) -> dict[str, Any]:
-        """Return the plan as nested plain values, settings at the top level."""
-        return {
-            "task": describe(self.task),
-            "algorithm": describe(self.algorithm),
-            "logger": describe(self.logger),
-            "preset": self.preset,
-            "recognition": self.recognition,
-            **to_plain(asdict(self.learning)),
-            **to_plain(asdict(self.run)),
-            **to_plain(self.extra),
-        }
+        """Return the plan as plain data: ``PARTS`` are nested, all other settings beside them."""
+        parts = {name: to_plain(getattr(self, name)) for name in PARTS}
+        flat = describe(self.learning) | describe(self.run)
+        del flat[TARGET]
+        return parts | flat | to_plain(self.extra)
 
     @classmethod
     def from_config(cls, config: Mapping[str, Any], *, modules: Collection[str] = ()) -> Plan:
         """Make a plan from ``config.yaml`` or the metadata of a checkpoint; see ``to_config``.
 
-        Missing entries keep their defaults; ``modules`` see ``description.make``, like the errors.
+        Missing entries keep their defaults; ``modules`` see ``settings.build``, like the errors.
         """
-        config = update_config(config)
-        logger = config.get("logger") or describe(CsvLogger())
-        try:
-            learning = LearningSettings(**{n: config[n] for n in LEARNING if n in config})
-            run = RunSettings(**{n: config[n] for n in RUN if n in config})
-        except TypeError as error:
-            raise ValueError(f"settings of the run: {error}") from error
-        return cls(
-            task=make(config.get("task"), kind=AbstractTask, modules=modules),
-            algorithm=make(config["algorithm"], kind=Algorithm, modules=modules),
-            learning=learning,
-            run=run,
-            logger=make(logger, kind=CsvLogger, modules=modules),
-            preset=config.get("preset"),
-            recognition=config.get("recognition"),
-            extra={name: value for name, value in config.items() if name not in SETTINGS},
-        )
+        node: dict[str, Any] = {name: config[name] for name in PARTS if name in config}
+        for name, kind, known in (
+            ("learning", LearningSettings, LEARNING),
+            ("run", RunSettings, RUN),
+        ):
+            node[name] = build(kind, {key: config[key] for key in known if key in config})
+        own = (*PARTS, *LEARNING, *RUN)
+        node["extra"] = {name: value for name, value in config.items() if name not in own}
+        return build(cls, node, modules=modules)
 
     def change(self, **changes: Any) -> Plan:
         """Return the plan with other settings of ``RunSettings`` or ``extra``, which may change."""
@@ -113,3 +89,11 @@ class Plan:
         of_run = {name: value for name, value in changes.items() if name in RUN}
         extra = {name: value for name, value in changes.items() if name not in RUN}
         return replace(self, run=replace(self.run, **of_run), extra={**self.extra, **extra})
+
+
+#: Fixed once a run has begun, like ``PARTS``: its objects, and names for them.
+LEARNING = tuple(entry.name for entry in list_fields(LearningSettings))
+RUN = tuple(entry.name for entry in list_fields(RunSettings))
+PARTS = tuple(
+    entry.name for entry in list_fields(Plan) if entry.name not in ("learning", "run", "extra")
+)

@@ -26,7 +26,7 @@ from fishrl.training.settings import check_device
 def load_plan(checkpoint: str | Path, *, modules: Collection[str] = ()) -> tuple[Path, Plan]:
     """Return the path of a checkpoint (or that in a run folder) and the plan of its run.
 
-    ``modules`` see ``description.make``; errors are those of ``make`` and ``read_metadata``.
+    ``modules`` see ``settings.build``; errors are those of ``build`` and ``read_metadata``.
     """
     path, metadata = read_metadata(checkpoint)
     return path, Plan.from_config(metadata["config"], modules=modules)

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from fishrl.bounds import suggest
+from fishrl.settings import suggest
 
 _ROOT = Path(__file__).parents[1] / "zoo"
 PREFIX = "zoo/"

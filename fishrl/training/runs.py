@@ -81,7 +81,7 @@ def resume(
 
     Args:
         folder: folder of the run.
-        modules: modules outside fishrl that may be imported, see ``description.make``.
+        modules: modules outside fishrl that may be imported, see ``settings.build``.
         callbacks: see ``train``.
         make_env: see ``train``.
         **changes: new values of ``RunSettings``, such as ``total_frames=8000``.

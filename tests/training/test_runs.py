@@ -152,7 +152,7 @@ def test_changes_of_a_resume_stay_and_what_is_learned_is_fixed(toy: Toy) -> None
             toy.reopen("run", **wrong)
 
 
-@pytest.mark.parametrize("name", ["gamma", "total_frames", "task", "alpha_init"])
+@pytest.mark.parametrize("name", ["gamma", "total_frames", "task"])
 def test_a_further_setting_of_the_name_of_a_real_one_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(ValueError, match=f"extra: {name} is"):
         make_toy_plan(tmp_path, extra={"pictures": 6, name: 0.5})
@@ -190,16 +190,6 @@ def test_an_older_checkpoint_takes_the_place_of_a_corrupt_one(toy: Toy) -> None:
         toy.reopen("run")
     (folder / "last").rename(toy.folder / "broken")
     assert toy.reopen("run").counters.frames == 160
-
-
-def test_runs_of_before_there_was_a_choice_of_algorithms_are_known(toy: Toy) -> None:
-    toy.begin(name="run", total_frames=8, **QUICK).run()
-    path = toy.folder / "run" / "config.yaml"
-    config = read_config(path)
-    assert config.pop("algorithm")["_target_"].endswith("DiscreteSAC")
-    write_yaml(path, config | {"alpha_init": 0.7, "target_entropy_weight": 0.2})
-    resumed = toy.reopen("run", total_frames=16)
-    assert resumed.plan.algorithm == DiscreteSAC(alpha_init=0.7, target_entropy_weight=0.2)
 
 
 def test_a_config_cannot_run_code(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from fishrl.training.description import describe, make
+from fishrl.settings import build, describe
 from fishrl.training.logger import CsvLogger
 from fishrl.training.tensorboard import TensorboardLogger
 
@@ -36,7 +36,7 @@ def test_a_run_with_event_files_is_read_without_the_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    logger = make(describe(TensorboardLogger()), kind=CsvLogger)
+    logger = build(CsvLogger, describe(TensorboardLogger()))
     with pytest.raises(ImportError, match="logger=tensorboard needs a package: pip install"):
         logger.open(tmp_path, columns=COLUMNS, config={})
 

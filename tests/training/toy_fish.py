@@ -28,12 +28,13 @@ from torchrl.envs import (
     TransformedEnv,
 )
 
-from fishrl.envs import Predation
+from fishrl.envs import AbstractTask, Predation
 
 STATE = ("position", "heading", "food", "direction", "age", "distance", "error", "start_index")
 
 
 @dataclass(kw_only=True)
+@AbstractTask.register
 class ToyPredation:
     """What the training loop asks of a task."""
 

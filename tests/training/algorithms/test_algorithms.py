@@ -6,12 +6,12 @@ import dataclasses
 
 import pytest
 
+from fishrl.settings import build, describe
 from fishrl.training import Algorithm, DiscreteSAC
 from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
-from fishrl.training.description import describe, make
 from tests.training.conftest import Toy
 
 ALL: list[Algorithm] = [
@@ -26,7 +26,7 @@ def test_each_has_a_label_of_its_own_and_is_the_same_after_a_trip_through_a_file
         *("sac", "ppo"),
     ]
     for algorithm in ALL:
-        assert make(describe(algorithm), kind=Algorithm) == algorithm
+        assert build(Algorithm, describe(algorithm)) == algorithm
         with pytest.raises(dataclasses.FrozenInstanceError):
             algorithm.label = "x"  # type: ignore[misc]
 
