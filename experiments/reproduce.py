@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import fcntl
 import json
-import shlex
 import subprocess
 import sys
 import time
@@ -24,7 +23,7 @@ from typing import Annotated, Any
 from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
 from experiments.benchmarks.machine import describe_machine
-from experiments.reproduction.page import ARMS, find_fitted, write_page
+from experiments.paper import ARMS, find_fitted, write_page
 from experiments.validation.swimmer import CASE
 from fishrl.__main__ import list_programs
 from fishrl.envs import AbstractTask, make_env
@@ -34,7 +33,7 @@ from fishrl.programs.sweeps.jobs import find_runs
 from fishrl.programs.sweeps.runs import read_run
 from fishrl.programs.train_lateral_line import main as train_lateral_line
 from fishrl.programs.train_settings import TRAINING, make_plan
-from fishrl.settings import Settings, list_fields, to_plain
+from fishrl.settings import Settings
 from fishrl.training import DiscreteSAC
 from fishrl.training.baselines import choose_baselines
 from fishrl.training.learner import one_thread
@@ -252,18 +251,6 @@ def run_job(job: Job, record: Record, lock: int) -> None:
         raise ValueError(f"{job.name} ended with status {child.returncode}; repeat the command")
 
 
-def write_command(scale: Scale) -> str:
-    """Return the command of a scale, with each entry that differs from its file on a line."""
-    usual = main.read([f"scale={scale.name}"]).scale
-    words = [
-        f"scale.{name}={json.dumps(to_plain(getattr(scale, name)))}"
-        for name, *_ in list_fields(Scale)
-        if getattr(scale, name) != getattr(usual, name)
-    ]
-    lines = [f"python -m experiments.reproduce scale={scale.name}", *map(shlex.quote, words)]
-    return " \\\n  ".join(lines)
-
-
 def measure_speed(plan: Plan) -> tuple[float, float]:
     """Return node updates and gradient steps (of discrete SAC) per second, on this machine."""
     gait: Any = plan.task
@@ -308,8 +295,7 @@ def main(settings: ReproduceSettings) -> None:
         for job in list_jobs(scale, folder):
             if not record.is_finished(job):
                 run_job(job, record, lock)
-        page = write_page(folder, record.jobs, name=scale.name, command=write_command(scale))
-        print(f"written: {page}")
+        print(f"written: {write_page(folder, record.jobs, scale)}")
 
 
 if __name__ == "__main__":

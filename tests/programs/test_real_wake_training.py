@@ -77,7 +77,7 @@ def list_leaves(state: Any, path: str = "") -> dict[str, Any]:
 def test_a_training_in_a_real_wake_that_is_interrupted_equals_one_that_is_not(
     tmp_path: Path, real_wake: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fishrl.training.loop.Training._summarize", lambda training: {})
+    monkeypatch.setattr("fishrl.training.loop.finish", lambda training: {})
     whole = begin(tmp_path, real_wake, name="whole")
     whole.run()
     part = begin(tmp_path, real_wake, name="part")
