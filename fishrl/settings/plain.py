@@ -58,7 +58,7 @@ def to_plain(value: Any) -> Any:
         return [to_plain(item) for item in value]
     if isinstance(value, Mapping):
         return {str(name): to_plain(item) for name, item in value.items()}
-    if callable(value):
+    if isinstance(value, type) or inspect.isroutine(value):
         raise ValueError(f"{value!r}: cannot be written into a file")
     return describe(value)
 

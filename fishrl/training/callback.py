@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -54,39 +55,13 @@ class Callback:
 
 def join(callbacks: Iterable[Callback]) -> Callback:
     """Return several callbacks as one, which calls them in their order."""
-    return _Joined(callbacks)
+    joined, parts = Callback(), tuple(callbacks)
+    for name in vars(Callback):
+        if name.startswith("on_"):
+            setattr(joined, name, partial(_call, [getattr(part, name) for part in parts]))
+    return joined
 
 
-class _Joined(Callback):
-    def __init__(self, callbacks: Iterable[Callback]) -> None:
-        self._all = tuple(callbacks)
-
-    def on_begin(self, env: EnvBase) -> None:
-        for each in self._all:
-            each.on_begin(env)
-
-    def on_phase(self, phase: str, *, total: int | None = None, done: int = 0) -> None:
-        for each in self._all:
-            each.on_phase(phase, total=total, done=done)
-
-    def on_progress(self, amount: int, shown: Mapping[str, float] = NOTHING) -> None:
-        for each in self._all:
-            each.on_progress(amount, shown)
-
-    def on_step(self, step: TensorDictBase) -> None:
-        for each in self._all:
-            each.on_step(step)
-
-    def on_new_episodes(self) -> None:
-        for each in self._all:
-            each.on_new_episodes()
-
-    def on_end(
-        self, summary: Mapping[str, Any], *, folder: Path, env: EnvBase, policy: Policy
-    ) -> None:
-        for each in self._all:
-            each.on_end(summary, folder=folder, env=env, policy=policy)
-
-    def on_close(self) -> None:
-        for each in self._all:
-            each.on_close()
+def _call(methods: list[Callable[..., None]], *arguments: Any, **named: Any) -> None:
+    for method in methods:
+        method(*arguments, **named)

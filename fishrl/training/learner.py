@@ -1,24 +1,20 @@
-"""The learner: policy, buffer and gradient step; subclasses decide what the buffer holds.
-
-``OffPolicyLearner`` replays past transitions, ``OnPolicyLearner`` learns from each rollout of the
-current policy.
-"""
+"""Learners: policy, buffer and gradient step, for on-policy and off-policy algorithms."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
 from torchrl.data.replay_buffers.samplers import Sampler
 from torchrl.envs import Transform
-from torchrl.objectives import LossModule
+from torchrl.objectives import LossModule, SoftUpdate
 
 from fishrl.training.settings import LearningSettings
 from fishrl.training.tracing import Traced
@@ -31,11 +27,15 @@ class Networks(NamedTuple):
         actor: policy that is evaluated and saved, greedy under ``ExplorationType.DETERMINISTIC``.
         explorer: policy that collects, with the same weights; the collector saves its state.
         loss: the sum of its outputs ``loss_...`` is minimised; all are logged as ``train/<name>``.
+        transforms: transforms that the explorer needs in its environment.
+        is_traced: see ``Algorithm``.
     """
 
     actor: TensorDictModuleBase
     explorer: TensorDictModuleBase
     loss: LossModule
+    transforms: Sequence[Transform] = ()
+    is_traced: bool = False
 
 
 class Learner(ABC):
@@ -44,10 +44,8 @@ class Learner(ABC):
     Args:
         networks: of the algorithm.
         settings: learning rate, batch size and buffer size.
-        keys: entries of a transition to store in addition to those that the loss reads.
         sampler: draws batches from the buffer; by default uniformly.
-        transforms: transforms that the explorer needs in its environment.
-        is_traced: see ``Algorithm``.
+        keys: entries of a transition to store in addition to those that the loss reads.
     """
 
     def __init__(
@@ -55,28 +53,23 @@ class Learner(ABC):
         networks: Networks,
         settings: LearningSettings,
         *,
-        keys: Sequence[Any] = (),
         sampler: Sampler | None = None,
-        transforms: Sequence[Transform] = (),
-        is_traced: bool = False,
+        keys: Sequence[Any] = (),
     ) -> None:
-        self.actor, self.explorer, self.loss = networks
-        self.reports, self.transforms = tuple(self.loss.out_keys), tuple(transforms)
-        self._keys, self._is_traced = [*self.loss.in_keys, *keys], is_traced
+        self.actor, self.explorer, self.loss, self.transforms, self._is_traced = networks
+        self.reports, self._keys = tuple(self.loss.out_keys), [*self.loss.in_keys, *keys]
         self.optimiser = torch.optim.Adam(
             self.loss.parameters(), lr=settings.learning_rate, fused=True
         )
         self._renew_step()
         # A checkpoint replaces the tensors of the optimiser, which a traced step has kept.
         self.optimiser.register_load_state_dict_post_hook(self._renew_step)
-        # No prefetch: its threads would draw batches in an order that no seed fixes.
+        device = next(self.actor.parameters()).device
         self.buffer = TensorDictReplayBuffer(
-            storage=_ZeroedStorage(
-                settings.buffer_size, device=next(self.actor.parameters()).device
-            ),
+            storage=_ZeroedStorage(settings.buffer_size, device=device),
             sampler=sampler,
             batch_size=settings.batch_size,
-            prefetch=0,
+            prefetch=0,  # threads would draw batches in an order that no seed fixes
         )
 
     def store(self, transitions: TensorDictBase) -> int:
@@ -123,12 +116,88 @@ class Learner(ABC):
 
     def components(self) -> dict[str, Any]:
         """Return by name what a checkpoint holds of the learner."""
-        return {
-            "actor": self.actor,
-            "loss": self.loss,
-            "optimiser": self.optimiser,
-            "buffer": self.buffer,
-        }
+        names = ("actor", "loss", "optimiser", "buffer")
+        return {name: getattr(self, name) for name in names}
+
+
+class OffPolicyLearner(Learner):
+    """Replay past transitions, with target networks; arguments as for ``Learner``."""
+
+    def __init__(
+        self,
+        networks: Networks,
+        settings: LearningSettings,
+        *,
+        sampler: Sampler | None = None,
+        keys: Sequence[Any] = (),
+    ) -> None:
+        networks.loss.make_value_estimator(gamma=settings.gamma)
+        self._targets = SoftUpdate(networks.loss, tau=settings.tau)
+        super().__init__(networks, settings, sampler=sampler, keys=keys)
+
+    def _remember(self, transitions: TensorDictBase) -> None:
+        self._extend(transitions)
+
+    def _take_step(self, batch: TensorDictBase) -> list[Tensor]:
+        losses = super()._take_step(batch)
+        self._targets.step()
+        return losses
+
+
+class OnPolicyLearner(Learner):
+    """Learn from each rollout of the current policy, every transition once per epoch.
+
+    Args:
+        networks: the loss has a critic and a value estimator with ``lmbda``, as TorchRL's PPO.
+        settings: see ``Learner``; ``buffer_size`` is that of one rollout.
+        rollout_length: decisions of each flow in a rollout.
+        gae_lambda: lambda of generalised advantage estimation.
+    """
+
+    def __init__(
+        self,
+        networks: Networks,
+        settings: LearningSettings,
+        *,
+        rollout_length: int,
+        gae_lambda: float,
+    ) -> None:
+        networks.loss.make_value_estimator(gamma=settings.gamma, lmbda=gae_lambda)
+        keys = ("advantage", "value_target")
+        super().__init__(networks, settings, sampler=SamplerWithoutReplacement(), keys=keys)
+        self._length, self._decisions = rollout_length, list[TensorDictBase]()
+
+    def _remember(self, transitions: TensorDictBase) -> None:
+        """Take one decision of each flow, always in the same order."""
+        decision = transitions.select(*self.loss.in_keys, ("next", "diverged"))
+        self._decisions.append(decision.clone())  # a collector reuses its memory
+        if len(self._decisions) < self._length:
+            return
+        rollout = torch.stack(self._decisions, 1).contiguous()
+        self._decisions = []
+        loss: Any = self.loss
+        weights, targets = loss.critic_network_params, loss.target_critic_network_params
+        with torch.no_grad():  # a diverged row bootstraps from its last state, as if truncated
+            loss.value_estimator(rollout, params=weights, target_params=targets)
+        self.buffer.empty()
+        self._extend(rollout.reshape(-1))
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether the last ``store`` completed a rollout."""
+        return not self._decisions and super().is_ready
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the decisions of an incomplete rollout."""
+        return {"decisions": [decision.clone().to_dict() for decision in self._decisions]}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Restore what ``state_dict`` returned."""
+        self._decisions = [TensorDict.from_dict(d, batch_dims=1) for d in state["decisions"]]
+
+    def components(self) -> dict[str, Any]:
+        """Add the incomplete rollout."""
+        return {"rollout": self, **super().components()}
 
 
 class _ZeroedStorage(LazyTensorStorage):

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import random
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +17,17 @@ import torch
 from tensordict import TensorDictBase
 
 from fishrl.envs.agents import split_fish
-from fishrl.envs.episodes import name_counted
-from fishrl.settings import describe
+from fishrl.envs.episodes import Episodes, Policy, name_counted, run_episodes
 from fishrl.training.callback import Callback, join
-from fishrl.training.collector import make_collector
-from fishrl.training.evaluation import SELECTION_SEED, TRAIN_SEED, Evaluator
+from fishrl.training.checkpoint import CheckpointNotWritten, load_checkpoint, save_checkpoint
+from fishrl.training.collector import RNGState, make_collector
+from fishrl.training.ending import finish
+from fishrl.training.evaluation import SELECTION_SEED, TRAIN_SEED, fixed_starts
 from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children
 from fishrl.training.learner import one_thread
 from fishrl.training.metrics import Counters, list_metrics, measure_memory_mb
 from fishrl.training.resolve import ResolvedRun
-from fishrl.training.run_folder import RunFolder, write_json
-from fishrl.training.saving import RNGState, Saver
+from fishrl.training.run_folder import RunFolder
 
 logger = logging.getLogger(__name__)
 
@@ -52,36 +54,17 @@ class Training:
         self.resolved, self.folder, self.plan = resolved, folder, resolved.plan
         self.task, self.callbacks = resolved.task, join(callbacks)
         self.counters, self.interruption = Counters(), interruption or Interruption()
-        seed = self.plan.learning.seed
+        seed, run = self.plan.learning.seed, self.plan.run
         random.seed(seed)
         np.random.seed(seed)  # noqa: NPY002 - for libraries that use the global generator
         torch.manual_seed(seed)
         self.learner = self.plan.algorithm.make_learner(
-            resolved.spec, self.plan.learning, device=self.plan.run.policy_device
+            resolved.spec, self.plan.learning, device=run.policy_device
         )
-        self.callbacks.on_phase("compilation" if self.plan.run.compile else "set-up")
+        self.callbacks.on_phase("compilation" if run.compile else "set-up")
         with ignore_signals_in_children():  # a checkpoint needs the flows in these processes
             self.collector = make_collector(resolved, self.learner, seed=TRAIN_SEED + seed)
-        self._saver = Saver(resolved, folder, self.components)
-        self.evaluator = Evaluator(
-            resolved, self.collector, callbacks=self.callbacks, interruption=self.interruption
-        )
         self.callbacks.on_begin(self.collector.env)
-
-    def components(self) -> dict[str, Any]:
-        """Return by name everything that the next frame depends on, for a checkpoint."""
-        return {
-            **self.learner.components(),
-            "collector": self.collector,
-            "rng": RNGState(),
-            "counters": self.counters,
-        }
-
-    def restore(self) -> None:
-        """Continue from the last checkpoint in the folder; see ``load_checkpoint``."""
-        self._saver.load_last()
-        self._began -= self.counters.wall_seconds
-        logger.info("continuing from frame %d of %s", self.counters.frames, self.folder.path)
 
     def run(self) -> dict[str, Any]:
         """Train, evaluate the best policy and the baselines, and return the summary.
@@ -92,49 +75,30 @@ class Training:
             CheckpointNotWritten: if the first or the last checkpoint cannot be written.
         """
         columns = list_metrics(self.learner.reports, name_counted(self.collector.env))
-        self.plan.logger.open(
-            self.folder.path,
-            columns=columns,
-            config=self.plan.to_config(),
-            step=self.counters.frames,
-        )
-        if self.counters.frames == 0:
+        frames, config = self.counters.frames, self.plan.to_config()
+        self.plan.logger.open(self.folder.path, columns=columns, config=config, step=frames)
+        if frames == 0:
             self._save(self.folder.last)
         try:
             self._learn()
         except Interrupted:
             self._save(self.folder.last)
             raise
-        summary = self._summarize()
-        try:
-            self.callbacks.on_end(
-                summary,
-                folder=self.folder.path,
-                env=self.collector.env,
-                policy=self.evaluator.make_interruptible(self.learner.actor),
-            )
-        except Interrupted:  # unfinished, so that a resume repeats the end
-            raise
-        except Exception:
-            write_json(self.folder.summary, summary)
-            raise
-        summary["wall_seconds"] = self._wall_seconds()
-        write_json(self.folder.summary, summary)
-        return summary
+        return finish(self)
 
     def _learn(self) -> None:
         """Collect, store and update until ``total_frames``; evaluate, log and save when due."""
-        counters, settings = self.counters, self.plan.run
-        self.callbacks.on_phase(self._phase(), total=settings.total_frames, done=counters.frames)
+        counters, total = self.counters, self.plan.run.total_frames
+        self.callbacks.on_phase(self._phase(), total=total, done=counters.frames)
         batches = iter(self.collector)
-        while counters.pending or counters.frames < settings.total_frames:
-            if not counters.pending:  # else this run was interrupted before it concluded the round
+        while counters.pending or counters.frames < total:
+            if not counters.pending:  # else the run was interrupted before this round's evaluation
                 self.interruption.check()
                 batch, seconds = self._collect(batches)
                 counters.diverged += self.learner.store(split_fish(batch)) // self.task.num_fish
                 self._update()
                 counters.pending = self._measure(batch.numel(), seconds)
-            self._conclude()
+            self._conclude(counters.pending)
         if counters.updates == 0:
             logger.warning(
                 "no gradient step in %d frames: learning begins after warmup_frames = %d, with PPO "
@@ -173,70 +137,108 @@ class Training:
             **self.counters.metrics(),
             **{f"train/{name}": value for name, value in self.counters.losses.items()},
             "time/frames_per_second": num_frames / seconds,
-            "time/mlups": self._mlups(num_frames, seconds),
+            "time/mlups": self.compute_mlups(num_frames, seconds),
         }
 
-    def _conclude(self) -> None:
-        """Evaluate, log and save if due after the round whose metrics are pending."""
-        settings, counters, metrics = self.plan.run, self.counters, self.counters.pending
-        is_over = counters.frames >= settings.total_frames
-        is_evaluated = is_over or self._has_crossed(settings.eval_frames)
+    def _conclude(self, metrics: dict[str, float]) -> None:
+        """Evaluate, log and save if due after a round with these metrics."""
+        run, counters = self.plan.run, self.counters
+        is_over = counters.frames >= run.total_frames
+        is_evaluated = is_over or self._has_crossed(run.eval_frames)
         if is_evaluated:
             metrics = metrics | self._select()
-        counters.wall_seconds = metrics["time/wall_seconds"] = self._wall_seconds()
-        if is_evaluated or self._has_crossed(settings.log_frames):
+        counters.wall_seconds = metrics["time/wall_seconds"] = self.wall_seconds()
+        if is_evaluated or self._has_crossed(run.log_frames):
             self.plan.logger.log(metrics | {"time/memory_mb": measure_memory_mb()})
             counters.losses = {}
         counters.pending = {}
-        if is_over or self._has_crossed(settings.checkpoint_frames):
+        if is_over or self._has_crossed(run.checkpoint_frames):
             self._save(self.folder.last, is_needed=is_over)
-        self.callbacks.on_phase(self._phase())
         shown = {
             "frames per s": metrics["time/frames_per_second"],
             "MLUPS": metrics["time/mlups"],
             "return": metrics["train/return"],
             self.resolved.success: metrics["train/success_rate"],
         }
+        self.callbacks.on_phase(self._phase())
         self.callbacks.on_progress(self.plan.learning.num_envs, shown)
 
     def _select(self) -> dict[str, float]:
         """Evaluate the greedy policy and keep it if it is the best so far."""
         self.callbacks.on_phase("evaluation")
-        num_starts = self.plan.run.eval_episodes
-        result = self.evaluator.evaluate(
-            self.learner.actor, num_starts=num_starts, seed=SELECTION_SEED
-        )
-        metrics, best = result.metrics(), self.counters.best
+        num, before = self.plan.run.eval_episodes, self.counters.best
+        result = self.evaluate(self.learner.actor, num, seed=SELECTION_SEED, is_counted=False)
+        metrics = result.metrics()
         score = [metrics["success_rate"], metrics["mean_return"]]
-        if score >= best:
+        if score >= before:
             self.counters.best = score
             if not self._save(self.folder.best, is_needed=False):
-                self.counters.best = best
+                self.counters.best = before
         return {f"eval/{name}": value for name, value in metrics.items()}
 
-    def _summarize(self) -> dict[str, Any]:
-        """Evaluate the best policy and the baselines; return the content of ``summary.json``."""
-        counters = self.counters
-        best_frames = self._saver.load_best(self.learner.actor)
-        return {
-            **self.evaluator.compare(self.learner.actor),
-            "task": self.resolved.spec.task,
-            "success": self.resolved.success,
-            "baselines": list(self.resolved.baselines),
-            "preset": self.plan.preset,
-            "algorithm": describe(self.plan.algorithm),
-            "seed": self.plan.learning.seed,
-            "frames": counters.frames,
-            "best_checkpoint_frames": best_frames,
-            "updates": counters.updates,
-            "train_episodes": counters.episodes,
-            "train_diverged": counters.diverged,
-            "wall_seconds": self._wall_seconds(),
-            "mlups": self._mlups(counters.frames, counters.collect_seconds),
-        }
+    def evaluate(
+        self, policy: Policy, num_starts: int, *, seed: int, is_counted: bool = True
+    ) -> Episodes:
+        """Evaluate from fixed starts in the flows of training, and leave these as they were."""
+        starts, callbacks = fixed_starts(self.task, num_starts, seed=seed), self.callbacks
+        try:
+            with self.collector.lend_env() as env:
+                return run_episodes(
+                    env,
+                    self.heed(policy),
+                    starts,
+                    on_step=lambda start_of, step: callbacks.on_step(step),
+                    on_episodes=callbacks.on_progress if is_counted else None,
+                )
+        finally:
+            callbacks.on_new_episodes()
+
+    def heed(self, policy: Policy) -> Policy:
+        """Return a policy that acts on the learner's device, or raises ``Interrupted``."""
+
+        def act(state: TensorDictBase) -> TensorDictBase:
+            self.interruption.check()
+            return state.update(policy(state.to(self.plan.run.policy_device)))
+
+        return act
+
+    def components(self) -> dict[str, Any]:
+        """Return by name everything that the next frame depends on, for a checkpoint."""
+        others = {"collector": self.collector, "rng": RNGState(), "counters": self.counters}
+        return self.learner.components() | others
+
+    def restore(self) -> None:
+        """Continue from the last checkpoint in the folder; see ``load_checkpoint``."""
+        self.load(self.components(), which="last")
+        self._began -= self.counters.wall_seconds
+        logger.info("continuing from frame %d of %s", self.counters.frames, self.folder.path)
+
+    def load(self, components: dict[str, Any], *, which: str) -> dict[str, Any]:
+        """Load components from the ``best`` or ``last`` checkpoint and return its metadata."""
+        path, spec, device = self.folder.path, self.resolved.spec, self.plan.run.policy_device
+        return load_checkpoint(path, components, spec=spec, device=device, which=which)
 
     def _save(self, path: Path, *, is_needed: bool = True) -> bool:
-        return self._saver.save(path, frames=self.counters.frames, is_needed=is_needed)
+        """Save, if not needed then if possible: a disk that is full for a while ends no run."""
+        is_last = path == self.folder.last
+        if is_last:  # the rows that it counts survive a power failure too
+            with suppress(OSError), self.folder.metrics.open("rb") as rows:
+                os.fsync(rows.fileno())
+        try:
+            save_checkpoint(
+                path,
+                self.components(),
+                spec=self.resolved.spec,
+                frames=self.counters.frames,
+                config=self.plan.to_config(),
+                keep=self.plan.run.keep_checkpoints if is_last else 1,
+            )
+        except CheckpointNotWritten as error:
+            if is_needed:
+                raise
+            logger.error("%s; continuing without", error)
+            return False
+        return True
 
     def close(self) -> None:
         """End the flows, the log and the callbacks."""
@@ -245,15 +247,13 @@ class Training:
         self.collector.shutdown()
         self._lock.close()
 
-    def _wall_seconds(self) -> float:
+    def wall_seconds(self) -> float:
         """Return the seconds since the run was set up, plus those before a resume."""
         return time.perf_counter() - self._began
 
-    def _mlups(self, num_frames: int, seconds: float) -> float:
+    def compute_mlups(self, num_frames: int, seconds: float) -> float:
         """Million lattice node updates per second of the env, sensing and policy included."""
-        flow = self.task.flow_config()
-        num_nodes = flow.width * flow.height * self.task.n_substeps
-        return num_nodes * num_frames / max(seconds, 1e-9) / 1e6
+        return self.resolved.nodes_per_frame * num_frames / max(seconds, 1e-9) / 1e6
 
     def _has_crossed(self, interval: int) -> bool:
         """Tell whether the newest frames passed a multiple of ``interval``."""

@@ -128,14 +128,14 @@ def evaluate(
     try:
         called.on_begin(env)
         called.on_phase("evaluation", total=episodes)
-        result = run_episodes(
+        outcome = run_episodes(
             env,
             act,
             fixed_starts(task, episodes, seed=seed),
-            on_episodes=called.on_progress,
             on_step=lambda start_of, step: called.on_step(step),
+            on_episodes=called.on_progress,
         )
     finally:
         called.on_close()
         env.close()
-    return result.metrics()
+    return outcome.metrics()

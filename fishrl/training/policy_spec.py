@@ -56,12 +56,10 @@ class PolicySpec:
 
     def check(self, metadata: Mapping[str, Any], *, path: Path) -> None:
         """Raise ValueError if the metadata of a checkpoint are of another task or size."""
-        # of checkpoints that do not say
-        defaults = {"is_continuous": False, "num_stacked": self.num_stacked}
         for name in ("task", "is_continuous", "num_inputs", "num_stacked", "num_actions"):
-            stored, wanted = metadata.get(name, defaults.get(name)), getattr(self, name)
+            stored, wanted = metadata[name], getattr(self, name)
             if stored != wanted:
                 raise ValueError(
-                    f"checkpoint {path}: it is of {name} = {stored!r}, here it is {wanted!r}; use "
-                    "task and settings that it was trained with, or train again"
+                    f"checkpoint {path}: was trained with {name} = {stored!r}, the current one is "
+                    f"{wanted!r}; use the task and settings of its run, or train again"
                 )

@@ -50,6 +50,12 @@ class ResolvedRun:
         """What a successful episode did, in a word."""
         return self.task.success or "survived"
 
+    @property
+    def nodes_per_frame(self) -> int:
+        """Lattice node updates of a decision in one flow."""
+        flow = self.task.flow_config()
+        return flow.width * flow.height * self.task.n_substeps
+
     def make_flows(
         self, *, num_envs: int, seed: int, transforms: Sequence[Transform] = ()
     ) -> EnvBase:

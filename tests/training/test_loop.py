@@ -137,7 +137,7 @@ def test_the_last_evaluation_is_of_the_best_checkpoint(
     num_captures = iter([1, 2, 9, 5, 3, 4, 0, 0, 0, 0])
     seen: list[dict[str, torch.Tensor]] = []
 
-    def scripted(policy: Any, **kwargs: Any) -> Episodes:
+    def scripted(policy: Any, *_: Any, **__: Any) -> Episodes:
         if policy is training.learner.actor:
             seen.append(deepcopy(policy.state_dict()))
         captured, nothing = torch.arange(10) < next(num_captures), torch.zeros(10)
@@ -150,7 +150,7 @@ def test_the_last_evaluation_is_of_the_best_checkpoint(
             interval_T=1.0,
         )
 
-    monkeypatch.setattr(training.evaluator, "evaluate", scripted)
+    monkeypatch.setattr(training, "evaluate", scripted)
     assert training.run()["best_checkpoint_frames"] == 120
     last = seen.pop()
     same = [all(torch.equal(last[name], each[name]) for name in last) for each in seen]

@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import pytest
 import torch
-from tensordict import TensorDict
 
 from fishrl.training.algorithms.ppo import PPO
-from fishrl.training.on_policy import Rollout
 from tests.training.conftest import Toy
 
 
-def test_decisions_are_joined_flow_by_flow_and_survive_a_checkpoint() -> None:
-    seen = []
-    first, second = (Rollout(3, lambda whole: seen.append(whole.clone())) for _ in range(2))
-    decisions = [TensorDict({"x": torch.tensor([t, 10 + t])}, [2]) for t in range(3)]
-    assert first.add(decisions[0]) is None
-    decisions[0].zero_()  # as a collector that uses its memory again
-    second.load_state_dict(first.state_dict())
-    assert not second.is_complete and second.add(decisions[1]) is None
-    whole = second.add(decisions[2])
-    assert whole is not None and second.is_complete
-    assert whole["x"].tolist() == [0, 1, 2, 10, 11, 12]
-    assert seen[0]["x"].tolist() == [[0, 1, 2], [10, 11, 12]]
+def test_a_rollout_joins_the_decisions_of_each_flow_and_survives_a_checkpoint(toy: Toy) -> None:
+    """Also where a collector reuses the memory of its batches."""
+    first, second = (
+        toy.begin(algorithm=PPO(rollout_length=3), batch_size=8, name=name).learner
+        for name in ("first", "second")
+    )
+    batches = iter(toy.trainings[0].collector)
+    decisions = [next(batches).reshape(-1).clone() for _ in range(3)]
+    expected = torch.stack([each["observation"].clone() for each in decisions], 1)
+    first.store(decisions[0])
+    decisions[0].zero_()
+    second.components()["rollout"].load_state_dict(first.components()["rollout"].state_dict())
+    for decision in decisions[1:]:
+        assert not second.is_ready
+        second.store(decision)
+    assert second.is_ready and len(second.buffer) == 8 * 3
+    kept = second.buffer[:]["observation_stack"].reshape(8, 3, -1)[..., -4:]
+    assert torch.equal(kept, expected)
 
 
 def test_advantages_are_those_of_the_definition(toy: Toy) -> None:

@@ -17,8 +17,7 @@ from torchrl.objectives import LossModule
 
 from fishrl.envs import AbstractTask
 from fishrl.settings import Settings
-from fishrl.training.learner import Learner, Networks
-from fishrl.training.off_policy import OffPolicyLearner
+from fishrl.training.learner import Learner, Networks, OffPolicyLearner
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.settings import LearningSettings
 
@@ -87,11 +86,11 @@ class Algorithm(Settings, ABC):
         return policy
 
     def assemble(self, networks: Networks, settings: LearningSettings) -> Learner:
-        """Return the learner of new networks, by default one that replays past transitions.
+        """Return the learner of new networks; by default it replays past transitions.
 
         ``DRQN`` replays sequences, and ``PPO`` learns from rollouts.
         """
-        return OffPolicyLearner(networks, settings, is_traced=self.is_traced)
+        return OffPolicyLearner(networks, settings)
 
     def make_learner(
         self, spec: PolicySpec, settings: LearningSettings, *, device: str = "cpu"
@@ -104,8 +103,9 @@ class Algorithm(Settings, ABC):
         policy = self.make_policy(spec, hidden=settings.hidden, generator=generator).to(device)
         loss = self.make_loss(policy, spec, hidden=settings.hidden, generator=generator)
         explorer = self.make_explorer(policy, spec, device=device)
+        networks = Networks(policy, explorer, loss, is_traced=self.is_traced)
         per_fish = replace(settings, buffer_size=settings.buffer_size * spec.num_fish)
-        return self.assemble(Networks(policy, explorer, loss), per_fish)
+        return self.assemble(networks, per_fish)
 
 
 def find_algorithms() -> dict[str, type[Algorithm]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import torch
 from pydantic import PositiveInt
@@ -13,8 +13,7 @@ from torchrl.data import SliceSampler
 from fishrl.modules import RecurrentPolicy, make_recurrent_value_actor
 from fishrl.objectives import RecurrentDQNLoss
 from fishrl.training.algorithms.dqn import DQN
-from fishrl.training.learner import Networks
-from fishrl.training.off_policy import OffPolicyLearner
+from fishrl.training.learner import Networks, OffPolicyLearner
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.settings import LearningSettings
 
@@ -83,11 +82,8 @@ class DRQN(DQN):
             init_key=None,
             truncated_key=None,
         )
-        actor: Any = networks.actor
+        primer = cast(RecurrentPolicy, networks.actor).make_primer()
+        keys = (TRAJECTORY, STEP)
         return OffPolicyLearner(
-            networks,
-            settings,
-            sampler=sampler,
-            keys=(TRAJECTORY, STEP),
-            transforms=(actor.make_primer(),),
+            networks._replace(transforms=(primer,)), settings, sampler=sampler, keys=keys
         )

@@ -13,8 +13,7 @@ from torchrl.objectives import ClipPPOLoss
 
 from fishrl.modules import make_actor, make_continuous_actor, make_state_critic
 from fishrl.training.algorithms.algorithm import Algorithm
-from fishrl.training.learner import Networks
-from fishrl.training.on_policy import OnPolicyLearner
+from fishrl.training.learner import Networks, OnPolicyLearner
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.settings import LearningSettings
 
