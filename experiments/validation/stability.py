@@ -129,12 +129,12 @@ JOBS = [
 
 def _read_shares(runs: Runs) -> dict[tuple[float, float], float]:
     """Return the share of diverged episodes at the paper's speed by energy and flux."""
-    found: dict[tuple[float, float], float] = {}
     fixed: Any = {"body_length": 50, "max_wall_speed": PAPER_SPEED, "num_episodes": NUM_EPISODES}
-    for e in ENERGIES:
-        for f, run in runs.by("flux", energy=e, **fixed).items():
-            found[e, f] = run["diverged"] / NUM_EPISODES
-    return found
+    return {
+        (e, f): run["diverged"] / NUM_EPISODES
+        for e in ENERGIES
+        for f, run in runs.by("flux", energy=e, **fixed).items()
+    }
 
 
 def judge(runs: Runs) -> Iterator[Check]:
