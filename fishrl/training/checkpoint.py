@@ -17,7 +17,7 @@ from typing import Any
 
 from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointAdapter
 
-from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.policy_spec import CHECKED, PolicySpec
 from fishrl.training.policy_zoo import find_folder
 from fishrl.training.run_folder import refuse_many
 
@@ -25,10 +25,7 @@ SUMS = "SHA256SUMS"
 #: What may go wrong while a damaged checkpoint is read.
 _DAMAGE = (CheckpointError, OSError, RuntimeError, ValueError, LookupError, TypeError)
 #: Entries of the metadata.
-_METADATA = {
-    *("task", "num_inputs", "num_stacked", "num_actions", "is_continuous"),
-    *("preset", "frames", "config"),
-}
+_METADATA = {*CHECKED, "preset", "frames", "config"}
 
 
 class CheckpointNotWritten(OSError):
@@ -55,10 +52,7 @@ def save_checkpoint(
     fresh = path.with_name(f".{path.name}.new")
     stage = path.with_name(f".{fresh.name}") / "whole"
     metadata = {
-        "task": spec.task,
-        **spec.sizes,
-        "num_stacked": spec.num_stacked,
-        "is_continuous": spec.is_continuous,
+        **{name: getattr(spec, name) for name in CHECKED},
         "preset": config.get("preset"),
         "frames": frames,
         "config": config,
