@@ -7,8 +7,6 @@ and how long it takes on this machine. Tables and figures are written to ``repro
 ``reproduction.html`` in the folder.
 """
 
-from __future__ import annotations
-
 import fcntl
 import json
 import subprocess

@@ -4,8 +4,6 @@ Needs the extra ``gymnasium``; import it by its full name:
 ``from fishrl.wrappers.gymnasium import FlowVectorEnv``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
