@@ -30,10 +30,10 @@ from fishrl.training.run_folder import refuse_many
 SUMS = "SHA256SUMS"
 #: What may go wrong while a damaged checkpoint is read.
 _DAMAGE = (CheckpointError, OSError, RuntimeError, ValueError, LookupError, TypeError)
-#: Entries of the metadata; ``sha256``: of the states, in checkpoints from before ``SHA256SUMS``.
+#: Entries of the metadata.
 _METADATA = {
     *("task", "num_inputs", "num_stacked", "num_actions", "is_continuous"),
-    *("preset", "frames", "config", "sums", "sha256"),
+    *("preset", "frames", "config", "sums"),
 }
 
 

@@ -56,10 +56,8 @@ class PolicySpec:
 
     def check(self, metadata: Mapping[str, Any], *, path: Path) -> None:
         """Raise ValueError if the metadata of a checkpoint are of another task or size."""
-        # of checkpoints that do not say
-        defaults = {"is_continuous": False, "num_stacked": self.num_stacked}
         for name in ("task", "is_continuous", "num_inputs", "num_stacked", "num_actions"):
-            stored, wanted = metadata.get(name, defaults.get(name)), getattr(self, name)
+            stored, wanted = metadata.get(name), getattr(self, name)
             if stored != wanted:
                 raise ValueError(
                     f"checkpoint {path}: it is of {name} = {stored!r}, here it is {wanted!r}; use "
