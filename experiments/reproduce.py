@@ -11,20 +11,19 @@ from __future__ import annotations
 
 import fcntl
 import json
-import shlex
 import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from omegaconf import MISSING
 
 from experiments.benchmarks.machine import describe_machine
-from experiments.reproduction.page import ARMS, find_fitted, write_page
+from experiments.paper import ARMS, find_fitted, write_page
 from experiments.validation.swimmer import CASE
 from fishrl.__main__ import list_programs
 from fishrl.bounds import Checked, bounded
@@ -256,18 +255,6 @@ def run_job(job: Job, record: Record, lock: int) -> None:
         raise ValueError(f"{job.name} ended with status {child.returncode}; repeat the command")
 
 
-def write_command(scale: Scale) -> str:
-    """Return the command of a scale, with each entry that differs from its file on a line."""
-    usual = main.read([f"scale={scale.name}"]).scale
-    words = [
-        f"scale.{name}={json.dumps(value)}"
-        for name, value in asdict(scale).items()
-        if value != getattr(usual, name)
-    ]
-    lines = [f"python -m experiments.reproduce scale={scale.name}", *map(shlex.quote, words)]
-    return " \\\n  ".join(lines)
-
-
 def measure_speed(plan: Plan) -> tuple[float, float]:
     """Return node updates and gradient steps (of discrete SAC) per second, on this machine."""
     gait: Any = plan.task
@@ -312,8 +299,7 @@ def main(settings: ReproduceSettings) -> None:
         for job in list_jobs(scale, folder):
             if not record.is_finished(job):
                 run_job(job, record, lock)
-        page = write_page(folder, record.jobs, name=scale.name, command=write_command(scale))
-        print(f"written: {page}")
+        print(f"written: {write_page(folder, record.jobs, scale)}")
 
 
 if __name__ == "__main__":

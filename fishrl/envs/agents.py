@@ -37,7 +37,7 @@ def group(entries: Mapping[str, Tensor], shape: tuple[int, ...]) -> dict[str, An
 
 
 def read_entry(data: TensorDictBase, name: str) -> Tensor | None:
-    """Return a per-fish entry, or else that of the flow; None if neither exists."""
+    """Return a per-fish entry, or else the flow's entry; None if neither exists."""
     own: Tensor | None = data.get((AGENTS, name), None)
     return data.get(name, None) if own is None else own
 

@@ -17,7 +17,7 @@ from torch import Tensor
 from fishrl.envs.draws import draw_uniform
 from fishrl.settings import Settings
 
-_DRAW = 2  # 0 and 1 are those of the lateral line
+_DRAW = 2  # the lateral line uses 0 and 1
 
 
 class StreamChanges(Settings, ABC):
@@ -33,11 +33,6 @@ class StreamChanges(Settings, ABC):
     @abstractmethod
     def range_bl(self) -> tuple[float, float]:
         """Slowest and fastest speed that a change leads to, L / T."""
-
-    @property
-    @abstractmethod
-    def typical_interval_T(self) -> float:
-        """Mean time between two changes; infinite for a single one."""
 
     @abstractmethod
     def count(self, duration_T: float) -> int:
@@ -87,14 +82,8 @@ class StreamSteps(StreamChanges):
         """Slowest and fastest of the speeds."""
         return min(self.speeds_bl), max(self.speeds_bl)
 
-    @property
-    def typical_interval_T(self) -> float:
-        """Mean of the intervals."""
-        num = len(self.times_T) - 1
-        return (self.times_T[-1] - self.times_T[0]) / num if num else float("inf")
-
     def count(self, duration_T: float) -> int:
-        """Return the number of times, whatever the duration."""
+        """Return ``len(times_T)``; the duration does not matter."""
         return len(self.times_T)
 
     def list_times(self, num: int) -> list[float]:
@@ -123,11 +112,6 @@ class RandomChanges(StreamChanges):
                 f"interval_T = {self.interval_T}, ramp_T = {self.ramp_T}: a change must end before "
                 "the next one begins; raise interval_T or lower ramp_T"
             )
-
-    @property
-    def typical_interval_T(self) -> float:
-        """The interval."""
-        return self.interval_T
 
     def count(self, duration_T: float) -> int:
         """Return how many begin before the end of the episode."""

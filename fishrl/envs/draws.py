@@ -23,7 +23,7 @@ def draw_uniform(seed: int, row: Tensor, episode: Tensor, num: int) -> Tensor:
     """Draw ``[B, num]`` in [0, 1), float64, multiples of 2^-53, keyed on (seed, row, episode).
 
     Args:
-        seed: of the whole environment.
+        seed: seed of the environment.
         row: ``[B]`` int64, index of the row.
         episode: ``[B]`` int64, number of episodes that the row has begun.
         num: numbers per row.

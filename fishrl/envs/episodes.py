@@ -78,8 +78,8 @@ def run_episodes(
 
     The first argument of ``on_begin``, ``on_step`` and ``on_frame`` is ``start_of`` ``[B]`` int64,
     the index of the start that each row runs, or -1 in rows that the call does not concern. They
-    may return named values ``[B, ...]``; those of the rows concerned are appended to the ``traces``
-    of their episodes.
+    may return named values ``[B, ...]``; they are appended to the ``traces`` of the
+    episodes concerned.
 
     Args:
         env: environment of a ``FlowEnv``; its current episodes are abandoned.
@@ -92,7 +92,7 @@ def run_episodes(
         on_begin: called with the rows that have just begun, and the state ``[B]`` after their
             reset.
         on_step: called after each decision with the rows that ran, and the step ``[B]`` as the env
-            returns it; flows and ``FlowEnv.now`` are still those of its end.
+            returns it; flows and ``FlowEnv.now`` are still in their state at its end.
         on_frame: called ``frames_per_action`` times within a decision, at equal intervals, with the
             rows whose episode lasted up to this moment, and the ``FlowEnv``; without it,
             ``FlowEnv.on_frame`` stays.
@@ -178,7 +178,7 @@ def name_counted(env: EnvBase) -> dict[str, tuple[str, int]]:
 def has_succeeded(after: TensorDictBase, success: str | None) -> Tensor:
     """Return whether episodes that ended in the states ``after`` accomplished their task.
 
-    ``success`` is that of the task: an entry, or None if reaching the time limit is success.
+    ``success`` is the task's ``success``: an entry, or None if reaching the time limit is success.
     """
     if success is None:
         return after["truncated"] & ~after["terminated"] & ~after["diverged"]

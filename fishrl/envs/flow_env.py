@@ -48,7 +48,7 @@ class FlowEnv(EnvBase):
     environments. Episodes begin and end for all fish of a flow together.
 
     A row that terminates within an action keeps the measurement of that moment and does not advance
-    to the end of the action (on a GPU its flow goes on unread). A row has diverged if it is not
+    to the end of the action (on a GPU its flow continues unread). A row has diverged if it is not
     finite or too fast for the method, or if the fish has left the grid. It is then truncated with
     reward 0, with ``diverged`` set and with the observation of the last decision; it is counted and
     reset without affecting other rows.
@@ -56,8 +56,8 @@ class FlowEnv(EnvBase):
     Args:
         task: the task.
         num_envs: number of flows B.
-        seed: of the starts; each start depends on seed, row and episode only.
-        device: of all tensors.
+        seed: seed of the starts; each start depends on seed, row and episode only.
+        device: device of all tensors.
         compile_flow: compile the flow step; otherwise it runs eagerly, about 10 times slower.
             (TorchRL reserves the keyword ``compile`` of environment classes.)
         starts: TensorDict ``[E]`` as returned by ``task.sample_starts``. Resets cycle through them,

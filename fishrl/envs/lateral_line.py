@@ -1,4 +1,4 @@
-"""The lateral line: neuromasts along the body that sample the flow beside the skin."""
+"""The lateral line: neuromasts along the body that sample the flow next to the skin."""
 
 from typing import Annotated, Any
 
@@ -169,7 +169,7 @@ class LateralLine(Settings):
         return signal.float(), torch.stack(mean, -1).float()
 
     def delay_series(self, before: Tensor, now: Tensor) -> Tensor:
-        """Return the delayed series ``[B, W, ...]`` from those of the last two intervals."""
+        """Return the delayed series ``[B, W, ...]`` from the series of the last two intervals."""
         if self.delay == 0:
             return now
         both = torch.cat((before, now), 1)

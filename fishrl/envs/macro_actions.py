@@ -108,7 +108,7 @@ class FrequencyControl(Settings, ABC):
     def select(self, gear: Tensor, flow: Tensor) -> Tensor:
         """Return tail beats per T ``[B]``, float64, at gears ``[B]`` and flow labels ``[B]``.
 
-        A label between two whole numbers gives a frequency between those of their rows.
+        A label between two whole numbers interpolates between the frequencies of their rows.
         """
         rows = torch.tensor(self.rows, dtype=torch.float64, device=gear.device)
         if self.num_flows is None:
@@ -195,8 +195,8 @@ class ContinuousFrequency(FrequencyControl):
     """Set the frequency directly, independent of the flow; the gear is not used and stays 0.
 
     Args:
-        frequency_range: least and largest frequency, tail beats per T; by default that of the
-            whole bank of the macro-actions.
+        frequency_range: least and largest frequency, tail beats per T; by default the
+            range of the whole bank of the macro-actions.
     """
 
     frequency_range: tuple[NonNegativeFloat, NonNegativeFloat] = (0.25, 2.6)

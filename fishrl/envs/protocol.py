@@ -17,7 +17,7 @@ from fishrl.physics.geometry import Markers
 
 
 class Solver(Protocol):
-    """B flows and the bodies in them, advanced in place; ``config`` is that of the first flow.
+    """B flows and the bodies in them, advanced in place; ``config`` describes the first flow.
 
     The grid is the same in all, bodies may differ in their parameters. Tensors from ``body`` and
     ``bodies`` change in place: copy what is kept.
@@ -84,7 +84,7 @@ class Solver(Protocol):
         frequency: Tensor | None = None,
         amplitude: Tensor | None = None,
     ) -> None:
-        """Command the first body, or with ``[B, M]`` the first M, to turn and to beat anew."""
+        """Command the first body, or with ``[B, M]`` the first M, to turn and beat."""
 
     def advance_(self, num_steps: int, rows: Tensor | None = None) -> None:
         """Advance the flows of ``rows`` ``[B]`` (all by default) by an even number of steps.

@@ -18,11 +18,11 @@ class Field:
     """A field over the whole grid, ``[Y, X]``.
 
     Args:
-        key: of its tensor in each frame.
-        name: for the legend.
-        unit: of its values.
+        key: key of its tensor in each frame.
+        name: name in the legend.
+        unit: unit of its values.
         limit: value at which the colours saturate.
-        note: what the sign means.
+        note: meaning of the sign.
         is_signed: colours diverge around zero; otherwise they begin at zero.
         saturated: share of the values beyond the limit that a film chooses; None for ``limit``.
     """
@@ -50,9 +50,9 @@ class Curve:
     """A curve ``[N, 2]``: closed and filled, or an open line such as a midline.
 
     Args:
-        key: of its tensor.
-        colour: of it.
-        is_closed: whether it encloses something, which is filled by lines from side to side.
+        key: key of its tensor.
+        colour: RGB colour of the line and the filling.
+        is_closed: whether the last point joins the first; a closed curve is filled.
         order: curves of higher order lie above.
     """
 
@@ -67,12 +67,12 @@ class Marks:
     """Points ``[P, 2]`` or one point ``[2]``, in one colour or coloured by a value each.
 
     Args:
-        key: of their tensor.
-        radius: of a point, nodes.
-        colour: where no value gives one.
+        key: key of their tensor.
+        radius: radius of a point, nodes.
+        colour: RGB colour of points without values.
         value: key of the values ``[P]``; they are drawn in diverging colours around zero.
-        name: of the value, for the legend.
-        unit: of the value.
+        name: name of the value in the legend.
+        unit: unit of the value.
         limit: value at which the colours saturate.
         reach: radius of a circle around each, nodes; 0 draws none.
     """
@@ -92,10 +92,10 @@ class Arrow:
     """A vector ``[2]`` drawn as an arrow, such as the force on a body.
 
     Args:
-        key: of the vector.
+        key: key of the vector.
         at: key of the point ``[2]`` where it begins.
         scale: nodes per unit of the vector.
-        colour: of it.
+        colour: RGB colour of the arrow.
     """
 
     key: str
@@ -109,8 +109,8 @@ class Trail:
     """The path of a point ``[2]`` since its episode began.
 
     Args:
-        key: of the point.
-        colour: of the line.
+        key: key of the point.
+        colour: RGB colour of the line.
         length_T: how far back it reaches.
     """
 
@@ -127,7 +127,7 @@ class Area:
         key: its name.
         low: corner (x, y) in nodes.
         high: the opposite corner.
-        colour: of its border, and of the strokes on its outer side.
+        colour: RGB colour of its border and of the strokes outside.
     """
 
     key: str
@@ -141,11 +141,11 @@ class Series:
     """One line of a plot.
 
     Args:
-        key: of its tensor.
-        label: for the legend.
+        key: key of its tensor.
+        label: label in the legend.
         column: index into the tensor; None if it is a single number.
         is_rate: draw its change per T since the previous frame instead.
-        colour: of the line; by default the viewer chooses.
+        colour: RGB colour of the line; by default the viewer chooses.
     """
 
     key: str
@@ -160,9 +160,9 @@ class Panel:
     """A plot over time. NaN, and what a frame does not hold, is left out.
 
     Args:
-        name: of the plot, with its unit.
+        name: name of the plot, with its unit.
         series: its lines.
-        span: of the vertical axis; by default that of the values.
+        span: range of the vertical axis; by default the range of the values.
         is_step: values hold since the previous frame, rather than at an instant.
         is_output: the keys are entries of the env's output rather than of ``views.read_scene``; the
             plot is left out where the env has no such entry.
@@ -183,9 +183,9 @@ class Choice:
     """The plot of the action: a line for the chosen one, dots for those that were legal.
 
     Args:
-        names: of the actions, in their order.
+        names: names of the actions, in order.
         fish: index into both, where there is an action of each of several fish.
-        name: of the plot.
+        name: name of the plot.
     """
 
     names: tuple[str, ...]
@@ -199,16 +199,16 @@ class Scene:
 
     Args:
         body_length: L, nodes.
-        width: of the grid, nodes along x.
-        height: of the grid, nodes along y.
-        fields: of the flow; the first one is drawn, the others can be chosen instead.
-        curves: bodies and lines, from below to above.
+        width: nodes along x.
+        height: nodes along y.
+        fields: fields of the flow; the first one is drawn, the others can be chosen instead.
+        curves: bodies and lines, in drawing order.
         marks: points; one with a ``reach`` is the goal.
         arrows: forces, velocities.
         trails: paths of points.
         areas: rectangles.
-        panels: plots beside the flow.
-        note: what else one should know, markdown.
+        panels: plots next to the flow.
+        note: further explanations, markdown.
     """
 
     body_length: float
@@ -269,7 +269,7 @@ class Frame:
     """One moment of one flow.
 
     Args:
-        time: in T, not before that of the previous frame.
+        time: time in T; it never decreases from frame to frame.
         values: tensors by the keys of the scene; those that are missing are not drawn.
         begins: whether an episode begins here.
     """

@@ -34,7 +34,7 @@ def make_schedule(
         samples: number of samples, the last at the end; may be 0.
 
     Raises:
-        ValueError: if a number exceeds that of pairs of steps, or is too small.
+        ValueError: if a number exceeds the number of pairs of steps, or is too small.
     """
     pairs = num_steps // 2
     for name, count, least in (

@@ -10,6 +10,8 @@ from math import pi
 import torch
 from torch import Tensor
 
+from fishrl.physics.flow import FlowConfig
+
 
 def wrap_angle(angle: Tensor) -> Tensor:
     """Wrap angles to (-pi, pi] radians."""
@@ -54,18 +56,17 @@ def sense_target(head: Tensor, heading: Tensor, target: Tensor, *, body_length: 
     return torch.stack((away[:, 0], away[:, 1], distance, bearing_error), -1)
 
 
-def compute_clearance(markers: Tensor, *, width: int, height: int) -> Tensor:
+def compute_clearance(markers: Tensor, flow: FlowConfig) -> Tensor:
     """Return the distance of an outline from the nearest edge node; negative outside.
 
     Args:
         markers: ``[B, N, 2]`` (x, y) in nodes.
-        width: nodes along x.
-        height: nodes along y.
+        flow: gives the size of the grid.
 
     Returns:
         ``[B]`` in nodes; NaN if a marker is NaN.
     """
-    last = torch.tensor([width - 1.0, height - 1.0], dtype=markers.dtype, device=markers.device)
+    last = torch.tensor([flow.width - 1.0, flow.height - 1.0]).to(markers)
     return torch.minimum(markers, last - markers).flatten(1).amin(-1)
 
 

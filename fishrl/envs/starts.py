@@ -9,6 +9,7 @@ from torch import Tensor
 from fishrl.envs.sensors import compute_clearance
 from fishrl.physics.bodies.outline import BodyConfig
 from fishrl.physics.bodies.state import make_body
+from fishrl.physics.flow import FlowConfig
 from fishrl.physics.geometry import locate_markers
 from fishrl.physics.placement import MIN_GAP, do_overlap
 
@@ -56,16 +57,14 @@ def check_pattern(starts: TensorDictBase, pattern: TensorDictBase) -> None:
             )
 
 
-def check_fit(
-    starts: TensorDictBase, fish: BodyConfig, *, width: int, height: int, margin: float
-) -> None:
+def check_fit(starts: TensorDictBase, fish: BodyConfig, flow: FlowConfig, *, margin: float) -> None:
     """Raise ValueError unless straight fish at starts keep ``margin`` nodes from the edges.
 
     Several fish must also lie apart from each other.
     """
     outlines = place_outline(starts, fish)
     every = outlines.flatten(0, -3)
-    clearance = compute_clearance(every, width=width, height=height)
+    clearance = compute_clearance(every, flow)
     is_wrong = ~(clearance >= margin)
     if is_wrong.any():
         i = int(is_wrong.int().argmax())
@@ -73,8 +72,8 @@ def check_fit(
         where = "is too near the edge" if clearance[i] >= 0.0 else "lies outside the domain"
         raise ValueError(
             f"start {i * len(outlines) // len(every)}, head at ({x:g}, {y:g}): the fish, or a part "
-            f"of it, {where}; it must keep {margin:g} nodes from the edges of [0, {width - 1}] x "
-            f"[0, {height - 1}], move it in"
+            f"of it, {where}; it must keep {margin:g} nodes from the edges of [0, "
+            f"{flow.width - 1}] x [0, {flow.height - 1}], move it in"
         )
     for one, other in combinations(range(outlines.shape[1]) if outlines.dim() == 4 else (), 2):
         is_wrong = do_overlap(outlines[:, one], outlines[:, other])

@@ -73,7 +73,7 @@ class StationReward(Settings):
     ) -> Tensor:
         """Return the reward ``[B]`` of one interval, from downstream ``drift`` ``[B]`` in L.
 
-        ``work`` ``[B]`` is that of the muscles, rho L^2 (L / T)^2, ``depth`` ``[B]`` that inside
+        ``work`` ``[B]`` is done by the muscles, rho L^2 (L / T)^2, ``depth`` ``[B]`` is inside
         the rim in L, 0 outside, and ``is_in_danger`` ``[B]`` bool.
         """
         holds = torch.where(drift > self.drift_limit_bl, -1.0, 1.0)

@@ -100,7 +100,7 @@ class PolicySteering(Settings, Steering):
     observations one T apart, as in training, and each turn is divided by their number.
 
     Args:
-        path: file of ``save_weights``; by default that of a policy trained on ``Predation`` in
+        path: file of ``save_weights``; by default of a policy trained on ``Predation`` in
             still water at L = 50, which comes with the package.
         turn_degrees: turn per T.
         ahead_bl: distance of the point upstream of the nose, body lengths.
@@ -122,7 +122,7 @@ class PolicySteering(Settings, Steering):
         if widths[0] != 16 or widths[-1] != 3:
             raise ValueError(
                 f"steering weights {self.path}: layers of widths {widths}, expected 16 inputs and "
-                "3 actions, those of a policy trained on Predation"
+                "3 actions, as of a policy trained on Predation"
             )
         content = Path(self.path).expanduser().read_bytes()
         object.__setattr__(self, "weights", hashlib.sha256(content).hexdigest())

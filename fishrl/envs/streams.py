@@ -152,7 +152,7 @@ class Stream(Settings):
     def draw_changes(self, flow: Tensor, key: Tensor, *, duration_T: float) -> dict[str, Tensor]:
         """Return ``stream_speeds`` ``[E, K]``, L / T: what the K changes of an episode lead to.
 
-        ``flow`` ``[E]`` is the index of the first flow, ``key`` ``[E]`` int64 that of the episode.
+        ``flow`` ``[E]`` is the index of the first flow, ``key`` ``[E]`` int64 the episode's key.
         """
         if self.changes is None:
             return {}
@@ -184,8 +184,8 @@ class Stream(Settings):
     def measure(self, solver: Solver, first: Tensor, scales: Scales) -> dict[str, Tensor]:
         """Return ``flow_index`` ``[B]``, and ``stream_speed`` ``[B]`` in L / T if it changes.
 
-        The flow is that of the nearest speed at present behind the same disc; ``first`` ``[B]`` is
-        that of the start.
+        ``flow_index`` is the flow behind the same disc whose speed is nearest at present; ``first``
+        ``[B]`` is the flow at the start.
         """
         if self.changes is None:
             return {"flow_index": first.clone()}

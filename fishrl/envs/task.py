@@ -129,7 +129,7 @@ class AbstractTask(Settings, ABC):
 
         With M > 1, ``head`` and ``heading`` of starts are ``[E, M, 2]`` and ``[E, M]``; actions,
         commands, observations, rewards and masks have the axis M after B. Termination and success
-        remain those of the flow.
+        remain per flow.
         """
         return 1
 
@@ -217,10 +217,7 @@ class AbstractTask(Settings, ABC):
     def check_starts(self, starts: TensorDictBase) -> None:
         """Raise ValueError unless starts ``[E]`` have the right shapes and their fish fit in."""
         check_pattern(starts, self.starts_from(torch.zeros(1, self.num_draws, dtype=torch.float64)))
-        config = self.flow_config()
-        check_fit(
-            starts, self.fish, width=config.width, height=config.height, margin=self.wall_margin
-        )
+        check_fit(starts, self.fish, self.flow_config(), margin=self.wall_margin)
 
     def place_(self, solver: Solver, rows: Tensor, starts: TensorDictBase) -> None:
         """Reset the flows of ``rows`` ``[B]`` bool and place their fish; others must not change.
@@ -233,7 +230,7 @@ class AbstractTask(Settings, ABC):
     def prepare_(self, solver: Solver, starts: TensorDictBase) -> None:  # optional
         """Change the flow before an action, for example its stream speed; by default do nothing.
 
-        ``starts`` ``[B]`` are those of the episodes; ``solver.body.age`` counts the steps since.
+        ``starts`` ``[B]`` belong to the episodes; ``solver.body.age`` counts the steps since.
         """
 
     @abstractmethod
@@ -250,7 +247,7 @@ class AbstractTask(Settings, ABC):
 
         Called several times within an action; a row keeps the first measurement that terminates its
         episode, or else the last one. ``solver.body.age`` counts the steps since reset; ``starts``
-        ``[B]`` are those of the episodes. Return copies: the solver's tensors change in place.
+        ``[B]`` belong to the episodes. Return copies: the solver's tensors change in place.
         """
 
     @abstractmethod

@@ -57,7 +57,7 @@ class Traces(Mapping[str, list[Tensor]]):
     def pad(self, name: str, *, value: float = torch.nan, length: int = 0) -> Tensor:
         """Return the traces under a name as ``[E, N, ...]``, filled with ``value`` at their ends.
 
-        N is that of the longest episode, or ``length`` if that is greater.
+        N is the length of the longest episode, or ``length`` if that is greater.
         """
         padded = pad_sequence(self[name], batch_first=True, padding_value=value)
         missing = max(0, length - padded.shape[1])

@@ -113,7 +113,7 @@ class PredictedFlowLabel(FlowLabelTransform):
 
     Evidence accumulates over the episode as in a Bayesian filter: the classifier's probabilities p
     count as likelihoods, and b <- p ((1 - s) b^memory / sum(b^memory) + s / n), normalised. With
-    ``memory`` 1 it is the exact filter of a hidden Markov model whose flow is drawn anew at rate s
+    ``memory`` 1 it is the exact filter of a hidden Markov model whose flow is redrawn at rate s
     per decision, and with s = 0 it never forgets; a lower ``memory`` flattens the previous
     belief (Raftery, Karny & Ettler 2010). See ``FlowLabelTransform`` for the entries.
 
@@ -121,7 +121,7 @@ class PredictedFlowLabel(FlowLabelTransform):
         machine: a ``fishrl.modules.LateralLineClassifier``, or a network with its ``num_flows`` and
             ``check``. Its weights are frozen.
         memory: in [0, 1]; 0 uses the current signal only, as the paper does.
-        switching_rate: s in [0, 1], probability that the flow is drawn anew before a decision.
+        switching_rate: s in [0, 1], probability that the flow is redrawn before a decision.
         interpolates: write the mean of the labels as ``flow_class``, float32, instead of the most
             probable one: an estimate of the stream's speed, at which the rows of frequencies are
             interpolated.

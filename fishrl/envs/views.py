@@ -112,7 +112,7 @@ def make_scene(task: AbstractTask) -> Scene:
             ),
             Panel(name="force of the fluid [ρ L³/T²]", series=forces, is_step=True),
         ),
-        note="Angle of attack: of the heading, from upstream; in still water from the direction of "
+        note="Angle of attack: from upstream to the heading; in still water from the direction of "
         "swimming. Power of the muscles and force: means since the previous frame. Arrows: the "
         f"force now, {force_bl:.3g} L for 1 ρ L³/T².",
     )
@@ -120,7 +120,7 @@ def make_scene(task: AbstractTask) -> Scene:
 
 
 def name_fish(key: str, number: int) -> str:
-    """Return the key of what is drawn of one fish; that of the first one has no number."""
+    """Return the key of what is drawn of one fish; the first fish has no number."""
     return f"{key}_{number}" if number else key
 
 
@@ -177,7 +177,7 @@ def make_fields(config: FlowConfig, scales: Scales) -> tuple[Field, ...]:
             name="pressure",
             unit="ρ (L/T)²",
             limit=speed**2,
-            note="above that of the fluid at rest",
+            note="above the pressure at rest",
             saturated=0.02,
         ),
         Field(key="speed", name="speed", unit="L/T", limit=1.5 * speed, is_signed=False),

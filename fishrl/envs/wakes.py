@@ -54,7 +54,7 @@ class WakeRecipe(Settings):
 
     @property
     def key(self) -> str:
-        """Key that changes with whatever may change the wakes: recipe, physics, or this file."""
+        """Key that changes with all that may change the wakes: recipe, physics, or this file."""
         return make_key(self, hash_sources(__name__), torch.__version__)
 
 
@@ -105,7 +105,7 @@ def load_wakes(recipe: WakeRecipe, folder: str | Path, *, compile: bool = True) 
     bank = WakeBank(**content)
     if key != recipe.key or tuple(bank.populations.shape) != shape:
         raise ValueError(
-            f"wakes {path}: they are those of recipe {key} with shape "
+            f"wakes {path}: the file is of recipe {key} with shape "
             f"{tuple(bank.populations.shape)}, expected {recipe.key} with {shape}; delete the file"
         )
     return bank

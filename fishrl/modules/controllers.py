@@ -51,7 +51,7 @@ class RandomPolicy(TensorDictModuleBase):
     """Draw uniformly among the legal actions, or each number of a continuous one in [-1, 1].
 
     Args:
-        seed: of the policy's own generator.
+        seed: seed of the policy's own generator.
         num_numbers: numbers in a continuous action; None for discrete actions.
     """
 
@@ -106,8 +106,8 @@ class InterceptPolicy(TensorDictModuleBase):
 
     Heading follows from each observation (direction of the food minus bearing error), the fish's
     velocity from the change of the x distance (the food moves along y only), and the food's
-    velocity from the change of the y distance plus that of the fish. The controller steps through
-    the coming ``HORIZON_T`` and picks the earliest meeting point that a turn of radius
+    velocity from the change of the y distance plus the fish's velocity. The controller steps
+    through the coming ``HORIZON_T`` and picks the earliest meeting point that a turn of radius
     ``TURN_RADIUS_BL`` followed by a straight line reaches in time (Dubins 1957: shortest paths of
     bounded curvature, free final heading). Points inside the turning circle are out of reach, so a
     later one is chosen.

@@ -22,7 +22,7 @@ SPIN_GAIN = 0.2  # turn per turning rate, T
 
 
 class KeepPlace(TensorDictModuleBase):
-    """Beat faster when too far behind, and head for the line when beside it.
+    """Beat faster when too far behind, and head for the centreline when off it.
 
     Decisions are half a beat apart; the mean of two observations is without the sway of the beat.
 
@@ -45,7 +45,7 @@ class KeepPlace(TensorDictModuleBase):
         stack = tensordict["observation_stack"].unflatten(-1, (-1, num_features))
         x, y, heading = stack[..., -2:, :3].mean(-2).unbind(-1)
         velocity_x, velocity_y, spin = stack[..., -2:, 7:10].mean(-2).unbind(-1)
-        # a heading above that of upstream leads to -y
+        # a heading above upstream leads to -y
         course = ASIDE_GAIN * y + ASIDE_DAMPING * velocity_y
         error = course.clamp(-0.4, 0.4) - heading
         turn = (error - SPIN_GAIN * spin) / self.turn

@@ -17,7 +17,7 @@ import torch
 from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait
 from fishrl.programs.gait import figures, trials
-from fishrl.programs.gait.diagnostics import combine_seeds, diagnose, measure_lean, trace_work
+from fishrl.programs.gait.diagnostics import combine_seeds, diagnose, trace_work
 from fishrl.programs.gait.free_stream import hold_in_free_stream
 from fishrl.programs.gait.tables import write_free_stream, write_results
 from fishrl.programs.program import TaskSettings, check_names, program
@@ -116,13 +116,10 @@ def transfer(
         text += f"\n{write_free_stream(free, combined[best], speeds)}"
     (folder / "transfer.md").write_text(text, encoding="utf-8")
     first = {arm: seeds[0] for arm, seeds in arms.items()}
-    everything = zip(*(flows for seeds in arms.values() for flows in seeds), strict=True)
-    leans = [measure_lean(trials.stack(flow), interval_T=interval_T) for flow in everything]
     figures.write_survival(folder / "survival.png", arms, speeds=speeds)
     figures.write_paths(folder / "paths.png", first, task=task)
     figures.write_places(folder / "places.png", first, task=task)
     figures.write_decisions(folder / "decisions.png", first[best], task=task, shedding=shedding)
-    figures.write_lean(folder / "lean.png", leans, speeds=speeds)
     in_free = None if free is None else free["work"]
     figures.write_work(folder / "work.png", work[best], in_free, speeds=speeds)
     return results

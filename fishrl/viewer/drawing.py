@@ -288,12 +288,12 @@ class Drawing:
         frame = corner + sides * torch.tensor([width, height])
         xs, ys = (torch.arange(0.0, size, step) for size in (width, height))
         below = [torch.tensor([[x, -0.5], [x, -0.5 - out]]) for x in xs]
-        beside = [torch.tensor([[-0.5, y], [-0.5 - out, y]]) for y in ys]
-        lines = [self._place(line) for line in (frame, *below, *beside)]
+        lateral = [torch.tensor([[-0.5, y], [-0.5 - out, y]]) for y in ys]
+        lines = [self._place(line) for line in (frame, *below, *lateral)]
         self._log(f"{path}/lines", self._make_lines(lines, _RIM, _THIN, 1.2), static=True)
         labels = self._rerun.Points2D(
             [self._place(line)[1] for line in below]
-            + [self._place(line)[1] - np.array([out, out]) for line in beside],
+            + [self._place(line)[1] - np.array([out, out]) for line in lateral],
             radii=0.0,
             colors=[_RIM],
             labels=[f"{float(value) / length:g} L" for value in (*xs, *ys)],
@@ -333,7 +333,7 @@ class Drawing:
 def place(points: Tensor, height: int) -> Points:
     """Turn node coordinates ``[..., 2]`` (y up) into picture coordinates (y down).
 
-    Pixel centres are at one half; ``height`` is that of the grid in nodes.
+    Pixel centres are at one half; ``height`` is the grid's, in nodes.
     """
     x, y = points.float().unbind(-1)
     return torch.stack((x + 0.5, height - 0.5 - y), -1).cpu().numpy()

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 FIELDS = {
     "u": ("L/T", "velocity along x"),
     "v": ("L/T", "velocity along y"),
-    "p": ("rho L2/T2", "pressure above that of the fluid at rest"),
+    "p": ("rho L2/T2", "pressure above the pressure at rest"),
     "vorticity": ("1/T", "vorticity, positive counter-clockwise"),
 }
 

@@ -125,7 +125,7 @@ class FlowAxes:
         axes.tick_params(length=2.5)
 
     def add_colourbar(self, figure: Figure, axes: Any, **looks: Any) -> None:
-        """Draw the colours of the field beside some axes."""
+        """Draw the colour bar of the field next to some axes."""
         field = self.scene.field
         label = f"{field.name}  [{field.unit}]" + f"   ({field.note})" * bool(field.note)
         extend = "both" if field.is_signed else "max"
@@ -172,7 +172,7 @@ class FramePainter:
             figure.set_layout_engine("none")
 
     def paint(self, frame: Frame) -> NDArray[np.uint8]:
-        """Return a picture ``[height, width, 3]``; the path begins anew with an episode."""
+        """Return a picture ``[height, width, 3]``; the path restarts with each episode."""
         if frame.begins:
             self._path.clear()
         self._flow.show([*self._path, frame])

@@ -18,10 +18,10 @@ _SILENT: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DE
 
 
 class Viewer:
-    """A running rerun program; ``url`` is that of its gRPC server.
+    """A running rerun program; ``url`` is the address of its gRPC server.
 
     Args:
-        *options: of the program, beside the port.
+        *options: options of the program, in addition to the port.
         port: where it listens; the next free one if it is taken.
 
     Raises:

@@ -25,7 +25,7 @@ def make_scene(
 ) -> Scene:
     """Return the scene of an env's task, with the plots of those outputs that the env has.
 
-    ``field`` is drawn; its colours saturate at ``field_limit``, by default that of the field.
+    ``field`` is drawn; its colours saturate at ``field_limit``, by default the field's own limit.
 
     Raises:
         ValueError: for a field that the scene does not have.
@@ -51,7 +51,7 @@ def name_flows(
 
 
 def read_values(base: FlowEnv, scene: Scene) -> dict[str, Tensor]:
-    """Return what the scene of an env shows now, ``[B, ...]``: of its fields the first one."""
+    """Return what the scene of an env shows now, ``[B, ...]``; of its fields only the first."""
     hidden = {field.key for field in scene.fields[1:]}
     values = views.read_scene(base.task, base.solver, base.start)
     return {key: value for key, value in values.items() if key not in hidden}
@@ -144,7 +144,7 @@ def record_episodes(
 ) -> Episodes:
     """Run one episode from each start and record it, from its start to the check that ends it.
 
-    Arguments are those of ``run_episodes`` and ``Recorder``, but ``give`` is called with the number
+    Arguments are as for ``run_episodes`` and ``Recorder``, but ``give`` is called with the number
     of the start and a frame, in the order of time. Make the env with
     ``frames_per_action=task.checks_per_action``.
     """

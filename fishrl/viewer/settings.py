@@ -1,4 +1,4 @@
-"""Settings of whatever shows flows."""
+"""Settings of programs that show flows."""
 
 from dataclasses import dataclass
 

@@ -42,8 +42,8 @@ class FlowVectorEnv(VectorEnv):
     """Wrap an environment of ``make_env`` with B flows as a vector environment of B rows.
 
     Observations are ``observation_stack`` ``[B, num_stacked * n_obs]``, float32; actions are
-    integers ``[B]``, or numbers ``[B, num_actions]`` in [-1, 1] (a ``Box``) where those of the task
-    are continuous. ``infos`` holds ``action_mask`` ``[B, num_actions]`` (int8, for
+    integers ``[B]``, or numbers ``[B, num_actions]`` in [-1, 1] (a ``Box``) if the
+    task has continuous ones. ``infos`` holds ``action_mask`` ``[B, num_actions]`` (int8, for
     ``Discrete.sample``) of discrete actions and all other entries of environment and task, such as
     ``captured``, ``diverged``, ``step_count`` and ``episode_reward``, each with a ``_``-prefixed
     array of the rows that have it. A row whose flow diverges is truncated with reward 0.
@@ -125,7 +125,7 @@ class FlowVectorEnv(VectorEnv):
     ) -> tuple[Array, dict[str, Any]]:
         """Start new episodes; return observations ``[B, ...]`` and infos of all rows.
 
-        ``seed`` is that of all further starts, which depend on seed, row and episode; ``options``
+        ``seed`` determines all further starts, which depend on seed, row and episode; ``options``
         may hold ``reset_mask`` ``[B]`` bool, the rows to reset.
 
         Raises:

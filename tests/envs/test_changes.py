@@ -1,6 +1,5 @@
 """When streams change and to which speeds, and what a task makes of it."""
 
-from math import inf
 from typing import Any
 
 import pytest
@@ -47,8 +46,6 @@ def test_given_steps_are_those_of_every_episode() -> None:
     steps = StreamSteps(times_T=(3.0, 5.0), speeds_bl=(1.5, 0.9), ramp_T=2.0)
     assert steps.draw_speeds(FIRST[:3], KEYS[:3], 2).tolist() == [[1.5, 0.9]] * 3
     assert steps.count(1.0) == 2 and steps.list_times(2) == [3.0, 5.0]
-    assert steps.typical_interval_T == 2.0
-    assert StreamSteps(times_T=(3.0,), speeds_bl=(1.5,)).typical_interval_T == inf
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import torch
 
 from fishrl.envs.rewards import reward_approach
 from fishrl.envs.sensors import compute_bearing_error, compute_clearance, sense_target
+from fishrl.physics import FlowConfig
 
 
 def doubles(*values: float) -> torch.Tensor:
@@ -67,7 +68,7 @@ def test_clearance_is_the_least_distance_from_any_edge_and_negative_outside() ->
         *(5.0, 20.0, 8.0, 21.0), *(50.0, 20.0, 96.0, 21.0), *(50.0, 46.0, 60.0, 20.0),
         *(50.0, 2.0, 60.0, 20.0), *(-1.0, 20.0, 60.0, 20.0),
     ).view(5, 2, 2)  # fmt: skip
-    clearance = compute_clearance(outlines, width=100, height=50)
+    clearance = compute_clearance(outlines, FlowConfig(width=100, height=50, tau=1.0))
     assert clearance.tolist() == [5.0, 3.0, 3.0, 2.0, -1.0]
 
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-import shlex
 from importlib import import_module
 from pathlib import Path
 
 import pytest
 
-from experiments import reproduce
+from experiments import paper, reproduce
 from experiments.reproduce import Job, Record, list_jobs, run_job
-from experiments.reproduction import page
 from fishrl.__main__ import list_programs
 from fishrl.programs.program import list_choices
 from fishrl.programs.sweeps.jobs import find_or_begin, find_runs, plan_jobs
@@ -62,17 +60,9 @@ def test_the_newest_classifier_with_results_is_used(tmp_path: Path) -> None:
         if is_finished:
             (tmp_path / name / "lateral_line.json").touch()
             os.utime(tmp_path / name / "lateral_line.json", (number, number))
-    assert page.find_fitted(tmp_path) == tmp_path / "classifier-2"
+    assert paper.find_fitted(tmp_path) == tmp_path / "classifier-2"
     words = list_by_name(tmp_path)["both"].words
     assert f"recognition={tmp_path / 'classifier-2' / 'machine.pt'}" in words
-
-
-def test_the_page_shows_a_command_that_gives_the_same_scale() -> None:
-    words = ["scale=half", "scale.seeds=[3]", 'scale.gait=["preset=gait_half","gamma=0.9"]']
-    scale = reproduce.main.read(words).scale
-    command = reproduce.write_command(scale)
-    assert len(command.splitlines()) == 3
-    assert reproduce.main.read(shlex.split(command.replace("\\\n", ""))[3:]).scale == scale
 
 
 def test_the_plan_counts_the_default_baselines_of_the_task(tmp_path: Path) -> None:

@@ -81,7 +81,7 @@ def test_a_task_chosen_by_name_replaces_that_of_the_run_but_not_its_flow_labels(
     ("argument", "said"),
     [
         ("task=predation task.stream.has_disc=false", "there is no 'task.stream'"),
-        ("task.num_stacked=3", "it is of num_inputs = 28, here it is 21"),
+        ("task.num_stacked=3", "num_inputs = 28, the current one is 21"),
         ("task._target_=fishrl.envs.Predation", "there is no 'task."),
         (
             "task.control={_target_:fishrl.envs.macro_actions.DirectFrequencies,"

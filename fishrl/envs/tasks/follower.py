@@ -36,8 +36,8 @@ class Follower(AbstractTask, HasHistory, HasScene):
     The leader beats once per T and is held in place, in a stream along +x of the speed at which it
     would swim: the mean force on it vanishes. The follower is free; only the water turns it.
 
-    Positions are those of the follower's centre of mass behind the rear end of the leader, (x, y)
-    in body lengths. Actions, each T / 2: the bend, as a turn in degrees (see ``motion.Bending``),
+    Positions are (x, y) of the follower's centre of mass behind the rear end of the leader, in body
+    lengths. Actions, each T / 2: the bend, as a turn in degrees (see ``motion.Bending``),
     the frequency and, with ``amplitude_range``, the amplitude. Observation: position, heading from
     upstream, sine and cosine of its phase and of that relative to a leading fish's, velocity in
     L / T, turning rate in radians per T, and the last two actions in [-1, 1], the older one first.
@@ -147,7 +147,7 @@ class Follower(AbstractTask, HasHistory, HasScene):
         """Bound on the speed of a marker, with a bend from one side to the other.
 
         The factor of two for swimming covers a changing amplitude: the speed it gives the tail is
-        at most two thirds of that of the beat, and a quarter of a beat apart from it.
+        at most two thirds of the speed of the beat, a quarter of a beat apart.
         """
         bend = 2.0 * radians(self.turn_degrees) * self.body_length
         return super().swimming_speed + RESPONSE * bend / self.n_substeps
@@ -170,7 +170,7 @@ class Follower(AbstractTask, HasHistory, HasScene):
 
     @cached_property
     def wakes(self) -> WakeBank | None:
-        """Developed wakes behind the half disc; that of a fish develops within the episode."""
+        """Developed wakes behind the half disc; the wake of a fish develops within the episode."""
         if self.leader != "disc":
             return None
         return self.stream.load_wakes(self.flow_config(), self.scales)
@@ -228,8 +228,7 @@ class Follower(AbstractTask, HasHistory, HasScene):
         place = self._locate(place_fish(starts, self.fish)[0])
         gap, config = torch.full_like(place[:, 0], inf), self.flow_config()
         for leader in config.bodies[1:]:
-            size = {"width": config.width, "height": config.height}
-            check_fit(self.leader_start, leader, **size, margin=self.wall_margin)
+            check_fit(self.leader_start, leader, config, margin=self.wall_margin)
             other = place_outline(self.leader_start, leader).to(place)
             gap = compute_gap(place_outline(starts, self.fish), other)
         is_wrong = self._has_left(place) | ~(gap >= self.contact)
@@ -277,9 +276,7 @@ class Follower(AbstractTask, HasHistory, HasScene):
                 "phase_ahead": body.phase - lead,
                 "age": body.age.clone(),
                 "gap": gap,
-                "clearance": compute_clearance(
-                    markers, width=solver.config.width, height=solver.config.height
-                ),
+                "clearance": compute_clearance(markers, solver.config),
                 "work": body.work / unit,
                 "positive_work": body.positive_work / unit,
             },

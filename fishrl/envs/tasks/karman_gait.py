@@ -30,17 +30,16 @@ from fishrl.physics.flow import FlowConfig
 class KarmanGait(AbstractTask, HasFlowLabels, HasHistory, HasScene):
     """Hold station behind a half disc, or in a free stream, by choosing the tail-beat frequency.
 
-    Positions are those of the nose relative to the middle of the disc's flat side, x downstream, in
-    body lengths. Observation: x, y, their change since the last decision, the velocity (x, y) of
+    Positions are of the nose relative to the middle of the disc's flat side, x downstream, in body
+    lengths. Observation: x, y, their change since the last decision, the velocity (x, y) of
     the water at the lateral line (mean over neuromasts and interval, L / T) and the frequency in
-    beats per T (0 before the first beat). Actions are those of ``control``; ``steering`` turns the
+    beats per T (0 before the first beat). ``control`` defines the actions; ``steering`` turns the
     fish. An episode starts at a random phase of a developed wake and terminates in the danger area
     or at an edge.
 
-    Reported beside the observation: ``lateral_line``, the true ``flow_index`` (of a changing stream
-    the nearest known speed, and ``stream_speed`` in L / T), gear, frequency, heading, angle of
-    attack (from upstream, radians), and the work done so far by all, pushing and lateral forces, in
-    rho L^2 (L / T)^2.
+    Also reported: ``lateral_line``, the true ``flow_index`` (of a changing stream the nearest known
+    speed, and ``stream_speed`` in L / T), gear, frequency, heading, angle of attack (from upstream,
+    radians), and the work done so far by all, pushing and lateral forces, in rho L^2 (L / T)^2.
 
     Args:
         stream: the flows.
@@ -128,7 +127,7 @@ class KarmanGait(AbstractTask, HasFlowLabels, HasHistory, HasScene):
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Entries that ``command`` reads beside the action."""
+        """``flow_class``, if a transform writes it."""
         return ("flow_class",) if self.reads_flow_class else ()
 
     @property
@@ -242,9 +241,7 @@ class KarmanGait(AbstractTask, HasFlowLabels, HasHistory, HasScene):
                 "middle": self._locate(markers.mean(1)),
                 "heading": body.heading.clone(),
                 "age": body.age.clone(),
-                "clearance": compute_clearance(
-                    markers, width=solver.config.width, height=solver.config.height
-                ),
+                "clearance": compute_clearance(markers, solver.config),
                 "work": body.work / unit,
                 "positive_work": body.positive_work / unit,
                 "lateral_work": body.lateral_work / unit,

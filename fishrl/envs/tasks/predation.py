@@ -32,7 +32,7 @@ class AbstractPredation(AbstractTask, HasScene):
         turn_degrees: heading change of one action, spread smoothly over the interval; the largest
             one of a continuous action.
         frequency_range: least and largest tail-beat frequency of a continuous action, beats per T;
-            1 is that of discrete actions.
+            1 with discrete actions.
         start_x_bl: range of the initial nose position, in body lengths. Fish start on whole nodes
             and face -x; the range is clipped to keep them clear of the walls.
         start_y_bl: the same along y.
@@ -111,7 +111,7 @@ class AbstractPredation(AbstractTask, HasScene):
 
     @property
     def max_frequency(self) -> float:
-        """Highest tail-beat frequency, beats per T; at least 1, that of discrete actions."""
+        """Highest tail-beat frequency, beats per T; at least 1, as with discrete actions."""
         return max(1.0, self.frequency_range[1]) if self.is_continuous else 1.0
 
     @cached_property
@@ -124,14 +124,14 @@ class AbstractPredation(AbstractTask, HasScene):
         length, config = self.body_length, self.flow_config()
         x, h = self.fish.draw()[0].T
         amplitude = length * self.fish.gait.evaluate_envelope(x / length)
-        beside = self.wall_margin + float((h + amplitude).max())
+        half_width = self.wall_margin + float((h + amplitude).max())
         x = (
             ceil(max(self.start_x_bl[0] * length, self.wall_margin)),
             floor(min(self.start_x_bl[1] * length, config.width - 1 - self.wall_margin - length)),
         )
         y = (
-            ceil(max(self.start_y_bl[0] * length, beside)),
-            floor(min(self.start_y_bl[1] * length, config.height - 1 - beside)),
+            ceil(max(self.start_y_bl[0] * length, half_width)),
+            floor(min(self.start_y_bl[1] * length, config.height - 1 - half_width)),
         )
         return x, y
 
@@ -239,7 +239,7 @@ class AbstractPredation(AbstractTask, HasScene):
 class Predation(AbstractPredation):
     """Catch food that rests at first and then moves up and down between two limits.
 
-    Actions are those of ``AbstractPredation``. Observation: x and y of the food relative to the
+    Actions are as in ``AbstractPredation``. Observation: x and y of the food relative to the
     nose and its distance, in body lengths, and the bearing error in (-pi, pi] radians, positive to
     the left. Reward: +1 if distance or bearing error decreased since the last decision, otherwise
     -1, with continuous actions times the number of tail beats; +20 on capture. An episode
@@ -278,9 +278,7 @@ class Predation(AbstractPredation):
                 "heading": heading,
                 "food": food,
                 "target": sense_target(head, heading, food, body_length=self.body_length),
-                "clearance": compute_clearance(
-                    markers, width=solver.config.width, height=solver.config.height
-                ),
+                "clearance": compute_clearance(markers, solver.config),
             },
             starts.batch_size,
             device=starts.device,

@@ -19,15 +19,15 @@ from fishrl.physics.placement import MIN_GAP
 class PredationPair(AbstractPredation):
     """Catch the same food as another fish, and keep clear of that fish.
 
-    Food, walls and the actions of each fish are those of ``Predation``. Each fish observes the nose
+    Food, walls and the actions of each fish are as in ``Predation``. Each fish observes the nose
     of the other fish and then the food, both as there: x and y relative to its own nose, distance
-    and bearing error. Its reward is that of ``Predation``, with +20 for the fish that catches the
+    and bearing error. Its reward is as in ``Predation``, with +20 for the fish that catches the
     food, and minus ``contact_penalty`` for both on contact. An episode ends for both fish when one
     of them catches the food or comes too near a wall, and on contact: when markers of the two are
     nearer than ``contact_bl``, so that they never overlap.
 
     Fish 0 starts in the lower half of the range of starts, fish 1 in the upper half. The range is
-    narrower along y than that of ``Predation``, where a fish may start beside a wall and hit it
+    narrower along y than in ``Predation``, where a fish may start next to a wall and hit it
     before it can turn: here that would end the episode of both.
 
     Args:
@@ -101,11 +101,11 @@ class PredationPair(AbstractPredation):
         headings = [body.heading for body in solver.bodies[: self.num_fish]]
         noses = [outline[:, 0] for outline in outlines]
         food = self.locate_food(starts, solver.body.age)
-        size = {"width": solver.config.width, "height": solver.config.height}
 
         def sense(place: Tensor, fish: int) -> Tensor:
             return sense_target(noses[fish], headings[fish], place, body_length=self.body_length)
 
+        clearance = [compute_clearance(outline, solver.config) for outline in outlines]
         swum = [body.beats for body in solver.bodies[: self.num_fish]]
         beats = {"beats": torch.stack(swum, 1)} if self.is_continuous else {}
         return TensorDict(
@@ -114,7 +114,7 @@ class PredationPair(AbstractPredation):
                 "food": food,
                 "target": torch.stack([sense(food, fish) for fish in (0, 1)], 1),
                 "other": torch.stack([sense(noses[1 - fish], fish) for fish in (0, 1)], 1),
-                "clearance": torch.stack([compute_clearance(one, **size) for one in outlines], 1),
+                "clearance": torch.stack(clearance, 1),
                 "gap": compute_gap(outlines[0], outlines[1]),
             },
             starts.batch_size,
