@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fishrl.envs import AbstractTask, make_env
+from fishrl.settings import Role, list_fields
 from fishrl.training.algorithms import Algorithm
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.callback import Callback
@@ -111,15 +112,14 @@ def begin(
         return Training(replace(resolved, plan=plan), folder=folder, callbacks=callbacks)
 
 
-def make_folder(
-    plan: Plan, *, recognition: Recognition = None, folder: RunFolder | None = None
-) -> tuple[RunFolder, Plan]:
-    """Write everything a run needs into a folder, by default a new one, for ``resume``.
+def make_folder(plan: Plan, *, recognition: Recognition = None) -> tuple[RunFolder, Plan]:
+    """Write everything a run needs into a new folder, for ``resume``.
 
     Returns:
         The folder, and the plan as written there; the file of a classifier is copied.
     """
-    folder = folder or RunFolder.create(parent=plan.run.folder, name=plan.name)
+    is_named = plan.run.name is not None
+    folder = RunFolder.create(parent=plan.run.folder, name=plan.name, reuse=is_named)
     plan = replace(plan, recognition=keep_recognition(recognition, folder.path))
     write_yaml(folder.config, plan.to_config())
     return folder, plan
@@ -196,10 +196,9 @@ def find_summary(
     summary = read_summary(run.summary)
     stored = Plan.from_config(read_config(run.config), modules=modules)
     plan = stored.change(**changes)
-    same = (
-        plan.run.final_episodes == stored.run.final_episodes
-        and plan.run.baselines == stored.run.baselines
-        and plan.extra == stored.extra
-        and plan.run.total_frames <= summary.get("frames", 0)
+    late = [entry.name for entry in list_fields(RunSettings) if entry.role is Role.EVALUATION]
+    is_evaluated = plan.extra == stored.extra and all(
+        getattr(plan.run, name) == getattr(stored.run, name) for name in late
     )
-    return dict(summary) if same else None
+    is_trained = plan.run.total_frames <= summary.get("frames", 0)
+    return dict(summary) if is_trained and is_evaluated else None
