@@ -14,7 +14,7 @@ from torchrl.objectives import DiscreteSACLoss, DQNLoss, SoftUpdate
 
 from fishrl.envs import KarmanGait, OneHotAction, Predation, make_env
 from tests.envs.conftest import SMALL
-from tests.envs.pair_task import PairTask
+from tests.envs.small_tasks import PairTask
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 

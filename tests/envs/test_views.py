@@ -16,8 +16,7 @@ from fishrl.envs.streams import Stream
 from fishrl.envs.views import FIELDS, make_scene, read_scene
 from fishrl.physics import Boundaries, Fish, FlowConfig, NonEquilibrium, OpenEdge
 from tests.envs.conftest import SMALL
-from tests.envs.masked_task import MaskedTask
-from tests.envs.pair_task import PairTask
+from tests.envs.small_tasks import MaskedTask, PairTask
 from tests.envs.test_follower import TINY
 
 pytestmark = pytest.mark.usefixtures("kinematic")

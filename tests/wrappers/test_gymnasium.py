@@ -17,7 +17,7 @@ from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 from fishrl.envs import AbstractTask, Predation, make_env
 from fishrl.wrappers.gymnasium import FlowVectorEnv
 from tests.envs.conftest import SMALL
-from tests.envs.masked_task import MaskedTask
+from tests.envs.small_tasks import MaskedTask
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 MODES = [mode.value for mode in AutoresetMode]

@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import VecMonitor
 from fishrl.envs import Predation, make_env
 from fishrl.wrappers.stable_baselines import FlowVecEnv
 from tests.envs.conftest import SMALL
-from tests.envs.masked_task import MaskedTask
+from tests.envs.small_tasks import MaskedTask
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
