@@ -6,7 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from fishrl.envs import FlowEnv, Predation, make_env
+from fishrl.envs import FlowEnv, Predation, PredationPair, make_env
 from tests.envs.conftest import SMALL, act, assert_resets_rewrite_all, make_flows, read_flows
 
 #: A tank of 5 L x 3 L, where an eager action takes about a second.
@@ -80,6 +80,21 @@ def test_diverged_flow_is_reset_alone_and_swims_on() -> None:
     assert not solvers[0].populations()[1].any()
     step, _ = env.step_and_maybe_reset(states[0].set("action", keep))
     assert not step["next", "diverged"].any()
+
+
+def test_pair_that_meets_ends_its_episode_without_divergence() -> None:
+    task = PredationPair(**TINY, control_interval_T=0.5, checks_per_action=12)
+    length = task.body_length
+    starts = task.sample_starts(1, torch.Generator().manual_seed(0))
+    starts["head"] = torch.tensor([[[2.0, 1.5], [2.35, 1.5]]], dtype=torch.float64) * length
+    starts["heading"] = torch.tensor([[0.0, math.pi]], dtype=torch.float64)
+    env = make_flows(task, 1, starts=starts)
+    env.reset()
+    keep = TensorDict({"agents": {"action": torch.ones(1, 2).long()}}, [1])
+    while not (after := env.step(keep)["next"])["done"].item():
+        assert float(env.now["gap"]) >= task.contact_bl * length
+    assert float(env.now["gap"]) > 0.5
+    assert after["contact"].item() and not after["diverged"].item()
 
 
 @pytest.mark.compile
