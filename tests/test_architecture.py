@@ -30,7 +30,7 @@ LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/files.py", {"torch"}),
     ("fishrl/extras.py", {"packaging"}),
     ("fishrl/memory.py", {"torch"}),
-    ("fishrl/physics/fast/body_kernel.py", {"torch", "triton"}),
+    ("fishrl/physics/fast/triton_coupling.py", {"torch", "triton"}),
     # bodies know nothing of flows
     ("fishrl/physics/bodies/", TENSORS | {"fishrl.physics.bodies", "fishrl.physics.lattice"}),
     ("fishrl/physics/", TENSORS | {"fishrl.physics"}),

@@ -11,7 +11,9 @@ compressibility and decreases as U².
 """
 
 from collections.abc import Iterator
+from pathlib import Path
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.validation.case import Case, Check, Job, Result, Runs, check_finest
@@ -29,38 +31,8 @@ SPECTRAL = {
     100: {"u_min": -0.2140424, "v_max": 0.1795728, "v_min": -0.2538030},
     1000: {"u_min": -0.3885698, "v_max": 0.3769447, "v_min": -0.5270771},
 }
-# Ghia, Ghia & Shin, J. Comput. Phys. 48 (1982) 387, tables I and II, from 129 x 129 points:
-# velocity / lid speed from the resting wall, by Reynolds number; u along x = 1/2 at Y, v along
-# y = 1/2 at X.
-Y = (
-    0.0000, 0.0547, 0.0625, 0.0703, 0.1016, 0.1719, 0.2813, 0.4531, 0.5000, 0.6172, 0.7344, 0.8516,
-    0.9531, 0.9609, 0.9688, 0.9766, 1.0000,
-)  # fmt: skip
-X = (
-    0.0000, 0.0625, 0.0703, 0.0781, 0.0938, 0.1563, 0.2266, 0.2344, 0.5000, 0.8047, 0.8594, 0.9063,
-    0.9453, 0.9531, 0.9609, 0.9688, 1.0000,
-)  # fmt: skip
-U = {
-    100: (
-        0.00000, -0.03717, -0.04192, -0.04775, -0.06434, -0.10150, -0.15662, -0.21090, -0.20581,
-        -0.13641, 0.00332, 0.23151, 0.68717, 0.73722, 0.78871, 0.84123, 1.00000,
-    ),
-    1000: (
-        0.00000, -0.18109, -0.20196, -0.22220, -0.29730, -0.38289, -0.27805, -0.10648, -0.06080,
-        0.05702, 0.18719, 0.33304, 0.46604, 0.51117, 0.57492, 0.65928, 1.00000,
-    ),
-}  # fmt: skip
-V = {
-    100: (
-        0.00000, 0.09233, 0.10091, 0.10890, 0.12317, 0.16077, 0.17507, 0.17527, 0.05454, -0.24533,
-        -0.22445, -0.16914, -0.10313, -0.08864, -0.07391, -0.05906, 0.00000,
-    ),
-    1000: (
-        0.00000, 0.27485, 0.29012, 0.30353, 0.32627, 0.37095, 0.33075, 0.32235, 0.02526, -0.31966,
-        -0.42665, -0.51550, -0.39188, -0.33714, -0.27669, -0.21388, 0.00000,
-    ),
-}  # fmt: skip
-
+# Ghia, Ghia & Shin, J. Comput. Phys. 48 (1982) 387, tables I and II, from 129 x 129 points
+GHIA = np.loadtxt(Path(__file__).with_name("ghia_1982.csv"), delimiter=",", skiprows=1).T
 WALLS = {True: "bounce-back", False: "extrapolation"}  # by whether they are half-way
 # what the figure shows: size, whether bounce-back, line
 LINES = ((256, True, "-"), (256, False, "--"), (64, True, ":"))
@@ -71,11 +43,10 @@ LEAK = (
 
 
 def drive_cavity(*, size: int, reynolds: float, is_half_way: bool) -> Result:
-    """Drive a cavity, N = ``size`` node distances wide, until it is steady.
+    """Drive a cavity, ``size`` node distances wide, until it is steady.
 
-    Half-way bounce-back has N nodes, non-equilibrium extrapolation N + 1. Returns positions and
-    velocities / U along the centre lines, walls included, their extremes, and the ``flow`` through
-    the vertical one (none in an incompressible fluid) / (U x node distance).
+    Returns velocities / U along the centre lines, their extremes, and the ``flow`` through the
+    vertical one / (U x node distance).
     """
     lid = (LID_SPEED, 0.0)
     walls = NoSlip() if is_half_way else NonEquilibrium(velocity=(0.0, 0.0))
@@ -146,14 +117,15 @@ def draw(figure: Figure, runs: Runs) -> None:
     """Draw both centre lines at each Reynolds number."""
     panels = figure.subplots(2, 2)
     for row, reynolds in zip(panels, SPECTRAL, strict=True):
-        for axes, key, along, line, places, values in (
-            (row[0], "u", "y / L", "vertical", Y, U[reynolds]),
-            (row[1], "v", "x / L", "horizontal", X, V[reynolds]),
+        for axes, key, along, line, (places, *columns) in (
+            (row[0], "u", "y / L", "vertical", GHIA[:3]),
+            (row[1], "v", "x / L", "horizontal", GHIA[3:]),
         ):
             for size, is_half_way, style in LINES:
                 if run := runs.get(size=size, reynolds=reynolds, is_half_way=is_half_way):
                     name = f"{WALLS[is_half_way]}, N = {size}"
                     axes.plot(run["position"], run[key], style, label=name)
+            values = columns[list(SPECTRAL).index(reynolds)]
             draw_reference(axes, zip(places, values, strict=True), "Ghia et al. 1982")
             for name, value in SPECTRAL[reynolds].items():
                 if name.startswith(key):

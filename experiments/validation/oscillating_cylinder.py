@@ -10,6 +10,7 @@ dv/dt are fitted by least squares over the period (a fit of the first harmonic g
 
 from collections.abc import Iterator
 from math import pi
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -34,33 +35,23 @@ LARGE = {"length": 30, "height": 22}  # of the larger domain, D
 LARGE_DOMAIN_DIAMETER = 20
 DIAMETERS = (20, 30, 40)
 INSETS = {0.0: "markers on the surface", 0.45: "markers 0.45 nodes inside"}  # the bodies' default
-# Force on the cylinder / (rho U^2 D) at t / T, fig. 10 of Duetsch et al. 1998: every other point of
+# Fig. 10 of Duetsch et al. 1998: every other point of
 # PacIFiC's src/Octree/MovingCutCell/test-navier-stokes/data/Dutsch1998/Dutsch1998-fig10.csv.
-CURVE = (
-    (0.000, 0.974), (0.023, 0.735), (0.045, 0.486), (0.063, 0.280), (0.086, 0.080),
-    (0.104, -0.150), (0.124, -0.393), (0.148, -0.624), (0.172, -0.873), (0.197, -1.073),
-    (0.232, -1.322), (0.270, -1.528), (0.307, -1.617), (0.347, -1.640), (0.386, -1.616),
-    (0.422, -1.518), (0.458, -1.322), (0.486, -1.101), (0.507, -0.902), (0.532, -0.652),
-    (0.550, -0.433), (0.573, -0.170), (0.599, 0.097), (0.620, 0.330), (0.645, 0.609),
-    (0.670, 0.845), (0.700, 1.102), (0.728, 1.313), (0.764, 1.516), (0.802, 1.622),
-    (0.850, 1.652), (0.894, 1.596), (0.930, 1.479), (0.963, 1.273),
-)  # fmt: skip
+CURVE = np.loadtxt(Path(__file__).with_name("duetsch_1998.csv"), delimiter=",", skiprows=1)
 HEADLINE = "added-mass coefficient c_i, markers 0.45 nodes inside"
 INERTIA_NOTE = (
-    "for comparison only. Spreading enlarges the cylinder by about 0.45 nodes on all sides, and "
-    "c_i depends on its area and on the fluid that it displaces: (1 + c_i) (1 + 0.9 / D)² − 1 "
-    "is 1.68 at D = 20 and 1.56 at D = 40, close to the measured values. Markers 0.45 nodes "
-    "inside the outline, the default, correct for it."
+    "for comparison only. Spreading enlarges the cylinder by about 0.45 nodes on all sides: "
+    "(1 + c_i) (1 + 0.9 / D)² − 1 is 1.68 at D = 20 and 1.56 at D = 40, close to the measured "
+    "values. Markers 0.45 nodes inside the outline, the default, correct for it."
 )
 
 
 def oscillate(*, diameter: int, length: int = 20, height: int = 15, inset: float = 0.0) -> Result:
     """Let a cylinder oscillate along x, starting at rest at its turning point.
 
-    The domain is ``length`` by ``height`` D, the markers lie ``inset`` nodes inside. Returns
-    ``time`` / T from the middle of the path on, in the direction of -x, ``force`` / (rho U^2 D) of
-    the outer fluid over the last period, least-squares ``c_d`` and ``c_i``, and ``c_i_before`` of
-    the period before.
+    The domain is ``length`` by ``height`` D. Returns of the last period ``time`` / T from the
+    middle of the path, going to -x, ``force`` / (rho U^2 D) of the outer fluid, least-squares
+    ``c_d`` and ``c_i``, and ``c_i_before`` of the period before.
     """
     samples = make_even(KC * diameter / SPEED / NUM_SAMPLES)  # steps between samples
     period = samples * NUM_SAMPLES
@@ -132,7 +123,7 @@ def judge(runs: Runs) -> Iterator[Check]:
             criterion = (reference, "Dütsch et al. 1998", TOLERANCE if inset else None)
             note = INERTIA_NOTE if key == "c_i" and not inset else ""
             yield check_finest("D", f"{name}, {where}", values, *criterion, note=note)
-        time, theirs = np.array(CURVE).T
+        time, theirs = CURVE.T
         ours = np.interp(time, finest["time"], finest["force"], period=1.0)
         rms = float(np.sqrt(np.mean((ours - theirs) ** 2)) / np.abs(theirs).max())
         change = finest["c_i"] / finest["c_i_before"] - 1

@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
+from textwrap import dedent
 from types import CodeType, FunctionType
 from typing import Any
 
@@ -29,7 +30,7 @@ from tqdm import tqdm
 from experiments.benchmarks.machine import describe_machine
 from experiments.validation.case import Case, Check, Job, Runs
 from fishrl.files import staged
-from fishrl.physics.cache_key import hash_sources, make_key
+from fishrl.physics.cache_key import hash_sources, make_key, strip_code
 from fishrl.programs.figures.style import COLOURS, STYLE, tidy
 
 FIGURE_STYLE: Any = STYLE | {
@@ -194,7 +195,8 @@ def fingerprint(job: Job) -> str:
 
     It covers the arguments, the function with all it calls and the constants it reads in this
     package (not the rest of its file: a new tolerance or figure runs nothing again), every source
-    file of ``fishrl.physics`` and the version of torch. Imports inside functions are not seen.
+    file of ``fishrl.physics`` and the version of torch. Comments, docstrings and layout do not
+    count. Imports inside functions are not seen.
     """
     name = f"{job.function.__module__}.{job.function.__qualname__}"
     arguments = json.dumps(job.arguments, sort_keys=True)
@@ -211,7 +213,7 @@ def _read_sources(name: str, thing: Any, seen: set[str]) -> None:
             _read_sources(f"{name}[{key!r}]", value, seen)
     elif isinstance(thing, FunctionType | type):
         own = thing.__module__.startswith(("experiments.", "tests."))
-        if not own or (source := inspect.getsource(thing)) in seen:
+        if not own or (source := _read_source(thing)) in seen:
             return
         seen.add(source)
         if isinstance(thing, FunctionType):
@@ -226,6 +228,11 @@ def _read_sources(name: str, thing: Any, seen: set[str]) -> None:
                 _read_sources(f"{thing.__qualname__}({argument})", default, seen)
     elif not callable(thing) and not inspect.ismodule(thing):
         seen.add(f"{name} = {thing!r}")
+
+
+def _read_source(thing: FunctionType | type) -> str:
+    source = inspect.getsource(thing)  # of a lambda, lines that may not parse alone
+    return source if thing.__name__ == "<lambda>" else strip_code(dedent(source))
 
 
 def _is_own_module(thing: Any) -> bool:

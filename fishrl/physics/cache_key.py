@@ -34,14 +34,19 @@ def hash_sources(*names: str) -> str:
 
 
 def read_code(path: Path) -> bytes:
-    """Return the code of a Python file without comments, docstrings and layout; others whole."""
-    if path.suffix != ".py":
-        return path.read_bytes()
-    tree = ast.parse(path.read_bytes())
+    """Return the code of a Python file as ``strip_code`` does; any other file whole."""
+    content = path.read_bytes()
+    return strip_code(content).encode() if path.suffix == ".py" else content
+
+
+@cache
+def strip_code(source: str | bytes) -> str:
+    """Return a form of Python code without comments, docstrings and layout."""
+    tree = ast.parse(source)
     for node in ast.walk(tree):
         if isinstance(node, _DOCUMENTED) and ast.get_docstring(node, clean=False) is not None:
             del node.body[0]
-    return ast.dump(tree).encode()
+    return ast.dump(tree)
 
 
 def make_key(*parts: object) -> str:

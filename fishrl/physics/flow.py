@@ -92,7 +92,7 @@ class FlowConfig(Settings):
         self.force_solve.check(self.kernel)
         if self.fish is None and any(isinstance(body, Fish) for body in self.bodies):
             names = [type(body).__name__ for body in self.bodies]
-            raise ValueError(f"bodies = {names}: a fish comes first")
+            raise ValueError(f"bodies = {names}: the fish must come first")
         if self.fastest_edge > MAX_IMPOSED_SPEED:
             raise ValueError(
                 f"an edge imposes {self.fastest_edge:.3f} nodes per step, allowed is "

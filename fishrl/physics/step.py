@@ -40,7 +40,7 @@ from fishrl.physics.collision import (
     compute_force_increment,
     compute_macroscopic,
 )
-from fishrl.physics.coupling import move_body, solve_body_force
+from fishrl.physics.coupling import solve_body_force
 from fishrl.physics.flow import (
     FlowConfig,
     FlowParams,
@@ -50,6 +50,7 @@ from fishrl.physics.flow import (
 )
 from fishrl.physics.geometry import BodyGeometry, locate_bodies
 from fishrl.physics.immersed_boundary import interpolate
+from fishrl.physics.rigid_motion import move_body
 from fishrl.physics.streaming import stream
 
 

@@ -22,10 +22,15 @@ class Storage(Enum):
         """Type in memory."""
         return self.value[0]
 
+    @property
+    def scale(self) -> float:
+        """Factor by which stored values are larger."""
+        return self.value[1]
+
     def decode(self, stored: Tensor) -> Tensor:
         """Return populations from memory."""
-        return stored if self.value[1] == 1.0 else stored.float() * (1.0 / self.value[1])
+        return stored if self.scale == 1.0 else stored.float() * (1.0 / self.scale)
 
     def encode(self, f: Tensor) -> Tensor:
         """Return populations as stored."""
-        return f.to(self.dtype) if self.value[1] == 1.0 else (f * self.value[1]).to(self.dtype)
+        return f.to(self.dtype) if self.scale == 1.0 else (f * self.scale).to(self.dtype)

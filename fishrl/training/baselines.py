@@ -36,7 +36,7 @@ M = TypeVar("M", bound=MakePolicy)
 
 
 class Baseline(NamedTuple):
-    """A policy to compare with, see ``baseline`` for its entries."""
+    """A registered baseline, see ``baseline``."""
 
     name: str
     tasks: tuple[type, ...]
@@ -114,29 +114,24 @@ def make_random(task: Any, seed: int) -> RandomPolicy:
     return RandomPolicy(seed=seed, num_numbers=num_numbers)
 
 
-def _describe_actions(task: Any) -> dict[str, Any]:
-    return {
-        "turn": math.radians(task.turn_degrees),
-        "is_continuous": task.action_bounds is not None,
-    }
-
-
 @baseline("pursuit", Predation, PredationPair)
 def make_pursuit(task: Any, seed: int) -> PursuitPolicy:
     """Make pursuit of the food; each of two fish acts as if the other were not there."""
-    return PursuitPolicy(**_describe_actions(task))
+    is_continuous = task.action_bounds is not None
+    return PursuitPolicy(turn=math.radians(task.turn_degrees), is_continuous=is_continuous)
 
 
-def _is_intercept_possible(task: Any) -> bool:
-    """Tell whether decisions are 1 T apart and two observations show how the food moves."""
+def _shows_food_speed(task: Any) -> bool:
+    """Tell whether the policy reads two observations, 1 T apart."""
     return task.num_stacked >= 2 and math.isclose(task.interval_T, 1.0, rel_tol=0.01)
 
 
-@baseline("intercept", Predation, fits=_is_intercept_possible)
+@baseline("intercept", Predation, fits=_shows_food_speed)
 def make_intercept(task: Any, seed: int) -> InterceptPolicy:
-    """Make interception of the food, whose course is known."""
+    """Make interception of the food, whose route is known."""
     return InterceptPolicy(
-        **_describe_actions(task),
+        turn=math.radians(task.turn_degrees),
+        is_continuous=task.action_bounds is not None,
         food_speed_bl=task.food_speed_bl,
         food_limits_bl=task.food_limits_bl,
         food_start_bl=task.food_y_bl,
@@ -148,24 +143,20 @@ def make_intercept(task: Any, seed: int) -> InterceptPolicy:
 @baseline("keep_place", Follower)
 def make_keep_place(task: Follower, seed: int) -> KeepPlace:
     """Make the controller that keeps a place in line behind the leader."""
-    return KeepPlace(
-        turn=math.radians(task.turn_degrees),
-        frequency_range=task.frequency_range,
-        num_actions=task.num_actions,
-    )
+    turn, num_actions = math.radians(task.turn_degrees), task.num_actions
+    return KeepPlace(turn=turn, frequency_range=task.frequency_range, num_actions=num_actions)
 
 
 @baseline("shedding", KarmanGait, fits=lambda task: task.stream.has_disc, is_default=False)
-def make_shedding(task: KarmanGait, seed: int) -> GaitPolicy:
-    """Make a fish that beats with the shedding frequency of each flow; develops the wakes."""
-    wakes: Any = task.wakes
-    frequencies = wakes.shedding_frequencies * task.scales.period
+def make_shedding(task: Any, seed: int) -> GaitPolicy:
+    """Make a fish that beats at the shedding frequency of each flow; develops the wakes."""
+    frequencies = task.wakes.shedding_frequencies * task.scales.period
     return make_gait_policy(FixedFrequency(frequencies.tolist()), task)
 
 
 @baseline("bang_bang", KarmanGait, is_default=False)
 def make_bang_bang(task: KarmanGait, seed: int) -> GaitPolicy:
-    """Make the controller that beats as fast as it can, or not at all."""
+    """Make the controller that beats as fast as possible or not at all."""
     return make_gait_policy(BangBang(), task)
 
 

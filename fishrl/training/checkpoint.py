@@ -15,40 +15,17 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
-from torchrl.checkpoint import (
-    Checkpoint,
-    CheckpointError,
-    GlobalRNGState,
-    StateDictCheckpointAdapter,
-)
+from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointAdapter
 
-from fishrl.training.policy_spec import PolicySpec
+from fishrl.training.policy_spec import CHECKED, PolicySpec
 from fishrl.training.policy_zoo import find_folder
 from fishrl.training.run_folder import refuse_many
 
 SUMS = "SHA256SUMS"
 #: What may go wrong while a damaged checkpoint is read.
 _DAMAGE = (CheckpointError, OSError, RuntimeError, ValueError, LookupError, TypeError)
-#: Entries of the metadata; ``sha256``: of the states, in checkpoints from before ``SHA256SUMS``.
-_METADATA = {
-    *("task", "num_inputs", "num_stacked", "num_actions", "is_continuous"),
-    *("preset", "frames", "config", "sums", "sha256"),
-}
-
-
-class RNGState(GlobalRNGState):
-    """The state of all random number generators.
-
-    Generators of GPUs that this machine lacks are left out: a run continues with other GPUs or on a
-    CPU, though not bit for bit.
-    """
-
-    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
-        """Restore the generators of this machine."""
-        gpus = state_dict.get("torch_cuda", [])[: torch.cuda.device_count()]
-        others = {name: value for name, value in state_dict.items() if name != "torch_cuda"}
-        super().load_state_dict(others | ({"torch_cuda": gpus} if gpus else {}))
+#: Entries of the metadata.
+_METADATA = {*CHECKED, "preset", "frames", "config"}
 
 
 class CheckpointNotWritten(OSError):
@@ -66,8 +43,8 @@ def save_checkpoint(
 ) -> None:
     """Write the components' states to a folder, replacing it only once they are on the disk.
 
-    Components have ``state_dict`` and ``load_state_dict``. Of checkpoints before, ``keep`` - 1
-    stay, with their frames behind their name.
+    Components have ``state_dict`` and ``load_state_dict``. The ``keep`` - 1 checkpoints before
+    stay, with their frames appended to the name.
 
     Raises:
         CheckpointNotWritten: if the disk is full or the folder cannot be written.
@@ -75,14 +52,10 @@ def save_checkpoint(
     fresh = path.with_name(f".{path.name}.new")
     stage = path.with_name(f".{fresh.name}") / "whole"
     metadata = {
-        "task": spec.task,
-        **spec.sizes,
-        "num_stacked": spec.num_stacked,
-        "is_continuous": spec.is_continuous,
+        **{name: getattr(spec, name) for name in CHECKED},
         "preset": config.get("preset"),
         "frames": frames,
         "config": config,
-        "sums": SUMS,
     }
     try:
         if fresh.exists() and not path.exists():  # killed between the renames: it is the newest
@@ -111,8 +84,8 @@ def save_checkpoint(
 def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[str, Any]]:
     """Find a checkpoint and read its metadata.
 
-    ``path`` is a checkpoint, ``zoo/<name>`` (see ``fishrl.zoo``), or the folder of a run, of which
-    ``which`` chooses ``best`` (if missing, the last) or ``last``.
+    ``path`` is a checkpoint, ``zoo/<name>`` (see ``fishrl.zoo``), or a run folder, in which
+    ``which`` selects ``best`` (if missing, the last) or ``last``.
 
     Raises:
         ValueError: if it is missing or corrupt.
@@ -130,9 +103,9 @@ def read_metadata(path: str | Path, *, which: str = "best") -> tuple[Path, dict[
         )
     try:
         metadata = Checkpoint.manifest(found)["metadata"]
-        if not isinstance(metadata, dict) or not {"task", "config"} <= set(metadata) <= _METADATA:
+        if not isinstance(metadata, dict) or set(metadata) != _METADATA:
             raise CheckpointError("its metadata are not those of a run")
-        _check_files(found, metadata, ["manifest.json"])
+        _check_files(found, ["manifest.json"])
     except (*_DAMAGE, AttributeError) as error:
         raise _corrupt(found, error) from error
     return found, metadata
@@ -148,8 +121,6 @@ def load_checkpoint(
 ) -> dict[str, Any]:
     """Load components' states from a checkpoint and return its metadata, see ``read_metadata``.
 
-    Components of the checkpoint that are not among ``components`` are left alone.
-
     Raises:
         ValueError: if it is missing, corrupt, or not of the task and sizes of ``spec``.
     """
@@ -157,7 +128,7 @@ def load_checkpoint(
     spec.check(metadata, path=found)
     try:
         stored = Checkpoint.manifest(found)["components"]
-        _check_files(found, metadata, [f"{stored[name]['path']}/state.pt" for name in components])
+        _check_files(found, [f"{stored[name]['path']}/state.pt" for name in components])
         _register(components).load(found, map_location=device)
     except _DAMAGE as error:
         raise _corrupt(found, error) from error
@@ -171,20 +142,17 @@ def _register(components: Mapping[str, Any]) -> Checkpoint:
     return checkpoint
 
 
-def _check_files(folder: Path, metadata: Mapping[str, Any], names: Collection[str]) -> None:
-    """Compare files with their checksums, if the checkpoint was written with any.
+def _check_files(folder: Path, names: Collection[str]) -> None:
+    """Compare files with their checksums; a missing one counts as damage.
 
-    A missing file counts as damage: TorchRL would then read other formats.
+    TorchRL would read other formats in place of a missing file.
     """
-    sums: dict[str, str] | None = None
-    if "sums" in metadata or (folder / SUMS).exists():
-        lines = (folder / SUMS).read_text(encoding="utf-8").split("\n")
-        sums = {name: value for value, _, name in (line.partition("  ") for line in lines)}
+    lines = (folder / SUMS).read_text(encoding="utf-8").split("\n")
+    sums = {name: value for value, _, name in (line.partition("  ") for line in lines)}
     for name in names:
-        file = folder / name
-        if not file.is_file():
+        if not (folder / name).is_file():
             raise CheckpointError(f"{name} is missing")
-        if sums is not None and sums.get(name) != _sum(file):
+        if sums.get(name) != _sum(folder / name):
             raise CheckpointError(f"{name} has changed since it was written")
 
 
@@ -194,7 +162,7 @@ def _sum(file: Path) -> str:
 
 
 def _put_in_place(fresh: Path, path: Path, *, keep: int) -> None:
-    """Let a complete checkpoint take its place; at any moment a complete one can be found."""
+    """Rename a complete checkpoint to ``path``; a complete one can be found at any moment."""
     older, existed = path.with_name(f".{path.name}.backup"), path.exists()
     if existed:
         frames = _read_frames(path)
@@ -211,10 +179,7 @@ def _put_in_place(fresh: Path, path: Path, *, keep: int) -> None:
 
 
 def _clear(path: Path) -> None:
-    """Remove what was left while writing.
-
-    ``..<name>.*`` is never complete, the others are not needed beside a complete checkpoint.
-    """
+    """Remove leftovers of writing: ``..<name>.*`` is never complete, others are superseded."""
     unneeded = ("new", "backup*", "stage-*") if path.exists() else ()
     for pattern in (f"..{path.name}.*", *(f".{path.name}.{kind}" for kind in unneeded)):
         for debris in path.parent.glob(pattern):
@@ -222,22 +187,19 @@ def _clear(path: Path) -> None:
 
 
 def _list_complete(path: Path) -> list[Path]:
-    """List what can be read as a checkpoint, first of all the checkpoint itself.
+    """List what can be read in place of a checkpoint, the checkpoint itself first.
 
-    The others matter after a kill between the renames that replace a checkpoint, or if the newest
-    one was deleted.
+    The others matter after a kill between two renames, or if the newest checkpoint was deleted.
     """
     fresh, backups = path.with_name(f".{path.name}.new"), path.parent.glob(f".{path.name}.backup*")
     return [p for p in (path, fresh, *sorted(backups), *_list_older(path)) if p.exists()]
 
 
 def _list_older(path: Path) -> list[Path]:
-    """List the checkpoints before one, newest first."""
     return sorted(path.parent.glob(f"{path.name}-" + "[0-9]" * 9), reverse=True)
 
 
 def _read_frames(path: Path) -> int | None:
-    """Return the frames of a checkpoint, or None if it does not say."""
     try:
         return int(Checkpoint.manifest(path)["metadata"]["frames"])
     except _DAMAGE:
@@ -245,7 +207,6 @@ def _read_frames(path: Path) -> int | None:
 
 
 def _flush(path: Path) -> None:
-    """Wait until a file or folder is on the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)

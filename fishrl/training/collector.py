@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
 from functools import partial
@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict
+from torchrl.checkpoint import GlobalRNGState
 from torchrl.collectors import Collector
 from torchrl.data import Composite
 from torchrl.envs import ActionMask, EnvBase
@@ -113,3 +114,17 @@ def make_collector(resolved: ResolvedRun, learner: Learner, *, seed: int) -> Any
         seed=seed,
         device=run.device,
     )
+
+
+class RNGState(GlobalRNGState):
+    """The state of all random number generators.
+
+    Generators of GPUs that this machine lacks are left out: a run continues with other GPUs or on a
+    CPU, though not bit for bit.
+    """
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
+        """Restore the generators of this machine."""
+        gpus = state_dict.get("torch_cuda", [])[: torch.cuda.device_count()]
+        others = {name: value for name, value in state_dict.items() if name != "torch_cuda"}
+        super().load_state_dict(others | ({"torch_cuda": gpus} if gpus else {}))

@@ -19,13 +19,8 @@ from tensordict import TensorDictBase
 from fishrl.envs.agents import split_fish
 from fishrl.envs.episodes import Episodes, Policy, name_counted, run_episodes
 from fishrl.training.callback import Callback, join
-from fishrl.training.checkpoint import (
-    CheckpointNotWritten,
-    RNGState,
-    load_checkpoint,
-    save_checkpoint,
-)
-from fishrl.training.collector import make_collector
+from fishrl.training.checkpoint import CheckpointNotWritten, load_checkpoint, save_checkpoint
+from fishrl.training.collector import RNGState, make_collector
 from fishrl.training.ending import finish
 from fishrl.training.evaluation import SELECTION_SEED, TRAIN_SEED, fixed_starts
 from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children

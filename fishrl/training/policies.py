@@ -52,8 +52,9 @@ def load_policy(
     path, plan = load_plan(checkpoint, modules=modules)
     if has_labels is None:
         has_labels = plan.recognition is not None
-    spec = PolicySpec.for_task(task or plan.task, has_labels=has_labels)
-    actor = plan.algorithm.make_policy(spec, hidden=plan.learning.hidden).to(device)
+    hidden = plan.learning.hidden
+    spec = PolicySpec.for_task(task or plan.task, hidden=hidden, has_labels=has_labels)
+    actor = plan.algorithm.make_policy(spec).to(device)
     load_checkpoint(path, {"actor": actor}, spec=spec, device=device)
     return actor
 

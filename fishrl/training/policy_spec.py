@@ -10,6 +10,9 @@ from typing import Any
 from fishrl.envs import AbstractTask
 from fishrl.envs.extensions import count_label_inputs
 
+#: What a checkpoint stores and must match.
+CHECKED = ("task", "is_continuous", "num_inputs", "num_stacked", "num_actions")
+
 
 @dataclass(frozen=True, kw_only=True)
 class PolicySpec:
@@ -22,6 +25,7 @@ class PolicySpec:
         num_stacked: observations in a stack.
         is_continuous: whether actions are continuous.
         num_fish: fish in a flow for each of which it decides.
+        hidden: widths of the hidden layers of all networks.
     """
 
     task: str
@@ -30,11 +34,12 @@ class PolicySpec:
     num_stacked: int = 1
     is_continuous: bool = False
     num_fish: int = 1
+    hidden: tuple[int, ...] = (256, 256)
 
     @property
     def sizes(self) -> dict[str, Any]:
         """Arguments of the networks."""
-        return {"num_inputs": self.num_inputs, "num_actions": self.num_actions}
+        return {name: getattr(self, name) for name in ("num_inputs", "num_actions", "hidden")}
 
     @property
     def num_observed(self) -> int:
@@ -42,7 +47,9 @@ class PolicySpec:
         return self.num_inputs // self.num_stacked
 
     @classmethod
-    def for_task(cls, task: AbstractTask, *, has_labels: bool = False) -> PolicySpec:
+    def for_task(
+        cls, task: AbstractTask, *, hidden: tuple[int, ...] = (256, 256), has_labels: bool = False
+    ) -> PolicySpec:
         """Return the sizes that a task requires; with ``has_labels`` transforms label its flows."""
         num_labels = count_label_inputs(task) if has_labels else 0
         return cls(
@@ -52,16 +59,15 @@ class PolicySpec:
             num_stacked=task.num_stacked,
             is_continuous=task.action_bounds is not None,
             num_fish=task.num_fish,
+            hidden=hidden,
         )
 
     def check(self, metadata: Mapping[str, Any], *, path: Path) -> None:
         """Raise ValueError if the metadata of a checkpoint are of another task or size."""
-        # of checkpoints that do not say
-        defaults = {"is_continuous": False, "num_stacked": self.num_stacked}
-        for name in ("task", "is_continuous", "num_inputs", "num_stacked", "num_actions"):
-            stored, wanted = metadata.get(name, defaults.get(name)), getattr(self, name)
+        for name in CHECKED:
+            stored, wanted = metadata[name], getattr(self, name)
             if stored != wanted:
                 raise ValueError(
-                    f"checkpoint {path}: it is of {name} = {stored!r}, here it is {wanted!r}; use "
-                    "task and settings that it was trained with, or train again"
+                    f"checkpoint {path}: was trained with {name} = {stored!r}, the current one is "
+                    f"{wanted!r}; use the task and settings of its run, or train again"
                 )

@@ -83,19 +83,16 @@ def resolve(
 ) -> ResolvedRun:
     """Check the settings of a run and resolve what follows from them.
 
-    Args:
-        plan: the settings.
-        recognition: source of flow labels, or the file of a classifier.
-        folder: where a classifier of the run itself lies.
-        make_env: makes the flows.
+    ``recognition`` may be the file of a classifier; one of the run itself lies in its ``folder``.
 
     Raises:
-        ValueError: for settings that do not fit together, to the task or to this machine.
+        ValueError: for settings that do not fit together, the task or this machine.
     """
     _check_devices(plan)
     labels = load_recognition(recognition, folder)
     task = equip(plan.task, labels)
-    spec = PolicySpec.for_task(task, has_labels=labels is not None)
+    has_labels, hidden = labels is not None, plan.learning.hidden
+    spec = PolicySpec.for_task(task, hidden=hidden, has_labels=has_labels)
     _check_memory(plan, task, spec)
     return ResolvedRun(
         plan=plan,

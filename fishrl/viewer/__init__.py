@@ -3,11 +3,9 @@
 from fishrl.viewer.blueprint import make_blueprint
 from fishrl.viewer.drawing import TIMELINE, Drawing, FieldFormat
 from fishrl.viewer.files import (
-    Picture,
     check_folder,
     find_recording,
     open_recording,
-    photograph_views,
     start_drawing,
     write_screenshot,
 )
@@ -20,7 +18,6 @@ __all__ = [
     "Drawing",
     "FieldFormat",
     "LiveView",
-    "Picture",
     "Recording",
     "Server",
     "ViewerSettings",
@@ -31,7 +28,6 @@ __all__ = [
     "make_scene",
     "name_flows",
     "open_recording",
-    "photograph_views",
     "record_episodes",
     "start_drawing",
     "write_screenshot",

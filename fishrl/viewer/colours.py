@@ -45,16 +45,12 @@ def paint(levels: NDArray[np.uint8], table: Table) -> NDArray[np.uint8]:
     return painted
 
 
-def round_up(value: float) -> float:
-    """Return the next round number: 1, 1.5, 2, 3, 5, 7.5 or 10 times a power of ten."""
+def round_up(value: float, steps: tuple[float, ...] = _NICE_STEPS) -> float:
+    """Return the next round number: one of ``steps`` times a power of ten."""
     scale = 10.0 ** floor(log10(value))
-    return next(step * scale for step in _NICE_STEPS if step * scale >= value * (1 - 1e-9))
+    return next(step * scale for step in steps if step * scale >= value * (1 - 1e-9))
 
 
 def space_ticks(length: float) -> float:
     """Return a distance of ticks, 1, 2 or 5 times a power of ten, for at most six in a length."""
-    least = length / 6.0
-    scale = 10.0 ** floor(log10(least))
-    return next(
-        step * scale for step in (1.0, 2.0, 5.0, 10.0) if step * scale >= least * (1 - 1e-9)
-    )
+    return round_up(length / 6.0, (1.0, 2.0, 5.0, 10.0))

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from fishrl.envs.scene import Scene
 from fishrl.viewer.blueprint import make_blueprint
@@ -83,15 +83,6 @@ def open_recording(path: str | os.PathLike[str]) -> None:
         )
 
 
-class Picture(NamedTuple):
-    """What one view shows: its name, the entity, the picture, and errors of the viewer."""
-
-    name: str
-    origin: str
-    png: bytes
-    reports: list[str]
-
-
 def write_screenshot(
     path: str | os.PathLike[str], picture: str | os.PathLike[str], *, time_T: float | None = None
 ) -> None:
@@ -106,25 +97,12 @@ def write_screenshot(
             file without moments in time.
     """
     check_folder(picture)
-    with _headless(path, time_T) as viewer:
+    with open_headless(path, time_T) as viewer:
         Path(picture).write_bytes(viewer.settle())
 
 
-def photograph_views(path: str | os.PathLike[str], *, time_T: float | None = None) -> list[Picture]:
-    """Return a picture of each view in the tab on top, at a time; see ``write_screenshot``."""
-    pictures = []
-    with _headless(path, time_T) as viewer:
-        viewer.settle()
-        for view in viewer.ask(lambda client: client.get_state()).views:
-            png = viewer.photograph(view.view_id)
-            reports = [f"{report.severity}: {report.summary}" for report in view.reports]
-            if png is not None:
-                pictures.append(Picture(view.name, view.origin, png, reports))
-    return pictures
-
-
-class _Client:
-    """Asks a running viewer; one that is too busy to answer is asked again.
+class HeadlessViewer:
+    """Ask a running viewer without a window; one too busy to answer is asked again.
 
     Raises:
         ValueError: if the viewer ends, or does not answer for a quarter of an hour.
@@ -177,27 +155,13 @@ class _Client:
                 return shot
             before = shot
 
-    def photograph(self, view_id: str) -> bytes | None:
-        """Return a picture of a view, None if it is in a tab behind."""
-
-        def take(client: Any) -> bytes | None:
-            try:
-                picture: bytes = client.take_screenshot(view_id)
-            except ConnectionError as error:
-                if "not found" not in str(error):
-                    raise
-                return None
-            return picture
-
-        picture: bytes | None = self.ask(take)
-        return picture
-
 
 @contextmanager
-def _headless(path: str | os.PathLike[str], time_T: float | None) -> Iterator[_Client]:
+def open_headless(path: str | os.PathLike[str], time_T: float | None) -> Iterator[HeadlessViewer]:
+    """Show a recording at a time, by default its middle, without a window."""
     recording = find_recording(path)
     with Viewer("--headless", "--hide-welcome-screen", port=_PORT) as process:
-        viewer = _Client(process)
+        viewer = HeadlessViewer(process)
         first, last = viewer.load(recording)
         moment = 0.5 * (first + last) if time_T is None else time_T
         viewer.ask(lambda it: it.set_time(TIMELINE, duration=moment, play_state="paused"))

@@ -83,12 +83,11 @@ def test_flows_and_networks_have_devices_of_their_own(
 
 @pytest.mark.parametrize("algorithm", [DiscreteSAC(), SAC()], ids=["discrete", "continuous"])
 def test_a_gradient_step_is_one_graph(algorithm: Any) -> None:
+    is_continuous = algorithm.takes_continuous
     spec = PolicySpec(
-        task="", num_inputs=4, num_actions=3, is_continuous=algorithm.takes_continuous
+        task="", num_inputs=4, num_actions=3, is_continuous=is_continuous, hidden=(8,)
     )
-    learner = algorithm.make_learner(
-        spec, LearningSettings(batch_size=8, hidden=(8,)), device="cuda"
-    )
+    learner = algorithm.make_learner(spec, LearningSettings(batch_size=8), device="cuda")
     learner.store(make_transitions(20, spec).to("cuda"))
     learner.update()
     loss, optimiser = (

@@ -11,10 +11,12 @@ from tests.objectives.transitions import NUM_INPUTS, make_transitions
 
 
 def test_the_target_bootstraps_truncated_states_but_not_terminated_ones() -> None:
-    spec = PolicySpec(task="any", num_inputs=NUM_INPUTS, num_actions=2, is_continuous=True)
+    spec = PolicySpec(
+        task="any", num_inputs=NUM_INPUTS, num_actions=2, is_continuous=True, hidden=(16,)
+    )
     draw = torch.Generator().manual_seed(1)
-    policy = SAC().make_policy(spec, hidden=(16,), generator=draw)
-    loss = SAC().make_loss(policy, spec, hidden=(16,), generator=draw)
+    policy = SAC().make_policy(spec, draw)
+    loss = SAC().make_loss(policy, spec, draw)
     loss.make_value_estimator(gamma=0.9)
 
     def compute_loss(data: TensorDict) -> torch.Tensor:

@@ -49,7 +49,7 @@ def test_a_later_change_begins_where_the_speed_is_and_follows_half_a_cosine() ->
         ({"bodies": (Fish(body_length=70),)}, "does not fit into 128 x 64 nodes"),
         (
             {"bodies": (Cylinder(diameter=9), Fish(body_length=24))},
-            r"bodies = \['Cylinder', 'Fish'\]: a fish comes first",
+            r"bodies = \['Cylinder', 'Fish'\]: the fish must come first",
         ),
         ({"sponges": (Sponge(length=129),)}, "Sponge of 129 nodes does not fit into 128 x 64"),
         ({"sponges": (Sponge(length=65, side=Side.TOP),)}, "Sponge of 65 nodes does not fit"),

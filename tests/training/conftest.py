@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import resource
 from collections.abc import Callable, Iterator, Sequence
@@ -105,13 +106,21 @@ def read_rows(folder: Path) -> list[dict[str, str]]:
 
 
 def change_manifest(checkpoint: Path, change: Callable[[dict[str, Any]], None]) -> None:
-    """Change the metadata and leave no checksums, as someone who means harm would."""
+    """Change the metadata and write matching checksums, as an attacker would."""
     manifest = checkpoint / "manifest.json"
     content = json.loads(manifest.read_text())
-    del content["metadata"]["sums"]
     change(content["metadata"])
     manifest.write_text(json.dumps(content))
-    (checkpoint / "SHA256SUMS").unlink()
+    renew_checksums(checkpoint)
+
+
+def renew_checksums(checkpoint: Path) -> None:
+    files = [path for path in checkpoint.rglob("*") if path.is_file() and path.name != "SHA256SUMS"]
+    lines = [
+        f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.relative_to(checkpoint)}\n"
+        for path in files
+    ]
+    (checkpoint / "SHA256SUMS").write_text("".join(lines))
 
 
 def weights_of(training: Training) -> dict[str, torch.Tensor]:

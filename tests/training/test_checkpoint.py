@@ -23,7 +23,7 @@ from fishrl.training.checkpoint import (
 )
 from fishrl.training.loop import Training
 from fishrl.training.policy_spec import PolicySpec
-from tests.training.conftest import QUICK, Toy, change_manifest, read_rows
+from tests.training.conftest import QUICK, Toy, change_manifest, read_rows, renew_checksums
 
 SPEC = PolicySpec(task="Predation", num_inputs=16, num_actions=3)
 Limit = Callable[[int], AbstractContextManager[None]]
@@ -88,7 +88,7 @@ def test_saving_leaves_other_hidden_folders_alone(tmp_path: Path) -> None:
 def test_a_checkpoint_of_another_stack_is_refused(tmp_path: Path) -> None:
     save(tmp_path / "best")
     other = replace(SPEC, num_stacked=4)  # of as many numbers
-    with pytest.raises(ValueError, match="it is of num_stacked = 1, here it is 4"):
+    with pytest.raises(ValueError, match="trained with num_stacked = 1, the current one is 4"):
         load_checkpoint(tmp_path / "best", {"net": torch.nn.Linear(3, 2)}, spec=other)
 
 
@@ -162,7 +162,6 @@ class Evil:
 @pytest.mark.parametrize("way", ["state.pt", "state", "state.tdz"])
 def test_a_checkpoint_cannot_run_code(tmp_path: Path, way: str) -> None:
     save(tmp_path / "last")
-    change_manifest(tmp_path / "last", lambda metadata: None)
     file = next((tmp_path / "last").rglob("state.pt"))
     evil = Evil(tmp_path / "ran")
     if way == "state.pt":
@@ -174,6 +173,7 @@ def test_a_checkpoint_cannot_run_code(tmp_path: Path, way: str) -> None:
             other.mkdir()
             other = other / "other.pickle"
         other.write_bytes(pickle.dumps(evil))
+    renew_checksums(tmp_path / "last")
     with pytest.raises(ValueError, match="corrupt or not a checkpoint"):
         load(tmp_path / "last")
     assert not (tmp_path / "ran").exists()
@@ -268,12 +268,12 @@ def test_a_run_outlives_a_full_disk(
     training = toy.begin(name="run", **QUICK)
     run, conclude = toy.folder / "run", Training._conclude
 
-    def conclude_on_a_full_disk(self: Training) -> None:
+    def conclude_on_a_full_disk(self: Training, metrics: dict[str, float]) -> None:
         if not 80 < self.counters.frames < 200:
-            conclude(self)
+            conclude(self, metrics)
             return
         with limited_disk((run / "metrics.csv").stat().st_size):
-            conclude(self)
+            conclude(self, metrics)
         assert read_metadata(run, which="last")[1]["frames"] == 80
 
     monkeypatch.setattr(Training, "_conclude", conclude_on_a_full_disk)

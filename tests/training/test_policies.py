@@ -76,8 +76,8 @@ def test_baselines_are_evaluated_by_name_and_any_policy_as_it_is() -> None:
 @pytest.mark.parametrize(
     ("task", "said"),
     [
-        (OtherTask(), "it is of task"),
-        (ToyPredation(is_continuous=True), "it is of is_continuous = False, here it is True"),
+        (OtherTask(), "trained with task = 'ToyPredation', the current one is 'OtherTask'"),
+        (ToyPredation(is_continuous=True), "is_continuous = False, the current one is True"),
     ],
 )
 def test_a_policy_of_another_task_is_refused(

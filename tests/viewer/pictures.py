@@ -4,13 +4,14 @@ import io
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from fishrl.envs.scene import Scene
-from fishrl.viewer import Picture
+from fishrl.viewer.files import open_headless
 
 #: Where the Vulkan loader looks for drivers, unless a variable names their files or folders.
 FOLDERS = [f"{root}/vulkan/icd.d" for root in ("/etc", "/usr/share", "/usr/local/share")]
@@ -38,6 +39,36 @@ def read(png: bytes) -> np.ndarray:
 
 def count_colours(pixels: np.ndarray) -> int:
     return len(np.unique(pixels.reshape(-1, 3), axis=0))
+
+
+class Picture(NamedTuple):
+    """What one view shows: its name, the entity, the picture, and errors of the viewer."""
+
+    name: str
+    origin: str
+    png: bytes
+    reports: list[str]
+
+
+def photograph_views(path: Path, *, time_T: float) -> list[Picture]:
+    """Return a picture of each view in the tab on top."""
+    pictures = []
+    with open_headless(path, time_T) as viewer:
+        viewer.settle()
+        for view in viewer.ask(lambda client: client.get_state()).views:
+
+            def take(client: Any, view_id: str = view.view_id) -> bytes | None:
+                try:
+                    return client.take_screenshot(view_id)
+                except ConnectionError as error:
+                    if "not found" in str(error):  # in a tab behind
+                        return None
+                    raise
+
+            reports = [f"{report.severity}: {report.summary}" for report in view.reports]
+            if (png := viewer.ask(take)) is not None:
+                pictures.append(Picture(view.name, view.origin, png, reports))
+    return pictures
 
 
 def check_views(pictures: Sequence[Picture], scene: Scene, *, title: str, least: float) -> None:

@@ -12,14 +12,13 @@ from fishrl.viewer import (
     FieldFormat,
     find_recording,
     open_recording,
-    photograph_views,
     start_drawing,
     write_screenshot,
 )
 from fishrl.viewer import files as files_module
 from fishrl.viewer.drawing import TIMELINE
 from fishrl.viewer.process import Viewer
-from tests.viewer.pictures import check_views, needs_vulkan
+from tests.viewer.pictures import check_views, needs_vulkan, photograph_views
 from tests.viewer.scenes import make_frame, make_scene
 
 FLOWS = {0: "flow 0: slow", 3: "flow 3: fast"}

@@ -62,7 +62,7 @@ class Fish(BodyConfig):
                 )
         super().__post_init__()
         if self.num_markers % 2:
-            raise ValueError(f"num_markers = {self.num_markers}: must be even, as sides are alike")
+            raise ValueError(f"num_markers = {self.num_markers}: must be even (half on each side)")
 
     def compute_wall_speed(self, frequency: float) -> float:
         """Add the speed of the tail, except for strokes."""

@@ -10,7 +10,7 @@ from torch.utils import _pytree as pytree
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.fast.checks import check_tensor
 from fishrl.physics.fast.flow_memory import FlowData, FlowMemory, GroupMemory
-from fishrl.physics.fast.gpu_body_parts import has_kernel
+from fishrl.physics.fast.gpu_body_parts import can_use_triton
 from fishrl.physics.fast.group import FlowGroup
 from fishrl.physics.fast.layout import InPlaceLayout
 from fishrl.physics.fast.part import copy_tree
@@ -28,7 +28,7 @@ class FlowBatch:
         device: where everything lives.
         allocate: makes the block of memory, from its size in bytes.
         groups: those that this process reads and advances; None is all.
-        compile: whether the step will be compiled; on a GPU, a kernel then couples the bodies.
+        compile: whether the step will be compiled; on a GPU, Triton then couples the bodies.
 
     Attributes:
         flow: everything except the populations, changed in place.
@@ -62,7 +62,7 @@ class FlowBatch:
             config,
             self.layout,
             pytree.tree_map(lambda t: t[:group_size], self._fresh),
-            has_kernel=compile and has_kernel(config, device),
+            uses_triton=compile and can_use_triton(config, device),
         )
         groups = range(len(configs) // group_size) if groups is None else groups
         self.groups = {

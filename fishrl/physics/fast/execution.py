@@ -42,8 +42,8 @@ class Execution:
             num_workers = min(count_cores(), num_envs) if is_compiled else 0
         if num_workers < 0 or (num_workers and not can_share):
             raise ValueError(
-                f"num_workers = {num_workers} on {device}: allowed is 0 on a GPU, 0 or more on a "
-                "CPU if each class in the configuration is that of a module"
+                f"num_workers = {num_workers} on {device}: must be 0 on a GPU; on a CPU, workers "
+                "need each class of the configuration in a module, not in a script or function"
             )
         self.group_size = flows_per_launch or (1 if is_cpu else num_envs)
         if self.group_size < 1 or num_envs % self.group_size:

@@ -1,7 +1,7 @@
-"""The bodies' parts of a step on a GPU, around the kernel of ``body_kernel.py``.
+"""The bodies' parts of a step on a GPU, around the Triton kernels of ``triton_coupling.py``.
 
-Each step places the markers, lets the kernel couple fluid and bodies, and moves the bodies. Placing
-and moving are the functions that the readable step calls, compiled; the kernel replaces
+Each step places the markers, lets the kernels couple fluid and bodies, and moves the bodies.
+Placing and moving are the functions that the readable step calls, compiled; the kernels replace
 ``step.couple_bodies`` and the spreading.
 """
 
@@ -15,7 +15,6 @@ from torch import Tensor
 
 from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.coupling import Surface, move_body, prescribe_surface, report_bodies
 from fishrl.physics.fast.body_parts import BODY_SETTINGS, BODY_TITLE, MarkerCells
 from fishrl.physics.fast.flow_memory import GroupMemory
 from fishrl.physics.fast.layout import InPlaceLayout
@@ -23,6 +22,8 @@ from fishrl.physics.fast.part import Part, copy_tree
 from fishrl.physics.flow import Coupling, FlowConfig
 from fishrl.physics.geometry import BodyGeometry, locate_bodies
 from fishrl.physics.immersed_boundary import IterativeForcing
+from fishrl.physics.rigid_motion import move_body, report_bodies
+from fishrl.physics.surface import Surface, prescribe_surface
 
 logger = logging.getLogger(__name__)
 
@@ -31,22 +32,22 @@ logger = logging.getLogger(__name__)
 _MAX_ELEMENTS = 8192
 
 
-def has_kernel(config: FlowConfig, device: torch.device) -> bool:
-    """Return whether the kernel couples the bodies of such flows; else tensor operations do."""
+def can_use_triton(config: FlowConfig, device: torch.device) -> bool:
+    """Return whether Triton's kernels can couple the bodies; otherwise tensor operations do."""
     if device.type != "cuda" or not config.bodies:
         return False
     if problem := _find_problem(config):
-        logger.info("the bodies are coupled by tensor operations, as %s", problem)
+        logger.info("tensor operations couple the bodies, not Triton: %s", problem)
     return problem is None
 
 
 def _find_problem(config: FlowConfig) -> str | None:
     if find_spec("triton") is None:
-        return "Triton is not installed"
+        return "it is not installed"
     if not isinstance(config.force_solve, IterativeForcing):
-        return f"the kernel has no {type(config.force_solve).__name__}"
+        return f"its kernels have no {type(config.force_solve).__name__}"
     if config.coupling is not Coupling.IMPLICIT:
-        return "the kernel couples implicitly"
+        return "its kernels couple implicitly"
     num_markers = sum(body.num_markers for body in config.bodies)
     size = _round_up(num_markers) * _round_up(_count_rows(config))
     if size > _MAX_ELEMENTS:
@@ -66,7 +67,7 @@ def _round_up(n: int) -> int:
 
 
 class CouplingBuffers(NamedTuple):
-    """What the kernel is given and returns; see ``body_kernel.couple_bodies_``."""
+    """Arguments and results of the kernels; see ``triton_coupling.couple_bodies_``."""
 
     surface: Tensor
     inertia: Tensor
@@ -102,7 +103,7 @@ class CouplingBuffers(NamedTuple):
 
 
 class MotionTensors(NamedTuple):
-    """The bodies, and what the groups share."""
+    """The bodies, and memory that all groups share."""
 
     params: tuple[BodyParams, ...]
     bodies: tuple[BodyState, ...]
@@ -135,7 +136,7 @@ class PlaceMarkers(_MotionPart):
     """
 
     def act(self, tensors: MotionTensors) -> None:
-        """Write the geometry and the kernel's right-hand sides."""
+        """Write the geometry and the kernels' right-hand sides."""
         params, bodies, geometry, buffers = tensors
         if not self._config.is_still:
             geometry = locate_bodies(self._config, params, bodies, torch.float32)
@@ -157,8 +158,8 @@ def _stack_rows(surface: Surface) -> Tensor:
     return torch.stack([surface.velocity, *units], 1)
 
 
-class KernelTensors(NamedTuple):
-    """What the kernel reads and writes; see ``body_parts.CoupleTensors``."""
+class TritonTensors(NamedTuple):
+    """What the kernels read and write; see ``body_parts.CoupleTensors``."""
 
     data: Tensor
     offsets: Tensor
@@ -168,8 +169,8 @@ class KernelTensors(NamedTuple):
     buffers: CouplingBuffers
 
 
-class CoupleByKernel(Part[KernelTensors]):
-    """Couple fluid and bodies by the kernel, which Triton compiles."""
+class CoupleByTriton(Part[TritonTensors]):
+    """Couple fluid and bodies by kernels that Triton compiles."""
 
     title = BODY_TITLE
 
@@ -180,7 +181,7 @@ class CoupleByKernel(Part[KernelTensors]):
         geometry: BodyGeometry,
         buffers: CouplingBuffers,
     ) -> None:
-        from fishrl.physics.fast.body_kernel import couple_bodies_  # needs Triton
+        from fishrl.physics.fast.triton_coupling import couple_bodies_  # needs Triton
 
         super().__init__()
         self._couple_bodies_ = couple_bodies_
@@ -188,9 +189,9 @@ class CoupleByKernel(Part[KernelTensors]):
         self._geometry, self.buffers = geometry, buffers
         self._cells = MarkerCells(layout, geometry.spacing.device)
 
-    def collect(self, memory: GroupMemory, parity: int) -> KernelTensors:
+    def collect(self, memory: GroupMemory, parity: int) -> TritonTensors:
         """Return the populations of the group, and the memory that groups share."""
-        return KernelTensors(
+        return TritonTensors(
             data=memory.populations,
             offsets=self._cells.offsets[parity],
             first_cell=self._cells.first_cell,
@@ -199,8 +200,8 @@ class CoupleByKernel(Part[KernelTensors]):
             buffers=self.buffers,
         )
 
-    def act(self, tensors: KernelTensors) -> None:
-        """Launch the kernel."""
+    def act(self, tensors: TritonTensors) -> None:
+        """Launch the kernels."""
         data, offsets, first_cell, omega, geometry, buffers = tensors
         solve = self._config.force_solve
         assert isinstance(solve, IterativeForcing)
@@ -219,7 +220,7 @@ class CoupleByKernel(Part[KernelTensors]):
                 num_iterations=solve.num_iterations,
                 relaxation=solve.relaxation,
                 energy=self._config.rates.energy,
-                scale=self._config.storage.value[1],
+                scale=self._config.storage.scale,
             )
 
     def compile(self, example: Sequence[Tensor], key: str | None) -> None:
@@ -227,7 +228,7 @@ class CoupleByKernel(Part[KernelTensors]):
 
 
 class MoveBodies(_MotionPart):
-    """Move the bodies by what the kernel found, and add to their totals."""
+    """Move the bodies by the kernels' results, and add to their totals."""
 
     def act(self, tensors: MotionTensors) -> None:
         """Write the bodies' states."""

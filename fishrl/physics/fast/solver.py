@@ -307,8 +307,8 @@ class InPlaceSolver:
     def _get_body(self, index: int) -> tuple[BodyConfig, BodyParams, BodyState]:
         if not 0 <= index < len(self.bodies):
             raise ValueError(
-                f"body {index} of a flow with {len(self.bodies)}: give FlowConfig bodies, and an "
-                "index below their number"
+                f"there is no body {index}: the flow has {len(self.bodies)}, counted from 0; see "
+                "FlowConfig(bodies=...)"
             )
         return self.config.bodies[index], self._batch.flow.params.bodies[index], self.bodies[index]
 

@@ -18,7 +18,7 @@ from fishrl.physics.fast.compiled import is_own
 from fishrl.physics.fast.flow_memory import FlowData
 from fishrl.physics.fast.fluid_parts import Check, Collide, CrossPeriodic, SetEdges
 from fishrl.physics.fast.gpu_body_parts import (
-    CoupleByKernel,
+    CoupleByTriton,
     CouplingBuffers,
     MoveBodies,
     PlaceMarkers,
@@ -34,8 +34,8 @@ _GRAPH_PAIRS = 50  # most pairs of steps in one CUDA graph
 class Stepper:
     """The parts of a step, shared by all groups.
 
-    ``sample`` holds the numbers of one group's flows, for their shapes and types; ``has_kernel``
-    says that the bodies are coupled by the kernel for a GPU.
+    ``sample`` holds the numbers of one group's flows, for their shapes and types. With
+    ``uses_triton``, Triton's kernels couple the bodies.
 
     Attributes:
         parts: in the order in which they run.
@@ -44,20 +44,20 @@ class Stepper:
     """
 
     def __init__(
-        self, config: FlowConfig, layout: InPlaceLayout, sample: FlowData, *, has_kernel: bool
+        self, config: FlowConfig, layout: InPlaceLayout, sample: FlowData, *, uses_triton: bool
     ) -> None:
         structure, device = config.get_structure(), sample.clock.device
         self._key = repr(structure) if is_own(structure) else None
         self._device = device
-        is_kept = bool(config.bodies) and (config.is_still or has_kernel)
+        is_kept = bool(config.bodies) and (config.is_still or uses_triton)
         geometry = keep_geometry(config, sample) if is_kept else None
         self.locate = LocateStill(config, geometry) if geometry and config.is_still else None
         self.parts: list[Part[Any]] = [Collide(config)]
-        if geometry and has_kernel:
+        if geometry and uses_triton:
             buffers = CouplingBuffers.make(config, geometry)
             self.parts += [
                 PlaceMarkers(config, geometry, buffers),
-                CoupleByKernel(config, layout, geometry, buffers),
+                CoupleByTriton(config, layout, geometry, buffers),
                 MoveBodies(config, geometry, buffers),
             ]
         elif config.bodies:

@@ -136,9 +136,9 @@ class Workers:
                 problem = pickle.load(process.stdout)  # type: ignore[arg-type]
             except EOFError:
                 code = process.wait()
-                problem = f"it ended with exit status {code}; its own message stands above"
+                problem = f"it ended with exit status {code}; see its own message above"
                 if code == -signal.SIGKILL:
-                    problem = "it was killed, as the system does when memory runs out"
+                    problem = "it was killed, probably because memory ran out"
             if problem is not None:
                 self.close()
                 raise ChildProcessError(f"a flow worker failed: {problem}")

@@ -9,11 +9,10 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fishrl.viewer.film import FISH, STYLE
+from fishrl.viewer.film import STYLE
 
-__all__ = ["COLOURS", "FISH", "STYLE", "VORTICITY_LABEL", "panels", "tidy"]
+__all__ = ["COLOURS", "STYLE", "panels", "tidy"]
 
-VORTICITY_LABEL = "vorticity  [1/T]   (red: counter-clockwise)"
 #: Okabe and Ito: distinguishable for the colour-blind too.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#7f3fbf", "#555555")
 

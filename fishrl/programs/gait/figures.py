@@ -1,13 +1,11 @@
-"""Figures of the Kármán gait study."""
+"""Figures of the Kármán gait."""
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import replace
+from contextlib import closing, contextmanager
 from itertools import cycle
-from math import ceil, pi
+from math import pi
 from pathlib import Path
 from typing import Any
 
@@ -15,20 +13,19 @@ import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle, Wedge
-from torch import Tensor
 
-from fishrl.envs import KarmanGait
-from fishrl.envs.flow_env import FlowEnv
-from fishrl.physics.diagnostics import compute_vorticity
+from fishrl.envs import KarmanGait, make_env
+from fishrl.envs.scene import Frame
 from fishrl.programs.figures.learning_curve import read_metrics
-from fishrl.programs.figures.style import COLOURS, FISH, VORTICITY_LABEL, panels
-from fishrl.programs.gait.trials import FRAMES, Histories, Trial, record
+from fishrl.programs.figures.style import COLOURS, panels
+from fishrl.programs.gait.trials import Histories, Trial
 from fishrl.training.evaluation import fixed_starts
+from fishrl.viewer import Recording, make_scene, record_episodes
+from fishrl.viewer.film import FlowAxes, label_axes
 
 _MOST_PATHS = 40
-#: Width of the bins of mean lean, beats, and how many windows a bin holds at least.
-_LEAN_BIN, _LEAST = 0.25, 10
-_NUM_MOMENTS = 4
+#: Moments of a shedding period, and frames to choose them from.
+_NUM_MOMENTS, _FRAMES_PER_T = 4, 32
 _VORTICITY = 15.0  # at which colours saturate, 1/T
 _TRAINING = {
     "train/episode_length": "survival  [decisions], mean of 32",
@@ -176,75 +173,41 @@ def write_work(
         grid[0, 0].legend(fontsize=8)
 
 
-def write_lean(
-    path: Path, leans: Sequence[tuple[Tensor, Tensor]], *, speeds: Sequence[float]
-) -> None:
-    """Draw lean of each flow (``measure_lean``) against tail beats, per time and per length."""
-    with panels(path, columns=2, size=(9, 3.6), sharey=True) as grid:
-        for (rates, lean), speed, colour in zip(leans, speeds, cycle(COLOURS), strict=False):
-            for axes, at in zip(grid[0], (rates.numpy(), rates.numpy() / speed), strict=True):
-                axes.plot(at, lean.numpy(), ".", color=colour, markersize=2, alpha=0.25)
-                bins = np.round(at / _LEAN_BIN)
-                wanted = [value for value in np.unique(bins) if (bins == value).sum() >= _LEAST]
-                middle = [lean.numpy()[bins == value].mean() for value in wanted]
-                style = {"color": colour, "markersize": 4, "linewidth": 1.4}
-                beats = _LEAN_BIN * np.array(wanted)
-                axes.plot(beats, middle, "o-", **style, label=f"stream {speed:g} L/T")
-        for axes, unit in zip(grid[0], ("[1/T]", "[1/L of stream]"), strict=True):
-            axes.set(xlabel=f"tail beats  {unit}", ylim=(0.0, None))
-        grid[0, 0].set_ylabel("lean, mean of 8 T  [°]")
-        grid[0, 0].legend(fontsize=8)
-
-
-def write_period(path: Path, trial: Trial, *, num_decisions: int, periods_T: list[float]) -> None:
+def write_period(path: Path, trial: Trial, *, lead_T: float, periods_T: Sequence[float]) -> None:
     """Draw the flow around a fish at four moments of one shedding period in each flow.
 
-    ``num_decisions`` come before the first moment. Moments after the end of an episode show its
-    end.
+    The first moment comes after ``lead_T``; moments after the end of an episode show its end.
     """
     task, num = trial.task, len(periods_T)
-    length, (x, y) = task.body_length, task.origin
-    most = num_decisions + ceil(max(periods_T) / task.interval_T)
-    first, count = num_decisions * FRAMES, 0
-    frames: deque[list[Any]] = deque(maxlen=most * FRAMES - first)
-    last: list[Any] = [None] * num
-
-    def keep(flows: FlowEnv) -> None:
-        """Keep, per flow, vorticity ``[Y, X]`` in 1/T, outlines in nodes, and time in T."""
-        nonlocal count, last
-        solver = flows.solver
-        vorticity = compute_vorticity(solver.macroscopic()[1]) * task.scales.period
-        outlines = [solver.markers(index).clone() for index in range(len(solver.bodies))]
-        ages_T = (solver.body.age / task.scales.period).tolist()
-        now = zip(vorticity, zip(*outlines, strict=True), ages_T, strict=True)
-        # a new start has age 0: the end of the episode before is kept
-        last = [new if new[2] > 0.0 else old for old, new in zip(last, now, strict=True)]
-        frames.append(last)
-        count += 1
-
-    task = replace(task, time_limit=most)
     starts = fixed_starts(task, 1, seed=0)[[0] * num]
     starts["flow_index"] = torch.arange(num)
-    record(replace(trial, task=task), starts, on_frame=keep)
-    shape: Any = {"rows": num, "columns": _NUM_MOMENTS, "size": (12, 2.1 * num + 0.6)}
+    how: Any = {"recognition": trial.recognition, "frames_per_action": task.checks_per_action}
+    env = make_env(task=task, num_envs=num, **how)
+    scene = make_scene(env, field_limit=_VORTICITY)
+    recordings = [Recording(scene=scene) for _ in range(num)]
+
+    def give(start: int, frame: Frame) -> None:
+        frames = recordings[start].frames
+        if frames and frames[-1].time < lead_T:
+            frames.clear()
+        frames.append(frame)
+
+    with closing(env):
+        most = task.count_decisions(lead_T + max(periods_T))
+        kept: Any = {"scene": scene, "give": give, "frames_per_T": _FRAMES_PER_T}
+        record_episodes(env, trial.make_policy(), starts, max_decisions=most, **kept)
+    x, y = (float(place) / task.body_length for place in task.origin)
+    shape: Any = {"rows": num, "columns": _NUM_MOMENTS, "size": (12, 2.1 * num + 1.4)}
     with panels(path, **shape, has_grid=False, sharex=True, sharey=True) as grid:
-        for flow, (row, speed) in enumerate(zip(grid, task.stream.speeds_bl, strict=True)):
+        for flow, (row, period) in enumerate(zip(grid, periods_T, strict=True)):
+            recording, speed = recordings[flow], task.stream.speeds_bl[flow]
             for number, axes in enumerate(row):
-                at = round(number * FRAMES * periods_T[flow] / task.interval_T / _NUM_MOMENTS)
-                vorticity, outlines, time = frames[min(first + at, count - 1) - count][flow]
-                height, width = vorticity.shape
-                edges = (-0.5 - x, width - 0.5 - x, -0.5 - y, height - 0.5 - y)
-                image = axes.imshow(
-                    vorticity.numpy(), extent=[edge / length for edge in edges], origin="lower",
-                    cmap="RdBu_r", vmin=-_VORTICITY, vmax=_VORTICITY, interpolation="bilinear",
-                )  # fmt: skip
-                for outline in outlines:
-                    axes.fill(*((outline.numpy() - task.origin) / length).T, color=FISH)
-                axes.set(xlim=(-0.6, 4.4), ylim=(-1.2, 1.2))
-                part = f"{number}/{_NUM_MOMENTS} of the period, t = {time:.1f} T"
-                axes.set_title(f"{speed:g} L/T, {part}", fontsize=8.5)
-            row[0].set_ylabel("y  [L]")
-        for axes in grid[-1]:
-            axes.set_xlabel("x behind the disc  [L]")
-        label = VORTICITY_LABEL if num > 1 else VORTICITY_LABEL.replace("   ", "\n")  # low figure
-        grid[0, 0].figure.colorbar(image, ax=grid, label=label, shrink=0.8, pad=0.01)
+                moment = lead_T + number * period / _NUM_MOMENTS
+                drawn = FlowAxes(axes, scene, limit=_VORTICITY)
+                drawn.show([recording.frames[int((recording.time - moment).abs().argmin())]])
+                axes.set(xlim=(x - 0.6, x + 4.4), ylim=(y - 1.2, y + 1.2))
+                axes.set_title(
+                    f"{speed:g} L/T, {number}/{_NUM_MOMENTS} of the period", fontsize=8.5
+                )
+                label_axes(axes, x=flow == num - 1, y=number == 0)
+        drawn.add_colourbar(grid[0, 0].figure, grid, shrink=0.8)

@@ -231,7 +231,6 @@ def record(
     starts: TensorDictBase,
     *,
     samples_actions: bool = False,
-    on_frame: Callable[[FlowEnv], None] = lambda _: None,
     progress: Progress | None = None,
 ) -> Histories:
     """Run one episode from each start ``[E]``, all side by side."""
@@ -264,7 +263,6 @@ def record(
         }
 
     def read_frame(start_of: Tensor, flows: FlowEnv) -> dict[str, Tensor]:
-        on_frame(flows)
         y = flows.solver.markers()[:, 0, 1]
         aside = (y - task.origin[1]) / task.body_length
         return {"beat": flows.solver.body.phase, "aside": aside, **read_impulse()}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pkgutil
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import replace
 from importlib import import_module
 from inspect import isabstract
@@ -67,21 +66,17 @@ class Algorithm(Settings, ABC):
         return settings
 
     @abstractmethod
-    def make_policy(
-        self, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator | None = None
-    ) -> Any:
+    def make_policy(self, spec: PolicySpec, generator: torch.Generator | None = None) -> Any:
         """Make the policy that is evaluated and saved, greedy under ``DETERMINISTIC``.
 
-        ``hidden`` are the widths of the hidden layers, ``generator`` draws the initial weights.
+        ``generator`` draws the initial weights.
         """
 
     @abstractmethod
-    def make_loss(
-        self, policy: Any, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator
-    ) -> LossModule:
+    def make_loss(self, policy: Any, spec: PolicySpec, generator: torch.Generator) -> LossModule:
         """Make the loss that trains the policy, its further networks on the policy's device."""
 
-    def make_explorer(self, policy: Any, spec: PolicySpec, *, device: str) -> TensorDictModuleBase:
+    def make_explorer(self, policy: Any, spec: PolicySpec) -> TensorDictModuleBase:
         """Make the policy that collects, with the same weights; by default the policy itself."""
         return policy
 
@@ -100,9 +95,9 @@ class Algorithm(Settings, ABC):
         With several fish, the buffer holds the decisions of each.
         """
         generator = torch.Generator().manual_seed(settings.seed)
-        policy = self.make_policy(spec, hidden=settings.hidden, generator=generator).to(device)
-        loss = self.make_loss(policy, spec, hidden=settings.hidden, generator=generator)
-        explorer = self.make_explorer(policy, spec, device=device)
+        policy = self.make_policy(spec, generator).to(device)
+        loss = self.make_loss(policy, spec, generator)
+        explorer = self.make_explorer(policy, spec)
         networks = Networks(policy, explorer, loss, is_traced=self.is_traced)
         per_fish = replace(settings, buffer_size=settings.buffer_size * spec.num_fish)
         return self.assemble(networks, per_fish)

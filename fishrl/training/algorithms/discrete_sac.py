@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated
 
 import torch
@@ -34,22 +33,17 @@ class DiscreteSAC(Algorithm):
         return ""
 
     def make_policy(
-        self, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator | None = None
+        self, spec: PolicySpec, generator: torch.Generator | None = None
     ) -> ProbabilisticActor:
         """Make the softmax actor, which also explores."""
-        return make_actor(**spec.sizes, hidden=hidden, generator=generator)
+        return make_actor(**spec.sizes, generator=generator)
 
     def make_loss(
-        self,
-        policy: ProbabilisticActor,
-        spec: PolicySpec,
-        *,
-        hidden: Sequence[int],
-        generator: torch.Generator,
+        self, policy: ProbabilisticActor, spec: PolicySpec, generator: torch.Generator
     ) -> MaskedDiscreteSACLoss:
         """Make the loss with twin critics."""
         device = next(policy.parameters()).device
-        critics = make_twin_critics(**spec.sizes, hidden=hidden, generator=generator)
+        critics = make_twin_critics(**spec.sizes, generator=generator)
         return MaskedDiscreteSACLoss(
             policy,
             [critic.to(device) for critic in critics],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated, Any
 
 import torch
@@ -50,24 +49,22 @@ class DQN(Algorithm):
         return "double_" * self.is_double + super().label
 
     def make_policy(
-        self, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator | None = None
+        self, spec: PolicySpec, generator: torch.Generator | None = None
     ) -> TensorDictModuleBase:
         """Make the greedy policy."""
-        return make_value_actor(**spec.sizes, hidden=hidden, generator=generator)
+        return make_value_actor(**spec.sizes, generator=generator)
 
-    def make_loss(
-        self, policy: Any, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator
-    ) -> MaskedDQNLoss:
+    def make_loss(self, policy: Any, spec: PolicySpec, generator: torch.Generator) -> MaskedDQNLoss:
         """Make the loss, which needs no further network."""
         return MaskedDQNLoss(policy, is_double=self.is_double)
 
-    def make_explorer(self, policy: Any, spec: PolicySpec, *, device: str) -> TensorDictSequential:
+    def make_explorer(self, policy: Any, spec: PolicySpec) -> TensorDictSequential:
         """Make the policy that collects, epsilon-greedy over the legal actions."""
         mixed_in = EpsilonGreedy(
             num_actions=spec.num_actions,
             start=self.epsilon_start,
             end=self.epsilon_end,
             num_frames=self.epsilon_frames * spec.num_fish,  # it counts the decisions of each
-            device=device,
+            device=next(policy.parameters()).device,
         )
         return TensorDictSequential(policy, mixed_in)

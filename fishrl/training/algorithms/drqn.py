@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, cast
 
 import torch
@@ -38,13 +37,11 @@ class DRQN(DQN):
     sequence_length: PositiveInt = 8
 
     def make_policy(
-        self, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator | None = None
+        self, spec: PolicySpec, generator: torch.Generator | None = None
     ) -> RecurrentPolicy:
         """Make the greedy policy, which carries the LSTM state by itself."""
         sizes = spec.sizes | {"num_inputs": spec.num_observed}
-        return RecurrentPolicy(
-            make_recurrent_value_actor(**sizes, hidden=hidden, generator=generator)
-        )
+        return RecurrentPolicy(make_recurrent_value_actor(**sizes, generator=generator))
 
     def adapt(self, settings: LearningSettings) -> LearningSettings:
         """Check that a batch is a whole number of sequences, and that there is a layer to recur."""
@@ -58,16 +55,16 @@ class DRQN(DQN):
         return settings
 
     def make_loss(
-        self, policy: Any, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator
+        self, policy: Any, spec: PolicySpec, generator: torch.Generator
     ) -> RecurrentDQNLoss:
         """Make the loss of sequences."""
         return RecurrentDQNLoss(
             policy.network, sequence_length=self.sequence_length, is_double=self.is_double
         )
 
-    def make_explorer(self, policy: Any, spec: PolicySpec, *, device: str) -> TensorDictSequential:
+    def make_explorer(self, policy: Any, spec: PolicySpec) -> TensorDictSequential:
         """Make the policy that collects; the environment carries its LSTM state."""
-        return super().make_explorer(policy.network, spec, device=device)
+        return super().make_explorer(policy.network, spec)
 
     def assemble(self, networks: Networks, settings: LearningSettings) -> OffPolicyLearner:
         """Return a learner that replays sequences."""

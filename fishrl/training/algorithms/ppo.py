@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated
 
@@ -61,22 +60,19 @@ class PPO(Algorithm):
         )
 
     def make_policy(
-        self, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator | None = None
+        self, spec: PolicySpec, generator: torch.Generator | None = None
     ) -> ProbabilisticActor:
         """Make the actor, which also explores."""
         make = make_continuous_actor if spec.is_continuous else make_actor
-        return make(**spec.sizes, hidden=hidden, return_log_prob=True, generator=generator)
+        return make(**spec.sizes, return_log_prob=True, generator=generator)
 
     def make_loss(
-        self,
-        policy: ProbabilisticActor,
-        spec: PolicySpec,
-        *,
-        hidden: Sequence[int],
-        generator: torch.Generator,
+        self, policy: ProbabilisticActor, spec: PolicySpec, generator: torch.Generator
     ) -> ClipPPOLoss:
         """Make the loss with a critic of states."""
-        critic = make_state_critic(num_inputs=spec.num_inputs, hidden=hidden, generator=generator)
+        critic = make_state_critic(
+            num_inputs=spec.num_inputs, hidden=spec.hidden, generator=generator
+        )
         return ClipPPOLoss(
             policy,
             critic.to(next(policy.parameters()).device),

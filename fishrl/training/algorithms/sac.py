@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated
 
 import torch
@@ -35,22 +34,17 @@ class SAC(Algorithm):
     target_entropy: Annotated[float, Field(le=0.69)] = -1.0
 
     def make_policy(
-        self, spec: PolicySpec, *, hidden: Sequence[int], generator: torch.Generator | None = None
+        self, spec: PolicySpec, generator: torch.Generator | None = None
     ) -> ProbabilisticActor:
         """Make the actor, which also explores."""
-        return make_continuous_actor(**spec.sizes, hidden=hidden, generator=generator)
+        return make_continuous_actor(**spec.sizes, generator=generator)
 
     def make_loss(
-        self,
-        policy: ProbabilisticActor,
-        spec: PolicySpec,
-        *,
-        hidden: Sequence[int],
-        generator: torch.Generator,
+        self, policy: ProbabilisticActor, spec: PolicySpec, generator: torch.Generator
     ) -> SACLoss:
         """Make the loss with twin critics."""
         device = next(policy.parameters()).device
-        critics = make_twin_action_critics(**spec.sizes, hidden=hidden, generator=generator)
+        critics = make_twin_action_critics(**spec.sizes, generator=generator)
         return SACLoss(
             policy,
             [critic.to(device) for critic in critics],  # a single one would be drawn anew

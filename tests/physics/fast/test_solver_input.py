@@ -22,7 +22,7 @@ from tests.physics.fast.test_solver import HEADINGS, SCALES, STARTS, TURN, make_
         (lambda s: s.command_(TURN[:1], 2), r"turn has shape \(1,\)"),
         (lambda s: s.command_(TURN * torch.nan, 2), "turn = .*: must be finite"),
         (lambda s: s.command_(0.2, 2), "turn = 0.2: give a tensor"),
-        (lambda s: s.command_(torch.zeros(3, 2), 2), "body 1 of a flow with 1"),
+        (lambda s: s.command_(torch.zeros(3, 2), 2), "there is no body 1: the flow has 1"),
         (lambda s: s.command_(TURN, 2, torch.zeros(3, 1)), r"frequency has shape \(3, 1\)"),
         (lambda s: s.sample(torch.zeros(1, 5, 2)), r"points has shape \(1, 5, 2\)"),
         (lambda s: s.set_stream_speed_(torch.ones(1)), r"speed has shape \(1,\)"),

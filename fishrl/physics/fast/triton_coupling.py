@@ -1,4 +1,4 @@
-"""The bodies' coupling to the flow as one GPU kernel, in Triton; one program per flow.
+"""The bodies' coupling to the flow on a GPU, as two kernels in Triton.
 
 It does what ``step.couple_bodies`` and ``CoupleBodies`` of ``body_parts.py`` do as tensor
 operations, which remain its reference. The numbers of equations are the paper's, as in
@@ -295,7 +295,7 @@ def couple_bodies_(
         surface: ``[B, R, 2, N]`` velocity of the markers, and what a unit of each degree of freedom
             adds to it.
         inertia: ``[B, R]`` float64, 1 and the inertia of each degree of freedom.
-        push: ``[B, R]`` float64, 1 and the force or torque on each beside the fluid's.
+        push: ``[B, R]`` float64, 1 and the force or torque on each in addition to the fluid's.
         g: ``[B, 2, N]`` becomes the force per fluid mass.
         slip: ``[B, 2, N]`` becomes the velocity error that is left.
         mass: ``[B, N]`` becomes 2 rho ds.

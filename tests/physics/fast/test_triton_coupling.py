@@ -24,7 +24,7 @@ from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge, Peri
 from fishrl.physics.collision import compute_equilibrium
 from fishrl.physics.delta import Hat, Kernel, Peskin4
 from fishrl.physics.fast import batch as batches
-from fishrl.physics.fast.gpu_body_parts import CoupleByKernel, has_kernel
+from fishrl.physics.fast.gpu_body_parts import CoupleByTriton, can_use_triton
 from fishrl.physics.immersed_boundary import DirectSolve, IterativeForcing
 
 IS_REAL = torch.cuda.is_available() and "device" not in sys.modules
@@ -70,7 +70,7 @@ ACTING = {"torque": 20.0, "force": 2.0, "impulse": 2.0}
 def make_batch(config: FlowConfig, device: str, *, kernel: bool) -> batches.FlowBatch:
     """Return two flows of rough water, each with bodies 1.5 nodes apart, in mid-stroke."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(batches, "has_kernel", lambda *_: kernel)
+        patch.setattr(batches, "can_use_triton", lambda *_: kernel)
         batch = batches.FlowBatch(
             [config, replace(config, tau=0.6)],
             group_size=2,
@@ -96,8 +96,8 @@ def make_batch(config: FlowConfig, device: str, *, kernel: bool) -> batches.Flow
     return batch
 
 
-def find_coupling(batch: batches.FlowBatch) -> CoupleByKernel:
-    (found,) = (part for part in batch.stepper.parts if isinstance(part, CoupleByKernel))
+def find_coupling(batch: batches.FlowBatch) -> CoupleByTriton:
+    (found,) = (part for part in batch.stepper.parts if isinstance(part, CoupleByTriton))
     return found
 
 
@@ -187,8 +187,8 @@ def test_flows_beyond_the_kernel_keep_the_tensor_operations(
     changes: dict[str, Any], is_taken: bool
 ) -> None:
     config = FlowConfig(**{**FLOW, "width": 700, "height": 700, "bodies": (FISH,), **changes})
-    assert has_kernel(config, torch.device("cuda")) is is_taken
-    assert not has_kernel(config, torch.device("cpu"))
+    assert can_use_triton(config, torch.device("cuda")) is is_taken
+    assert not can_use_triton(config, torch.device("cpu"))
 
 
 COMPILE = """
@@ -197,8 +197,8 @@ from types import SimpleNamespace
 from triton.backends.compiler import GPUTarget
 from triton.runtime.driver import driver
 from fishrl.physics import DCylinder, Fish, FlowConfig, Storage
-from fishrl.physics.fast import body_kernel
-from tests.physics.fast.test_body_kernel import find_coupling, make_batch
+from fishrl.physics.fast import triton_coupling
+from tests.physics.fast.test_triton_coupling import find_coupling, make_batch
 
 target = GPUTarget("cuda", int(sys.argv[1]), 32)
 driver.set_active(SimpleNamespace(

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from shutil import copyfile
 from typing import Any
 
+import yaml
 from markdown_it import MarkdownIt
 
 from fishrl.programs.gait import figures
@@ -24,6 +26,7 @@ from fishrl.programs.statistics import Statistic, show
 from fishrl.programs.summarize import summarize
 from fishrl.programs.sweeps.jobs import find_runs
 from fishrl.programs.sweeps.runs import read_run
+from fishrl.training.description import to_plain
 from fishrl.training.run_folder import read_config
 
 #: Folder and name of each kind of policy in the second task.
@@ -67,16 +70,12 @@ def find_fitted(folder: Path) -> Path | None:
 
 
 def read(path: Path) -> Any:
-    """Return the results in a JSON file; NaN where there is null."""
+    """Return the results in a JSON file; NaN where an entry is null."""
 
-    def restore(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {name: restore(entry) for name, entry in value.items()}
-        if isinstance(value, list):
-            return [restore(entry) for entry in value]
-        return math.nan if value is None else value
+    def restore(entries: dict[str, Any]) -> dict[str, Any]:
+        return {name: math.nan if entry is None else entry for name, entry in entries.items()}
 
-    return restore(json.loads(path.read_text(encoding="utf-8")))
+    return json.loads(path.read_text(encoding="utf-8"), object_hook=restore)
 
 
 def compare(transfer: Any, line: Any, captures: Sequence[float]) -> str:
@@ -159,14 +158,6 @@ def list_settings(run: Path) -> str:
     return write_table(("setting", "paper", "ours"), rows)
 
 
-def list_jobs(jobs: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return a table of the jobs and the hours they took."""
-    rows = [
-        [name, f"`{job['words'][0]}`", f"{job['seconds'] / 3600:.2f}"] for name, job in jobs.items()
-    ]
-    return write_table(("job", "program", "hours"), rows)
-
-
 def draw(folder: Path, runs: Mapping[str, Sequence[Path]], pictures: Path) -> None:
     """Copy and draw the figures."""
     summarize(folder / "predation", paths=runs["predation"])
@@ -181,67 +172,53 @@ def draw(folder: Path, runs: Mapping[str, Sequence[Path]], pictures: Path) -> No
     figures.write_period(
         pictures / "period.png",
         trial,
-        num_decisions=trial.task.count_decisions(SETTLED_T),
+        lead_T=SETTLED_T,
         periods_T=[1.0 / frequency for frequency in list_shedding(trial.task)],
     )
 
 
-def render(
-    folder: Path,
-    runs: Mapping[str, Sequence[Path]],
-    jobs: Mapping[str, Mapping[str, Any]],
-    *,
-    command: str,
-) -> str:
-    """Return the page of a scale in Markdown; its figures lie in ``figures``."""
-    transfer = read(folder / "transfer" / "transfer.json")
-    fitted = find_fitted(folder)
-    assert fitted is not None  # the job of the classifier is finished
-    line = read(fitted / "lateral_line.json")
-    hunts = [read_run(path).summary for path in runs["predation"]]
-    times = [summary["mean_time_to_success_T"] for summary in hunts]  # None without a capture
-    machines = {
-        f"{m['gpu'] or m['cpu']}, {m['cores']} cores, torch {m['torch']}"
-        for m in (job["machine"] for job in jobs.values())
-    }
-    hours = sum(job["seconds"] for job in jobs.values()) / 3600
-    shown = {key: text for key, (_, text) in FIGURES.items()} | DRAWN
-    both, speeds = transfer["arms"][ARMS["both"]], transfer["speeds_bl"]
-    parts = [
-        f"```sh\n{command}\n```",
-        f"{hours:.1f} hours on {'; '.join(sorted(machines))}.",
-        "### The paper's numbers and ours",
-        compare(transfer, line, [time for time in times if time is not None]),
-        "### Settings of the second task",
-        list_settings(runs["both"][0]),
-        "### Task 1: predation",
-        (folder / "predation" / "summary.md").read_text(encoding="utf-8").partition("\n")[2],
-        "### Task 2: Kármán gait",
-        write_results(transfer["arms"], speeds),
-        write_free_stream(transfer["free_stream"], both, speeds),
-        "### Figures",
-        *(f"![{text}](figures/{key}.png)\n\n*{text}*" for key, text in shown.items()),
-        "### Jobs",
-        list_jobs(jobs),
-    ]
-    return "\n\n".join(part.strip() for part in parts) + "\n"
-
-
-def write_page(
-    folder: Path, jobs: Mapping[str, Mapping[str, Any]], *, name: str, command: str
-) -> Path:
+def write_page(folder: Path, jobs: Mapping[str, Mapping[str, Any]], scale: Any) -> Path:
     """Write ``reproduction.md`` and ``reproduction.html`` with figures into the folder.
 
     Args:
         folder: of the reproduction, all jobs finished.
         jobs: from ``jobs.json``.
-        name: of the scale.
-        command: that made them.
+        scale: settings of all programs.
     """
     runs = {arm: find_runs(jobs[arm]["words"][2:]) for arm in ("predation", *ARMS)}
     draw(folder, runs, folder / "figures")
-    text = render(folder, runs, jobs, command=command)
-    (folder / "reproduction.md").write_text(f"# Reproduction, {name}\n\n{text}", encoding="utf-8")
+    transfer, fitted = read(folder / "transfer" / "transfer.json"), find_fitted(folder)
+    assert fitted is not None  # its job is finished
+    both, speeds = transfer["arms"][ARMS["both"]], transfer["speeds_bl"]
+    times = [read_run(path).summary["mean_time_to_success_T"] for path in runs["predation"]]
+    captures = [time for time in times if time is not None]  # None without a capture
+    machines = {
+        f"{m['gpu'] or m['cpu']}, {m['cores']} cores, torch {m['torch']}"
+        for m in (job["machine"] for job in jobs.values())
+    }
+    hours = {name: job["seconds"] / 3600 for name, job in jobs.items()}
+    spent = [[name, jobs[name]["words"][0], f"{hours[name]:.2f}"] for name in jobs]
+    shown = {key: text for key, (_, text) in FIGURES.items()} | DRAWN
+    parts = [
+        f"# Reproduction, {scale.name}",
+        f"{sum(hours.values()):.1f} hours on {'; '.join(sorted(machines))}. Settings:",
+        f"```yaml\n{yaml.safe_dump(to_plain(asdict(scale)), sort_keys=False)}```",
+        "## The paper's numbers and ours",
+        compare(transfer, read(fitted / "lateral_line.json"), captures),
+        "## Settings of the second task",
+        list_settings(runs["both"][0]),
+        "## Task 1: predation",
+        (folder / "predation" / "summary.md").read_text(encoding="utf-8").partition("\n")[2],
+        "## Task 2: Kármán gait",
+        write_results(transfer["arms"], speeds),
+        write_free_stream(transfer["free_stream"], both, speeds),
+        "## Figures",
+        *(f"![{text}](figures/{key}.png)\n\n*{text}*" for key, text in shown.items()),
+        "## Jobs",
+        write_table(("job", "program", "hours"), spent),
+    ]
+    text = "\n\n".join(part.strip() for part in parts) + "\n"
+    (folder / "reproduction.md").write_text(text, encoding="utf-8")
     html = MarkdownIt("commonmark").enable("table").render(text)
     page = folder / "reproduction.html"
     page.write_text(f"<!doctype html><meta charset='utf-8'>{html}", encoding="utf-8")

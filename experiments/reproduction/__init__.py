@@ -1,1 +1,0 @@
-"""The reproduction of the paper: its numbers, and the page that sets ours beside them."""

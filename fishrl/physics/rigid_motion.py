@@ -1,0 +1,151 @@
+"""What a coupled solve means for each body, and the body after the step."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from fishrl.physics.bodies.gait import Deformation, advance_phase
+from fishrl.physics.bodies.motion import compute_amplitude_rate
+from fishrl.physics.bodies.outline import BodyConfig, BodyParams
+from fishrl.physics.bodies.state import BodyState
+from fishrl.physics.flow import FlowConfig
+from fishrl.physics.geometry import BodyGeometry, Markers, compute_axis
+from fishrl.physics.surface import Surface, slice_markers
+
+
+class RigidUpdate(NamedTuple):
+    """What one coupled solve gives for one body.
+
+    Attributes:
+        velocity: ``[B, 2]`` new velocity of the centre of mass.
+        angular_velocity: ``[B]`` new Omega.
+        slip_error: ``[B]`` largest remaining velocity error at a marker.
+        force: ``[B, 2]`` total force on the fluid.
+        torque: ``[B]`` total torque on the fluid.
+        power: ``[B]`` sum of F . u_def.
+        positive_power: ``[B]`` the same over those markers where it is positive.
+        lateral_power: ``[B]`` its part along the body's own lateral axis, without -H/I.
+    """
+
+    velocity: Tensor
+    angular_velocity: Tensor
+    slip_error: Tensor
+    force: Tensor
+    torque: Tensor
+    power: Tensor
+    positive_power: Tensor
+    lateral_power: Tensor
+
+
+def report_bodies(
+    config: FlowConfig,
+    states: Sequence[BodyState],
+    geometry: BodyGeometry,
+    surface: Surface,
+    *,
+    changes: Sequence[Tensor],
+    mass: Tensor,
+    g: Sequence[Tensor],
+    slip: Sequence[Tensor],
+) -> list[RigidUpdate]:
+    """Return what the solution of a step means for each body.
+
+    ``changes`` ``[B]`` are those of the rates that the flow determines; at all markers, ``[B, N]``
+    each, ``mass`` is that of the fluid, ``g`` (x, y) the force per mass and ``slip`` (x, y) the
+    remaining velocity error. The other arguments are those of ``solve_body_force``.
+    """
+    rates = [list(own) for own in surface.rates]
+    for freedom, change in zip(surface.freedoms, changes, strict=True):
+        own_rates = rates[freedom.body]
+        own_rates[freedom.axis] = own_rates[freedom.axis] + change
+    square = slip[0] * slip[0] + slip[1] * slip[1]
+    return [
+        _report(
+            states[m],
+            geometry.markers[m],
+            rates=rates[m],
+            lateral_velocity=geometry.deformations[m].lateral_velocity,
+            mass=mass[:, own],
+            g=(g[0][:, own], g[1][:, own]),
+            square=square[:, own],
+        )
+        for m, own in enumerate(slice_markers(config.bodies))
+    ]
+
+
+def _report(
+    state: BodyState,
+    markers: Markers,
+    *,
+    rates: Sequence[Tensor],
+    lateral_velocity: Tensor,
+    mass: Tensor,
+    g: tuple[Tensor, Tensor],
+    square: Tensor,
+) -> RigidUpdate:
+    """Sum force, torque and power over the markers of one body.
+
+    ``rates`` are its new (U_x, U_y, Omega). At its markers, ``[B, N]`` each: ``lateral_velocity``
+    of its deformation in its own frame, fluid ``mass``, force per mass ``g`` and ``square`` of the
+    remaining slip.
+    """
+    dtype = square.dtype
+    rx, ry = (arm.to(dtype) for arm in markers.arm.unbind(-1))
+    ux, uy = markers.deformation_velocity.to(dtype).unbind(-1)
+    cos, sin = (part.to(dtype)[:, None] for part in compute_axis(state))
+    across = lateral_velocity.to(dtype)
+    fx, fy = mass * g[0], mass * g[1]
+    power = fx * ux + fy * uy
+    return RigidUpdate(
+        velocity=torch.stack((rates[0], rates[1]), -1),
+        angular_velocity=rates[2],
+        slip_error=square.amax(-1).sqrt().double(),
+        force=torch.stack((fx.sum(-1).double(), fy.sum(-1).double()), -1),
+        torque=(rx * fy - ry * fx).sum(-1).double(),
+        power=power.sum(-1).double(),
+        positive_power=power.clamp_min(0.0).sum(-1).double(),
+        lateral_power=((cos * fy - sin * fx) * across).sum(-1).double(),
+    )
+
+
+def move_body(
+    config: BodyConfig,
+    params: BodyParams,
+    state: BodyState,
+    deformation: Deformation,
+    update: RigidUpdate,
+) -> BodyState:
+    """Advance rigid motion, phase and totals of one body by one step.
+
+    The markers' force also drives the fluid inside the body, whose momentum is exactly the
+    displaced mass times the body's velocity: hydro_force = m_f dU/dt - F. For the torque the same
+    holds approximately (Feng & Michaelides 2009).
+    """
+    gain = params.area[:, None] * (update.velocity - state.velocity)
+    spin_up = deformation.inertia * (update.angular_velocity - state.angular_velocity)
+    hydro_force = gain - update.force
+    is_still = config.motion.is_still
+    return state._replace(
+        position=state.position + (0.0 if is_still else update.velocity),
+        heading=state.heading + (0.0 if is_still else update.angular_velocity),
+        internal_angle=state.internal_angle + deformation.spin,
+        velocity=update.velocity,
+        angular_velocity=update.angular_velocity,
+        phase=advance_phase(state.phase, state.frequency),
+        beats=state.beats + state.frequency.abs(),
+        age=state.age + 1.0,
+        bend=state.bend + config.motion.compute_bend_rate(state),
+        amplitude=state.amplitude + compute_amplitude_rate(state),
+        turn_clock=state.turn_clock + 1.0,
+        work=state.work + update.power,
+        positive_work=state.positive_work + update.positive_power,
+        lateral_work=state.lateral_work + update.lateral_power,
+        torque_impulse=state.torque_impulse + update.torque,
+        slip_error=update.slip_error,
+        force=update.force,
+        hydro_force=hydro_force,
+        hydro_torque=spin_up - update.torque,
+        impulse=state.impulse + hydro_force,
+    )

@@ -1,0 +1,30 @@
+"""An exported policy is a small checkpoint with a model card."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from fishrl.training import load_plan, load_policy
+from fishrl.training.export import export_policy
+from fishrl.training.loop import Training
+
+
+def test_an_exported_policy_is_the_best_of_its_run_with_a_model_card(
+    whole: Training, tmp_path: Path
+) -> None:
+    run = whole.folder.path
+    folder = export_policy(run, tmp_path / "policies" / "toy", revision="abc")
+    exported, best = load_policy(folder), load_policy(run)
+    for one, other in zip(exported.parameters(), best.parameters(), strict=True):
+        assert torch.equal(one, other)
+    assert load_plan(folder)[1].task == whole.task
+    size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+    assert size < 0.2 * sum(f.stat().st_size for f in run.rglob("*") if f.is_file())
+    card = (folder / "README.md").read_text()
+    for words in ("task: ToyPredation", "DiscreteSAC", "abc", "| success rate |", "240 of 240"):
+        assert words in card
+    with pytest.raises(ValueError, match="exists; name a new one"):
+        export_policy(run, folder)
