@@ -60,7 +60,7 @@ def skip(_app: Any, _what: str, _name: str, entry: Any, _skip: bool, _options: A
 def tidy(_app: Any, _what: str, _name: str, thing: Any, *rest: Any) -> tuple[str, str] | None:
     """Write signatures of settings without bounds, and ``...`` for what Sphinx cannot parse."""
     signature, annotation = rest[-2:]
-    if isinstance(thing, type) and issubclass(thing, Settings):
+    if isinstance(thing, type) and issubclass(thing, Settings) and thing is not Settings:
         return show_signature(thing), annotation
     return (signature.replace("<factory>", "..."), annotation) if signature else None
 

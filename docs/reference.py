@@ -5,7 +5,7 @@ what a field of a training affects. Inherited fields are listed with the base cl
 """
 
 import inspect
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from enum import Enum
 from functools import cache
 from importlib import import_module
@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from annotated_types import Ge, Gt, Le, Lt
 
 from fishrl.__main__ import list_programs
+from fishrl.envs import AbstractTask
 from fishrl.programs.program import Program, read_arguments, write_value
 from fishrl.programs.train_settings import TRAINING
 from fishrl.settings import REQUIRED, Role, Settings, list_fields, to_plain
@@ -62,7 +63,13 @@ def write_reference(path: Path) -> None:
 def make_reference() -> str:
     """Return the page as Markdown."""
     titles = {main.command_line.schema: name for name, main in find_programs().items()}
-    classes = sorted(find_classes(), key=lambda kind: (len(kind.__mro__), kind.__name__))
+
+    def rank(kind: type) -> tuple[bool, str, int, str]:
+        """Put tasks before their parts, and bases before what derives from them."""
+        is_part = not issubclass(kind, AbstractTask)
+        return is_part, titles.get(kind, ""), len(kind.__mro__), kind.__name__
+
+    classes = sorted(find_classes(), key=rank)
     groups = TRAINING.list_choices().items()
     rows = [f"| `{name}=` | {', '.join(f'`{c}`' for c in choices)} |" for name, choices in groups]
     parts = [HEAD + "\n".join(rows) + "\n"]
@@ -121,7 +128,7 @@ def show_signature(kind: type) -> str:
         is_plain = not isinstance(default, Settings | Enum)
         shown = repr(default) if is_plain else f"{type(default).__name__}(...)"
         value = "" if default is REQUIRED else f" = {shown}"
-        parts.append(f"{name}: {_show_type(hint).replace('null', 'None')}{value}")
+        parts.append(f"{name}: {_show_type(hint, repr).replace('null', 'None')}{value}")
     return f"({', '.join(parts)})" if len(parts) > 1 else "()"
 
 
@@ -135,20 +142,19 @@ def _find_section(kind: type) -> str:
     return next((name for name, of in SECTIONS.items() if kind.__module__.startswith(of)), "")
 
 
-def _show_type(hint: Any) -> str:
+def _show_type(hint: Any, show_word: Callable[[Any], str] = str) -> str:
     origin, parts = get_origin(hint), get_args(hint)
-    if origin is Annotated:
-        return _show_type(parts[0])
     if origin is Literal:
-        return " | ".join(map(str, parts))
+        return " | ".join(map(show_word, parts))
+    shown = [_show_type(part, show_word) for part in parts]
+    if origin is Annotated:
+        return shown[0]
     if origin in (Union, UnionType):
-        return " | ".join(map(_show_type, parts))
-    if hint is type(None):
-        return "null"
-    if hint is ...:
-        return "..."
+        return " | ".join(shown)
+    if hint in (None, type(None), ...):
+        return "..." if hint is ... else "null"
     name = getattr(origin or hint, "__name__", str(hint))
-    return f"{name}[{', '.join(map(_show_type, parts))}]" if parts else name
+    return f"{name}[{', '.join(shown)}]" if parts else name
 
 
 def _show_bounds(kind: type, name: str) -> str:

@@ -1,7 +1,5 @@
 """The page of a reproduction: the paper's tables, figures and numbers, next to ours."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -27,7 +25,7 @@ from fishrl.programs.statistics import Statistic, show
 from fishrl.programs.summarize import summarize
 from fishrl.programs.sweeps.jobs import find_runs
 from fishrl.programs.sweeps.runs import read_run
-from fishrl.training.description import to_plain
+from fishrl.settings import to_plain
 from fishrl.training.run_folder import read_config
 
 #: Folder and name of each kind of policy in the second task.

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fishrl.envs import AbstractTask, make_env
+from fishrl.settings import Role, list_fields
 from fishrl.training.algorithms import Algorithm
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.callback import Callback
@@ -195,10 +196,9 @@ def find_summary(
     summary = read_summary(run.summary)
     stored = Plan.from_config(read_config(run.config), modules=modules)
     plan = stored.change(**changes)
-    same = (
-        plan.run.final_episodes == stored.run.final_episodes
-        and plan.run.baselines == stored.run.baselines
-        and plan.extra == stored.extra
-        and plan.run.total_frames <= summary.get("frames", 0)
+    late = [entry.name for entry in list_fields(RunSettings) if entry.role is Role.EVALUATION]
+    is_evaluated = plan.extra == stored.extra and all(
+        getattr(plan.run, name) == getattr(stored.run, name) for name in late
     )
-    return dict(summary) if same else None
+    is_trained = plan.run.total_frames <= summary.get("frames", 0)
+    return dict(summary) if is_trained and is_evaluated else None
