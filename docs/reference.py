@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from annotated_types import Ge, Gt, Le, Lt
 
 from fishrl.__main__ import list_programs
+from fishrl.envs import AbstractTask
 from fishrl.programs.program import Program, read_arguments, write_value
 from fishrl.programs.train_settings import TRAINING
 from fishrl.settings import REQUIRED, Role, Settings, list_fields, to_plain
@@ -62,7 +63,13 @@ def write_reference(path: Path) -> None:
 def make_reference() -> str:
     """Return the page as Markdown."""
     titles = {main.command_line.schema: name for name, main in find_programs().items()}
-    classes = sorted(find_classes(), key=lambda kind: (len(kind.__mro__), kind.__name__))
+
+    def rank(kind: type) -> tuple[bool, str, int, str]:
+        """Put tasks before their parts, and bases before what derives from them."""
+        is_part = not issubclass(kind, AbstractTask)
+        return is_part, titles.get(kind, ""), len(kind.__mro__), kind.__name__
+
+    classes = sorted(find_classes(), key=rank)
     groups = TRAINING.list_choices().items()
     rows = [f"| `{name}=` | {', '.join(f'`{c}`' for c in choices)} |" for name, choices in groups]
     parts = [HEAD + "\n".join(rows) + "\n"]

@@ -1,7 +1,5 @@
 """The page of a reproduction: the paper's tables, figures and numbers, next to ours."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence
