@@ -8,7 +8,6 @@ the docstring. What several of them share is listed once.
 import inspect
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -19,10 +18,12 @@ from omegaconf import OmegaConf
 from fishrl.__main__ import list_programs as list_names
 from fishrl.envs import AbstractTask
 from fishrl.programs.configuration import CONF
-from fishrl.programs.program import Program, TaskSettings, list_choices, read_arguments, write_value
-from fishrl.programs.train_settings import PolicySettings
+from fishrl.programs.policy_settings import PolicySettings
+from fishrl.programs.program import Program, TaskSettings, read_arguments, write_value
+from fishrl.programs.train_settings import TRAINING
+from fishrl.settings import REQUIRED, list_fields
+from fishrl.settings import describe as describe_object
 from fishrl.training import LearningSettings, RunSettings
-from fishrl.training.description import describe as describe_object
 from fishrl.viewer import ViewerSettings
 
 HEAD = """# Configuration reference
@@ -63,7 +64,7 @@ def write_reference(path: Path) -> None:
 
 def make_reference() -> str:
     """Return the page as Markdown, in the order of a training: task, algorithm, learning, run."""
-    groups = list_choices()
+    groups = TRAINING.list_choices()
     chosen = [f"| `{name}=` | {', '.join(f'`{o}`' for o in groups[name])} |" for name in groups]
     parts = [HEAD.format(groups="\n".join(["| group | choices |", "|---|---|", *chosen]))]
     parts += ["## Task\n", *_describe_shared(AbstractTask, level=3), *_describe_group("task")]
@@ -134,9 +135,9 @@ def _write(kind: type, rows: list[str]) -> str:
 def _make_rows(kind: type) -> list[str]:
     texts = read_arguments(kind)
     return [
-        f"| `{name}` | {_code(_show_type(parameter.annotation))} "
-        f"| {_code(_show_default(kind, parameter))} | {_escape(texts.get(name, ''))} |"
-        for name, parameter in inspect.signature(kind).parameters.items()
+        f"| `{name}` | {_code(_show_type(hint))} "
+        f"| {_code(_show_default(default))} | {_escape(texts.get(name, ''))} |"
+        for name, hint, default, _ in list_fields(kind)
     ]
 
 
@@ -156,17 +157,13 @@ def _walk(node: Any) -> Iterator[str]:
 
 def _show_type(annotation: Any) -> str:
     text = annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
-    return re.sub(r"\b(?:\w+\.)+(\w+)", r"\1", text)
+    bare = re.sub(r"\bAnnotated\[([^,\[\]]+), (?:[^\[\]]|\[[^\]]*\])*\]", r"\1", text)
+    return re.sub(r"\b(?:\w+\.)+(\w+)", r"\1", bare)
 
 
-def _show_default(kind: type, parameter: inspect.Parameter) -> str:
-    default = parameter.default
-    if default is inspect.Parameter.empty or default == "???":
+def _show_default(default: Any) -> str:
+    if default is REQUIRED:
         return "required"
-    if is_dataclass(kind):
-        by_name = {entry.name: entry for entry in fields(kind)}
-        if by_name[parameter.name].default_factory is not MISSING:
-            default = by_name[parameter.name].default_factory()
     if default is None or isinstance(default, bool | int | float | str | tuple | list):
         return write_value(default)
     return f"{type(default).__name__}(…)"

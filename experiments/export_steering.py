@@ -7,21 +7,19 @@ experiments.export_steering run=runs/predation-seed0 path=fishrl/envs/steering.p
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
-from omegaconf import MISSING
 from torch import nn
 
 from fishrl.envs import Predation
 from fishrl.envs.steering import PolicySteering, save_weights
 from fishrl.files import staged
 from fishrl.programs.program import program
+from fishrl.settings import Settings
 from fishrl.training.policies import load_plan, load_policy
 
 
-@dataclass(kw_only=True)
-class ExportSettings:
+class ExportSettings(Settings):
     """Settings of an export.
 
     Args:
@@ -29,8 +27,8 @@ class ExportSettings:
         path: file to write.
     """
 
-    run: str = MISSING
-    path: str = MISSING
+    run: str
+    path: str
 
 
 @program(ExportSettings)

@@ -14,29 +14,28 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from omegaconf import MISSING
+from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
 from experiments.benchmarks.machine import describe_machine
 from experiments.paper import ARMS, find_fitted, write_page
 from experiments.validation.swimmer import CASE
 from fishrl.__main__ import list_programs
-from fishrl.bounds import Checked, bounded
-from fishrl.envs import AbstractTask, KarmanGait, make_env
+from fishrl.envs import AbstractTask, make_env
 from fishrl.programs.gait.free_stream import MAX_PERIODS
 from fishrl.programs.program import program, show_command
 from fishrl.programs.sweeps.jobs import find_runs
 from fishrl.programs.sweeps.runs import read_run
 from fishrl.programs.train_lateral_line import main as train_lateral_line
 from fishrl.programs.train_settings import TRAINING, make_plan
+from fishrl.settings import Settings
 from fishrl.training import DiscreteSAC
 from fishrl.training.baselines import choose_baselines
-from fishrl.training.description import make
 from fishrl.training.learner import one_thread
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
@@ -57,8 +56,7 @@ ARM_SETTINGS = {
 NOTE_SECONDS = 30.0
 
 
-@dataclass(kw_only=True)
-class Scale:
+class Scale(Settings):
     """What is run at a scale, as settings of the programs.
 
     Args:
@@ -73,19 +71,18 @@ class Scale:
         free_episodes: episodes in each stream without the half disc.
     """
 
-    name: str = MISSING
-    predation: list[str] = field(default_factory=list)
-    gait: list[str] = field(default_factory=list)
-    lateral_line: list[str] = field(default_factory=list)
-    swimmer: list[str] = field(default_factory=list)
-    seeds: tuple[int, ...] = bounded((0,), entries=1, least=0)
-    episodes: int = bounded(34, least=1)
-    periods: float = bounded(100.0, greater=0)
-    free_episodes: int = bounded(4, least=1)
+    name: str
+    predation: tuple[str, ...] = ()
+    gait: tuple[str, ...] = ()
+    lateral_line: tuple[str, ...] = ()
+    swimmer: tuple[str, ...] = ()
+    seeds: Annotated[tuple[NonNegativeInt, ...], Field(min_length=1)] = (0,)
+    episodes: PositiveInt = 34
+    periods: PositiveFloat = 100.0
+    free_episodes: PositiveInt = 4
 
 
-@dataclass(kw_only=True)
-class ReproduceSettings(Checked):
+class ReproduceSettings(Settings):
     """Settings of a reproduction.
 
     Args:
@@ -94,15 +91,14 @@ class ReproduceSettings(Checked):
         plan: list the remaining jobs without running them.
     """
 
-    scale: Scale = MISSING
+    scale: Scale
     folder: str | None = None
     plan: bool = False
 
-    def __post_init__(self) -> None:
-        """Make the scale; check the bounds."""
-        self.scale = Scale(**self.scale) if isinstance(self.scale, Mapping) else self.scale
-        self.folder = self.folder or f"runs/reproduction-{self.scale.name}"
-        super().__post_init__()
+    @property
+    def path(self) -> Path:
+        """The folder for runs, tables and figures."""
+        return Path(self.folder or f"runs/reproduction-{self.scale.name}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,7 +156,7 @@ def list_jobs(scale: Scale, folder: Path) -> Iterator[Job]:
         updates=sum(swims),
     )
     yield plan_training("predation", scale.predation, scale, folder)
-    task = make(TRAINING.read(scale.gait).task, kind=KarmanGait)
+    task = TRAINING.read(scale.gait).task
     num_samples = train_lateral_line.read(scale.lateral_line).num_samples
     yield Job(
         name="classifier",
@@ -278,10 +274,10 @@ def measure_speed(plan: Plan) -> tuple[float, float]:
     return updates / seconds, steps.numel() / (time.perf_counter() - began)
 
 
-@program(ReproduceSettings, groups={"scale": "small"})
+@program(ReproduceSettings, groups={"scale": "small"}, conf=Path(__file__).parent / "conf")
 def main(settings: ReproduceSettings) -> None:
     """Run what is left, and write the page."""
-    scale, folder = settings.scale, Path(str(settings.folder))
+    scale, folder = settings.scale, settings.path
     folder.mkdir(parents=True, exist_ok=True)
     with alone(folder) as lock:
         record = Record(folder)

@@ -57,15 +57,11 @@ def run_strokes(
     num_workers: int | None = 0,
     compile: bool = True,
 ) -> tuple[list[Result], InPlaceSolver]:
-    """Let a larva follow each of several sequences of strokes, all in one batch, for 2.7 T.
+    """Let a larva follow each of several sequences of strokes, in one batch, for 2.7 T.
 
-    A period takes ``steps`` times ``body_length`` steps; the other arguments are those of
-    ``escape`` and of ``InPlaceSolver``.
-
-    Returns:
-        Of each its ``path`` from the start (x, y; L) and the ``work`` of the muscles so far (rho
-        L^4 / T^2) every T / 10, the final ``distance`` (L), and whether the flow is still ``fine``;
-        and the solver, as it is at the end.
+    A period takes ``steps * body_length`` steps; see ``escape`` for the rest. Returns of each
+    sequence the ``path`` from the start (x, y; L) and ``work`` of the muscles (rho L^4 / T^2) every
+    T / 10, the final ``distance`` (L) and whether the flow is ``fine``; and the solver at the end.
     """
     part = 2 * round(steps * body_length / 20.0)
     period = 10 * part
@@ -152,17 +148,13 @@ def judge(runs: Runs) -> Iterator[Check]:
     distance = {n: run["distance"] for n, run in found.items()}
     quantity, theirs = "distance after 2.7 T, L", f"CubismUP 2D, {PUBLISHED[-1][0]} cells per L"
     note = (
-        "the reference is a comment in the code, with the resolution of its launch script; another "
-        "comment gives 0.93 L with 128 cells per L. That code uses a smoothed penalisation for the "
-        "body. Neither code has converged on these grids. The comments do not say how φ was set; "
-        "here it is constant."
+        "the reference is a comment in the code, which gives 0.93 L with 128 cells per L. Neither "
+        "code has converged on these grids; theirs smooths the body. Here φ is constant; the "
+        "comments do not say how it was set."
     )
     yield check_finest("L", quantity, distance, PUBLISHED[-1][1], theirs, note=note)
     work = {n: run["work"][-1] for n, run in found.items()}
-    note = (
-        "the reference counts only positive power, at each point of the surface; on the coarser "
-        "grid it is 0.647."
-    )
+    note = "the reference counts only positive power, at each point of the surface."
     power = "work of the muscles, ρ L⁴ / T²"
     yield check_finest("L", power, work, PUBLISHED[-1][2], theirs, note=note)
     for name, (changes, limit) in VARIANTS.items():

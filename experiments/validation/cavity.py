@@ -43,11 +43,10 @@ LEAK = (
 
 
 def drive_cavity(*, size: int, reynolds: float, is_half_way: bool) -> Result:
-    """Drive a cavity, N = ``size`` node distances wide, until it is steady.
+    """Drive a cavity, ``size`` node distances wide, until it is steady.
 
-    Half-way bounce-back has N nodes, non-equilibrium extrapolation N + 1. Returns positions and
-    velocities / U along the centre lines, walls included, their extremes, and the ``flow`` through
-    the vertical one (none in an incompressible fluid) / (U x node distance).
+    Returns velocities / U along the centre lines, their extremes, and the ``flow`` through the
+    vertical one / (U x node distance).
     """
     lid = (LID_SPEED, 0.0)
     walls = NoSlip() if is_half_way else NonEquilibrium(velocity=(0.0, 0.0))

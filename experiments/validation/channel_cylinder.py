@@ -74,11 +74,9 @@ def run_channel(
     inset: float = 0.45,
     is_pinned: bool = False,
 ) -> Result:
-    """Run the benchmark from a developed channel flow, Re = U_mean D / nu.
+    """Run the benchmark from a developed channel flow; ``diameter`` is a multiple of 10 nodes.
 
-    D is in nodes, a multiple of 10, so that the channel is 4.1 D high exactly; ``speed`` is the
-    peak of the inflow, ``inset`` that of the markers in nodes. The outlet pins the density or lets
-    sound out. Returns those of ``measure_wake``, and the pressure drop in the benchmark's unit.
+    Returns those of ``measure_wake``, and the pressure drop in Pa.
     """
     mean, is_shedding = MEAN * speed, reynolds == 100
     motion = wake.kick(mean, diameter, travels=1.0) if is_shedding else Fixed()

@@ -34,10 +34,7 @@ SWIMMER_NOTE = (
 
 
 def hold_cylinder(*, speed: float) -> Result:
-    """Hold a cylinder in a stream of ``speed`` nodes per step until its wake is periodic.
-
-    Returns the mean drag coefficient and the root mean square of the lift coefficient.
-    """
+    """Return mean drag and root-mean-square lift coefficient of a cylinder, wake periodic."""
     travel = round(DIAMETER / speed)
     motion = Fixed(kick_speed=0.2 * speed, kick_steps=4 * travel)
     # edges that let sound out: between pinned edges it rings, and more so the faster the stream

@@ -45,11 +45,9 @@ QUANTITIES = {
     "lift_amplitude": "C_l amplitude",
 }
 NOTE = (
-    "the paper's shedding frequencies are exactly 1/1500, 1/1250 and 1/1000 per step, which are "
-    "bins 10, 12 and 15 of a spectrum of 15000 steps, where neighbouring bins are 7 to 10 % "
-    "apart. As Strouhal numbers they are not monotone in Re. The paper states neither how they "
-    "were determined nor which way the half disc faces. We found no other measured value at "
-    "these Re."
+    "the paper's shedding frequencies are exactly 1/1500, 1/1250 and 1/1000 per step: bins 10, 12 "
+    "and 15 of a spectrum of 15000 steps, 7 to 10 % apart. The paper states neither how they were "
+    "determined nor which way the half disc faces. We found no other measured value at these Re."
 )
 
 
@@ -64,9 +62,7 @@ def run_half_disc(
 ) -> Result:
     """Run a half disc in the paper's domain until its wake repeats itself; see ``measure_wake``.
 
-    D is in nodes, 40 in the paper; ``sides`` are the bottom and top edges. The stream in nodes per
-    step is ``slowing`` times slower than the paper's. The outlet pins the density or lets sound
-    out.
+    The stream is ``slowing`` times slower, in nodes per step, than in the paper.
     """
     speed = SPEEDS[reynolds] / slowing
     width, height = round(WIDTH_D * diameter), round(HEIGHT_D * diameter)

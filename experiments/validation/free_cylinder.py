@@ -53,18 +53,16 @@ REFERENCES = (
 NOTES = {
     (20, "wake_length"): (
         "the wake is only 15 to 30 nodes long, and markers 0.45 nodes inside the outline place "
-        "its surface to about a tenth of a node, which is about the size of the deviation. D = "
-        "32, a third height and half the speed did not remove it."
+        "its surface to about a tenth of a node, about the size of the deviation."
     ),
 }
 VIEW_D = (-3.0, 15.0, -4.0, 4.0)  # left, right, low, high
 
 
 def run_cylinder(*, diameter: int, height: int, reynolds: int, speed: float) -> Result:
-    """Run a cylinder, D nodes wide, in a box ``height`` D high, open but for the inflow.
+    """Run a cylinder in a box ``height`` D high.
 
-    The cylinder stands half the height behind the inflow of ``speed`` nodes per step. Returns those
-    of ``measure_wake``, and the length of a steady wake / D.
+    Returns those of ``measure_wake``, and the length of a steady wake / D.
     """
     is_shedding = reynolds in SHEDDING
     upstream, downstream = height // 2, max(20, height // 2)

@@ -51,10 +51,9 @@ FISH_STREAM = 0.02
 
 
 def push_cylinders(*, is_half: bool, is_turned: bool) -> Result:
-    """Measure the mean force on cylinders in a stream, and of one that moves through fluid at rest.
+    """Measure the mean force on a tilted half disc and its mirror image, or on circles.
 
-    These are a tilted half disc and its mirror image, or circles, shifted and moving. Returns by
-    name the vector (x, y) / (rho U^2 D / 2), turned back if the stream goes along +y instead.
+    Returns by name the vector (x, y) / (rho U^2 D / 2), turned back if all is turned.
     """
     size = (30 * DIAMETER, 20 * DIAMETER)
     x, y = 14.0 * DIAMETER, 0.5 * (size[1] - 1.0)
@@ -85,9 +84,9 @@ def push_cylinders(*, is_half: bool, is_turned: bool) -> Result:
 
 
 def swim_invariantly(*, is_turned: bool) -> Result:
-    """Measure how fast free fish swim from rest along -x, or along -y where all is turned.
+    """Return by name the mean velocity (x, y) of free fish relative to the stream, L / T.
 
-    Returns by name the mean velocity (x, y) relative to the stream, L / T, as without the turn.
+    They swim from rest along -x, and velocities are turned back if all is turned.
     """
     scales = Scales.from_budget(body_length=BODY_LENGTH, reynolds=FISH_REYNOLDS)
     size = (6 * BODY_LENGTH, 4 * BODY_LENGTH)

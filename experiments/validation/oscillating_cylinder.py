@@ -40,20 +40,18 @@ INSETS = {0.0: "markers on the surface", 0.45: "markers 0.45 nodes inside"}  # t
 CURVE = np.loadtxt(Path(__file__).with_name("duetsch_1998.csv"), delimiter=",", skiprows=1)
 HEADLINE = "added-mass coefficient c_i, markers 0.45 nodes inside"
 INERTIA_NOTE = (
-    "for comparison only. Spreading enlarges the cylinder by about 0.45 nodes on all sides, and "
-    "c_i depends on its area and on the fluid that it displaces: (1 + c_i) (1 + 0.9 / D)² − 1 "
-    "is 1.68 at D = 20 and 1.56 at D = 40, close to the measured values. Markers 0.45 nodes "
-    "inside the outline, the default, correct for it."
+    "for comparison only. Spreading enlarges the cylinder by about 0.45 nodes on all sides: "
+    "(1 + c_i) (1 + 0.9 / D)² − 1 is 1.68 at D = 20 and 1.56 at D = 40, close to the measured "
+    "values. Markers 0.45 nodes inside the outline, the default, correct for it."
 )
 
 
 def oscillate(*, diameter: int, length: int = 20, height: int = 15, inset: float = 0.0) -> Result:
     """Let a cylinder oscillate along x, starting at rest at its turning point.
 
-    The domain is ``length`` by ``height`` D, the markers lie ``inset`` nodes inside. Returns
-    ``time`` / T from the middle of the path on, in the direction of -x, ``force`` / (rho U^2 D) of
-    the outer fluid over the last period, least-squares ``c_d`` and ``c_i``, and ``c_i_before`` of
-    the period before.
+    The domain is ``length`` by ``height`` D. Returns of the last period ``time`` / T from the
+    middle of the path, going to -x, ``force`` / (rho U^2 D) of the outer fluid, least-squares
+    ``c_d`` and ``c_i``, and ``c_i_before`` of the period before.
     """
     samples = make_even(KC * diameter / SPEED / NUM_SAMPLES)  # steps between samples
     period = samples * NUM_SAMPLES

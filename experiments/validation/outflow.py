@@ -66,11 +66,10 @@ KINDS = {
 
 
 def disturb_outflow(*, outflow: str, kind: str) -> Result:
-    """Send one of ``KINDS`` through one of ``OUTFLOWS``, beside a domain twice as long.
+    """Send one of ``KINDS`` through one of ``OUTFLOWS``, next to a domain twice as long.
 
-    Returns over time the largest difference from the long domain in velocity (vortex, relative to
-    its speed) or density (pulse, relative to its height when it meets the outflow), where the
-    disturbance has gone by; and its largest value.
+    Returns over time the largest relative difference from the long domain, of velocity (vortex) or
+    density (pulses), and its largest value.
     """
     boundary, sponge = OUTFLOWS[outflow]
     is_vortex = kind == "vortex"

@@ -50,12 +50,9 @@ def swim(
 ) -> Result:
     """Let a foil swim, or a pair with the second ``lag`` periods later.
 
-    It starts ``gap`` L behind the first's trailing edge in line, or ``aside`` L beside it.
-
-    Returns:
-        ``distance`` (L) from the first's trailing edge to the second's leading edge at the end of
-        each period; of each foil in the measured periods the mean ``speed`` (L / T) and ``power``
-        (rho L^4 / T^3).
+    It starts ``gap`` L behind the first's trailing edge in line, or ``aside`` L next to it. Returns
+    ``distance`` (L) from the first's trailing to the second's leading edge after each period, and
+    of each foil the mean ``speed`` (L / T) and ``power`` (rho L^4 / T^3) in the measured periods.
     """
     size, tip = length, 2.0 * pi * sin(PITCH)
     interval = make_even(tip * size / TIP_SPEED / NUM_SAMPLES)

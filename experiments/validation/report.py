@@ -37,40 +37,52 @@ def write_report(outcomes: Sequence[Outcome], *, page: Path, json_path: Path, co
     figures, cases = page.parent / "figures" / "validation", page.parent / "validation"
     for folder in (figures, cases):
         folder.mkdir(parents=True, exist_ok=True)
-    rows = []
     for outcome in outcomes:
         name = outcome.case.name
         if outcome.figure is not None:
             with mpl.rc_context(FIGURE_STYLE):
                 outcome.figure.savefig(figures / f"{name}.png")
         (cases / f"{name}.md").write_text(render_case(outcome), encoding="utf-8")
-        for check in outcome.checks:
-            derived = {"error": check.error, "verdict": check.verdict}
-            rows.append({"case": name, **asdict(check), **derived})
     page.write_text(render(outcomes, command), encoding="utf-8")
+    rows = [
+        {"case": outcome.case.name, **asdict(check), "error": check.error, "verdict": check.verdict}
+        for outcome in outcomes
+        for check in outcome.checks
+    ]
     write_json(json_path, rows)
 
 
 def render(outcomes: Sequence[Outcome], command: str) -> str:
     """Return the page of verdicts."""
-    machines = {
-        f"{m['cpu']}, {m['cores']} cores (each run on one), torch {m['torch']}, "
-        f"Python {m['python']}"
+    form = "{cpu}, {cores} cores (each run on one), torch {torch}, Python {python}"
+    records = [record for outcome in outcomes for record in outcome.records.values()]
+    machines = {form.format(**record["machine"]) for record in records}
+    minutes = sum(record["seconds"] for record in records) / 60
+    misses = [
+        _describe(outcome, check, default="Reason not known.")
         for outcome in outcomes
-        for m in (record["machine"] for record in outcome.records.values())
-    }
-    total = sum(outcome.seconds for outcome in outcomes) / 60
+        for check in outcome.checks
+        if check.verdict == MISSED
+    ]
+    deviations = [
+        (check.error, _describe(outcome, check))
+        for outcome in outcomes
+        for check in find_headline(outcome)
+        if not check.is_absolute and check.error and isfinite(check.error)
+    ]
+    largest = [line for _, line in sorted(deviations, reverse=True)[:NUM_DEVIATIONS]]
+    pages = "\n".join(f"validation/{outcome.case.name}" for outcome in outcomes)
     parts = [
         "# Validation",
         INTRODUCTION.replace("\n", " "),
         f"```sh\n{command}\n```",
         summarise(outcomes),
-        _list_misses(outcomes),
-        _list_deviations(outcomes),
+        _list("Missed criteria", misses),
+        _list("Largest deviations in the table", largest),
         render_summary(outcomes),
         EXPLANATION.replace("\n", " "),
-        f"Run on {'; '.join(sorted(machines)) or 'nothing'}; {total:.0f} minutes of CPU time.",
-        _list_pages(outcomes),
+        f"Run on {'; '.join(sorted(machines)) or 'nothing'}; {minutes:.0f} minutes of CPU time.",
+        f"```{{toctree}}\n:hidden:\n\n{pages}\n```",
     ]
     return _join(parts)
 
@@ -83,33 +95,8 @@ def _link(outcome: Outcome) -> str:
     return f"[{outcome.case.title}](validation/{outcome.case.name}.md)"
 
 
-def _list_pages(outcomes: Sequence[Outcome]) -> str:
-    """Return the table of contents, for the documentation's navigation."""
-    names = "\n".join(f"validation/{outcome.case.name}" for outcome in outcomes)
-    return f"```{{toctree}}\n:hidden:\n\n{names}\n```"
-
-
-def _list_misses(outcomes: Sequence[Outcome]) -> str:
-    """Return the criteria that are not met, with their reason."""
-    lines = [
-        f"- {_describe(outcome, check, default='Reason not known.')}"
-        for outcome in outcomes
-        for check in outcome.checks
-        if check.verdict == MISSED
-    ]
-    return "\n".join(["**Missed criteria**", "", *lines]) if lines else ""
-
-
-def _list_deviations(outcomes: Sequence[Outcome]) -> str:
-    """Return the quantities of the table that are farthest from their references."""
-    deviations = [
-        (check.error, f"- {_describe(outcome, check)}")
-        for outcome in outcomes
-        for check in [find_headline(outcome)]
-        if check is not None and not check.is_absolute and check.error and isfinite(check.error)
-    ]
-    lines = [line for _, line in sorted(deviations, reverse=True)[:NUM_DEVIATIONS]]
-    return "\n".join(["**Largest deviations in the table**", "", *lines]) if lines else ""
+def _list(title: str, lines: Sequence[str]) -> str:
+    return "\n".join([f"**{title}**\n", *(f"- {line}" for line in lines)]) if lines else ""
 
 
 def _describe(outcome: Outcome, check: Check, *, default: str = "") -> str:
@@ -135,7 +122,7 @@ def render_summary(outcomes: Sequence[Outcome]) -> str:
     """Return the table of verdicts: a row per case, with its headline quantity."""
     rows = []
     for outcome in outcomes:
-        if headline := find_headline(outcome):
+        for headline in find_headline(outcome):
             verdicts = [check.verdict for check in outcome.checks]
             met, missed = verdicts.count(PASS), verdicts.count(MISSED)
             criteria = f"{met} of {met + missed}" if met + missed else "–"
@@ -145,10 +132,10 @@ def render_summary(outcomes: Sequence[Outcome]) -> str:
     return write_table(SUMMARY, rows)
 
 
-def find_headline(outcome: Outcome) -> Check | None:
-    """Return the check that stands for a case in the table of verdicts."""
+def find_headline(outcome: Outcome) -> Sequence[Check]:
+    """Return the check that stands for a case in the table of verdicts, if there is any."""
     named = [check for check in outcome.checks if check.quantity == outcome.case.headline]
-    return next(iter(named or outcome.checks), None)
+    return (named or outcome.checks)[:1]
 
 
 def render_table(outcomes: Sequence[Outcome]) -> str:
@@ -160,9 +147,8 @@ def render_table(outcomes: Sequence[Outcome]) -> str:
 def _make_row(check: Check) -> Sequence[str]:
     is_range = isinstance(check.reference, tuple)
     error = "inside" if is_range and check.error == 0.0 else _format_share(check, check.error)
-    tolerance = _format_share(check, check.tolerance)
-    if is_range and check.tolerance is None:
-        tolerance = "inside"
+    is_inside = is_range and check.tolerance is None
+    tolerance = "inside" if is_inside else _format_share(check, check.tolerance)
     numbers = (format_number(check.ours), _format_reference(check), error, tolerance)
     verdict = f"**{MISSED}**" if check.verdict == MISSED else check.verdict
     return (check.quantity, *numbers, verdict, check.resolution or "–")
@@ -195,16 +181,12 @@ def render_case(outcome: Outcome) -> str:
 
 def _render_refinement(checks: Sequence[Check]) -> list[str]:
     """Return a table for each set of runs: quantities by run."""
-    refined = [check for check in checks if check.refinement]
-    tables = []
-    for columns in dict.fromkeys(tuple(check.refinement) for check in refined):
-        rows = [
-            (check.quantity, *map(format_number, check.refinement.values()))
-            for check in refined
-            if tuple(check.refinement) == columns
-        ]
-        tables.append(write_table(("quantity", *columns), rows))
-    return tables
+    tables: dict[tuple[str, ...], list[Sequence[str]]] = {}
+    for check in checks:
+        if runs := tuple(check.refinement):
+            row = (check.quantity, *map(format_number, check.refinement.values()))
+            tables.setdefault(runs, []).append(row)
+    return [write_table(("quantity", *runs), rows) for runs, rows in tables.items()]
 
 
 def format_number(value: float) -> str:

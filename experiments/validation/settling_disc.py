@@ -62,10 +62,10 @@ TARGETS: dict[str, tuple[str, str, float, Any, str]] = {
 
 
 def settle(*, experiment: str, nodes: int, inset: float = 0.0) -> Result:
-    """Let a disc, d = ``nodes`` wide, sink from rest in a box with walls all round.
+    """Let a disc, ``nodes`` wide, sink from rest in a box with walls all round.
 
-    The markers lie ``inset`` nodes inside. Returns ``time`` and ``velocity`` in the experiment's
-    units, the largest v d / nu as ``reynolds`` and its mean over the last third of the time.
+    Returns ``time`` and ``velocity`` in the experiment's units, the largest v d / nu as
+    ``reynolds`` and its mean over the last third of the time.
     """
     case = EXPERIMENTS[experiment]
     space = case.diameter / nodes

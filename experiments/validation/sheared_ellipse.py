@@ -39,8 +39,7 @@ SLOWEST = {15.0: 0.055, 20.0: 0.032, 24.0: 0.017}
 INERTIAL: dict[str, Any] = {"length": 32, "period_length": 25.0, "tau": 0.6}
 SLOW_NOTE = (
     "one resolution only. At Re = 0.5 and H = 5 (2b), markers 0.45 nodes inside lengthen the "
-    "period by an amount of first order in 1 / 2b: 3.6 % at this resolution, more than the "
-    "error. This flow is more accurate with markers on the surface."
+    "period by 3.6 % at this resolution: this flow is more accurate with markers on the surface."
 )
 INERTIA_NOTE = (
     "our value is that of the first half turn after the start, theirs that of a periodic rotation."
@@ -58,13 +57,10 @@ def tumble(
 ) -> Result:
     """Let an ellipse rotate freely between sliding walls, through one half turn.
 
-    The long axis 2b is ``length`` nodes, the walls are ``gap`` of it apart, the channel is
-    ``period_length`` of it long (0: twice the gap, after which it no longer matters); Re is
-    G (2b)^2 / nu with the shear rate G, as in Ding & Aidun. Markers lie ``inset`` nodes inside.
-
-    Returns:
-        ``angle`` of the long axis past the direction of the gradient, 0 to pi, ``rate`` / G there,
-        ``period`` G (-1 for a body that stops turning) and ``slowest`` rate / G.
+    The long axis is ``length`` nodes, the walls are ``gap`` of it apart, the channel is
+    ``period_length`` of it long (0: twice the gap). Returns ``angle`` of the long axis past the
+    direction of the gradient, 0 to pi, ``rate`` / G there, ``period`` G (-1 for a body that stops
+    turning) and ``slowest`` rate / G.
     """
     nu = (tau - 0.5) / 3.0
     shear = reynolds * nu / length**2

@@ -68,7 +68,7 @@ def _make_state(config: FlowConfig, place: tuple[float, float], frequency: float
 def measure_slip(state: FlowState, config: FlowConfig, params: FlowParams) -> float:
     """Return the largest difference between fluid and body at a marker in the next step.
 
-    The velocity is interpolated anew from the nodes, force included, not taken from the solve.
+    The velocity is interpolated from the nodes, force included, not taken from the solve.
     """
     fluid = compute_macroscopic(state.f.unbind(1))
     place = locate_bodies(config, params.bodies, state.bodies, fluid.rho.dtype)
@@ -87,10 +87,9 @@ def measure_slip(state: FlowState, config: FlowConfig, params: FlowParams) -> fl
 
 
 def compare_solves(*, body: str) -> Result:
-    """Run the fish or the cylinder into motion, then go on with each way to solve for the force.
+    """Run the fish or the cylinder into motion, then continue with each force solve.
 
-    Returns slip / fastest wall or stream: by relaxation, one per number of iterations; of the
-    direct solves; of the exact one in single precision.
+    Returns slip / speed of tail or stream; by relaxation, one per number of iterations.
     """
     flow = make_fish_flow() if body == "fish" else _make_cylinder_flow()
     config, start, speed, num_steps = flow

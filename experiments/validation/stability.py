@@ -55,10 +55,7 @@ def turn_at_random(
     flux: float,
     num_episodes: int,
 ) -> Result:
-    """Let fish turn at random in a tank of 10 L × 5 L until they meet a wall, diverge or stop.
-
-    Returns the number of diverged fish and the largest speed seen at the end of a fifth of a beat.
-    """
+    """Let fish turn at random; return the number that diverged, and the largest speed seen."""
     scales = Scales.from_budget(
         body_length=body_length, reynolds=REYNOLDS, max_wall_speed=max_wall_speed
     )
@@ -92,10 +89,7 @@ def _swim(solver: InPlaceSolver, scales: Scales, generator: torch.Generator) -> 
 
 
 def start_cylinder(*, diameter: int, speed: float, reynolds: float) -> Result:
-    """Start a stream at once past a cylinder, between edges that reflect its sound.
-
-    Returns what became of it after ``TRAVELS`` diameters: one of ``RAN, DIVERGED, REFUSED``.
-    """
+    """Start a stream at once past a cylinder; return its fate, ``RAN, DIVERGED`` or ``REFUSED``."""
     try:
         solver = start_stream(
             Cylinder(diameter=diameter, motion=Fixed()),
@@ -129,12 +123,12 @@ JOBS = [
 
 def _read_shares(runs: Runs) -> dict[tuple[float, float], float]:
     """Return the share of diverged episodes at the paper's speed by energy and flux."""
-    found: dict[tuple[float, float], float] = {}
     fixed: Any = {"body_length": 50, "max_wall_speed": PAPER_SPEED, "num_episodes": NUM_EPISODES}
-    for e in ENERGIES:
-        for f, run in runs.by("flux", energy=e, **fixed).items():
-            found[e, f] = run["diverged"] / NUM_EPISODES
-    return found
+    return {
+        (e, f): run["diverged"] / NUM_EPISODES
+        for e in ENERGIES
+        for f, run in runs.by("flux", energy=e, **fixed).items()
+    }
 
 
 def judge(runs: Runs) -> Iterator[Check]:

@@ -39,11 +39,10 @@ GRID_CHANGE = 0.05
 WAVE_SPEED = 1.0  # of Carling's gait, wavelength L, in L / T
 CARLING = "Carling, Williams & Bowtell 1998, J. Exp. Biol. 201, 3143: 0.77 of the wave speed, 2D"
 NO_SOURCE = (
-    "we found no other two-dimensional speed of this swimmer published as a number. Gazzola et "
-    "al. 2011 and Zhu et al. 2021, with which the paper compares, show curves only; IBAMR's "
-    "eel2d (the same case) states no speed; Kern & Koumoutsakos 2006 is three-dimensional. The "
-    "acceptance criterion is therefore convergence. Carling's swimmer is thinner and has a "
-    "different amplitude envelope, so its speed is listed for comparison only."
+    "for comparison only: Carling's swimmer is thinner and has a different amplitude envelope. We "
+    "found no other two-dimensional speed of this swimmer published as a number (Gazzola et al. "
+    "2011 and Zhu et al. 2021 show curves, IBAMR's eel2d states none, Kern & Koumoutsakos 2006 is "
+    "three-dimensional), so the acceptance criterion is convergence."
 )
 
 
@@ -61,14 +60,10 @@ def swim(
     is_free: bool = True,
     inset: float = 0.0,
 ) -> Result:
-    """Swim along a tank of 10 L x ``height_bl`` from rest, Re = L^2 / (T nu).
+    """Swim along a tank of 10 L x ``height_bl`` from rest; unless ``is_free`` the heading is held.
 
-    ``max_wall_speed`` limits the tail's speed (nodes per step), ``thickness`` is in L, the markers
-    lie ``inset`` nodes inside the outline; unless ``is_free`` the heading is held.
-
-    Returns:
-        ``speed`` along -x (L / T) and mean ``power`` of the muscles (rho L^4 / T^3) of each beat;
-        the largest ``slip`` seen at the end of a beat and the ``tail_speed`` (L / T).
+    Returns ``speed`` along -x (L / T) and mean ``power`` of the muscles (rho L^4 / T^3) of each
+    beat; the largest ``slip`` at the end of a beat and the ``tail_speed`` (L / T).
     """
     scales = Scales.from_budget(
         body_length=body_length,

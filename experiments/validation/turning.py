@@ -28,10 +28,9 @@ HEADLINE = "turn of the body axis, degrees per beat, bending, gain 1"
 
 
 def turn(*, gain: float | None) -> Result:
-    """Swim straight, turn left for some beats and swim on, by command or bending with a gain.
+    """Swim straight, turn left and swim on, by command (no gain) or by bending with a gain.
 
-    Returns the path in L, and of each beat the change of the body axis in degrees and the speed
-    L / T.
+    Returns the path (L), and of each beat the turn of the body axis (degrees) and speed (L / T).
     """
     scales = Scales.from_budget(body_length=BODY_LENGTH, reynolds=REYNOLDS)
     motion = Commanded() if gain is None else Bending(gain=gain)

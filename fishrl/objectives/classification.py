@@ -9,17 +9,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import torch
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
-from fishrl.bounds import Checked, bounded
+from fishrl.settings import Settings
 
 
-@dataclass(frozen=True, kw_only=True)
-class FitSettings(Checked):
+class FitSettings(Settings):
     """How a classifier is fitted.
 
     Args:
@@ -31,11 +32,11 @@ class FitSettings(Checked):
         weight_decay: of Adam (L2).
     """
 
-    learning_rate: float = bounded(1e-3, greater=0, largest=1)
-    batch_size: int = bounded(64, least=1)
-    num_epochs: int = bounded(300, least=1)
-    patience: int | None = bounded(30, least=1)
-    weight_decay: float = bounded(0.0, least=0)
+    learning_rate: Annotated[PositiveFloat, Field(le=1)] = 1e-3
+    batch_size: PositiveInt = 64
+    num_epochs: PositiveInt = 300
+    patience: PositiveInt | None = 30
+    weight_decay: NonNegativeFloat = 0.0
 
     @classmethod
     def of_the_paper(cls) -> FitSettings:

@@ -5,23 +5,21 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from fishrl.bounds import bounded
-from fishrl.envs import AbstractTask
+from pydantic import PositiveInt
+
 from fishrl.programs.live import LiveCallback
+from fishrl.programs.policy_settings import PolicySettings, read_task
 from fishrl.programs.program import program
-from fishrl.programs.train_settings import PolicySettings, read_task
+from fishrl.settings import describe
 from fishrl.training import evaluate as run_evaluation
-from fishrl.training.description import make, to_plain
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
 from fishrl.viewer import ViewerSettings, check_folder
 
 
-@dataclass(frozen=True, kw_only=True)
 class EvaluateConfig(PolicySettings, ViewerSettings):
     """Settings of an evaluation.
 
@@ -32,19 +30,18 @@ class EvaluateConfig(PolicySettings, ViewerSettings):
         save: file for the result and all these settings as JSON, or nothing.
     """
 
-    episodes: int = bounded(32, least=1)
-    num_envs: int = bounded(16, least=1)
+    episodes: PositiveInt = 32
+    num_envs: PositiveInt = 16
     save: str | None = None
 
 
 def evaluate(config: EvaluateConfig, *, progress: Progress | None = None) -> dict[str, Any]:
     """Run one episode from each of the fixed starts, and return the result with its policy."""
     live = LiveCallback(config, num_flows=min(config.num_envs, config.episodes))
-    task = make(config.task, kind=AbstractTask)
     source = str(config.policy) if config.learned is None else Path(config.learned)
     result = run_evaluation(
         source,
-        task=task,
+        task=config.task,
         recognition=config.recognition,
         episodes=config.episodes,
         num_envs=config.num_envs,
@@ -53,7 +50,7 @@ def evaluate(config: EvaluateConfig, *, progress: Progress | None = None) -> dic
         compile=config.compile,
         callbacks=[live] if progress is None else [progress, live],
     )
-    about = {"policy": config.checkpoint or config.policy, "task": type(task).__name__}
+    about = {"policy": config.checkpoint or config.policy, "task": type(config.task).__name__}
     return {**about, "preset": config.preset, "seed": config.seed, **result}
 
 
@@ -69,4 +66,4 @@ def main(settings: EvaluateConfig) -> None:
         shown = f"{value:.3f}" if isinstance(value, float) else value
         print(f"{name:<24}{shown}")
     if path is not None:
-        write_json(path, result | {"settings": to_plain(asdict(settings))})
+        write_json(path, result | {"settings": describe(settings)})

@@ -9,20 +9,18 @@ VTK files for ParaView. Needs the extra ``export``.
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from omegaconf import MISSING
+from pydantic import PositiveFloat, PositiveInt
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from fishrl.bounds import bounded
 from fishrl.envs import run_episodes
 from fishrl.extras import show_install
+from fishrl.programs.policy_settings import PolicySettings, read_task
 from fishrl.programs.program import program
-from fishrl.programs.train_settings import PolicySettings, read_task
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
 from fishrl.viewer import check_folder
@@ -32,7 +30,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-@dataclass(frozen=True, kw_only=True)
 class ExportSettings(PolicySettings):
     """Settings of an export.
 
@@ -42,9 +39,9 @@ class ExportSettings(PolicySettings):
         frames_per_T: frames per period, approximately.
     """
 
-    save: str = MISSING
-    periods: float | None = bounded(5.0, greater=0)
-    frames_per_T: int = bounded(8, least=1)
+    save: str
+    periods: PositiveFloat | None = 5.0
+    frames_per_T: PositiveInt = 8
 
     def __post_init__(self) -> None:
         """Check that the format is known, too."""

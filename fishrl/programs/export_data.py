@@ -9,16 +9,14 @@ reports, such as the signals of the lateral line. Needs the extra ``export``.
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import torch
-from omegaconf import MISSING
+from pydantic import PositiveInt
 
-from fishrl.bounds import bounded
+from fishrl.programs.policy_settings import PolicySettings, read_task
 from fishrl.programs.program import program
-from fishrl.programs.train_settings import PolicySettings, read_task
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
 
@@ -26,7 +24,6 @@ if TYPE_CHECKING:
     from minari import MinariDataset
 
 
-@dataclass(frozen=True, kw_only=True)
 class ExportDataSettings(PolicySettings):
     """Settings of a dataset.
 
@@ -38,10 +35,10 @@ class ExportDataSettings(PolicySettings):
         samples_actions: sample the actions of a stochastic policy (SAC, PPO), as in training.
     """
 
-    name: str = MISSING
+    name: str
     folder: str = "datasets"
-    episodes: int = bounded(64, least=1)
-    num_envs: int = bounded(16, least=1)
+    episodes: PositiveInt = 64
+    num_envs: PositiveInt = 16
     samples_actions: bool = False
 
 

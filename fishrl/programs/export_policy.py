@@ -9,19 +9,16 @@ also uploads it to the Hugging Face Hub, which needs the extra ``hub`` and a log
 from __future__ import annotations
 
 import subprocess
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from omegaconf import MISSING
-
 from fishrl.extras import show_install
 from fishrl.programs.program import program
+from fishrl.settings import Settings
 from fishrl.training.export import export_policy
 
 
-@dataclass(kw_only=True)
-class ExportPolicySettings:
+class ExportPolicySettings(Settings):
     """Settings of an export.
 
     Args:
@@ -32,8 +29,8 @@ class ExportPolicySettings:
             created, for everyone to read, if it does not exist.
     """
 
-    run: str = MISSING
-    folder: str = MISSING
+    run: str
+    folder: str
     title: str | None = None
     upload: str | None = None
 

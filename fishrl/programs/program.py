@@ -1,18 +1,16 @@
 """Programs: a function run with settings given as ``key=value``; errors take one line.
 
-``@program`` makes a program of a function and of a dataclass with its settings::
+``@program`` makes a program of a function and of a class with its settings::
 
     @program(TransferSettings, groups={"task": "karman_gait", "preset": None})
     def main(settings: TransferSettings) -> None: ...
 
-and ``main()`` where the module is run.
-``fishrl transfer runs=[a,b] episodes=34 task.reynolds=400`` then checks the settings
-and calls the function. ``groups`` are for programs that make a task, algorithm or logger, with
-``make(settings.task, kind=AbstractTask)``; fields without a default have to be given. ``--help``
-prints the module's docstring and the settings with what the ``Args:`` of the dataclass say, ``--cfg
-job`` prints all settings. ``ValueError``, ``ImportError`` and ``OSError`` end the program with one
-line. In Python, ``main.read([...])`` returns the settings of a command line and
-``main.run(settings)`` runs them.
+``fishrl transfer runs=[a,b] episodes=34 task.reynolds=400`` then checks the settings and calls the
+function. ``groups`` are for programs that make a task, algorithm or logger. ``--help`` prints the
+module's docstring and the settings with what the ``Args:`` of their classes say, ``--cfg job`` all
+settings as YAML. ``ValueError``, ``ImportError`` and ``OSError`` end the program with one line. In
+Python, ``main.read([...])`` returns the settings of a command line and ``main.run(settings)`` runs
+them.
 """
 
 from __future__ import annotations
@@ -29,19 +27,25 @@ import signal
 import sys
 import sysconfig
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 from types import FrameType
 from typing import Any
 
-from omegaconf import MISSING, OmegaConf
+import yaml
 from tqdm import tqdm
 
-from fishrl.bounds import Checked
-from fishrl.programs.configuration import CONF, CommandLine, split_options
+from fishrl.envs import AbstractTask
+from fishrl.programs.configuration import CommandLine, split_options
+from fishrl.settings import REQUIRED, TARGET, Settings, build, describe, list_fields, to_plain
+from fishrl.settings.plain import list_classes
 from fishrl.training.interruption import SIGNALS, exit_status
+
+#: Of lines of the help.
+_WIDTH: dict[str, Any] = {"width": 100, "initial_indent": "  ", "subsequent_indent": " " * 8}
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,8 @@ class Program:
             if options.help:
                 print(self.describe(words))
             elif options.cfg:
-                print(OmegaConf.to_yaml(self.command_line.compose(words)))
+                settings = describe(self.read(words))
+                print(yaml.safe_dump({n: v for n, v in settings.items() if n != TARGET}))
             elif not options.multirun:
                 self.run(self.read(words))
             elif self.sweep is not None:
@@ -79,28 +84,32 @@ class Program:
     def describe(self, arguments: Sequence[str] = ()) -> str:
         """Return the help: the module's docstring, choices and settings with their defaults."""
         line = self.command_line
-        config, choices = line.compose(arguments), list_choices()
         lines = [(sys.modules[self.run.__module__].__doc__ or "").strip(), ""]
-        lines += [f"{name}: one of {', '.join(choices[name])}" for name in line.groups]
+        for name, choices in line.list_choices(arguments).items():
+            lines.append(f"{name}: one of {', '.join(choices)}")
         if line.groups:
-            lines.append(
-                "modules=[...]: modules of your own that define tasks, algorithms, loggers"
-            )
+            lines.append("--config-dir <folder>: adds your own, <folder>/task/<name>.yaml")
+            lines.append("modules=[...]: modules that define tasks, algorithms, loggers of yours")
             lines.append("")
         lines.append("settings, as key=value:")
         texts = read_arguments(line.schema)
-        for name in map(str, config):
-            value = "???" if OmegaConf.is_missing(config, name) else config[name]
-            if OmegaConf.is_dict(value):
-                lines.append(f"  {name}:  ({name}.<key>=<value>)")
-                lines += [f"    {entry}" for entry in OmegaConf.to_yaml(value).splitlines()]
-            else:
-                lines.append(f"  {name}={write_value(value)}  {texts.get(name, '')}")
+        for name, value in self.list_defaults(arguments).items():
+            lines += _list_settings(name, value, texts.get(name, ""))
         return "\n".join(lines).replace("``", "`")
 
+    def list_defaults(self, arguments: Sequence[str] = ()) -> dict[str, Any]:
+        """Return the values of all settings with a command line that need not be complete."""
+        node, modules = self.command_line.compose(arguments)
+        values = {}
+        for name, hint, default, _ in list_fields(self.command_line.schema):
+            value = node.get(name, default)
+            if isinstance(value, Mapping):
+                value = build(tuple(list_classes(hint)), value, modules=modules)
+            values[name] = value
+        return values
 
-@dataclass(frozen=True, kw_only=True)
-class TaskSettings(Checked):
+
+class TaskSettings(Settings):
     """Settings of programs that study a task.
 
     Args:
@@ -108,7 +117,7 @@ class TaskSettings(Checked):
         preset: name of a preset; only its task is used.
     """
 
-    task: Any = MISSING
+    task: AbstractTask
     preset: str | None = None
 
 
@@ -116,8 +125,26 @@ def program(
     schema: type | CommandLine, *, sweep: Callable[[Sequence[str]], None] | None = None, **line: Any
 ) -> Callable[[Callable[[Any], None]], Program]:
     """Make a program of a function of its settings; ``line`` are arguments of ``CommandLine``."""
-    taken = schema if isinstance(schema, CommandLine) else CommandLine(schema=schema, **line)
-    return lambda run: Program(run, taken, sweep)
+
+    def make(run: Callable[[Any], None]) -> Program:
+        if isinstance(schema, CommandLine):
+            return Program(run, schema, sweep)
+        name = run.__module__.rpartition(".")[2].replace("_", "-")
+        return Program(run, CommandLine(name=name, schema=schema, **line), sweep)
+
+    return make
+
+
+def _list_settings(key: str, value: Any, text: str) -> Iterator[str]:
+    """List a setting and those below it, each with its meaning."""
+    plain = "???" if value is REQUIRED else to_plain(value)
+    if not isinstance(plain, dict) or TARGET not in plain:
+        yield fill(f"{key}={write_value(plain)}  {text}", **_WIDTH)
+        return
+    yield fill(f"{key}._target_={plain[TARGET]}  {text}", **_WIDTH)
+    texts = read_arguments(type(value))
+    for name in list(plain)[1:]:
+        yield from _list_settings(f"{key}.{name}", getattr(value, name), texts.get(name, ""))
 
 
 def check_names(names: Sequence[str]) -> None:
@@ -127,10 +154,12 @@ def check_names(names: Sequence[str]) -> None:
 
 
 def write_value(value: Any) -> str:
-    """Write a plain value or a list of them as on a command line."""
+    """Write a plain value as on a command line."""
     if isinstance(value, bool) or value is None:
         return json.dumps(value)
-    if OmegaConf.is_list(value) or isinstance(value, list | tuple):
+    if isinstance(value, Mapping):
+        return f"{{{','.join(f'{name}:{write_value(entry)}' for name, entry in value.items())}}}"
+    if isinstance(value, list | tuple):
         return f"[{','.join(map(write_value, value))}]"
     return str(value)
 
@@ -149,15 +178,6 @@ def read_arguments(kind: type) -> dict[str, str]:
             elif name and line.strip():
                 texts[name] += " " + line.strip()
     return texts
-
-
-def list_choices() -> dict[str, list[str]]:
-    """List the config groups and the choices in each."""
-    return {
-        group.name: sorted(path.stem for path in group.glob("*.yaml"))
-        for group in sorted(CONF.iterdir())
-        if group.is_dir()
-    }
 
 
 def set_up_logging() -> None:

@@ -14,32 +14,30 @@ import logging
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from hydra.core.override_parser.types import IntervalSweep
+from pydantic import PositiveInt
 
 try:
     import optuna
 except ImportError:  # it comes with the extra `sweep`
     optuna = None  # type: ignore[assignment]
 
-from fishrl.bounds import Checked, bounded
 from fishrl.extras import show_install
 from fishrl.programs.configuration import parse, quote
 from fishrl.programs.program import program, show_command
 from fishrl.programs.sweeps.ending import ending_runs
-from fishrl.programs.sweeps.jobs import LOOK_SECONDS, find_or_begin, run_alone
-from fishrl.programs.sweeps.runs import read_run
+from fishrl.programs.sweeps.jobs import LOOK_SECONDS, Job, run_job
 from fishrl.programs.train_settings import TRAINING
+from fishrl.settings import Settings
 from fishrl.training.run_folder import HeldError, RunFolder
 
 logger = logging.getLogger(__name__)
 
 
-@dataclass(kw_only=True)
-class SearchSettings(Checked):
+class SearchSettings(Settings):
     """Settings of a search, beside those of its trainings.
 
     Args:
@@ -52,24 +50,27 @@ class SearchSettings(Checked):
     """
 
     folder: str
-    trials: int = bounded(20, least=1)
-    seeds: int = bounded(1, least=1)
+    trials: PositiveInt = 20
+    seeds: PositiveInt = 1
     metric: str = "mean_return"
     minimize: bool = False
-    overrides: list[str] = field(default_factory=list)
+    overrides: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the bounds, and that something is searched."""
-        super().__post_init__()
-        self.folder = str(Path(self.folder).expanduser())
+        """Check that something is searched, and all that is searched."""
         for override in parse(TRAINING.prepare(self.overrides)):
-            if override.key_or_group in ("seed", "name", "resume"):
+            if override.key_or_group in ("seed", "name", "resume", "folder"):
                 raise ValueError(f"{override.key_or_group}: is set by the search; leave it out")
         space = self.space()
         if not space:
             raise ValueError("nothing to search: give a setting as key=interval(low,high)")
         some = {k: d.choices[0] if hasattr(d, "choices") else d.low for k, d in space.items()}
-        TRAINING.compose([*self.fixed, *(f"{key}={value}" for key, value in some.items())])
+        TRAINING.read([*self.fixed, *(f"{key}={value}" for key, value in some.items())])
+
+    @property
+    def path(self) -> Path:
+        """The folder of the study and its runs."""
+        return Path(self.folder).expanduser()
 
     @property
     def fixed(self) -> list[str]:
@@ -96,10 +97,14 @@ class SearchSettings(Checked):
         return space
 
 
-def search(settings: SearchSettings) -> Any:
-    """Run trials until Optuna's study has as many as wanted, those that were cut off first."""
+def open_study(settings: SearchSettings) -> Any:
+    """Return Optuna's study of a search, new or with the trials of before.
+
+    Raises:
+        ValueError: if its folder holds another search, with results.
+    """
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    folder, space = Path(settings.folder), settings.space()
+    folder, space = settings.path, settings.space()
     folder.mkdir(parents=True, exist_ok=True)
     study = optuna.create_study(
         storage=f"sqlite:///{folder.resolve() / 'study.db'}",
@@ -113,14 +118,20 @@ def search(settings: SearchSettings) -> Any:
     if has_begun and study.user_attrs.get("identity", identity) != identity:
         raise ValueError(f"{folder}: holds another search, {study.user_attrs['identity']}")
     study.set_user_attr("identity", identity)
+    return study
+
+
+def search(settings: SearchSettings) -> Any:
+    """Run trials until the study has as many as wanted, those that were cut off first."""
+    study = open_study(settings)
     for trial in study.get_trials(states=[optuna.trial.TrialState.RUNNING]):
         run_trial(settings, study, trial.number)
     while len(study.trials) < settings.trials:
         # Each trial has its own seed, also where several processes search: nothing is drawn twice.
-        with (folder / "study.lock").open("w") as lock:
+        with (settings.path / "study.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             study.sampler = optuna.samplers.TPESampler(seed=len(study.trials))
-            number = study.ask(space).number
+            number = study.ask(settings.space()).number
         try:
             run_trial(settings, study, number)
         except optuna.exceptions.UpdateFinishedTrialError:
@@ -130,7 +141,7 @@ def search(settings: SearchSettings) -> Any:
 
 def run_trial(settings: SearchSettings, study: Any, number: int) -> None:
     """Train with the settings of a trial, unless another process is at it or has done it."""
-    place = RunFolder(Path(settings.folder) / ".trials" / f"{number:04d}")
+    place = RunFolder(settings.path / ".trials" / f"{number:04d}")
     place.path.mkdir(parents=True, exist_ok=True)
     try:
         lock = place.hold()
@@ -155,24 +166,22 @@ def run_seed(
     settings: SearchSettings, number: int, chosen: Sequence[str], seed: int
 ) -> float | None:
     """Run one seed of a trial, or read its result; None if it failed."""
-    place = [f"seed={seed}", f"folder={quote(settings.folder)}"]
     name = f"trial_{number:04d}-seed_{seed}"
+    place = [f"seed={seed}", f"folder={quote(settings.folder)}", f"name={name}"]
+    words = [*settings.fixed, *chosen, *place]
     try:
-        path = find_or_begin(TRAINING.read([*settings.fixed, *chosen, *place]), name=name).path
+        job = Job(TRAINING.read(words), words)
+        while (run := run_job(job)).status == "running":  # as one that outlived its search
+            time.sleep(LOOK_SECONDS)
     except ValueError as error:
         logger.info("%s: failed: %s", name, error)
         return None
-    while read_run(path).status == "running":  # as one that outlived its search
-        time.sleep(LOOK_SECONDS)
-    run = read_run(path)
-    if run.status != "finished":
-        run = run_alone(path)
     if run.status != "finished":
         logger.info("%s: %s: %s", name, run.status, run.reason)
         return None
     if settings.metric not in run.summary:
         numbers = sorted(k for k, v in run.summary.items() if isinstance(v, int | float))
-        raise ValueError(f"metric = {settings.metric}: not in {path}; there is {numbers}")
+        raise ValueError(f"metric = {settings.metric}: not in {run.path}; there is {numbers}")
     value = run.summary[settings.metric]
     return None if value is None else float(value)
 
@@ -184,7 +193,7 @@ def main(settings: SearchSettings) -> None:
         with ending_runs():
             study = search(settings)
     except KeyboardInterrupt:
-        sys.exit("interrupted; the same command goes on")
+        sys.exit("interrupted; the same command continues")
     done = [trial for trial in study.trials if trial.value is not None]
     print(f"\n{len(done)} of {len(study.trials)} trials finished in {settings.folder}")
     for trial in sorted(done, key=lambda t: t.value, reverse=not settings.minimize)[:5]:

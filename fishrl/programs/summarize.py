@@ -10,7 +10,7 @@ and runs to repeat), ``summary.csv`` (every number of the summaries), ``runs.csv
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from shutil import copyfile
 from typing import Any
@@ -28,6 +28,7 @@ from fishrl.programs.statistics import (
 )
 from fishrl.programs.sweeps.groups import Group, group_runs, is_number
 from fishrl.programs.sweeps.runs import Run, advise, read_run, read_runs
+from fishrl.settings import Settings
 
 #: Heading, entry of a run's summary, format. ``curve_mean`` is the mean success rate over all
 #: evaluations of a training: the earlier a policy succeeds, the greater.
@@ -57,8 +58,7 @@ PANELS = {
 }
 
 
-@dataclass(kw_only=True)
-class SummarizeSettings:
+class SummarizeSettings(Settings):
     """Settings of a summary.
 
     Args:

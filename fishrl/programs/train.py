@@ -1,14 +1,14 @@
 """Train a policy: ``fishrl train task=predation preset=small seed=0``.
 
-``resume=<run folder>`` continues a run that was stopped or killed. A finished run is left unchanged
-unless ``total_frames`` extends it, or another final evaluation is asked for.
+``name=<folder>`` begins the run in that folder, or continues the one there;
+``resume=<run folder>`` does so with its own settings. A finished run is left unchanged unless
+``total_frames`` extends it, or another final evaluation is asked for.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,22 +20,20 @@ from fishrl.programs.figures.run_pictures import record_run
 from fishrl.programs.live import LiveCallback
 from fishrl.programs.program import program, show_command
 from fishrl.programs.sweeps.jobs import sweep
-from fishrl.programs.sweeps.runs import list_arguments, name_modules
-from fishrl.programs.train_settings import TRAINING, TrainConfig, make_plan
+from fishrl.programs.sweeps.runs import show_modules, show_resume
+from fishrl.programs.train_settings import (
+    TRAINING,
+    TrainConfig,
+    is_finished,
+    list_changes,
+    make_plan,
+)
 from fishrl.training.checkpoint import read_metadata
-from fishrl.training.description import to_plain
 from fishrl.training.evaluation import FINAL_SEED, fixed_starts
 from fishrl.training.interruption import Interrupted, exit_status
 from fishrl.training.loop import Training
-from fishrl.training.plan import LEARNING, PARTS, RUN
 from fishrl.training.progress import Progress
-from fishrl.training.run_folder import RunFolder, read_config
-from fishrl.training.runs import begin, complete, find_summary, reopen
-
-#: Settings that are not taken from the stored run on resume.
-_OF_THE_MOMENT = ("live", "recognition", "resume")
-#: Settings that, if changed, evaluate or draw a finished run again.
-_OF_THE_END = ("total_frames", "final_episodes", "baselines", "picture_episodes")
+from fishrl.training.runs import begin, complete, reopen
 
 
 class RunCallback(LiveCallback):
@@ -66,29 +64,27 @@ class RunCallback(LiveCallback):
 
 
 def set_up(config: TrainConfig, progress: Progress | None = None) -> Training:
-    """Set up a run, new or resumed; invalid settings raise an error here, not later."""
+    """Begin the run of these settings, or continue the one in its folder.
+
+    Raises:
+        ValueError: for invalid settings, and for others than those of the run that is continued.
+    """
     progress = progress or Progress(is_shown=False)
     callbacks = [progress, RunCallback(config, progress)]
-    if config.resume:
-        return reopen(config.resume, callbacks=callbacks, **list_changes(config))
+    if config.has_begun:
+        changes = list_changes(config)
+        return reopen(str(config.path), modules=config.modules, callbacks=callbacks, **changes)
     return begin(make_plan(config), recognition=config.recognition, callbacks=callbacks)
 
 
-def list_changes(config: TrainConfig) -> dict[str, Any]:
-    """Return the settings that may be others than in the run that is resumed."""
-    stored = read_config(RunFolder.of_existing(str(config.resume)).config)
-    fixed = (*LEARNING, *PARTS, *_OF_THE_MOMENT)
-    plain = to_plain(asdict(config))
-    return {n: v for n, v in plain.items() if n not in fixed and (n in RUN or n in stored)}
-
-
-def finish(training: Training, progress: Progress | None = None) -> dict[str, Any]:
+def finish(
+    training: Training, progress: Progress | None = None, modules: Sequence[str] = ()
+) -> dict[str, Any]:
     """Run a training to its end, draw its pictures, print the table, and return the summary."""
     summary = complete(training)
     if progress is not None:
         progress.close()  # the table appears below it
-    modules = name_modules(training.plan.to_config())
-    report(summary, folder=training.folder.path, modules=modules)
+    report(summary, folder=training.folder.path, modules=show_modules(modules))
     return summary
 
 
@@ -119,18 +115,15 @@ def report(summary: dict[str, Any], *, folder: Path, modules: Sequence[str]) -> 
 
 @program(TRAINING, sweep=sweep)
 def main(settings: TrainConfig) -> None:
-    """Train, or resume a run; print the command to resume it if it is interrupted."""
-    if settings.resume:
-        changes = {n: v for n, v in list_changes(settings).items() if n in _OF_THE_END}
-        if find_summary(settings.resume, **changes) is not None:
-            print(f"{settings.resume}: already finished; total_frames=... extends it")
-            return
+    """Begin or continue a run; print the command to resume it if it is interrupted."""
+    if settings.has_begun and is_finished(settings):
+        print(f"{settings.path}: already finished; total_frames=... extends it")
+        return
     with Progress() as progress:
         training = set_up(settings, progress)
-        arguments = list_arguments(training.folder.path, training.plan.to_config())
-        hint = f"resume with: {show_command('train', *arguments)}"
+        hint = f"resume with: {show_resume(training.folder.path, settings.modules)}"
         try:
-            finish(training, progress)
+            finish(training, progress, settings.modules)
         except Interrupted as end:
             frames = read_metadata(training.folder.path, which="last")[1]["frames"]
             print(f"{end}: saved at frame {frames}; {hint}", file=sys.stderr)

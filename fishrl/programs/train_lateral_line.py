@@ -10,17 +10,15 @@ command continues after an interruption, and other fits reuse them.
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict, replace
 from pathlib import Path
 
 from tensordict import TensorDict
 
-from fishrl.envs import AbstractTask
 from fishrl.programs.lateral_line.collection import collect
 from fishrl.programs.lateral_line.fitting import Design, Fit, LateralLineSettings, fit
 from fishrl.programs.lateral_line.report import describe, tabulate, write_figures
 from fishrl.programs.program import program
-from fishrl.training.description import make, to_plain
+from fishrl.settings import describe as describe_settings
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, write_json, write_yaml
 
@@ -52,13 +50,13 @@ def train_lateral_line(
 @program(LateralLineSettings, groups={"task": "karman_gait", "preset": None})
 def main(settings: LateralLineSettings) -> None:
     """Collect, fit and write a run folder."""
-    made = replace(settings, task=make(settings.task, kind=AbstractTask))
-    place = made.place  # refuses a task without flows to tell apart
-    name = made.name or f"lateral-line-{type(made.task).__name__.lower()}-seed{made.seed}"
-    folder = RunFolder.create(parent=made.folder, name=name)
-    write_yaml(folder.config, to_plain(asdict(settings)))
+    place = settings.place  # refuses a task without flows to tell apart
+    task = type(settings.task).__name__.lower()
+    name = settings.name or f"lateral-line-{task}-seed{settings.seed}"
+    folder = RunFolder.create(parent=settings.folder, name=name)
+    write_yaml(folder.config, describe_settings(settings))
     logger.info("run folder: %s, data: %s", folder.path, place)
     with Progress() as progress:
-        fits = train_lateral_line(made, collect(made, progress), folder.path, progress)
+        fits = train_lateral_line(settings, collect(settings, progress), folder.path, progress)
     print(tabulate(fits))
     print(f"written to {folder.path}")

@@ -8,25 +8,22 @@ histories are cached.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
+from pydantic import NonNegativeInt, PositiveFloat, PositiveInt
 
-from fishrl.bounds import bounded
 from fishrl.envs import KarmanGait
 from fishrl.programs.gait import figures, trials
 from fishrl.programs.gait.diagnostics import combine_seeds, diagnose, trace_work
 from fishrl.programs.gait.free_stream import hold_in_free_stream
 from fishrl.programs.gait.tables import write_free_stream, write_results
 from fishrl.programs.program import TaskSettings, check_names, program
-from fishrl.training.description import make
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
 
 
-@dataclass(frozen=True, kw_only=True)
 class TransferSettings(TaskSettings):
     """Settings of a transfer test.
 
@@ -44,13 +41,14 @@ class TransferSettings(TaskSettings):
         folder: folder for tables, figures and histories.
     """
 
+    task: KarmanGait
     runs: tuple[str, ...] = ()
-    episodes: int = bounded(100, least=1)
-    periods: float = bounded(trials.PERIODS, greater=0)
+    episodes: PositiveInt = 100
+    periods: PositiveFloat = trials.PERIODS
     baselines: tuple[str, ...] = ("pid", "pid+policy", "bang_bang", "shedding")
     recognition: str | None = None
     samples_actions: bool = False
-    free_episodes: int = bounded(0, least=0)
+    free_episodes: NonNegativeInt = 0
     folder: str = "runs/transfer"
 
 
@@ -136,7 +134,7 @@ def main(settings: TransferSettings) -> None:
         banked = [trial.task for trial in tried if trial.task.control.num_flows is not None]
         if banked and settings.task != main.read(()).task:
             raise ValueError("task, preset: the runs bring their own; leave them out")
-        task = banked[0] if banked else make(settings.task, kind=KarmanGait)
+        task = banked[0] if banked else settings.task
         tried += [trials.make_trial(name, task, periods=periods) for name in settings.baselines]
         transfer(tried, settings, progress)
     print((Path(settings.folder) / "transfer.md").read_text(encoding="utf-8"))

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import time
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from fishrl.bounds import bounded
+from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
+
 from fishrl.envs.scene import Frame
+from fishrl.programs.policy_settings import PolicySettings, read_task
 from fishrl.programs.program import program
-from fishrl.programs.train_settings import PolicySettings, read_task
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
 from fishrl.viewer import (
@@ -35,7 +35,6 @@ from fishrl.viewer import (
 from fishrl.viewer.film import FILMS
 
 
-@dataclass(frozen=True, kw_only=True)
 class ViewConfig(PolicySettings, ViewerSettings):
     """Settings of the viewer program.
 
@@ -52,11 +51,11 @@ class ViewConfig(PolicySettings, ViewerSettings):
 
     recording: str | None = None
     run: str | None = None
-    episodes: int = bounded(1, least=1)
-    periods: float | None = bounded(20.0, greater=0)
+    episodes: PositiveInt = 1
+    periods: PositiveFloat | None = 20.0
     save: str | None = None
     screenshot: str | None = None
-    time: float | None = bounded(None, least=0)
+    time: NonNegativeFloat | None = None
 
     def __post_init__(self) -> None:
         """Check both kinds of settings."""

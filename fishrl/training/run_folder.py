@@ -44,8 +44,11 @@ class RunFolder:
         self.lock = path / ".lock"  # locked by the process that writes the run, see ``hold``
 
     @classmethod
-    def create(cls, *, parent: str, name: str) -> RunFolder:
-        """Make a new folder; if the name exists, a number is appended to it."""
+    def create(cls, *, parent: str, name: str, reuse: bool = False) -> RunFolder:
+        """Make a new folder; if the name exists, a number is appended to it.
+
+        With ``reuse`` a folder of that name is taken if it holds no run yet.
+        """
         base = Path(parent).expanduser()
         if Path(name).name != name or name == "..":
             raise ValueError(f"name = {name}: is the name of a folder in {base}, without slashes")
@@ -57,6 +60,9 @@ class RunFolder:
             except FileExistsError:
                 if not path.is_dir():
                     raise _unwritable(path, "a file is in the way") from None
+                if reuse and not cls(path).config.is_file():
+                    number = 1
+                    break
             except OSError as error:
                 raise _unwritable(path, error.strerror or str(error)) from error
         if number > 1:

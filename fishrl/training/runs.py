@@ -111,15 +111,14 @@ def begin(
         return Training(replace(resolved, plan=plan), folder=folder, callbacks=callbacks)
 
 
-def make_folder(
-    plan: Plan, *, recognition: Recognition = None, folder: RunFolder | None = None
-) -> tuple[RunFolder, Plan]:
-    """Write everything a run needs into a folder, by default a new one, for ``resume``.
+def make_folder(plan: Plan, *, recognition: Recognition = None) -> tuple[RunFolder, Plan]:
+    """Write everything a run needs into a new folder, for ``resume``.
 
     Returns:
         The folder, and the plan as written there; the file of a classifier is copied.
     """
-    folder = folder or RunFolder.create(parent=plan.run.folder, name=plan.name)
+    is_named = plan.run.name is not None
+    folder = RunFolder.create(parent=plan.run.folder, name=plan.name, reuse=is_named)
     plan = replace(plan, recognition=keep_recognition(recognition, folder.path))
     write_yaml(folder.config, plan.to_config())
     return folder, plan

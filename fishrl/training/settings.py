@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated
 
 import torch
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
-from fishrl.bounds import Checked, bounded
+from fishrl.settings import Role, Settings
 
 
-@dataclass(frozen=True, kw_only=True)
-class LearningSettings(Checked):
+class LearningSettings(Settings):
     """Settings that determine the result of a training; fixed once a run has begun.
 
     Args:
@@ -29,17 +29,17 @@ class LearningSettings(Checked):
         hidden: widths of the hidden layers of every network.
     """
 
-    seed: int = bounded(0, least=0, largest=2**32 - 1)
-    num_envs: int = bounded(16, least=1)
-    ray_collectors: int = bounded(0, least=0, largest=10_000)
-    warmup_frames: int = bounded(320, least=0)
-    updates_per_frame: float = bounded(4.0, least=0, largest=1e6)
-    batch_size: int = bounded(64, least=1)
-    buffer_size: int = bounded(20_000, least=1)
-    gamma: float = bounded(0.99, least=0, largest=1)
-    learning_rate: float = bounded(5e-4, greater=0, largest=1)
-    tau: float = bounded(0.01, least=0, largest=1)
-    hidden: tuple[int, ...] = bounded((256, 256), least=1)
+    seed: Annotated[NonNegativeInt, Field(lt=2**32)] = 0
+    num_envs: PositiveInt = 16
+    ray_collectors: Annotated[NonNegativeInt, Field(le=10_000)] = 0
+    warmup_frames: NonNegativeInt = 320
+    updates_per_frame: Annotated[NonNegativeFloat, Field(le=1e6)] = 4.0
+    batch_size: PositiveInt = 64
+    buffer_size: PositiveInt = 20_000
+    gamma: Annotated[NonNegativeFloat, Field(le=1)] = 0.99
+    learning_rate: Annotated[PositiveFloat, Field(le=1)] = 5e-4
+    tau: Annotated[NonNegativeFloat, Field(le=1)] = 0.01
+    hidden: tuple[PositiveInt, ...] = (256, 256)
 
     def __post_init__(self) -> None:
         """Check the bounds."""
@@ -55,8 +55,7 @@ class LearningSettings(Checked):
             )
 
 
-@dataclass(frozen=True, kw_only=True)
-class RunSettings(Checked):
+class RunSettings(Settings):
     """Where a training runs and how often it reports; may change when a run is resumed.
 
     Args:
@@ -77,19 +76,19 @@ class RunSettings(Checked):
             ``fishrl.training.baselines``.
     """
 
-    total_frames: int = bounded(2800, least=1)
+    total_frames: PositiveInt = 2800
     device: str = "cpu"
     learner_device: str | None = None
     compile: bool = True
-    folder: str = "runs"
-    name: str | None = None
-    log_frames: int = bounded(64, least=1)
-    checkpoint_frames: int = bounded(350, least=1)
-    keep_checkpoints: int = bounded(2, least=1)
-    eval_frames: int = bounded(700, least=1)
-    eval_episodes: int = bounded(16, least=1, largest=10**6)
-    final_episodes: int = bounded(32, least=1, largest=10**6)
-    baselines: tuple[str, ...] | None = None
+    folder: Annotated[str, Role.HARMLESS] = "runs"
+    name: Annotated[str | None, Role.HARMLESS] = None
+    log_frames: Annotated[PositiveInt, Role.HARMLESS] = 64
+    checkpoint_frames: Annotated[PositiveInt, Role.HARMLESS] = 350
+    keep_checkpoints: Annotated[PositiveInt, Role.HARMLESS] = 2
+    eval_frames: PositiveInt = 700
+    eval_episodes: Annotated[PositiveInt, Field(le=10**6)] = 16
+    final_episodes: Annotated[PositiveInt, Field(le=10**6), Role.EVALUATION] = 32
+    baselines: Annotated[tuple[str, ...] | None, Role.EVALUATION] = None
 
     @property
     def policy_device(self) -> str:

@@ -1,14 +1,13 @@
 """Settings of programs that show flows."""
 
-from dataclasses import dataclass
+from typing import Annotated, Literal
 
-from fishrl.bounds import Checked, bounded, suggest
-from fishrl.envs.views import FIELDS
-from fishrl.viewer.drawing import FieldFormat
+from pydantic import Field, PositiveFloat, PositiveInt
+
+from fishrl.settings import Role, Settings
 
 
-@dataclass(frozen=True, kw_only=True)
-class ViewerSettings(Checked):
+class ViewerSettings(Settings):
     """Which flows are shown, how often and how.
 
     Args:
@@ -24,25 +23,14 @@ class ViewerSettings(Checked):
         live_share: largest share of the wall time that a live view may take.
     """
 
-    live: bool = False
-    flows: list[int] | None = None
-    frames_per_T: int = bounded(8, least=1)
-    field: str = "vorticity"
-    field_format: str = "jpeg"
-    field_limit: float | None = bounded(None, greater=0)
-    port: int = bounded(9876, least=1024, largest=65000)
-    live_share: float = bounded(0.1, greater=0, largest=1)
-
-    def __post_init__(self) -> None:
-        """Check the bounds, the field and its format."""
-        super().__post_init__()
-        choices = {"field": FIELDS, "field_format": [str(one) for one in FieldFormat]}
-        for name, known in choices.items():
-            value = getattr(self, name)
-            if value not in known:
-                raise ValueError(
-                    f"{name} = {value}: must be one of {', '.join(known)}{suggest(value, known)}"
-                )
+    live: Annotated[bool, Role.HARMLESS] = False
+    flows: Annotated[tuple[int, ...] | None, Role.HARMLESS] = None
+    frames_per_T: Annotated[PositiveInt, Role.HARMLESS] = 8
+    field: Annotated[Literal["vorticity", "pressure", "speed"], Role.HARMLESS] = "vorticity"
+    field_format: Annotated[Literal["jpeg", "u8"], Role.HARMLESS] = "jpeg"
+    field_limit: Annotated[PositiveFloat | None, Role.HARMLESS] = None
+    port: Annotated[int, Field(ge=1024, le=65000), Role.HARMLESS] = 9876
+    live_share: Annotated[PositiveFloat, Field(le=1), Role.HARMLESS] = 0.1
 
     def choose_flows(self, num: int, *, default: int) -> list[int]:
         """Return which of ``num`` flows to show, by default the first ``default`` ones."""

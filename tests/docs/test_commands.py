@@ -5,22 +5,19 @@ import re
 import shlex
 import tomllib
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
 import pytest
-import yaml
 
 from fishrl.__main__ import list_programs
-from fishrl.envs import AbstractTask
 from fishrl.programs.program import Program
 from fishrl.programs.sweeps.jobs import plan_jobs
-from fishrl.programs.train_settings import TRAINING
+from fishrl.programs.train_settings import TRAINING, make_plan
 from fishrl.training.checkpoint import save_checkpoint
-from fishrl.training.description import make, to_plain
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.run_folder import RunFolder, write_whole
+from fishrl.training.run_folder import RunFolder, write_yaml
 from tests.docs.pages import DOCS, PAGES, read_blocks
 
 ROOT = DOCS.parent
@@ -88,10 +85,10 @@ def _write_runs() -> None:
         run = RunFolder(Path(name))
         run.best.parent.mkdir(parents=True)
         config = TRAINING.read(settings)
-        plain = to_plain(asdict(config))
-        write_whole(run.config, yaml.safe_dump(plain))
-        spec = PolicySpec.for_task(make(plain["task"], kind=AbstractTask))
-        save_checkpoint(run.best, {}, spec=spec, frames=0, config=plain)
+        plan = replace(make_plan(config), recognition=config.recognition)
+        write_yaml(run.config, plan.to_config())
+        spec = PolicySpec.for_task(plan.task)
+        save_checkpoint(run.best, {}, spec=spec, frames=0, config=plan.to_config())
 
 
 def _split(line: str, home: Path) -> list[str]:

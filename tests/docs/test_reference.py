@@ -10,7 +10,7 @@ import pytest
 from docs.reference import describe, list_programs, make_reference
 from fishrl import physics
 from fishrl.envs import KarmanGait, Predation
-from fishrl.programs.program import list_choices
+from fishrl.programs.train_settings import TRAINING
 from fishrl.training.evaluation import FINAL_SEED, SELECTION_SEED
 from tests.docs.pages import DOCS
 
@@ -46,7 +46,7 @@ def test_the_seeds_of_evaluations_are_those_of_the_training() -> None:
 
 def test_every_choice_is_listed_and_the_page_is_not_kept_in_the_repository() -> None:
     page = make_reference()
-    for group, names in list_choices().items():
+    for group, names in TRAINING.list_choices().items():
         assert f"| `{group}=` | " + ", ".join(f"`{name}`" for name in names) in page
     assert "docs/configuration.md" in (DOCS.parent / ".gitignore").read_text(encoding="utf-8")
 

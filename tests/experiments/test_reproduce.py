@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -11,13 +13,13 @@ import pytest
 from experiments import paper, reproduce
 from experiments.reproduce import Job, Record, list_jobs, run_job
 from fishrl.__main__ import list_programs
-from fishrl.programs.program import list_choices
-from fishrl.programs.sweeps.jobs import find_or_begin, find_runs, plan_jobs
+from fishrl.programs.sweeps.jobs import find_runs, plan_jobs
 from fishrl.programs.train_settings import TRAINING, make_plan
 from fishrl.training.run_folder import write_json
+from fishrl.training.runs import make_folder
 
 
-@pytest.mark.parametrize("name", list_choices()["scale"])
+@pytest.mark.parametrize("name", reproduce.main.command_line.list_choices()["scale"])
 def test_every_job_of_a_scale_is_a_command_that_its_program_takes(
     name: str, tmp_path: Path
 ) -> None:
@@ -36,19 +38,22 @@ def test_every_job_of_a_scale_is_a_command_that_its_program_takes(
 
 def list_by_name(folder: Path, *settings: str) -> dict[str, Job]:
     scale = reproduce.main.read(["scale=tiny"]).scale
-    scale.gait += settings
+    scale = replace(scale, gait=(*scale.gait, *settings))
     return {job.name: job for job in list_jobs(scale, folder)}
 
 
-def test_only_policies_of_the_present_settings_are_evaluated(tmp_path: Path) -> None:
+def test_runs_that_have_begun_are_evaluated(tmp_path: Path) -> None:
     words = list_by_name(tmp_path)["ablation"].words[2:]
-    for other in (["gamma=0.5"], []):
-        for name, settings in plan_jobs([*words, *other]):
-            find_or_begin(settings, name=name)
-    assert find_runs(words) == [tmp_path / "ablation" / "run-2"]
-    assert find_runs([*words, "gamma=0.7"]) == []
-    assert len(list((tmp_path / "ablation").iterdir())) == 2  # nothing is made
+    assert find_runs(words) == []
+    begin(words)
+    assert find_runs(words) == [tmp_path / "ablation" / "run"]
     assert f"runs=[{find_runs(words)[0]}]" in list_by_name(tmp_path)["transfer"].words
+
+
+def begin(words: Sequence[str]) -> Path:
+    """Write the folder of the only run of a sweep, and return it."""
+    (job,) = plan_jobs(words)
+    return make_folder(make_plan(job.settings))[0].path
 
 
 def test_the_newest_classifier_with_results_is_used(tmp_path: Path) -> None:
@@ -91,10 +96,9 @@ def test_a_training_whose_run_is_gone_is_repeated(tmp_path: Path) -> None:
     job, record = list_by_name(tmp_path)["ablation"], Record(tmp_path)
     record.note(job, seconds=1.0, is_finished=True)
     assert not record.is_finished(job)
-    ((name, settings),) = plan_jobs(job.words[2:])
-    run = find_or_begin(settings, name=name)
+    run = begin(job.words[2:])
     assert not record.is_finished(job)
-    write_json(run.summary, {"frames": 16})
+    write_json(run / "summary.json", {"frames": 16})
     assert record.is_finished(job)
 
 

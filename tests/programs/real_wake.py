@@ -14,7 +14,7 @@ import pytest
 
 from fishrl.envs import KarmanGait
 from fishrl.envs import wakes as wakes_module
-from fishrl.training.description import make
+from fishrl.settings import build
 
 ENVS = "fishrl.envs"
 
@@ -58,7 +58,7 @@ def gait_settings(wake_folder: Path) -> dict[str, Any]:
 
 def develop(wake_folder: Path) -> KarmanGait:
     """Return the task, with its wake in a file of the folder."""
-    task: KarmanGait = make(gait_settings(wake_folder), kind=KarmanGait)
+    task: KarmanGait = build(KarmanGait, gait_settings(wake_folder))
     develop_wakes = wakes_module.develop_wakes
     with pytest.MonkeyPatch.context() as patch:
         eager = {"compile": False}

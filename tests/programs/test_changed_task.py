@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
-from fishrl.envs import AbstractTask
 from fishrl.programs import evaluate, view
-from fishrl.programs.train_settings import TRAINING
+from fishrl.programs.train_settings import TRAINING, make_plan
+from fishrl.settings import describe
 from fishrl.training.checkpoint import save_checkpoint
-from fishrl.training.description import make, to_plain
 from fishrl.training.policy_spec import PolicySpec
 from tests.programs.test_gait import SETTINGS
 
@@ -24,15 +23,13 @@ OWN = [*SETTINGS, "task.stream.speeds_bl=[1.0,1.2,1.4]", "task.observes_flow=tru
 
 def store(folder: Path, *overrides: str, recognition: str | None = None) -> str:
     """Write the checkpoint of an untrained policy of the gait."""
-    config = TRAINING.read([*OWN, *overrides])
-    config = replace(config, recognition=recognition)
-    task = make(config.task, kind=AbstractTask)
+    plan = replace(make_plan(TRAINING.read([*OWN, *overrides])), recognition=recognition)
     save_checkpoint(
         folder / "checkpoints" / "last",
         {"net": torch.nn.Linear(1, 1)},
-        spec=PolicySpec.for_task(task, has_labels=recognition is not None),
+        spec=PolicySpec.for_task(plan.task, has_labels=recognition is not None),
         frames=0,
-        config=to_plain(asdict(config)),
+        config=plan.to_config(),
     )
     return f"checkpoint={folder}"
 
@@ -47,9 +44,9 @@ CHANGES = [
 ]
 
 
-def test_what_is_not_given_stays_as_in_the_run(tmp_path: Path) -> None:
+def test_settings_of_the_task_that_are_not_given_stay_as_in_the_run(tmp_path: Path) -> None:
     checkpoint = store(tmp_path)
-    own = evaluate.main.read([checkpoint]).task
+    own = describe(evaluate.main.read([checkpoint]).task)
     assert own["stream"]["speeds_bl"] == [1.0, 1.2, 1.4]
     changed = evaluate.main.read([checkpoint, *CHANGES]).task
     assert view.main.read([checkpoint, *CHANGES]).task == changed
@@ -57,11 +54,11 @@ def test_what_is_not_given_stays_as_in_the_run(tmp_path: Path) -> None:
     own["safe_area"] |= {"far_bl": 3.75, "near_bl": 0.1}
     own["control"]["bank"]["rows"] = [[0.1, 2.1]] * 3
     own["start_flows"], own["time_limit"] = [2], 7
-    assert changed == own
+    assert describe(changed) == own
 
 
 @pytest.mark.parametrize("chosen", [["preset=gait_small"], ["task=karman_gait"]])
-def test_a_task_chosen_by_name_replaces_that_of_the_run_but_not_its_flow_labels(
+def test_a_task_chosen_by_name_replaces_the_task_of_the_run_but_not_its_flow_labels(
     tmp_path: Path, chosen: list[str]
 ) -> None:
     checkpoint = store(tmp_path, recognition="machine.pt")
@@ -74,7 +71,7 @@ def test_a_task_chosen_by_name_replaces_that_of_the_run_but_not_its_flow_labels(
         for program in (evaluate.main, view.main):
             settings = program.read([checkpoint, *chosen, *given])
             assert settings.recognition == wanted
-            assert settings.task["body_length"] > 20
+            assert settings.task.body_length > 20
 
 
 @pytest.mark.parametrize(
@@ -86,17 +83,16 @@ def test_a_task_chosen_by_name_replaces_that_of_the_run_but_not_its_flow_labels(
         (
             "task.control={_target_:fishrl.envs.macro_actions.DirectFrequencies,"
             "frequencies:[1,1.5,2,2.5]}",
-            "there is no 'task.control.bank'",
+            "num_actions",
         ),
     ],
 )
-def test_what_the_policy_was_made_for_cannot_be_changed(
+def test_a_task_that_the_policy_does_not_fit_is_refused(
     tmp_path: Path, argument: str, said: str
 ) -> None:
     with pytest.raises(SystemExit) as error:
         evaluate.main(["compile=false", store(tmp_path), *argument.split()])
     assert said in str(error.value)
-    assert "\n" not in str(error.value)
 
 
 def test_a_learned_policy_swims_in_a_changed_task(tmp_path: Path) -> None:
@@ -105,7 +101,7 @@ def test_a_learned_policy_swims_in_a_changed_task(tmp_path: Path) -> None:
     arguments += ["task.stream.has_disc=false", "task.time_limit=1", f"save={saved}"]
     evaluate.main(arguments)
     result = json.loads(saved.read_text())
-    task = make(evaluate.main.read(arguments).task, kind=AbstractTask)
-    assert result["mean_length_T"] == pytest.approx(task.interval_T)
+    interval = evaluate.main.read(arguments).task.interval_T
+    assert result["mean_length_T"] == pytest.approx(interval)
     swum = result["settings"]["task"]
     assert (swum["stream"]["has_disc"], swum["time_limit"], swum["body_length"]) == (False, 1, 32)

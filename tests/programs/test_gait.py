@@ -73,7 +73,7 @@ def test_trained_gaits_are_tried_in_every_flow(trained: Path, tmp_path: Path) ->
     assert not (trained / "oracle" / "machine.pt").exists()
     trials = [load_trial(trained / name, periods=BRIEF) for name in ("machine", "oracle")]
     trials.append(make_trial("pid", trials[0].task, periods=BRIEF))
-    settings = transfer.TransferSettings(task=None, episodes=2, folder=str(tmp_path))
+    settings = transfer.TransferSettings(task=make_task(), episodes=2, folder=str(tmp_path))
     results = transfer.transfer(trials, settings)
     arms = results["arms"]
     assert list(arms) == ["both modules", "oracle", "pid"]

@@ -57,7 +57,7 @@ def test_runs_of_joblib_save_before_it_kills_them(tmp_path: Path) -> None:
             os.killpg(sweep.pid, signal.SIGKILL)
     assert sweep.returncode == 1, error
     assert "Traceback" not in error
-    assert "interrupted; the same command with the same folder=... goes on" in error
+    assert "interrupted; the same command with the same folder=... continues" in error
     assert "0 of 2 runs finished" in out
     for mark in marks:
         assert (read_run(mark.parent).status, read_run(mark.parent).frames) == ("stopped", 8)

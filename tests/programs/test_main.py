@@ -50,7 +50,7 @@ def test_an_unknown_program_is_answered_with_the_nearest_name() -> None:
         ("fishrl train tot", ["total_frames="]),
         ("fishrl train --multirun seed=0,1 alg", ["algorithm=", "algorithm."]),
         ("fishrl train task=karman_gait task.stream.has", ["task.stream.has_disc="]),
-        ("fishrl train totl=3 se", []),
+        ("fishrl train preset=nix se", []),
     ],
 )
 def test_the_shell_completes_programs_choices_and_nested_settings(

@@ -42,8 +42,9 @@ def test_help_shows_choices_settings_and_what_they_mean(
     assert "  compile=true  " in said
     assert "  recognition=null  " in said
     assert "  hidden=[256,256]  " in said
-    assert "    body_length: 32\n" in said
-    assert "    wall_margin_bl: 0.25\n" in said  # a default of the task, which no YAML names
+    assert "  task.body_length=32  " in said
+    assert "  task.wall_margin_bl=0.25  " in said  # a default of the task, which no YAML names
+    assert "  task.stream.has_disc=true  " in said
     summarize.main(["-h"])
     assert "  folder=???  folder of a sweep" in capsys.readouterr().out
 
@@ -91,7 +92,8 @@ def test_a_signal_ends_a_program_as_an_interrupt(number: signal.Signals) -> None
     before = signal.getsignal(number)
     with pytest.raises(SystemExit) as ended:
         Program(
-            lambda _: signal.raise_signal(number), CommandLine(schema=summarize.SummarizeSettings)
+            lambda _: signal.raise_signal(number),
+            CommandLine(name="x", schema=summarize.SummarizeSettings),
         )(["folder=x"])
     assert ended.value.code == 128 + number
     assert signal.getsignal(number) is before

@@ -8,10 +8,13 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.envs import FlowEnv
+from fishrl.envs import FlowEnv, KarmanGait
 from fishrl.programs.train import set_up
 from fishrl.programs.train_settings import TrainConfig
+from fishrl.settings import build
+from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.checkpoint import read_metadata
+from fishrl.training.logger import CsvLogger
 from fishrl.training.loop import Training
 from tests.programs.real_wake import gait_settings
 from tests.training.conftest import read_rows
@@ -24,8 +27,9 @@ FRAMES = 16
 
 def begin(folder: Path, wakes: Path, **settings: Any) -> Training:
     config = TrainConfig(
-        task=gait_settings(wakes),
-        logger={"_target_": "fishrl.training.logger.CsvLogger"},
+        task=build(KarmanGait, gait_settings(wakes)),
+        algorithm=DiscreteSAC(),
+        logger=CsvLogger(),
         preset="tiny",
         folder=str(folder),
         compile=False,
@@ -35,7 +39,7 @@ def begin(folder: Path, wakes: Path, **settings: Any) -> Training:
         updates_per_frame=1.0,
         batch_size=4,
         buffer_size=8,  # which overflows
-        hidden=[16],
+        hidden=(16,),
         log_frames=2,
         checkpoint_frames=2,
         eval_frames=8,
@@ -73,7 +77,7 @@ def list_leaves(state: Any, path: str = "") -> dict[str, Any]:
 def test_a_training_in_a_real_wake_that_is_interrupted_equals_one_that_is_not(
     tmp_path: Path, real_wake: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fishrl.training.loop.Training._summarize", lambda training: {})
+    monkeypatch.setattr("fishrl.training.loop.finish", lambda training: {})
     whole = begin(tmp_path, real_wake, name="whole")
     whole.run()
     part = begin(tmp_path, real_wake, name="part")

@@ -18,8 +18,9 @@ from fishrl.programs import search, train
 from fishrl.programs.search import SearchSettings
 from fishrl.programs.sweeps import jobs
 from fishrl.programs.sweeps.runs import Run, is_held, read_run, read_runs
-from fishrl.programs.train_settings import TRAINING
+from fishrl.programs.train_settings import TRAINING, make_plan
 from fishrl.training.checkpoint import read_metadata
+from fishrl.training.runs import make_folder
 from tests.programs.test_summarize import hold_elsewhere
 from tests.programs.test_sweep_jobs import HERE, ROOT, SETTINGS
 
@@ -28,13 +29,7 @@ pytestmark = pytest.mark.sweep
 
 
 def plan_of(folder: Path, *overrides: str, trials: int = 20, **others: Any) -> SearchSettings:
-    return SearchSettings(folder=str(folder), overrides=list(overrides), trials=trials, **others)
-
-
-def empty_study(plan: SearchSettings) -> Any:
-    """Begin a study of which no trial has run."""
-    plan.trials = 0
-    return search.search(plan)
+    return SearchSettings(folder=str(folder), overrides=overrides, trials=trials, **others)
 
 
 def test_every_kind_of_range_is_searched(tmp_path: Path) -> None:
@@ -52,10 +47,10 @@ def test_every_kind_of_range_is_searched(tmp_path: Path) -> None:
     from optuna.distributions import IntDistribution as Whole
 
     assert plan.space() == {
-        "++gamma": Float(0.9, 1.0),
-        "++learning_rate": Float(1e-5, 1e-2, log=True),
-        "++batch_size": Whole(16, 128),
-        "++hidden": Choice(["[64]", "[64,64]"]),
+        "gamma": Float(0.9, 1.0),
+        "learning_rate": Float(1e-5, 1e-2, log=True),
+        "batch_size": Whole(16, 128),
+        "hidden": Choice(["[64]", "[64,64]"]),
         "++task.time_limit": Choice(["10", "20"]),
     }
     assert plan.fixed == ["preset=paper"]
@@ -100,14 +95,15 @@ def test_a_search_without_results_can_still_be_changed(
 def test_a_trial_that_was_cut_off_is_finished_before_new_ones(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def run_here(path: Path) -> Run:
-        train.main([f"resume={path}"])
-        return read_run(path)
+    def run_here(job: jobs.Job) -> Run:
+        if not job.settings.has_begun:
+            train.main(job.words)
+        return read_run(job.path)
 
-    monkeypatch.setattr(search, "run_alone", run_here)
+    monkeypatch.setattr(search, "run_job", run_here)
     line = [*SETTINGS, "gamma=interval(0.9,1)"]
     plan = plan_of(tmp_path, *line, metric="mean_length_T")
-    study = empty_study(plan)
+    study = search.open_study(plan)
     cut_off = study.ask(plan.space())  # and then the process was killed
     study = search.search(replace(plan, trials=2))
     assert [trial.state.name for trial in study.trials] == ["COMPLETE", "COMPLETE"]
@@ -115,7 +111,7 @@ def test_a_trial_that_was_cut_off_is_finished_before_new_ones(
     runs = read_runs(tmp_path)
     assert [run.path.name for run in runs] == ["trial_0000-seed_0", "trial_0001-seed_0"]
     for trial, run in zip(study.trials, runs, strict=True):
-        assert run.config["gamma"] == trial.params["++gamma"]
+        assert run.config["gamma"] == trial.params["gamma"]
         assert run.summary["mean_length_T"] == trial.value
     assert len(search.search(replace(plan, trials=2)).trials) == 2  # nothing is left to do
     with pytest.raises(ValueError, match="holds another search"):
@@ -137,7 +133,7 @@ def test_a_search_that_is_ended_saves_its_trial_and_leaves_it_unfinished(
         started.terminate()
         _, said = started.communicate(timeout=600.0)
     assert started.returncode == 1
-    assert "interrupted; the same command goes on" in said
+    assert "interrupted; the same command continues" in said
     assert "Traceback" not in said
     assert not is_held(run)  # nothing is left behind
     assert (read_run(run).status, read_metadata(run, which="last")[1]["frames"]) == ("stopped", 8)
@@ -149,25 +145,25 @@ def test_a_search_that_is_ended_saves_its_trial_and_leaves_it_unfinished(
 def test_a_run_that_outlived_its_search_is_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(search, "run_alone", lambda _: pytest.fail("run again"))
     plan = plan_of(tmp_path, "gamma=interval(0.9,1)")
-    settings = ["gamma=0.95", "seed=0", f"folder={tmp_path}"]
-    place = jobs.find_or_begin(TRAINING.read(settings), name="trial_0000-seed_0")
+    words = ["gamma=0.95", "seed=0", f"folder={tmp_path}", "name=trial_0000-seed_0"]
+    place, _ = make_folder(make_plan(TRAINING.read(words)))
     seen, result = tmp_path / "seen", tmp_path / "result"
-    result.write_text('{"mean_return": 2.5}')
+    result.write_text('{"mean_return": 2.5, "frames": 2800}')
     then = f"""import os
 while not os.path.exists({str(seen)!r}):
     time.sleep(0.02)
 os.rename({str(result)!r}, {str(place.summary)!r})"""
 
-    def look(path: Path) -> Run:
-        run = read_run(path)
+    def look(job: jobs.Job) -> Run:
+        run = jobs.run_job(job)  # leaves a run alone that another process writes
         if run.status == "running":
             seen.touch()  # and it ends
         return run
 
-    monkeypatch.setattr(search, "read_run", look)
+    monkeypatch.setattr(search, "run_job", look)
     with hold_elsewhere(place.path, then):
+        monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("run again"))
         assert search.run_seed(plan, 0, ["gamma=0.95"], 0) == 2.5
     assert seen.exists()
 
@@ -181,7 +177,7 @@ def test_failed_trials_are_recorded_and_others_follow(
     assert "0 of 3 trials finished" in capsys.readouterr().out
     study = search.search(search.main.read(line))
     assert [trial.state.name for trial in study.trials] == ["FAIL"] * 3
-    assert len({trial.params["++gamma"] for trial in study.trials}) == 3  # nothing is drawn twice
+    assert len({trial.params["gamma"] for trial in study.trials}) == 3  # nothing is drawn twice
 
 
 def test_searches_that_begin_at_once_draw_different_settings(
@@ -199,25 +195,25 @@ def test_searches_that_begin_at_once_draw_different_settings(
 
     monkeypatch.setattr(search, "run_trial", lambda *_: None)
     plan = plan_of(tmp_path, "gamma=interval(0,1)")
-    study = empty_study(plan)
+    study = search.open_study(plan)
     monkeypatch.setattr(optuna.samplers, "TPESampler", hesitate)
     monkeypatch.setattr(search.fcntl, "flock", meet)
     with ThreadPoolExecutor() as pool:
         list(pool.map(search.search, [replace(plan, trials=1)] * 2))
-    assert len({trial.params["++gamma"] for trial in study.trials}) == len(study.trials) == 2
+    assert len({trial.params["gamma"] for trial in study.trials}) == len(study.trials) == 2
 
 
 def test_a_search_in_the_home_folder_has_one_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert plan_of(Path("~/search"), "gamma=interval(0,1)").folder == f"{tmp_path}/search"
+    assert plan_of(Path("~/search"), "gamma=interval(0,1)").path == tmp_path / "search"
 
 
 def test_two_searches_share_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search, "run_seed", lambda *_: None)
     plan = plan_of(tmp_path, "gamma=interval(0,1)")
-    study = empty_study(plan)
+    study = search.open_study(plan)
     theirs = study.ask(plan.space())
     place = search.RunFolder(tmp_path / ".trials" / f"{theirs.number:04d}")
     place.path.mkdir(parents=True)
@@ -230,7 +226,7 @@ def test_a_trial_that_another_search_has_finished_is_left_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan = plan_of(tmp_path, "gamma=interval(0.9,1)")
-    study = empty_study(plan)
+    study = search.open_study(plan)
     for _ in range(2):
         study.ask(plan.space())  # and then the process was killed
 

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from omegaconf import OmegaConf
 
 from fishrl.programs import summarize
 from fishrl.programs.statistics import Statistic, find_improvement, find_interquartile_mean
@@ -47,7 +46,7 @@ def write_run(
         "folder": str(sweep),
         **settings,
     }
-    OmegaConf.save(OmegaConf.create(config), folder.config)
+    write_yaml(folder.config, config)
     if curve is not None:
         rows = "".join(f"{x},{y},{y / 10}\n" for x, y in curve.items())
         folder.metrics.write_text(f"frames,eval/mean_return,eval/success_rate\n{rows}")

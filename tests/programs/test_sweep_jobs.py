@@ -7,22 +7,21 @@ import shlex
 import signal
 import subprocess
 import sys
-from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
-from omegaconf import OmegaConf
 
 from fishrl.programs import train
 from fishrl.programs.configuration import CONF
 from fishrl.programs.program import show_command
 from fishrl.programs.sweeps import ending, jobs
 from fishrl.programs.sweeps.groups import group_runs
-from fishrl.programs.sweeps.runs import Run, read_run, read_runs
-from fishrl.programs.train_settings import TRAINING, TrainConfig
+from fishrl.programs.sweeps.jobs import Job, find_runs, plan_jobs
+from fishrl.programs.sweeps.runs import read_run, read_runs
+from fishrl.programs.train_settings import TRAINING, is_finished, list_changes, make_plan
 from fishrl.training.checkpoint import read_metadata
-from fishrl.training.description import to_plain
-from fishrl.training.run_folder import RunFolder, write_json, write_yaml
+from fishrl.training.run_folder import read_config, write_json, write_yaml
+from fishrl.training.runs import make_folder
 from tests.training.conftest import read_rows
 
 ROOT = Path(__file__).parents[2]
@@ -38,9 +37,8 @@ SETTINGS = [
 
 def run_sweep(*arguments: str) -> int:
     """Return the exit code of a sweep."""
-    with pytest.raises(SystemExit) as end:
-        train.main(["--multirun", *arguments])
-    return int(end.value.code or 0)
+    command = [sys.executable, "-m", "fishrl", "train", "--multirun", *arguments]
+    return subprocess.run(command, cwd=ROOT, check=False).returncode
 
 
 def test_jobs_are_named_after_what_differs() -> None:
@@ -52,26 +50,48 @@ def test_jobs_are_named_after_what_differs() -> None:
     assert max(map(len, long)) <= jobs.LONGEST_NAME
 
 
-def test_jobs_are_listed_and_named_before_they_run() -> None:
+def test_jobs_are_listed_and_named_before_they_run(tmp_path: Path) -> None:
     line = ["num_envs=2", "seed=0,1", "task.time_limit=range(3,5)", "folder=runs/my sweep"]
-    planned = jobs.plan_jobs(line)
-    assert [name for name, _ in planned] == [
+    planned = [job.settings for job in plan_jobs(line)]
+    assert [job.name for job in planned] == [
         *("seed_0-time_limit_3", "seed_0-time_limit_4", "seed_1-time_limit_3"),
         "seed_1-time_limit_4",
     ]
-    assert [(job.seed, job.num_envs, job.folder) for _, job in planned[1:3]] == [
+    assert [(job.seed, job.num_envs, job.folder) for job in planned[1:3]] == [
         *((0, 2, "runs/my sweep"), (1, 2, "runs/my sweep")),
     ]
     files = list((CONF / "preset").glob("gait*"))
-    assert len(jobs.plan_jobs(["preset=glob(gait*)"])) == len(files)
-    (_, first), _ = jobs.plan_jobs(["seed=0,1"])
-    assert first.folder.startswith("runs/sweep-")
+    assert len(plan_jobs(["preset=glob(gait*)"])) == len(files)
+
+
+def test_the_words_of_a_job_give_its_settings() -> None:
+    line = ["seed=0,1", "hidden=[8],[8,8]", "algorithm=dqn", "folder='a, b'"]
+    for job in plan_jobs(line):
+        assert TRAINING.read(job.words) == job.settings
+        assert job.settings.folder == "a, b"
+
+
+def test_an_experiment_sets_what_is_swept_unless_the_command_line_does(tmp_path: Path) -> None:
+    (tmp_path / "experiment").mkdir()
+    (tmp_path / "experiment" / "own.yaml").write_text(
+        "# @package _global_\nfolder: runs/own\nhydra: {sweeper: {params: {seed: '0,1'}}}"
+    )
+    line = [f"--config-dir={tmp_path}", "experiment=own"]
+    assert [job.path for job in plan_jobs(line)] == [
+        Path("runs/own/seed_0"),
+        Path("runs/own/seed_1"),
+    ]
+    assert [job.path.name for job in plan_jobs([*line, "seed=3,4,5"])] == [
+        "seed_3",
+        "seed_4",
+        "seed_5",
+    ]
 
 
 @pytest.mark.parametrize("argument", ["name=x", "resume=runs/x", "folder=a,b"])
-def test_what_every_run_of_a_sweep_needs_for_itself_is_refused(argument: str) -> None:
+def test_the_name_and_folder_of_each_run_are_not_to_be_given(argument: str) -> None:
     with pytest.raises(ValueError, match="named after what differs"):
-        jobs.plan_jobs([argument])
+        plan_jobs([argument])
 
 
 @pytest.mark.parametrize(
@@ -94,68 +114,65 @@ def test_a_mistake_in_any_job_ends_the_sweep_before_it_begins(
     assert not list(tmp_path.iterdir())
 
 
-def settings_in(folder: Path, **settings: object) -> TrainConfig:
-    config: TrainConfig = TRAINING.read([f"folder={folder}"])
-    return replace(config, **settings)
+def begin(folder: Path, *words: str) -> Job:
+    """Write a run that is to be trained, as its job does first."""
+    (job,) = plan_jobs([f"folder={folder}", *words])
+    plan = make_plan(job.settings)
+    make_folder(plan, recognition=job.settings.recognition)
+    return job
 
 
-def test_the_same_settings_find_their_run_and_others_make_a_new_one(tmp_path: Path) -> None:
-    first = jobs.find_or_begin(settings_in(tmp_path), name="run")
-    again = jobs.find_or_begin(settings_in(tmp_path), name="run")
-    other = jobs.find_or_begin(settings_in(tmp_path, gamma=0.5), name="run")
-    assert [folder.path.name for folder in (first, again, other)] == ["run", "run", "run-2"]
-    assert OmegaConf.load(other.config).gamma == 0.5
-    stored = OmegaConf.load(first.config)
-    del stored.learner_device, stored.task.food_still_T  # of before there were such settings
-    OmegaConf.save(stored, first.config)
-    assert jobs.find_or_begin(settings_in(tmp_path), name="run").path == first.path
-    (tmp_path / "never").mkdir()
-    (tmp_path / "never" / "failure.txt").write_text("gamma = 2: must be at most 1")
-    mended = jobs.find_or_begin(settings_in(tmp_path), name="never")
-    assert read_run(mended.path).status == "stopped"
-
-
-def test_settings_that_an_algorithm_adapts_find_their_run_too(tmp_path: Path) -> None:
-    config = TRAINING.read([f"folder={tmp_path}", "algorithm=ppo"])
-    first, again = (jobs.find_or_begin(config, name="run") for _ in range(2))
-    assert first.path == again.path
-    assert OmegaConf.load(first.config).buffer_size == config.num_envs * 32 != config.buffer_size
-
-
-def go_on(folder: RunFolder, *changes: str) -> None:
-    """Store settings as a resume with other ones does."""
-    settings = TRAINING.read([f"resume='{folder.path}'", *changes])
-    write_yaml(folder.config, to_plain(asdict(settings)) | {"resume": None})
-
-
-def test_a_run_that_was_resumed_stays_in_its_sweep_unless_it_learns_something_else(
+def test_a_run_of_the_same_settings_is_continued_and_one_of_others_is_refused(
     tmp_path: Path,
 ) -> None:
-    folders = [jobs.find_or_begin(settings_in(tmp_path, seed=seed), name="run") for seed in (0, 1)]
-    given = ["port=9900", "live_share=0.2", "flows=[0,1]", "log_frames=8", "checkpoint_frames=8"]
-    given += ["keep_checkpoints=4", "picture_episodes=0", "baselines=[random]", "live=true"]
-    go_on(folders[0], *given)
-    assert OmegaConf.load(folders[0].config).log_frames == 8
-    assert len(group_runs(read_runs(tmp_path))) == 1
-    assert jobs.find_or_begin(settings_in(tmp_path), name="run").path == folders[0].path
-    # which evaluation is the best one depends on when they are made
-    go_on(folders[1], "eval_frames=8")
-    assert len(group_runs(read_runs(tmp_path))) == 2
-    assert jobs.find_or_begin(settings_in(tmp_path, seed=1), name="run").path.name == "run-3"
+    first = begin(tmp_path)
+    assert find_runs([f"folder={tmp_path}"]) == [first.path]
+    assert find_runs([f"folder={tmp_path}", "seed=1,2"]) == []
+    assert not is_finished(first.settings)
+    write_json(first.path / "summary.json", {"frames": 2800})
+    assert is_finished(first.settings)
+    (longer,) = plan_jobs([f"folder={tmp_path}", "total_frames=3000", "port=9900"])
+    assert not is_finished(longer.settings)
+    assert list_changes(longer.settings)["total_frames"] == 3000
+    for word in ("gamma=0.5", "task.reynolds=500", "recognition=oracle", "algorithm=dqn"):
+        (other,) = plan_jobs([f"folder={tmp_path}", word])
+        with pytest.raises(ValueError, match=rf"is .* in {first.path}; take another folder"):
+            is_finished(other.settings)
+    with pytest.raises(SystemExit, match=r"gamma = 0\.5: is 0\.99 in .*run"):
+        train.main(["--multirun", f"folder={tmp_path}", "gamma=0.5"])
+
+
+def test_settings_that_an_algorithm_adapts_are_those_of_its_run(tmp_path: Path) -> None:
+    job = begin(tmp_path, "algorithm=ppo")
+    assert read_config(job.path / "config.yaml")["buffer_size"] == job.settings.num_envs * 32
+    assert not is_finished(job.settings)
 
 
 def test_a_run_with_another_classifier_is_another_run(tmp_path: Path) -> None:
     files = [tmp_path / name for name in "abc"]
     for file, content in zip(files, (b"1", b"1", b"2"), strict=True):
         file.write_bytes(content)
-    folders = []
-    for given in (*map(str, files), "zoo/gait_narrow", "zoo/gait_narrow"):
-        config = settings_in(tmp_path, recognition=given)
-        folders.append(jobs.find_or_begin(config, name="run").path.name)
-    assert folders == ["run", "run", "run-2", "run-3", "run-3"]
+    begin(tmp_path, f"recognition={files[0]}")
+    for file, is_same in zip(files, (True, True, False), strict=True):
+        (job,) = plan_jobs([f"folder={tmp_path}", f"recognition={file}"])
+        if is_same:
+            assert not is_finished(job.settings)
+        else:
+            with pytest.raises(ValueError, match="recognition = "):
+                is_finished(job.settings)
 
 
-def test_a_killed_job_leaves_the_others_and_goes_on_alone(
+def test_runs_that_are_logged_and_compared_otherwise_are_one_group(tmp_path: Path) -> None:
+    given = ["port=9900", "live_share=0.2", "flows=[0,1]", "log_frames=8", "checkpoint_frames=8"]
+    given += ["keep_checkpoints=4", "picture_episodes=0", "baselines=[random]", "live=true"]
+    for name, words in {"a": [], "b": given, "c": ["eval_frames=8"]}.items():
+        plan = make_plan(TRAINING.read([f"folder={tmp_path}", f"name={name}", *words]))
+        make_folder(plan)
+    # which evaluation is the best one depends on when they are made
+    assert [len(group.runs) for group in group_runs(read_runs(tmp_path))] == [2, 1]
+
+
+def test_a_killed_job_leaves_the_others_and_is_continued_by_the_same_sweep(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     loggers = f"logger._target_={HERE}.Killed,{HERE}.Gliding"
@@ -168,16 +185,17 @@ def test_a_killed_job_leaves_the_others_and_goes_on_alone(
     assert run.reason == "killed by SIGKILL; see output.log"
     said = capfd.readouterr().out
     assert "1 of 2 runs finished" in said
-    assert f"rerun: {run.command}" in said
-    alone = subprocess.run(
-        [sys.executable, "-m", "fishrl", *shlex.split(run.command)[1:]], cwd=ROOT, check=False
-    )
-    assert alone.returncode == 0
-    assert read_rows(killed) == read_rows(whole)  # as if nothing had happened
+    (rerun,) = [line.partition("rerun: ")[2] for line in said.splitlines() if "rerun: " in line]
+    assert shlex.split(rerun)[1:] == ["train", f"resume={killed}", f"modules=[{HERE}]"]
     before = (whole / "summary.json").stat().st_mtime_ns
-    assert run_sweep(*command) == 0  # nothing is left to do
+    assert run_sweep(*command) == 0
+    assert read_rows(killed) == read_rows(whole)  # as if nothing had happened
     assert "2 of 2 runs finished" in capfd.readouterr().out
     assert (whole / "summary.json").stat().st_mtime_ns == before
+    killed.joinpath("summary.json").unlink()  # evaluated again, by the command that was shown
+    alone = [sys.executable, "-m", "fishrl", *shlex.split(rerun)[1:]]
+    assert subprocess.run(alone, cwd=ROOT, check=False).returncode == 0
+    assert read_run(killed).status == "finished"
 
 
 def test_a_repeated_sweep_takes_changes_of_what_is_logged_and_compared(tmp_path: Path) -> None:
@@ -196,35 +214,34 @@ def test_a_sweep_that_is_ended_saves_its_runs(tmp_path: Path) -> None:
         [sys.executable, *command], cwd=ROOT, check=False, capture_output=True, text=True
     )
     assert done.returncode == 1
-    assert "interrupted; the same command with the same folder=... goes on" in done.stderr
+    assert "interrupted; the same command with the same folder=... continues" in done.stderr
     assert "Traceback" not in done.stderr
-    run, other = read_runs(tmp_path)  # which never began
-    assert (other.status, other.frames) == ("stopped", 0)
+    (run,) = read_runs(tmp_path)  # the other one never began
     assert (run.status, run.frames) == ("stopped", 8)
     assert read_metadata(run.path, which="last")[1]["frames"] == 8
     said = (run.path / "output.log").read_text(encoding="utf-8")
     command = show_command("train", "resume=")
     assert f"SIGTERM: saved at frame 8; resume with: {command}" in said
-    assert f"rerun: {run.command}" in done.stdout
+    assert f"rerun: {command}" in done.stdout
     assert "0 of 2 runs finished" in done.stdout
 
 
 def test_a_run_that_was_ended_has_not_failed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = jobs.find_or_begin(settings_in(tmp_path), name="run")
+    job = begin(tmp_path)
     for code, status in ((128 + signal.SIGTERM, "stopped"), (3, "failed")):
-        training = folder.path / "training"
+        training = tmp_path / "training"
         training.write_text(f"#!/bin/sh\nexit {code}\n")
         training.chmod(0o700)
         with monkeypatch.context() as patch:
             patch.setattr(sys, "executable", str(training))
-            assert jobs.run_alone(folder.path).status == status
+            assert jobs.run_job(job).status == status
 
 
 def test_trainings_below_a_process_end_before_it() -> None:
     code = "print('ready', flush=True); import sys; sys.stdin.read()"
-    command = [sys.executable, "-c", code, "train", "resume=x"]
+    command = [sys.executable, "-c", code, "fishrl", "train", "name=x"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as run:
         assert run.stdout is not None
         assert run.stdout.readline() == b"ready\n"
@@ -236,32 +253,17 @@ def test_trainings_below_a_process_end_before_it() -> None:
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")
-def test_a_sweep_goes_on_ignoring_the_signals_that_it_ignored() -> None:
+def test_a_sweep_keeps_ignoring_the_signals_that_it_ignored() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with ending.ending_runs():
         assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
         assert signal.getsignal(signal.SIGTERM) != signal.SIG_DFL
 
 
-def test_a_sweep_is_judged_by_its_own_jobs(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    jobs.find_or_begin(settings_in(tmp_path, gamma=0.5), name="run")  # and never trained
-
-    def finish(path: Path, *_: object) -> Run:
-        write_json(RunFolder(path).summary, {"mean_return": 0.0})
-        return read_run(path)
-
-    monkeypatch.setattr(jobs, "run_alone", finish)
-    assert run_sweep(f"folder={tmp_path}") == 0
-    assert "1 of 1 runs finished" in capfd.readouterr().out
-    assert run_sweep(f"folder={tmp_path}", "algorithm=sac") == 1  # not for discrete actions
-    assert "run-3: failed at frame 0" in capfd.readouterr().out
-
-
 def test_jobs_that_cannot_be_set_up_are_all_named(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    write_yaml(tmp_path / "elsewhere.yaml", {})  # what else the folder holds does not matter
     command = [f"folder={tmp_path}", "preset=gait_small", "recognition=none.pt", "seed=0,1"]
     assert run_sweep(*command) == 1
     assert all("none.pt" in run.reason for run in read_runs(tmp_path))

@@ -10,9 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fishrl.envs import AbstractTask
 from fishrl.programs import evaluate, search, train, view
-from fishrl.training.description import make
 from tests.docs.pages import read_blocks
 from tests.envs.conftest import SMALL
 
@@ -82,28 +80,27 @@ def test_a_task_from_outside_is_trained_and_evaluated_without_any_edit(
     assert json.loads((run / "summary.json").read_text())["frames"] == 12
 
 
-@pytest.mark.parametrize(
-    "words",
-    [["--config-dir", "{}"], ["hydra.searchpath=[file://{}]"]],
-)
-def test_a_folder_of_configuration_may_be_named_in_any_of_hydras_ways(
-    outside: Path, words: list[str]
-) -> None:
-    folder = [word.format(outside / "conf") for word in words]
-    settings = train.main.read([*folder, "task=hold_station", "task.leash_bl=1.25"])
-    task = make(settings.task, kind=AbstractTask)
+def test_every_program_takes_a_task_from_outside(outside: Path) -> None:
+    folder = ["--config-dir", str(outside / "conf")]
+    task = train.main.read([*folder, "task=hold_station", "task.leash_bl=1.25"]).task
     assert (type(task).__name__, task.leash_bl, task.body_length) == ("HoldStation", 1.25, 50)
     watched = view.main.read([*folder, "task=hold_station", "policy=random"])
-    assert watched.task["_target_"] == "hold_station.HoldStation"
+    assert type(watched.task) is type(task)
     searched = search.main.read([*folder, "task=hold_station", "folder=x", "gamma=interval(0,1)"])
-    assert list(searched.space()) == ["++gamma"]
-    assert train.main.read(searched.fixed).task["_target_"] == "hold_station.HoldStation"
+    assert list(searched.space()) == ["gamma"]
+    assert type(train.main.read(searched.fixed).task) is type(task)
+
+
+def test_the_help_lists_tasks_from_outside_with_their_nested_settings(outside: Path) -> None:
+    said = train.main.describe(["--config-dir", str(outside / "conf"), "task=hold_station"])
+    assert re.search(r"task: one of .*follower, .*hold_station, ", said)
+    assert re.search(r"^  task\.leash_bl=\d", said, re.MULTILINE)
 
 
 def test_a_preset_from_outside_is_found_too(outside: Path) -> None:
     settings = train.main.read([f"--config-dir={outside / 'conf'}", "preset=mine"])
     assert (settings.num_envs, settings.preset) == (8, "mine")
-    assert (settings.task["leash_bl"], settings.task["time_limit"]) == (1.5, 20)
+    assert (settings.task.leash_bl, settings.task.time_limit) == (1.5, 20)
 
 
 @pytest.mark.parametrize(
@@ -112,7 +109,7 @@ def test_a_preset_from_outside_is_found_too(outside: Path) -> None:
         ("preset", "# @package _global_\nnum_env: 2", "no 'num_env'; did you mean 'num_envs'?"),
         ("preset", "# @package _global_\nnum_envs: [", "wrong.yaml"),
         ("preset", "num_envs: 2", "preset"),
-        ("task", "body_length: 20", "task: its YAML file must begin with _target_"),
+        ("task", "body_length: 20", "task: give a _target_ and its arguments"),
         ("task", "{_target_: fishrl.envs.Predation, reynold: 9}", "did you mean 'task.reynolds'?"),
     ],
 )

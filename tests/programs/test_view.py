@@ -6,7 +6,7 @@ import re
 import socket
 import subprocess
 import sys
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -15,8 +15,7 @@ import pytest
 from fishrl.envs.scene import Frame
 from fishrl.programs import view
 from fishrl.programs.train import finish, set_up
-from fishrl.programs.train_settings import TRAINING
-from fishrl.training.description import to_plain
+from fishrl.programs.train_settings import TRAINING, make_plan
 from fishrl.training.run_folder import write_yaml
 from fishrl.viewer import Drawing, Server
 from fishrl.viewer.process import HOST
@@ -74,9 +73,8 @@ def test_the_learned_fish_of_a_run_is_shown_in_its_own_task(
     assert "/flow_0/plots/class_probabilities" in list_entities(tmp_path / "run" / "capture.rrd")
     settings = view.main.read([f"run={tmp_path / 'run'}", "task.stream.speeds_bl=[1.0,1.2,1.4]"])
     assert (settings.recognition, settings.preset) == ("oracle", "gait_small")
-    assert settings.task["body_length"] == 20
-    assert settings.task["stream"]["speeds_bl"] == [1.0, 1.2, 1.4]
-    assert settings.task["stream"]["_target_"] == "fishrl.envs.streams.Stream"
+    assert settings.task.body_length == 20
+    assert settings.task.stream.speeds_bl == (1.0, 1.2, 1.4)
     path = tmp_path / "x.rrd"
     view.main([f"run={tmp_path / 'run'}", f"save={path}", "periods=1", "compile=false"])
     assert path.is_file()
@@ -127,7 +125,7 @@ def test_a_live_view_streams_and_stays_until_an_interrupt(
         ([], "error: give exactly one of run=<run folder>"),
         (["nowhere.rrd"], r"error: no \.rrd file at nowhere\.rrd"),
         (["run=nowhere"], "error: checkpoint nowhere: there is none"),
-        (["policy=pid", "field_format=jpg"], "error: field_format = jpg: .*did you mean 'jpeg'"),
+        (["policy=pid", "field_format=jpg"], "error: field_format = 'jpg': .*did you mean 'jpeg'"),
         ([*GAIT, "policy=pid", "flows=[1]", "save=x.rrd"], r"error: flows = \[1\]: must be some"),
         (["policy=pid", "save=x.avi"], r"error: save = x\.avi: must end in one of \.rrd, \.mp4"),
         ([*GAIT, "policy=pid", "save=nowhere/x.rrd"], "error: no folder nowhere: make it first"),
@@ -181,6 +179,6 @@ def test_a_training_with_a_live_view_learns_the_same(
 
 def test_a_resumed_run_is_live_only_on_request(tmp_path: Path) -> None:
     config = TRAINING.read(["live=true"])
-    write_yaml(tmp_path / "config.yaml", to_plain(asdict(config)))
+    write_yaml(tmp_path / "config.yaml", make_plan(config).to_config())
     assert not TRAINING.read([f"resume='{tmp_path}'"]).live
     assert TRAINING.read([f"resume='{tmp_path}'", "live=true"]).live

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 import fishrl.viewer.files
-from fishrl.programs.program import list_choices
+from fishrl.programs.train_settings import TRAINING
 from tests.docs.test_tutorials import BRIEF, CHANNEL
 from tests.envs.conftest import SMALL, move_kinematically
 from tests.envs.test_follower import TINY as FOLLOWER
@@ -25,7 +25,7 @@ from tests.envs.test_real_flow import TINY
 
 pytestmark = pytest.mark.smoke
 ROOT = Path(__file__).parents[2]
-GROUPS = list_choices()
+GROUPS = TRAINING.list_choices()
 
 #: Actions of a few steps, in flows that are hardly larger than the fish.
 REAL: dict[str, dict[str, Any]] = {

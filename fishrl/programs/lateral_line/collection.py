@@ -9,16 +9,16 @@ prediction would confirm itself.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
+from pydantic import NonNegativeInt, PositiveInt
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
-from fishrl.bounds import bounded
 from fishrl.envs import make_env
 from fishrl.envs.episodes import run_episodes
 from fishrl.envs.extensions import HasFlowLabels
@@ -38,7 +38,6 @@ _ENTRIES = (
 _SOURCES = ("fishrl.envs", "fishrl.modules", "fishrl.training.baselines", __name__)
 
 
-@dataclass(frozen=True, kw_only=True)
 class CollectionSettings(TaskSettings):
     """Settings of a collection.
 
@@ -53,18 +52,18 @@ class CollectionSettings(TaskSettings):
         max_decisions: decisions after which an episode is truncated.
     """
 
-    seed: int = bounded(0, least=0)
+    seed: NonNegativeInt = 0
     device: str = "cpu"
     compile: bool = True
     data_folder: str = "runs/lateral_line_data"
-    num_envs: int = bounded(16, least=1)
-    num_samples: int = bounded(6000, least=1)
-    max_decisions: int = bounded(60, least=1)
+    num_envs: PositiveInt = 16
+    num_samples: PositiveInt = 6000
+    max_decisions: PositiveInt = 60
 
     @property
     def recorded_task(self) -> Any:
         """The task that records every feature of every neuromast, whatever it senses itself."""
-        task = self.task
+        task: Any = self.task
         has_labels = isinstance(task, HasFlowLabels) and len(task.flow_labels) > 1
         if not (has_labels and task.lateral_line_layout):
             raise ValueError(

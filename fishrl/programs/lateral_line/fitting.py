@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import torch
+from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.bounds import bounded
 from fishrl.envs.lateral_line import KNOWN, PAPER
 from fishrl.modules import LateralLineClassifier
 from fishrl.modules.lateral_line import BOOKKEEPING
@@ -32,7 +32,6 @@ SHARES = (0.6, 0.2, 0.2)
 _ODD = ("u_y", "left", "shear")
 
 
-@dataclass(frozen=True, kw_only=True)
 class LateralLineSettings(CollectionSettings, FitSettings):
     """Settings of a classifier, besides those of its data and fit.
 
@@ -48,14 +47,14 @@ class LateralLineSettings(CollectionSettings, FitSettings):
 
     folder: str = "runs"
     name: str | None = None
-    window: int | None = bounded(None, least=1)
-    hidden: tuple[int, ...] = bounded((128, 128), least=1)
-    batch_size: int = bounded(256, least=1)
-    patience: int | None = bounded(15, least=1)
+    window: PositiveInt | None = None
+    hidden: tuple[PositiveInt, ...] = (128, 128)
+    batch_size: int = 256
+    patience: int | None = 15
     is_recurrent: bool = False
-    weight_decay: float = bounded(1e-3, least=0)
-    noise: float = bounded(0.5, least=0)
-    paper_epochs: int = bounded(0, least=0)
+    weight_decay: float = 1e-3
+    noise: NonNegativeFloat = 0.5
+    paper_epochs: NonNegativeInt = 0
 
 
 def mirror(signal: Tensor, *, features: Sequence[str], middle_bl: float) -> Tensor:
@@ -139,7 +138,8 @@ class Design:
     @classmethod
     def own(cls, settings: LateralLineSettings) -> Design:
         """Return the design of a classifier for the task's lateral line."""
-        line = settings.task.lateral_line
+        task: Any = settings.task
+        line = task.lateral_line
         return cls(
             features=tuple(name for name in line.features if name not in BOOKKEEPING),
             num_samples=settings.window or NUM_INTERVALS * line.num_samples,
@@ -182,7 +182,8 @@ def fit(settings: LateralLineSettings, episodes: TensorDict, design: Design) -> 
     if design.max_samples is not None and len(training) > design.max_samples:
         drawn = torch.randperm(len(training), generator=generator)
         training = training[drawn[: design.max_samples]]
-    flows: Sequence[dict[str, Any]] = settings.task.flow_labels
+    task: Any = settings.task
+    flows: Sequence[dict[str, Any]] = task.flow_labels
     if design.is_mirrored:
         flow, signal = flows[0], training["lateral_line"]
         num_nodes = round(flow["domain_bl"][1] * flow["body_length"])

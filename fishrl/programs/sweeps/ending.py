@@ -71,6 +71,6 @@ def find_trainings() -> set[int]:
     for process in psutil.Process().children(recursive=True):
         with suppress(psutil.Error):  # it has ended
             words = process.cmdline()
-            if "train" in words and any(w.startswith("resume=") for w in words):
+            if {"fishrl", "train"} <= set(words):
                 trainings.add(process.pid)
     return trainings

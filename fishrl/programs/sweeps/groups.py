@@ -8,11 +8,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from fishrl.programs.sweeps.runs import HARMLESS, Run
+from fishrl.programs.configuration import flatten
+from fishrl.programs.sweeps.runs import Run
+from fishrl.programs.train_settings import TrainConfig
+from fishrl.settings import TARGET, Role, list_fields
 from fishrl.training.run_folder import RunFolder
 
-#: Settings that do not separate groups.
-_APART = ("seed", "logger", *HARMLESS)
+#: Settings that do not separate groups: those that do not change what is learned.
+_APART = {"seed", "logger"} | {
+    entry.name for entry in list_fields(TrainConfig) if entry.role is not Role.RESULT
+}
 #: Settings that imply several others, and so distinguish groups first.
 _FIRST = ("preset", "task._target_")
 
@@ -103,20 +108,12 @@ def _find_distinguishing(flat: Sequence[Mapping[str, str]]) -> list[str]:
 
 def _settings_of(run: Run) -> dict[str, str]:
     """Return the settings of a run, with its classifier named by content instead of by file."""
-    flat, own = _flatten(run.config), RunFolder(run.path).classifier
+    config = flatten({key: value for key, value in run.config.items() if key not in _APART})
+    flat = {
+        key: str(value).rpartition(".")[2] if key.endswith(TARGET) else str(value)
+        for key, value in config.items()
+    }
+    own = RunFolder(run.path).classifier
     if flat.get("recognition") == own.name and own.is_file():
         flat["recognition"] = f"classifier {hashlib.sha256(own.read_bytes()).hexdigest()[:8]}"
-    return flat
-
-
-def _flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
-    flat: dict[str, str] = {}
-    for name, value in config.items():
-        key = f"{prefix}{name}"
-        if key in _APART:
-            continue
-        if isinstance(value, Mapping):
-            flat |= _flatten(value, f"{key}.")
-        else:
-            flat[key] = str(value).rsplit(".", 1)[-1] if name == "_target_" else str(value)
     return flat

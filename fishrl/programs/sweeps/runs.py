@@ -1,27 +1,18 @@
-"""Runs as read from their folders: settings, results, status, and the command to resume them."""
+"""Runs as read from their folders: settings, results, status, and the command that resumes each."""
 
 from __future__ import annotations
 
 import fcntl
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fishrl.programs.configuration import list_modules, quote
+from fishrl.programs.configuration import quote
 from fishrl.programs.program import show_command
 from fishrl.training.aliases import update_config
 from fishrl.training.logger import read_rows
 from fishrl.training.run_folder import RunFolder, read_config, read_summary
-from fishrl.viewer import ViewerSettings
-
-#: Settings that change neither what a run learns nor how it is evaluated: where it lies, and what
-#: is shown, logged, saved and compared.
-HARMLESS = (
-    *(entry.name for entry in fields(ViewerSettings)),
-    *("folder", "name", "resume", "log_frames", "checkpoint_frames", "keep_checkpoints"),
-    *("baselines", "picture_episodes"),
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,23 +35,15 @@ class Run:
     config: dict[str, Any]
     summary: dict[str, Any]
 
-    @property
-    def command(self) -> str:
-        """Command that resumes the run alone."""
-        if not self.config:
-            return "fix the setting and repeat the command of the sweep"
-        return show_command("train", *list_arguments(self.path, self.config))
+
+def show_resume(path: Path, modules: Sequence[str] = ()) -> str:
+    """Return the command that resumes a run, with modules that the user has named."""
+    return show_command("train", f"resume={quote(str(path))}", *show_modules(modules))
 
 
-def list_arguments(path: Path, config: Mapping[str, Any]) -> list[str]:
-    """Return the arguments that resume a run, with the modules outside fishrl that it needs."""
-    return [f"resume={quote(str(path))}", *name_modules(config)]
-
-
-def name_modules(config: Mapping[str, Any]) -> list[str]:
-    """Return ``modules=[...]`` with the modules outside fishrl that a run needs, if any."""
-    own = sorted({name for name in list_modules(config) if name.split(".")[0] != "fishrl"})
-    return [f"modules=[{','.join(own)}]"] if own else []
+def show_modules(modules: Sequence[str]) -> list[str]:
+    """Return the argument ``modules=[...]``, if there are any."""
+    return [f"modules=[{','.join(modules)}]"] if modules else []
 
 
 def read_runs(folder: Path) -> list[Run]:
@@ -130,13 +113,20 @@ def is_held(path: Path) -> bool:
     return False
 
 
-def advise(runs: Sequence[Run]) -> str:
-    """Report how many runs are finished, what failed in each, and how to resume it."""
+def advise(runs: Sequence[Run], *, modules: Sequence[str] = ()) -> str:
+    """Report how many runs are finished, what failed in each, and how to resume it.
+
+    ``modules`` are those that the user has named, for classes outside fishrl.
+    """
     finished = sum(run.status == "finished" for run in runs)
     lines = [f"{finished} of {len(runs)} runs finished"]
     for run in runs:
-        if run.status != "finished" or run.reason:
-            because = f" ({run.reason})" if run.reason else ""
-            lines.append(f"- {run.path.name}: {run.status} at frame {run.frames}{because}")
-            lines += [f"  rerun: {run.command}"] if run.status != "running" else []
+        if run.status == "finished" and not run.reason:
+            continue
+        because = f" ({run.reason})" if run.reason else ""
+        lines.append(f"- {run.path.name}: {run.status} at frame {run.frames}{because}")
+        if not run.config:
+            lines.append("  fix the setting and repeat the command of the sweep")
+        elif run.status != "running":
+            lines.append(f"  rerun: {show_resume(run.path, modules)}")
     return "\n".join(lines)

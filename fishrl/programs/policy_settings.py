@@ -1,0 +1,108 @@
+"""Settings of the programs that run a policy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import NonNegativeInt
+from torchrl.envs import TransformedEnv
+
+from fishrl.envs import AbstractTask, make_env
+from fishrl.envs.episodes import Policy
+from fishrl.envs.transforms import equip
+from fishrl.programs.configuration import Node
+from fishrl.programs.program import TaskSettings
+from fishrl.training.baselines import make_baseline
+from fishrl.training.checkpoint import read_metadata
+from fishrl.training.classifier import Recognition, find_classifier, load_recognition
+from fishrl.training.policies import load_policy
+from fishrl.training.policy_zoo import PREFIX
+from fishrl.training.progress import Progress
+from fishrl.training.settings import check_device
+
+
+class PolicySettings(TaskSettings):
+    """The policy that a program runs, and its task.
+
+    Args:
+        task: the task; by default that of the run unless ``task`` or ``preset`` is given, and
+            ``task.<argument>`` changes it.
+        checkpoint: run folder or checkpoint of the policy.
+        policy: baseline to run instead, see ``fishrl.training.baselines``, or ``zoo/<name>``.
+        recognition: source of flow labels, as for training; by default that of the run.
+        seed: of the starts and of random actions; 0 gives those of every run's final evaluation, 1
+            those that selected its checkpoint.
+        device: cpu or cuda.
+        compile: compile the flow solver.
+    """
+
+    checkpoint: str | None = None
+    policy: str | None = None
+    recognition: str | None = None
+    seed: NonNegativeInt = 0
+    device: str = "cpu"
+    compile: bool = True
+
+    def __post_init__(self) -> None:
+        """Check that there is one source."""
+        super().__post_init__()
+        if sum(source is not None for source in self.sources.values()) != 1:
+            raise ValueError(f"give exactly one of {', '.join(self.sources)}")
+
+    @property
+    def sources(self) -> dict[str, str | None]:
+        """Return the settings of which one names the policy."""
+        return {
+            "checkpoint=<run folder>": self.checkpoint,
+            "policy=<baseline>, such as policy=random": self.policy,
+        }
+
+    @property
+    def learned(self) -> str | None:
+        """Where the learned policy lies, if it is no baseline."""
+        is_in_zoo = self.policy is not None and self.policy.startswith(PREFIX)
+        return self.policy if is_in_zoo else self.checkpoint
+
+    def make_policy(self) -> tuple[AbstractTask, Recognition, Policy]:
+        """Return the task, equipped with the source of its flow labels, and the policy."""
+        check_device(self.device)
+        recognition = load_recognition(self.recognition)
+        task = equip(self.task, recognition)
+        if self.learned is None:
+            return task, recognition, make_baseline(str(self.policy), task=task, seed=self.seed)
+        has_labels = recognition is not None
+        policy = load_policy(self.learned, task=task, has_labels=has_labels, device=self.device)
+        return task, recognition, policy
+
+    def make_env(
+        self, task: AbstractTask, recognition: Recognition, *, num_envs: int, progress: Progress
+    ) -> TransformedEnv:
+        """Return flows of ``make_policy``'s task, for whoever reads them at every check."""
+        progress.rename("compilation" if self.compile else "set-up")
+        return make_env(
+            task=task,
+            recognition=recognition,
+            num_envs=num_envs,
+            seed=self.seed,
+            device=self.device,
+            compile=self.compile,
+            frames_per_action=task.checks_per_action,
+        )
+
+
+def read_task(given: Node) -> Node:
+    """Return task and recognition of the ``run`` or ``checkpoint`` that is given.
+
+    The task is left out where the command line, ``given``, names a task or a preset.
+    """
+    policy = str(given.get("policy"))
+    source = given.get("run") or given.get("checkpoint")
+    source = policy if policy.startswith(PREFIX) else source
+    if source is None:
+        return {}
+    path, metadata = read_metadata(str(source))
+    trained = metadata["config"]
+    found: dict[str, Any] = {"recognition": find_classifier(trained.get("recognition"), path)}
+    if not {"task", "preset"} & set(given):
+        found |= {"task": trained["task"], "preset": trained["preset"]}
+    return found
