@@ -10,9 +10,10 @@ from docutils import nodes
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE)]
 
-from reference import write_reference  # noqa: E402
+from reference import show_signature, write_reference  # noqa: E402
 
 import fishrl  # noqa: E402
+from fishrl.settings import Settings  # noqa: E402
 
 write_reference(HERE / "configuration.md")
 
@@ -56,9 +57,11 @@ def skip(_app: Any, _what: str, _name: str, entry: Any, _skip: bool, _options: A
     return True if (getattr(entry, "__doc__", "") or "").startswith("Alias for field") else None
 
 
-def tidy(*event: Any) -> tuple[str, str] | None:
-    """Write ``...`` for defaults that a factory makes, which Sphinx cannot parse."""
-    signature, annotation = event[-2:]
+def tidy(_app: Any, _what: str, _name: str, thing: Any, *rest: Any) -> tuple[str, str] | None:
+    """Write signatures of settings without bounds, and ``...`` for what Sphinx cannot parse."""
+    signature, annotation = rest[-2:]
+    if isinstance(thing, type) and issubclass(thing, Settings) and thing is not Settings:
+        return show_signature(thing), annotation
     return (signature.replace("<factory>", "..."), annotation) if signature else None
 
 

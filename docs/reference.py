@@ -1,30 +1,28 @@
-"""Generate the configuration reference from constructors.
+"""Generate the configuration reference from the classes of settings.
 
-It lists the arguments of each task and algorithm and of the objects inside them, the settings of
-learning, run and viewer, and those of each program: name, type, default, and the description from
-the docstring. What several of them share is listed once.
+Each class is listed once, with the fields that it declares: type and bounds, default, meaning, and
+what a field of a training affects. Inherited fields are listed with the base class.
 """
 
 import inspect
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator
+from enum import Enum
+from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from hydra.utils import get_object
-from omegaconf import OmegaConf
+from annotated_types import Ge, Gt, Le, Lt
 
-from fishrl.__main__ import list_programs as list_names
+from fishrl.__main__ import list_programs
 from fishrl.envs import AbstractTask
-from fishrl.programs.configuration import CONF
-from fishrl.programs.policy_settings import PolicySettings
-from fishrl.programs.program import Program, TaskSettings, read_arguments, write_value
+from fishrl.programs.program import Program, read_arguments, write_value
 from fishrl.programs.train_settings import TRAINING
-from fishrl.settings import REQUIRED, list_fields
-from fishrl.settings import describe as describe_object
-from fishrl.training import LearningSettings, RunSettings
-from fishrl.viewer import ViewerSettings
+from fishrl.settings import REQUIRED, Role, Settings, list_fields, to_plain
+from fishrl.settings.base import find_schema
+from fishrl.training.algorithms.algorithm import find_algorithms
+from fishrl.training.logger import CsvLogger
 
 HEAD = """# Configuration reference
 
@@ -36,23 +34,23 @@ fishrl train task=karman_gait task.body_length=64 algorithm.alpha_init=0.5 gamma
 ```
 
 An unknown key is reported with the nearest existing one, an invalid value with the allowed range.
-`python -m experiments.<program> --help` lists the settings of one program. These groups choose an
-object, or a bundle of settings (`preset`); `--config-dir <folder>` adds your own, as described in
+`--help` lists the settings of one program. These groups choose an object, or a bundle of settings
+(`preset`); `--config-dir <folder>` adds your own, as described in
 [A task of your own](tutorials/new_task.md).
 
-{groups}
+| group | choices |
+|---|---|
 """
-#: Settings that several programs or objects share, and the heading under which they are listed.
-SHARED = {
-    AbstractTask: "All tasks",
-    LearningSettings: "Learning",
-    RunSettings: "Run",
-    ViewerSettings: "Viewer",
-    PolicySettings: "Programs that run a policy",
-    TaskSettings: "Programs that study a task",
+#: Headings, and the packages whose settings are listed there; the first that matches counts.
+SECTIONS = {
+    "Tasks": ("fishrl.envs",),
+    "Algorithms": ("fishrl.training.algorithms",),
+    "Training": ("fishrl.training", "fishrl.objectives"),
+    "Viewer": ("fishrl.viewer",),
+    "Programs": ("fishrl.programs",),
+    "Research": ("experiments",),
 }
-#: Programs in the order of their use; the others follow by name.
-FIRST = [f"fishrl {name}" for name in list_names()]
+SIGNS = {Gt: ("gt", ">"), Ge: ("ge", "≥"), Lt: ("lt", "<"), Le: ("le", "≤")}
 
 
 def write_reference(path: Path) -> None:
@@ -63,110 +61,117 @@ def write_reference(path: Path) -> None:
 
 
 def make_reference() -> str:
-    """Return the page as Markdown, in the order of a training: task, algorithm, learning, run."""
-    groups = TRAINING.list_choices()
-    chosen = [f"| `{name}=` | {', '.join(f'`{o}`' for o in groups[name])} |" for name in groups]
-    parts = [HEAD.format(groups="\n".join(["| group | choices |", "|---|---|", *chosen]))]
-    parts += ["## Task\n", *_describe_shared(AbstractTask, level=3), *_describe_group("task")]
-    parts += ["## Algorithm\n", *_describe_group("algorithm")]
-    for kind in (LearningSettings, RunSettings, ViewerSettings):
-        parts += _describe_shared(kind, level=2)
-    parts += ["## Logger\n", *_describe_group("logger"), "## Programs\n"]
-    for kind in (PolicySettings, TaskSettings):
-        parts += _describe_shared(kind, level=3)
-    programs = list_programs()
-    for name in sorted(programs, key=_rank):
-        own = describe_own(programs[name].command_line.schema)
-        parts.append(f"### {name}\n\n{own}")
+    """Return the page as Markdown."""
+    titles = {main.command_line.schema: name for name, main in find_programs().items()}
+
+    def rank(kind: type) -> tuple[bool, str, int, str]:
+        """Put tasks before their parts, and bases before what derives from them."""
+        is_part = not issubclass(kind, AbstractTask)
+        return is_part, titles.get(kind, ""), len(kind.__mro__), kind.__name__
+
+    classes = sorted(find_classes(), key=rank)
+    groups = TRAINING.list_choices().items()
+    rows = [f"| `{name}=` | {', '.join(f'`{c}`' for c in choices)} |" for name, choices in groups]
+    parts = [HEAD + "\n".join(rows) + "\n"]
+    for heading in SECTIONS:
+        of_section = [kind for kind in classes if _find_section(kind) == heading]
+        parts.append(f"## {heading}\n")
+        parts += [f"### {titles.get(k, k.__name__)}\n\n{describe(k)}" for k in of_section]
     return "\n".join(parts)
 
 
-def _rank(program: str) -> tuple[int, str]:
-    return (FIRST.index(program) if program in FIRST else len(FIRST), program)
-
-
-def _describe_shared(kind: type, *, level: int) -> list[str]:
-    return [f"{'#' * level} {SHARED[kind]}\n\n{describe(kind)}"]
-
-
-def _describe_group(group: str) -> list[str]:
-    """Return the objects that a group chooses, then those inside them."""
-    chosen = {get_object(name) for name in _find_targets(group, is_outer=True)}
-    inside = {name for kind in chosen for name in _walk(describe_object(kind()))}
-    targets = [get_object(name) for name in sorted({*_find_targets(group), *inside})]
-    targets.sort(key=lambda kind: kind not in chosen)
-    return [f"### {kind.__name__}\n\n{describe_own(kind)}" for kind in targets]
-
-
-def list_programs() -> dict[str, Program]:
-    """Return the programs by the command that runs them, those with a task first."""
-    names = {f"fishrl {name}": f"fishrl.programs.{name.replace('-', '_')}" for name in list_names()}
+@cache
+def find_programs() -> dict[str, Program]:
+    """Return the programs that take settings, by the command that runs them."""
+    names = {f"fishrl {n}": f"fishrl.programs.{n.replace('-', '_')}" for n in list_programs()}
     for path in sorted((Path(__file__).parents[1] / "experiments").glob("*.py")):
         if '__name__ == "__main__"' in path.read_text(encoding="utf-8"):
             names[f"python -m experiments.{path.stem}"] = f"experiments.{path.stem}"
     mains = {name: import_module(module).main for name, module in names.items()}
-    found = {name: main for name, main in mains.items() if isinstance(main, Program)}
-    return dict(sorted(found.items(), key=lambda item: not item[1].command_line.groups))
+    return {name: main for name, main in mains.items() if isinstance(main, Program)}
+
+
+@cache
+def find_classes() -> set[type]:
+    """Return the classes of settings in programs and in the packages that these import."""
+    find_programs()
+    find_algorithms()
+    import_module("fishrl.training.tensorboard")
+    return {*_list_below(Settings), *_list_below(CsvLogger)}
 
 
 def describe(kind: type) -> str:
-    """Return the summary of a class and a table of its arguments."""
-    return _write(kind, _make_rows(kind))
-
-
-def describe_own(kind: type) -> str:
-    """Return the same without the rows of ``SHARED`` bases, to which it refers."""
-    rows, shared = _make_rows(kind), []
-    for base, heading in SHARED.items():
-        if issubclass(kind, base):
-            rows = [row for row in rows if row not in _make_rows(base)]
-            shared.append(f"[{heading}](#{heading.lower().replace(' ', '-')})")
-    table = _write(kind, rows)
-    return f"{table}\nAlso the settings of {', '.join(shared)}.\n" if shared else table
-
-
-def _write(kind: type, rows: list[str]) -> str:
+    """Return the summary of a class and a table of the fields that it declares."""
     summary = (inspect.getdoc(kind) or "").split("\n\n")[0].replace("\n", " ")
-    where = f"`{kind.__module__}.{kind.__qualname__}`"
-    head = ["| argument | type | default | meaning |", "|---|---|---|---|"] if rows else []
-    return f"{_escape(summary)} {where}\n\n" + "\n".join([*head, *rows]) + "\n"
+    lines = [f"{_escape(summary)} `{kind.__module__}.{kind.__qualname__}`", ""]
+    texts, declared = read_arguments(kind), {*inspect.get_annotations(kind)}
+    if not issubclass(kind, Settings):
+        declared = {*inspect.signature(kind).parameters}
+    own = [entry for entry in list_fields(kind) if entry.name in declared]
+    has_roles = any(entry.role is not Role.RESULT for entry in own)
+    if own:
+        head = ["setting", "type", "default", "meaning", *["affects"] * has_roles]
+        lines += [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
+    for name, hint, default, role in own:
+        cells = [_code(name), _code(_show_type(hint) + _show_bounds(kind, name))]
+        cells += [_code(_show_default(default)), _escape(texts.get(name, ""))]
+        lines.append(f"| {' | '.join([*cells, *[role.value] * has_roles])} |")
+    bases = [b for b in kind.__bases__ if b in find_classes() and list_fields(b)]
+    links = ", ".join(f"[{base.__name__}](#{base.__name__.lower()})" for base in bases)
+    return "\n".join([*lines, f"\nAlso the settings of {links}.\n" if links else ""])
 
 
-def _make_rows(kind: type) -> list[str]:
-    texts = read_arguments(kind)
-    return [
-        f"| `{name}` | {_code(_show_type(hint))} "
-        f"| {_code(_show_default(default))} | {_escape(texts.get(name, ''))} |"
-        for name, hint, default, _ in list_fields(kind)
-    ]
+def show_signature(kind: type) -> str:
+    """Return the constructor's signature without bounds, and objects without their arguments."""
+    parts = ["*"]
+    for name, hint, default, _ in list_fields(kind):
+        is_plain = not isinstance(default, Settings | Enum)
+        shown = repr(default) if is_plain else f"{type(default).__name__}(...)"
+        value = "" if default is REQUIRED else f" = {shown}"
+        parts.append(f"{name}: {_show_type(hint, repr).replace('null', 'None')}{value}")
+    return f"({', '.join(parts)})" if len(parts) > 1 else "()"
 
 
-def _find_targets(group: str, *, is_outer: bool = False) -> Iterator[str]:
-    for path in sorted((CONF / group).glob("*.yaml")):
-        found = list(_walk(OmegaConf.to_container(OmegaConf.load(path))))
-        yield from found[:1] if is_outer else found
+def _list_below(base: type[Any]) -> Iterator[type[Any]]:
+    for kind in base.__subclasses__():
+        yield kind
+        yield from _list_below(kind)
 
 
-def _walk(node: Any) -> Iterator[str]:
-    if isinstance(node, Mapping):
-        if "_target_" in node:
-            yield node["_target_"]
-        for value in node.values():
-            yield from _walk(value)
+def _find_section(kind: type) -> str:
+    return next((name for name, of in SECTIONS.items() if kind.__module__.startswith(of)), "")
 
 
-def _show_type(annotation: Any) -> str:
-    text = annotation if isinstance(annotation, str) else inspect.formatannotation(annotation)
-    bare = re.sub(r"\bAnnotated\[([^,\[\]]+), (?:[^\[\]]|\[[^\]]*\])*\]", r"\1", text)
-    return re.sub(r"\b(?:\w+\.)+(\w+)", r"\1", bare)
+def _show_type(hint: Any, show_word: Callable[[Any], str] = str) -> str:
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin is Literal:
+        return " | ".join(map(show_word, parts))
+    shown = [_show_type(part, show_word) for part in parts]
+    if origin is Annotated:
+        return shown[0]
+    if origin in (Union, UnionType):
+        return " | ".join(shown)
+    if hint in (None, type(None), ...):
+        return "..." if hint is ... else "null"
+    name = getattr(origin or hint, "__name__", str(hint))
+    return f"{name}[{', '.join(shown)}]" if parts else name
 
 
-def _show_default(default: Any) -> str:
-    if default is REQUIRED:
+def _show_bounds(kind: type, name: str) -> str:
+    bounds = ""
+    for mark in find_schema(kind).__pydantic_fields__[name].metadata:
+        if type(mark) in SIGNS:
+            attribute, sign = SIGNS[type(mark)]
+            value = getattr(mark, attribute)
+            bounds += f", {sign} {value if isinstance(value, int) else f'{value:g}'}"
+    return bounds
+
+
+def _show_default(value: Any) -> str:
+    if value is REQUIRED:
         return "required"
-    if default is None or isinstance(default, bool | int | float | str | tuple | list):
-        return write_value(default)
-    return f"{type(default).__name__}(…)"
+    plain = to_plain(value)
+    return f"{type(value).__name__}(…)" if isinstance(plain, dict) else write_value(plain)
 
 
 def _code(text: str) -> str:

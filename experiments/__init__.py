@@ -1,4 +1,4 @@
-"""Programs: train a policy, evaluate it, draw its episodes. Nothing imports this package."""
+"""Research programs: reproduction, validation, benchmarks. Nothing imports this package."""
 
 import gc
 import signal

@@ -8,8 +8,6 @@ rounds, and ratios of the same round. Codes that are not installed are left out;
     python -m experiments.benchmark docs=docs                # put the last results into the page
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import time

@@ -5,8 +5,6 @@ file that comes with the package was made by ``make train`` and ``python -m
 experiments.export_steering run=runs/predation-seed0 path=fishrl/envs/steering.pt``.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from torch import nn

@@ -1,7 +1,5 @@
 """The page of a reproduction: the paper's tables, figures and numbers, next to ours."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -13,6 +11,7 @@ from typing import Any
 import yaml
 from markdown_it import MarkdownIt
 
+from fishrl.programs.figures.learning_curve import Curve, draw_curves, read_metrics
 from fishrl.programs.gait import figures
 from fishrl.programs.gait.tables import (
     PAPER_WORK_RATIO,
@@ -26,7 +25,7 @@ from fishrl.programs.statistics import Statistic, show
 from fishrl.programs.summarize import summarize
 from fishrl.programs.sweeps.jobs import find_runs
 from fishrl.programs.sweeps.runs import read_run
-from fishrl.training.description import to_plain
+from fishrl.settings import to_plain
 from fishrl.training.run_folder import read_config
 
 #: Folder and name of each kind of policy in the second task.
@@ -56,6 +55,12 @@ FIGURES = {
 DRAWN = {
     "training": "Task 2: survival, return and actor loss in training",
     "period": "Task 2: vorticity in one shedding period",
+}
+#: Panels of the first one, and their columns of metrics.csv.
+TRAINING = {
+    "survival  [decisions], mean of 32": "train/episode_length",
+    "return, mean of 32 episodes": "train/return",
+    "actor loss": "train/loss_actor",
 }
 #: Time before the first moment of the figure of a period, in which fish find their place, T.
 SETTLED_T = 20.0
@@ -165,9 +170,16 @@ def draw(folder: Path, runs: Mapping[str, Sequence[Path]], pictures: Path) -> No
     places = {"folder": folder, "classifier": find_fitted(folder), "hunt": runs["predation"][0]}
     for name, (file, _) in FIGURES.items():
         copyfile(file.format(**places), pictures / f"{name}.png")
-    figures.write_training(
-        pictures / "training.png", {name: runs[arm] for arm, name in ARMS.items()}
-    )
+    curves = {
+        title: [
+            Curve(name, *metrics[column], number=number)
+            for number, (arm, name) in enumerate(ARMS.items())
+            for metrics in (read_metrics(run / "metrics.csv") for run in runs[arm])
+            if column in metrics
+        ]
+        for title, column in TRAINING.items()
+    }
+    draw_curves(pictures / "training.png", curves)
     trial = load_trial(runs["both"][0])
     figures.write_period(
         pictures / "period.png",

@@ -7,8 +7,6 @@ and how long it takes on this machine. Tables and figures are written to ``repro
 ``reproduction.html`` in the folder.
 """
 
-from __future__ import annotations
-
 import fcntl
 import json
 import subprocess
@@ -197,7 +195,7 @@ class Record:
         self.jobs: dict[str, dict[str, Any]] = json.loads(text)
 
     def is_finished(self, job: Job) -> bool:
-        """Tell whether a job has been finished with these settings, and its runs are there."""
+        """Return whether a job is finished with these settings and its runs exist."""
         entry = self.jobs.get(job.name, {})
         if not entry.get("is_finished", False) or entry["words"] != list(job.words):
             return False

@@ -6,8 +6,6 @@ Results are cached in the folder: the same command continues after an interrupti
 jobs that a change to the physics or to a case affects. Exits with status 1 if a criterion fails.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from importlib import import_module

@@ -13,7 +13,7 @@ MAX_LINES = 400
 
 TENSORS = {
     *("torch", "tensordict", "numpy", "pydantic"),
-    *("fishrl.bounds", "fishrl.children", "fishrl.files", "fishrl.memory", "fishrl.settings"),
+    *("fishrl.children", "fishrl.files", "fishrl.memory", "fishrl.settings"),
 }
 #: Of the programs, which nothing in the library imports.
 PROGRAMS = TENSORS | {
@@ -24,7 +24,6 @@ TASK_SIDE = {"fishrl.physics", "fishrl.envs"}
 # The first pattern that matches a file rules it; "a.b" allows "a.b" and "a.b.c".
 LAYERS: tuple[tuple[str, set[str]], ...] = (
     ("fishrl/__init__.py", set()),
-    ("fishrl/bounds.py", set()),
     ("fishrl/settings/", {"numpy", "pydantic", "pydantic_core", "fishrl.settings"}),
     ("fishrl/children.py", set()),
     ("fishrl/files.py", {"torch"}),

@@ -5,8 +5,6 @@ and by the environment with its transforms, resets and a policy. No episode ends
 steps are the same. Tests give another task and other ``options`` of ``make_env``.
 """
 
-from __future__ import annotations
-
 import time
 from collections import defaultdict
 from collections.abc import Callable

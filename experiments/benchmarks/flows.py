@@ -1,7 +1,5 @@
 """Cases of the flow: without and with fish, by size, batch and device; memory and compilation."""
 
-from __future__ import annotations
-
 import gc
 import multiprocessing
 import os

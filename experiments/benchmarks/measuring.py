@@ -5,8 +5,6 @@ starts after the threads of the previous one sleep, with untimed steps that fill
 its own threads.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -123,7 +121,7 @@ class Results:
         path.write_text(json.dumps(vars(self) | {"cases": cases}, indent=1), encoding="utf-8")
 
     @classmethod
-    def load(cls, path: Path) -> Results:
+    def load(cls, path: Path) -> "Results":
         """Read what ``save`` wrote."""
         plain = json.loads(path.read_text(encoding="utf-8"))
         return cls(**plain | {"cases": [Case(**case) for case in plain["cases"]]})

@@ -4,8 +4,6 @@ Nine populations in padded rows, one loop over all nodes, shared out to the thre
 grid is compiled in, so that all addresses of a row differ by constants and the loop is vectorised.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

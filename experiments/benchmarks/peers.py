@@ -4,8 +4,6 @@ Those that are not installed are skipped and listed. lbmpy and numba run this pr
 with its rates and precision; lettuce and XLB run BGK, their fastest.
 """
 
-from __future__ import annotations
-
 import itertools
 import warnings
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Figures: bandwidth beside the memory's own, and speed against size."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The tables of a run in Markdown: goals and whether they are met, speeds, costs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path

@@ -3,8 +3,6 @@
 u_x = U sin(k y) decays as exp(-nu k^2 t) in a periodic box, whatever U.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import log, nan, pi

@@ -1,7 +1,5 @@
 """A validation case: its runs, checks of their results, and a figure."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field

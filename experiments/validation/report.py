@@ -1,7 +1,5 @@
 """The report: a page of verdicts, a page of Markdown for each case, and all checks as JSON."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, replace

@@ -1,7 +1,5 @@
 """Run the jobs of cases whose results are not cached, and check all results."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import logging

@@ -1,7 +1,5 @@
 """Actors and critics for discrete and continuous actions, and their fully connected networks."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

@@ -8,8 +8,6 @@ action: the turn, proportional to its largest one, and the highest tail-beat fre
 interval is one tail beat (``_T``) of a fish at full speed.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -5,8 +5,6 @@ are x and y behind the leader in body lengths and the heading from upstream in r
 numbers 7 to 9 are the velocity (x, y) in L / T and the turning rate in radians per T.
 """
 
-from __future__ import annotations
-
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase

@@ -6,8 +6,6 @@ body lengths. A ``FrequencyController`` commands a frequency (beats per T); ``Ga
 action that comes nearest to it.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 

@@ -6,8 +6,6 @@ is configurable: which features, and how many of the newest samples. Time and po
 flow without any sensing, so they are excluded by default.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from math import isclose
 from pathlib import Path
@@ -167,7 +165,7 @@ class LateralLineClassifier(nn.Module):
             torch.save({"format": _FORMAT, "settings": settings, "state": state}, stage)
 
     @classmethod
-    def load(cls, path: str | Path) -> LateralLineClassifier:
+    def load(cls, path: str | Path) -> "LateralLineClassifier":
         """Read a classifier, on the CPU and in ``eval`` mode; raise ValueError for other files."""
         what, remedy = "lateral-line classifier", "write one with fishrl train-lateral-line"
         entries = ("format", "settings", "state")

@@ -1,7 +1,5 @@
 """Policies of value-based algorithms: action values, an optional LSTM, epsilon-greedy."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

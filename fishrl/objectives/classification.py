@@ -4,8 +4,6 @@ Neighbouring samples of one episode are almost the same: a split by sample would
 accuracy by leakage. So the parts that fit, stop and test share no episode.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -39,7 +37,7 @@ class FitSettings(Settings):
     weight_decay: NonNegativeFloat = 0.0
 
     @classmethod
-    def of_the_paper(cls) -> FitSettings:
+    def of_the_paper(cls) -> "FitSettings":
         """Adam at 0.01, batches of 64, 1000 epochs; meant for 6000 samples."""
         return cls(learning_rate=0.01, batch_size=64, num_epochs=1000, patience=None)
 

@@ -11,8 +11,6 @@ Christodoulou 2019, "Soft Actor-Critic for Discrete Action Settings", eqs. 10-12
 * There is no ``skip_done_states``: it treats truncated states as terminal with value 0.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

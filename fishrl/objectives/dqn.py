@@ -1,7 +1,5 @@
 """Losses of DQN, double DQN and recurrent DQN with action masks."""
 
-from __future__ import annotations
-
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictSequential

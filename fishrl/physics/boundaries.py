@@ -226,7 +226,7 @@ class Boundaries(Settings):
                 raise ValueError(f"{a} and {b} must both be Periodic or neither")
 
     def in_order(self) -> list[list[tuple[Side, Boundary]]]:
-        """Return the edges in the order in which they are set; edges of one list at once."""
+        """Return the edges in the order in which they are set; each list is independent."""
         across = [(Side.LEFT, self.left), (Side.RIGHT, self.right)]
         along = [(Side.BOTTOM, self.bottom), (Side.TOP, self.top)]
         given = [edge for edge in across + along if not isinstance(edge[1], Periodic)]
@@ -295,7 +295,7 @@ def apply_boundaries_(
 ) -> None:
     """Set the edge nodes of nine ``[B, Y, X]`` ``incoming`` populations (streamed) in place.
 
-    ``outgoing`` are those after collision, ``stream_speed`` ``[B]`` is that of this step.
+    ``outgoing`` are populations after collision, ``stream_speed`` ``[B]`` is the present speed.
     """
     for group in boundaries.in_order():
         for side, boundary in group:

@@ -1,7 +1,7 @@
-"""Keys of what is kept on disk: compiled steps, wakes, results of studies.
+"""Cache keys of files on disk: compiled steps, wakes, results of studies.
 
-A key changes when any input does: settings (by their ``repr``) or code. Comments, docstrings and
-layout of the code do not count.
+A key changes with any input: settings (by their ``repr``) or code. Comments, docstrings and layout
+of the code do not count.
 """
 
 import ast

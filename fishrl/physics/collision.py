@@ -4,7 +4,7 @@ Populations are *shifted*: ``f`` holds f_i - w_i, so that single precision keeps
 is exactly zero (Lehmann et al. 2022). All functions take and return sequences of nine tensors of
 any common shape and broadcast the relaxation rates against it.
 
-Moments are those of Lallemand & Luo 2000, m = (rho, e, eps, jx, qx, jy, qy, pxx, pxy), with the
+Moments as in Lallemand & Luo 2000, m = (rho, e, eps, jx, qx, jy, qy, pxx, pxy), with the
 equilibrium m_eq = rho (1, -2 + 3 u^2, 1 - 3 u^2, ux, -ux, uy, -uy, ux^2 - uy^2, ux uy), which
 equals M f_eq of the second-order equilibrium exactly.
 """

@@ -23,7 +23,7 @@ from fishrl.physics.surface import Freedom, Pair, prescribe_surface, slice_marke
 
 
 class _MarkerMass(NamedTuple):
-    """Fluid mass that the markers' forces act on: F = mass g at each marker.
+    """Fluid mass that the force acts on: F = mass g at each marker.
 
     Attributes:
         mass: ``[B, N]``, 2 rho ds.

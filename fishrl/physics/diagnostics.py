@@ -1,4 +1,4 @@
-"""Quantities derived from a flow: vorticity, pressure, coefficients, frequencies."""
+"""Quantities derived from flows and signals: vorticity, pressure, coefficients, frequencies."""
 
 from itertools import pairwise
 from typing import NamedTuple
@@ -76,8 +76,8 @@ def measure_cycles(signal: Tensor, interval: float, *, clock: Tensor | None = No
     """Measure a periodic signal over its whole periods.
 
     A period runs from one upward crossing of the clock's mean to the next. The mean, too, is taken
-    over whole periods, so that a partial period does not shift it. Extremes are those of parabolas
-    through three samples.
+    over whole periods, so that a partial period does not shift it. Extremes are interpolated by
+    parabolas through three samples.
 
     Args:
         signal: ``[n]`` evenly sampled.
@@ -131,8 +131,8 @@ def compute_strouhal(lift: Tensor, interval: float, *, length: float, speed: flo
 def compute_spectral_frequency(signal: Tensor, interval: float) -> float:
     """Return the frequency of the strongest line of a signal's spectrum.
 
-    Hann window; the frequency between bins is that of a parabola through the logarithm of three
-    bins, accurate to about 1 % of a bin.
+    Hann window; between bins, the frequency is interpolated by a parabola through the logarithm of
+    three bins, accurate to about 1 % of a bin.
 
     Args:
         signal: ``[n]`` evenly sampled.

@@ -266,8 +266,8 @@ def change_stream_speed(
 ) -> FlowParams:
     """Return parameters with which the stream changes to ``speed`` ``[B]`` from ``clock`` on.
 
-    It does so smoothly over ``num_steps``. With None it changes at once, while a rise from rest
-    continues, to the new speed.
+    It does so smoothly over ``num_steps``. With None it changes immediately, while a rise from rest
+    continues to the new speed.
     """
     new = params._replace(stream_speed=speed)
     if num_steps is None:

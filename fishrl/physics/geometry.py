@@ -32,8 +32,12 @@ class Markers(NamedTuple):
 class BodyGeometry(NamedTuple):
     """All bodies in one step; the markers of the bodies follow each other in N.
 
-    ``deformations`` and ``markers`` are those of each body, ``spacing`` ``[B, N]`` is the length of
-    outline that each marker represents, ``operator`` that of the force solve.
+    Attributes:
+        deformations: of each body.
+        markers: of each body.
+        spacing: ``[B, N]`` length of outline that each marker represents.
+        stencil: nodes around all markers.
+        operator: what the force solve needs, from ``ForceSolve.prepare``.
     """
 
     deformations: tuple[Deformation, ...]

@@ -107,8 +107,8 @@ class ForceSolve(Settings, ABC):
     def prepare(self, overlap: Tensor, spacing: Tensor) -> tuple[Tensor, ...]:
         """Return what the solve needs of the marker positions; once where bodies stay still.
 
-        ``overlap`` ``[B, N, N]`` is that of the markers' weights, symmetric, ``spacing`` ``[B, N]``
-        is ds. The first tensor returned is A^T ``[B, N, N]``.
+        ``overlap`` ``[B, N, N]`` is from ``overlap_markers``, ``spacing`` ``[B, N]`` is ds. The
+        first tensor returned is A^T ``[B, N, N]``.
         """
         return (spacing[..., None] * overlap,)
 

@@ -1,4 +1,4 @@
-"""What a coupled solve means for each body, and the body after the step."""
+"""Rigid motion, loads and work of each body, from the solution of a coupled step."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -16,7 +16,7 @@ from fishrl.physics.surface import Surface, slice_markers
 
 
 class RigidUpdate(NamedTuple):
-    """What one coupled solve gives for one body.
+    """Result of one coupled solve for one body.
 
     Attributes:
         velocity: ``[B, 2]`` new velocity of the centre of mass.
@@ -50,11 +50,17 @@ def report_bodies(
     g: Sequence[Tensor],
     slip: Sequence[Tensor],
 ) -> list[RigidUpdate]:
-    """Return what the solution of a step means for each body.
+    """Return new velocities, force, torque and power of each body from the solution of a step.
 
-    ``changes`` ``[B]`` are those of the rates that the flow determines; at all markers, ``[B, N]``
-    each, ``mass`` is that of the fluid, ``g`` (x, y) the force per mass and ``slip`` (x, y) the
-    remaining velocity error. The other arguments are those of ``solve_body_force``.
+    Args:
+        config: of the flows.
+        states: of each body at the start of the step.
+        geometry: of the bodies at this step.
+        surface: prescribed motion of the markers.
+        changes: ``[B]`` of each rate that the flow determines.
+        mass: ``[B, N]`` of the fluid at each marker, 2 rho ds.
+        g: (x, y) ``[B, N]`` each, force per mass.
+        slip: (x, y) ``[B, N]`` each, remaining velocity error.
     """
     rates = [list(own) for own in surface.rates]
     for freedom, change in zip(surface.freedoms, changes, strict=True):
@@ -87,9 +93,9 @@ def _report(
 ) -> RigidUpdate:
     """Sum force, torque and power over the markers of one body.
 
-    ``rates`` are its new (U_x, U_y, Omega). At its markers, ``[B, N]`` each: ``lateral_velocity``
-    of its deformation in its own frame, fluid ``mass``, force per mass ``g`` and ``square`` of the
-    remaining slip.
+    ``rates`` are its new (U_x, U_y, Omega). ``[B, N]`` each at its markers: ``lateral_velocity`` of
+    its deformation in its own frame, fluid ``mass``, force per mass ``g`` and the remaining slip's
+    ``square``.
     """
     dtype = square.dtype
     rx, ry = (arm.to(dtype) for arm in markers.arm.unbind(-1))

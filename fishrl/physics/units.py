@@ -1,7 +1,7 @@
 """From Reynolds number, body length and a Mach budget to lattice units.
 
-A preset is a body length and a speed budget; everything else follows. The largest speed is that of
-the tail, 2 pi f L times the largest amplitude a(x), or of the stream, so the budget limits these.
+A preset is a body length and a speed budget; everything else follows. The budget limits the speed
+of the tail, 2 pi f L times the largest amplitude a(x), and of the stream, whichever is faster.
 nu = L^2 / (Re T), tau = 3 nu + 1/2.
 """
 
@@ -98,7 +98,7 @@ class Scales(Settings):
         """Choose the shortest even period that keeps tail and stream within ``max_wall_speed``.
 
         ``max_wall_speed`` is in nodes per step; times sqrt(3) it is a Mach number. The other
-        arguments are those of the class.
+        arguments are as for the class.
         """
         if not 0.0 < max_wall_speed <= MAX_WALL_SPEED:
             raise ValueError(

@@ -36,7 +36,7 @@ class TrainConfig(LearningSettings, RunSettings, ViewerSettings):
 
     task: AbstractTask
     algorithm: Algorithm
-    logger: CsvLogger
+    logger: Annotated[CsvLogger, Role.HARMLESS]
     preset: str | None = None
     recognition: str | None = None
     resume: Annotated[str | None, Role.HARMLESS] = None

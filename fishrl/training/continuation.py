@@ -39,7 +39,7 @@ def find_changes(
 ) -> dict[str, Any]:
     """Return the settings of a plan that differ from those of a run, as ``reopen`` takes them.
 
-    Logger and preset of the run are kept, and it stays where it is.
+    The logger of the run is kept, and it stays where it is.
 
     Raises:
         ValueError: naming each setting that fixes the result and differs.
@@ -53,7 +53,7 @@ def find_changes(
     if different:
         lines = [f"{key} = {other.get(key)}: is {flat.get(key)} in {run.path}" for key in different]
         raise ValueError("\n".join(lines) + "; take another folder or name for a new run")
-    kept = {*FIXED, "logger", "preset", "folder", "name"}
+    kept = {*FIXED, "logger", "folder", "name"}
     names = [name for name in wanted if name not in kept]
     return {name: wanted[name] for name in names if wanted[name] != stored.get(name)}
 

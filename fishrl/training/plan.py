@@ -34,7 +34,7 @@ class Plan(Settings):
     learning: LearningSettings = LearningSettings()
     run: RunSettings = RunSettings()
     logger: Annotated[CsvLogger, Role.HARMLESS] = field(default_factory=CsvLogger)
-    preset: Annotated[str | None, Role.HARMLESS] = None
+    preset: str | None = None
     recognition: str | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
 

@@ -4,10 +4,8 @@ Needs the extra ``gymnasium``; import it by its full name:
 ``from fishrl.wrappers.gymnasium import FlowVectorEnv``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,6 +13,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import step_mdp
 
+from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.scene import Frame
 from fishrl.extras import show_install
 from fishrl.viewer import make_scene
@@ -30,9 +29,6 @@ except ImportError as error:
     raise ImportError(
         f"fishrl.wrappers.gymnasium needs gymnasium: {show_install('gymnasium')}"
     ) from error
-
-if TYPE_CHECKING:
-    from fishrl.envs.flow_env import FlowEnv
 
 Array = np.ndarray[Any, Any]
 OBSERVED = ("observation", "observation_stack")
@@ -141,7 +137,7 @@ class FlowVectorEnv(VectorEnv):
             self._state = self.env.reset()
             self._is_over[:], self._is_unseen[:] = False, True
         else:
-            rows = self._read("reset_mask", options["reset_mask"], np.bool_)
+            rows = _read("reset_mask", options["reset_mask"], (self.num_envs,), np.bool_)
             self._state = self._reset_rows(self._need_state(), rows)
             self._is_over = self._is_over & ~rows
         return _observe(self._state), self._tell(self._state)
@@ -162,11 +158,11 @@ class FlowVectorEnv(VectorEnv):
                 "reset(options={'reset_mask': terminations | truncations}) first"
             )
         after = self._advance(state, self._read_actions(actions), waiting)
-        rewards, terminations, truncations = (
-            np.where(waiting, 0, _row_wise(after[name]))
-            for name in ("reward", "terminated", "truncated")
+        reward, terminated, truncated = (
+            np.where(waiting, 0, _row_wise(after[name])).astype(dtype)
+            for name, dtype in (("reward", float), ("terminated", bool), ("truncated", bool))
         )
-        is_over = terminations.astype(np.bool_) | truncations.astype(np.bool_)
+        is_over = terminated | truncated
         infos: dict[str, Any] = {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             if is_over.any():
@@ -177,13 +173,7 @@ class FlowVectorEnv(VectorEnv):
                 after = self._reset_rows(after, waiting)
             self._is_over = is_over
         self._state = after
-        return (
-            _observe(after),
-            rewards.astype(np.float64),
-            terminations.astype(np.bool_),
-            truncations.astype(np.bool_),
-            infos | self._tell(after),
-        )
+        return _observe(after), reward, terminated, truncated, infos | self._tell(after)
 
     def action_masks(self) -> Array:
         """Return the currently legal actions, ``[B, num_actions]`` bool.
@@ -255,25 +245,8 @@ class FlowVectorEnv(VectorEnv):
 
     def _read_actions(self, given: Any) -> Array:
         """Return actions of the space's type."""
-        if not self.is_continuous:
-            return self._read("actions", given, np.integer).astype(np.int64)
-        values = np.asarray(given)
-        if values.shape != self.action_space.shape or values.dtype.kind != "f":
-            raise ValueError(
-                f"actions of shape {values.shape}, {values.dtype}: expected "
-                f"{self.action_space.shape}, floating"
-            )
-        return values.astype(np.float32)
-
-    def _read(self, name: str, given: Any, kind: Any) -> Array:
-        """Return one value of a ``kind`` per row."""
-        values = np.asarray(given)
-        if values.shape != (self.num_envs,) or not np.issubdtype(values.dtype, kind):
-            raise ValueError(
-                f"{name} of shape {values.shape}, {values.dtype}: expected ({self.num_envs},), "
-                f"{kind.__name__}"
-            )
-        return values
+        kind, dtype = (np.floating, np.float32) if self.is_continuous else (np.integer, np.int64)
+        return _read("actions", given, self.action_space.shape, kind).astype(dtype)
 
     def _tell(self, state: TensorDictBase) -> dict[str, Any]:
         """Return infos: all entries but the observations."""
@@ -296,6 +269,16 @@ class FlowVectorEnv(VectorEnv):
         if self.is_continuous:
             return reported
         return reported | {"action_mask": reported["action_mask"].astype(np.int8)}
+
+
+def _read(name: str, given: Any, shape: tuple[int, ...] | None, kind: type) -> Array:
+    """Return ``given`` as an array; raise ValueError unless it has the shape and kind."""
+    values = np.asarray(given)
+    if values.shape != shape or not np.issubdtype(values.dtype, kind):
+        raise ValueError(
+            f"{name} of shape {values.shape}, {values.dtype}: expected {shape}, {kind.__name__}"
+        )
+    return values
 
 
 def _observe(state: TensorDictBase) -> Array:

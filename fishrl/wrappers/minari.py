@@ -5,8 +5,6 @@ Needs the extra ``export``; import it by its full name:
 ``MinariExperienceReplay`` read the dataset.
 """
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Callable

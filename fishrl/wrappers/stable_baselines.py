@@ -4,8 +4,6 @@ Needs the extra ``stable-baselines3``; import it by its full name:
 ``from fishrl.wrappers.stable_baselines import FlowVecEnv``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,53 +1,57 @@
-"""The configuration reference, made from the constructors."""
+"""The configuration reference, made from the classes of settings, and the API pages."""
 
 import importlib
-import inspect
 import re
 from pathlib import Path
 
 import pytest
 
-from docs.reference import describe, list_programs, make_reference
+from docs.reference import describe, find_classes, find_programs, make_reference
 from fishrl import physics
 from fishrl.envs import KarmanGait, Predation
 from fishrl.programs.train_settings import TRAINING
+from fishrl.settings import list_fields
+from fishrl.training import LearningSettings, RunSettings
 from fishrl.training.evaluation import FINAL_SEED, SELECTION_SEED
 from tests.docs.pages import DOCS
 
-SCHEMAS = {name: made.command_line.schema for name, made in list_programs().items()}
+PAGE = make_reference()
+SCHEMAS = {name: main.command_line.schema for name, main in find_programs().items()}
 
 
-def test_every_argument_of_programs_and_tasks_has_its_row_with_words() -> None:
-    page = make_reference()
-    for kind in (*SCHEMAS.values(), Predation, KarmanGait):
-        table = describe(kind)
-        for name in inspect.signature(kind).parameters:
-            (row,) = [line for line in table.splitlines() if line.startswith(f"| `{name}` |")]
-            cells = row.replace("\\|", "").strip("|").split("|")
-            assert len(cells) == 4 and all(cell.strip() for cell in cells), row
-            assert row in page
+@pytest.mark.parametrize("kind", [*SCHEMAS.values(), Predation, KarmanGait])
+def test_every_field_has_a_row_with_a_meaning(kind: type) -> None:
+    rows = [row for base in kind.__mro__ if base in find_classes() for row in _list_rows(base)]
+    for entry in list_fields(kind):
+        row = next(row for row in rows if row.startswith(f"| `{entry.name}` |"))
+        cells = row.replace("\\|", "").strip("|").split("|")
+        assert len(cells) in (4, 5) and all(cell.strip() for cell in cells), row
+        assert row in PAGE
 
 
-def test_types_defaults_and_inherited_words_are_shown() -> None:
-    table = describe(Predation)
-    row = "| `body_length` | `int` | `50` | L in nodes"
-    assert row in table  # the words of AbstractTask
-    assert "| `domain_bl` | `tuple[float, float]` | `[10.0,5.0]` |" in table
+def _list_rows(kind: type) -> list[str]:
+    return [line for line in describe(kind).splitlines() if line.startswith("| `")]
+
+
+def test_types_bounds_defaults_and_roles_are_shown() -> None:
+    assert "| `time_limit` | `int, > 0` | `404` | decisions" in describe(KarmanGait)
     assert "| `stream` | `Stream` | `Stream(…)` |" in describe(KarmanGait)
-    assert "| `name` | `str \\| None` | `null` |" in describe(SCHEMAS["fishrl train"])
+    assert "| `gamma` | `float, ≥ 0, ≤ 1` | `0.99` | discount" in describe(LearningSettings)
+    (row,) = [row for row in _list_rows(RunSettings) if row.startswith("| `name` |")]
+    assert row.startswith("| `name` | `str \\| null` | `null` |")
+    assert row.endswith("| what is logged, saved or shown |")
 
 
-def test_the_seeds_of_evaluations_are_those_of_the_training() -> None:
+def test_seeds_of_evaluations_are_those_of_the_training() -> None:
     said = f"{FINAL_SEED} gives those of every run's final evaluation, "
     said += f"{SELECTION_SEED} those that selected its checkpoint."
     for program in ("fishrl evaluate", "fishrl view"):
-        assert said in describe(SCHEMAS[program])
+        assert any(said in describe(base) for base in SCHEMAS[program].__mro__[:-2])
 
 
-def test_every_choice_is_listed_and_the_page_is_not_kept_in_the_repository() -> None:
-    page = make_reference()
+def test_every_choice_is_listed_and_the_page_is_not_in_the_repository() -> None:
     for group, names in TRAINING.list_choices().items():
-        assert f"| `{group}=` | " + ", ".join(f"`{name}`" for name in names) in page
+        assert f"| `{group}=` | " + ", ".join(f"`{name}`" for name in names) in PAGE
     assert "docs/configuration.md" in (DOCS.parent / ".gitignore").read_text(encoding="utf-8")
 
 

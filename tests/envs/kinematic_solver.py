@@ -1,4 +1,6 @@
-"""Fish without a flow: they move along their headings, and tests of envs take milliseconds."""
+"""Fish without a flow: they move along their headings, so tests of envs take milliseconds."""
+
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -23,24 +25,17 @@ class KinematicSolver:
         num_envs: int,
         frequency: float = 0.0,
         device: torch.device | str = "cpu",
-        compile: bool = True,
-        num_workers: int | None = None,
+        **options: Any,
     ) -> None:
         assert config.fish is not None
         self.config, self.num_envs, self.frequency = config, num_envs, frequency
-        self.shape = config.fish.make_params(device)
-        self.stream_speed = torch.full(
-            (num_envs,), config.stream_speed, dtype=torch.float64, device=device
-        )
+        self.fish, self.shape = config.fish, config.fish.make_params(device)
         rest = torch.zeros(num_envs, dtype=torch.float64, device=device)
+        self.stream_speed = rest + config.stream_speed
         fresh = make_body(rest[:, None].expand(-1, 2), rest, rest + frequency)
-        self._fish = [
-            BodyState(*(t.clone() for t in fresh))
-            for body in config.bodies
-            if isinstance(body, Fish)  # other bodies are not there
-        ]
-        self.body = self._fish[0]
-        self.is_closed = False
+        num_fish = sum(isinstance(body, Fish) for body in config.bodies)  # no other bodies
+        self._fish = [BodyState(*(t.clone() for t in fresh)) for _ in range(num_fish)]
+        self.body, self.is_closed = self._fish[0], False
 
     @property
     def bodies(self) -> list:
@@ -75,23 +70,20 @@ class KinematicSolver:
         frequency: Tensor | None = None,
         amplitude: Tensor | None = None,
     ) -> None:
-        turn = turn.view(self.num_envs, -1)
-        for index, body in enumerate(self._fish[: turn.shape[1]]):
-            body.turn.copy_(turn[:, index])
-            body.turn_steps.fill_(num_steps)
-            if frequency is not None:
-                body.frequency.copy_(frequency.view(self.num_envs, -1)[:, index])
-            if amplitude is not None:
-                body.amplitude.copy_(amplitude.view(self.num_envs, -1)[:, index])
+        steps = torch.full_like(turn, num_steps)
+        given = {"turn": turn, "turn_steps": steps, "frequency": frequency, "amplitude": amplitude}
+        for name, value in given.items():
+            columns = () if value is None else value.view(self.num_envs, -1).unbind(1)
+            for body, column in zip(self._fish, columns, strict=False):
+                getattr(body, name).copy_(column)
 
     def advance_(self, num_steps: int, rows: Tensor | None = None) -> None:
         assert num_steps >= 0 and num_steps % 2 == 0
-        assert self.config.fish is not None
         moves = torch.ones(self.num_envs) if rows is None else rows.double()
         for own, body in zip(self.config.bodies, self._fish, strict=False):
             if isinstance(own.motion, Driven):  # at rest: held in its place
                 continue
-            speed = SPEED_BL * self.config.fish.body_length * body.frequency
+            speed = SPEED_BL * self.fish.body_length * body.frequency
             for _ in range(num_steps // 2):
                 direction = torch.stack((torch.cos(body.heading), torch.sin(body.heading)), -1)
                 body.position.add_(2.0 * (moves * speed)[:, None] * direction)
@@ -129,19 +121,15 @@ class KinematicSolver:
         body = self._fish[index]
         still = torch.zeros_like(body.phase)
         straight = body._replace(phase=still, frequency=still, beats=still)
-        assert self.config.fish is not None
-        return place_markers(body, deform_body(self.config.fish, self.shape, straight)).position
+        return place_markers(body, deform_body(self.fish, self.shape, straight)).position
 
     def surface(self) -> Markers:
-        assert self.config.fish is not None
-        return place_markers(self.body, deform_body(self.config.fish, self.shape, self.body))
+        return place_markers(self.body, deform_body(self.fish, self.shape, self.body))
 
     def is_diverged(self) -> Tensor:
         outlines = torch.cat([self.markers(index) for index in range(len(self._fish))], 1)
-        x, y = outlines.unbind(-1)
-        width, height = self.config.width, self.config.height
-        is_inside = (x > 0.5) & (x < width - 1.5) & (y > 0.5) & (y < height - 1.5)
-        return ~is_inside.all(-1)
+        size = outlines.new_tensor((self.config.width, self.config.height))
+        return ~((outlines > 0.5) & (outlines < size - 1.5)).all(-1).all(-1)
 
     def state_dict(self) -> dict[str, Tensor]:
         return {name: own.clone() for name, own in self._name_state().items()}

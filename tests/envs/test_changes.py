@@ -1,4 +1,4 @@
-"""When streams change and to which speeds, and what a task makes of it."""
+"""Times and speeds of changes of a stream, and their effect on a task."""
 
 from typing import Any
 
@@ -20,7 +20,7 @@ def make_task(changes: StreamChanges, **arguments: Any) -> KarmanGait:
     return KarmanGait(**settings, stream=Stream(changes=changes))
 
 
-def test_switches_lead_to_each_of_the_other_speeds_as_often() -> None:
+def test_switches_are_uniform_over_the_other_speeds() -> None:
     switches = StreamSwitches(interval_T=2.0)
     assert switches.count(9.0) == 4 and switches.count(8.0) == 3
     assert switches.list_times(3) == [2.0, 4.0, 6.0]
@@ -32,7 +32,7 @@ def test_switches_lead_to_each_of_the_other_speeds_as_often() -> None:
     assert torch.equal(switches.draw_speeds(FIRST[7:8], KEYS[7:8], 4), speeds[7:8])
 
 
-def test_a_walk_stays_within_its_limits_and_its_steps() -> None:
+def test_walk_stays_within_its_limits_and_step() -> None:
     walk = StreamWalk(interval_T=1.0, step_bl=0.3)
     path = torch.cat((FIRST[:, None], walk.draw_speeds(FIRST, KEYS, 50)), 1)
     assert 0.9 <= path.min() < 0.91 and 1.59 < path.max() <= 1.6
@@ -42,7 +42,7 @@ def test_a_walk_stays_within_its_limits_and_its_steps() -> None:
     assert steps[is_inside].mean() == pytest.approx(0.15, abs=0.01)
 
 
-def test_given_steps_are_those_of_every_episode() -> None:
+def test_steps_are_the_same_in_every_episode() -> None:
     steps = StreamSteps(times_T=(3.0, 5.0), speeds_bl=(1.5, 0.9), ramp_T=2.0)
     assert steps.draw_speeds(FIRST[:3], KEYS[:3], 2).tolist() == [[1.5, 0.9]] * 3
     assert steps.count(1.0) == 2 and steps.list_times(2) == [3.0, 5.0]
@@ -60,12 +60,12 @@ def test_given_steps_are_those_of_every_episode() -> None:
         (lambda: make_task(StreamWalk(high_bl=3.0)), r"to 3 L/T: allowed .* up to 2\.\d+ L/T"),
     ],
 )
-def test_what_cannot_be_is_refused_at_once(make: Any, message: str) -> None:
+def test_invalid_settings_are_refused(make: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
 
 
-def test_starts_that_change_to_a_speed_beyond_the_range_are_refused() -> None:
+def test_starts_with_invalid_speeds_are_refused() -> None:
     switching = make_task(StreamSwitches(interval_T=2.0))
     starts = switching.sample_starts(2, torch.Generator().manual_seed(0))
     switching.check_starts(starts)
@@ -74,7 +74,7 @@ def test_starts_that_change_to_a_speed_beyond_the_range_are_refused() -> None:
         switching.check_starts(starts)
 
 
-def test_a_changing_stream_leaves_everything_else_of_the_starts_and_the_units() -> None:
+def test_changes_affect_neither_other_starts_nor_units() -> None:
     changing, steady = make_task(StreamWalk()), KarmanGait(**SMALL | {"wall_margin_bl": 0.25})
     assert changing.scales == steady.scales
     draw = [each.sample_starts(5, torch.Generator().manual_seed(0)) for each in (changing, steady)]
@@ -83,7 +83,7 @@ def test_a_changing_stream_leaves_everything_else_of_the_starts_and_the_units() 
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_each_row_follows_its_own_changes_and_is_named_by_the_nearest_speed() -> None:
+def test_each_row_follows_its_own_changes() -> None:
     changes = StreamSteps(times_T=(0.4, 1.6), speeds_bl=(1.5, 1.0))
     stepping = make_task(changes, control_interval_T=0.5, checks_per_action=13)
     starts = stepping.sample_starts(2, torch.Generator().manual_seed(0))
@@ -102,7 +102,7 @@ def test_each_row_follows_its_own_changes_and_is_named_by_the_nearest_speed() ->
     assert names == [[0, 1], [2, 0], [2, 0], [2, 0], [0, 2]]
 
 
-def test_the_stream_rises_smoothly_and_an_episode_goes_on_exactly_in_the_middle_of_a_change(
+def test_stream_changes_smoothly_and_continues_exactly_within_a_change(
     task: KarmanGait,  # noqa: F811 - the fixture
 ) -> None:
     changes = StreamSteps(times_T=(0.2,), speeds_bl=(1.5,), ramp_T=0.5)

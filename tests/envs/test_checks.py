@@ -1,9 +1,8 @@
-"""A mistake in a task is named when its environment is made, or at its first step."""
+"""Invalid return values of a task are named when its environment is made or first stepped."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, cast
+from typing import Any
 
 import pytest
 import torch
@@ -14,15 +13,15 @@ from fishrl.envs.flow_env import FlowEnv
 from fishrl.physics import Fish
 from fishrl.physics.bodies.gait import CARLING
 from tests.envs.conftest import SMALL
-from tests.envs.masked_task import MaskedTask
+from tests.envs.small_tasks import MaskedTask
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 BRIEF: dict[str, Any] = {**SMALL, "control_interval_T": 0.1, "checks_per_action": 4}
 
 
 def _make(**members: Any) -> AbstractTask:
-    """Return a task that differs from a good one in these members."""
-    return cast(AbstractTask, type("Wrong", (MaskedTask,), members)(**BRIEF))
+    """Return a task that differs from a valid one in these members."""
+    return type("Wrong", (MaskedTask,), members)(**BRIEF)
 
 
 def _step(task: AbstractTask) -> None:
@@ -30,13 +29,10 @@ def _step(task: AbstractTask) -> None:
     env.step(env.reset().set("action", torch.tensor([0, 1])))
 
 
-def _starts(x_bl: float, *without: str) -> Callable[..., TensorDict]:
-    def starts_from(self: MaskedTask, uniform: torch.Tensor) -> TensorDict:
-        starts = MaskedTask.starts_from(self, uniform)
-        starts["head"][:, 0] += x_bl * self.body_length * (uniform[:, 0] > 0.5)
-        return starts.exclude(*without)
-
-    return starts_from
+def _start_outside(task: MaskedTask, uniform: torch.Tensor) -> TensorDict:
+    starts = MaskedTask.starts_from(task, uniform)
+    starts["head"][:, 0] += 20.0 * task.body_length * (uniform[:, 0] > 0.5)
+    return starts
 
 
 @pytest.mark.parametrize(
@@ -50,7 +46,7 @@ def _starts(x_bl: float, *without: str) -> Callable[..., TensorDict]:
         ("is_terminated", lambda _, now: now["x"], "is_terminated gives .*64, expected .*bool"),
         ("report", lambda _, now: {"far": 1.0}, "report 'far' gives 1.0, expected"),
         ("success", "reached", r"success gives reached, expected .*\['beats'\]"),
-        ("starts_from", _starts(20.0), "head at .*: the fish, or a part of it, lies outside"),
+        ("starts_from", _start_outside, "head at .*: the fish, or a part of it, lies outside"),
         ("command", lambda _, a, b: 0.1 * a, "command gives a tensor .* expected"),
         (
             "command",
@@ -74,25 +70,18 @@ def _starts(x_bl: float, *without: str) -> Callable[..., TensorDict]:
         ),
     ],
 )  # fmt: skip
-def test_a_wrong_answer_is_named(member: str, gives: Any, said: str) -> None:
+def test_invalid_return_value_is_named(member: str, gives: Any, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         _step(_make(**{member: gives}))
 
 
-def test_a_size_that_is_forgotten_is_named() -> None:
-    name = "num_actions"
-    members = {
-        key: value
-        for key, value in vars(MaskedTask).items()
-        if key != name and not key.startswith("__") and callable(value)
-    }
-    sizes = {key: 1 for key in ("n_obs", "num_actions", "num_draws") if key != name}
-    forgetful = type("Forgetful", (AbstractTask,), {**members, **sizes})
-    with pytest.raises(TypeError, match=rf"abstract.*{name}"):
-        forgetful(**BRIEF)
+def test_missing_members_are_named() -> None:
+    incomplete = type("Incomplete", (AbstractTask,), {"n_obs": 1, "num_draws": 1})
+    with pytest.raises(TypeError, match=r"abstract .*command.* num_actions"):
+        incomplete(**BRIEF)
 
 
-def test_an_entry_of_success_may_be_a_column() -> None:
+def test_success_entry_may_be_a_column() -> None:
     _step(_make(success="arrived", report=lambda _, now: {"arrived": now["x"][:, None] < 1.0}))
 
 
@@ -102,6 +91,6 @@ class _WideBeats(Predation):
         return Fish(body_length=self.body_length, gait=replace(CARLING, amplitude=0.2))
 
 
-def test_the_time_step_follows_the_tail_of_the_tasks_own_fish() -> None:
+def test_period_follows_the_tail_speed_of_the_tasks_fish() -> None:
     task = _WideBeats(max_wall_speed=0.07, wall_margin_bl=0.2)
     assert 0.068 < task.scales.tail_speed <= 0.07

@@ -1,6 +1,6 @@
 """What the environment and policies require of every task.
 
-A task that appears in ``fishrl.envs.tasks`` is tested here without further ado.
+Tasks that ``fishrl.envs.tasks`` exports are tested here without further ado.
 """
 
 import dataclasses
@@ -13,25 +13,22 @@ import torch
 from torchrl.envs import check_env_specs
 
 import fishrl.envs.tasks
-from fishrl.envs import AbstractTask, FlowEnv, make_env
+from fishrl.envs import AbstractTask, make_env
 from fishrl.envs.agents import split_fish
 from fishrl.envs.macro_actions import ContinuousFrequency
-from tests.envs.conftest import SMALL
-from tests.envs.masked_task import MaskedTask
+from fishrl.envs.tasks import Follower, KarmanGait, Predation
+from tests.envs.conftest import SMALL, make_flows
+from tests.envs.small_tasks import MaskedTask
 
 #: A tail that may beat faster needs more room before an edge.
-SIZES = {
-    fishrl.envs.tasks.Follower: {"checks_per_action": 30},
-    fishrl.envs.tasks.KarmanGait: {"checks_per_action": 30},
-}
+SIZES = {kind: {"checks_per_action": 30} for kind in (Follower, KarmanGait)}
 LIBRARY = [getattr(fishrl.envs.tasks, name) for name in fishrl.envs.tasks.__all__]
 pytestmark = pytest.mark.usefixtures("kinematic")
 
-
 CHOICES: list[tuple[type, dict[str, Any]]] = [
     *((kind, {}) for kind in [*LIBRARY, MaskedTask]),
-    (fishrl.envs.tasks.Predation, {"action": "continuous"}),
-    (fishrl.envs.tasks.KarmanGait, {"control": ContinuousFrequency()}),
+    (Predation, {"action": "continuous"}),
+    (KarmanGait, {"control": ContinuousFrequency()}),
 ]
 
 
@@ -41,45 +38,33 @@ def task(request: pytest.FixtureRequest) -> AbstractTask:
     return kind(**SMALL, **SIZES.get(kind, {}), **settings)
 
 
-def test_every_task_of_the_package_is_listed() -> None:
-    modules = fishrl.envs.tasks
-    defined = {
-        value
-        for module in vars(modules).values()
-        if inspect.ismodule(module)
-        for value in vars(module).values()
-        if inspect.isclass(value) and issubclass(value, AbstractTask)
-        if not inspect.isabstract(value)
-    }
-    assert defined == set(LIBRARY)
+def test_package_exports_every_concrete_task() -> None:
+    modules = [value for value in vars(fishrl.envs.tasks).values() if inspect.ismodule(value)]
+    classes = [value for module in modules for value in vars(module).values()]
+    tasks = [c for c in classes if inspect.isclass(c) and issubclass(c, AbstractTask)]
+    assert {c for c in tasks if not inspect.isabstract(c)} == set(LIBRARY)
 
 
-def test_a_task_takes_keyword_arguments_with_defaults_and_never_changes(
-    task: AbstractTask,
-) -> None:
+def test_settings_are_keyword_only_with_defaults_and_frozen(task: AbstractTask) -> None:
     parameters = inspect.signature(type(task)).parameters.values()
     assert all(p.kind is p.KEYWORD_ONLY and p.default is not p.empty for p in parameters)
     with pytest.raises(dataclasses.FrozenInstanceError):
         task.body_length = 1
 
 
-def test_a_copy_has_the_settings_and_computes_what_follows_from_them_anew(
-    task: AbstractTask,
-) -> None:
-    FlowEnv(task=task, num_envs=1, compile_flow=False).reset()  # reads wakes, draws the fish
+def test_pickle_holds_the_settings_alone(task: AbstractTask) -> None:
+    make_flows(task, 1).reset()  # reads wakes, draws the fish
     packed = pickle.dumps(task)
     assert len(packed) < 10_000
     copied = pickle.loads(packed)
     assert copied == task and copied.scales == task.scales
 
 
-def test_the_specs_hold(task: AbstractTask) -> None:
+def test_specs_hold(task: AbstractTask) -> None:
     check_env_specs(make_env(task=task, num_envs=3, compile=False), seed=0)
 
 
-def test_no_state_is_without_a_legal_action_and_random_actions_are_legal(
-    task: AbstractTask,
-) -> None:
+def test_every_state_has_a_legal_action_and_random_actions_are_legal(task: AbstractTask) -> None:
     env = make_env(task=task, num_envs=4, compile=False)
     rollout = env.rollout(40, break_when_any_done=False)
     assert rollout["next", "done"].any()  # terminal states are among them
@@ -90,8 +75,7 @@ def test_no_state_is_without_a_legal_action_and_random_actions_are_legal(
         return
     for mask in (rollout["action_mask"], rollout["next", "action_mask"]):
         assert mask.any(-1).all()
-    num_illegal = (~rollout["action_mask"].gather(-1, rollout["action"].unsqueeze(-1))).sum()
-    assert num_illegal == 0
+    assert rollout["action_mask"].gather(-1, rollout["action"].unsqueeze(-1)).all()
 
 
 def test_starts_follow_from_random_numbers_row_by_row(task: AbstractTask) -> None:
@@ -104,19 +88,18 @@ def test_starts_follow_from_random_numbers_row_by_row(task: AbstractTask) -> Non
     task.check_starts(task.starts_from(extremes.expand(2, task.num_draws)))
 
 
-def test_no_episode_begins_at_its_end(task: AbstractTask) -> None:
-    env = FlowEnv(task=task, num_envs=32, compile_flow=False)
+def test_no_episode_begins_terminated(task: AbstractTask) -> None:
+    env = make_flows(task, 32)
     env.reset()
     assert not task.is_terminated(env.now).any()
 
 
-def test_measuring_changes_nothing_and_shares_no_memory_with_the_flows(
+def test_measurement_changes_nothing_and_shares_no_memory_with_the_flows(
     task: AbstractTask,
 ) -> None:
-    env = FlowEnv(task=task, num_envs=2, compile_flow=False)
+    env = make_flows(task, 2)
     env.reset()
-    before = env.solver.state_dict()
-    first = env.measure()
+    before, first = env.solver.state_dict(), env.measure()
     kept = first.clone()
     assert (env.measure() == first).all()
     assert all(torch.equal(before[k], v) for k, v in env.solver.state_dict().items())

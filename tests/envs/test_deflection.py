@@ -16,7 +16,7 @@ from fishrl.physics import Driven, InPlaceSolver
 
 
 @pytest.mark.compile
-def test_fast_beats_push_a_held_fish_aside_to_the_side_of_its_first_stroke() -> None:
+def test_fast_beats_deflect_the_wake_to_the_side_of_the_first_stroke() -> None:
     """Two beats per body length of stream do, one and a half do not; Re_f = 500, 1 L/T."""
     stream = Stream(has_disc=False)
     task = KarmanGait(body_length=32, max_wall_speed=0.15, domain_bl=(10.0, 4.0), stream=stream)
@@ -25,12 +25,8 @@ def test_fast_beats_push_a_held_fish_aside_to_the_side_of_its_first_stroke() -> 
     beats = torch.tensor([1.5, 2.0, 2.0]).double()
     solver = InPlaceSolver(config=config, num_envs=3, frequency=beats / period)
     middle = torch.tensor([3.0 * task.body_length, 0.5 * (config.height - 1)])
-    solver.reset_(
-        torch.ones(3, dtype=torch.bool),
-        middle.expand(3, 2),
-        torch.full((3,), pi),
-        velocity=(1.0, 0.0),
-    )
+    rows, upstream = torch.ones(3, dtype=torch.bool), torch.full((3,), pi)
+    solver.reset_(rows, middle.expand(3, 2), upstream, velocity=(1.0, 0.0))
     solver.body.phase.copy_(pi * torch.tensor([0.0, 0.0, 1.0]))  # the last is a mirror image
     solver.advance_(10 * period)
     before = solver.body.impulse.clone()

@@ -5,14 +5,14 @@ import torch
 from fishrl.envs.draws import draw_uniform, scramble
 
 
-def test_scramble_gives_the_first_numbers_of_splitmix64() -> None:
+def test_scramble_matches_splitmix64() -> None:
     """Seed 0: 0xe220a8397b1dcdaf, 0x6e789e6aa1b965f4, as the reference implementation by Vigna."""
     state = torch.tensor([1, 2]) * (0x9E3779B97F4A7C15 - (1 << 64))
     expected = [0xE220A8397B1DCDAF, 0x6E789E6AA1B965F4]
     assert [x % (1 << 64) for x in scramble(state).tolist()] == expected
 
 
-def test_draws_are_uniform_over_rows_and_over_episodes() -> None:
+def test_draws_are_uniform_over_rows_and_episodes() -> None:
     many, one = torch.arange(4000), torch.zeros(4000, dtype=torch.int64)
     for row, episode in ((many, one), (one, many)):
         u = draw_uniform(3, row, episode, 2)
@@ -24,7 +24,7 @@ def test_draws_are_uniform_over_rows_and_over_episodes() -> None:
         assert u.unique().numel() == u.numel()
 
 
-def test_a_draw_depends_on_seed_row_and_episode_and_not_on_the_batch() -> None:
+def test_draw_depends_on_seed_row_and_episode_alone() -> None:
     rows = torch.arange(5)
     u = draw_uniform(7, rows, rows * 2, 3)
     for i in range(5):

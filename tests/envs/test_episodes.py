@@ -1,4 +1,4 @@
-"""The episode runner: every start once, in any number of rows, and the env as it was afterwards."""
+"""Episodes: one per start in any number of rows, their traces, and the env afterwards."""
 
 import pytest
 import torch
@@ -36,7 +36,7 @@ def tensors(episodes: Episodes) -> list[Tensor]:
 
 
 @pytest.mark.parametrize("num_envs", [1, 2, 5, 7])
-def test_the_outcome_of_a_start_does_not_depend_on_the_number_of_rows(
+def test_outcome_of_a_start_does_not_depend_on_the_number_of_rows(
     task: Predation, num_envs: int
 ) -> None:
     starts = draw(task)
@@ -81,7 +81,7 @@ class AtFood(Predation):
         return {"captured": torch.ones(now.shape, dtype=torch.bool)}
 
 
-def test_a_diverged_episode_is_no_success_whatever_its_flag_was() -> None:
+def test_diverged_episode_is_no_success() -> None:
     flags = torch.tensor([[True], [False], [True]])
     ends = {name: torch.zeros(3, 1, dtype=torch.bool) for name in ("terminated", "truncated")}
     diverged = torch.tensor([[True], [False], [False]])
@@ -89,14 +89,14 @@ def test_a_diverged_episode_is_no_success_whatever_its_flag_was() -> None:
     assert has_succeeded(after, "on_station").flatten().tolist() == [False, False, True]
 
 
-def test_episodes_are_left_after_max_decisions_and_count_as_no_success() -> None:
+def test_episodes_cut_by_max_decisions_do_not_succeed() -> None:
     task = AtFood(**SMALL, time_limit=6)
     episodes = run_episodes(make(task, 5), keep_straight, draw(task), max_decisions=1)
     assert episodes.lengths.tolist() == [1] * NUM_STARTS
     assert not episodes.succeeded[~episodes.terminated].any()
 
 
-def test_the_env_draws_its_own_starts_afterwards_even_if_the_policy_failed(
+def test_env_is_restored_even_if_the_policy_fails(
     task: Predation,
 ) -> None:
     seen: list[FlowEnv] = []
@@ -114,7 +114,7 @@ def test_the_env_draws_its_own_starts_afterwards_even_if_the_policy_failed(
     assert (env.reset()["start_index"] == -1).all()
 
 
-def test_starts_that_do_not_fit_the_task_are_refused(task: Predation) -> None:
+def test_starts_of_another_task_are_refused(task: Predation) -> None:
     with pytest.raises(ValueError, match="head"):
         run_episodes(make(task, 2), keep_straight, draw(task).exclude("head"))
 
@@ -147,7 +147,7 @@ def test_traces_hold_each_episode_in_order_of_time(task: Predation, num_envs: in
     assert padded[0].isnan().any() and torch.equal(traces.of(0)["age"], traces["age"][0])
 
 
-def test_nothing_is_traced_of_rows_without_a_start(task: Predation) -> None:
+def test_rows_without_a_start_leave_no_trace(task: Predation) -> None:
     traces = Traces(2)
     traces.add(torch.tensor([1, -1]), {"x": torch.tensor([1.0, 2.0])})
     traces.add(torch.tensor([-1, 1]), {"x": torch.tensor([3.0, 4.0])})

@@ -1,4 +1,4 @@
-"""The environment's own duties: rows, resets, divergence, saving, bad input. No flow needed."""
+"""Rows, resets, divergence, saved states and illegal actions of the environment, without a flow."""
 
 import logging
 
@@ -9,7 +9,7 @@ from torchrl.envs import step_mdp
 
 from fishrl.envs import FlowEnv, Predation, make_env
 from tests.envs.conftest import SMALL, act, make_flows, reset_rows, starts_at
-from tests.envs.masked_task import MaskedTask
+from tests.envs.small_tasks import MaskedTask
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
@@ -22,7 +22,15 @@ def read_state(env: FlowEnv) -> dict[str, torch.Tensor]:
     }
 
 
-def test_a_partial_reset_touches_its_rows_alone(small_task: Predation) -> None:
+def make_twins(task: Predation) -> tuple[FlowEnv, FlowEnv]:
+    """Return two equal environments of three flows, reset."""
+    twins = make_flows(task, 3, seed=2), make_flows(task, 3, seed=2)
+    for env in twins:
+        env.reset()
+    return twins
+
+
+def test_partial_reset_changes_its_rows_alone(small_task: Predation) -> None:
     env = make_flows(small_task, 3)
     env.reset()
     act(env, 0, 1, 2)
@@ -35,11 +43,11 @@ def test_a_partial_reset_touches_its_rows_alone(small_task: Predation) -> None:
     assert after["age"].tolist() == [106.0, 0.0, 106.0]
 
 
-def test_a_rows_starts_do_not_depend_on_the_batch_or_on_other_rows_resets() -> None:
+def test_starts_of_a_row_do_not_depend_on_other_rows() -> None:
     task = Predation(**SMALL, food_direction="random")
     many, one = make_flows(task, 4, seed=5), make_flows(task, 1, seed=5)
-    many.reset()
-    one.reset()
+    for env in (many, one):
+        env.reset()
     drawn = []
     for rows in ((True, False, True, True), (True, True, True, True)):
         assert (many.start[0] == one.start[0]).all()
@@ -52,18 +60,14 @@ def test_a_rows_starts_do_not_depend_on_the_batch_or_on_other_rows_resets() -> N
     assert drawn[0].unique(dim=0).shape[0] == 4
 
 
-def test_setting_the_seed_repeats_the_starts(small_task: Predation) -> None:
+def test_set_seed_repeats_random_and_given_starts(small_task: Predation) -> None:
     env = make_flows(small_task, 3, seed=1)
-    first = env.reset()["observation"]
-    second = env.reset()["observation"]
+    first, second = (env.reset()["observation"] for _ in range(2))
     assert not torch.equal(first, second)
     env.set_seed(1)
     assert torch.equal(env.reset()["observation"], first)
     env.set_seed(None)
     assert torch.equal(env.reset()["observation"], make_flows(small_task, 3).reset()["observation"])
-
-
-def test_setting_the_seed_begins_given_starts_anew(small_task: Predation) -> None:
     starts = small_task.sample_starts(5, torch.Generator().manual_seed(0))
     env = make_flows(small_task, 2, starts=starts)
     for _ in range(2):
@@ -82,12 +86,8 @@ def test_given_starts_are_taken_in_order_of_resets_and_rows(small_task: Predatio
     assert make_flows(small_task, 2).reset()["start_index"].tolist() == [-1, -1]
 
 
-def test_a_resting_row_stands_still_and_changes_nothing_for_the_others(
-    small_task: Predation,
-) -> None:
-    env, intact = make_flows(small_task, 3, seed=2), make_flows(small_task, 3, seed=2)
-    for each in (env, intact):
-        each.reset()
+def test_resting_row_stands_still_and_affects_no_other(small_task: Predation) -> None:
+    env, intact = make_twins(small_task)
     env.is_resting = torch.tensor([False, True, False])
     before = env.solver.body.position.clone()
     after, expected = act(env, 0, 1, 2), act(intact, 0, 1, 2)
@@ -97,7 +97,7 @@ def test_a_resting_row_stands_still_and_changes_nothing_for_the_others(
         assert torch.equal(after[key][[0, 2]], expected[key][[0, 2]])
 
 
-def test_a_row_that_has_met_its_end_stops_there(small_task: Predation) -> None:
+def test_terminated_row_stops_at_its_end(small_task: Predation) -> None:
     env = make_flows(small_task, 2)
     env.reset()
     env.solver.body.position[1, 0] = 12.0  # about to hit the left wall
@@ -105,101 +105,74 @@ def test_a_row_that_has_met_its_end_stops_there(small_task: Predation) -> None:
     assert env.solver.body.age[1] < env.solver.body.age[0] == 106.0
 
 
-def test_a_diverged_row_ends_alone_with_nothing_to_learn_from_it(
+def test_diverged_row_is_truncated_alone_with_reward_0_and_the_last_observation(
     small_task: Predation, caplog: pytest.LogCaptureFixture
 ) -> None:
-    env, intact = make_flows(small_task, 3, seed=2), make_flows(small_task, 3, seed=2)
-    before = env.reset()
-    intact.reset()
+    env, intact = make_twins(small_task)
+    before = env.now.clone()
     env.solver.body.position[1] = torch.nan
     with caplog.at_level(logging.WARNING, logger="fishrl"):
         after, expected = act(env, 1, 1, 1), act(intact, 1, 1, 1)
     for key in ("diverged", "truncated", "done"):
         assert after[key].squeeze(-1).tolist() == [False, True, False]
-    assert not after["terminated"].any()
-    assert after["reward"][1] == 0.0
-    assert torch.equal(after["observation"][1], before["observation"][1])
+    assert not after["terminated"].any() and after["reward"][1] == 0.0
+    assert torch.equal(after["observation"][1], small_task.observe(before)[1])
     assert env.num_diverged == 1 and intact.num_diverged == 0
     assert "flows [1] diverged" in caplog.text
     for key in ("observation", "reward", "done"):
         assert torch.equal(after[key][[0, 2]], expected[key][[0, 2]])
-    anew = env.maybe_reset(step_mdp(TensorDict({"next": after}, [3])))
-    assert anew["observation"].isfinite().all()
-    assert not anew["diverged"].any() and not anew["done"].any()
+    fresh = env.maybe_reset(step_mdp(TensorDict({"next": after}, [3])))
+    assert fresh["observation"].isfinite().all()
+    assert not fresh["diverged"].any() and not fresh["done"].any()
     assert not act(env, 1, 1, 1)["diverged"].any()
     assert env.num_diverged == 1
 
 
-def test_a_row_that_diverges_before_it_meets_food_or_wall_has_diverged(
-    small_task: Predation, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("breaks_at", "expected"), [(2.0, [True, True]), (80.0, [False, True])])
+def test_divergence_counts_only_before_the_episode_terminates(
+    small_task: Predation, monkeypatch: pytest.MonkeyPatch, breaks_at: float, expected: list[bool]
 ) -> None:
-    """And one that ended before is not: its flow no longer matters."""
-    starts = starts_at((3.0, 2.5), (5.0, 2.5))
-    for breaks_at, expected in ((2.0, [True, True]), (80.0, [False, True])):
-        env = make_flows(small_task, 2, starts=starts)
-        env.reset()
-        monkeypatch.setattr(
-            env.solver, "is_diverged", lambda e=env, b=breaks_at: e.solver.body.age > b
-        )
-        after = act(env, 1, 1)
-        assert after["diverged"].squeeze(-1).tolist() == expected
-        assert after["captured"].squeeze(-1).tolist() == [not expected[0], False]
+    env = make_flows(small_task, 2, starts=starts_at((3.0, 2.5), (5.0, 2.5)))
+    env.reset()
+    monkeypatch.setattr(env.solver, "is_diverged", lambda: env.solver.body.age > breaks_at)
+    after = act(env, 1, 1)
+    assert after["diverged"].squeeze(-1).tolist() == expected
+    assert after["captured"].squeeze(-1).tolist() == [not expected[0], False]
 
 
-def test_a_saved_environment_goes_on_exactly(small_task: Predation) -> None:
-    starts = small_task.sample_starts(4, torch.Generator().manual_seed(3))
-    env = make_flows(small_task, 2, seed=9, starts=starts)
+@pytest.mark.parametrize("is_given", [True, False])
+def test_saved_environment_continues_exactly(small_task: Predation, is_given: bool) -> None:
+    starts = small_task.sample_starts(4, torch.Generator().manual_seed(3)) if is_given else None
+    env, other = (make_flows(small_task, 2, seed=seed, starts=starts) for seed in (9, 1))
     env.reset()
     act(env, 0, 2)
     env.solver.body.position[1] = torch.nan
     act(env, 0, 2)
     reset_rows(env, False, True)
     state = env.state_dict()
-    other = make_flows(small_task, 2, seed=1, starts=starts)
-    other.load_state_dict(state)
-    assert other.num_diverged == 1
-    for actions in ((1, 0), (2, 2)):
-        one, two = act(env, *actions), act(other, *actions)
-        assert (one == two).all()
+    first = act(env, 1, 0)
+    for same in (other, env):  # what happens next does not change the saved state
+        same.load_state_dict(state)
+        assert same.num_diverged == 1
+        assert (act(same, 1, 0) == first).all()
+    assert (act(env, 2, 2) == act(other, 2, 2)).all()
     one, two = reset_rows(env, True, True), reset_rows(other, True, True)
-    assert one["start_index"].tolist() == [3, 0]
     assert (one == two).all()
+    assert one["start_index"].tolist() == ([3, 0] if is_given else [-1, -1])
 
 
-def test_a_saved_environment_draws_the_same_starts(small_task: Predation) -> None:
-    env, other = make_flows(small_task, 2, seed=4), make_flows(small_task, 2, seed=7)
-    env.reset()
-    other.load_state_dict(env.state_dict())
-    for _ in range(2):
-        assert torch.equal(env.reset()["observation"], other.reset()["observation"])
-
-
-def test_a_saved_state_does_not_change_with_the_environment_nor_the_other_way(
-    small_task: Predation,
-) -> None:
-    env = make_flows(small_task, 2)
-    env.reset()
-    state = env.state_dict()
-    first = act(env, 1, 2)
-    for _ in range(2):
-        env.load_state_dict(state)
-        again = act(env, 1, 2)
-        assert (first == again).all()
-
-
-def test_frames_come_at_equal_distances_and_change_nothing(small_task: Predation) -> None:
+def test_frames_are_evenly_spaced_and_change_nothing(small_task: Predation) -> None:
     ages: list[list[float]] = []
     seen = lambda env: ages.append(env.solver.body.age.tolist())  # noqa: E731
     env = make_flows(small_task, 2, frames_per_action=4, on_frame=seen)
     plain = make_flows(small_task, 2)
     env.reset()
     plain.reset()
-    framed, expected = act(env, 0, 1), act(plain, 0, 1)
+    assert (act(env, 0, 1) == act(plain, 0, 1)).all()
     assert ages == [[26.0, 26.0], [52.0, 52.0], [80.0, 80.0], [106.0, 106.0]]
-    assert (framed == expected).all()
 
 
-def test_an_environment_does_not_move_to_another_device(small_task: Predation) -> None:
+def test_environment_does_not_move_to_another_device(small_task: Predation) -> None:
     env = make_flows(small_task, 1)
     assert env.to("cpu") is env
     with pytest.raises(ValueError, match="cannot move"):
@@ -207,7 +180,7 @@ def test_an_environment_does_not_move_to_another_device(small_task: Predation) -
 
 
 @pytest.mark.parametrize("action", [-1, 0, 2])
-def test_an_illegal_action_is_refused(action: int) -> None:
+def test_illegal_action_is_refused(action: int) -> None:
     env = make_flows(MaskedTask(**SMALL), 2)
     env.reset()
     act(env, 0, 1)
@@ -215,7 +188,7 @@ def test_an_illegal_action_is_refused(action: int) -> None:
         act(env, action, 1)
 
 
-def test_one_hot_actions_and_a_class_for_a_task_are_answered_with_what_is_right() -> None:
+def test_one_hot_actions_and_task_classes_are_refused_with_a_remedy() -> None:
     env = make_flows(MaskedTask(**SMALL), 2)
     one_hot = torch.tensor([[0, 1, 0], [0, 1, 0]])
     for action in (one_hot, one_hot[0, :2].float()):

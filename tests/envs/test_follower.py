@@ -27,9 +27,7 @@ TINY["wall_margin_bl"] = 0.3
         ({"frequency_range": (1, 1)}, "frequency_range = .* least, then"),
     ],
 )
-def test_a_start_within_or_far_from_the_leader_is_refused(
-    settings: dict[str, object], problem: str
-) -> None:
+def test_invalid_settings_are_refused(settings: dict[str, object], problem: str) -> None:
     with pytest.raises(ValueError, match=problem):
         Follower(**settings)
 
@@ -40,7 +38,7 @@ def make_now(**values: object) -> TensorDict:
     return TensorDict({k: torch.tensor([v], dtype=torch.float64) for k, v in now.items()}, [1])
 
 
-def test_the_reward_is_the_efficiency_and_a_failure_gives_minus_ten() -> None:
+def test_reward_is_the_efficiency_or_minus_10_on_failure() -> None:
     task = Follower()
     before = make_now()
     age = task.scales.period / 2
@@ -56,7 +54,7 @@ def test_the_reward_is_the_efficiency_and_a_failure_gives_minus_ten() -> None:
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_fish_that_touch_end_the_episode_before_they_overlap() -> None:
+def test_contact_ends_the_episode_before_fish_overlap() -> None:
     task = Follower(**TINY, start_y_bl=(0.0, 0.0), start_degrees=0.0)
     env = make_env(task=task, num_envs=2, compile=False)
     state, ahead = env.reset(), torch.zeros(2, 2)
@@ -71,7 +69,7 @@ def test_fish_that_touch_end_the_episode_before_they_overlap() -> None:
     assert not do_overlap(solver.markers(0), solver.markers(1)).any()
 
 
-def test_a_leading_fish_beats_in_its_place_and_the_follower_turns_by_its_bend_alone() -> None:
+def test_leader_is_held_in_place_and_the_follower_bends() -> None:
     env: FlowEnv = make_flows(Follower(**TINY), 1)
     env.reset()
     leader = env.solver.bodies[1]
@@ -86,7 +84,7 @@ def test_a_leading_fish_beats_in_its_place_and_the_follower_turns_by_its_bend_al
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_the_baseline_beats_with_the_largest_amplitude() -> None:
+def test_baseline_keeps_the_largest_amplitude() -> None:
     task = Follower(**TINY, amplitude_range=(0.4, 0.9))
     env = make_env(task=task, num_envs=2, compile=False)
     state = make_baseline("keep_place", task=task, seed=0)(env.reset())
@@ -95,7 +93,7 @@ def test_the_baseline_beats_with_the_largest_amplitude() -> None:
     assert env.base_env.solver.body.amplitude.tolist() == pytest.approx([0.9, 0.9])
 
 
-def test_a_commanded_amplitude_is_approached_and_observed() -> None:
+def test_commanded_amplitude_is_approached_and_observed() -> None:
     env: FlowEnv = make_flows(Follower(**TINY, amplitude_range=(0.4, 1.0)), 1)
     assert env.task.num_actions == 3 and len(env.task.action_names) == 3
     assert env.reset()["observation"].shape == (1, 16)

@@ -1,4 +1,4 @@
-"""Gears, rows and what is legal in them."""
+"""Gears, rows of frequencies and legal actions."""
 
 import pytest
 import torch
@@ -16,41 +16,37 @@ DIRECT = DirectFrequencies(frequencies=(0.0, 1.0, 2.5))
 DECELERATE, CRUISE, ACCELERATE = torch.arange(3)
 
 
-def test_accelerating_goes_one_step_up_in_the_row_of_the_flow() -> None:
+def test_actions_shift_the_gear_in_the_row_of_the_flow() -> None:
     gear, flow = torch.tensor([1, 1, 1]), torch.tensor([0, 1, 2])
     for action, expected in ((DECELERATE, 0), (CRUISE, 1), (ACCELERATE, 2)):
         after = MACRO.shift(gear, action.expand(3))
         assert MACRO.select(after, flow).tolist() == [row[expected] for row in ROWS]
 
 
-def test_at_the_ends_of_a_row_the_way_out_is_illegal_and_cruising_never_is() -> None:
-    assert MACRO.mask(torch.arange(4)).tolist() == [
-        [False, True, True],
-        [True, True, True],
-        [True, True, True],
-        [True, True, False],
-    ]
+def test_shifts_beyond_the_ends_of_a_row_are_illegal() -> None:
+    first, middle, last = [False, True, True], [True, True, True], [True, True, False]
+    assert MACRO.mask(torch.arange(4)).tolist() == [first, middle, middle, last]
 
 
-def test_between_two_flows_the_frequency_lies_between_those_of_their_rows() -> None:
+def test_frequency_is_interpolated_between_rows() -> None:
     gear, flow = torch.tensor([0, 2, 3]), torch.tensor([0.0, 0.5, 1.75])
     assert MACRO.select(gear, flow).tolist() == [0.5, 1.625, 2.8125]
 
 
-def test_an_episode_begins_in_the_middle_unless_told_otherwise() -> None:
+def test_first_gear_is_the_middle_by_default() -> None:
     assert MACRO.start_gear == 1 and DIRECT.start_gear == 1
     assert MacroActions(bank=MACRO.bank, first_gear=3).start_gear == 3
     assert DirectFrequencies(frequencies=(1, 2), first_gear=1).start_gear == 1
 
 
-def test_chosen_directly_every_frequency_is_legal_and_the_flow_does_not_matter() -> None:
+def test_direct_frequencies_are_all_legal_in_every_flow() -> None:
     gear = DIRECT.shift(torch.tensor([0, 0, 2]), torch.tensor([2, 0, 1]))
     assert DIRECT.select(gear, torch.tensor([0, 1, 2])).tolist() == [2.5, 0.0, 1.0]
     assert DIRECT.mask(gear).all() and DIRECT.mask(gear).shape == (3, 3)
     assert DIRECT.num_flows is None and DIRECT.num_actions == 3
 
 
-def test_a_continuous_action_is_the_frequency() -> None:
+def test_continuous_action_is_the_frequency() -> None:
     control, gear = ContinuousFrequency(frequency_range=(0.5, 2.0)), torch.tensor([0, 0])
     action, flow = torch.tensor([[0.7], [2.0]], dtype=torch.float64), torch.tensor([0, 1])
     after, frequency = control.choose(gear, action, flow)
@@ -68,12 +64,12 @@ def test_a_continuous_action_is_the_frequency() -> None:
         (((2.0, 1.0),), "must be rising"),
     ],
 )
-def test_a_bank_without_a_choice_is_refused(rows: tuple, message: str) -> None:
+def test_invalid_rows_are_refused(rows: tuple, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         FrequencyBank(rows=rows)
 
 
 @pytest.mark.parametrize(("gear", "allowed"), [(-1, "at least 0"), (4, "0 to 3")])
-def test_a_gear_that_there_is_not_is_refused(gear: int, allowed: str) -> None:
+def test_invalid_gear_is_refused(gear: int, allowed: str) -> None:
     with pytest.raises(ValueError, match=rf"first_gear = {gear}: .*{allowed}"):
         MacroActions(bank=MACRO.bank, first_gear=gear)

@@ -1,4 +1,4 @@
-"""What a task senses within actions, keeps between them, and reads beside them."""
+"""Series sensed within actions, entries kept between decisions, and inputs of transforms."""
 
 import pytest
 import torch
@@ -7,8 +7,9 @@ from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs import Transform, check_env_specs
 
 from fishrl.envs import FlowEnv, make_env
-from tests.envs.conftest import SMALL
-from tests.envs.memory_task import MemoryTask
+from tests.envs.conftest import SMALL, make_flows, reset_rows
+from tests.envs.conftest import act as act_with
+from tests.envs.small_tasks import MemoryTask
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
@@ -30,28 +31,24 @@ class AddHint(Transform):
         return self._call(tensordict_reset)
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
-        spec = observation_spec.clone()
-        batch = spec.shape
-        spec["observation"] = Unbounded((*batch, 3))
-        spec["hint"] = Unbounded(batch)
+        spec, batch = observation_spec.clone(), observation_spec.shape
+        spec["observation"], spec["hint"] = Unbounded((*batch, 3)), Unbounded(batch)
         return spec
 
 
-def make(num_envs: int, **arguments: float) -> FlowEnv:
-    return FlowEnv(task=MemoryTask(**SMALL, **arguments), num_envs=num_envs, compile_flow=False)
+@pytest.fixture
+def env() -> FlowEnv:
+    env = make_flows(MemoryTask(**SMALL), 2)
+    env.reset()
+    return env
 
 
 def act(env: FlowEnv, *actions: int) -> TensorDict:
-    rows = env.batch_size
-    return env.step(
-        TensorDict({"action": torch.tensor(actions), "hint": torch.full(rows, 0.2)}, rows)
-    )["next"]
+    return act_with(env, *actions, hint=[0.2, 0.2])
 
 
-def test_after_a_rows_end_its_last_sample_is_repeated() -> None:
-    env = make(2)
-    env.reset()
-    env.solver.body.position[1, 0] = 34.0  # the nose crosses the goal within the action
+def test_last_sample_is_repeated_after_a_row_terminates(env: FlowEnv) -> None:
+    env.solver.body.position[1, 0] = 34.0  # the nose reaches x = 1 L within the action
     after = act(env, 0, 0)
     assert after["terminated"].squeeze(-1).tolist() == [False, True]
     assert (after["trace"][0].diff(dim=0) < 0).all()
@@ -59,36 +56,34 @@ def test_after_a_rows_end_its_last_sample_is_repeated() -> None:
     assert (steps[0] < 0).all() and (steps[-1] == 0).all()
 
 
-def test_a_row_that_ends_before_the_first_sample_reports_what_it_felt_then(
-    monkeypatch: pytest.MonkeyPatch,
+def test_row_that_terminates_before_the_first_sample_reports_its_last_moment(
+    env: FlowEnv, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Rows that share a launch move on after their end: what they feel then is nobody's."""
-    env = make(2)
+    """Rows that share a launch move on after their end; what they sense then is ignored."""
     advance = env.solver.advance_
     monkeypatch.setattr(env.solver, "advance_", lambda num, rows: advance(num))
-    env.reset()
-    env.solver.body.position[1, 0] = 27.6  # the nose crosses the goal at once
+    env.solver.body.position[1, 0] = 27.6  # the nose reaches x = 1 L at once
     after = act(env, 0, 0)
     assert after["terminated"].squeeze(-1).tolist() == [False, True]
     assert (after["trace"][1] == after["trace"][1, 0]).all()
     assert after["trace"][1, 0, 0] == env.now["x"][1].float()
 
 
-def test_memory_lasts_from_decision_to_decision_and_begins_anew_with_its_row() -> None:
-    env = make(2)
-    env.reset()
+def test_memory_persists_between_decisions_and_restarts_with_its_row(env: FlowEnv) -> None:
     act(env, 1, 0)
     assert act(env, 1, 1)["observation"][:, 1].tolist() == [2.0, 1.0]
     kept = env.now.clone()
-    env.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
+    reset_rows(env, True, False)
     assert env.now["total"].tolist() == [0.0, 1.0]
     assert (env.now[1] == kept[1]).all()
     assert act(env, 0, 1)["total"].squeeze(-1).tolist() == [0.0, 2.0]
 
 
-def test_what_a_transform_says_reaches_the_command_and_the_stack() -> None:
+def test_transformed_inputs_reach_the_command_and_the_stack() -> None:
     task = MemoryTask(**SMALL)
     env = make_env(task=task, num_envs=2, compile=False, transforms=[AddHint()])
+    assert env.observation_spec["trace"].shape == (2, 4, 3)
+    check_env_specs(env, seed=0)
     state = env.reset()
     assert state["observation_stack"].shape == (2, 3 * task.num_stacked)
     heading = env.base_env.now["heading"].clone()
@@ -96,9 +91,3 @@ def test_what_a_transform_says_reaches_the_command_and_the_stack() -> None:
     turned = env.base_env.now["heading"] - heading
     expected = torch.stack((torch.zeros(()), state["hint"][1])).double()
     torch.testing.assert_close(turned, expected, rtol=0, atol=1e-12)
-
-
-def test_the_specs_hold_with_series_of_several_dimensions() -> None:
-    env = make_env(task=MemoryTask(**SMALL), num_envs=3, compile=False, transforms=[AddHint()])
-    assert env.observation_spec["trace"].shape == (3, 4, 3)
-    check_env_specs(env, seed=0)

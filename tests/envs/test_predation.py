@@ -9,13 +9,17 @@ from tensordict import TensorDict
 
 from fishrl.envs import FlowEnv, Predation
 from fishrl.envs.starts import place_fish, place_outline
-from tests.envs.conftest import SMALL, act, starts_at
+from tests.envs.conftest import SMALL, act, make_flows, starts_at
 
+pytestmark = pytest.mark.usefixtures("kinematic")
 KEEP = 1
 
 
-def make_env(task: Predation, starts: TensorDict) -> FlowEnv:
-    return FlowEnv(task=task, num_envs=starts.shape[0], starts=starts, compile_flow=False)
+def begin(task: Predation, starts: TensorDict) -> FlowEnv:
+    """Return an environment in which each row has begun at one of the starts."""
+    env = make_flows(task, starts.shape[0], starts=starts)
+    env.reset()
+    return env
 
 
 def food_height(task: Predation, time_T: float, up: float = 1.0) -> float:
@@ -25,35 +29,26 @@ def food_height(task: Predation, time_T: float, up: float = 1.0) -> float:
     return float(food[1])
 
 
-def test_food_stays_still_for_five_periods_then_swims_up_and_turns_at_its_limits(
-    small_task: Predation,
-) -> None:
+def test_food_rests_for_five_periods_then_turns_at_its_limits(small_task: Predation) -> None:
     route = {0: 2.5, 5: 2.5, 6: 2.8, 5 + 1 / 0.3: 3.5, 5 + 2 / 0.3: 2.5, 5 + 3 / 0.3: 1.5}
     for time, height in {**route, 16: 1.8, 5 + 4 / 0.3: 2.5, 5 + 5 / 0.3: 3.5, 25: 2.5}.items():
         assert food_height(small_task, time) == pytest.approx(height, abs=1e-9)
+        mirrored = food_height(small_task, time, up=-1.0)
+        assert mirrored == pytest.approx(5.0 - height, abs=1e-9)
 
 
-def test_food_that_sets_off_downwards_mirrors_food_that_sets_off_upwards(
-    small_task: Predation,
-) -> None:
-    for time in (3.0, 6.0, 9.3, 17.1):
-        up, down = (food_height(small_task, time, direction) for direction in (1.0, -1.0))
-        assert up - 2.5 == pytest.approx(2.5 - down, abs=1e-9)
-
-
-def test_food_moves_at_its_speed_wherever_it_starts_between_its_limits() -> None:
+def test_food_keeps_its_speed_between_its_limits() -> None:
     task = Predation(**SMALL, food_y_bl=1.7, food_limits_bl=(1.6, 1.9), food_still_T=0.0)
     times = [0.01 * k for k in range(400)]
     heights = [food_height(task, t, direction) for direction in (1.0, -1.0) for t in times]
-    assert min(heights) == pytest.approx(1.6, abs=2e-3)
-    assert max(heights) == pytest.approx(1.9, abs=2e-3)
+    assert (min(heights), max(heights)) == pytest.approx((1.6, 1.9), abs=2e-3)
     steps = torch.tensor(heights[:400], dtype=torch.float64).diff().abs()
     assert float(steps.median()) == pytest.approx(0.3 * 0.01)
     assert heights[0] == heights[400] == pytest.approx(1.7)
 
 
 @pytest.mark.parametrize("body_length", [50, 100])
-def test_starts_are_noses_on_whole_nodes_in_the_papers_box_clear_of_the_walls(
+def test_starts_are_whole_nodes_in_the_papers_box(
     body_length: int,
 ) -> None:
     """At L = 100: x in [500, 750], y in [25, 475], the paper's Task 1."""
@@ -70,7 +65,7 @@ def test_starts_are_noses_on_whole_nodes_in_the_papers_box_clear_of_the_walls(
     task.check_starts(starts)
 
 
-def test_the_range_of_starts_shrinks_where_the_fish_would_touch_a_wall() -> None:
+def test_range_of_starts_keeps_the_fish_clear_of_the_walls() -> None:
     task = Predation(**SMALL, start_x_bl=(8.0, 10.0), start_y_bl=(0.0, 5.0))
     (x_low, x_high), (y_low, y_high) = task.start_range
     assert (x_low, x_high) == (160, 176)  # the tail, 20 nodes behind, keeps 3 nodes from node 199
@@ -79,7 +74,7 @@ def test_the_range_of_starts_shrinks_where_the_fish_would_touch_a_wall() -> None
     task.check_starts(corners)
 
 
-def test_the_nose_of_a_placed_fish_is_where_its_start_says() -> None:
+def test_nose_of_a_placed_fish_is_at_its_start() -> None:
     task = Predation(**SMALL)
     for heading in (math.pi, 0.0, 0.7):
         starts = starts_at((6.0, 2.5), heading=heading)
@@ -92,7 +87,7 @@ def test_the_nose_of_a_placed_fish_is_where_its_start_says() -> None:
         assert math.atan2(behind[1], behind[0]) == pytest.approx(heading)
 
 
-def test_one_start_seed_gives_one_set_of_starts_and_random_food_goes_both_ways() -> None:
+def test_seed_fixes_the_starts_and_random_food_goes_both_ways() -> None:
     task = Predation(**SMALL, food_direction="random")
     one, same, other = (
         task.sample_starts(64, torch.Generator().manual_seed(seed)) for seed in (0, 0, 1)
@@ -104,29 +99,24 @@ def test_one_start_seed_gives_one_set_of_starts_and_random_food_goes_both_ways()
     assert (down.sample_starts(9, torch.Generator())["food_direction"] == -1.0).all()
 
 
-@pytest.mark.usefixtures("kinematic")
-def test_the_first_observation_is_the_food_as_the_nose_sees_it(small_task: Predation) -> None:
-    env = make_env(small_task, starts_at((6.5, 0.5), (5.5, 4.0)))
+def test_first_observation_is_the_food_relative_to_the_nose(small_task: Predation) -> None:
+    env = begin(small_task, starts_at((6.5, 0.5), (5.5, 4.0)))
     expected = [[-4.0, 2.0, 20**0.5, -math.atan2(2, 4)], [-3.0, -1.5, 11.25**0.5, math.atan2(1, 2)]]
-    torch.testing.assert_close(env.reset()["observation"], torch.tensor(expected))
+    torch.testing.assert_close(small_task.observe(env.now), torch.tensor(expected))
 
 
-@pytest.mark.usefixtures("kinematic")
-def test_an_action_turns_the_fish_by_fifteen_degrees(small_task: Predation) -> None:
-    env = make_env(small_task, starts_at(*[(6.5, 2.5)] * 3))
-    env.reset()
+def test_action_turns_the_fish_by_15_degrees(small_task: Predation) -> None:
+    env = begin(small_task, starts_at(*[(6.5, 2.5)] * 3))
     act(env, 0, 1, 2)
     turned = torch.rad2deg(env.solver.body.heading - math.pi)
     torch.testing.assert_close(turned, torch.tensor([-15.0, 0.0, 15.0], dtype=torch.float64))
 
 
-@pytest.mark.usefixtures("kinematic")
-def test_a_continuous_action_turns_the_fish_and_sets_its_tail_beat() -> None:
+def test_continuous_action_sets_turn_and_tail_beat() -> None:
     given = {**SMALL, "wall_margin_bl": 0.25, "action": "continuous", "turn_degrees": 10.0}
     task = Predation(**given, frequency_range=(0.5, 2.0))
-    env = make_env(task, starts_at(*[(6.5, 2.5)] * 3))
+    env = begin(task, starts_at(*[(6.5, 2.5)] * 3))
     assert task.scales.max_frequency == 2.0
-    env.reset()
     action = torch.tensor([[-1.0, -1.0], [0.0, 0.0], [0.5, 1.0]])
     env.step(TensorDict({"action": action}, [3]))
     turned = torch.rad2deg(env.solver.body.heading - math.pi)
@@ -135,7 +125,6 @@ def test_a_continuous_action_turns_the_fish_and_sets_its_tail_beat() -> None:
     torch.testing.assert_close(beats, torch.tensor([0.5, 1.25, 2.0], dtype=torch.float64))
 
 
-@pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize(
     ("action", "message"),
     [
@@ -145,28 +134,23 @@ def test_a_continuous_action_turns_the_fish_and_sets_its_tail_beat() -> None:
         ([1, 1], r"shape \(2,\): must hold 2 numbers"),
     ],
 )
-def test_a_continuous_action_that_cannot_be_is_refused(action: list, message: str) -> None:
-    env = make_env(Predation(**SMALL, action="continuous"), starts_at(*[(6.5, 2.5)] * 2))
-    env.reset()
+def test_invalid_continuous_action_is_refused(action: list, message: str) -> None:
+    env = begin(Predation(**SMALL, action="continuous"), starts_at(*[(6.5, 2.5)] * 2))
     with pytest.raises(ValueError, match=message):
         env.step(TensorDict({"action": torch.tensor(action)}, [2]))
 
 
-@pytest.mark.usefixtures("kinematic")
-def test_approach_earns_one_and_neither_nearer_nor_better_aimed_costs_one(
+def test_reward_is_1_for_approach_and_minus_1_otherwise(
     small_task: Predation,
 ) -> None:
     starts = torch.cat([starts_at((6.5, 2.5)), starts_at(*[(6.5, 2.5)] * 2, heading=0.0)])
-    env = make_env(small_task, starts)
-    env.reset()
+    env = begin(small_task, starts)
     # ahead of the food; away from it; away from it but turning towards it
     assert act(env, 1, 1, 2)["reward"].squeeze(-1).tolist() == [1.0, -1.0, 1.0]
 
 
-@pytest.mark.usefixtures("kinematic")
-def test_a_capture_earns_twenty_more_and_terminates_the_episode(small_task: Predation) -> None:
-    env = make_env(small_task, starts_at((3.1, 2.5), (5.0, 2.5)))
-    env.reset()
+def test_capture_adds_20_and_terminates(small_task: Predation) -> None:
+    env = begin(small_task, starts_at((3.1, 2.5), (5.0, 2.5)))
     after = act(env, KEEP, KEEP)
     assert after["reward"].squeeze(-1).tolist() == [21.0, 1.0]
     for key, expected in {"captured": True, "terminated": True, "done": True}.items():
@@ -174,38 +158,28 @@ def test_a_capture_earns_twenty_more_and_terminates_the_episode(small_task: Pred
     assert not after["truncated"].any()
 
 
-@pytest.mark.usefixtures("kinematic")
-def test_a_capture_within_the_action_counts_although_the_fish_would_swim_past() -> None:
-    """The fish glides 0.4 L an action, so it would cross a circle of radius 0.1 L within it."""
-    task = Predation(**SMALL, capture_radius_bl=0.1)
-    env = make_env(task, starts_at((2.7, 2.5)))
-    env.reset()
+@pytest.mark.parametrize(
+    ("settings", "x"), [({"capture_radius_bl": 0.1}, 2.7), ({"food_x_bl": 0.21}, 0.5)]
+)
+def test_capture_within_an_action_counts(settings: dict[str, float], x: float) -> None:
+    """Gliding on, the fish would be past its food, or at the wall, at the end of the action."""
+    task = Predation(**SMALL, **settings)
+    env = begin(task, starts_at((x, 2.5)))
     after = act(env, KEEP)
     assert after["captured"].all() and after["reward"] == 21.0
-    assert 0.08 < after["observation"][0, 2] <= 0.1  # the moment of capture, not the end
+    distance, radius = after["observation"][0, 2], task.capture_radius_bl
+    assert radius - 0.02 < distance <= radius  # the moment of capture, not the end
     assert env.solver.body.age < task.n_substeps
 
 
-@pytest.mark.usefixtures("kinematic")
-def test_hitting_a_wall_terminates_without_the_rewards_of_a_capture(small_task: Predation) -> None:
+def test_wall_terminates_without_a_capture(small_task: Predation) -> None:
     upwards = starts_at((5.0, 4.5), heading=math.pi / 2)
-    env = make_env(small_task, torch.cat([upwards, starts_at((5.0, 2.5))]))
-    env.reset()
+    env = begin(small_task, torch.cat([upwards, starts_at((5.0, 2.5))]))
     after = act(env, KEEP, KEEP)
     assert after["terminated"].squeeze(-1).tolist() == [True, False]
     assert not after["captured"].any()
     assert after["reward"][0] in (-1.0, 1.0)
     assert 2.5 < env.now["clearance"][0] < small_task.wall_margin == 3.0
-
-
-@pytest.mark.usefixtures("kinematic")
-def test_a_capture_just_before_a_wall_is_a_capture() -> None:
-    """Nose at 0.5 L, food at 0.21 L, wall margin at 0.15 L: gliding on would end at the wall."""
-    task = Predation(**SMALL, food_x_bl=0.21)
-    env = make_env(task, starts_at((0.5, 2.5)))
-    env.reset()
-    after = act(env, KEEP)
-    assert after["captured"].all() and after["reward"] == 21.0
 
 
 BAD_ARGUMENTS: dict[str, tuple[dict[str, Any], str]] = {
@@ -221,7 +195,7 @@ BAD_ARGUMENTS: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("case", BAD_ARGUMENTS)
-def test_arguments_that_cannot_be_are_refused_with_a_remedy(case: str) -> None:
+def test_invalid_settings_are_refused_with_a_remedy(case: str) -> None:
     arguments, message = BAD_ARGUMENTS[case]
     with pytest.raises(ValueError, match=message):
         Predation(**SMALL | arguments)
@@ -239,8 +213,7 @@ BAD_STARTS: dict[str, tuple[TensorDict, str]] = {
 
 
 @pytest.mark.parametrize("case", BAD_STARTS)
-@pytest.mark.usefixtures("kinematic")
-def test_starts_that_cannot_be_are_refused_with_a_remedy(case: str, small_task: Predation) -> None:
+def test_invalid_starts_are_refused_with_a_remedy(case: str, small_task: Predation) -> None:
     starts, message = BAD_STARTS[case]
     with pytest.raises(ValueError, match=message):
-        FlowEnv(task=small_task, num_envs=1, starts=starts, compile_flow=False)
+        make_flows(small_task, 1, starts=starts)

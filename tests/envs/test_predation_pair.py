@@ -10,8 +10,8 @@ from tensordict import TensorDict
 from fishrl.envs import FlowEnv, PredationPair, make_env
 from fishrl.wrappers.gymnasium import FlowVectorEnv
 from tests.envs.conftest import SMALL, make_flows
-from tests.envs.test_real_flow import TINY
 
+pytestmark = pytest.mark.usefixtures("kinematic")
 KEEP = 1
 NORTH, SOUTH, WEST = 0.5 * math.pi, -0.5 * math.pi, math.pi
 
@@ -30,8 +30,10 @@ def start_at(
     )
 
 
-def make_pair(starts: TensorDict, **settings: Any) -> FlowEnv:
-    return make_flows(PredationPair(**SMALL, **settings), 1, starts=starts)
+def begin(starts: TensorDict, **settings: Any) -> FlowEnv:
+    env = make_flows(PredationPair(**SMALL, **settings), 1, starts=starts)
+    env.reset()
+    return env
 
 
 def act(env: FlowEnv, *actions: int) -> TensorDict:
@@ -39,10 +41,9 @@ def act(env: FlowEnv, *actions: int) -> TensorDict:
     return env.step(TensorDict({"agents": agents}, [1]))["next"][0]
 
 
-@pytest.mark.usefixtures("kinematic")
-def test_each_fish_observes_the_other_and_then_the_food() -> None:
-    env = make_pair(start_at((5.5, 2.0), (6.0, 3.5), headings=(WEST, NORTH)))
-    seen = env.reset()["agents", "observation"][0]
+def test_observation_is_the_other_fish_and_the_food() -> None:
+    env = begin(start_at((5.5, 2.0), (6.0, 3.5), headings=(WEST, NORTH)))
+    seen = env.task.observe(env.now)[0]
     gap = math.hypot(0.5, 1.5)
     torch.testing.assert_close(seen[0, :3], torch.tensor([0.5, 1.5, gap]))
     torch.testing.assert_close(seen[1, :3], torch.tensor([-0.5, -1.5, gap]))
@@ -53,20 +54,16 @@ def test_each_fish_observes_the_other_and_then_the_food() -> None:
     torch.testing.assert_close(seen[1, 4:6], torch.tensor([-3.5, -1.0]))
 
 
-@pytest.mark.usefixtures("kinematic")
-def test_the_fish_that_catches_the_food_is_rewarded_and_both_episodes_end() -> None:
-    env = make_pair(start_at((2.9, 2.5), (6.0, 3.5)))
-    env.reset()
+def test_capture_rewards_one_fish_and_ends_both_episodes() -> None:
+    env = begin(start_at((2.9, 2.5), (6.0, 3.5)))
     after = act(env, KEEP, KEEP)
     assert after["terminated"].item() and after["captured"].item()
     assert after["caught"].tolist() == [True, False] and not after["contact"].item()
     assert after["agents", "reward"].squeeze(-1).tolist() == [21.0, 1.0]
 
 
-@pytest.mark.usefixtures("kinematic")
-def test_contact_ends_the_episode_of_both_before_they_overlap() -> None:
-    env = make_pair(start_at((6.0, 2.4), (6.0, 2.8), headings=(NORTH, SOUTH)), contact_penalty=7.0)
-    env.reset()
+def test_contact_ends_the_episode_before_fish_overlap() -> None:
+    env = begin(start_at((6.0, 2.4), (6.0, 2.8), headings=(NORTH, SOUTH)), contact_penalty=7.0)
     after = act(env, KEEP, KEEP)
     assert after["terminated"].item() and after["contact"].item()
     assert 0.0 < float(env.now["gap"]) < 0.15 * SMALL["body_length"]
@@ -75,28 +72,12 @@ def test_contact_ends_the_episode_of_both_before_they_overlap() -> None:
     assert rewards.max() < -5.0
 
 
-@pytest.mark.usefixtures("kinematic")
-def test_a_wall_that_one_fish_meets_ends_the_episode_of_both() -> None:
-    env = make_pair(start_at((6.0, 0.45), (6.0, 3.5), headings=(SOUTH, WEST)))
+def test_wall_contact_of_one_fish_ends_both_episodes() -> None:
+    env = begin(start_at((6.0, 0.45), (6.0, 3.5), headings=(SOUTH, WEST)))
     with pytest.raises(ValueError, match="start 0, head at"):
-        make_pair(start_at((6.0, 0.1), (6.0, 3.5)))
-    env.reset()
+        begin(start_at((6.0, 0.1), (6.0, 3.5)))
     after = act(env, KEEP, KEEP)
     assert after["terminated"].item() and not (after["captured"] | after["contact"]).item()
-
-
-def test_swimmers_that_meet_in_a_real_flow_end_their_episode_and_do_not_diverge() -> None:
-    task = PredationPair(**TINY, control_interval_T=0.5, checks_per_action=12)
-    length = task.body_length
-    starts = task.sample_starts(1, torch.Generator().manual_seed(0))
-    starts["head"] = torch.tensor([[[2.0, 1.5], [2.35, 1.5]]], dtype=torch.float64) * length
-    starts["heading"] = torch.tensor([[0.0, WEST]], dtype=torch.float64)
-    env = make_flows(task, 1, starts=starts)
-    env.reset()
-    while not (after := act(env, KEEP, KEEP))["done"].item():
-        assert float(env.now["gap"]) >= task.contact_bl * length
-    assert float(env.now["gap"]) > 0.5
-    assert after["contact"].item() and not after["diverged"].item()
 
 
 @pytest.mark.parametrize(
@@ -108,12 +89,11 @@ def test_swimmers_that_meet_in_a_real_flow_end_their_episode_and_do_not_diverge(
         ({"start_gap_bl": 0.1}, "fish 0 and 1 overlap; move them apart"),
     ],
 )
-def test_a_pair_that_does_not_fit_is_refused(settings: dict[str, Any], message: str) -> None:
+def test_invalid_settings_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         PredationPair(**SMALL, **settings)
 
 
-@pytest.mark.usefixtures("kinematic")
 def test_gymnasium_refuses_several_fish() -> None:
     env = make_env(task=PredationPair(**SMALL), num_envs=1, compile=False)
     with pytest.raises(ValueError, match="PredationPair has several fish"):

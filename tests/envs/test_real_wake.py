@@ -4,7 +4,6 @@ from math import pi
 
 import pytest
 import torch
-from tensordict import TensorDict
 
 from fishrl.envs import KarmanGait
 from fishrl.envs.lateral_line import LateralLine
@@ -12,7 +11,13 @@ from fishrl.envs.stations import SafeArea
 from fishrl.envs.streams import Stream
 from fishrl.envs.views import make_scene, read_scene
 from fishrl.envs.wakes import WakeBank
-from tests.envs.conftest import act, assert_resets_rewrite_all, make_flows, read_flows
+from tests.envs.conftest import (
+    act,
+    assert_resets_rewrite_all,
+    make_flows,
+    read_flows,
+    reset_rows,
+)
 from tests.envs.test_views import list_keys
 
 #: A stream of 4 L x 2.4 L, where an eager action takes about a second.
@@ -31,19 +36,18 @@ STREAM = {"face_bl": 1.0, "num_travels": 30.0, "num_phases": 4}
 
 @pytest.fixture(scope="module")
 def task(tmp_path_factory: pytest.TempPathFactory) -> KarmanGait:
-    """Return a task whose wakes are nothing but the undisturbed streams, and a bit of noise."""
+    """Return a task whose wakes are undisturbed streams with a little noise."""
     folder = tmp_path_factory.mktemp("wakes")
     stream = Stream(**STREAM, diameter_bl=(0.4, 0.6, 0.5), wake_folder=str(folder))
     task = KarmanGait(**TINY, stream=stream)
     config = task.flow_config()
     generator = torch.Generator().manual_seed(0)
     noise = torch.randn(3, 4, 9, config.height, config.width, generator=generator)
-    bank = WakeBank(populations=1e-4 * noise, shedding_frequencies=torch.ones(3))
-    task.__dict__["wakes"] = bank
+    task.__dict__["wakes"] = WakeBank(populations=1e-4 * noise, shedding_frequencies=torch.ones(3))
     return task
 
 
-def test_a_row_of_a_batch_equals_the_same_row_alone_and_resets_touch_no_other(
+def test_row_equals_a_single_flow_and_resets_touch_no_other(
     task: KarmanGait,
 ) -> None:
     starts = task.sample_starts(3, torch.Generator().manual_seed(4))
@@ -59,7 +63,7 @@ def test_a_row_of_a_batch_equals_the_same_row_alone_and_resets_touch_no_other(
             assert torch.equal(value[0], read_flows(env)[name][row]), name
     before = read_flows(env)
     with env.set_starts(starts[2:]):
-        env.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
+        reset_rows(env, True, False)
     after = read_flows(env)
     for name, value in before.items():
         assert torch.equal(after[name][1], value[1]), name
@@ -71,11 +75,11 @@ def test_a_row_of_a_batch_equals_the_same_row_alone_and_resets_touch_no_other(
         assert torch.equal(value[0], read_flows(env)[name][1]), name
 
 
-def test_an_episode_does_not_depend_on_what_its_flow_was_used_for(task: KarmanGait) -> None:
+def test_reset_erases_the_history_of_a_flow(task: KarmanGait) -> None:
     assert_resets_rewrite_all(task)
 
 
-def test_a_saved_environment_goes_on_exactly_and_resets_alike(task: KarmanGait) -> None:
+def test_saved_environment_continues_and_resets_exactly(task: KarmanGait) -> None:
     env, other = make_flows(task, 2, seed=1), make_flows(task, 2, seed=2)
     env.reset()
     other.reset()
@@ -83,21 +87,19 @@ def test_a_saved_environment_goes_on_exactly_and_resets_alike(task: KarmanGait) 
     other.load_state_dict(env.state_dict())
     assert (act(env, 1, 1) == act(other, 1, 1)).all()
     for each in (env, other):
-        each.reset(TensorDict({"_reset": torch.tensor([[True], [False]])}, [2]))
+        reset_rows(each, True, False)
     assert (act(env, 0, 2) == act(other, 0, 2)).all()
     for name, value in read_flows(env).items():
         assert torch.equal(read_flows(other)[name], value), name
     assert torch.equal(other.solver.markers(1), env.solver.markers(1))
 
 
-def test_an_episode_begins_behind_the_disc_and_in_the_wake_that_its_start_names(
+def test_episode_begins_behind_its_disc_and_in_its_wake(
     task: KarmanGait,
 ) -> None:
     starts = task.sample_starts(2, torch.Generator().manual_seed(5))
-    starts["flow_index"], starts["wake_phase"] = (
-        torch.tensor([2, 0]),
-        torch.tensor([0.8, 0.1]).double(),
-    )
+    starts["flow_index"] = torch.tensor([2, 0])
+    starts["wake_phase"] = torch.tensor([0.8, 0.1]).double()
     env = make_flows(task, 2, starts=starts)
     env.reset()
     assert task.wakes is not None
@@ -115,7 +117,7 @@ def test_an_episode_begins_behind_the_disc_and_in_the_wake_that_its_start_names(
         assert spacing.mean().item() == pytest.approx(perimeter / len(outline), rel=0.15)
 
 
-def test_everything_that_the_scene_of_a_real_disc_names_can_be_read(task: KarmanGait) -> None:
+def test_every_key_of_the_scene_of_a_disc_can_be_read(task: KarmanGait) -> None:
     env = make_flows(task, 1)
     env.reset()
     keys = list_keys(make_scene(task))

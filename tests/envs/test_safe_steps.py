@@ -1,4 +1,4 @@
-"""Measurements that distance makes superfluous are left out, and nothing else changes."""
+"""Checks that cannot find an end are skipped without changing episodes."""
 
 from typing import Any
 
@@ -30,7 +30,7 @@ def run(task: Predation, num_actions: int, **options: Any) -> tuple[list[TensorD
     return steps, count
 
 
-def test_episodes_end_at_the_same_moment_as_with_every_check(
+def test_skipped_checks_change_no_episode(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     move_kinematically(monkeypatch)
@@ -46,7 +46,7 @@ def test_episodes_end_at_the_same_moment_as_with_every_check(
     assert num_some < 0.5 * num_every
 
 
-def test_a_swimming_fish_stays_within_the_speed_that_is_counted_on(
+def test_swimming_fish_stays_below_the_assumed_speed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     task = Predation(**TINY)

@@ -6,7 +6,7 @@ from fishrl.envs.schedule import make_schedule
 
 
 @pytest.mark.parametrize(("num_steps", "checks", "frames"), [(562, 20, 8), (106, 7, 1), (6, 3, 3)])
-def test_a_schedule_fills_the_action_with_even_stretches(
+def test_schedule_fills_the_action_with_even_stretches(
     num_steps: int, checks: int, frames: int
 ) -> None:
     stretches = make_schedule(num_steps, checks=checks, frames=frames)
@@ -21,6 +21,6 @@ def test_a_schedule_fills_the_action_with_even_stretches(
 
 
 @pytest.mark.parametrize(("checks", "frames"), [(0, 1), (1, 4)])
-def test_more_checks_or_frames_than_pairs_of_steps_are_refused(checks: int, frames: int) -> None:
+def test_too_many_checks_or_frames_are_refused(checks: int, frames: int) -> None:
     with pytest.raises(ValueError, match=r"must lie in \[1, 3\]"):
         make_schedule(6, checks=checks, frames=frames)

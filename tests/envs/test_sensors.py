@@ -24,14 +24,14 @@ def doubles(*values: float) -> torch.Tensor:
         (1.0, (0.0, 0.0), 0.0),
     ],
 )
-def test_the_bearing_error_is_positive_to_the_left_of_the_nose(
+def test_bearing_error_is_positive_to_the_left(
     heading: float, away: tuple[float, float], expected: float
 ) -> None:
     error = compute_bearing_error(doubles(heading), doubles(*away)[None])
     assert float(error) == pytest.approx(expected, abs=1e-12)
 
 
-def test_the_bearing_error_equals_atan2_and_stays_within_half_a_turn() -> None:
+def test_bearing_error_equals_atan2_within_half_a_turn() -> None:
     generator = torch.Generator().manual_seed(0)
     heading = 20.0 * torch.randn(2000, generator=generator, dtype=torch.float64)
     away = torch.randn(2000, 2, generator=generator, dtype=torch.float64)
@@ -41,7 +41,7 @@ def test_the_bearing_error_equals_atan2_and_stays_within_half_a_turn() -> None:
     assert ((error > -math.pi) & (error <= math.pi)).all()
 
 
-def test_the_target_is_sensed_alike_in_any_batch() -> None:
+def test_sensed_target_does_not_depend_on_the_batch() -> None:
     generator = torch.Generator().manual_seed(1)
     head, target = 100 * torch.rand(2, 257, 2, generator=generator, dtype=torch.float64)
     heading = 7 * torch.rand(257, generator=generator, dtype=torch.float64)
@@ -55,7 +55,7 @@ def test_the_target_is_sensed_alike_in_any_batch() -> None:
     assert torch.equal(together, alone)
 
 
-def test_the_target_is_sensed_in_body_lengths_from_the_head() -> None:
+def test_target_is_sensed_in_body_lengths_from_the_head() -> None:
     sensed = sense_target(
         doubles(100.0, 50.0)[None], doubles(math.pi), doubles(40.0, 130.0)[None], body_length=20
     )
@@ -63,7 +63,7 @@ def test_the_target_is_sensed_in_body_lengths_from_the_head() -> None:
     torch.testing.assert_close(sensed[0], expected, atol=1e-12, rtol=0)
 
 
-def test_clearance_is_the_least_distance_from_any_edge_and_negative_outside() -> None:
+def test_clearance_is_the_distance_from_the_nearest_edge() -> None:
     outlines = doubles(
         *(5.0, 20.0, 8.0, 21.0), *(50.0, 20.0, 96.0, 21.0), *(50.0, 46.0, 60.0, 20.0),
         *(50.0, 2.0, 60.0, 20.0), *(-1.0, 20.0, 60.0, 20.0),
@@ -72,7 +72,7 @@ def test_clearance_is_the_least_distance_from_any_edge_and_negative_outside() ->
     assert clearance.tolist() == [5.0, 3.0, 3.0, 2.0, -1.0]
 
 
-def test_approach_is_rewarded_if_distance_or_bearing_error_shrinks() -> None:
+def test_approach_reward_needs_a_smaller_distance_or_bearing_error() -> None:
     before, after = doubles(2.0, 2.0, 2.0, 2.0, 2.0), doubles(1.9, 2.1, 2.1, 2.0, 2.0)
     old_error, error = doubles(0.1, -0.5, 0.5, 0.2, 0.2), doubles(0.3, 0.4, -0.6, 0.2, -0.1)
     reward = reward_approach(before, after, old_error, error)

@@ -1,4 +1,4 @@
-"""The danger area and what holding a station earns."""
+"""The danger area and the reward for holding station."""
 
 import pytest
 import torch
@@ -13,7 +13,7 @@ QUIET = {
 }
 
 
-def test_the_margin_is_the_distance_from_the_nearest_danger() -> None:
+def test_margin_is_the_distance_from_the_danger_area() -> None:
     area = SafeArea(near_bl=0.5, far_bl=4.0, aside_bl=1.0)
     places = torch.tensor([[0.7, 0.0], [3.9, 0.1], [2.0, -0.8], [0.4, 0.0], [2.0, 1.3]])
     margins = torch.tensor([0.2, 0.1, 0.2, -0.1, -0.3])
@@ -32,7 +32,7 @@ def test_the_margin_is_the_distance_from_the_nearest_danger() -> None:
         ({"is_in_danger": torch.tensor([True])}, 1.0 + 0.1 - 5.0),
     ],
 )
-def test_drift_work_nearness_and_danger_add_up_as_in_the_paper(
+def test_reward_terms_add_up_as_in_the_paper(
     what: dict[str, torch.Tensor], expected: float
 ) -> None:
     reward = StationReward(work_reference=2.0).compute(**QUIET | what)

@@ -1,4 +1,4 @@
-"""Steering: to the line, against drift, within bounds, and by a learned network."""
+"""Heading controllers: PID towards the centreline, and a learned network."""
 
 from math import pi, radians
 from pathlib import Path
@@ -14,7 +14,7 @@ from fishrl.physics.cache_key import make_key
 
 
 def observe_series(steering: Steering, y: list[float], heading: float = pi) -> Tensor:
-    """Return what is remembered of a fish at some distances from the line, one after another."""
+    """Return the stacked observations of a fish at successive offsets from the centreline."""
     place = [torch.tensor([[1.5, each]]).double() for each in y]
     heads = torch.tensor([heading], dtype=torch.float64)
     seen = [steering.observe(each, each, heads) for each in place]
@@ -33,30 +33,25 @@ def observe_series(steering: Steering, y: list[float], heading: float = pi) -> T
         ((5.0, 0.0, 0.0), [1.0, 1.0], pi + radians(19.0), radians(1.0)),  # so is the target angle
     ],
 )
-def test_a_pid_controller_turns_towards_the_line_within_its_bounds(
+def test_pid_turns_towards_the_centreline_within_its_bounds(
     gains: tuple[float, ...], offsets: list[float], heading: float, expected: float
 ) -> None:
     gain, integral_gain, damping = gains
     steering = PIDSteering(
-        num_stacked=min(4, len(offsets)),
-        gain=gain,
-        integral_gain=integral_gain,
-        damping=damping,
-        max_angle_degrees=20.0,
-        max_turn_degrees=9.0 if expected == 0.15 else 8.0,
-    )
-    assert steering.turn(observe_series(steering, offsets, heading)).item() == pytest.approx(
-        expected
-    )
+        num_stacked=min(4, len(offsets)), gain=gain, integral_gain=integral_gain, damping=damping,
+        max_angle_degrees=20.0, max_turn_degrees=9.0 if expected == 0.15 else 8.0,
+    )  # fmt: skip
+    turn = steering.turn(observe_series(steering, offsets, heading))
+    assert turn.item() == pytest.approx(expected)
 
 
-def test_the_sway_of_the_nose_is_not_steered_against() -> None:
+def test_sway_of_the_nose_causes_no_turn() -> None:
     nose, middle = torch.tensor([[1.5, 0.1]]).double(), torch.tensor([[2.0, 0.0]]).double()
     seen = PIDSteering().observe(nose, middle, torch.tensor([pi], dtype=torch.float64))
     assert PIDSteering().turn(seen[:, None].expand(-1, 32, -1)).item() == pytest.approx(0.0)
 
 
-def test_a_heading_and_the_same_a_turn_further_are_steered_alike() -> None:
+def test_turn_is_periodic_in_the_heading() -> None:
     steering = PIDSteering()
     seen = torch.tensor([[0.0, heading] for heading in (pi, -pi, 3.0 * pi, pi - 0.1)]).double()
     turns = steering.turn(seen[:, None].expand(-1, steering.num_stacked, -1))
@@ -68,7 +63,7 @@ def linear_layers(network: torch.nn.Sequential) -> list[tuple[Tensor, Tensor]]:
     return [(m.weight, m.bias) for m in network if isinstance(m, torch.nn.Linear)]
 
 
-def test_the_networks_likeliest_action_turns_the_fish(tmp_path: Path) -> None:
+def test_network_turns_the_fish_by_its_most_probable_action(tmp_path: Path) -> None:
     network = make_mlp((16, 256, 256, 3), generator=torch.Generator().manual_seed(3))
     save_weights(linear_layers(network), tmp_path / "steer.pt")
     seen = torch.randn(40, 12, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
@@ -79,7 +74,7 @@ def test_the_networks_likeliest_action_turns_the_fish(tmp_path: Path) -> None:
     torch.testing.assert_close(steering.turn(seen), radians(5.0) * (expected.double() - 1.0))
 
 
-def test_the_network_sees_a_point_upstream_as_it_saw_food(tmp_path: Path) -> None:
+def test_network_observes_a_point_upstream_as_food(tmp_path: Path) -> None:
     """x and y of the point from the nose, its distance, and how far to the left it lies."""
     save_weights(linear_layers(make_mlp((16, 8, 3))), tmp_path / "w")
     steering = PolicySteering(path=str(tmp_path / "w"), ahead_bl=2.0)
@@ -89,7 +84,7 @@ def test_the_network_sees_a_point_upstream_as_it_saw_food(tmp_path: Path) -> Non
     torch.testing.assert_close(seen, expected, rtol=0, atol=1e-6)
 
 
-def test_keys_of_kept_results_depend_on_the_weights_and_not_on_their_place(tmp_path: Path) -> None:
+def test_keys_depend_on_the_weights_and_not_on_their_path(tmp_path: Path) -> None:
     paths = [tmp_path / name for name in "ab"]
     keys = []
     for seed in range(2):
@@ -100,17 +95,16 @@ def test_keys_of_kept_results_depend_on_the_weights_and_not_on_their_place(tmp_p
     assert len(keys[0]) == len(keys[1]) == 1 and keys[0] != keys[1]
 
 
-def test_weights_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+def test_invalid_weights_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "weights.pt"
     save_weights(linear_layers(make_mlp((8, 4, 3))), path)
     with pytest.raises(ValueError, match=r"layers of widths \[8, 4, 3\], expected 16"):
         PolicySteering(path=str(path))
-    save_weights([(torch.zeros(4, 16), torch.zeros(4)), (torch.zeros(3, 5), torch.zeros(3))], path)
-    with pytest.raises(ValueError, match="no consecutive layers"):
-        load_weights(path)
-    torch.save({"a": 1}, path)
-    with pytest.raises(ValueError, match="no consecutive layers"):
-        load_weights(path)
+    loose = [(torch.zeros(4, 16), torch.zeros(4)), (torch.zeros(3, 5), torch.zeros(3))]
+    for content in (loose, {"a": 1}):
+        torch.save(content, path)
+        with pytest.raises(ValueError, match="no consecutive layers"):
+            load_weights(path)
     path.write_bytes(b"no weights")
     with pytest.raises(ValueError, match="cannot be read"):
         load_weights(path)

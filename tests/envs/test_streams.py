@@ -1,4 +1,4 @@
-"""Streams behind discs of several sizes: labels, wakes, and what cannot be."""
+"""Streams behind discs of several sizes: labels, wakes and invalid settings."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +22,7 @@ def make_task(stream: Stream, **arguments: Any) -> KarmanGait:
     return KarmanGait(**SMALL | {"wall_margin_bl": 0.25, "stream": stream} | arguments)
 
 
-def test_a_flow_is_named_by_its_speed_and_by_its_disc_where_they_differ() -> None:
+def test_flow_names_hold_the_speed_and_a_differing_diameter() -> None:
     labels = make_task(VARIED).flow_labels
     assert [label["name"] for label in labels][1:] == ["1.5 L/T, D = 0.4 L", "1 L/T, D = 0.6 L"]
     assert [label["diameter_bl"] for label in labels] == [0.4, 0.4, 0.6]
@@ -30,12 +30,12 @@ def test_a_flow_is_named_by_its_speed_and_by_its_disc_where_they_differ() -> Non
     assert replace(VARIED, has_disc=False).diameters_bl == (0.0, 0.0, 0.0)
 
 
-def test_flows_that_cannot_be_told_apart_are_refused() -> None:
+def test_equal_flows_are_refused() -> None:
     with pytest.raises(ValueError, match=r"\['1 L/T', '1 L/T'\]: must differ"):
         Stream(speeds_bl=(1.0, 1.0))
 
 
-def test_every_flow_has_the_wake_of_its_disc_and_speed_from_a_file_for_each_disc(
+def test_wakes_match_disc_and_speed_and_each_disc_has_one_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recipes = []
@@ -70,7 +70,7 @@ def test_every_flow_has_the_wake_of_its_disc_and_speed_from_a_file_for_each_disc
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_a_stream_that_changes_is_named_by_the_nearest_speed_behind_the_same_disc() -> None:
+def test_flow_index_is_the_nearest_speed_behind_the_same_disc() -> None:
     changes = StreamSteps(times_T=(0.4,), speeds_bl=(1.4,))
     task = make_task(replace(VARIED, changes=changes), control_interval_T=0.5, checks_per_action=13)
     starts = task.sample_starts(2, torch.Generator().manual_seed(0))
@@ -91,19 +91,19 @@ def test_a_stream_that_changes_is_named_by_the_nearest_speed_behind_the_same_dis
         ((0.4, 0.4, 1.2), r"DCylinder with num_markers = .*: they would lie 0.33 nodes apart"),
     ],
 )
-def test_discs_that_cannot_be_are_refused(diameters: tuple[float, ...], message: str) -> None:
+def test_invalid_discs_are_refused(diameters: tuple[float, ...], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make_task(Stream(diameter_bl=diameters))
 
 
-def test_the_largest_disc_must_be_within_the_domain() -> None:
+def test_largest_disc_must_lie_within_the_domain() -> None:
     stream = Stream(face_bl=0.3)
     make_task(stream)
     with pytest.raises(ValueError, match="the half disc exceeds the domain"):
         make_task(replace(stream, diameter_bl=(0.4, 0.6, 0.4)))
 
 
-def test_a_start_within_the_largest_disc_alone_is_refused_there() -> None:
+def test_start_inside_a_disc_is_refused() -> None:
     area = SafeArea(near_bl=-0.2, far_bl=1.5, aside_bl=0.5)
     start = {"start_x_bl": (-0.05, -0.05), "start_y_bl": (0.28, 0.28), "safe_area": area}
     stream = Stream(diameter_bl=(0.4, 0.6, 0.4), face_bl=1.0)

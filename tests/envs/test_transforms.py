@@ -1,4 +1,4 @@
-"""Naming the flow: what is written, through resets of single rows too, and what is refused."""
+"""Flow labels: entries, memory, partial resets and refused classifiers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.sines import FLOWS, NUM_FEATURES, SENSORS, make_signal
 
 
 class SineTask(HasFlowLabels):
-    """What a transform asks of a task."""
+    """The flow labels of a task."""
 
     flow_labels = FLOWS
     lateral_line_layout = SENSORS
@@ -79,19 +79,23 @@ def untrained(**changes: Any) -> LateralLineClassifier:
     return LateralLineClassifier(**arguments, generator=torch.Generator().manual_seed(0))
 
 
+def make_predicted(num_envs: int = 3, **options: Any) -> TransformedEnv:
+    return make(*make_recognition(untrained(), **options), num_envs=num_envs)
+
+
 @pytest.mark.parametrize("num_samples", [16, 40])
-def test_the_specs_hold_with_stacked_frames_behind(num_samples: int) -> None:
+def test_specs_hold_in_front_of_a_frame_stack(num_samples: int) -> None:
     stack = CatFrames(N=2, dim=-1, in_keys=["observation"], out_keys=["observation_stack"])
     env = make(*make_recognition(untrained(num_samples=num_samples)), StepCounter(), stack)
     check_env_specs(env, seed=0)
     assert env.observation_spec["observation_stack"].shape == (3, 2 * (2 + 3))
 
 
-def test_without_memory_probabilities_class_and_observation_say_what_the_machine_says() -> None:
-    machine = untrained()
-    rollout = make(*make_recognition(machine, memory=0.0)).rollout(6, break_when_any_done=False)
+def test_without_memory_labels_are_the_classifiers_output() -> None:
+    env = make_predicted(memory=0.0)
+    rollout = env.rollout(6, break_when_any_done=False)
     for td in (rollout, rollout["next"]):
-        expected = machine(td["lateral_line"]).softmax(-1)
+        expected = env.transform[0].machine(td["lateral_line"]).softmax(-1)
         assert torch.allclose(td["flow_probabilities"], expected)
         assert torch.equal(td["flow_class"], expected.argmax(-1))
         assert td["flow_class"].dtype == torch.int64
@@ -99,20 +103,17 @@ def test_without_memory_probabilities_class_and_observation_say_what_the_machine
         assert torch.equal(td["observation"][..., 2:], td["flow_probabilities"])
 
 
-@pytest.mark.parametrize("oracle", [True, False])
-def test_named_but_not_observed_the_observation_stays_as_it_is(oracle: bool) -> None:
-    if oracle:
-        env = make(TrueFlowLabel(num_flows=3, is_observed=False))
-    else:
-        env = make(*make_recognition(untrained(), is_observed=False))
+@pytest.mark.parametrize("is_true", [True, False])
+def test_labels_that_are_not_observed_leave_the_observation_alone(is_true: bool) -> None:
+    true = TrueFlowLabel(num_flows=3, is_observed=False)
+    env = make(true) if is_true else make_predicted(is_observed=False)
     check_env_specs(env, seed=0)
     rollout = env.rollout(3)
     assert rollout["observation"].shape[-1] == 2
-    named = rollout["flow_probabilities"].argmax(-1)
-    assert torch.equal(rollout["flow_class"], named)
+    assert torch.equal(rollout["flow_class"], rollout["flow_probabilities"].argmax(-1))
 
 
-def test_a_row_reset_alone_starts_its_history_anew_and_leaves_the_others() -> None:
+def test_partial_reset_restarts_the_history_of_its_rows_alone() -> None:
     env = make(*make_recognition(untrained(num_samples=32)))
     td = env.rollout(3, break_when_any_done=False)[:, -1].exclude("action")["next"]
     before = td.clone()
@@ -126,11 +127,10 @@ def test_a_row_reset_alone_starts_its_history_anew_and_leaves_the_others() -> No
     assert torch.allclose(td["flow_probabilities"][1], said[1])
 
 
-def test_what_the_machine_said_before_counts_less_and_less_and_not_beyond_the_episode() -> None:
-    machine = untrained()
-    env = make(PredictedFlowLabel(machine=machine, memory=0.5))
+def test_memory_discounts_earlier_output_within_an_episode() -> None:
+    env = make_predicted(memory=0.5)
     rollout = env.rollout(6, break_when_any_done=False)
-    said = machine(rollout["lateral_line"]).log_softmax(-1)
+    said = env.transform[0].machine(rollout["lateral_line"]).log_softmax(-1)
     age, total = rollout["observation"][..., 0], torch.zeros(3, 3)
     for k in range(6):
         total = torch.where((age[:, k] == 0.0)[:, None], 0.0, 0.5 * total) + said[:, k]
@@ -138,12 +138,12 @@ def test_what_the_machine_said_before_counts_less_and_less_and_not_beyond_the_ep
     assert (age == 0.0).sum(1).tolist() == [3, 2, 2]  # episodes begin at different times
 
 
-def test_with_a_switching_rate_probabilities_are_those_of_the_hidden_markov_model() -> None:
+def test_switching_rate_gives_the_filter_of_a_hidden_markov_model() -> None:
     """Against the sum over every path of flows, each weighted by its probability."""
-    machine, rate, num = untrained(), 0.3, 5
-    env = make(PredictedFlowLabel(machine=machine, memory=1.0, switching_rate=rate), num_envs=9)
+    rate, num = 0.3, 5
+    env = make_predicted(9, memory=1.0, switching_rate=rate)
     rollout = env.rollout(num, break_when_any_done=False)[8]  # a row whose episode does not end
-    said = machine(rollout["lateral_line"]).softmax(-1).double()
+    said = env.transform[0].machine(rollout["lateral_line"]).softmax(-1).double()
     transition = (1.0 - rate) * torch.eye(3).double() + rate / 3.0
     for k in range(num):
         total = torch.zeros(3, dtype=torch.float64)
@@ -156,8 +156,8 @@ def test_with_a_switching_rate_probabilities_are_those_of_the_hidden_markov_mode
         torch.testing.assert_close(rollout["flow_probabilities"][k], expected)
 
 
-def test_the_mean_label_lies_between_the_flows_that_are_probable() -> None:
-    env = make(*make_recognition(untrained(), interpolates=True))
+def test_interpolated_label_is_the_mean_over_the_probabilities() -> None:
+    env = make_predicted(interpolates=True)
     check_env_specs(env, seed=0)
     rollout = env.rollout(6, break_when_any_done=False)
     p = rollout["flow_probabilities"]
@@ -165,12 +165,12 @@ def test_the_mean_label_lies_between_the_flows_that_are_probable() -> None:
 
 
 @pytest.mark.parametrize("name", ["memory", "switching_rate"])
-def test_a_share_beyond_one_is_refused(name: str) -> None:
+def test_share_above_1_is_refused(name: str) -> None:
     with pytest.raises(ValueError, match=rf"{name} = 1\.5: must lie in \[0, 1\]"):
         make_recognition(untrained(), **{name: 1.5})
 
 
-def test_a_saved_environment_names_flows_as_before() -> None:
+def test_saved_environment_keeps_weights_and_evidence() -> None:
     first, second = (make(*make_recognition(untrained(num_samples=32))) for _ in range(2))
     for parameter in second.transform[1].machine.parameters():
         parameter.add_(1.0)
@@ -178,22 +178,19 @@ def test_a_saved_environment_names_flows_as_before() -> None:
     second.reset()
     second.load_state_dict(first.state_dict())
     second.base_env.age, second.base_env.flow = first.base_env.age, first.base_env.flow
-    action = torch.zeros(3, dtype=torch.int64)
-    after = [
-        env.step(TensorDict({"action": action}, [3]))["next", "flow_probabilities"]
-        for env in (first, second)
-    ]
+    action = TensorDict({"action": torch.zeros(3, dtype=torch.int64)}, [3])
+    after = [env.step(action.clone())["next", "flow_probabilities"] for env in (first, second)]
     assert torch.equal(*after) and not torch.equal(after[0], td["flow_probabilities"])
 
 
-def test_the_machine_is_frozen() -> None:
+def test_classifier_is_frozen() -> None:
     machine = untrained().train()
     PredictedFlowLabel(machine=machine)
     assert not machine.training
     assert not any(parameter.requires_grad for parameter in machine.parameters())
 
 
-def test_the_oracle_names_the_true_flow() -> None:
+def test_oracle_writes_the_true_flow() -> None:
     env = make(TrueFlowLabel(num_flows=3))
     check_env_specs(env, seed=0)
     rollout = env.rollout(10, break_when_any_done=False)
@@ -201,14 +198,14 @@ def test_the_oracle_names_the_true_flow() -> None:
     assert torch.equal(rollout["observation"][..., 2:].argmax(-1), rollout["flow_class"])
 
 
-def test_a_classifier_for_other_flows_or_sensors_is_refused_when_it_is_attached() -> None:
+def test_classifier_for_other_flows_is_refused_when_attached() -> None:
     other = untrained(flows=[*FLOWS[:2], {**FLOWS[2], "stream_speed_bl": 2.0}])
     with pytest.raises(ValueError, match=r"stream_speed_bl = 2\.0, here it is 1\.5"):
         make(PredictedFlowLabel(machine=other))
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_a_task_without_a_lateral_line_is_refused() -> None:
+def test_task_without_a_lateral_line_is_refused() -> None:
     env = TransformedEnv(FlowEnv(task=Predation(**SMALL), num_envs=1, compile_flow=False))
     with pytest.raises(ValueError, match="Predation has no lateral line"):
         env.append_transform(PredictedFlowLabel(machine=untrained()))

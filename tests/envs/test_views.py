@@ -1,6 +1,7 @@
 """What is drawn of each task, and that all of it can be read."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -8,16 +9,15 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.envs import AbstractTask, Follower, KarmanGait, Predation, make_env
+from fishrl.envs import AbstractTask, FlowEnv, Follower, KarmanGait, Predation
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.scene import Choice, Scene
 from fishrl.envs.streams import Stream
 from fishrl.envs.views import FIELDS, make_scene, read_scene
 from fishrl.physics import Boundaries, Fish, FlowConfig, NonEquilibrium, OpenEdge
-from tests.envs.conftest import SMALL
-from tests.envs.masked_task import MaskedTask
-from tests.envs.pair_task import PairTask
+from tests.envs.conftest import SMALL, make_flows
+from tests.envs.small_tasks import MaskedTask, PairTask
 from tests.envs.test_follower import TINY
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -26,17 +26,26 @@ GAIT: dict[str, Any] = {**SMALL, "wall_margin_bl": 0.25}
 DISC = "dcylinder_1"  # kinematic fish have none
 
 
-def make_task(kind: str) -> AbstractTask:
-    line = LateralLine(is_averaged=True, features=("shear",))
-    free = {"stream": Stream(has_disc=False), "control": DirectFrequencies(frequencies=(0.5, 2.0))}
-    return {
-        "predation": lambda: Predation(**SMALL),
-        "gait": lambda: KarmanGait(**GAIT),
-        "averaged": lambda: KarmanGait(**GAIT, lateral_line=line),
-        "free": lambda: KarmanGait(**GAIT, **free),
-        "continuous": lambda: Predation(**SMALL, action="continuous"),
-        "own": lambda: MaskedTask(**SMALL),
-    }[kind]()
+LINE = LateralLine(is_averaged=True, features=("shear",))
+DIRECT = DirectFrequencies(frequencies=(0.5, 2.0))
+TASKS: dict[str, Callable[[], AbstractTask]] = {
+    "predation": lambda: Predation(**SMALL),
+    "gait": lambda: KarmanGait(**GAIT),
+    "averaged": lambda: KarmanGait(**GAIT, lateral_line=LINE),
+    "free": lambda: KarmanGait(**GAIT, stream=Stream(has_disc=False), control=DIRECT),
+    "continuous": lambda: Predation(**SMALL, action="continuous"),
+    "own": lambda: MaskedTask(**SMALL),
+}
+
+
+def begin(task: AbstractTask, num_envs: int = 1) -> FlowEnv:
+    env = make_flows(task, num_envs)
+    env.reset()
+    return env
+
+
+def read(env: FlowEnv) -> dict[str, torch.Tensor]:
+    return read_scene(env.task, env.solver, env.start)
 
 
 def list_keys(scene: Scene) -> set[str]:
@@ -50,12 +59,10 @@ def list_keys(scene: Scene) -> set[str]:
     return keys
 
 
-@pytest.mark.parametrize("kind", ["predation", "gait", "averaged", "free", "continuous", "own"])
-def test_everything_that_a_scene_names_can_be_read(kind: str) -> None:
-    task = make_task(kind)
-    env = make_env(task=task, num_envs=2, compile=False)
-    base, scene = env.base_env, make_scene(task)
-    values = read_scene(task, base.solver, base.start)
+@pytest.mark.parametrize("kind", TASKS)
+def test_every_key_of_a_scene_can_be_read(kind: str) -> None:
+    env = begin(task := TASKS[kind](), 2)
+    scene, values = make_scene(task), read(env)
     absent = {DISC, *(f"{DISC}_{name}" for name in ("centre", "force", "impulse"))}
     assert list_keys(scene) <= set(values) | absent
     assert tuple(field.key for field in scene.fields) == FIELDS
@@ -67,9 +74,8 @@ def test_everything_that_a_scene_names_can_be_read(kind: str) -> None:
     assert values["speed"].max().item() == pytest.approx(corner, rel=1e-3)
 
 
-def test_the_danger_area_of_the_scene_is_that_of_the_task() -> None:
-    task = make_task("gait")
-    assert isinstance(task, KarmanGait)
+def test_danger_area_of_the_scene_is_the_tasks() -> None:
+    task = KarmanGait(**GAIT)
     (area,) = [area for area in make_scene(task).areas if area.key == "danger_area"]
     for x, y in (area.low, area.high, (area.low[0], area.high[1])):
         place = torch.tensor([[x, y]], dtype=torch.float64) - torch.tensor(task.origin)
@@ -77,17 +83,16 @@ def test_the_danger_area_of_the_scene_is_that_of_the_task() -> None:
         assert margin.item() == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_midline_of_a_straight_fish_is_its_axis() -> None:
-    base = make_env(task=make_task("predation"), num_envs=1, compile=False).base_env
-    midline = read_scene(base.task, base.solver, base.start)["midline"][0]
-    head = base.solver.markers()[0, 0]
+def test_midline_of_a_straight_fish_is_its_axis() -> None:
+    env = begin(Predation(**SMALL))
+    midline, head = read(env)["midline"][0], env.solver.markers()[0, 0]
     assert midline[:, 1].tolist() == pytest.approx([head[1].item()] * len(midline))
     assert midline[0].tolist() == pytest.approx(head.tolist())
     assert midline[-1, 0] - head[0] == pytest.approx(20.0)
 
 
 class AcrossStream(Predation):
-    """Food in a stream along +y, which is nothing but a boundary of the flow."""
+    """Food in a stream along +y, set by the boundaries alone."""
 
     def flow_config(self) -> FlowConfig:
         stream = NonEquilibrium(velocity=(0.0, 1.0))
@@ -98,24 +103,31 @@ class AcrossStream(Predation):
         return replace(super().flow_config(), boundaries=edges, stream_speed=speed)
 
 
-def test_the_angle_of_attack_follows_the_stream_of_the_flow() -> None:
-    base = make_env(task=AcrossStream(**SMALL), num_envs=2, compile=False).base_env
-    base.solver.body.heading.fill_(0.2 - 0.5 * math.pi)
-    base.solver.body.velocity[:, 0] = -0.5 * base.task.scales.reference_speed
-    base.solver.set_stream_speed_(torch.zeros(2), torch.tensor([False, True]))
-    angle = read_scene(base.task, base.solver, base.start)["angle_of_attack"].tolist()
+def test_angle_of_attack_follows_the_stream_of_each_row() -> None:
+    env = begin(AcrossStream(**SMALL), 2)
+    env.solver.body.heading.fill_(0.2 - 0.5 * math.pi)
+    env.solver.body.velocity[:, 0] = -0.5 * env.task.scales.reference_speed
+    env.solver.set_stream_speed_(torch.zeros(2), torch.tensor([False, True]))
     # without a stream the fish heads across its way
-    assert angle == pytest.approx([math.degrees(0.2), math.degrees(0.2 + 0.5 * math.pi)])
+    expected = [math.degrees(0.2), math.degrees(0.2 + 0.5 * math.pi)]
+    assert read(env)["angle_of_attack"].tolist() == pytest.approx(expected)
 
 
-def test_the_angle_of_attack_of_a_fish_that_bends_is_that_of_its_report() -> None:
-    env = make_env(task=Follower(**TINY), num_envs=1, compile=False)
-    env.reset()
-    base = env.base_env
-    base.solver.body.internal_angle.fill_(0.05)
-    now = base.task.measure(base.solver, base.start)
-    angle = read_scene(base.task, base.solver, base.start)["angle_of_attack"]
-    torch.testing.assert_close(angle, now["heading"].rad2deg())
+@pytest.mark.parametrize("turn", [0.1, -0.3])
+@pytest.mark.parametrize("kind", ["gait", "predation"])
+def test_angle_of_attack_is_from_upstream_or_the_swimming_direction(kind: str, turn: float) -> None:
+    env = begin(TASKS[kind]())
+    env.solver.body.heading.fill_(math.pi + turn)
+    if kind == "predation":
+        assert read(env)["angle_of_attack"].isnan().all()
+        env.solver.body.velocity[:, 0] = -0.5 * env.task.scales.reference_speed
+    assert read(env)["angle_of_attack"].item() == pytest.approx(math.degrees(turn))
+
+
+def test_angle_of_attack_of_a_bending_fish_is_its_reported_heading() -> None:
+    env = begin(Follower(**TINY))
+    env.solver.body.internal_angle.fill_(0.05)
+    torch.testing.assert_close(read(env)["angle_of_attack"], env.measure()["heading"].rad2deg())
 
 
 class OwnFish(Fish):
@@ -132,19 +144,4 @@ class OwnPair(PairTask):
 
 def test_fish_of_any_type_are_drawn() -> None:
     task = OwnPair(**SMALL)
-    base = make_env(task=task, num_envs=1, compile=False).base_env
-    assert list_keys(make_scene(task)) <= set(read_scene(task, base.solver, base.start))
-
-
-@pytest.mark.parametrize("turn", [0.1, -0.3])
-@pytest.mark.parametrize("kind", ["gait", "predation"])
-def test_the_angle_of_attack_is_from_upstream_or_from_the_direction_of_swimming(
-    kind: str, turn: float
-) -> None:
-    base = make_env(task=make_task(kind), num_envs=1, compile=False).base_env
-    base.solver.body.heading.fill_(math.pi + turn)
-    if kind == "predation":
-        assert read_scene(base.task, base.solver, base.start)["angle_of_attack"].isnan().all()
-        base.solver.body.velocity[:, 0] = -0.5 * base.task.scales.reference_speed
-    angle = read_scene(base.task, base.solver, base.start)["angle_of_attack"].item()
-    assert angle == pytest.approx(math.degrees(turn))
+    assert list_keys(make_scene(task)) <= set(read(begin(task)))

@@ -1,4 +1,4 @@
-"""Banks of wakes: developed once, phases in order, files that are what they say."""
+"""Developed wakes: frequency, phases, keys and files."""
 
 from dataclasses import replace
 from math import pi
@@ -38,13 +38,13 @@ def bank() -> WakeBank:
     return develop_wakes(RECIPE, compile=False)
 
 
-def test_vortices_are_shed_at_a_plausible_frequency(bank: WakeBank) -> None:
+def test_shedding_frequency_is_plausible(bank: WakeBank) -> None:
     """Strouhal numbers of half discs lie at 0.15 to 0.27, see the validation page."""
     assert bank.populations.shape == (1, 4, 9, 48, 72)
     assert 0.15 < bank.shedding_frequencies.item() * 8 / 0.12 < 0.27
 
 
-def test_snapshots_follow_each_other_by_equal_parts_of_a_period(bank: WakeBank) -> None:
+def test_snapshots_are_equal_parts_of_a_period_apart(bank: WakeBank) -> None:
     """A quarter of a period on, each snapshot has become the next, and the last the first."""
     config = RECIPE.config
     solver = InPlaceSolver(config=config, num_envs=4, compile=False)
@@ -63,7 +63,7 @@ def test_snapshots_follow_each_other_by_equal_parts_of_a_period(bank: WakeBank) 
     assert (error.amin(1) < 0.15 * error.amax(1)).all()
 
 
-def test_each_flow_of_a_bank_has_the_wake_of_its_own_speed(
+def test_each_wake_has_its_own_speed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """One solver develops them all; vortices are left out, to save time."""
@@ -79,15 +79,13 @@ def test_each_flow_of_a_bank_has_the_wake_of_its_own_speed(
         torch.testing.assert_close(measured, torch.full_like(measured, speed), rtol=1e-4, atol=0)
 
 
-def test_a_wake_without_vortices_is_an_error() -> None:
+def test_wake_without_vortices_is_refused() -> None:
     with pytest.raises(ValueError, match="sheds too few vortices"):
         develop_wakes(replace(RECIPE, num_travels=4.0), compile=False)
 
 
-def test_a_file_is_made_once_and_read_the_next_time(
-    bank: WakeBank,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+def test_file_is_written_once_and_then_read(
+    bank: WakeBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("fishrl.envs.wakes.develop_wakes", lambda *_, **__: bank)
     load_wakes(RECIPE, tmp_path / "new")
@@ -98,19 +96,17 @@ def test_a_file_is_made_once_and_read_the_next_time(
     assert [path.suffix for path in (tmp_path / "new").iterdir()] == [".pt"]
 
 
-def test_the_key_covers_all_that_shapes_the_wakes_and_nothing_else() -> None:
+def test_key_covers_all_that_shapes_the_wakes_and_nothing_else() -> None:
+    body, tau = (DCylinder(diameter=9.0),), {"tau": 0.53}
     same = replace(RECIPE, config=replace(RECIPE.config, bodies=(DCylinder(diameter=8.0),)))
     assert same.key == RECIPE.key
-    others = [
-        replace(RECIPE, speeds=(0.11,)),
-        replace(RECIPE, num_phases=5),
-        replace(RECIPE, config=replace(RECIPE.config, tau=0.53)),
-        replace(RECIPE, config=replace(RECIPE.config, bodies=(DCylinder(diameter=9.0),))),
-    ]
+    configs = [replace(RECIPE.config, **change) for change in (tau, {"bodies": body})]
+    others = [replace(RECIPE, **change) for change in ({"speeds": (0.11,)}, {"num_phases": 5})]
+    others += [replace(RECIPE, config=config) for config in configs]
     assert len({RECIPE.key, *(other.key for other in others)}) == 5
 
 
-def test_files_that_hold_something_else_are_refused(bank: WakeBank, tmp_path: Path) -> None:
+def test_invalid_files_are_refused(bank: WakeBank, tmp_path: Path) -> None:
     path = tmp_path / f"wakes-{RECIPE.key}.pt"
     path.write_bytes(b"no wakes")
     with pytest.raises(ValueError, match=r"wakes .*: cannot be read; delete the file"):
@@ -123,11 +119,11 @@ def test_files_that_hold_something_else_are_refused(bank: WakeBank, tmp_path: Pa
         "shedding_frequencies": bank.shedding_frequencies,
     }
     torch.save({"format": "fishrl wakes, 1", "key": "another", **content}, path)
-    with pytest.raises(ValueError, match=f"those of recipe another .* expected {RECIPE.key}"):
+    with pytest.raises(ValueError, match=f"is of recipe another .* expected {RECIPE.key}"):
         load_wakes(RECIPE, tmp_path)
 
 
-def test_a_wake_that_diverges_is_an_error_with_a_remedy() -> None:
+def test_diverged_wake_is_refused_with_a_remedy() -> None:
     thin = replace(
         RECIPE, config=replace(RECIPE.config, tau=0.501), speeds=(0.3,), num_travels=10.0
     )

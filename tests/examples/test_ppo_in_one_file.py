@@ -13,7 +13,7 @@ from torch import Tensor
 from examples.ppo_in_one_file import Settings, make_fish, train
 from fishrl.envs import Predation
 from tests.envs.conftest import SMALL
-from tests.envs.masked_task import MaskedTask
+from tests.envs.small_tasks import MaskedTask
 
 pytestmark = [pytest.mark.usefixtures("kinematic"), pytest.mark.learning]
 BRIEF: dict[str, Any] = {**SMALL, "control_interval_T": 0.1, "checks_per_action": 4}

@@ -15,14 +15,8 @@ from fishrl.physics.boundaries import (
     Side,
 )
 from fishrl.physics.collision import compute_macroscopic
-from fishrl.physics.flow import (
-    FlowConfig,
-    FlowState,
-    make_params,
-    make_rest,
-    make_uniform,
-)
-from fishrl.physics.step import step
+from fishrl.physics.flow import FlowConfig, FlowState, make_rest, make_uniform
+from tests.physics.flows import advance
 
 
 @pytest.mark.parametrize("top", [NoSlip(velocity=(1.0, 0.0)), NonEquilibrium(velocity=(1.0, 0.0))])
@@ -30,16 +24,14 @@ def test_a_sliding_wall_drives_an_exact_couette_flow(top: NoSlip | NonEquilibriu
     """u = U y / H, H from wall to wall: a linear profile is met to round-off."""
     edges = Boundaries(left=Periodic(), right=Periodic(), bottom=NoSlip(), top=top)
     config = FlowConfig(width=4, height=8, tau=0.9, stream_speed=0.05, boundaries=edges)
-    state, params = FlowState(make_rest(config, 1)), make_params([config])
-    for _ in range(650):
-        state = step(state, config, params)
+    state = advance(FlowState(make_rest(config, 1)), config, 650)
     u = compute_macroscopic(state.f.unbind(1)).ux[0, :, 1]
     gap = 8.0 if isinstance(top, NoSlip) else 7.5
     exact = 0.05 * (torch.arange(8, dtype=torch.float64) + 0.5) / gap
     torch.testing.assert_close(u, exact, rtol=0, atol=1e-6)
 
 
-def test_a_resting_wall_given_as_a_list_also_holds_the_corners() -> None:
+def test_a_wall_velocity_given_as_a_list_equals_a_tuple() -> None:
     edges = [
         Boundaries(top=NoSlip(velocity=(1.0, 0.0)), left=NoSlip(velocity=rest), right=NoSlip())
         for rest in ((0.0, 0.0), [0.0, 0.0])
@@ -60,9 +52,7 @@ def test_sound_leaves_through_an_open_edge_and_returns_from_a_pinned_one() -> No
         pulse = 1e-3 * torch.exp(-(((x - 100) / 10) ** 2))
         # only the wave that runs to the right: u' = c_s rho'
         f = make_uniform(pulse, 0.05 + pulse / 3**0.5, 0.0 * pulse)
-        state, params = FlowState(f), make_params([config])
-        for _ in range(260):
-            state = step(state, config, params)
+        state = advance(FlowState(f), config, 260)
         drho, _, _ = compute_macroscopic(state.f.unbind(1))
         left[name] = float(drho[0, :, 10:150].abs().max())
     assert left["open"] < 6e-5 < 3e-4 < left["pinned"]

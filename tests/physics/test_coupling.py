@@ -1,4 +1,4 @@
-"""Torque, and derivatives of what a body does, through the readable step in float64."""
+"""Torque, prescribed motion and derivatives, through the readable step in float64."""
 
 import math
 from collections.abc import Callable
@@ -7,20 +7,21 @@ import pytest
 import torch
 from torch import Tensor
 
-from fishrl.physics import Cylinder, FlowConfig, FlowState, InPlaceSolver, Scales
+from fishrl.physics import Cylinder, FlowConfig, FlowState, Scales
 from fishrl.physics.bodies.motion import Driven, Free
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.collision import compute_moments
 from fishrl.physics.flow import make_params, make_rest, make_uniform
 from fishrl.physics.step import step
+from tests.physics.flows import advance, start_solver
 
 CENTRE = torch.tensor([[30.3, 29.6]], dtype=torch.float64)
 ONE = torch.ones(1, dtype=torch.float64)
 
 
 @pytest.mark.parametrize("rate", [0.004, -0.004])
-def test_what_a_turning_cylinder_gives_the_fluid_is_the_fluids_angular_momentum(
+def test_torque_impulse_of_a_turning_cylinder_equals_the_fluids_angular_momentum(
     rate: float,
 ) -> None:
     """Streaming and collision keep angular momentum, until 15 steps bring it to the edges."""
@@ -40,7 +41,7 @@ def test_what_a_turning_cylinder_gives_the_fluid_is_the_fluids_angular_momentum(
     assert felt == pytest.approx(-given, rel=1e-12)  # at a constant rate there is no inertia
 
 
-def test_a_driven_body_keeps_the_velocity_of_its_motion_whatever_its_state() -> None:
+def test_a_driven_body_moves_at_its_prescribed_velocity_from_any_state() -> None:
     """In the readable and in the in-place step; a sum of six numbers is exact to round-off."""
     motion = Driven(velocity=(0.03, -0.01), angular_velocity=0.002)
     body = Cylinder(diameter=12, motion=motion)
@@ -48,10 +49,8 @@ def test_a_driven_body_keeps_the_velocity_of_its_motion_whatever_its_state() -> 
     wrong = {"velocity": torch.full((1, 2), 0.05).double(), "angular_velocity": 0.1 * ONE}
     start = make_body(CENTRE, 0 * ONE, 0 * ONE)._replace(**wrong)
     state = FlowState(make_rest(config, 1), (start,))
-    for _ in range(6):
-        state = step(state, config, make_params([config]))
-    solver = InPlaceSolver(config=config, compile=False, num_workers=0)
-    solver.reset_(torch.tensor([True]), CENTRE)
+    state = advance(state, config, 6)
+    solver = start_solver(config, CENTRE)
     for name, value in wrong.items():
         getattr(solver.body, name).copy_(value)
     solver.advance_(6)
@@ -70,13 +69,8 @@ def swim(phase: Tensor, speed: Tensor, measure: Callable[[FlowState], Tensor]) -
     body = make_body(CENTRE, math.pi * ONE, ONE / SCALES.period)
     body = body._replace(phase=phase[None], beats=2 * ONE)
     none = torch.zeros(1, config.height, config.width, dtype=torch.float64)
-    state, params = (
-        FlowState(make_uniform(none, none + speed, none), (body,)),
-        make_params([config]),
-    )
-    for _ in range(3):
-        state = step(state, config, params)
-    return measure(state)
+    state = FlowState(make_uniform(none, none + speed, none), (body,))
+    return measure(advance(state, config, 3))
 
 
 @pytest.mark.parametrize(

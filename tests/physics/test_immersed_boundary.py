@@ -105,18 +105,6 @@ def test_direct_solve_leaves_no_slip() -> None:
     assert measure_slip(DirectSolve(regularisation=1e-12)) < 1e-12
 
 
-def test_direct_solve_is_the_limit_of_the_iteration() -> None:
-    stencil = make_stencil(make_markers(), Roma3(), SIZE, SIZE, torch.float64)
-    coupling = overlap_markers(stencil)
-    residual = (coupling @ torch.cos(0.1 * make_markers()[..., :1])).mT
-    one = torch.ones_like(residual[:, 0])
-    exact, iterated = (
-        solve(solve.prepare(coupling, one), residual)[0]
-        for solve in (DirectSolve(regularisation=1e-12), IterativeForcing(num_iterations=4000))
-    )
-    torch.testing.assert_close(iterated, exact, rtol=0, atol=2e-3)
-
-
 def test_an_unstable_relaxation_is_refused() -> None:
     with pytest.raises(ValueError, match=r"relaxation = 2.0 with Hat.*stable up to 1.00"):
         FlowConfig(

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.usefixtures("kinematic")
 
 
 def test_policies_of_one_name_or_of_different_tasks_are_refused(tmp_path: Path) -> None:
-    settings = TransferSettings(task=None, episodes=1, folder=str(tmp_path))
+    settings = TransferSettings(task=make_task(), episodes=1, folder=str(tmp_path))
     pid = make_trial("pid", make_task(), periods=BRIEF)
     with pytest.raises(ValueError, match="all of different names"):
         transfer([pid, pid], settings)
@@ -39,7 +39,7 @@ def test_runs_bring_their_own_task(tmp_path: Path) -> None:
 
 def test_work_is_compared_with_a_free_stream_held_without_a_disc(tmp_path: Path) -> None:
     settings = TransferSettings(
-        task=None, episodes=2, periods=4.0, free_episodes=1, folder=str(tmp_path)
+        task=make_task(), episodes=2, periods=4.0, free_episodes=1, folder=str(tmp_path)
     )
     results = transfer([make_trial("pid", make_task(), periods=4.0)], settings)
     free = results["free_stream"]

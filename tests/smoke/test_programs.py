@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 import fishrl.viewer.files
+from fishrl.__main__ import list_programs
 from fishrl.programs.train_settings import TRAINING
 from tests.docs.test_tutorials import BRIEF, CHANNEL
 from tests.envs.conftest import SMALL, move_kinematically
@@ -53,7 +54,8 @@ def _set_task(values: dict[str, Any]) -> list[str]:
 
 def _run(program: str, *arguments: object) -> None:
     """Run a program in this process; it must end well."""
-    module = importlib.import_module(f"experiments.{program}")
+    package = "fishrl.programs" if program in list_programs() else "experiments"
+    module = importlib.import_module(f"{package}.{program.replace('-', '_')}")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", [program, *map(str, arguments)])
         try:
@@ -92,20 +94,20 @@ def gait_run(runs: Path) -> Path:
         return _train(runs, "gait_run", *chosen, *task)
 
 
-def test_every_program_is_here() -> None:
-    programs = {
+def test_every_program_has_a_smoke_test() -> None:
+    research = {
         path.stem
         for path in (ROOT / "experiments").glob("*.py")
         if '__name__ == "__main__"' in path.read_text(encoding="utf-8")
     }
     text = Path(__file__).read_text(encoding="utf-8")
-    run = set(re.findall(r'_run\(\s*(?:\*\()?"(\w+)"', text))
-    missing = programs - run
+    run = set(re.findall(r'_run\(\s*(?:\*\()?"([\w-]+)"', text))
+    missing = {*list_programs(), *research} - {"demo"} - run  # the demo is run by test_demo.py
     assert not missing, f"no smoke test runs {sorted(missing)}"
 
 
 @pytest.mark.parametrize("task", [name for name in GROUPS["task"] if name != "predation"])
-def test_every_task_is_trained(task: str, runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_task_trains(task: str, runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if task not in REAL:
         move_kinematically(monkeypatch)
     is_continuous = task.endswith("_continuous") or task.startswith("follower")
@@ -118,26 +120,26 @@ def test_every_task_is_trained(task: str, runs: Path, monkeypatch: pytest.Monkey
 
 @pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize("algorithm", ["sac", "ppo"])
-def test_a_policy_of_continuous_actions_is_evaluated_viewed_and_exported(
+def test_policy_of_continuous_actions_is_evaluated_viewed_and_exported(
     algorithm: str, tmp_path: Path
 ) -> None:
     chosen = ["task=predation_continuous", f"algorithm={algorithm}", *_set_task(KINEMATIC)]
     rollout = ["algorithm.rollout_length=2"] if algorithm == "ppo" else []
     run = _train(tmp_path, algorithm, *chosen, *rollout, pictures=1)
     _run("evaluate", f"checkpoint={run}", "episodes=1", "num_envs=1", *EAGER)
-    _run("export_policy", f"run={run}", f"folder={tmp_path / 'policy'}")
+    _run("export-policy", f"run={run}", f"folder={tmp_path / 'policy'}")
     _run("evaluate", f"checkpoint={tmp_path / 'policy'}", "episodes=1", "num_envs=1", *EAGER)
     _run("view", f"run={run}", f"save={tmp_path / 'flow.rrd'}", "periods=1", *EAGER)
     assert (tmp_path / "flow.rrd").is_file()
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_two_fish_are_viewed_and_their_transitions_are_no_data_of_one(tmp_path: Path) -> None:
+def test_two_fish_are_viewed_but_not_written_as_a_dataset(tmp_path: Path) -> None:
     chosen = ["policy=pursuit", "task=predation_pair", *_set_task(KINEMATIC), *EAGER]
     _run("view", *chosen, f"save={tmp_path / 'flow.rrd'}", "periods=1")
     assert (tmp_path / "flow.rrd").is_file()
     with pytest.raises(AssertionError):  # the program says why, and fails
-        _run("export_data", *chosen, "name=pair-v0", f"folder={tmp_path}", "episodes=1")
+        _run("export-data", *chosen, "name=pair-v0", f"folder={tmp_path}", "episodes=1")
 
 
 @pytest.mark.usefixtures("kinematic")
@@ -149,24 +151,24 @@ def test_two_fish_are_viewed_and_their_transitions_are_no_data_of_one(tmp_path: 
         *(("karman_gait", name) for name in ("pid", "passive", "bang_bang", "shedding")),
     ],
 )
-def test_every_baseline_is_evaluated(task: str, policy: str) -> None:
+def test_each_baseline_is_evaluated(task: str, policy: str) -> None:
     chosen = [f"policy={policy}", f"task={task}", *_set_task(KINEMATIC), "task.time_limit=2"]
     if task == "predation":  # pursuers decide once per T
         chosen += ["task.control_interval_T=1", "task.checks_per_action=25"]
     _run("evaluate", *chosen, "episodes=2", "num_envs=2", *EAGER)
 
 
-def test_a_learned_policy_is_evaluated_shown_listed_and_exported(
+def test_learned_policy_is_evaluated_shown_and_exported(
     predation_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _run("evaluate", f"checkpoint={predation_run}", "episodes=1", "num_envs=1", *EAGER)
     _run("export_steering", f"run={predation_run}", f"path={tmp_path / 'steering.pt'}")
-    _run("export_policy", f"run={predation_run}", f"folder={tmp_path / 'policy'}")
+    _run("export-policy", f"run={predation_run}", f"folder={tmp_path / 'policy'}")
     exported = [f"checkpoint={tmp_path / 'policy'}", f"save={tmp_path / 'flow.nc'}"]
     _run("export", *exported, "periods=1", "frames_per_T=2", *EAGER)
     assert (tmp_path / "flow.nc").stat().st_size > 1000
     data = [f"checkpoint={tmp_path / 'policy'}", "name=catches-v0", f"folder={tmp_path / 'data'}"]
-    _run("export_data", *data, "episodes=1", "num_envs=1", *EAGER)
+    _run("export-data", *data, "episodes=1", "num_envs=1", *EAGER)
     assert (tmp_path / "data/catches-v0/data/main_data.hdf5").is_file()
     verified = []
 
@@ -184,33 +186,33 @@ def test_a_learned_policy_is_evaluated_shown_listed_and_exported(
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_a_gait_is_tried_in_all_streams(gait_run: Path, tmp_path: Path) -> None:
+def test_transfer_writes_its_tables(gait_run: Path, tmp_path: Path) -> None:
     given = [f"runs=[{gait_run}]", "baselines=[pid]", "episodes=1", "periods=0.2"]
     _run("transfer", *given, f"folder={tmp_path}")
     assert (tmp_path / "transfer.md").is_file()
 
 
-def test_a_sweep_is_summed_up(predation_run: Path) -> None:
+def test_summarize_writes_its_tables(predation_run: Path) -> None:
     _run("summarize", predation_run.parent)
     assert (predation_run.parent / "summary.md").is_file()
 
 
-def test_a_setting_is_searched_for(tmp_path: Path) -> None:
+def test_search_stores_its_study(tmp_path: Path) -> None:
     few = [*FEW, "picture_episodes=0", "baselines=[]", *_set_task(REAL["predation"])]
     _run("search", f"folder={tmp_path}", "gamma=interval(0.9,0.99)", *few, "trials=1")
     assert (tmp_path / "study.db").is_file()
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_a_lateral_line_is_studied(tmp_path: Path) -> None:
+def test_lateral_line_classifier_is_trained(tmp_path: Path) -> None:
     few = ["num_samples=96", "max_decisions=2", "num_envs=6", "num_epochs=2", "hidden=[8]"]
     places = [f"folder={tmp_path}", "name=line", f"data_folder={tmp_path / 'data'}"]
-    _run("train_lateral_line", *few, *places, *_set_task(KINEMATIC), *EAGER)
+    _run("train-lateral-line", *few, *places, *_set_task(KINEMATIC), *EAGER)
     assert (tmp_path / "line" / "machine.pt").is_file()
 
 
 @pytest.mark.slow  # runs every other program in a process of its own
-def test_a_tiny_reproduction_runs_all_jobs_and_writes_its_page(tmp_path: Path) -> None:
+def test_tiny_reproduction_runs_all_jobs_and_writes_its_page(tmp_path: Path) -> None:
     _run("reproduce", "scale=tiny", f"folder={tmp_path}")
     page = (tmp_path / "reproduction.md").read_text(encoding="utf-8")
     pictures = re.findall(r"\]\((figures/\w+\.png)\)", page)
@@ -218,11 +220,11 @@ def test_a_tiny_reproduction_runs_all_jobs_and_writes_its_page(tmp_path: Path) -
     assert "| survival with both, T | 100.0, 100.0, 100.0 |" in page
 
 
-def test_the_solver_is_judged_by_a_case(tmp_path: Path) -> None:
+def test_one_validation_case_runs(tmp_path: Path) -> None:
     _run("validate", "quick=true", "cases=[taylor-green]", f"folder={tmp_path}", "jobs=1")
 
 
-def test_the_speed_of_flows_is_measured(tmp_path: Path) -> None:
+def test_one_benchmark_runs(tmp_path: Path) -> None:
     _run(
         *("benchmark", "groups=[probe]", "body_length=80", "rounds=2", "burst=0.01", "threads=1"),
         f"folder={tmp_path}",

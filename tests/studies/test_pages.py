@@ -50,6 +50,15 @@ def test_scripts_compile_and_import_public_names_alone(study: str) -> None:
         assert not [name for name in named if name.startswith("_")], path
 
 
+def test_nothing_imports_the_studies() -> None:
+    for folder in ("fishrl", "experiments", "examples"):
+        for path in (STUDIES.parent / folder).rglob("*.py"):
+            nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+            named = [a.name for n in nodes if isinstance(n, ast.Import) for a in n.names]
+            named += [n.module or "" for n in nodes if isinstance(n, ast.ImportFrom)]
+            assert not [name for name in named if name.partition(".")[0] == "studies"], path
+
+
 def test_appendix_of_the_documentation_lists_every_study() -> None:
     appendix = (STUDIES.parent / "docs" / "studies.md").read_text(encoding="utf-8")
     assert set(re.findall(r"studies/(\w+)/README\.md", appendix)) == set(NAMES)

@@ -54,7 +54,6 @@ def test_only_settings_that_do_not_fix_the_result_may_differ(toy: Toy) -> None:
         plan,
         run=replace(plan.run, total_frames=480, log_frames=8, name=None, folder="elsewhere"),
         extra={"pictures": 2},
-        preset="other",
     )
     assert find_changes(folder, plan) == {}
     changes = find_changes(folder, changed)

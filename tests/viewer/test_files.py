@@ -1,4 +1,4 @@
-"""Recordings in files: they verify, every view draws, and errors say what to do."""
+"""Recordings in files: verification, views, and errors with their remedy."""
 
 import subprocess
 import sys
@@ -32,18 +32,23 @@ ENTITIES = {
 }  # fmt: skip
 
 
-class Unstarted(Viewer):
-    """A viewer without its program."""
+@pytest.fixture
+def unstarted(monkeypatch: pytest.MonkeyPatch) -> type[Viewer]:
+    """Replace the viewer's program by nothing, and its waiting times by none."""
 
-    def __init__(self, *options: str, port: int) -> None:
-        self._options, self.port, self.url = options, port, "nowhere"
+    class Unstarted(Viewer):
+        is_running = False
 
-    @property
-    def is_running(self) -> bool:
-        return False
+        def __init__(self, *options: str, port: int) -> None:
+            self._options, self.port, self.url = options, port, "nowhere"
 
-    def close(self) -> None:
-        """Do nothing."""
+        def close(self) -> None:
+            """Do nothing."""
+
+    monkeypatch.setattr(files_module, "Viewer", Unstarted)
+    monkeypatch.setattr(files_module, "_GREETING_S", 0.0)
+    monkeypatch.setattr(files_module.time, "sleep", lambda seconds: None)
+    return Unstarted
 
 
 LINE = SimpleNamespace(name=TIMELINE, start=0, end=2_000_000_000)
@@ -64,7 +69,7 @@ def run_rerun(*arguments: str) -> str:
     return done.stdout
 
 
-def test_files_verify_and_hold_every_entity_of_every_flow(tmp_path: Path) -> None:
+def test_files_verify_and_hold_every_entity(tmp_path: Path) -> None:
     paths = [str(tmp_path / f"{field_format}.rrd") for field_format in FieldFormat]
     for path, field_format in zip(paths, FieldFormat, strict=True):
         write(Path(path), field_format=field_format)
@@ -74,7 +79,7 @@ def test_files_verify_and_hold_every_entity_of_every_flow(tmp_path: Path) -> Non
         assert {entity for entity in ENTITIES if entity in shown} == ENTITIES
 
 
-def test_a_file_is_replaced_and_many_frames_go_into_few_chunks(tmp_path: Path) -> None:
+def test_file_is_replaced_and_frames_share_chunks(tmp_path: Path) -> None:
     path = tmp_path / "flows.rrd"
     write(path, num_frames=41)
     size = path.stat().st_size
@@ -86,54 +91,49 @@ def test_a_file_is_replaced_and_many_frames_go_into_few_chunks(tmp_path: Path) -
 
 @needs_vulkan
 @pytest.mark.parametrize("field_format", ["jpeg", pytest.param("u8", marks=pytest.mark.slow)])
-def test_every_view_of_a_recording_draws(tmp_path: Path, field_format: str) -> None:
+def test_every_view_draws(tmp_path: Path, field_format: str) -> None:
     path = tmp_path / "flows.rrd"
     write(path, num_frames=9, field_format=field_format)
     pictures = photograph_views(path, time_T=1.5)
     check_views(pictures, make_scene(), title="flow 0: slow", least=0.02)
 
 
-def test_a_viewer_that_ends_while_it_is_needed_says_what_it_needs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_viewer_that_ends_names_what_it_needs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unstarted: type[Viewer]
 ) -> None:
     def connect(url: str) -> Any:
         raise ConnectionError("transport error")
 
-    client = SimpleNamespace(connect=connect)
-    monkeypatch.setattr("rerun.experimental.ViewerClient", client)
-    monkeypatch.setattr(files_module, "Viewer", Unstarted)
-    monkeypatch.setattr(files_module, "_GREETING_S", 0.0)
+    monkeypatch.setattr("rerun.experimental.ViewerClient", SimpleNamespace(connect=connect))
     write(tmp_path / "flows.rrd", num_frames=1)
     with pytest.raises(ValueError, match=r"rerun does not run .* --headless.* a Vulkan driver"):
         write_screenshot(tmp_path / "flows.rrd", tmp_path / "x.png", time_T=0.0)
     assert not (tmp_path / "x.png").exists()
 
 
-def test_a_viewer_that_is_too_busy_to_answer_is_asked_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_busy_viewer_is_asked_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unstarted: type[Viewer]
 ) -> None:
     times: list[float] = []
-    failures = dict.fromkeys(("connect", "open", "get_state", "set_time", "take_screenshot"), 2)
+    client = SimpleNamespace()
+    answers = {"connect": client, "open": None, "get_state": STATE, "set_time": None}
+    answers["take_screenshot"] = b"picture"
+    failures = dict.fromkeys(answers, 2)
 
-    def answer(name: str, value: Any) -> Any:
+    def answer(name: str) -> Any:
         def call(*_: Any, duration: float = -1.0, **__: Any) -> Any:
             failures[name] -= 1
             if failures[name] >= 0:
                 raise (ConnectionError if failures[name] else TimeoutError)("no answer in time")
             times.append(duration)
-            return value
+            return answers[name]
 
         return call
 
-    client = SimpleNamespace()
-    answers = {"connect": client, "open": None, "get_state": STATE, "set_time": None}
-    for name, value in (answers | {"take_screenshot": b"picture"}).items():
-        setattr(client, name, answer(name, value))
+    for name in answers:
+        setattr(client, name, answer(name))
     monkeypatch.setattr("rerun.experimental.ViewerClient", client)
-    monkeypatch.setattr(Unstarted, "is_running", True)
-    monkeypatch.setattr(files_module, "Viewer", Unstarted)
-    monkeypatch.setattr(files_module, "_GREETING_S", 0.0)
-    monkeypatch.setattr(files_module.time, "sleep", lambda seconds: None)
+    monkeypatch.setattr(unstarted, "is_running", True)
     write(tmp_path / "flows.rrd", num_frames=1)
     write_screenshot(tmp_path / "flows.rrd", tmp_path / "x.png")
     assert (tmp_path / "x.png").read_bytes() == b"picture"
@@ -141,7 +141,7 @@ def test_a_viewer_that_is_too_busy_to_answer_is_asked_again(
 
 
 @needs_vulkan
-def test_a_damaged_file_has_no_picture_and_says_so(tmp_path: Path) -> None:
+def test_damaged_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "flows.rrd"
     write(path)
     path.write_bytes(path.read_bytes()[:100])
@@ -149,7 +149,7 @@ def test_a_damaged_file_has_no_picture_and_says_so(tmp_path: Path) -> None:
         write_screenshot(path, tmp_path / "x.png")
 
 
-def test_a_file_needs_a_folder_and_a_drawing_a_place(tmp_path: Path) -> None:
+def test_missing_folder_and_missing_target_are_refused(tmp_path: Path) -> None:
     write(tmp_path / "flows.rrd", num_frames=1)
     for call in (write, lambda path: write_screenshot(tmp_path / "flows.rrd", path)):
         with pytest.raises(FileNotFoundError, match=r"no folder .*nowhere: make it first"):
@@ -158,9 +158,7 @@ def test_a_file_needs_a_folder_and_a_drawing_a_place(tmp_path: Path) -> None:
         start_drawing(make_scene(), flows=FLOWS)
 
 
-def test_a_run_folder_stands_for_its_capture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_run_folder_stands_for_its_capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(FileNotFoundError, match=r"no \.rrd file at .*capture\.rrd"):
         find_recording(tmp_path)
     write(tmp_path / "capture.rrd", num_frames=1)

@@ -1,4 +1,4 @@
-"""Recording flows: which moments are kept, what they carry, and when an episode ends."""
+"""Recordings: moments, their content, and the end of an episode."""
 
 from collections import defaultdict
 from typing import Any
@@ -94,14 +94,11 @@ def record(num_envs: int, *, device: str = "cpu") -> tuple[Predation, list[Recor
     task = Predation(**TASK)
     starts = task.sample_starts(2, torch.Generator().manual_seed(0))
     starts["head"] = torch.tensor([[5.0, 2.5], [5.0, 3.75]], dtype=torch.float64) * 20
+    checks = task.checks_per_action
     env = make_env(
-        task=task,
-        num_envs=num_envs,
-        device=device,
-        compile=False,
-        frames_per_action=task.checks_per_action,
+        task=task, num_envs=num_envs, device=device, compile=False, frames_per_action=checks
     )
-    env.rollout(1)  # whatever it did before
+    env.rollout(1)
     scene = make_scene(env)
     recordings = [Recording(scene=scene), Recording(scene=scene)]
 
@@ -115,7 +112,7 @@ def record(num_envs: int, *, device: str = "cpu") -> tuple[Predation, list[Recor
 
 @pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize("num_envs", [1, 3])
-def test_episodes_are_recorded_from_their_starts_to_the_capture(num_envs: int) -> None:
+def test_episodes_are_recorded_from_start_to_capture(num_envs: int) -> None:
     task, (caught, missed), episodes = record(num_envs)
     assert episodes.succeeded.tolist() == [True, False]
     assert caught.frames[-1].values["reward"] == 21.0
@@ -133,7 +130,7 @@ def test_episodes_are_recorded_from_their_starts_to_the_capture(num_envs: int) -
 
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA")
-def test_flows_on_a_gpu_are_recorded_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gpu_flows_are_recorded_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(TASK, "time_limit", 1)
     _, recordings, _ = record(2, device="cuda")
     for recording in recordings:
@@ -143,7 +140,7 @@ def test_flows_on_a_gpu_are_recorded_on_the_cpu(monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize("recognition", [None, "oracle"])
-def test_plots_of_outputs_that_the_env_does_not_have_are_left_out(recognition: str | None) -> None:
+def test_plots_of_missing_outputs_are_left_out(recognition: str | None) -> None:
     task = KarmanGait(**{**SMALL, "wall_margin_bl": 0.25})
     env = make_env(task=task, num_envs=1, compile=False, recognition=recognition)
     scene = make_scene(env, field="pressure", field_limit=7.0)
@@ -154,7 +151,7 @@ def test_plots_of_outputs_that_the_env_does_not_have_are_left_out(recognition: s
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_flows_are_titled_by_number_and_stream() -> None:
+def test_flow_titles_hold_number_and_stream() -> None:
     task = KarmanGait(**{**SMALL, "wall_margin_bl": 0.25})
     starts = task.sample_starts(3, torch.Generator().manual_seed(0))
     starts["flow_index"] = torch.tensor([2, 1, 0])

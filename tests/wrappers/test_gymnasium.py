@@ -17,7 +17,7 @@ from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 from fishrl.envs import AbstractTask, Predation, make_env
 from fishrl.wrappers.gymnasium import FlowVectorEnv
 from tests.envs.conftest import SMALL
-from tests.envs.masked_task import MaskedTask
+from tests.envs.small_tasks import MaskedTask
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 MODES = [mode.value for mode in AutoresetMode]
@@ -36,47 +36,43 @@ def keep(num: int = 2) -> np.ndarray:
     return np.ones(num, dtype=np.int64)
 
 
-def test_observations_and_actions_are_of_their_spaces() -> None:
+def test_observations_and_actions_belong_to_their_spaces() -> None:
     envs = make(num_envs=3)
     observations, infos = envs.reset(seed=1)
-    assert observations in envs.observation_space
     assert observations.shape == (3, *envs.single_observation_space.shape)
-    masks = tuple(infos["action_mask"])
-    actions = envs.action_space.sample(mask=masks)
-    assert actions in envs.action_space
+    actions = envs.action_space.sample(mask=tuple(infos["action_mask"]))
+    assert observations in envs.observation_space and actions in envs.action_space
     observations, rewards, terminations, truncations, infos = envs.step(actions)
     assert observations in envs.observation_space
-    assert rewards.dtype == np.float64
-    assert {a.shape for a in (rewards, terminations, truncations)} == {(3,)}
-    assert terminations.dtype == truncations.dtype == np.bool_
+    assert rewards.dtype == np.float64 and rewards.shape == (3,)
+    for flags in (terminations, truncations):
+        assert flags.dtype == np.bool_ and flags.shape == (3,)
     assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    envs.close()
+    for _ in range(2):
+        envs.close()
     assert envs.flows.solver.is_closed
-    envs.close()
 
 
-def test_steps_are_those_of_the_torchrl_environment() -> None:
+def test_steps_equal_those_of_the_torchrl_environment() -> None:
     task = Predation(**SMALL, time_limit=LIMIT)
     rollout = make_env(task=task, num_envs=2, seed=3, compile=False).rollout(
         8, lambda td: td.set("action", torch.full((2,), 2)), break_when_any_done=False
     )
     envs = make("SameStep", task)
     observations, _ = envs.reset(seed=3)
-    # TorchRL's first reset comes a second time after the seed is set anew: same episode
     for t in range(8):
         assert np.array_equal(observations, rollout["observation_stack"][:, t].numpy())
         observations, rewards, terminations, truncations, infos = envs.step(2 * keep())
         after = rollout["next"][:, t]
-        assert np.array_equal(rewards, after["reward"].squeeze(-1).double().numpy())
-        assert np.array_equal(terminations, after["terminated"].squeeze(-1).numpy())
-        assert np.array_equal(truncations, after["truncated"].squeeze(-1).numpy())
+        outcome = {"reward": rewards, "terminated": terminations, "truncated": truncations}
+        for name, values in outcome.items():
+            assert np.array_equal(values, after[name].squeeze(-1).numpy())
         for row in (terminations | truncations).nonzero()[0]:
-            last = after["observation_stack"][row].numpy()
-            assert np.array_equal(infos["final_obs"][row], last)
+            assert np.array_equal(infos["final_obs"][row], after["observation_stack"][row].numpy())
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_continuous_actions_are_numbers_in_a_box(mode: str) -> None:
+def test_continuous_actions_are_a_box(mode: str) -> None:
     envs = make(mode, Predation(**SMALL, time_limit=LIMIT, action="continuous"), num_envs=3)
     assert envs.single_action_space == Box(-1.0, 1.0, (2,), np.float32)
     _, infos = envs.reset(seed=1)
@@ -93,60 +89,53 @@ def test_continuous_actions_are_numbers_in_a_box(mode: str) -> None:
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_one_seed_gives_one_course_and_another_another(mode: str) -> None:
-    envs = make(mode)
-    courses = []
+def test_seed_fixes_the_episodes(mode: str) -> None:
+    envs, courses = make(mode), []
     for seed in (5, 5, 6):
         course = [envs.reset(seed=seed)[0]]
         course += [envs.step(keep())[0] for _ in range(LIMIT)]
         courses.append(np.stack(course))
     assert np.array_equal(courses[0], courses[1])
     assert not np.array_equal(courses[0], courses[2])
-    assert not np.array_equal(courses[0][0, 0], courses[0][0, 1])  # rows draw their own
+    assert not np.array_equal(courses[0][0, 0], courses[0][0, 1])  # rows differ
 
 
-def test_rows_that_end_begin_anew_in_the_next_step_and_lose_no_time() -> None:
+def test_next_step_autoreset_resets_without_advancing_the_flow() -> None:
     envs = make("NextStep")
-    observations, _ = envs.reset(seed=0)
+    envs.reset(seed=0)
     for _ in range(LIMIT):
         _, _, terminations, truncations, infos = envs.step(keep())
     assert truncations.all() and not terminations.any()
     assert infos["step_count"].tolist() == [LIMIT] * 2
-    age = envs.flows.solver.body.age.clone()
+    assert (envs.flows.solver.body.age > 0).all()
     observations, rewards, terminations, truncations, infos = envs.step(keep())
-    assert rewards.tolist() == [0.0, 0.0]
-    assert not (terminations | truncations).any()
+    assert rewards.tolist() == [0.0, 0.0] and not (terminations | truncations).any()
     assert infos["step_count"].tolist() == [0, 0]
-    assert (age > 0).all() and (envs.flows.solver.body.age == 0).all()
-    stack = observations.reshape(2, envs.env.base_env.task.num_stacked, -1)
+    assert (envs.flows.solver.body.age == 0).all()
+    stack = observations.reshape(2, envs.flows.task.num_stacked, -1)
     assert (stack == stack[:, :1]).all()  # the first observation fills the stack
 
 
-def test_a_row_that_waits_for_its_reset_leaves_its_neighbour_alone() -> None:
-    """Row 0 is ended early by divergence; row 1 goes on as if nothing were."""
+def test_row_that_awaits_its_reset_affects_no_other() -> None:
     envs, intact = make("NextStep"), make("NextStep")
     for one in (envs, intact):
         one.reset(seed=0)
-    envs.flows.solver.body.position[0] = torch.nan
+    envs.flows.solver.body.position[0] = torch.nan  # row 0 ends early
     _, rewards, _, truncations, infos = envs.step(keep())
     intact.step(keep())
     assert truncations.tolist() == infos["diverged"].tolist() == [True, False]
     assert rewards[0] == 0.0
-    moved = intact.step(keep())
-    # an illegal or absurd action of a row that waits is ignored
-    after = envs.step(np.array([99, 1]))
-    assert np.array_equal(after[0][1], moved[0][1])
-    assert after[1][1] == moved[1][1]
+    moved, after = intact.step(keep()), envs.step(np.array([99, 1]))  # 99 is ignored
+    assert np.array_equal(after[0][1], moved[0][1]) and after[1][1] == moved[1][1]
     assert after[4]["step_count"].tolist() == [0, 2]
     assert envs.flows.is_resting.tolist() == [False, False]
 
 
-def test_rows_that_end_begin_anew_in_the_same_step_and_show_their_end() -> None:
+def test_same_step_autoreset_returns_final_observation() -> None:
     envs = make("SameStep")
     envs.reset(seed=0)
     for _ in range(LIMIT - 1):
-        infos = envs.step(keep())[4]
-        assert "final_obs" not in infos
+        assert "final_obs" not in envs.step(keep())[4]
     envs.flows.solver.body.position[0] = torch.nan
     observations, _, _, truncations, infos = envs.step(keep())
     assert truncations.tolist() == [True, True]
@@ -158,7 +147,7 @@ def test_rows_that_end_begin_anew_in_the_same_step_and_show_their_end() -> None:
     assert not np.array_equal(infos["final_obs"][1], observations[1])
 
 
-def test_without_autoreset_rows_are_reset_by_a_mask_and_not_forgotten() -> None:
+def test_disabled_autoreset_needs_a_reset_mask() -> None:
     envs = make("Disabled", num_envs=3)
     envs.reset(seed=0)
     envs.flows.solver.body.position[1] = torch.nan
@@ -174,24 +163,23 @@ def test_without_autoreset_rows_are_reset_by_a_mask_and_not_forgotten() -> None:
 
 
 def test_masks_are_in_the_infos_and_illegal_actions_are_refused() -> None:
-    envs = make(task=MaskedTask(**SMALL, time_limit=8), num_envs=2)
+    envs = make(task=MaskedTask(**SMALL, time_limit=8))
     _, infos = envs.reset(seed=0)
-    some_illegal = False
-    rng = np.random.default_rng(0)
+    rng, seen = np.random.default_rng(0), []
     for _ in range(20):
         masks = envs.action_masks()
         assert np.array_equal(infos["action_mask"].astype(bool), masks)
         assert infos["action_mask"].dtype == np.int8
-        some_illegal |= not masks.all()
+        seen.append(masks)
         infos = envs.step(np.array([rng.choice(mask.nonzero()[0]) for mask in masks]))[4]
-    assert some_illegal
+    assert not np.stack(seen).all()
     while envs.action_masks()[:, 1].all():
         envs.step(keep())
     with pytest.raises(ValueError, match="legal is"):
         envs.step(keep())
 
 
-def test_what_a_task_reports_is_in_the_infos() -> None:
+def test_reported_entries_are_in_the_infos() -> None:
     envs = make("SameStep", MaskedTask(**SMALL, time_limit=2))
     _, infos = envs.reset(seed=0)
     assert infos["beats"].tolist() == [1.0, 1.0]
@@ -201,7 +189,7 @@ def test_what_a_task_reports_is_in_the_infos() -> None:
     assert all(infos[f"_{name}"].tolist() == [True, True] for name in reported)
 
 
-def test_wrappers_of_gymnasium_fit() -> None:
+def test_gymnasium_wrappers_apply() -> None:
     envs = RecordEpisodeStatistics(make("SameStep"))
     envs.reset(seed=0)
     rewards = sum(envs.step(keep())[1] for _ in range(LIMIT - 1))
@@ -213,39 +201,42 @@ def test_wrappers_of_gymnasium_fit() -> None:
     assert [info["step_count"] for info in infos] == [0, 0]
 
 
-def test_what_cannot_be_is_refused() -> None:
+def test_invalid_arguments_are_refused() -> None:
     with pytest.raises(ValueError, match="'sometimes' is not a valid AutoresetMode"):
         make("sometimes")
-    envs = make()
-    for call in (lambda: envs.step(keep()), envs.action_masks):
+    envs, mask = make(), np.array([True, False])
+    before = (
+        lambda: envs.step(keep()),
+        envs.action_masks,
+        lambda: envs.reset(options={"reset_mask": mask}),
+    )
+    for call in before:
         with pytest.raises(ResetNeeded, match="call reset"):
             call()
-    with pytest.raises(ResetNeeded, match="call reset"):
-        envs.reset(options={"reset_mask": np.array([True, False])})
     envs.reset()
     for actions in (np.ones(3, dtype=int), np.ones(2)):
         with pytest.raises(ValueError, match=r"actions of shape .*: expected \(2,\), integer"):
             envs.step(actions)
-    with pytest.raises(ValueError, match="reset_mask of shape"):
-        envs.reset(options={"reset_mask": np.ones(3, bool)})
-    with pytest.raises(ValueError, match="options = "):
-        envs.reset(options={"reset_msk": np.ones(2, bool)})
+    for name, wrong in (("reset_mask", np.ones(3, bool)), ("reset_msk", mask)):
+        with pytest.raises(ValueError, match=r"reset_mask of shape|options = "):
+            envs.reset(options={name: wrong})
     with pytest.raises(Error):
         envs.reset(seed=-1)
 
 
 @pytest.mark.parametrize(
-    ("module", "needs", "extra"),
+    ("module", "needs", "package"),
     [
         ("gymnasium", "gymnasium.error", "gymnasium"),
         ("stable_baselines", "stable_baselines3.common.vec_env", "stable-baselines3"),
+        ("minari", "minari", "minari"),
     ],
 )
-def test_a_missing_framework_is_an_error_with_the_command_to_install_it(
-    monkeypatch: pytest.MonkeyPatch, module: str, needs: str, extra: str
+def test_missing_framework_names_the_command_to_install_it(
+    monkeypatch: pytest.MonkeyPatch, module: str, needs: str, package: str
 ) -> None:
     name = f"fishrl.wrappers.{module}"
     monkeypatch.setitem(sys.modules, needs, None)
     monkeypatch.delitem(sys.modules, name, raising=False)
-    with pytest.raises(ImportError, match=rf"needs .*: pip install .*{extra}"):
+    with pytest.raises(ImportError, match=rf"needs .*: pip install .*{package}"):
         importlib.import_module(name)

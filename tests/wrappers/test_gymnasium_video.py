@@ -7,11 +7,16 @@ from fishrl.envs import Predation, make_env
 from fishrl.wrappers.gymnasium import FlowVectorEnv
 from tests.envs.conftest import SMALL
 
+TASK = Predation(**SMALL, domain_bl=(6.0, 4.0), start_x_bl=(3.0, 4.0))
+
+
+def make(**options: str) -> FlowVectorEnv:
+    env = make_env(task=TASK, num_envs=2, compile=False)
+    return FlowVectorEnv(env, render_mode="rgb_array", **options)
+
 
 def test_each_row_has_a_picture_of_its_flow() -> None:
-    task = Predation(**SMALL, domain_bl=(6.0, 4.0), start_x_bl=(3.0, 4.0))
-    env = make_env(task=task, num_envs=2, compile=False)
-    envs = FlowVectorEnv(env, render_mode="rgb_array")
+    envs = make()
     assert envs.render_mode in envs.metadata["render_modes"]
     envs.reset(seed=0)
     before = envs.render()
@@ -20,20 +25,16 @@ def test_each_row_has_a_picture_of_its_flow() -> None:
     envs.close()
     assert len(before) == 2
     for first, second in zip(before, after, strict=True):
-        assert first.dtype == np.uint8
-        assert first.shape == second.shape
-        assert first.shape[2] == 3
-        assert not np.array_equal(first, second)
+        assert first.dtype == np.uint8 and first.shape[2] == 3
+        assert first.shape == second.shape and not np.array_equal(first, second)
     assert not np.array_equal(*before)  # they start at different places
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_a_picture_of_a_new_episode_shows_nothing_of_the_one_before() -> None:
-    task = Predation(**SMALL, domain_bl=(6.0, 4.0), start_x_bl=(3.0, 4.0))
+def test_path_restarts_with_each_episode() -> None:
     pictures = []
     for seen_before in (0, 2):
-        env = make_env(task=task, num_envs=2, compile=False)
-        envs = FlowVectorEnv(env, autoreset_mode="Disabled", render_mode="rgb_array")
+        envs = make(autoreset_mode="Disabled")
         envs.reset(seed=0)
         for decision in range(2):
             envs.step(np.array([1, 1]))
@@ -45,10 +46,10 @@ def test_a_picture_of_a_new_episode_shows_nothing_of_the_one_before() -> None:
         envs.close()
     (fresh, _), (after, other) = pictures
     assert np.array_equal(after, fresh)
-    assert not np.array_equal(other, pictures[0][1])  # this one goes on, and its path with it
+    assert not np.array_equal(other, pictures[0][1])  # its episode and path continue
 
 
-def test_without_a_mode_there_is_no_picture() -> None:
+def test_render_needs_render_mode() -> None:
     env = make_env(task=Predation(**SMALL), num_envs=1, compile=False)
     flows = FlowVectorEnv(env)
     with pytest.raises(ValueError, match="rgb_array"):

@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import VecMonitor
 from fishrl.envs import Predation, make_env
 from fishrl.wrappers.stable_baselines import FlowVecEnv
 from tests.envs.conftest import SMALL
-from tests.envs.masked_task import MaskedTask
+from tests.envs.small_tasks import MaskedTask
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
@@ -28,7 +28,7 @@ def keep(num: int = 2) -> np.ndarray:
     return np.ones(num, dtype=np.int64)
 
 
-def test_a_row_that_ends_begins_anew_and_tells_its_end() -> None:
+def test_ended_row_is_reset_and_returns_its_terminal_observation() -> None:
     envs = make()
     envs.seed(0)
     first = envs.reset()
@@ -50,7 +50,7 @@ def test_a_row_that_ends_begins_anew_and_tells_its_end() -> None:
     assert np.isfinite(infos[0]["terminal_observation"]).all()
 
 
-def test_attributes_and_methods_are_given_row_by_row() -> None:
+def test_attributes_and_methods_are_returned_per_row() -> None:
     envs = make(num_envs=3)
     envs.reset()
     assert envs.get_attr("num_envs", indices=[0, 2]) == [3, 3]
@@ -65,9 +65,7 @@ def test_attributes_and_methods_are_given_row_by_row() -> None:
 
 @pytest.mark.learning
 @pytest.mark.parametrize(("kind", "action"), [(DQN, "discrete"), (PPO, "continuous")])
-def test_algorithms_without_masks_train_a_fish_that_may_do_anything(
-    kind: type, action: str
-) -> None:
+def test_algorithms_without_masks_learn(kind: type, action: str) -> None:
     envs = make(Predation(**SMALL, time_limit=3, action=action), num_envs=4)
     short = {"n_steps": 16, "batch_size": 16} if kind is PPO else {"learning_starts": 16}
     model = kind("MlpPolicy", VecMonitor(envs), seed=0, device="cpu", **short)
@@ -81,7 +79,7 @@ def test_algorithms_without_masks_train_a_fish_that_may_do_anything(
 
 
 @pytest.mark.learning
-def test_a_masked_algorithm_never_takes_an_illegal_action() -> None:
+def test_maskable_ppo_takes_legal_actions_alone() -> None:
     envs = make(MaskedTask(**SMALL, time_limit=6), num_envs=3)
     model = MaskablePPO("MlpPolicy", envs, n_steps=16, batch_size=16, seed=0, device="cpu")
     model.learn(96)  # an illegal action would end it with an error

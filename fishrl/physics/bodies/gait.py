@@ -57,7 +57,7 @@ class Gait(Settings):
     def tail_speed(self) -> float:
         """Largest lateral speed, 2 pi times the largest amplitude, in L per tail-beat period.
 
-        It is that of the tail where the envelope is largest there.
+        For an envelope that is largest at the tail, it is the tail's speed.
         """
         turning = np.polynomial.Polynomial(self.envelope).deriv().roots().real
         places = np.array([0.0, 1.0, *turning]).clip(0.0, 1.0)

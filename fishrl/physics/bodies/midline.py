@@ -136,7 +136,7 @@ class MidlineParams(NamedTuple):
             return values.sum(-1)
 
         def centre(points: Tensor, moment: Tensor) -> Tensor:
-            """Return midline points, or velocities, relative to those of the centre of area."""
+            """Return midline points, or velocities, relative to the centre of area."""
             return points - (total(mass * points) - total(moment))[:, None] / whole
 
         (x, y), (x_t, y_t) = line.points, line.points_rate

@@ -44,9 +44,9 @@ class Motion(Settings):
         return body.velocity, body.angular_velocity
 
     def compute_wall_speed(self, radius: float, frequency: float) -> float:
-        """Return the speed, nodes per step, that it imposes on a body of ``radius`` nodes.
+        """Return the largest surface speed, nodes per step, of a body of ``radius`` nodes.
 
-        ``frequency`` is that of its oscillation, per step.
+        ``frequency`` is in oscillations per step.
         """
         return 0.0
 
@@ -97,7 +97,7 @@ class Driven(Motion):
             )
 
     def prescribe(self, body: BodyState) -> tuple[Tensor, Tensor]:
-        """Return these velocities, whatever the body's state."""
+        """Return the given velocities; the body's state does not matter."""
         zero = torch.zeros_like(body.angular_velocity)
         x, y = self.velocity
         return torch.stack((zero + x, zero + y), -1), zero + self.angular_velocity
@@ -146,7 +146,7 @@ class Oscillating(Motion):
 class Surging(Oscillating):
     """A body that sways along y and pitches as prescribed, and that the flow moves along x.
 
-    What ``sway`` says of x has no effect.
+    The x component of ``sway`` has no effect.
     """
 
     free_axes: ClassVar[tuple[int, ...]] = (0,)

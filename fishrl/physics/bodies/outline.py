@@ -36,7 +36,7 @@ class BodyConfig(Settings, ABC):
         inset: how far the markers lie inside the outline, nodes. A marker's force is spread over
             the nodes around it, so the effective body is 0.45 nodes larger than its markers'
             outline (three-point kernel; measured on a cylinder, see the validation page; the idea
-            is Breugem's, 2012). Area, mass and gait remain those of the outline.
+            is Breugem's, 2012). Area, mass and gait follow the outline.
         num_markers: N; 0 derives it from the spacing. Bodies of different size in one batch need
             the same number.
         motion: what moves the body.
@@ -75,7 +75,7 @@ class BodyConfig(Settings, ABC):
     def compute_wall_speed(self, frequency: float) -> float:
         """Return the largest imposed speed of the surface, nodes per step.
 
-        ``frequency`` is that of tail beat or oscillation, per step.
+        ``frequency`` is in tail beats or oscillations per step.
         """
         return self.motion.compute_wall_speed(0.5 * self.size, frequency)
 

@@ -96,7 +96,7 @@ class FlowBatch:
             self.layout.strip_rings(self._omega).copy_(omega)
 
     def advance_(self, num_steps: int, wanted: Collection[int]) -> None:
-        """Advance those of this process's groups that are wanted."""
+        """Advance the wanted groups, as far as they belong to this process."""
         for number, group in self.groups.items():
             if number in wanted:
                 self.stepper.advance_(group, num_steps)
@@ -144,10 +144,10 @@ class FlowBatch:
 
 
 def set_rows_(own: Any, new: Any, rows: Tensor, *, name: str) -> None:
-    """Set the rows ``[B]`` bool of all tensors ``[B, ...]`` of a nested tuple to those of another.
+    """Copy ``rows`` ``[B]`` bool of all tensors ``[B, ...]`` of the nested tuple ``new``.
 
     Raises:
-        ValueError: if it is not of the same form and shapes; then nothing has changed.
+        ValueError: if forms or shapes differ; then nothing has changed.
     """
     pairs = list(zip(pytree.tree_leaves(own), pytree.tree_leaves(new), strict=True))
     for before, after in pairs:

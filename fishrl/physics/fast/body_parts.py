@@ -59,7 +59,7 @@ class LocateTensors(NamedTuple):
 
 
 class LocateStill(Part[LocateTensors]):
-    """Find the geometry of bodies that never move; once before many steps."""
+    """Find the geometry of bodies that never move, once before many steps."""
 
     title = BODY_TITLE
     settings = BODY_SETTINGS
@@ -89,7 +89,7 @@ class CoupleTensors(NamedTuple):
         force: (x, y) ``[cells]``, zero between steps.
         params: of each body.
         bodies: state of each body.
-        geometry: that of bodies that stay still, or empty.
+        geometry: of bodies that stay still; empty for others.
     """
 
     data: Tensor
@@ -105,7 +105,7 @@ class CoupleTensors(NamedTuple):
 class CoupleBodies(Part[CoupleTensors]):
     """Let the bodies read the fluid, move, and put their force into the populations.
 
-    ``geometry`` is that of bodies that stay still; others are located in each step.
+    ``geometry`` belongs to bodies that stay still; others are located in each step.
     """
 
     title = BODY_TITLE

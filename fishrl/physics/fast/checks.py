@@ -1,4 +1,4 @@
-"""Checks of tensors that are given to a solver."""
+"""Checks of a solver's arguments."""
 
 from collections.abc import Sequence
 from math import inf

@@ -89,8 +89,8 @@ def compile_inplace(
         example: arguments of the shapes, strides and types that every call will have. They are not
             touched.
         name: key of everything that determines the function, apart from this package's sources and
-            ``example``. The result is stored under it beside Inductor's cache, and the next process
-            loads it without tracing. None stores nothing.
+            ``example``. The result is stored under it next to Inductor's cache, and other processes
+            load it without tracing. None stores nothing.
         **patches: Inductor settings.
 
     Raises:
@@ -165,7 +165,7 @@ def _load(path: Path, settings: dict[str, object]) -> InPlaceFunction | None:
     try:
         with torch._inductor.config.patch(settings):
             return AOTCompiledArtifact.deserialize(path.read_bytes())
-    except Exception as error:  # noqa: BLE001  # whatever is wrong with it: compile again
+    except Exception as error:  # noqa: BLE001  # any damage: compile again
         logger.warning("%s cannot be used (%s): compiling again", path, error)
         return None
 

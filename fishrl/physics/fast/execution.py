@@ -22,7 +22,7 @@ class Execution:
     Attributes:
         batch: the flows; with workers, in memory shared with them.
         group_size: flows per group.
-        num_workers: processes beside this one.
+        num_workers: additional processes.
         workers: those processes, once they have started.
     """
 

@@ -13,7 +13,7 @@ from fishrl.physics.flow import FlowParams
 
 
 class FlowData(NamedTuple):
-    """Everything about a batch of flows except populations, float64, every tensor ``[B, ...]``.
+    """The numbers of a batch of flows: all but populations; float64, every tensor ``[B, ...]``.
 
     ``clock`` counts the steps since reset.
     """
@@ -30,7 +30,7 @@ class GroupMemory(NamedTuple):
         layout: of the populations.
         populations: ``[num_slots]`` as stored.
         omega: ``[B, 1]``, or ``[B, cells]`` where it differs from node to node.
-        flow: the numbers.
+        flow: the flows' numbers.
     """
 
     layout: InPlaceLayout
@@ -54,8 +54,11 @@ class GroupMemory(NamedTuple):
 class FlowMemory:
     """The layout of one block of memory that processes can share: numbers, omega, populations.
 
-    ``sample`` holds the numbers of all flows, ``layout`` that of one group's populations of
-    ``dtype``; with ``has_omega_field`` the relaxation rate differs from node to node.
+    Args:
+        sample: numbers of all flows, for their shapes.
+        layout: of one group's populations.
+        dtype: of stored populations.
+        has_omega_field: whether the relaxation rate differs from node to node.
     """
 
     def __init__(

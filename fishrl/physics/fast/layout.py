@@ -37,7 +37,7 @@ class InPlaceLayout:
     def offsets(self, parity: int, outgoing: bool) -> list[int]:
         """Return, by direction, the flat index of cell 0's slot at even (0) or odd (1) ``parity``.
 
-        The slots are those of post-collision populations after the step if ``outgoing``, else of
+        With ``outgoing``, the slots hold post-collision populations after the step, otherwise
         incoming ones before it.
         """
         shift = [CY[q] * self.row_length + CX[q] for q in range(Q)]

@@ -62,6 +62,6 @@ class Part(ABC, Generic[Tensors]):
 
 
 def copy_tree(old: object, new: object) -> None:
-    """Copy tensors into those of a structure of the same form."""
+    """Copy the tensors of ``new`` into ``old``, a structure of the same form."""
     for a, b in zip(pytree.tree_leaves(old), pytree.tree_leaves(new), strict=True):
         a.copy_(b)

@@ -112,7 +112,7 @@ class InPlaceSolver:
         advances, since the host would have to wait to see whether any row must.
 
         On a CPU a warning is logged, once, for flows that are no longer finite; not with ``rows``,
-        whose caller, like the environment, decides about each flow.
+        whose caller, such as the environment, handles each flow.
 
         Raises:
             ValueError: for an odd number of steps, for ``rows`` that are not ``[B]`` bool, and for
@@ -151,13 +151,13 @@ class InPlaceSolver:
         *,
         velocity: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        """Put the bodies of the flows in ``rows`` ``[B]`` bool at rest, without vortices around.
+        """Restart the flows in ``rows`` ``[B]`` bool: bodies at rest in a uniform stream.
 
         Their commands, loads, totals and clock start from zero, and the stream has the speed last
         set, to which it rises from rest if ``ramp_steps`` says so; other parameters and flows stay.
 
         Args:
-            rows: which flows.
+            rows: flows to restart.
             position: centre of mass in nodes, ``[B, 2]`` or for several bodies ``[B, M, 2]``, read
                 where ``rows`` is true; None is the middle of the domain.
             heading: direction that the nose faces, radians, ``[B]`` or ``[B, M]``; None is 0.
@@ -200,7 +200,7 @@ class InPlaceSolver:
 
     @property
     def stream_speed(self) -> Tensor:
-        """What each flow's stream speed is at present ``[B]``, nodes per step; a copy."""
+        """Present stream speed of each flow ``[B]``, nodes per step; a copy."""
         return compute_stream_speed(self._batch.flow.params, self._batch.flow.clock)
 
     def set_stream_speed_(
@@ -313,7 +313,7 @@ class InPlaceSolver:
         return self.config.bodies[index], self._batch.flow.params.bodies[index], self.bodies[index]
 
     def is_diverged(self) -> Tensor:
-        """Return ``[B]``: density or speed beyond the method, or a body outside the grid."""
+        """Return ``[B]`` bool: density or speed is out of range, or a body outside the grid."""
         batch = self._batch
         fine = torch.cat([batch.stepper.is_fine(group) for group in batch.groups.values()])
         for index in range(len(self.bodies)):
@@ -321,7 +321,7 @@ class InPlaceSolver:
         return ~fine
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Return everything that the future depends on, as copies, flow by flow ``[B, ...]``."""
+        """Return the complete state as copies, every tensor ``[B, ...]``."""
         return {name: torch.cat(own) for name, own in self._batch.name_state().items()}
 
     def load_state_dict(self, state: Mapping[str, Tensor]) -> None:

@@ -228,7 +228,7 @@ def _force(
     """Add what ``collision.compute_force_increment`` gives for the whole force at nodes.
 
     Written out for ``share`` = ``force``, the flux rate cancels: with e the work of the force,
-    (1/36) e and f/3 or f/12 go to each population beside the stresses pxx and pxy.
+    (1/36) e and f/3 or f/12 go to each population in addition to the stresses pxx and pxy.
     """
     gx, gy = fx * (0.5 / rho), fy * (0.5 / rho)
     of_energy, of_stress = 1.0 - 0.25 * energy, 1.0 - 0.25 * omega

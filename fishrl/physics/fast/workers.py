@@ -30,7 +30,7 @@ logger = logging.getLogger(__name__)
 
 
 def open_shared(num_bytes: int) -> IO[bytes]:
-    """Open an anonymous file of zeros in memory, which vanishes with the last who maps it."""
+    """Open an anonymous file of zeros in memory, which vanishes with its last user."""
     if sys.platform == "linux":
         file = os.fdopen(os.memfd_create("fishrl"), "w+b")
     else:
@@ -51,7 +51,7 @@ def count_cores() -> int:
 
 
 def can_send(configs: Sequence[FlowConfig]) -> bool:
-    """Tell whether workers can import every class of the flows: all but those of a script."""
+    """Return whether workers can import every class of the flows; not if a script defines one."""
     try:
         return b"__main__" not in pickle.dumps(configs)
     except (AttributeError, TypeError, pickle.PicklingError):  # a class within a function
@@ -114,7 +114,7 @@ class Workers:
             _send(process.stdin, job)
 
     def advance_(self, num_steps: int, groups: Collection[int]) -> None:
-        """Advance those of the workers' flows that are in ``groups``, and wait for them."""
+        """Advance the flows of ``groups``, and wait for the workers."""
         if not self._processes:
             raise ChildProcessError("the flow workers have ended: make a new solver")
         try:

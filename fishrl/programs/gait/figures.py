@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from itertools import cycle
 from math import pi
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ from matplotlib.patches import Rectangle, Wedge
 
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.scene import Frame
-from fishrl.programs.figures.learning_curve import read_metrics
 from fishrl.programs.figures.style import COLOURS, panels
 from fishrl.programs.gait.trials import Histories, Trial
 from fishrl.training.evaluation import fixed_starts
@@ -27,11 +25,6 @@ _MOST_PATHS = 40
 #: Moments of a shedding period, and frames to choose them from.
 _NUM_MOMENTS, _FRAMES_PER_T = 4, 32
 _VORTICITY = 15.0  # at which colours saturate, 1/T
-_TRAINING = {
-    "train/episode_length": "survival  [decisions], mean of 32",
-    "train/return": "return, mean of 32 episodes",
-    "train/loss_actor": "actor loss",
-}
 
 #: Of one policy: its episodes in each flow.
 Recorded = Mapping[str, Sequence[Histories]]
@@ -40,12 +33,12 @@ Traces = Sequence[Mapping[str, Sequence[float]]]
 
 
 @contextmanager
-def flow_panels(
-    path: Path, speeds: Sequence[float], *, height: float, width: float = 11, **options: Any
+def _flow_panels(
+    path: Path, speeds: Sequence[float], *, height: float, **options: Any
 ) -> Iterator[Any]:
     """Yield a grid with a column per flow, named by the speed of its stream in L / T."""
-    size = (width, height)
-    with panels(path, columns=len(speeds), size=size, **{"sharey": True, **options}) as grid:
+    options = {"sharey": True, **options}
+    with panels(path, columns=len(speeds), size=(11, height), **options) as grid:
         yield grid
         for axes, speed in zip(grid[0], speeds, strict=True):
             axes.set_title(f"stream {speed:g} L/T")
@@ -56,7 +49,7 @@ def write_survival(
 ) -> None:
     """Draw survival of each arm, per seed, per flow: a point per episode, a line per seed."""
     generator = np.random.default_rng(0)
-    with flow_panels(path, speeds, height=3.6) as grid:
+    with _flow_panels(path, speeds, height=3.6) as grid:
         for flow, axes in enumerate(grid[0]):
             for at, seeds in enumerate(arms.values()):
                 colour = COLOURS[at % len(COLOURS)]
@@ -69,19 +62,6 @@ def write_survival(
             axes.set_xticks(range(len(arms)), list(arms), rotation=40, ha="right")
         grid[0, 0].set_ylabel("survival  [T]")
         grid[0, 0].figure.suptitle("point: an episode; line: mean of a seed", fontsize=9)
-
-
-def write_training(path: Path, runs: Mapping[str, Sequence[Path]]) -> None:
-    """Draw survival, return and loss during training: a line per run folder, a colour per arm."""
-    with panels(path, columns=len(_TRAINING), size=(11, 3.3), sharex=True) as grid:
-        for axes, (column, label) in zip(grid[0], _TRAINING.items(), strict=True):
-            for (arm, folders), colour in zip(runs.items(), cycle(COLOURS), strict=False):
-                for number, folder in enumerate(folders):
-                    series = read_metrics(folder / "metrics.csv").get(column, ())
-                    name = arm if number == 0 else None
-                    axes.plot(*series, color=colour, linewidth=1.2, alpha=0.8, label=name)
-            axes.set(xlabel="env frames (decisions of all flows)", ylabel=label)
-        grid[0, 0].legend(fontsize=8)
 
 
 @contextmanager
@@ -141,7 +121,7 @@ def write_decisions(
 ) -> None:
     """Draw frequency and angle of attack in time, of the first episodes in each flow."""
     shared: Any = {"sharex": True, "sharey": "row"}
-    with flow_panels(path, task.stream.speeds_bl, height=5.2, rows=2, **shared) as grid:
+    with _flow_panels(path, task.stream.speeds_bl, height=5.2, rows=2, **shared) as grid:
         for (upper, lower), histories, shed in zip(grid.T, flows, shedding, strict=True):
             times = task.interval_T * np.arange(histories.frequency.shape[1])
             frequencies = histories.frequency.numpy()[:3]
@@ -161,7 +141,7 @@ def write_work(
 ) -> None:
     """Draw the work done since the start, in each flow."""
     names = (("work", "all forces"), ("lateral_work", "lateral, the paper's form"))
-    with flow_panels(path, speeds, height=3.4) as grid:
+    with _flow_panels(path, speeds, height=3.4) as grid:
         for at, axes in enumerate(grid[0]):
             for where, traces, style in (("wake", in_wake, "-"), ("free stream", free, "--")):
                 for (field, label), colour in zip(names, COLOURS, strict=False):

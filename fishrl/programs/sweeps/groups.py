@@ -14,7 +14,7 @@ from fishrl.settings import TARGET, Role, flatten, list_fields
 from fishrl.training.run_folder import RunFolder
 
 #: Settings that do not separate groups: those that do not change what is learned.
-_APART = {"seed", "logger"} | {
+_APART = {"seed"} | {
     entry.name for entry in list_fields(TrainConfig) if entry.role is not Role.RESULT
 }
 #: Settings that imply several others, and so distinguish groups first.

@@ -10,7 +10,6 @@ from typing import Any
 
 from fishrl.programs.configuration import quote
 from fishrl.programs.program import show_command
-from fishrl.training.aliases import update_config
 from fishrl.training.logger import read_rows
 from fishrl.training.run_folder import RunFolder, read_config, read_summary
 
@@ -74,7 +73,7 @@ def read_run(path: Path) -> Run:
         if folder.summary.is_file():
             summary = read_summary(folder.summary)
         if folder.config.is_file():
-            config = update_config(read_config(folder.config))
+            config = read_config(folder.config)
     except Exception as error:
         raise ValueError(f"{path}: damaged ({error}); mend or delete it") from error
     frames = count_frames(path)

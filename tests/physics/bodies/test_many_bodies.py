@@ -21,7 +21,7 @@ from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, NoSlip, Profile
 from fishrl.physics.collision import Rates
 from fishrl.physics.flow import make_params
-from fishrl.physics.step import step
+from tests.physics.flows import advance, start_solver
 
 CHANNEL = Boundaries(
     left=NonEquilibrium(velocity=(1.0, 0.0), profile=Profile.PARABOLA),
@@ -55,17 +55,11 @@ def make_crowd(tau: float = 0.56, diameter: float = 12.0, amplitude: float = 0.1
 
 
 def start_crowd(configs: list[FlowConfig], **settings: object) -> InPlaceSolver:
-    solver = InPlaceSolver(
-        config=configs,
-        frequency=torch.tensor([1 / 200, 1 / 260])[: len(configs)],
-        **{"compile": False, "num_workers": 0} | settings,  # type: ignore[arg-type]
-    )
     places = torch.tensor([[70.0, 36.4], [95.3, 20.1], [24.4, 34.2], [95.0, 50.3]])
-    headings = torch.tensor([math.pi, 0.3, math.pi, 0.0])
-    num = len(configs)
-    solver.reset_(
-        torch.ones(num, dtype=torch.bool), places.expand(num, 4, 2), headings.expand(num, 4)
-    )
+    headings, num = torch.tensor([math.pi, 0.3, math.pi, 0.0]), len(configs)
+    where = places.expand(num, 4, 2), headings.expand(num, 4)
+    frequency = torch.tensor([1 / 200, 1 / 260])[:num]
+    solver = start_solver(configs, *where, frequency=frequency, **settings)
     solver.bodies[3].load[:, 1] = -0.002
     return solver
 
@@ -77,10 +71,8 @@ def test_many_bodies_in_flows_that_differ_equal_the_readable_step() -> None:
     solver = start_crowd(CROWD, flows_per_launch=2)
     before = tuple(BodyState(*(t.clone() for t in body)) for body in solver.bodies)
     state = FlowState(solver.populations().double(), before, torch.zeros(2, dtype=torch.float64))
-    params = make_params(CROWD)
     solver.advance_(120)
-    for _ in range(120):
-        state = step(state, CROWD[0], params)
+    state = advance(state, CROWD[0], 120, make_params(CROWD))
     scale = float(state.f.abs().max())
     assert float((solver.populations() - state.f).abs().max()) < 1e-5 * scale
     for got, expected in zip(solver.bodies, state.bodies, strict=True):
@@ -140,16 +132,9 @@ def test_a_wave_that_runs_backwards_rises_like_one_that_runs_forwards() -> None:
 
 
 def test_each_fish_turns_and_beats_as_it_is_commanded() -> None:
-    fish = Fish(body_length=16)
-    solver = InPlaceSolver(
-        config=FlowConfig(width=64, height=72, tau=0.6, bodies=(fish, fish, fish)),
-        num_envs=1,
-        frequency=1 / 160,
-        compile=False,
-    )
-    heights = torch.tensor([18.0, 36.0, 54.0])
-    places = torch.stack((torch.full((3,), 32.0), heights), -1)
-    solver.reset_(torch.ones(1, dtype=torch.bool), places[None], torch.zeros(1, 3))
+    config = FlowConfig(width=64, height=72, tau=0.6, bodies=(Fish(body_length=16),) * 3)
+    places = torch.tensor([[[32.0, 18.0], [32.0, 36.0], [32.0, 54.0]]])
+    solver = start_solver(config, places, torch.zeros(1, 3), frequency=1 / 160)
     solver.command_(torch.tensor([[0.5, -0.5]]), 80, torch.tensor([[1 / 160, 1 / 320]]))
     solver.advance_(80)
     turned = torch.cat([body.heading + body.internal_angle for body in solver.bodies])

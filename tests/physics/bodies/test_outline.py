@@ -43,8 +43,9 @@ def get_shape(outline: BodyConfig) -> ShearParams:
         ),
         # integrals of the section of a NACA 0012
         (Foil(chord=100, inset=0.0), 0.08171 * 100**2, 0.0045097 * 100**4, 203.95),
+        (Fish(body_length=100), 0.08171 * 100**2, 0.0045097 * 100**4, 203.95),
     ],
-    ids=["cylinder", "ellipse", "half disc", "foil"],
+    ids=["cylinder", "ellipse", "half disc", "foil", "fish"],
 )
 def test_outlines_have_the_sizes_of_their_formulas_and_a_marker_per_node(
     outline: BodyConfig, area: float, inertia: float, perimeter: float
@@ -123,7 +124,7 @@ def test_a_pitching_body_turns_about_its_pivot() -> None:
     assert body.position[0].tolist() == pytest.approx(expected)
 
 
-def test_a_kick_ends_and_pushes_both_ways_alike() -> None:
+def test_a_kick_is_one_period_of_a_sine() -> None:
     motion = Fixed(kick_speed=0.02, kick_steps=30)
     body = make_body(torch.zeros(1, 2, dtype=torch.float64), 0 * ONE, 0 * ONE)
     speeds = [float(motion.prescribe(body._replace(age=t * ONE))[0][0, 1]) for t in range(40)]
@@ -139,6 +140,6 @@ def test_a_kick_ends_and_pushes_both_ways_alike() -> None:
         (lambda: Cylinder(diameter=40, motion=Driven(angular_velocity=0.02)), "0.4 nodes per step"),
     ],
 )
-def test_bodies_that_cannot_be_are_refused(make: object, message: str) -> None:
+def test_impossible_marker_spacing_and_speed_are_refused(make: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()  # type: ignore[operator]

@@ -52,16 +52,7 @@ def test_points_outside_the_grid_read_its_edge_and_nan_reads_nan() -> None:
         assert got[:, 2].isnan().all()
 
 
-def test_a_row_alone_reads_the_same() -> None:
-    solver = make_solver()
-    points = torch.rand(4, 5, 2, generator=torch.Generator().manual_seed(1)) * 8.0
-    alone = InPlaceSolver(config=solver.config, compile=False)
-    alone.set_populations_(solver.populations()[2:3])
-    for mine, all_of_them in zip(alone.sample(points[2:3]), solver.sample(points), strict=True):
-        assert torch.equal(mine[0], all_of_them[2])
-
-
-def test_a_small_disc_beside_a_big_one_has_the_drag_that_it_has_alone() -> None:
+def test_bodies_of_different_size_in_one_batch_have_the_drag_they_have_alone() -> None:
     """Also of the same solver, before it got the big disc in one row."""
     stream = NonEquilibrium(velocity=(1.0, 0.0))
     edges = Boundaries(left=stream, right=stream, bottom=stream, top=stream)

@@ -23,6 +23,7 @@ from fishrl.physics.bodies.motion import Free
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
 from fishrl.physics.fast.stepper import Stepper
 from fishrl.physics.storage import Storage
+from tests.physics.flows import start_solver
 
 IS_PRETENDED = "device" in sys.modules
 pytestmark = [
@@ -63,26 +64,17 @@ def make_solver(
         boundaries=Boundaries(left=STREAM, right=OpenEdge(), bottom=STREAM, top=STREAM),
         storage=storage or own_storage,
     )
-    solver = InPlaceSolver(
-        config=config,
-        num_envs=2,
-        frequency=1.0 / 300.0,
-        device=device,
-        compile=compile,
-        num_workers=0,
-    )
-    places, headings = (
+    where = (
         torch.tensor([body[i] for body in bodies], dtype=torch.float64).transpose(0, 1)
         for i in (1, 2)
     )
-    rows = torch.ones(2, dtype=torch.bool, device=device)
-    solver.reset_(rows, places, headings, velocity=(1.0, 0.0))
-    return solver
+    settings = {"frequency": 1.0 / 300.0, "device": device, "compile": compile}
+    return start_solver(config, *where, velocity=(1.0, 0.0), **settings)
 
 
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Compile anew; the processes of these tests share what Inductor writes."""
+    """Compile into a fresh folder that the processes of these tests share."""
     folder = tmp_path_factory.mktemp("inductor")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TORCHINDUCTOR_CACHE_DIR", str(folder))

@@ -33,7 +33,7 @@ from fishrl.physics.cases import make_swimmer_config
 from fishrl.physics.fast import compiled as compiled_module
 from fishrl.physics.flow import Sponge, make_params, make_rest, make_uniform
 from fishrl.physics.immersed_boundary import DirectSolve
-from fishrl.physics.step import step
+from tests.physics.flows import advance, start_solver
 
 SCALES = Scales.from_budget(body_length=24, reynolds=800.0, max_wall_speed=0.1)
 STARTS = torch.tensor([[60.3, 36.4], [40.1, 30.7], [50.0, 41.0]], dtype=torch.float64)
@@ -41,18 +41,18 @@ HEADINGS = torch.tensor([math.pi, 2.5, -2.8], dtype=torch.float64)
 TURN = torch.tensor([0.2, -0.2, 0.0], dtype=torch.float64)
 
 
+def make_tank(**changes: Any) -> FlowConfig:
+    return make_swimmer_config(SCALES, length_bl=4, height_bl=3, **changes)
+
+
+TANK = make_tank()
+
+
 def make_solver(
-    config: FlowConfig, rows: slice = slice(None), *, num_workers: int = 0, **settings: Any
+    config: FlowConfig = TANK, rows: slice = slice(None), **settings: Any
 ) -> InPlaceSolver:
-    starts, headings = STARTS[rows], HEADINGS[rows]
-    solver = InPlaceSolver(
-        config=config,
-        num_envs=len(starts),
-        frequency=1.0 / SCALES.period,
-        num_workers=num_workers,
-        **{"compile": False} | settings,
-    )
-    solver.reset_(torch.ones(len(starts), dtype=torch.bool), starts, headings)
+    frequency = 1.0 / SCALES.period
+    solver = start_solver(config, STARTS[rows], HEADINGS[rows], frequency=frequency, **settings)
     solver.command_(TURN[rows], 160)
     return solver
 
@@ -62,10 +62,7 @@ def run_reference(config: FlowConfig, num_steps: int) -> FlowState:
     steps = torch.full((3,), 160.0, dtype=torch.float64)
     body = body._replace(turn=TURN, turn_steps=steps, turn_clock=0.0 * steps)
     state = FlowState(make_rest(config, 3), (body,), torch.zeros(3, dtype=torch.float64))
-    params = make_params([config] * 3)
-    for _ in range(num_steps):
-        state = step(state, config, params)
-    return state
+    return advance(state, config, num_steps)
 
 
 def assert_equal_to_reference(solver: InPlaceSolver, reference: FlowState) -> None:
@@ -127,14 +124,14 @@ CHANGES: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("name", CHANGES)
 def test_in_place_step_equals_the_readable_step(name: str) -> None:
     """Kinds of edges are compared in ``test_step``."""
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, **CHANGES[name])
+    config = make_tank(**CHANGES[name])
     solver = make_solver(config, flows_per_launch=3)  # as fast as one flow where it runs eagerly
     solver.advance_(120)
     assert_equal_to_reference(solver, run_reference(config, 120))
 
 
 def test_a_stream_that_changes_equals_the_readable_step_and_resumes_on_the_way() -> None:
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, **CHANGES["sheared"])
+    config = make_tank(**CHANGES["sheared"])
     solver, other = make_solver(config), make_solver(config)
     speed = torch.tensor([0.05, 0.06, 0.02], dtype=torch.float64)
     for each in (solver, other):
@@ -156,9 +153,7 @@ def test_a_stream_that_changes_equals_the_readable_step_and_resumes_on_the_way()
         ramp_steps=torch.full_like(speed, 40.0),
         ramp_start=torch.full_like(speed, 60.0),
     )
-    for _ in range(60):
-        state = step(state, config, changed)
-    assert_equal_to_reference(solver, state)
+    assert_equal_to_reference(solver, advance(state, config, 60, changed))
     solver.reset_(torch.tensor([True, False, False]), STARTS, HEADINGS)
     torch.testing.assert_close(solver.stream_speed, torch.tensor([0.0, 0.03, 0.02]).double())
     solver.advance_(50)  # the rise from rest, as configured
@@ -170,7 +165,7 @@ def test_a_stream_that_changes_equals_the_readable_step_and_resumes_on_the_way()
 def test_compiled_step_equals_the_readable_step_and_repeats_bit_for_bit_in_processes(
     name: str,
 ) -> None:
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3, **CHANGES[name])
+    config = make_tank(**CHANGES[name])
     solver, twin = (make_solver(config, compile=True, num_workers=num) for num in (0, 2))
     for each in (solver, twin):
         each.advance_(120)
@@ -182,19 +177,17 @@ def test_compiled_step_equals_the_readable_step_and_repeats_bit_for_bit_in_proce
 
 @pytest.mark.compile
 def test_a_compiled_step_takes_no_memory_that_grows_with_the_grid() -> None:
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
-    solver = make_solver(config, slice(1), compile=True)
+    solver = make_solver(TANK, slice(1), compile=True)
     solver.advance_(4)
     with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as record:
         solver.advance_(10)
     largest = max((event.self_cpu_memory_usage for event in record.events()), default=0)
-    field = 4 * config.width * config.height
+    field = 4 * TANK.width * TANK.height
     assert largest < field, f"an operation of a step allocates {largest} bytes"
 
 
 def test_reset_touches_only_its_rows_and_starts_afresh() -> None:
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
-    solver, fresh = make_solver(config), make_solver(config)
+    solver, fresh = make_solver(), make_solver()
     solver.advance_(40)
     before = solver.state_dict()
     rows = torch.tensor([False, True, False])
@@ -209,8 +202,7 @@ def test_reset_touches_only_its_rows_and_starts_afresh() -> None:
 
 
 def test_rows_that_need_not_advance_are_left_alone_on_a_cpu() -> None:
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
-    solver, every = make_solver(config), make_solver(config)
+    solver, every = make_solver(), make_solver()
     rows = torch.tensor([True, False, True])
     solver.advance_(20, rows)
     every.advance_(20)
@@ -219,12 +211,10 @@ def test_rows_that_need_not_advance_are_left_alone_on_a_cpu() -> None:
 
 
 def test_state_dict_resumes_bit_for_bit() -> None:
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
-    solver = make_solver(config)
+    solver, other = make_solver(), make_solver()
     solver.advance_(20)
     state = solver.state_dict()
     solver.advance_(20)
-    other = make_solver(config)
     other.load_state_dict(state)
     other.advance_(20)
     assert torch.equal(other.populations(), solver.populations())
@@ -233,8 +223,7 @@ def test_state_dict_resumes_bit_for_bit() -> None:
 
 
 def test_a_diverged_row_is_flagged_and_harms_no_other() -> None:
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
-    solver, healthy = make_solver(config), make_solver(config)
+    solver, healthy = make_solver(), make_solver()
     f = solver.populations()
     f[1, 3, 20, 20] = float("nan")
     solver.set_populations_(f)
@@ -252,8 +241,7 @@ def test_flows_that_diverge_are_reported_once_each_time(
     is_reported: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Unless the caller names rows. What is not finite spreads by one node per step."""
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
-    solver, every = make_solver(config), torch.tensor([True, True, True])
+    solver, every = make_solver(), torch.tensor([True, True, True])
 
     def count_reports(*diverged: int) -> int:
         caplog.clear()
@@ -273,29 +261,26 @@ def test_flows_that_diverge_are_reported_once_each_time(
         solver.reset_(every, STARTS, HEADINGS)
 
 
-@pytest.mark.parametrize(("speed", "is_over"), [(0.45, False), (0.55, True)])
-def test_a_flow_too_fast_for_the_method_counts_as_diverged(speed: float, is_over: bool) -> None:
-    """Half a node per step is the most."""
-    solver = make_solver(make_swimmer_config(SCALES, length_bl=4, height_bl=3))
+@pytest.mark.parametrize(
+    ("speed", "f0", "is_over"),
+    [(0.45, None, False), (0.55, None, True), *((0.0, f0, True) for f0 in (-2.0, 2.0, math.inf))],
+)
+def test_speed_above_half_a_node_and_impossible_densities_count_as_diverged(
+    speed: float, f0: float | None, is_over: bool
+) -> None:
+    """Densities: negative, twice that at rest, or infinite while the momentum is finite."""
+    solver = make_solver()
     f = solver.populations()
     none = torch.zeros_like(f[:1, 0])
     f[1] = make_uniform(none, none + speed, none)[0]
+    if f0 is not None:
+        f[1, 0, 20, 20] = f0
     solver.set_populations_(f)
     assert solver.is_diverged().tolist() == [False, is_over, False]
 
 
-@pytest.mark.parametrize("f0", [-2.0, 2.0, math.inf])
-def test_a_density_beyond_the_method_counts_as_diverged(f0: float) -> None:
-    """Negative, twice that at rest, or infinite while the momentum is finite."""
-    solver = make_solver(make_swimmer_config(SCALES, length_bl=4, height_bl=3))
-    f = solver.populations()
-    f[1, 0, 20, 20] = f0
-    solver.set_populations_(f)
-    assert solver.is_diverged().tolist() == [False, True, False]
-
-
 def test_a_fish_outside_the_grid_counts_as_diverged() -> None:
-    solver = make_solver(make_swimmer_config(SCALES, length_bl=4, height_bl=3))
+    solver = make_solver()
     solver.body.position[2, 0] = -5.0
     solver.advance_(2)
     assert solver.is_diverged().tolist() == [False, False, True]
@@ -313,9 +298,8 @@ def _no_compiler(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def test_without_a_compiler_the_flow_runs_eagerly_and_says_so_once(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
     with caplog.at_level(logging.WARNING):
-        solver = InPlaceSolver(config=config, num_envs=3, frequency=1.0 / SCALES.period)
+        solver = InPlaceSolver(config=TANK, num_envs=3, frequency=1.0 / SCALES.period)
         solver.advance_(2)
     assert [r.message for r in caplog.records if "runs eagerly" in r.message] == [
         "no C++ compiler (g++ or clang++) on the path: the flow runs eagerly, about 10 times slower"

@@ -1,4 +1,4 @@
-"""What a solver refuses."""
+"""Arguments that a solver refuses."""
 
 import math
 
@@ -9,7 +9,7 @@ from fishrl.physics import FlowConfig, Foil, InPlaceSolver
 from fishrl.physics.bodies.motion import Oscillating
 from fishrl.physics.cases import make_swimmer_config
 from fishrl.physics.flow import make_params
-from tests.physics.fast.test_solver import HEADINGS, SCALES, STARTS, TURN, make_solver
+from tests.physics.fast.test_solver import HEADINGS, SCALES, STARTS, TANK, TURN, make_solver
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ from tests.physics.fast.test_solver import HEADINGS, SCALES, STARTS, TURN, make_
     ],
 )
 def test_wrong_calls_are_refused(call: object, message: str) -> None:
-    solver = make_solver(make_swimmer_config(SCALES, length_bl=4, height_bl=3))
+    solver = make_solver()
     with pytest.raises(ValueError, match=message):
         call(solver)  # type: ignore[operator]
 
@@ -63,9 +63,8 @@ def test_wrong_calls_are_refused(call: object, message: str) -> None:
 def test_a_solver_needs_frequencies_of_which_no_surface_is_too_fast(
     frequency: object, message: str
 ) -> None:
-    config = make_swimmer_config(SCALES, length_bl=4, height_bl=3)
     with pytest.raises(ValueError, match=message):
-        InPlaceSolver(config=config, num_envs=2, frequency=frequency, compile=False)
+        InPlaceSolver(config=TANK, num_envs=2, frequency=frequency, compile=False)
 
 
 def test_a_body_that_oscillates_too_fast_is_refused() -> None:

@@ -22,9 +22,10 @@ from fishrl.physics.boundaries import (
 )
 from fishrl.physics.fast.body_parts import CoupleBodies
 from fishrl.physics.fast.compiled import compile_inplace, is_own
-from fishrl.physics.flow import make_params, make_uniform
+from fishrl.physics.flow import make_uniform
 from fishrl.physics.lattice import Q
 from fishrl.physics.step import step
+from tests.physics.flows import advance, start_solver
 
 WIDTH, HEIGHT, SPEED = 90, 60, 0.02
 STREAM = NonEquilibrium(velocity=(1.0, 0.0))
@@ -77,17 +78,8 @@ FREQUENCY = 1.0 / 300.0
 
 
 def start(config: FlowConfig, rows: Sequence[int] = (0, 1, 2), **changes: object) -> InPlaceSolver:
-    chosen = list(rows)
-    settings: dict[str, object] = {"compile": False, "num_workers": 0, **changes}
-    solver = InPlaceSolver(
-        config=config,
-        num_envs=len(chosen),
-        frequency=FREQUENCY,
-        **settings,  # type: ignore[arg-type]
-    )
-    every = torch.ones(len(chosen), dtype=torch.bool)
-    solver.reset_(every, PLACES[chosen], HEADINGS[chosen], velocity=(1.0, 0.0))
-    return solver
+    where = PLACES[list(rows)], HEADINGS[list(rows)]
+    return start_solver(config, *where, velocity=(1.0, 0.0), frequency=FREQUENCY, **changes)
 
 
 def run_readable(config: FlowConfig, num_steps: int) -> FlowState:
@@ -95,10 +87,7 @@ def run_readable(config: FlowConfig, num_steps: int) -> FlowState:
     bodies = tuple(make_body(PLACES[:1, m], HEADINGS[:1, m], frequency) for m in range(2))
     none = torch.zeros(1, HEIGHT, WIDTH, dtype=torch.float64)
     state = FlowState(make_uniform(none, none + SPEED, none), bodies, none[:, 0, 0])
-    params = make_params([config])
-    for _ in range(num_steps):
-        state = step(state, config, params)
-    return state
+    return advance(state, config, num_steps)
 
 
 @pytest.mark.parametrize(
@@ -123,7 +112,7 @@ def test_many_steps_and_one_equal_the_readable_step(
     batch = solver._batch
     batch.stepper.step_(batch.first, 0)
     after_odd = batch.memory_of(0).incoming(1)
-    reference = step(reference, config, make_params([config]))
+    reference = step(reference, config)
     assert float((torch.stack(after_odd, 1) - reference.f).abs().max()) < tolerance * scale
 
 
@@ -156,25 +145,18 @@ def test_half_precision_storage_stays_near_single_precision() -> None:
     assert float((half.body.position - single.body.position).abs().max()) < 0.01
 
 
-def test_half_precision_restores_its_state_exactly() -> None:
-    config = make_config(storage=Storage.FLOAT16)
-    solver, other = start(config), start(config)
-    solver.advance_(20)
-    other.load_state_dict(solver.state_dict())
-    for _ in range(2):
-        assert torch.equal(other.populations(), solver.populations())
-        assert torch.equal(other.body.position, solver.body.position)
-        other.advance_(2)
-        solver.advance_(2)
-
-
-def test_half_precision_keeps_its_own_populations_exactly() -> None:
+def test_half_precision_restores_state_and_populations_exactly() -> None:
     config = make_config(storage=Storage.FLOAT16)
     solver, other = start(config), start(config)
     solver.advance_(20)
     assert not torch.equal(other.populations(), solver.populations())
     other.set_populations_(solver.populations())
     assert torch.equal(other.populations(), solver.populations())
+    other.load_state_dict(solver.state_dict())
+    for each in (solver, other):
+        each.advance_(2)
+    assert torch.equal(other.populations(), solver.populations())
+    assert torch.equal(other.body.position, solver.body.position)
 
 
 @pytest.mark.compile
@@ -214,7 +196,7 @@ def count_python_calls(function: Callable[..., object], *arguments: object) -> i
 
 
 @pytest.mark.compile
-def test_a_compiled_function_is_kept_and_loaded_without_tracing(
+def test_compiled_code_is_cached_and_loaded_without_tracing(
     tmp_path: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
@@ -238,7 +220,7 @@ def test_a_compiled_function_is_kept_and_loaded_without_tracing(
 
 
 @pytest.mark.compile
-def test_a_function_kept_for_one_thread_is_not_taken_for_two(
+def test_compiled_code_for_one_thread_is_not_loaded_with_two(
     tmp_path: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
@@ -252,7 +234,7 @@ def test_a_function_kept_for_one_thread_is_not_taken_for_two(
     assert len(list(tmp_path.glob("fishrl/*.bin"))) == 2  # type: ignore[attr-defined]
 
 
-def test_what_others_wrote_is_not_kept_by_name() -> None:
+def test_a_class_from_outside_the_package_is_not_cached_by_name() -> None:
     class Magnetic(NoSlip):
         """An edge whose source this package does not hold."""
 

@@ -1,4 +1,4 @@
-"""The smallest Kármán gait, for tests of its study."""
+"""The smallest Kármán gait, for tests."""
 
 from typing import Any
 

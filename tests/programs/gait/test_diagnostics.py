@@ -1,4 +1,4 @@
-"""Numbers made of histories that are known by heart."""
+"""Diagnostics of synthetic histories whose numbers are known."""
 
 import math
 from types import SimpleNamespace
@@ -71,7 +71,7 @@ def test_survival_is_a_mean_with_its_interval() -> None:
     assert result["diverged"] == 0
 
 
-def test_work_adds_up_once_per_T_as_long_as_a_fish_swims() -> None:
+def test_work_is_traced_once_per_T_until_the_last_fish_ends() -> None:
     trace = trace_work(make_histories(lengths=[20, 9]), interval_T=0.25)  # 5 T and a little over 2
     assert trace["time_T"] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     assert trace["work"] == [0.0, 8.0, 16.0, 24.0, 32.0, 40.0]
@@ -85,19 +85,19 @@ def test_rates_are_per_T_of_all_episodes_together() -> None:
     assert result["named_right"] == pytest.approx(38 / 50)  # every fourth is named wrongly
 
 
-def test_an_end_is_named_after_the_nearest_border() -> None:
+def test_ends_are_counted_at_the_nearest_border() -> None:
     result = reduce(make_histories(lengths=[40, 23]))
     assert (result["ended_far"], result["ended_near"], result["ended_aside"]) == (0.5, 0.0, 0.0)
 
 
-def test_gait_needs_the_right_beat() -> None:
+def test_gait_requires_a_beat_near_the_shedding_frequency() -> None:
     assert reduce(make_histories(lengths=[40]))["in_gait"] == 1.0
     fast = reduce(make_histories(lengths=[40], beat=2.0 * SHED))
     assert (fast["in_street"], fast["in_gait"]) == (1.0, 0.0)
     assert fast["frequency_over_shedding"] == pytest.approx(2.0)
 
 
-def test_a_beat_in_step_with_the_lift_is_locked_and_another_is_not() -> None:
+def test_phase_lock_is_high_only_for_a_beat_in_phase_with_the_lift() -> None:
     assert reduce(make_histories(lengths=[40]))["phase_lock"] > 0.95
     assert reduce(make_histories(lengths=[40], beat=1.25 * SHED))["phase_lock"] < 0.5
     assert math.isnan(reduce(make_histories(lengths=[3]))["phase_lock"])
@@ -108,7 +108,7 @@ def test_a_beat_in_step_with_the_lift_is_locked_and_another_is_not() -> None:
     assert np.abs(off).max() < 1e-6
 
 
-def test_frames_of_shorter_intervals_are_timed_in_periods() -> None:
+def test_frames_of_shorter_intervals_are_timed_in_T() -> None:
     slow = make_histories(lengths=[40])._replace(lengths_T=torch.tensor([20.0]))
     result = reduce(slow, shed=2.0 * SHED, interval_T=0.5)
     assert result["phase_lock"] > 0.95
@@ -116,11 +116,11 @@ def test_frames_of_shorter_intervals_are_timed_in_periods() -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_episodes_too_short_to_sway_are_left_out_without_a_warning() -> None:
+def test_sway_of_short_episodes_is_nan_without_a_warning() -> None:
     assert math.isnan(reduce(make_histories(lengths=[1, 0]))["sway"])
 
 
-def test_lean_is_what_a_swaying_body_points_off_the_stream_on_average() -> None:
+def test_lean_is_the_mean_angle_of_a_swaying_body() -> None:
     histories = make_histories(lengths=[40, 12])
     sway = 0.2 * (-1.0) ** torch.arange(NUM)
     lean = torch.where(torch.arange(NUM) < 16, 0.1, -0.05)
@@ -131,14 +131,14 @@ def test_lean_is_what_a_swaying_body_points_off_the_stream_on_average() -> None:
     assert rates.tolist() == pytest.approx([SHED] * 6)
 
 
-def test_seeds_are_averaged_and_their_spread_is_the_error() -> None:
+def test_seeds_are_averaged_with_the_interval_over_seeds() -> None:
     both = combine_seeds([reduce(make_histories(lengths=[n])) for n in (40, 20)])
     assert both["survival_T"] == pytest.approx(30.0)
     assert both["survival_error_T"] == pytest.approx(half_width([40.0, 20.0]))
     assert both["episodes"] == 2
 
 
-def test_recordings_of_different_length_go_together() -> None:
+def test_recordings_of_different_length_are_stacked_with_nan() -> None:
     long, short = make_histories(lengths=[40]), make_histories(lengths=[10])
     both = stack([long, Histories(*(v[:, :11] if v.dim() > 1 else v for v in short))])
     assert both.place.shape[0] == 2

@@ -26,7 +26,7 @@ LIFT = 0.003  # rho (nodes / step)^2 nodes, on the obstacle of each row times it
 
 
 class LiftedSolver(KinematicSolver):
-    """An obstacle beside the fish, on which the flow pushes with a constant lift."""
+    """An obstacle next to the fish, on which the flow pushes with a constant lift."""
 
     @property
     def bodies(self) -> list:
@@ -35,7 +35,7 @@ class LiftedSolver(KinematicSolver):
         return [self.body, SimpleNamespace(impulse=impulse)]
 
 
-def test_lift_is_the_obstacles_impulse_by_time_in_rho_L_and_T(
+def test_lift_is_the_impulse_on_the_obstacle_per_time_in_rho_L_and_T(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(fishrl.envs.flow_env, "InPlaceSolver", LiftedSolver)
@@ -56,7 +56,7 @@ def test_lift_is_the_obstacles_impulse_by_time_in_rho_L_and_T(
     torch.testing.assert_close(lift, expected)
 
 
-def test_a_trial_is_as_long_however_short_the_training_episodes() -> None:
+def test_duration_of_a_trial_does_not_depend_on_training_episodes() -> None:
     for time_limit, dt in ((3, 0.25), (900, 0.25), (3, 0.5)):
         task = make_task(
             time_limit=time_limit, control_interval_T=dt, checks_per_action=round(28 * dt)
@@ -65,7 +65,7 @@ def test_a_trial_is_as_long_however_short_the_training_episodes() -> None:
         assert 100.0 <= tried.time_limit * tried.interval_T < 100.0 + dt + 0.01
 
 
-def test_whatever_shapes_a_trial_has_it_recorded_anew_and_nothing_else(
+def test_trial_is_recorded_again_only_if_its_inputs_change(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     trial = make_trial("bang_bang", make_task(), periods=BRIEF)
@@ -98,7 +98,7 @@ def test_whatever_shapes_a_trial_has_it_recorded_anew_and_nothing_else(
         count(trial)
 
 
-def test_trials_are_in_steady_streams() -> None:
+def test_trials_swim_in_steady_streams() -> None:
     changes = StreamSwitches(interval_T=10.0)
     task = make_task(stream=Stream(has_disc=False, changes=changes))
     assert make_trial("pid", task).task.stream.changes is None
@@ -112,13 +112,13 @@ def test_a_policy_that_does_not_observe_the_label_is_the_ablation() -> None:
 
 
 @pytest.mark.parametrize("name", ["pid+pd", "fixed-99", "shedding"])
-def test_baselines_that_cannot_be_are_refused(name: str) -> None:
+def test_impossible_baselines_are_refused(name: str) -> None:
     free = make_task(stream=Stream(has_disc=False))
     with pytest.raises(ValueError, match="baseline"):
         make_trial(name, free, periods=BRIEF)
 
 
-def test_constant_frequencies_are_zero_that_of_the_shedding_or_given(
+def test_baselines_of_constant_frequency_beat_at_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rates = torch.tensor([0.001, 0.0012, 0.0014], dtype=torch.float64)

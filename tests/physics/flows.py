@@ -1,0 +1,41 @@
+"""Flows that tests of the physics advance: by readable steps, or in place."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from fishrl.physics import FlowConfig, FlowState, InPlaceSolver
+from fishrl.physics.flow import FlowParams, make_params
+from fishrl.physics.step import step
+
+
+def advance(
+    state: FlowState, config: FlowConfig, num_steps: int, params: FlowParams | None = None
+) -> FlowState:
+    """Return the state after many readable steps."""
+    params = params or make_params([config] * len(state.f))
+    for _ in range(num_steps):
+        state = step(state, config, params)
+    return state
+
+
+def start_solver(
+    config: FlowConfig | Sequence[FlowConfig],
+    position: Tensor | None = None,
+    heading: Tensor | None = None,
+    *,
+    velocity: tuple[float, float] = (0.0, 0.0),
+    **settings: Any,
+) -> InPlaceSolver:
+    """Return an eager solver in this process, by default, after a reset of all its flows.
+
+    With positions ``[B, ...]`` it has as many flows.
+    """
+    num_envs = None if position is None else len(position)
+    defaults = {"compile": False, "num_workers": 0, "num_envs": num_envs}
+    solver = InPlaceSolver(config=config, **defaults | settings)
+    every = torch.ones(solver.num_envs, dtype=torch.bool, device=solver.device)
+    solver.reset_(every, position, heading, velocity=velocity)
+    return solver
