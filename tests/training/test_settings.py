@@ -11,7 +11,7 @@ import torch
 from fishrl.training.settings import LearningSettings, RunSettings, check_device
 
 
-def test_every_number_of_both_has_bounds_and_none_is_in_both() -> None:
+def test_every_number_has_bounds_and_belongs_to_one_class() -> None:
     learning, run = fields(LearningSettings), fields(RunSettings)
     assert not {entry.name for entry in learning} & {entry.name for entry in run}
     for entry in (*learning, *run):
@@ -26,7 +26,7 @@ def test_every_number_of_both_has_bounds_and_none_is_in_both() -> None:
     ],
     ids=str,
 )
-def test_what_cannot_be_learned_with_is_refused(wrong: dict[str, Any]) -> None:
+def test_inconsistent_learning_settings_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         LearningSettings(**wrong)
 
@@ -40,7 +40,7 @@ def test_lists_from_a_file_become_tuples_and_nothing_changes_afterwards() -> Non
 
 
 @pytest.mark.parametrize("device", ["gpu", "cpu:7", "meta", "cuda:99"])
-def test_a_device_that_is_not_here_is_refused(device: str) -> None:
+def test_missing_device_is_refused(device: str) -> None:
     with pytest.raises(ValueError, match=f"device = '{device}'"):
         check_device(device)
     check_device("cpu")
