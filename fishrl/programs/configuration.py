@@ -261,15 +261,6 @@ def list_modules(node: Any) -> Iterator[str]:
         yield from list_modules(value)
 
 
-def flatten(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested settings by dotted keys."""
-    flat: dict[str, Any] = {}
-    for name, value in node.items():
-        key = f"{prefix}{name}"
-        flat |= flatten(value, f"{key}.") if isinstance(value, Mapping) else {key: value}
-    return flat
-
-
 def _search_modules(folder: str | None) -> Iterator[str]:
     """List the modules that YAML files in a folder of the user name."""
     for path in Path(folder).expanduser().rglob("*.yaml") if folder else ():
