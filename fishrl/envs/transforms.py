@@ -1,7 +1,5 @@
 """Transforms that write flow labels: the true ones or those predicted by a classifier."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from typing import Any
 

@@ -6,8 +6,6 @@ also uploads it to the Hugging Face Hub, which needs the extra ``hub`` and a log
 (``hf auth login``, or ``HF_TOKEN``).
 """
 
-from __future__ import annotations
-
 import subprocess
 from importlib.util import find_spec
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The base of settings: frozen dataclasses that check the types and bounds of their fields."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import typing

@@ -1,7 +1,5 @@
 """The collector of a run: in this process, or in those of a cluster."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

@@ -22,7 +22,7 @@ def states(num: int, *, num_actions: int = 3) -> TensorDict:
     return TensorDict({"observation_stack": stack, "action_mask": mask}, [num])
 
 
-def test_greedy_action_is_the_likeliest_legal_one() -> None:
+def test_greedy_action_is_the_most_probable_legal_one() -> None:
     td = states(500)
     actor = make_actor(num_inputs=16, num_actions=3, hidden=(32,))
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
@@ -31,7 +31,7 @@ def test_greedy_action_is_the_likeliest_legal_one() -> None:
     assert torch.equal(out["action"], legal_logits.argmax(-1))
 
 
-def test_illegal_actions_have_probability_exactly_zero_even_against_very_low_logits() -> None:
+def test_illegal_actions_have_probability_zero() -> None:
     td = states(500)
     actor = make_actor(num_inputs=16, num_actions=3, hidden=(32,))
     with torch.no_grad():
@@ -41,7 +41,7 @@ def test_illegal_actions_have_probability_exactly_zero_even_against_very_low_log
     assert torch.allclose(probs.sum(-1), torch.ones(500))
 
 
-def test_one_seed_gives_one_network_and_leaves_the_global_generator_alone() -> None:
+def test_seed_fixes_the_network_without_the_global_generator() -> None:
     def weights(seed: int) -> list[torch.Tensor]:
         generator = torch.Generator().manual_seed(seed)
         actor = make_actor(num_inputs=16, num_actions=3, generator=generator)

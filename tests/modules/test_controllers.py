@@ -74,7 +74,7 @@ def test_pursuit_turns_towards_food_more_than_half_a_turn_off(error: float, acti
 
 @pytest.mark.parametrize(("error", "share"), [(0.5 * TURN, 0.5), (-0.2 * TURN, -0.2), (3.0, 1.0)])
 @pytest.mark.parametrize("kind", [PursuitPolicy, InterceptPolicy])
-def test_with_continuous_actions_the_turn_is_the_error_and_the_fish_swims_as_fast_as_it_can(
+def test_continuous_pursuit_turns_by_the_error_at_full_speed(
     kind: type, error: float, share: float
 ) -> None:
     td = seen(food=(5 * math.cos(error), 5 * math.sin(error)), heading=0.0)
@@ -94,13 +94,13 @@ def test_random_numbers_are_uniform_and_repeat_with_the_seed() -> None:
 
 
 @pytest.mark.parametrize("policy", [PursuitPolicy(), InterceptPolicy()])
-def test_a_banned_action_is_not_taken(policy: PursuitPolicy | InterceptPolicy) -> None:
+def test_masked_action_is_not_taken(policy: PursuitPolicy | InterceptPolicy) -> None:
     td = seen(food=(0.0, 6.0), heading=0.0, mask=(True, True, False))
     assert policy(td)["action"].tolist() != [COUNTER_CLOCKWISE]
 
 
 @pytest.mark.parametrize("heading", [math.pi, 0.0, 2.0, -2.5])
-def test_all_see_the_same_when_the_scene_is_turned(heading: float) -> None:
+def test_actions_do_not_change_when_the_scene_is_rotated(heading: float) -> None:
     """Heading is read off bearing error and direction; still food makes the scene isotropic."""
     for angle, action in ((0.05, KEEP), (0.6, COUNTER_CLOCKWISE), (-0.6, CLOCKWISE)):
         food = (4 * math.cos(heading + angle), 4 * math.sin(heading + angle))
@@ -108,7 +108,7 @@ def test_all_see_the_same_when_the_scene_is_turned(heading: float) -> None:
             assert policy(seen(food=food, heading=heading))["action"].tolist() == [action]
 
 
-def test_intercept_leads_food_that_moves_where_pursuit_does_not() -> None:
+def test_intercept_leads_moving_food_unlike_pursuit() -> None:
     for velocity, action in ((0.3, CLOCKWISE), (-0.3, COUNTER_CLOCKWISE)):
         # Food dead ahead of a fish that faces -x; upwards is to its right.
         td = seen(food=(-3.0, 0.0), heading=math.pi, food_velocity=velocity)
@@ -116,14 +116,14 @@ def test_intercept_leads_food_that_moves_where_pursuit_does_not() -> None:
         assert InterceptPolicy()(td)["action"].tolist() == [action]
 
 
-def test_intercept_sees_through_its_own_sideways_motion() -> None:
+def test_intercept_subtracts_its_own_sideways_motion() -> None:
     """Still food seen from a fish that swims obliquely seems to move; it is not led."""
     for heading in (math.pi - 0.6, math.pi + 0.6):
         food = (3 * math.cos(heading), 3 * math.sin(heading))
         assert InterceptPolicy()(seen(food=food, heading=heading))["action"].tolist() == [KEEP]
 
 
-def test_with_the_route_intercept_predicts_that_food_turns_back() -> None:
+def test_intercept_predicts_reversals_on_a_known_route() -> None:
     # Food at y = 3.4 on its way up to 3.5, the fish 4 L away at the same height: when it arrives,
     # the food is on its way down again.
     informed = InterceptPolicy(food_limits_bl=(1.5, 3.5), food_start_bl=2.5, food_still_T=5.0)

@@ -38,26 +38,26 @@ def act(policy: GaitPolicy, seen: TensorDict) -> list[int]:
     return policy(seen)["action"].tolist()
 
 
-def test_a_fixed_frequency_is_reached_gear_by_gear_and_then_kept() -> None:
+def test_fixed_frequency_is_reached_gear_by_gear() -> None:
     policy = GaitPolicy(controller=FixedFrequency(1.4), rows=ROWS)
     assert [act(policy, see([1.5], gear=gear))[0] for gear in range(3)] == [2, 2, 1]
     passive = GaitPolicy(controller=FixedFrequency(0.0), rows=ROWS)
     assert [act(passive, see([1.5], gear=gear))[0] for gear in range(3)] == [1, 0, 0]
 
 
-def test_chosen_directly_the_nearest_frequency_is_taken_at_once() -> None:
+def test_direct_action_is_the_nearest_frequency() -> None:
     policy = GaitPolicy(controller=FixedFrequency(1.2), rows=ROWS[:1], is_direct=True)
     assert act(policy, see([1.5, 3.0], gear=0, flow=1)) == [1, 1]
 
 
-def test_a_continuous_action_is_the_commanded_frequency_within_its_range() -> None:
+def test_continuous_action_is_the_clamped_frequency() -> None:
     asked = [0.0, 0.5, 1.0, 9.0]
     policy = GaitPolicy(controller=FixedFrequency(asked), rows=[(0.5, 1.5)], is_continuous=True)
     given = [policy(see([1.5], flow=flow))["action"].tolist() for flow in range(4)]
     assert given == [[[-1.0]], [[-1.0]], [[0.0]], [[1.0]]]
 
 
-def test_each_flow_may_have_a_frequency_of_its_own() -> None:
+def test_each_flow_may_have_its_own_frequency() -> None:
     policy = GaitPolicy(controller=FixedFrequency((0.5, 1.8)), rows=ROWS)
     assert act(policy, see([1.5], flow=0)) == [0]
     assert act(policy, see([1.5], flow=1)) == [2]
@@ -65,13 +65,13 @@ def test_each_flow_may_have_a_frequency_of_its_own() -> None:
     assert act(policy, between) == [2]
 
 
-def test_a_bang_bang_fish_speeds_up_behind_its_station_and_slows_down_before() -> None:
+def test_bang_bang_accelerates_behind_the_station_and_decelerates_ahead() -> None:
     policy = GaitPolicy(controller=BangBang(station_bl=2.0), rows=ROWS)
     assert act(policy, see([1.9, 2.1])) == [0, 2]
     assert act(policy, see([1.9], gear=0)) == [1]
 
 
-def test_a_pid_fish_beats_faster_behind_its_station_and_when_it_falls_back() -> None:
+def test_pid_beats_faster_behind_the_station_and_when_drifting_back() -> None:
     controller = PID(station_bl=2.0, frequency=1.0, gain=1.0, damping=2.0)
     policy = GaitPolicy(controller=controller, rows=ROWS)
     assert act(policy, see([1.4, 2.0, 2.6])) == [0, 1, 2]
@@ -79,12 +79,12 @@ def test_a_pid_fish_beats_faster_behind_its_station_and_when_it_falls_back() -> 
     assert act(policy, see([2.0], change=-0.3)) == [0]
 
 
-def test_each_fish_may_hold_a_station_of_its_own() -> None:
+def test_each_row_may_have_its_own_station() -> None:
     controller = PID(station_bl=torch.tensor([1.4, 2.0, 2.6]), frequency=1.0, gain=1.0)
     assert act(GaitPolicy(controller=controller, rows=ROWS), see([2.0, 2.0, 2.0])) == [2, 1, 0]
 
 
-def test_the_integral_grows_is_bounded_and_begins_anew_with_an_episode() -> None:
+def test_integral_is_bounded_and_restarts_with_each_episode() -> None:
     controller = PID(station_bl=2.0, gain=0.0, damping=0.0, integral_gain=1.0, max_sum=0.6)
     flow = torch.zeros(1, dtype=torch.int64)
 

@@ -21,7 +21,7 @@ def noise(*shape: int) -> torch.Tensor:
     return torch.randn(*shape, 5, 6, generator=torch.Generator().manual_seed(1))
 
 
-def test_clock_and_place_are_left_out_unless_asked_for() -> None:
+def test_time_and_place_are_excluded_by_default() -> None:
     signal = noise(4, 16)
     other = signal.clone()
     other[..., :3] += 1.0
@@ -45,7 +45,7 @@ def test_longer_windows_take_more_control_intervals(num_samples: int, intervals:
     assert make(num_samples=num_samples).num_intervals == intervals
 
 
-def test_normalised_features_have_mean_zero_and_deviation_one_unless_they_never_change() -> None:
+def test_normalised_features_have_mean_0_and_deviation_1() -> None:
     classifier, signal = make(), make_samples(30)["lateral_line"]
     classifier.set_normalisation(signal)
     scaled = (classifier.read(signal) - classifier.mean) / classifier.scale
@@ -54,7 +54,7 @@ def test_normalised_features_have_mean_zero_and_deviation_one_unless_they_never_
     assert torch.allclose(deviation, torch.tensor([1.0, 1.0, 0.0]).expand(5, 3), atol=1e-4)
 
 
-def test_a_feature_that_is_zero_but_for_rounding_is_not_blown_up() -> None:
+def test_normalisation_does_not_amplify_rounding_errors() -> None:
     classifier, signal = make(), make_samples(30)["lateral_line"]
     noise = torch.randn(signal.shape[:-1], generator=torch.Generator().manual_seed(0))
     signal[..., classifier.sensors["features"].index(classifier.features[0])] = 1e-8 * noise
@@ -62,7 +62,7 @@ def test_a_feature_that_is_zero_but_for_rounding_is_not_blown_up() -> None:
     assert (classifier.scale[:, 0] == 1.0).all()
 
 
-def test_a_saved_classifier_predicts_the_same_and_keeps_its_description(tmp_path: Path) -> None:
+def test_saved_classifier_keeps_predictions_and_description(tmp_path: Path) -> None:
     classifier = make(num_samples=20, features=["p", "u"])
     classifier.set_normalisation(noise(8, 20))
     classifier.save(tmp_path / "classifier.pt")
@@ -82,18 +82,18 @@ def test_a_saved_classifier_predicts_the_same_and_keeps_its_description(tmp_path
         ({"features": ["w"]}, r"features = \['w'\]: give one or more of"),
     ],
 )
-def test_a_classifier_that_cannot_be_is_refused(changes: dict[str, Any], message: str) -> None:
+def test_invalid_settings_are_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make(**changes)
 
 
 @pytest.mark.parametrize("shape", [(8, 5, 6), (16, 4, 6), (16, 5, 7), (5, 6)])
-def test_a_signal_of_other_sensors_is_refused(shape: tuple[int, ...]) -> None:
+def test_signal_of_other_sensors_is_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match="at least 16 samples, 5 neuromasts, 6 features"):
         make()(torch.zeros(2, *shape) if len(shape) == 3 else torch.zeros(shape))
 
 
-def test_the_flows_and_sensors_it_was_trained_for_pass() -> None:
+def test_flows_and_sensors_of_the_training_are_accepted() -> None:
     almost = [{**flow, "stream_speed_bl": flow["stream_speed_bl"] * (1 + 1e-9)} for flow in FLOWS]
     make().check(flows=almost, sensors={**SENSORS, "features": tuple(SENSORS["features"])})
 
@@ -117,7 +117,7 @@ def test_other_flows_and_sensors_are_refused(
         make().check(flows=flows, sensors=sensors)
 
 
-def test_read_one_after_the_other_samples_count_by_their_order_and_a_file_keeps_the_weights(
+def test_recurrent_classifier_depends_on_the_order_of_samples_and_is_saved(
     tmp_path: Path,
 ) -> None:
     generator = torch.Generator().manual_seed(0)
@@ -133,7 +133,7 @@ def test_read_one_after_the_other_samples_count_by_their_order_and_a_file_keeps_
     assert torch.equal(LateralLineClassifier.load(tmp_path / "recurrent.pt")(signal), logits)
 
 
-def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
+def test_invalid_file_is_refused(tmp_path: Path) -> None:
     torch.save({"weights": torch.zeros(3)}, tmp_path / "other.pt")
     with pytest.raises(ValueError, match="holds something else"):
         LateralLineClassifier.load(tmp_path / "other.pt")

@@ -25,7 +25,7 @@ def states(num: int, *, key: str = "observation_stack") -> TensorDict:
     return TensorDict({key: seen, "action_mask": mask, "is_init": is_init}, [num])
 
 
-def test_greedy_and_random_actions_are_legal_and_the_share_of_random_ones_is_epsilon() -> None:
+def test_epsilon_greedy_actions_are_legal() -> None:
     torch.manual_seed(0)
     td = states(4000)
     greedy = make_value_actor(num_inputs=4, num_actions=3, hidden=(8,))
@@ -46,7 +46,7 @@ def test_greedy_and_random_actions_are_legal_and_the_share_of_random_ones_is_eps
     assert share.item() == pytest.approx(0.25, abs=0.05)  # 4 standard errors of ~1500 states
 
 
-def test_epsilon_falls_with_every_decision_but_not_with_those_of_an_evaluation() -> None:
+def test_epsilon_decays_in_training_alone() -> None:
     chance = EpsilonGreedy(num_actions=3, start=1.0, end=0.1, num_frames=100)
     td = states(20).set("action", torch.zeros(20, dtype=torch.int64))
     td["action_mask"][:] = True
@@ -63,7 +63,7 @@ def test_epsilon_falls_with_every_decision_but_not_with_those_of_an_evaluation()
     assert float(chance.eps) == pytest.approx(0.1)
 
 
-def test_a_policy_remembers_each_rows_own_episode() -> None:
+def test_recurrent_policy_remembers_each_rows_own_episode() -> None:
     network = make_recurrent_value_actor(num_inputs=4, num_actions=3, hidden=(8, 16))
     policy, alone = RecurrentPolicy(network), RecurrentPolicy(network)
     torch.manual_seed(0)

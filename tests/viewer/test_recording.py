@@ -64,7 +64,7 @@ def test_frames_are_evenly_spaced_and_carry_the_reward_of_their_action() -> None
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_a_diverged_flow_keeps_the_frames_before_its_last_decision_or_its_start() -> None:
+def test_diverged_flow_keeps_the_frames_before_its_last_decision() -> None:
     flows = Recorded(frames_per_T=4)
     flows.act()
     flows.diverge()
@@ -76,7 +76,7 @@ def test_a_diverged_flow_keeps_the_frames_before_its_last_decision_or_its_start(
 
 
 @pytest.mark.usefixtures("kinematic")
-def test_a_moment_is_recorded_once() -> None:
+def test_moment_is_recorded_once() -> None:
     flows = Recorded(frames_per_T=4)
     flows.recorder.keep([0])
     flows.act()
