@@ -174,7 +174,8 @@ class PredictedFlowLabel(FlowLabelTransform):
         else:
             evidence = torch.where(begins.unsqueeze(-1), log_prob, self.evidence)
         self.evidence = evidence
-        return evidence.softmax(-1)
+        probabilities: Tensor = evidence.softmax(-1)
+        return probabilities
 
     def choose_label(self, probabilities: Tensor) -> Tensor:
         """Return the most probable label ``[B]``, int64, or the mean of all, float32."""

@@ -68,7 +68,7 @@ class Plan(Settings):
         parts = {name: to_plain(getattr(self, name)) for name in PARTS}
         flat = describe(self.learning) | describe(self.run)
         del flat[TARGET]
-        return parts | flat | to_plain(self.extra)
+        return {**parts, **flat, **to_plain(self.extra)}
 
     @classmethod
     def from_config(cls, config: Mapping[str, Any], *, modules: Collection[str] = ()) -> Plan:
