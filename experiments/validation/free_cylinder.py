@@ -92,7 +92,7 @@ def run_cylinder(*, diameter: int, height: int, reynolds: int, speed: float) -> 
 
 def _measure_wake_length(u: Tensor, rear: float) -> float:
     """Return how far behind the rear stagnation point the flow along the axis stops returning."""
-    values = u.double().tolist()
+    values: list[float] = u.double().tolist()
     start = round(rear) + 2
     at = next(i for i in range(start, len(values)) if values[i - 1] < 0.0 <= values[i])
     return at - values[at] / (values[at] - values[at - 1]) - rear

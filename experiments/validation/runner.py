@@ -67,7 +67,7 @@ class Outcome:
     @property
     def seconds(self) -> float:
         """Time that the jobs took, one after the other."""
-        return sum(record["seconds"] for record in self.records.values())
+        return float(sum(record["seconds"] for record in self.records.values()))
 
     def fail(self, what: str, error: BaseException) -> None:
         """Add a check that is missed because of an error."""

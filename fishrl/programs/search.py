@@ -7,8 +7,6 @@ lies in ``study.db`` in the folder: the same command continues it, an interrupte
 first; started several times at once, it searches with several processes.
 """
 
-from __future__ import annotations
-
 import fcntl
 import logging
 import sys

@@ -7,8 +7,6 @@ and runs to repeat), ``summary.csv`` (every number of the summaries), ``runs.csv
 ``curves.png``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

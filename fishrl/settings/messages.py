@@ -1,7 +1,5 @@
 """What is wrong with settings, in the words of error messages."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from difflib import SequenceMatcher
 from typing import Any

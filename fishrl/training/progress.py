@@ -1,7 +1,5 @@
 """The progress bar of a run."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping
 from typing import TextIO
@@ -51,7 +49,7 @@ class Progress(Callback):
         )
         self.phase = "set-up"
 
-    def __enter__(self) -> Progress:
+    def __enter__(self) -> "Progress":
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -1,7 +1,5 @@
 """Tables of the Kármán gait study, with the paper's numbers beside ours."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from math import nan
 from typing import Any

@@ -1,7 +1,5 @@
 """Trials: one policy in every flow, from the same starts; histories are kept in files."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -6,8 +6,6 @@ independently of the flow: otherwise the tail beat would reveal the flow, and in
 prediction would confirm itself.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import replace
 from pathlib import Path

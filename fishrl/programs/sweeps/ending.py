@@ -1,7 +1,5 @@
 """Ending a sweep or a search: its runs save first, whichever launcher started them."""
 
-from __future__ import annotations
-
 import logging
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """Soft actor-critic for continuous actions."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import torch
