@@ -170,7 +170,13 @@ def test_a_run_with_another_classifier_is_another_run(tmp_path: Path) -> None:
 
 def test_runs_that_are_logged_and_compared_otherwise_are_one_group(tmp_path: Path) -> None:
     given = ["port=9900", "live_share=0.2", "flows=[0,1]", "log_frames=8", "checkpoint_frames=8"]
-    given += ["keep_checkpoints=4", "picture_episodes=0", "baselines=[random]", "live=true"]
+    given += [
+        "keep_checkpoints=4",
+        "picture_episodes=0",
+        "baselines=[random]",
+        "live=true",
+        "logger=wandb",
+    ]
     for name, words in {"a": [], "b": given, "c": ["eval_frames=8"]}.items():
         plan = make_plan(TRAINING.read([f"folder={tmp_path}", f"name={name}", *words]))
         make_folder(plan)
