@@ -1,7 +1,5 @@
 """Run a program: ``fishrl train task=predation``; ``fishrl`` alone lists the programs."""
 
-from __future__ import annotations
-
 import ast
 import gc
 import signal

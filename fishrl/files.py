@@ -1,7 +1,5 @@
 """Files that are whole or not there, and files of tensors that are what they should be."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

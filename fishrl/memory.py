@@ -1,7 +1,5 @@
 """The memory that flows, buffers and networks need, compared with that of the machine."""
 
-from __future__ import annotations
-
 import os
 
 import torch

@@ -183,7 +183,8 @@ def make_numba(settings: BenchmarkSettings) -> list[Case]:
 
     def read() -> Field:
         f = buffers[0][inside].astype(np.float64)
-        return np.tensordot(CX, f, 1) / (1.0 + f.sum(0))
+        velocity: Field = np.tensordot(CX, f, 1) / (1.0 + f.sum(0))
+        return velocity
 
     def advance(num_steps: int, *, has_halo: bool = True) -> None:
         for _ in range(num_steps):

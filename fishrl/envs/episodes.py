@@ -181,6 +181,8 @@ def has_succeeded(after: TensorDictBase, success: str | None) -> Tensor:
     ``success`` is the task's ``success``: an entry, or None if reaching the time limit is success.
     """
     if success is None:
-        return after["truncated"] & ~after["terminated"] & ~after["diverged"]
-    flag: Tensor = after[success]
-    return flag & ~after["diverged"]
+        flag: Tensor = after["truncated"] & ~after["terminated"]
+    else:
+        flag = after[success]
+    is_fine: Tensor = ~after["diverged"]
+    return flag & is_fine

@@ -1,5 +1,6 @@
 """The lateral line: neuromasts along the body that sample the flow next to the skin."""
 
+from math import sqrt
 from typing import Annotated, Any
 
 import torch
@@ -179,4 +180,4 @@ class LateralLine(Settings):
 def _draw_normal(key: Tensor, age: Tensor, num: int) -> Tensor:
     """Draw ``[B, num]`` of mean 0 and standard deviation 1, as sums of four uniform numbers."""
     a, b, c, d = draw_uniform(0, key, age, 4 * num).chunk(4, -1)
-    return (a + b + c + d - 2.0) * 3.0**0.5
+    return (a + b + c + d - 2.0) * sqrt(3.0)

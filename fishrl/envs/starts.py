@@ -34,7 +34,8 @@ def place_outline(starts: TensorDictBase, fish: BodyConfig) -> Tensor:
     every = heading.reshape(-1)
     body = make_body(position.reshape(-1, 2), every, torch.zeros_like(every))
     shape = fish.make_params(heading.device)
-    return locate_markers(shape, body).unflatten(0, heading.shape)
+    markers = locate_markers(shape, body)
+    return markers.reshape(*heading.shape, *markers.shape[1:])
 
 
 def check_pattern(starts: TensorDictBase, pattern: TensorDictBase) -> None:

@@ -249,7 +249,8 @@ def _make_discs(sizes: tuple[float, ...]) -> tuple[DCylinder, ...]:
 def _draw_discs(sizes: tuple[float, ...], device: torch.device) -> BodyParams:
     """Return the parameters ``[n, ...]`` of these half discs."""
     params = [disc.make_params(device) for disc in _make_discs(sizes)]
-    return pytree.tree_map(lambda *each: torch.cat(each), *params)
+    joined: BodyParams = pytree.tree_map(lambda *each: torch.cat(each), *params)
+    return joined
 
 
 def _check_speeds(name: str, speeds: Tensor, scales: Scales) -> None:

@@ -1,7 +1,5 @@
 """Transforms that write flow labels: the true ones or those predicted by a classifier."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from typing import Any
 
@@ -176,7 +174,8 @@ class PredictedFlowLabel(FlowLabelTransform):
         else:
             evidence = torch.where(begins.unsqueeze(-1), log_prob, self.evidence)
         self.evidence = evidence
-        return evidence.softmax(-1)
+        probabilities: Tensor = evidence.softmax(-1)
+        return probabilities
 
     def choose_label(self, probabilities: Tensor) -> Tensor:
         """Return the most probable label ``[B]``, int64, or the mean of all, float32."""

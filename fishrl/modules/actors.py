@@ -128,7 +128,7 @@ class _JoinedInputs(nn.Sequential):
     """A network of several inputs ``[..., n_i]``, one after another."""
 
     def forward(self, *inputs: Tensor) -> Tensor:
-        joined: Tensor = super().forward(torch.cat(inputs, -1))
+        joined: Tensor = super().forward(torch.cat(inputs, -1))  # type: ignore[no-untyped-call]
         return joined
 
 

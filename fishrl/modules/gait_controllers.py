@@ -96,7 +96,7 @@ class PID(FrequencyController):
         self._sum = total.clamp(-self.max_sum, self.max_sum)
         frequency = self.frequency.to(flow.device)
         frequency = frequency[flow] if frequency.dim() else frequency
-        proportional = frequency + self.gain * offset + self.damping * change
+        proportional: Tensor = frequency + self.gain * offset + self.damping * change
         return (proportional + self.integral_gain * self._sum).double()
 
 

@@ -72,7 +72,7 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
         wanted = [target_entropy_weight * entropy for entropy in largest]
         self.register_buffer("target_entropy_by_count", self.log_alpha.detach().new_tensor(wanted))
 
-    @dispatch
+    @dispatch  # type: ignore[untyped-decorator]
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Compute the losses of a batch of transitions and write ``td_error`` into it."""
         loss_qvalue, value_metadata = self.qvalue_loss(tensordict)
@@ -139,6 +139,8 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
         States with a single legal action do not contribute.
         """
         if num_legal is None:
-            return super()._alpha_loss(log_prob)
+            loss: Tensor = super()._alpha_loss(log_prob)
+            return loss
         gap = log_prob + self.target_entropy_by_count[num_legal]
-        return -self.log_alpha * torch.where(num_legal > 1, gap, torch.zeros_like(gap))
+        loss = -self.log_alpha * torch.where(num_legal > 1, gap, torch.zeros_like(gap))
+        return loss

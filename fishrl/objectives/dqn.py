@@ -112,4 +112,5 @@ class RecurrentDQNLoss(MaskedDQNLoss):
     def _values(self, states: TensorDict, weights: TensorDictBase) -> Tensor:
         """Return values ``[N, L + 1, num_actions]``, the most negative float if illegal."""
         with weights.to_module(self.value_network, preserve_module_state=False):
-            return self.value_network(states.clone(False))["action_value"]
+            values: Tensor = self.value_network(states.clone(False))["action_value"]
+        return values

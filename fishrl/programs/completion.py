@@ -3,8 +3,6 @@
 The shell asks with ``fishrl -sc query=bash`` and the line so far in ``COMP_LINE``.
 """
 
-from __future__ import annotations
-
 import os
 import shlex
 import sys

@@ -30,7 +30,7 @@ from hydra.core.override_parser.types import Override, Quote, QuotedString
 from hydra.errors import HydraException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError  # type: ignore[import-untyped]
+from yaml import YAMLError
 
 from fishrl.settings import REQUIRED, TARGET, build, list_fields, suggest, to_plain
 
@@ -259,15 +259,6 @@ def list_modules(node: Any) -> Iterator[str]:
         node = list(node.values())
     for value in node if isinstance(node, list) else ():
         yield from list_modules(value)
-
-
-def flatten(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested settings by dotted keys."""
-    flat: dict[str, Any] = {}
-    for name, value in node.items():
-        key = f"{prefix}{name}"
-        flat |= flatten(value, f"{key}.") if isinstance(value, Mapping) else {key: value}
-    return flat
 
 
 def _search_modules(folder: str | None) -> Iterator[str]:

@@ -3,8 +3,6 @@
 ``policy=random|pursuit|intercept`` evaluates a baseline instead.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

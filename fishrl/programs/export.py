@@ -6,8 +6,6 @@ The ending of ``save`` says how: ``.nc`` NetCDF and ``.zarr`` Zarr, both read by
 VTK files for ParaView. Needs the extra ``export``.
 """
 
-from __future__ import annotations
-
 from contextlib import closing
 from itertools import cycle
 from pathlib import Path
@@ -50,7 +48,7 @@ class ExportSettings(PolicySettings):
             raise ValueError(f"save = {self.save}: must end in one of {', '.join(WRITERS)}")
 
 
-def simulate(settings: ExportSettings, *, progress: Progress) -> xr.Dataset:
+def simulate(settings: ExportSettings, *, progress: Progress) -> "xr.Dataset":
     """Run one episode and return its fields ``(time, y, x)`` and outlines ``(time, marker)``."""
     task, recognition, policy = settings.make_policy()
     max_decisions = min(task.time_limit, task.count_decisions(settings.periods))

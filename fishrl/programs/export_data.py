@@ -6,8 +6,6 @@
 reports, such as the signals of the lateral line. Needs the extra ``export``.
 """
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -42,7 +40,7 @@ class ExportDataSettings(PolicySettings):
     samples_actions: bool = False
 
 
-def record(settings: ExportDataSettings, *, progress: Progress) -> MinariDataset:
+def record(settings: ExportDataSettings, *, progress: Progress) -> "MinariDataset":
     """Run the episodes and write them."""
     from fishrl.wrappers.minari import find_dataset, write_dataset
 

@@ -6,8 +6,6 @@ also uploads it to the Hugging Face Hub, which needs the extra ``hub`` and a log
 (``hf auth login``, or ``HF_TOKEN``).
 """
 
-from __future__ import annotations
-
 import subprocess
 from importlib.util import find_spec
 from pathlib import Path
@@ -49,7 +47,7 @@ def upload(folder: Path, repository: str) -> str:
         OSError: if the hub cannot be reached or refuses.
     """
     from huggingface_hub import HfApi
-    from huggingface_hub.errors import HTTPError
+    from huggingface_hub.errors import HTTPError  # type: ignore[attr-defined]
 
     api = HfApi()
     try:

@@ -1,7 +1,5 @@
 """The live view of a training or an evaluation."""
 
-from __future__ import annotations
-
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 

@@ -1,7 +1,5 @@
 """Tables that commands write, and marked places in the pages of the documentation."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterable, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Settings of the programs that run a policy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from pydantic import NonNegativeInt

@@ -13,8 +13,6 @@ Python, ``main.read([...])`` returns the settings of a command line and ``main.r
 them.
 """
 
-from __future__ import annotations
-
 import gc
 import inspect
 import json

@@ -4,8 +4,6 @@ The interquartile mean and the probability of improvement are those of Agarwal e
 2108.13264, section 4.3), with percentile bootstrap intervals over six seeds or more.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -44,7 +42,7 @@ class Statistic:
     half_width: float
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> Statistic:
+    def of(cls, values: Sequence[float]) -> "Statistic":
         """Reduce the values that are not NaN; without any, everything is NaN."""
         known = [value for value in values if not math.isnan(value)]
         mean = float(np.mean(known)) if known else math.nan

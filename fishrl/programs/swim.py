@@ -1,7 +1,5 @@
 """Let one policy of the zoo swim an episode, and film it."""
 
-from __future__ import annotations
-
 import gc
 import logging
 import math

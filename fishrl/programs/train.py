@@ -25,7 +25,6 @@ from fishrl.programs.train_settings import (
     TRAINING,
     TrainConfig,
     is_finished,
-    list_changes,
     make_plan,
 )
 from fishrl.training.checkpoint import read_metadata
@@ -33,7 +32,7 @@ from fishrl.training.evaluation import FINAL_SEED, fixed_starts
 from fishrl.training.interruption import Interrupted, exit_status
 from fishrl.training.loop import Training
 from fishrl.training.progress import Progress
-from fishrl.training.runs import begin, complete, reopen
+from fishrl.training.runs import begin, complete
 
 
 class RunCallback(LiveCallback):
@@ -71,10 +70,13 @@ def set_up(config: TrainConfig, progress: Progress | None = None) -> Training:
     """
     progress = progress or Progress(is_shown=False)
     callbacks = [progress, RunCallback(config, progress)]
-    if config.has_begun:
-        changes = list_changes(config)
-        return reopen(str(config.path), modules=config.modules, callbacks=callbacks, **changes)
-    return begin(make_plan(config), recognition=config.recognition, callbacks=callbacks)
+    return begin(
+        make_plan(config),
+        folder=config.path,
+        recognition=config.recognition,
+        modules=config.modules,
+        callbacks=callbacks,
+    )
 
 
 def finish(

@@ -7,8 +7,6 @@ accuracies (``lateral_line.json``), learning curves and confusion matrix.
 command continues after an interruption, and other fits reuse them.
 """
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

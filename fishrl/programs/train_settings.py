@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import filecmp
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import NonNegativeInt
 
 from fishrl.envs import AbstractTask
-from fishrl.programs.configuration import CommandLine, Node, flatten
+from fishrl.programs.configuration import CommandLine, Node
 from fishrl.settings import Role, list_fields, to_plain
 from fishrl.training.algorithms import Algorithm
-from fishrl.training.classifier import find_classifier
+from fishrl.training.continuation import find_changes, find_summary
 from fishrl.training.logger import CsvLogger
 from fishrl.training.plan import LEARNING, PARTS, Plan
 from fishrl.training.run_folder import RunFolder, read_config
-from fishrl.training.runs import find_summary
 from fishrl.training.settings import LearningSettings, RunSettings
 from fishrl.viewer import ViewerSettings
 
@@ -104,27 +102,14 @@ def make_plan(config: TrainConfig) -> Plan:
 
 
 def list_changes(config: TrainConfig) -> dict[str, Any]:
-    """Return the settings that may differ from those of the run that is continued.
+    """Return the settings that differ from those of the run that is continued.
 
     Raises:
-        ValueError: if others do.
+        ValueError: if one of them fixes its result.
     """
-    folder = RunFolder(Path(str(config.path)))
-    stored = Plan.from_config(read_config(folder.config), modules=config.modules).to_config()
-    wanted = make_plan(config).to_config() | {"recognition": config.recognition}
-    own, given = folder.classifier, find_classifier(config.recognition, folder.path)
-    if own.is_file() and given and Path(given).is_file() and filecmp.cmp(own, given, shallow=False):
-        wanted["recognition"] = stored["recognition"]
-    before, now = ({n: config[n] for n in (*PARTS, *LEARNING)} for config in (stored, wanted))
-    before, now = flatten(before), flatten(now)
-    for key in now.keys() | before.keys():
-        if now.get(key) != before.get(key):
-            raise ValueError(
-                f"{key} = {now.get(key)}: is {before.get(key)} in {folder.path}; take another "
-                "folder or name for a new run"
-            )
-    kept = {*PARTS, *LEARNING, "folder", "name", "live"}
-    return {name: value for name, value in wanted.items() if name not in kept}
+    return find_changes(
+        str(config.path), make_plan(config), recognition=config.recognition, modules=config.modules
+    )
 
 
 def is_finished(config: TrainConfig) -> bool:

@@ -5,8 +5,6 @@ baselines from the same fixed starts in every flow. Writes tables, figures and `
 histories are cached.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

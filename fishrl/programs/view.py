@@ -4,8 +4,6 @@
 writes a recording or a film, ``screenshot=`` a picture; a path alone opens a recording that exists.
 """
 
-from __future__ import annotations
-
 import time
 from contextlib import ExitStack, suppress
 from pathlib import Path

@@ -13,7 +13,15 @@ The annotations of a subclass of ``Settings`` are its schema, which pydantic che
 
 from fishrl.settings.base import REQUIRED, Entry, FieldErrors, Role, Settings, list_fields
 from fishrl.settings.messages import suggest
-from fishrl.settings.plain import TARGET, build, describe, find_class, find_main, to_plain
+from fishrl.settings.plain import (
+    TARGET,
+    build,
+    describe,
+    find_class,
+    find_main,
+    flatten,
+    to_plain,
+)
 
 __all__ = [
     "REQUIRED",
@@ -26,6 +34,7 @@ __all__ = [
     "describe",
     "find_class",
     "find_main",
+    "flatten",
     "list_fields",
     "suggest",
     "to_plain",

@@ -1,7 +1,5 @@
 """The base of settings: frozen dataclasses that check the types and bounds of their fields."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import typing
@@ -162,7 +160,7 @@ def find_schema(kind: type) -> type[Settings]:
     """Return a class, or settings with the arguments of a class that is none itself."""
     if issubclass(kind, Settings):
         return kind
-    hints = typing.get_type_hints(kind.__init__, include_extras=True)  # type: ignore[misc]
+    hints = typing.get_type_hints(kind.__init__, include_extras=True)
     given = inspect.signature(kind).parameters.values()
     body: dict[str, Any] = {p.name: p.default for p in given if p.default is not p.empty}
     body["__annotations__"] = {p.name: hints.get(p.name, Any) for p in given}

@@ -63,6 +63,15 @@ def to_plain(value: Any) -> Any:
     return describe(value)
 
 
+def flatten(node: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested plain data by dotted keys."""
+    flat: dict[str, Any] = {}
+    for name, value in node.items():
+        key = f"{prefix}{name}"
+        flat |= flatten(value, f"{key}.") if isinstance(value, Mapping) else {key: value}
+    return flat
+
+
 def find_main() -> str:
     """Return the name under which other programs can import the script that runs."""
     main = sys.modules["__main__"]

@@ -22,11 +22,12 @@ from fishrl.training.algorithms import Algorithm
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.baselines import baseline, find_baselines
 from fishrl.training.callback import Callback
+from fishrl.training.continuation import find_changes, find_summary
 from fishrl.training.interruption import Interrupted
 from fishrl.training.plan import Plan
 from fishrl.training.policies import evaluate, load_plan, load_policy
 from fishrl.training.progress import Progress
-from fishrl.training.runs import begin, complete, find_summary, make_folder, reopen, resume, train
+from fishrl.training.runs import begin, complete, make_folder, reopen, resume, train
 from fishrl.training.settings import LearningSettings, RunSettings
 
 __all__ = [
@@ -43,6 +44,7 @@ __all__ = [
     "complete",
     "evaluate",
     "find_baselines",
+    "find_changes",
     "find_summary",
     "load_plan",
     "load_policy",

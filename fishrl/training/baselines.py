@@ -7,8 +7,6 @@ Each names the tasks that it fits. One for a task of your own stands next to the
         return SteadyPolicy()
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar

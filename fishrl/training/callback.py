@@ -1,7 +1,5 @@
 """Callbacks of a training or an evaluation, such as progress bars and live views."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path

@@ -6,8 +6,6 @@ Loading runs no code from it: each state is read from that one file with ``weigh
 after its checksum and that of the manifest were compared.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil

@@ -5,8 +5,6 @@ learns: the same order as in one process. Evaluations and recordings use flows o
 leave the training flows alone.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import sys

@@ -1,7 +1,5 @@
 """The collector of a run: in this process, or in those of a cluster."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -29,9 +27,9 @@ class ResumableCollector(Collector):
     frame stacks of the old ones.
     """
 
-    def state_dict(self) -> OrderedDict:
+    def state_dict(self) -> OrderedDict[str, Any]:
         """Return everything the next batch depends on, apart from the global generators."""
-        state = super().state_dict()
+        state: OrderedDict[str, Any] = super().state_dict()
         state["base_env"] = self.env.base_env.state_dict()
         state["carrier"] = self._carrier.clone().to_dict()
         return state
@@ -67,7 +65,7 @@ class ResumableCollector(Collector):
 class RemoteCollector(ResumableCollector):
     """The collector of one process of a cluster; its state includes the random generators."""
 
-    def state_dict(self) -> OrderedDict:
+    def state_dict(self) -> OrderedDict[str, Any]:
         """Return everything its next batch depends on."""
         of_gpus = torch.cuda.get_rng_state_all()
         return OrderedDict(super().state_dict(), rng=torch.get_rng_state(), gpu_rng=of_gpus)

@@ -32,7 +32,7 @@ def finish(training: Training) -> dict[str, Any]:
         "train_episodes": counters.episodes,
         "train_diverged": counters.diverged,
         "wall_seconds": training.wall_seconds(),
-        "mlups": training.compute_mlups(counters.frames, counters.collect_seconds),
+        "mlups": training.resolved.compute_mlups(counters.frames, counters.collect_seconds),
     }
     env, policy = training.collector.env, training.heed(actor)
     try:

@@ -1,7 +1,5 @@
 """Write the policy of a run into a small folder of its own, with a model card."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from shutil import copyfile

@@ -1,7 +1,5 @@
 """Ending a run on Ctrl-C or on SIGTERM of a scheduler, with everything saved."""
 
-from __future__ import annotations
-
 import logging
 import signal
 import threading
@@ -56,7 +54,7 @@ class Interruption:
         if self._number is not None:
             raise Interrupted(self._number)
 
-    def __enter__(self) -> Interruption:
+    def __enter__(self) -> "Interruption":
         is_main = threading.current_thread() is threading.main_thread()
         for number in list_heeded() if is_main else ():
             self._before[number] = signal.signal(number, self._handle)

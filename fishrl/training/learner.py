@@ -1,7 +1,5 @@
 """Learners: policy, buffer and gradient step, for on-policy and off-policy algorithms."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

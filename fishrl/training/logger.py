@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from fishrl.settings import describe
 from fishrl.training.run_folder import write_whole
 
 logger = logging.getLogger(__name__)
@@ -57,10 +58,18 @@ class CsvLogger:
         self._columns: list[str] = []
         self._unwritten: list[dict[str, Any]] = []
 
+    def __eq__(self, other: object) -> bool:
+        """Compare class and settings."""
+        return type(self) is type(other) and describe(self) == describe(other)
+
+    def __hash__(self) -> int:
+        """Return the hash of the class."""
+        return hash(type(self))
+
     def open(
         self, folder: Path, *, columns: Sequence[str], config: Mapping[str, Any], step: int = 0
     ) -> None:
-        """Start ``metrics.csv``, or continue it after ``step`` (0: anew) and drop later rows.
+        """Start ``metrics.csv``, or continue it after ``step`` > 0 and drop later rows.
 
         ``columns`` are every metric there will be, the step first; ``config`` is the whole
         configuration.
@@ -109,7 +118,7 @@ class CsvLogger:
 
 
 class WandbLogger(CsvLogger):
-    """Weights & Biases beside the CSV file.
+    """Weights & Biases in addition to the CSV file.
 
     Args:
         project: project of Weights & Biases.

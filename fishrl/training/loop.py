@@ -17,12 +17,12 @@ import torch
 from tensordict import TensorDictBase
 
 from fishrl.envs.agents import split_fish
-from fishrl.envs.episodes import Episodes, Policy, name_counted, run_episodes
+from fishrl.envs.episodes import Episodes, Policy, name_counted
 from fishrl.training.callback import Callback, join
 from fishrl.training.checkpoint import CheckpointNotWritten, load_checkpoint, save_checkpoint
 from fishrl.training.collector import RNGState, make_collector
 from fishrl.training.ending import finish
-from fishrl.training.evaluation import SELECTION_SEED, TRAIN_SEED, fixed_starts
+from fishrl.training.evaluation import SELECTION_SEED, TRAIN_SEED, evaluate_in
 from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children
 from fishrl.training.learner import one_thread
 from fishrl.training.metrics import Counters, list_metrics, measure_memory_mb
@@ -137,7 +137,7 @@ class Training:
             **self.counters.metrics(),
             **{f"train/{name}": value for name, value in self.counters.losses.items()},
             "time/frames_per_second": num_frames / seconds,
-            "time/mlups": self.compute_mlups(num_frames, seconds),
+            "time/mlups": self.resolved.compute_mlups(num_frames, seconds),
         }
 
     def _conclude(self, metrics: dict[str, float]) -> None:
@@ -166,9 +166,8 @@ class Training:
     def _select(self) -> dict[str, float]:
         """Evaluate the greedy policy and keep it if it is the best so far."""
         self.callbacks.on_phase("evaluation")
-        num, before = self.plan.run.eval_episodes, self.counters.best
-        result = self.evaluate(self.learner.actor, num, seed=SELECTION_SEED, is_counted=False)
-        metrics = result.metrics()
+        actor, num, before = self.learner.actor, self.plan.run.eval_episodes, self.counters.best
+        metrics = self.evaluate(actor, num, seed=SELECTION_SEED, is_counted=False).metrics()
         score = [metrics["success_rate"], metrics["mean_return"]]
         if score >= before:
             self.counters.best = score
@@ -176,22 +175,14 @@ class Training:
                 self.counters.best = before
         return {f"eval/{name}": value for name, value in metrics.items()}
 
-    def evaluate(
-        self, policy: Policy, num_starts: int, *, seed: int, is_counted: bool = True
-    ) -> Episodes:
-        """Evaluate from fixed starts in the flows of training, and leave these as they were."""
-        starts, callbacks = fixed_starts(self.task, num_starts, seed=seed), self.callbacks
+    def evaluate(self, policy: Policy, num: int, *, seed: int, is_counted: bool = True) -> Episodes:
+        """Evaluate in the flows of training, and leave these as they were; see ``evaluate_in``."""
+        options: dict[str, Any] = {"callbacks": self.callbacks, "is_counted": is_counted}
         try:
             with self.collector.lend_env() as env:
-                return run_episodes(
-                    env,
-                    self.heed(policy),
-                    starts,
-                    on_step=lambda start_of, step: callbacks.on_step(step),
-                    on_episodes=callbacks.on_progress if is_counted else None,
-                )
+                return evaluate_in(env, self.heed(policy), num, seed=seed, **options)
         finally:
-            callbacks.on_new_episodes()
+            self.callbacks.on_new_episodes()
 
     def heed(self, policy: Policy) -> Policy:
         """Return a policy that acts on the learner's device, or raises ``Interrupted``."""
@@ -250,10 +241,6 @@ class Training:
     def wall_seconds(self) -> float:
         """Return the seconds since the run was set up, plus those before a resume."""
         return time.perf_counter() - self._began
-
-    def compute_mlups(self, num_frames: int, seconds: float) -> float:
-        """Million lattice node updates per second of the env, sensing and policy included."""
-        return self.resolved.nodes_per_frame * num_frames / max(seconds, 1e-9) / 1e6
 
     def _has_crossed(self, interval: int) -> bool:
         """Tell whether the newest frames passed a multiple of ``interval``."""

@@ -60,13 +60,8 @@ class Counters:
         return {**vars(self), "recent": list(self.recent), "pending": dict(self.pending)}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore what ``state_dict`` returned, or raise ValueError for what something else did."""
-        unknown = sorted(set(state) - set(vars(self)))
-        if unknown:
-            raise ValueError(f"counters: {unknown} are not among {sorted(vars(self))}")
-        for name, value in state.items():
-            setattr(self, name, value)
-        self.recent = deque(state["recent"], maxlen=WINDOW)
+        """Restore what ``state_dict`` returned."""
+        vars(self).update(state, recent=deque(state["recent"], maxlen=WINDOW))
 
     def count(self, transitions: TensorDictBase, *, success: str | None) -> None:
         """Count the episodes that end in transitions ``[N]``; diverged ones are no episodes."""
@@ -94,10 +89,10 @@ class Counters:
 
 
 def measure_memory_mb() -> float:
-    """Return the memory that this process and its children hold in MB; NaN where it is hidden.
+    """Return the memory of this process and its children in MB; NaN where /proc does not show it.
 
-    What several of them share counts once (proportional set size). Pages of files, such as the
-    libraries, are left out: how many of them count depends on other programs that use them, too.
+    Memory that they share counts once (proportional set size); pages of files, such as libraries,
+    do not count, since their share depends on other programs.
     """
     total_kb, pids = 0.0, ["self"]
     try:

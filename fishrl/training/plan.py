@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import field, replace
+from pathlib import Path
 from typing import Annotated, Any
 
 from fishrl.envs import AbstractTask
@@ -56,12 +57,18 @@ class Plan(Settings):
         )
         return self.run.name or "-".join(word for word in words if word)
 
+    @property
+    def path(self) -> Path | None:
+        """The run folder that ``run.name`` names; None for a new one."""
+        folder, name = self.run.folder, self.run.name
+        return None if name is None else Path(folder).expanduser() / name
+
     def to_config(self) -> dict[str, Any]:
-        """Return the plan as plain data: ``PARTS`` are nested, all other settings beside them."""
+        """Return the plan as plain data: ``PARTS`` nested, other settings at the top level."""
         parts = {name: to_plain(getattr(self, name)) for name in PARTS}
         flat = describe(self.learning) | describe(self.run)
         del flat[TARGET]
-        return parts | flat | to_plain(self.extra)
+        return {**parts, **flat, **to_plain(self.extra)}
 
     @classmethod
     def from_config(cls, config: Mapping[str, Any], *, modules: Collection[str] = ()) -> Plan:

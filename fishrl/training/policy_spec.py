@@ -1,7 +1,5 @@
 """The sizes that a policy for a task must have."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,7 +47,7 @@ class PolicySpec:
     @classmethod
     def for_task(
         cls, task: AbstractTask, *, hidden: tuple[int, ...] = (256, 256), has_labels: bool = False
-    ) -> PolicySpec:
+    ) -> "PolicySpec":
         """Return the sizes that a task requires; with ``has_labels`` transforms label its flows."""
         num_labels = count_label_inputs(task) if has_labels else 0
         return cls(

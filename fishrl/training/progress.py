@@ -1,7 +1,5 @@
 """The progress bar of a run."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping
 from typing import TextIO
@@ -51,7 +49,7 @@ class Progress(Callback):
         )
         self.phase = "set-up"
 
-    def __enter__(self) -> Progress:
+    def __enter__(self) -> "Progress":
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -90,7 +88,7 @@ class Progress(Callback):
             self._bar.set_description_str(f"{phase:<12}", refresh=self._is_terminal)
 
     def advance(self, amount: int, **shown: float) -> None:
-        """Count ``amount`` more and show some numbers beside the bar."""
+        """Count ``amount`` more and show some numbers next to the bar."""
         if shown:
             # a dash where there is no number yet, as before the first episode ends
             words = {n.replace("_", " "): "-" if v != v else f"{v:.3g}" for n, v in shown.items()}

@@ -50,11 +50,11 @@ class ResolvedRun:
         """What a successful episode did, in a word."""
         return self.task.success or "survived"
 
-    @property
-    def nodes_per_frame(self) -> int:
-        """Lattice node updates of a decision in one flow."""
+    def compute_mlups(self, num_frames: int, seconds: float) -> float:
+        """Return million lattice node updates per second, with sensing and policy included."""
         flow = self.task.flow_config()
-        return flow.width * flow.height * self.task.n_substeps
+        num_nodes = flow.width * flow.height * self.task.n_substeps
+        return num_nodes * num_frames / max(seconds, 1e-9) / 1e6
 
     def make_flows(
         self, *, num_envs: int, seed: int, transforms: Sequence[Transform] = ()

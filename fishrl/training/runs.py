@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from fishrl.envs import AbstractTask, make_env
-from fishrl.settings import Role, list_fields
 from fishrl.training.algorithms import Algorithm
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.callback import Callback
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.classifier import Recognition, keep_recognition
+from fishrl.training.continuation import find_changes, find_summary, read_plan
 from fishrl.training.logger import CsvLogger
 from fishrl.training.loop import Training
 from fishrl.training.plan import Plan
 from fishrl.training.resolve import MakeEnv, resolve
-from fishrl.training.run_folder import RunFolder, read_config, read_summary, write_yaml
+from fishrl.training.run_folder import RunFolder, write_yaml
 from fishrl.training.settings import LearningSettings, RunSettings
 
 logger = logging.getLogger(__name__)
@@ -41,6 +41,8 @@ def train(
 ) -> dict[str, Any]:
     """Train a policy, compare it with the baselines of the task, and return the summary.
 
+    If ``run.name`` names a run with these settings, it is continued unless it is finished.
+
     Args:
         task: the task.
         algorithm: the learning algorithm; by default ``DiscreteSAC()``.
@@ -54,7 +56,7 @@ def train(
         make_env: makes the flows, with the arguments of ``fishrl.envs.make_env``.
 
     Raises:
-        ValueError: for invalid settings.
+        ValueError: for invalid settings, and others than fix the result of the run in the folder.
         Interrupted: after SIGINT or SIGTERM; ``resume`` continues the run.
     """
     plan = Plan(
@@ -66,6 +68,9 @@ def train(
         preset=preset,
         extra=extra or {},
     )
+    if plan.path is not None and RunFolder(plan.path).config.is_file():
+        changes = find_changes(plan.path, plan, recognition=recognition)
+        return resume(plan.path, callbacks=callbacks, make_env=make_env, **changes)
     return complete(begin(plan, recognition=recognition, callbacks=callbacks, make_env=make_env))
 
 
@@ -101,15 +106,33 @@ def resume(
 def begin(
     plan: Plan,
     *,
+    folder: Path | None = None,
     recognition: Recognition = None,
+    modules: Collection[str] = (),
     callbacks: Iterable[Callback] = (),
     make_env: MakeEnv = make_env,
 ) -> Training:
-    """Set up a new run; invalid settings raise an error before its folder is made."""
+    """Set up a run: a new one, or the one in its folder in the state of its last checkpoint.
+
+    Args:
+        plan: the settings; invalid ones raise an error before a folder is made.
+        folder: run folder; by default the one that ``plan.run.name`` names, or a new one.
+        recognition: see ``train``.
+        modules: see ``resume``.
+        callbacks: see ``train``.
+        make_env: see ``train``.
+
+    Raises:
+        ValueError: for invalid settings, or if others fix the result of the run in the folder.
+    """
+    path = folder or plan.path
+    if path is not None and RunFolder(path).config.is_file():
+        changes = find_changes(path, plan, recognition=recognition, modules=modules)
+        return reopen(path, modules=modules, callbacks=callbacks, make_env=make_env, **changes)
     resolved = resolve(plan, recognition=recognition, make_env=make_env)
-    folder, plan = make_folder(plan, recognition=recognition)
-    with folder.noting_failure():
-        return Training(replace(resolved, plan=plan), folder=folder, callbacks=callbacks)
+    run, plan = make_folder(plan, recognition=recognition)
+    with run.noting_failure():
+        return Training(replace(resolved, plan=plan), folder=run, callbacks=callbacks)
 
 
 def make_folder(plan: Plan, *, recognition: Recognition = None) -> tuple[RunFolder, Plan]:
@@ -137,7 +160,7 @@ def reopen(
     """Set up a run in the state of its last checkpoint; see ``resume``."""
     run = RunFolder.of_existing(folder)
     with run.noting_failure():
-        stored = Plan.from_config(read_config(run.config), modules=modules)
+        stored = read_plan(run, modules=modules)
         plan = stored.change(**changes)
         resolved = resolve(plan, recognition=plan.recognition, folder=run.path, make_env=make_env)
         training = Training(resolved, folder=run, callbacks=callbacks)
@@ -181,24 +204,3 @@ def complete(training: Training) -> dict[str, Any]:
                     interruption=interruption,  # it may have received a signal meanwhile
                 )
                 training.restore()
-
-
-def find_summary(
-    folder: str | Path, /, *, modules: Collection[str] = (), **changes: Any
-) -> dict[str, Any] | None:
-    """Return the summary of a run that is finished, also under some changes, or None.
-
-    More frames or another final evaluation make it unfinished; arguments see ``resume``.
-    """
-    run = RunFolder.of_existing(folder)
-    if not run.summary.is_file() or run.failure.is_file():
-        return None
-    summary = read_summary(run.summary)
-    stored = Plan.from_config(read_config(run.config), modules=modules)
-    plan = stored.change(**changes)
-    late = [entry.name for entry in list_fields(RunSettings) if entry.role is Role.EVALUATION]
-    is_evaluated = plan.extra == stored.extra and all(
-        getattr(plan.run, name) == getattr(stored.run, name) for name in late
-    )
-    is_trained = plan.run.total_frames <= summary.get("frames", 0)
-    return dict(summary) if is_trained and is_evaluated else None

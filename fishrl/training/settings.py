@@ -1,7 +1,5 @@
 """Settings of a training: those that determine its result, and where and how often it reports."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import torch

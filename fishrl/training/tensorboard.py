@@ -1,7 +1,5 @@
 """A logger for TensorBoard."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,7 +10,7 @@ from fishrl.training.logger import CsvLogger
 
 
 class TensorboardLogger(CsvLogger):
-    """TensorBoard's event files in the run folder, beside the CSV file.
+    """TensorBoard's event files in the run folder, in addition to the CSV file.
 
     ``open`` raises ImportError if tensorboard is not installed.
     """

@@ -33,7 +33,8 @@ Table = tuple[tuple[int, int, int], ...]
 def quantise(values: NDArray[np.float32], low: float, high: float) -> NDArray[np.uint8]:
     """Return levels 1 to 255 of values between ``low`` and ``high``; NaN counts as zero."""
     scaled = np.clip((np.nan_to_num(values) - low) / (high - low), 0.0, 1.0)
-    return np.round(scaled * 254.0 + 1.0).astype(np.uint8)
+    levels: NDArray[np.uint8] = np.round(scaled * 254.0 + 1.0).astype(np.uint8)
+    return levels
 
 
 def paint(levels: NDArray[np.uint8], table: Table) -> NDArray[np.uint8]:

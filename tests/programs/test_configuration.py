@@ -8,19 +8,13 @@ from typing import Any
 import pytest
 
 from fishrl.envs import KarmanGait
-from fishrl.programs import evaluate, train, train_lateral_line, view
+from fishrl.programs import evaluate, train, train_lateral_line
 from fishrl.programs.configuration import parse, quote
 from fishrl.programs.train_settings import make_plan
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.run_folder import write_yaml
 
 read = train.main.read
-
-
-def test_a_setting_reaches_its_argument() -> None:
-    settings = read(["num_envs=3", "gamma=1", "task.time_limit=17", "hidden=[8]", "flows=null"])
-    assert (settings.num_envs, settings.gamma, settings.hidden) == (3, 1.0, (8,))
-    assert settings.task.time_limit == 17
 
 
 def test_the_hyperparameters_of_the_paper_are_the_defaults() -> None:
@@ -57,36 +51,6 @@ def test_a_key_of_another_object_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("argument", "wanted"),
-    [
-        ("num_envs=abc", "a whole number"),
-        ("num_envs=0", "greater than 0"),
-        ("gamma=1.5", "at most 1"),
-        ("compile=3", "true or false"),
-        ("hidden=5", "a list"),
-        ("task.start_x_bl=[3]", "a list of 2"),
-        ("task.reynolds=-1", "greater than 0"),
-    ],
-)
-def test_a_wrong_value_is_answered_with_key_value_and_what_is_allowed(
-    argument: str, wanted: str
-) -> None:
-    key, value = argument.split("=")
-    with pytest.raises(ValueError, match=wanted) as error:
-        read([argument])
-    assert str(error.value).startswith(f"{key} = ")
-    assert value.strip("[]") in str(error.value)
-
-
-def test_all_mistakes_of_a_command_line_are_reported_at_once() -> None:
-    with pytest.raises(ValueError, match="totl_frames") as error:
-        read(["totl_frames=3", "gamma=2", "task.reynolds=x"])
-    assert [line.split()[0] for line in str(error.value).splitlines()[1:]] == [
-        *("task.reynolds", "gamma"),
-    ]
-
-
-@pytest.mark.parametrize(
     "argument",
     [
         *("small", "seed", "=", "seed=[1", "seed=0,1", "preset=[1.0]", "--config-dir=/nowhere"),
@@ -97,13 +61,6 @@ def test_what_is_no_single_setting_is_refused_in_one_line(argument: str) -> None
     with pytest.raises(ValueError, match=r"\w") as error:
         read([argument])
     assert "\n" not in str(error.value)
-
-
-def test_a_setting_inside_an_object_changes_the_default_of_its_field(tmp_path: Path) -> None:
-    settings = read(["task=karman_gait", "task.stream.speeds_bl=[1.0,2.0,3.0]"])
-    assert settings.task.stream.speeds_bl == (1.0, 2.0, 3.0)
-    assert settings.task.stream.num_phases == KarmanGait().stream.num_phases
-    assert settings.task.control == KarmanGait().control
 
 
 def write_yaml_file(folder: Path, group: str, text: str) -> str:
@@ -155,10 +112,6 @@ def test_programs_that_train_nothing_take_only_the_task_of_a_preset() -> None:
     }
     assert with_preset.task == read(["preset=gait_small"]).task
     assert plain.task.body_length == 40
-
-
-def test_a_path_alone_is_a_recording() -> None:
-    assert view.main.read(["it's a recording.rrd"]).recording == "it's a recording.rrd"
 
 
 def stored_run(folder: Path, *words: str) -> Path:

@@ -44,12 +44,6 @@ def test_no_moment_is_written_twice_where_the_episode_ends_within_a_decision() -
     assert (np.diff(time) > 0.0).all()
 
 
-def test_the_last_moment_of_an_episode_is_written_whatever_the_rate() -> None:
-    settings = export.main.read([*TINY, "periods=2", "task.time_limit=2", "save=x.nc"])
-    time = export.simulate(settings, progress=Progress(is_shown=False))["time"].values
-    assert time[-1] == pytest.approx(2.0)
-
-
 def test_xarray_reads_netcdf_and_zarr(flow: xr.Dataset, tmp_path: Path) -> None:
     write_netcdf(flow, tmp_path / "flow.nc")
     write_zarr(flow, tmp_path / "flow.zarr")
@@ -71,8 +65,3 @@ def test_vtk_reads_the_flow_and_the_bodies(flow: xr.Dataset, tmp_path: Path) -> 
     assert np.array_equal(image["vorticity"], last["vorticity"].values.ravel())
     assert np.allclose(image.points[:, 1].max(), last["y"].values[-1])
     assert np.allclose(fish.points[:, :2], last["outline_0"].values, atol=1e-6)
-
-
-def test_other_endings_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"save = flow.xyz: must end in one of .nc, .zarr, .pvd"):
-        export.main.read([*TINY, "save=flow.xyz"])

@@ -17,7 +17,7 @@ from fishrl.envs import KarmanGait, Predation
 from fishrl.envs.steering import PolicySteering
 from fishrl.envs.transforms import equip
 from fishrl.modules import LateralLineClassifier
-from fishrl.programs import evaluate, transfer
+from fishrl.programs import transfer
 from fishrl.programs.gait.trials import load_trial, make_trial, name_arm
 from fishrl.programs.train import finish, set_up
 from fishrl.programs.train_settings import TRAINING
@@ -108,15 +108,6 @@ def test_a_run_with_a_lateral_line_goes_on_exactly(trained: Path, tmp_path: Path
     assert resumed["updates"] == whole["updates"] > 0
     assert list_learned(tmp_path / "moved") == list_learned(trained / "machine")
     assert read_rows(tmp_path / "moved")[-1] == read_rows(trained / "machine")[-1]
-
-
-def test_an_evaluation_takes_the_machine_of_the_run(trained: Path, tmp_path: Path) -> None:
-    shutil.copytree(trained / "machine", tmp_path / "moved")
-    saved = tmp_path / "result.json"
-    arguments = [f"checkpoint={tmp_path / 'moved'}", "episodes=3", "compile=false"]
-    evaluate.main([*arguments, f"save={saved}"])
-    result = json.loads(saved.read_text())
-    assert (result["episodes"], result["task"]) == (3, "KarmanGait")
 
 
 def test_recognition_fits_the_task_or_says_why(tmp_path: Path) -> None:

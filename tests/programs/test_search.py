@@ -203,13 +203,6 @@ def test_searches_that_begin_at_once_draw_different_settings(
     assert len({trial.params["gamma"] for trial in study.trials}) == len(study.trials) == 2
 
 
-def test_a_search_in_the_home_folder_has_one_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("HOME", str(tmp_path))
-    assert plan_of(Path("~/search"), "gamma=interval(0,1)").path == tmp_path / "search"
-
-
 def test_two_searches_share_a_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search, "run_seed", lambda *_: None)
     plan = plan_of(tmp_path, "gamma=interval(0,1)")

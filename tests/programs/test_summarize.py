@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from fishrl.programs import summarize
-from fishrl.programs.statistics import Statistic, find_improvement, find_interquartile_mean
+from fishrl.programs.statistics import find_improvement, find_interquartile_mean
 from fishrl.programs.summarize import average, tabulate_differences
 from fishrl.programs.sweeps.groups import group_runs
 from fishrl.programs.sweeps.runs import count_frames, read_run, read_runs
@@ -86,13 +86,9 @@ def test_the_interquartile_mean_leaves_out_a_quarter_at_either_end() -> None:
     assert find_interquartile_mean([]).show(".1f") == "–"
 
 
-def test_the_probability_of_improvement_counts_pairs() -> None:
+def test_the_probability_of_improvement_counts_pairs_and_few_seeds_get_no_interval() -> None:
     found = find_improvement([1.0, 2.0, 3.0], [0.0, 2.0])
     assert found.value == pytest.approx(4.5 / 6.0)  # 1 > 0, 2 > 0, 3 > 0, 3 > 2, and one tie
-    assert find_improvement([3.0], [1.0]).show(".2f") == "1.00"
-
-
-def test_few_seeds_get_no_bootstrap_interval() -> None:
     five, six = [1.0, 2.0, 3.0, 4.0, 5.0], [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
     assert find_improvement(six, five).show(".2f") == "0.58"
     found = find_improvement(six, six)
@@ -107,22 +103,6 @@ def test_bootstrap_intervals_cover_the_truth_about_as_often_as_they_say() -> Non
         found = find_improvement(list(ours), list(theirs))
         hits.append(found.low <= 0.6382 <= found.high)  # normal distribution at 0.5 / sqrt(2)
     assert 0.85 < np.mean(hits) <= 1.0  # percentile intervals of ten values are a little short
-
-
-def test_an_interval_is_students_over_the_seeds() -> None:
-    # By hand: deviation sqrt(50/3), t at 97.5 % for 3 degrees of freedom 3.182, over sqrt(4).
-    found = Statistic.of([1.0, 2.0, 3.0, 10.0])
-    assert (found.count, found.mean) == (4, 4.0)
-    assert found.half_width == pytest.approx(3.182 * (50.0 / 3.0) ** 0.5 / 2.0, abs=1e-3)
-    assert Statistic.of([1.0]).half_width != Statistic.of([1.0]).half_width
-
-
-def test_runs_that_differ_in_their_seed_alone_are_one_group(sweep: Path) -> None:
-    groups = group_runs(read_runs(sweep))
-    assert [group.settings for group in groups] == [{"gamma": "0.9"}, {"gamma": "0.99"}]
-    assert [len(group.runs) for group in groups] == [4, 4]
-    assert groups[0].numbers("mean_return") == [1.0, 2.0, 3.0, 10.0]
-    assert groups[1].numbers("mean_time_to_success_T") == []
 
 
 def test_runs_of_different_classifiers_are_different_groups(tmp_path: Path) -> None:
@@ -265,6 +245,8 @@ def test_curves_are_means_over_the_runs_that_have_come_so_far(sweep: Path) -> No
 
 
 def test_runs_that_do_not_count_are_named(tmp_path: Path) -> None:
+    (tmp_path / "lateral-line").mkdir()  # a study that trains no policy
+    write_yaml(tmp_path / "lateral-line" / "config.yaml", {"num_samples": 6000, "seed": 0})
     with pytest.raises(ValueError, match="holds no runs; give the folder of a sweep"):
         read_runs(tmp_path)
     (tmp_path / "gamma_2").mkdir()
@@ -278,25 +260,6 @@ def test_runs_that_do_not_count_are_named(tmp_path: Path) -> None:
     (run / "summary.json").write_text("{")
     with pytest.raises(ValueError, match=r"run: damaged .* repair or delete it"):
         read_runs(tmp_path)
-
-
-def test_a_study_that_trains_no_policy_is_no_run_of_a_sweep(sweep: Path) -> None:
-    (sweep / "lateral-line").mkdir()
-    write_yaml(sweep / "lateral-line" / "config.yaml", {"num_samples": 6000, "seed": 0})
-    assert len(read_runs(sweep)) == 8
-
-
-def test_runs_that_differ_in_their_logger_alone_are_one_group(tmp_path: Path) -> None:
-    for seed, logger in enumerate(("CsvLogger", "WandbLogger")):
-        target = f"fishrl.training.logger.{logger}"
-        write_run(tmp_path, logger, seed=seed, logger={"_target_": target})
-    assert len(group_runs(read_runs(tmp_path))) == 1
-
-
-def test_a_run_without_an_evaluation_is_summarized(tmp_path: Path) -> None:
-    path = write_run(tmp_path, "run", curve={50: 1.0}, summary=summary_of(1.0))
-    (path / "metrics.csv").write_text("frames,eval/mean_return,eval/success_rate\n50,,\n")
-    assert "1 of 1 runs finished" in summarize.summarize(tmp_path)
 
 
 def test_frames_are_those_of_the_last_whole_row(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from fishrl.programs.sweeps.groups import group_runs
 from fishrl.programs.sweeps.jobs import Job, find_runs, plan_jobs
 from fishrl.programs.sweeps.runs import read_run, read_runs
 from fishrl.programs.train_settings import TRAINING, is_finished, list_changes, make_plan
+from fishrl.settings import describe
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.run_folder import read_config, write_json, write_yaml
 from fishrl.training.runs import make_folder
@@ -50,7 +51,7 @@ def test_jobs_are_named_after_what_differs() -> None:
     assert max(map(len, long)) <= jobs.LONGEST_NAME
 
 
-def test_jobs_are_listed_and_named_before_they_run(tmp_path: Path) -> None:
+def test_jobs_are_listed_and_named_before_they_run() -> None:
     line = ["num_envs=2", "seed=0,1", "task.time_limit=range(3,5)", "folder=runs/my sweep"]
     planned = [job.settings for job in plan_jobs(line)]
     assert [job.name for job in planned] == [
@@ -67,7 +68,7 @@ def test_jobs_are_listed_and_named_before_they_run(tmp_path: Path) -> None:
 def test_the_words_of_a_job_give_its_settings() -> None:
     line = ["seed=0,1", "hidden=[8],[8,8]", "algorithm=dqn", "folder='a, b'"]
     for job in plan_jobs(line):
-        assert TRAINING.read(job.words) == job.settings
+        assert describe(TRAINING.read(job.words)) == describe(job.settings)
         assert job.settings.folder == "a, b"
 
 
@@ -134,6 +135,11 @@ def test_a_run_of_the_same_settings_is_continued_and_one_of_others_is_refused(
     (longer,) = plan_jobs([f"folder={tmp_path}", "total_frames=3000", "port=9900"])
     assert not is_finished(longer.settings)
     assert list_changes(longer.settings)["total_frames"] == 3000
+    (compared,) = plan_jobs([f"folder={tmp_path}", "baselines=[random]", "log_frames=8"])
+    assert not is_finished(compared.settings)  # it is evaluated again
+    assert list_changes(compared.settings)["log_frames"] == 8
+    (logged,) = plan_jobs([f"folder={tmp_path}", "log_frames=8"])
+    assert is_finished(logged.settings)
     for word in ("gamma=0.5", "task.reynolds=500", "recognition=oracle", "algorithm=dqn"):
         (other,) = plan_jobs([f"folder={tmp_path}", word])
         with pytest.raises(ValueError, match=rf"is .* in {first.path}; take another folder"):
@@ -164,7 +170,13 @@ def test_a_run_with_another_classifier_is_another_run(tmp_path: Path) -> None:
 
 def test_runs_that_are_logged_and_compared_otherwise_are_one_group(tmp_path: Path) -> None:
     given = ["port=9900", "live_share=0.2", "flows=[0,1]", "log_frames=8", "checkpoint_frames=8"]
-    given += ["keep_checkpoints=4", "picture_episodes=0", "baselines=[random]", "live=true"]
+    given += [
+        "keep_checkpoints=4",
+        "picture_episodes=0",
+        "baselines=[random]",
+        "live=true",
+        "logger=wandb",
+    ]
     for name, words in {"a": [], "b": given, "c": ["eval_frames=8"]}.items():
         plan = make_plan(TRAINING.read([f"folder={tmp_path}", f"name={name}", *words]))
         make_folder(plan)
@@ -196,15 +208,6 @@ def test_a_killed_job_leaves_the_others_and_is_continued_by_the_same_sweep(
     alone = [sys.executable, "-m", "fishrl", *shlex.split(rerun)[1:]]
     assert subprocess.run(alone, cwd=ROOT, check=False).returncode == 0
     assert read_run(killed).status == "finished"
-
-
-def test_a_repeated_sweep_takes_changes_of_what_is_logged_and_compared(tmp_path: Path) -> None:
-    command = [*SETTINGS, f"folder={tmp_path}", f"logger._target_={HERE}.Gliding"]
-    assert run_sweep(*command) == 0
-    assert run_sweep(*command, "baselines=[random]", "log_frames=8") == 0
-    (run,) = read_runs(tmp_path)
-    assert run.summary["baselines"] == ["random"]
-    assert run.config["log_frames"] == 8
 
 
 def test_a_sweep_that_is_ended_saves_its_runs(tmp_path: Path) -> None:

@@ -83,14 +83,11 @@ def test_the_learned_fish_of_a_run_is_shown_in_its_own_task(
 def test_a_path_alone_opens_the_recording_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = tmp_path / "it's = a run"
-    folder.mkdir()
-    (folder / "capture.rrd").touch()
     opened: list[Path] = []
-    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(view, "has_screen", lambda: True)
     monkeypatch.setattr(view, "open_recording", opened.append)
     monkeypatch.chdir(tmp_path)
-    (folder / "capture.rrd").rename(tmp_path / "it's one.rrd")
+    Path("it's one.rrd").touch()
     view.main(["it's one.rrd"])
     assert opened == [Path("it's one.rrd")]
 
@@ -125,15 +122,12 @@ def test_a_live_view_streams_and_stays_until_an_interrupt(
         ([], "error: give exactly one of run=<run folder>"),
         (["nowhere.rrd"], r"error: no \.rrd file at nowhere\.rrd"),
         (["run=nowhere"], "error: checkpoint nowhere: there is none"),
-        (["policy=pid", "field_format=jpg"], "error: field_format = 'jpg': .*did you mean 'jpeg'"),
         ([*GAIT, "policy=pid", "flows=[1]", "save=x.rrd"], r"error: flows = \[1\]: must be some"),
         (["policy=pid", "save=x.avi"], r"error: save = x\.avi: must end in one of \.rrd, \.mp4"),
-        ([*GAIT, "policy=pid", "save=nowhere/x.rrd"], "error: no folder nowhere: make it first"),
         (
             [*GAIT, "policy=pid", "save=x.rrd", "screenshot=nowhere/x.png"],
             "error: no folder nowhere: make it first",
         ),
-        ([*GAIT, "policy=pid", "save=x.rrd", "screenshot=/"], "error: /: cannot be written"),
         ([*GAIT, "policy=pid"], "error: no screen to open a window on: give save="),
     ],
 )
@@ -154,27 +148,24 @@ def test_a_training_with_a_live_view_learns_the_same(
     settings += ["total_frames=32", "warmup_frames=8", "eval_frames=16", "eval_episodes=2"]
     settings += ["final_episodes=1", "baselines=[]", "task.time_limit=4"]
     finish(set_up(TRAINING.read([*settings, "name=alone"])))
-    drawn: list[tuple[int, Frame]] = []
+    drawn: list[tuple[int, float]] = []
     draw = Drawing.draw
 
     def note(drawing: Drawing, flow: int, frame: Frame) -> None:
-        drawn.append((flow, frame))
+        assert {"flow_probabilities", "action_mask", "signal"} <= set(frame.values)
+        drawn.append((flow, frame.time))
         draw(drawing, flow, frame)
 
     monkeypatch.setattr(Drawing, "draw", note)
     seen = ["name=seen", "live=true", "flows=[1,2]", "port=29620", "live_share=1.0"]
-    summary = finish(set_up(TRAINING.read([*settings, *seen])))
+    finish(set_up(TRAINING.read([*settings, *seen])))
     assert read_rows(tmp_path / "seen") == read_rows(tmp_path / "alone")
-    assert summary["frames"] == 32
-    for flow in (1, 2):
-        frames = [frame for own, frame in drawn if own == flow]
-        # 8 decisions of a quarter of a T each in training alone, about 8 frames in a T
-        assert len(frames) > 8 * 0.25 * 8 * 0.7
-        times = [frame.time for frame in frames]
-        assert times == sorted(times)
-        assert sum(frame.begins for frame in frames) > 1  # evaluations, and training again
-        assert {"flow_probabilities", "action_mask", "signal"} <= set(frames[0].values)
     assert {flow for flow, _ in drawn} == {1, 2}
+    for flow in (1, 2):
+        times = [time for own, time in drawn if own == flow]
+        # 8 decisions of a quarter of a T each in training alone, about 8 frames in a T
+        assert len(times) > 8 * 0.25 * 8 * 0.7
+        assert times == sorted(times)
 
 
 def test_a_resumed_run_is_live_only_on_request(tmp_path: Path) -> None:

@@ -5,48 +5,31 @@ from __future__ import annotations
 import copy
 import pickle
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
-from math import inf, nan
-from typing import Annotated, Any, Literal, Optional
+from math import nan
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pytest
-import torch
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from fishrl.settings import REQUIRED, FieldErrors, Role, Settings, list_fields
 
-Point = tuple[int, float]  # a name that contains that of a type
-Vector = tuple[float, float]
-
 
 class Part(Settings):
     size: PositiveInt = 1
-    names: tuple[str, ...] = ("a", "b")
 
 
 class Whole(Settings):
     count: PositiveInt = 1
-    share: Annotated[float, Field(ge=0, le=1)] = 0.5
-    part_of_two: Annotated[float, Field(gt=0, lt=2)] = 1.0
     free: float = 0.0
-    limit: PositiveFloat | None = None
-    start: float = 0.0
-    old_style: Optional[int] = None  # noqa: UP045
-    sizes: Annotated[tuple[PositiveInt, ...], Field(min_length=1)] = (1, 2)
-    place: Point = (0, 0.0)
-    vector: Vector = (0.0, 0.0)
-    pair: tuple[int, int] | None = None
-    rows: tuple[tuple[PositiveFloat, ...], ...] = ((1.0,),)
+    sizes: tuple[PositiveInt, ...] = (1, 2)
+    vector: tuple[float, float] = (0.0, 0.0)
     one_or_more: PositiveFloat | tuple[PositiveFloat, ...] = 1.0
     mode: Literal["burst", "cruise"] = "cruise"
     part: Part = Part(size=5)
-    parts: tuple[Part, ...] = ()
-    tensor: torch.Tensor | None = None
     other: Any = None
-    further: Mapping[str, Any] = field(default_factory=dict)
     is_on: bool = True
     name: str = "nan"
 
@@ -55,76 +38,23 @@ class Whole(Settings):
         return 2 * self.free
 
 
-RIGHT: dict[str, list[Any]] = {
-    "count": [1, 7, 2**63 - 1, np.int64(3)],
-    "share": [0, 1, 0.5, np.float32(0.25)],
-    "part_of_two": [1e-300, 1.99],
-    "free": [-5, 1e300, np.float64(2)],
-    "limit": [None, 3, 0.1],
-    "start": [0.5],
-    "old_style": [None, -3],
-    "sizes": [(1,), [3, 4], (np.int32(5),)],
-    "place": [(1, 0.5), [1, 2]],
-    "vector": [(0, 1), [0.5, -0.5]],
-    "pair": [None, (1, 2), [3, 4]],
-    "rows": [[[1.0], [2, 3]], ()],
-    "one_or_more": [2, [1, 2], (0.5,)],
-    "mode": ["burst"],
-    "part": [Part()],
-    "parts": [[Part(), Part(size=2)]],
-    "tensor": [None, torch.zeros(2)],
-    "other": [None, "x", 3],
-    "further": [{"a": [1]}],
-    "is_on": [False, np.bool_(True)],
-    "name": ["", "x"],
-}
-WRONG: dict[str, list[Any]] = {
-    "count": [0, 1.0, 1.5, "1", None, True, 2**63, nan, (1,)],
-    "share": [-0.1, 1.1, nan, True, "0.5", None],
-    "part_of_two": [0, 2, 2.0],
-    "free": [nan, inf, -inf, "x", None, 2**70, (1.0,)],
-    "limit": [0, nan, inf, "1", False],
-    "start": [nan, "1"],
-    "old_style": [1.5, "1", True],
-    "sizes": [(3, 0), [3, nan], (), 3, ((1,),), None, {1, 2}, "12", np.ones(2, int)],
-    "place": [(1.5, 0), (1,), (1, 2, 3), 3, (1, None)],
-    "vector": [(0.1,), [0.1] * 3, 0.1, ("a", "b"), (nan, 0)],
-    "pair": [(1,), (1, 1.5), (1, None), 1],
-    "rows": [((1.0, nan),), ((0.0,),), (1.0,)],
-    "one_or_more": [0, -1.0, (1, 0), "x", None],
-    "mode": ["burs", None, 3],
-    "part": [None, {"size": 1}, 3, "Part"],
-    "parts": [(Part(), 3), Part()],
-    "tensor": [3, [1.0]],
-    "other": [nan, (1, inf), [2**64]],
-    "further": [3, "a"],
-    "is_on": [1, 0, "true", None],
-    "name": [3, None, True],
-}
-
-
-def freeze(value: Any) -> Any:
-    return tuple(map(freeze, value)) if isinstance(value, list | tuple) else value
-
-
-@pytest.mark.parametrize("name", RIGHT)
-def test_right_values_are_kept_with_python_types(name: str) -> None:
-    for value in RIGHT[name]:
-        made = Whole(**{name: value})
-        for settings in (made, replace(made)):
-            kept = getattr(settings, name)
-            assert not isinstance(kept, list | np.generic)
-            assert kept is value or kept == freeze(value)
-
-
-@pytest.mark.parametrize("name", WRONG)
-def test_wrong_values_are_refused_by_name_and_value(name: str) -> None:
-    for value in WRONG[name]:
-        with pytest.raises(FieldErrors, match=rf"^{name} = .*: must be ") as caught:
-            Whole(**{name: value})
-        assert "\n" not in str(caught.value)
-        with pytest.raises(ValueError, match="must be"):
-            replace(Whole(), **{name: value})
+@pytest.mark.parametrize(
+    ("name", "value", "kept"),
+    [
+        ("count", np.int64(3), 3),
+        ("free", np.float32(0.25), 0.25),
+        ("free", -5, -5.0),
+        ("sizes", [3, np.int32(4)], (3, 4)),
+        ("vector", (0, 1), (0.0, 1.0)),
+        ("is_on", np.bool_(False), False),
+        ("name", "", ""),
+    ],
+)
+def test_right_values_are_kept_with_python_types(name: str, value: Any, kept: Any) -> None:
+    made = getattr(Whole(**{name: value}), name)
+    assert made == kept and type(made) is type(kept)
+    if isinstance(kept, tuple):
+        assert list(map(type, made)) == list(map(type, kept))
 
 
 def test_every_error_has_a_line() -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from pydantic import PositiveInt
 
-from fishrl.settings import Settings, build, describe, find_class, suggest, to_plain
+from fishrl.settings import Settings, build, describe, to_plain
 
 
 class Colour(Enum):
@@ -202,12 +202,3 @@ def test_the_traceback_of_an_error_leads_to_the_check_that_raised_it() -> None:
     with pytest.raises(ValueError, match="fish") as caught:
         build(Task, {"gait": {"speed": 10}})
     assert any(entry.name == "__post_init__" for entry in caught.traceback)
-
-
-def test_the_most_similar_word_is_suggested() -> None:
-    assert suggest("learning_rat", ["gamma", "learning_rate"]) == "; did you mean 'learning_rate'?"
-    assert suggest("xyz", ["gamma", "learning_rate"]) == ""
-
-
-def test_a_class_that_is_found_has_the_expected_type() -> None:
-    assert find_class(TASK, (Settings,)) is Task

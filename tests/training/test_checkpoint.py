@@ -92,7 +92,7 @@ def test_a_checkpoint_of_another_stack_is_refused(tmp_path: Path) -> None:
         load_checkpoint(tmp_path / "best", {"net": torch.nn.Linear(3, 2)}, spec=other)
 
 
-def test_processes_lost_while_saving_are_not_taken_for_the_disk(tmp_path: Path) -> None:
+def test_lost_worker_while_saving_is_not_reported_as_a_disk_error(tmp_path: Path) -> None:
     class Lost(torch.nn.Linear):
         def state_dict(self, *_: Any, **__: Any) -> dict[str, Any]:
             raise ChildProcessError("collector 1 is gone")
@@ -144,7 +144,7 @@ def test_a_flipped_bit_in_any_file_is_noticed(tmp_path: Path) -> None:
     load(tmp_path / "last")
 
 
-def test_metadata_of_something_else_are_refused(tmp_path: Path) -> None:
+def test_unknown_metadata_is_refused(tmp_path: Path) -> None:
     save(tmp_path / "last")
     change_manifest(tmp_path / "last", lambda metadata: metadata.update(command="rm"))
     with pytest.raises(ValueError, match="metadata are not those of a run"):
@@ -179,7 +179,9 @@ def test_a_checkpoint_cannot_run_code(tmp_path: Path, way: str) -> None:
     assert not (tmp_path / "ran").exists()
 
 
-def test_every_part_of_a_run_is_saved_without_pickled_code_or_left_over_memory(toy: Toy) -> None:
+def test_checkpoint_holds_every_component_without_pickled_code_or_uninitialised_memory(
+    toy: Toy,
+) -> None:
     training = toy.begin(name="run", total_frames=16, buffer_size=500, **QUICK)
     training.run()
     folder = toy.folder / "run" / "checkpoints" / "last"
@@ -197,7 +199,7 @@ def test_every_part_of_a_run_is_saved_without_pickled_code_or_left_over_memory(t
     assert rows and all((value[16:] == 0).all() for value in rows)
 
 
-def test_a_full_disk_is_named_and_the_checkpoint_before_is_as_it_was(
+def test_full_disk_is_reported_and_keeps_the_previous_checkpoint(
     tmp_path: Path, limited_disk: Limit
 ) -> None:
     save(tmp_path / "last", value=1.0)
@@ -210,12 +212,12 @@ def test_a_full_disk_is_named_and_the_checkpoint_before_is_as_it_was(
     assert (load(tmp_path / "last").weight == 1.0).all()
 
 
-def test_a_folder_that_cannot_be_written_any_more_is_named(read_only_folder: Path) -> None:
+def test_read_only_folder_is_reported(read_only_folder: Path) -> None:
     with pytest.raises(CheckpointNotWritten, match=r"\(Permission denied\); there is none yet"):
         save(read_only_folder / "last")
 
 
-def test_an_error_that_is_not_the_disks_is_not_taken_for_it(tmp_path: Path) -> None:
+def test_other_runtime_errors_while_saving_are_not_reported_as_disk_errors(tmp_path: Path) -> None:
     class Broken(torch.nn.Linear):
         def state_dict(self, *args: Any, **kwargs: Any) -> Any:
             raise RuntimeError("a flow worker failed")
@@ -225,7 +227,7 @@ def test_an_error_that_is_not_the_disks_is_not_taken_for_it(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("is_killed", [False, True])
-def test_a_run_cut_off_in_its_first_checkpoint_begins_anew(
+def test_run_killed_in_its_first_checkpoint_starts_over(
     toy: Toy, limited_disk: Limit, is_killed: bool
 ) -> None:
     run = toy.folder / "run"
@@ -241,7 +243,7 @@ def test_a_run_cut_off_in_its_first_checkpoint_begins_anew(
 
 
 @pytest.mark.parametrize("error", [OSError("the disk is full"), KeyboardInterrupt()])
-def test_a_run_cut_off_before_the_checksums_of_its_first_checkpoint_begins_anew(
+def test_run_killed_before_the_checksums_of_its_first_checkpoint_starts_over(
     toy: Toy, monkeypatch: pytest.MonkeyPatch, error: BaseException
 ) -> None:
     def fail(file: Path) -> str:
@@ -258,7 +260,7 @@ def test_a_run_cut_off_before_the_checksums_of_its_first_checkpoint_begins_anew(
     assert not list((toy.folder / "run" / "checkpoints").glob(".*"))
 
 
-def test_a_run_outlives_a_full_disk(
+def test_run_survives_a_full_disk(
     toy: Toy,
     whole: Training,
     limited_disk: Limit,

@@ -18,7 +18,9 @@ from tests.envs.conftest import SMALL, move_kinematically
 from tests.training.conftest import Toy, make_toy_plan
 
 
-def test_flows_that_cannot_be_shared_are_refused(toy: Toy, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_invalid_numbers_of_collectors_are_refused(
+    toy: Toy, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("fishrl.training.resolve.find_spec", lambda name: None)
     for wrong, said in (
         ({"ray_collectors": 3}, "num_envs = 8: must be a multiple of"),
@@ -43,7 +45,7 @@ def cluster() -> Iterator[None]:
 
 @pytest.mark.cluster
 @pytest.mark.usefixtures("cluster")
-def test_a_run_on_a_cluster_goes_on_exactly_after_a_stop(toy: Toy) -> None:
+def test_cluster_run_resumes_exactly(toy: Toy) -> None:
     shared: dict[str, Any] = {
         "ray_collectors": 2,
         "algorithm": DQN(epsilon_frames=100),
@@ -62,7 +64,7 @@ def test_a_run_on_a_cluster_goes_on_exactly_after_a_stop(toy: Toy) -> None:
 
 @pytest.mark.cluster
 @pytest.mark.usefixtures("cluster")
-def test_collectors_act_with_the_newest_weights_and_know_their_episodes_apart(toy: Toy) -> None:
+def test_collectors_use_the_newest_weights_and_unique_trajectory_ids(toy: Toy) -> None:
     training = toy.begin(ray_collectors=2, warmup_frames=0)
     batches = iter(training.collector)
     first = next(batches)
@@ -78,7 +80,7 @@ def test_collectors_act_with_the_newest_weights_and_know_their_episodes_apart(to
 
 @pytest.mark.cluster
 @pytest.mark.usefixtures("cluster")
-def test_a_run_goes_on_exactly_after_a_collector_is_lost(
+def test_run_continues_exactly_after_a_lost_collector(
     toy: Toy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import ray
@@ -106,7 +108,7 @@ def make_gliding_env(**arguments: Any) -> Any:
 
 @pytest.mark.cluster
 @pytest.mark.usefixtures("cluster")
-def test_epsilon_falls_with_env_frames_however_many_fish_explore(toy: Toy) -> None:
+def test_epsilon_decays_with_env_frames_independent_of_the_number_of_fish(toy: Toy) -> None:
     plan = make_toy_plan(
         toy.folder,
         algorithm=DQN(epsilon_end=0.0, epsilon_frames=8),

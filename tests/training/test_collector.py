@@ -10,7 +10,7 @@ from fishrl.training.algorithms.drqn import DRQN
 from tests.training.conftest import Toy
 
 
-def test_memory_rides_along_while_collecting_and_begins_anew_with_each_episode(toy: Toy) -> None:
+def test_lstm_state_carries_over_between_decisions_and_resets_with_each_episode(toy: Toy) -> None:
     training = toy.begin(algorithm=DRQN(sequence_length=4), warmup_frames=0, task={"time_limit": 4})
     batches = iter(training.collector)
     seen = [next(batches)[:, 0].clone() for _ in range(9)]

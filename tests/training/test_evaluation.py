@@ -40,14 +40,14 @@ def test_an_evaluation_repeats_even_on_an_env_that_was_used() -> None:
     assert torch.equal(starts[0], starts[1]) and not torch.equal(starts[0], starts[2])
 
 
-def test_diverged_episodes_are_counted_as_no_success() -> None:
+def test_diverged_episodes_count_as_failures() -> None:
     result = Fixed(4, 40, divergence_rate=0.2).run(PursuitPolicy())
     metrics = result.metrics()
     assert metrics["diverged"] == int(result.diverged.sum()) > 0
     assert not (result.diverged & result.succeeded).any()
 
 
-def test_metrics_are_means_over_all_starts_but_the_time_over_successes() -> None:
+def test_metrics_average_over_starts_and_time_over_successes() -> None:
     result = Episodes(
         succeeded=torch.tensor([True, False, True, False]),
         returns=torch.tensor([10.0, 0.0, 20.0, -2.0]),

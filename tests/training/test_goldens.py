@@ -36,7 +36,7 @@ def read(path: Path) -> list[dict[str, float]]:
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
-def test_a_seed_gives_the_learning_curve_it_always_gave(name: str, toy: Toy) -> None:
+def test_seed_reproduces_the_golden_learning_curve(name: str, toy: Toy) -> None:
     algorithm = ALGORITHMS[name]
     task = {"is_continuous": not algorithm.takes_discrete}
     toy.begin(algorithm=algorithm, task=task, name=name, baselines=(), final_episodes=1).run()

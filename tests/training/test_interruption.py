@@ -20,7 +20,7 @@ from tests.training.conftest import Toy
 from tests.training.stops import run_and_signal
 
 
-def test_a_signal_ends_a_run_with_everything_saved(toy: Toy) -> None:
+def test_signal_saves_and_ends_a_run(toy: Toy) -> None:
     code, said = run_and_signal(toy.folder, signal.SIGTERM, step=5)
     assert code == 128 + signal.SIGTERM, said
     run = toy.folder / "run"
@@ -29,7 +29,7 @@ def test_a_signal_ends_a_run_with_everything_saved(toy: Toy) -> None:
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")
-def test_a_second_signal_ends_it_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_second_signal_ends_a_run_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     interruption, before = Interruption(), signal.getsignal(signal.SIGINT)
     interruption.check()
     with interruption:
@@ -48,7 +48,7 @@ def test_a_second_signal_ends_it_at_once(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")
-def test_a_signal_that_is_ignored_stays_so() -> None:
+def test_ignored_signals_stay_ignored() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with Interruption() as interruption:
         signal.raise_signal(signal.SIGINT)

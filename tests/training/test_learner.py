@@ -39,7 +39,7 @@ def measure_own_memory_mb() -> float:
 
 
 @pytest.mark.parametrize("algorithm", [DiscreteSAC(), DRQN()], ids=["sac", "drqn"])
-def test_memory_stays_flat(toy: Toy, algorithm: DiscreteSAC | DRQN) -> None:
+def test_memory_does_not_grow_with_frames(toy: Toy, algorithm: DiscreteSAC | DRQN) -> None:
     training = toy.begin(
         algorithm=algorithm,
         buffer_size=100,

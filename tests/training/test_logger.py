@@ -39,7 +39,7 @@ def read(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_rows_have_a_cell_per_metric_and_empty_ones_for_what_was_not_measured(
+def test_rows_have_empty_cells_for_metrics_that_were_not_measured(
     tmp_path: Path,
 ) -> None:
     log = CsvLogger()
@@ -69,7 +69,7 @@ def test_damaged_metrics_are_refused_and_stay(tmp_path: Path, content: bytes, pr
     assert (tmp_path / "metrics.csv").read_bytes() == content
 
 
-def test_a_log_that_goes_on_forgets_what_came_after_the_checkpoint(tmp_path: Path) -> None:
+def test_resumed_log_drops_rows_after_the_checkpoint(tmp_path: Path) -> None:
     log = CsvLogger()
     log.open(tmp_path, columns=["frames", "a"], config={})
     for frames in (8, 16, 24):
@@ -105,7 +105,7 @@ def test_wandb_writes_offline_beside_the_csv(
     assert os.environ.get("WANDB_MODE") == before.get("WANDB_MODE")
 
 
-def test_a_run_of_a_wandb_agent_goes_on_under_the_name_the_agent_gave_it(
+def test_run_of_a_wandb_agent_keeps_its_id_when_resumed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("WANDB_SILENT", "true")
@@ -126,7 +126,7 @@ def open_and_close(folder: Path) -> None:
     logger.close()
 
 
-def test_numbers_that_json_does_not_know_become_null(tmp_path: Path) -> None:
+def test_nan_and_infinity_become_null_in_json(tmp_path: Path) -> None:
     nested = {"a": math.nan, "b": [1.5, {"c": -math.inf}], "d": "x", "e": (math.inf, 2)}
     write_json(tmp_path / "summary.json", nested)
     written = json.loads((tmp_path / "summary.json").read_text())

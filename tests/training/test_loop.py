@@ -59,7 +59,7 @@ def test_a_run_writes_its_settings_metrics_checkpoints_and_summary(toy: Toy) -> 
     assert (written["episodes"], written["frames"], written["seed"]) == (10, 240, 0)
 
 
-def test_the_rows_that_a_checkpoint_counts_are_on_the_disk_before_it(
+def test_metrics_are_flushed_before_each_checkpoint(
     toy: Toy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     training, sync = toy.begin(name="run", total_frames=80, **QUICK), os.fsync
@@ -81,7 +81,7 @@ def test_another_seed_gives_other_metrics(toy: Toy, whole: Training) -> None:
     assert toy.rows("other") != read_rows(whole.folder.path)
 
 
-def test_actions_are_legal_and_diverged_transitions_never_remembered(toy: Toy) -> None:
+def test_actions_are_legal_and_diverged_transitions_are_not_stored(toy: Toy) -> None:
     training = toy.begin(task={"divergence_rate": 0.1, "banned_action": 2}, **QUICK)
     training.run()
     counters, buffer = training.counters, training.learner.buffer
@@ -92,7 +92,7 @@ def test_actions_are_legal_and_diverged_transitions_never_remembered(toy: Toy) -
 
 @pytest.mark.usefixtures("kinematic")
 @pytest.mark.parametrize("algorithm", [DiscreteSAC(), DRQN()], ids=["sac", "drqn"])
-def test_a_flow_that_diverges_never_stops_a_run(
+def test_diverging_flows_do_not_stop_a_run(
     toy: Toy, monkeypatch: pytest.MonkeyPatch, algorithm: DiscreteSAC | DRQN
 ) -> None:
     advance, num_calls = KinematicSolver.advance_, [0]
@@ -124,13 +124,13 @@ def test_a_flow_that_diverges_never_stops_a_run(
     assert all(value.isfinite().all() for value in weights_of(training).values())
 
 
-def test_evaluating_on_the_way_does_not_change_what_is_learned(toy: Toy, whole: Training) -> None:
+def test_evaluations_do_not_change_what_is_learned(toy: Toy, whole: Training) -> None:
     training = toy.begin(eval_frames=16, **QUICK)
     training.run()
     assert_equal_weights(training, whole)
 
 
-def test_the_last_evaluation_is_of_the_best_checkpoint(
+def test_final_evaluation_uses_the_best_checkpoint(
     toy: Toy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     training = toy.begin(eval_frames=40)
@@ -191,7 +191,7 @@ def test_a_callback_sees_training_and_evaluations(toy: Toy) -> None:
     assert watcher.seen == ["begin 8", *episodes, "finish 16", "close"]
 
 
-def test_a_run_that_is_stopped_while_it_draws_is_not_finished(toy: Toy) -> None:
+def test_run_interrupted_in_on_end_is_not_finished(toy: Toy) -> None:
     for name, error, is_there in (
         ("stopped", Interrupted(signal.SIGTERM), False),
         ("failed", OSError("no place for pictures"), True),
@@ -232,7 +232,7 @@ def test_the_fish_learns_to_catch_still_food(toy: Toy, algorithm: Algorithm) -> 
 
 
 @pytest.mark.parametrize("is_continuous", [False, True])
-def test_a_toy_env_is_what_the_loop_expects(is_continuous: bool) -> None:
+def test_toy_env_passes_check_env_specs(is_continuous: bool) -> None:
     """The stand-in passes TorchRL's own check, so that a failure here is one of the loop."""
     task: Any = ToyPredation(is_continuous=is_continuous)
     check_env_specs(make_toy_env(task=task, num_envs=3, seed=0))
@@ -246,7 +246,7 @@ def test_a_toy_env_is_what_the_loop_expects(is_continuous: bool) -> None:
         ({"total_frames": 80, "algorithm": PPO(rollout_length=16)}, 1),
     ],
 )
-def test_a_run_that_learns_nothing_says_so_once(
+def test_run_without_gradient_steps_warns_once(
     toy: Toy, caplog: pytest.LogCaptureFixture, settings: dict[str, Any], num_warnings: int
 ) -> None:
     toy.begin(**QUICK, **settings).run()

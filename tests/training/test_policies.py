@@ -24,9 +24,7 @@ class OtherTask(ToyPredation):
 @pytest.mark.parametrize(
     "algorithm", [DiscreteSAC(), SAC(), PPO(rollout_length=8)], ids=lambda a: type(a).__name__
 )
-def test_a_learned_policy_is_evaluated_as_at_the_end_of_its_run(
-    toy: Toy, algorithm: Algorithm
-) -> None:
+def test_evaluate_reproduces_the_final_evaluation_of_a_run(toy: Toy, algorithm: Algorithm) -> None:
     task = {"is_continuous": algorithm.takes_continuous}
     few = QUICK | {"final_episodes": 10}
     summary = toy.begin(name="run", algorithm=algorithm, task=task, **few).run()
@@ -80,7 +78,7 @@ def test_baselines_are_evaluated_by_name_and_any_policy_as_it_is() -> None:
         (ToyPredation(is_continuous=True), "is_continuous = False, the current one is True"),
     ],
 )
-def test_a_policy_of_another_task_is_refused(
+def test_policy_trained_for_another_task_is_refused(
     whole: Training, task: ToyPredation, said: str
 ) -> None:
     with pytest.raises(ValueError, match=said):

@@ -29,7 +29,7 @@ def test_a_rollout_joins_the_decisions_of_each_flow_and_survives_a_checkpoint(to
     assert torch.equal(kept, expected)
 
 
-def test_advantages_are_those_of_the_definition(toy: Toy) -> None:
+def test_advantages_match_the_definition_of_gae(toy: Toy) -> None:
     """Schulman et al. 2016, eq. 16; a truncated episode bootstraps, a terminated one does not."""
     length, gamma, decay = 40, 0.9, 0.8
     algorithm = PPO(rollout_length=length, gae_lambda=decay)
@@ -53,7 +53,7 @@ def test_advantages_are_those_of_the_definition(toy: Toy) -> None:
     torch.testing.assert_close(kept["value_target"], expected + before, rtol=1e-4, atol=1e-4)
 
 
-def test_nothing_is_learned_before_a_rollout_is_complete(toy: Toy) -> None:
+def test_learner_is_ready_only_after_a_complete_rollout(toy: Toy) -> None:
     training = toy.begin(algorithm=PPO(rollout_length=3), batch_size=8)
     batches, ready = iter(training.collector), []
     for _ in range(6):

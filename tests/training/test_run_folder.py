@@ -27,13 +27,13 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, limited_disk: Lim
 
 
 @pytest.mark.parametrize("name", ["../run", "a/b", "/run", ".."])
-def test_a_run_does_not_leave_its_folder(tmp_path: Path, name: str) -> None:
+def test_run_name_cannot_escape_the_parent_folder(tmp_path: Path, name: str) -> None:
     with pytest.raises(ValueError, match="is the name of a folder"):
         RunFolder.create(parent=str(tmp_path / "runs"), name=name)
     assert not list(tmp_path.iterdir())
 
 
-def test_settings_are_the_same_after_a_trip_through_a_file(tmp_path: Path) -> None:
+def test_settings_round_trip_through_yaml(tmp_path: Path) -> None:
     settings = {
         "rate": 1e-05,
         "name": "1e3",

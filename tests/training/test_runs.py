@@ -52,7 +52,7 @@ def test_a_library_user_trains_evaluates_and_resumes_in_ten_lines(tmp_path: Path
         evaluate(tmp_path / "first", episode=3)
 
 
-def test_a_run_killed_and_resumed_equals_one_that_was_not(toy: Toy, whole: Training) -> None:
+def test_run_resumed_after_sigkill_equals_an_uninterrupted_run(toy: Toy, whole: Training) -> None:
     code, said = run_and_signal(toy.folder, signal.SIGKILL, step=23)
     assert code == -signal.SIGKILL, said
     assert toy.rows("run")[-1]["frames"] == "160"  # killed at 184, last checkpoint at 160
@@ -66,7 +66,7 @@ def test_a_run_killed_and_resumed_equals_one_that_was_not(toy: Toy, whole: Train
 @pytest.mark.parametrize(
     ("step", "frames"), [(7, 56), (23, 184), (3, 120)], ids=["warm-up", "learning", "evaluating"]
 )
-def test_a_run_told_to_end_saves_and_goes_on_exactly(
+def test_run_resumed_after_a_signal_equals_an_uninterrupted_run(
     toy: Toy, whole: Training, step: int, frames: int
 ) -> None:
     is_late = step == 3  # of the evaluation at frame 120
@@ -80,7 +80,7 @@ def test_a_run_told_to_end_saves_and_goes_on_exactly(
     assert_equal_weights(resumed, whole)
 
 
-def test_ppo_goes_on_exactly_within_a_rollout_and_learns_from_each_as_often_as_it_should(
+def test_ppo_resumes_exactly_within_a_rollout_with_the_expected_updates(
     toy: Toy,
 ) -> None:
     settings: dict[str, Any] = {
@@ -109,7 +109,7 @@ def test_ppo_goes_on_exactly_within_a_rollout_and_learns_from_each_as_often_as_i
     [DQN(epsilon_frames=60), DRQN(sequence_length=4, epsilon_frames=60), SAC()],
     ids=lambda algorithm: algorithm.label,
 )
-def test_every_algorithm_goes_on_exactly_with_equal_effort_and_legal_actions(
+def test_every_algorithm_resumes_exactly_with_equal_updates_and_legal_actions(
     toy: Toy, algorithm: Any
 ) -> None:
     legal = {"is_continuous": True} if algorithm.takes_continuous else {"banned_action": 1}
@@ -140,7 +140,7 @@ def test_every_algorithm_goes_on_exactly_with_equal_effort_and_legal_actions(
     assert all(torch.equal(value, other[key]) for key, value in mine.items())
 
 
-def test_changes_of_a_resume_stay_and_what_is_learned_is_fixed(toy: Toy) -> None:
+def test_changes_of_a_resume_are_stored_and_fixed_settings_refused(toy: Toy) -> None:
     folder = toy.folder / "run"
     toy.begin(name="run", total_frames=80, extra={"pictures": 6}, **QUICK).run()
     run_and_stop(toy.reopen("run", total_frames=160, pictures=2), ToyFishEnv, step=3)
@@ -153,12 +153,12 @@ def test_changes_of_a_resume_stay_and_what_is_learned_is_fixed(toy: Toy) -> None
 
 
 @pytest.mark.parametrize("name", ["gamma", "total_frames", "task"])
-def test_a_further_setting_of_the_name_of_a_real_one_is_refused(tmp_path: Path, name: str) -> None:
+def test_extra_setting_with_a_reserved_name_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(ValueError, match=f"extra: {name} is"):
         make_toy_plan(tmp_path, extra={"pictures": 6, name: 0.5})
 
 
-def test_a_finished_run_is_left_as_it_is_unless_more_is_asked_of_it(toy: Toy) -> None:
+def test_resume_leaves_a_finished_run_unchanged_unless_extended(toy: Toy) -> None:
     toy.begin(name="run", total_frames=16, **QUICK).run()
     toy.trainings[-1].close()
     run = toy.folder / "run"
@@ -180,7 +180,7 @@ def test_a_run_without_its_checkpoint_is_not_resumed(toy: Toy) -> None:
     assert "there is none" in (toy.folder / "run" / "failure.txt").read_text()
 
 
-def test_an_older_checkpoint_takes_the_place_of_a_corrupt_one(toy: Toy) -> None:
+def test_older_checkpoint_replaces_a_corrupt_one(toy: Toy) -> None:
     toy.begin(name="run", keep_checkpoints=3, **QUICK).run()
     folder = toy.folder / "run" / "checkpoints"
     names = sorted(path.name for path in folder.iterdir())
@@ -206,7 +206,7 @@ def test_a_config_cannot_run_code(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("losses", [[15, 30], [3, 3]])
-def test_a_run_goes_on_exactly_after_its_flows_are_lost_but_not_twice_from_one_checkpoint(
+def test_run_continues_exactly_after_a_lost_worker_but_not_twice_from_one_checkpoint(
     toy: Toy, whole: Training, monkeypatch: pytest.MonkeyPatch, losses: list[int]
 ) -> None:
     step, restore, left = ToyFishEnv._step, ToyFishEnv.set_extra_state, list(losses)

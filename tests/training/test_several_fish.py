@@ -55,7 +55,7 @@ def make_plan(folder: Path, *, algorithm: Algorithm, **changes: Any) -> Plan:
 
 
 @pytest.mark.parametrize("algorithm", [DiscreteSAC(), PPO(rollout_length=4, num_epochs=2)])
-def test_each_fish_is_learned_from(tmp_path: Path, algorithm: Algorithm) -> None:
+def test_buffer_holds_the_transitions_of_each_fish(tmp_path: Path, algorithm: Algorithm) -> None:
     training, is_ppo = begin(make_plan(tmp_path, algorithm=algorithm)), isinstance(algorithm, PPO)
     summary = training.run()
     num_flows = 12 if is_ppo else 24
@@ -75,7 +75,7 @@ def test_each_fish_is_learned_from(tmp_path: Path, algorithm: Algorithm) -> None
     assert again["mean_return"] == summary["mean_return"]
 
 
-def test_epsilon_falls_with_env_frames_however_many_fish_explore(tmp_path: Path) -> None:
+def test_epsilon_decays_with_env_frames_independent_of_the_number_of_fish(tmp_path: Path) -> None:
     algorithm = DQN(epsilon_start=1.0, epsilon_end=0.1, epsilon_frames=36)
     training = begin(make_plan(tmp_path, algorithm=algorithm))
     chance: Any = training.learner.explorer[-1]  # type: ignore[index]
@@ -85,7 +85,7 @@ def test_epsilon_falls_with_env_frames_however_many_fish_explore(tmp_path: Path)
     training.close()
 
 
-def test_a_resumed_run_goes_on_exactly(tmp_path: Path) -> None:
+def test_run_with_several_fish_resumes_exactly(tmp_path: Path) -> None:
     algorithm = PPO(rollout_length=4, num_epochs=1)
     whole = begin(make_plan(tmp_path, algorithm=algorithm))
     whole.run()

@@ -38,7 +38,7 @@ def step(learner: Learner, seed: int) -> dict[str, Tensor]:
     return learner.update()
 
 
-def test_a_traced_step_gives_the_numbers_of_the_step_without_the_python_of_the_loss(
+def test_traced_step_equals_the_plain_step_without_calling_the_loss(
     learner: Learner, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plain = copy.deepcopy(learner.loss.state_dict())

@@ -206,7 +206,7 @@ class CoupleByTriton(Part[TritonTensors]):
         solve = self._config.force_solve
         assert isinstance(solve, IterativeForcing)
         # Triton launches on the current device
-        with torch.cuda.device_of(data):  # type: ignore[no-untyped-call]
+        with torch.cuda.device_of(data):
             self._couple_bodies_(
                 data,
                 offsets,

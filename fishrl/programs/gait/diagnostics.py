@@ -1,7 +1,5 @@
 """Diagnostics of station holding: survival, position, gait, phase locking and work."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

@@ -5,8 +5,6 @@ holds station. The fish beats several times faster than in a wake, and its Mach 
 steps per T.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import ceil
 from pathlib import Path

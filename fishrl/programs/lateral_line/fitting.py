@@ -1,7 +1,5 @@
 """Classifiers, fitted to the signals of some episodes and scored on those of others."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -136,7 +134,7 @@ class Design:
         return self.sensed or self.features
 
     @classmethod
-    def own(cls, settings: LateralLineSettings) -> Design:
+    def own(cls, settings: LateralLineSettings) -> "Design":
         """Return the design of a classifier for the task's lateral line."""
         task: Any = settings.task
         line = task.lateral_line
@@ -150,7 +148,7 @@ class Design:
         )
 
     @classmethod
-    def of_the_paper(cls, settings: LateralLineSettings) -> Design:
+    def of_the_paper(cls, settings: LateralLineSettings) -> "Design":
         """Return the design of the paper's classifier."""
         return cls(
             features=PAPER,

@@ -1,7 +1,5 @@
 """The accuracy of lateral-line classifiers: as numbers, as a table, and as figures."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -8,10 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from fishrl.programs.configuration import flatten
 from fishrl.programs.sweeps.runs import Run
 from fishrl.programs.train_settings import TrainConfig
-from fishrl.settings import TARGET, Role, list_fields
+from fishrl.settings import TARGET, Role, flatten, list_fields
 from fishrl.training.run_folder import RunFolder
 
 #: Settings that do not separate groups: those that do not change what is learned.

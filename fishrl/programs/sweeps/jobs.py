@@ -5,8 +5,6 @@ name=<what differs>``, which begins the run or continues it, so a job that dies 
 others, and the same sweep continues those that are unfinished.
 """
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import logging

@@ -1,7 +1,5 @@
 """The interface of an algorithm; read this before adding one."""
 
-from __future__ import annotations
-
 import pkgutil
 from abc import ABC, abstractmethod
 from dataclasses import replace

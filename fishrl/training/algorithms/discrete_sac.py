@@ -1,7 +1,5 @@
 """Discrete soft actor-critic, the algorithm of the paper."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import torch

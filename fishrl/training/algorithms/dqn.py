@@ -1,7 +1,5 @@
 """DQN and double DQN with action masks."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 import torch

@@ -1,7 +1,5 @@
 """DRQN: DQN with an LSTM in place of the observation stack."""
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import torch

@@ -1,7 +1,5 @@
 """Proximal policy optimisation, for discrete and continuous actions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Annotated
 

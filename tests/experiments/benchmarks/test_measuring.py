@@ -8,7 +8,6 @@ from experiments.benchmarks.measuring import (
     Case,
     find_length,
     measure,
-    time_burst,
 )
 
 
@@ -54,16 +53,3 @@ def test_cases_take_turns_and_keep_what_was_measured() -> None:
 @pytest.mark.parametrize(("seconds", "expected"), [(0.01, 4), (0.3, 2)])
 def test_a_burst_has_as_many_steps_as_fill_it(clock: Clock, seconds: float, expected: int) -> None:
     assert find_length(clock.make_case(seconds), 0.04) == expected
-
-
-def test_warming_up_and_preparing_a_burst_are_not_timed(clock: Clock) -> None:
-    counts: list[int] = []
-    time_burst(Case(label="x", name="x", advance=counts.append), 20)
-    assert counts == [4, 20]
-
-    def prepare() -> None:
-        clock.now += 5.0
-
-    case = clock.make_case(0.5)
-    case.prepare = prepare
-    assert time_burst(case, 4) == {"seconds": 0.5}

@@ -115,11 +115,6 @@ def test_frames_of_shorter_intervals_are_timed_in_T() -> None:
     assert result["sway"] == pytest.approx(0.2, rel=0.06)
 
 
-@pytest.mark.filterwarnings("error")
-def test_sway_of_short_episodes_is_nan_without_a_warning() -> None:
-    assert math.isnan(reduce(make_histories(lengths=[1, 0]))["sway"])
-
-
 def test_lean_is_the_mean_angle_of_a_swaying_body() -> None:
     histories = make_histories(lengths=[40, 12])
     sway = 0.2 * (-1.0) ** torch.arange(NUM)

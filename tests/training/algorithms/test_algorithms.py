@@ -20,7 +20,7 @@ ALL: list[Algorithm] = [
 ]
 
 
-def test_each_has_a_label_of_its_own_and_is_the_same_after_a_trip_through_a_file() -> None:
+def test_algorithms_have_unique_labels_and_round_trip_through_a_file() -> None:
     assert [algorithm.label for algorithm in ALL] == [
         *("", "dqn", "double_dqn", "drqn", "double_drqn"),
         *("sac", "ppo"),
@@ -31,7 +31,7 @@ def test_each_has_a_label_of_its_own_and_is_the_same_after_a_trip_through_a_file
             algorithm.label = "x"  # type: ignore[misc]
 
 
-def test_an_exploration_that_rises_is_refused() -> None:
+def test_rising_epsilon_is_refused() -> None:
     with pytest.raises(ValueError, match="epsilon_end"):
         DQN(epsilon_end=0.2, epsilon_start=0.1)
 
@@ -52,14 +52,14 @@ def test_an_exploration_that_rises_is_refused() -> None:
         (DRQN(), True, "DRQN: does not learn the continuous actions"),
     ],
 )
-def test_actions_that_an_algorithm_does_not_learn_are_refused_at_once(
+def test_algorithm_refuses_actions_that_it_does_not_learn(
     toy: Toy, algorithm: Algorithm, is_continuous: bool, message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):
         toy.begin(algorithm=algorithm, task={"is_continuous": is_continuous})
 
 
-def test_a_batch_is_no_larger_than_a_rollout_and_settings_follow_from_it(toy: Toy) -> None:
+def test_ppo_batch_divides_a_rollout_and_derives_the_other_settings(toy: Toy) -> None:
     with pytest.raises(ValueError, match=r"batch_size = 66: .* algorithm.rollout_length = 64"):
         toy.begin(algorithm=PPO(rollout_length=8), batch_size=66)
     learning = toy.begin(algorithm=PPO(rollout_length=8), batch_size=32).plan.learning
@@ -67,7 +67,7 @@ def test_a_batch_is_no_larger_than_a_rollout_and_settings_follow_from_it(toy: To
     assert learning.updates_per_frame == 10 / 32
 
 
-def test_a_batch_is_whole_sequences(toy: Toy) -> None:
+def test_drqn_batch_is_a_multiple_of_the_sequence_length(toy: Toy) -> None:
     with pytest.raises(ValueError, match=r"batch_size = 66: must be a multiple of .* = 4"):
         toy.begin(algorithm=DRQN(sequence_length=4), batch_size=66)
     with pytest.raises(ValueError, match="needs a hidden layer"):

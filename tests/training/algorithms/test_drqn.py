@@ -10,7 +10,7 @@ from tests.training.conftest import Toy
 ALGORITHM = DRQN(sequence_length=4, epsilon_frames=60)
 
 
-def test_sequences_are_pieces_of_one_episode_each(toy: Toy) -> None:
+def test_sampled_sequences_do_not_cross_episodes(toy: Toy) -> None:
     training = toy.begin(algorithm=ALGORITHM, task={"divergence_rate": 0.05}, updates_per_frame=0.0)
     batches = iter(training.collector)
     for _ in range(40):
