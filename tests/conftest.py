@@ -40,7 +40,7 @@ def one_thread() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def real_flow() -> None:
-    """Begin each test with the real flow, whatever an earlier one has left behind."""
+    """Begin each test with the real flow, regardless of what an earlier one left behind."""
     env = sys.modules.get("fishrl.envs.flow_env")  # tests of physics import no environments
     assert env is None or env.InPlaceSolver is InPlaceSolver
 

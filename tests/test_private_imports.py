@@ -8,7 +8,6 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 #: Where each is used, and what has to be looked at when it moves.
 PRIVATE = {
-    "hydra._internal.core_plugins.basic_sweeper.BasicSweeper": "programs/sweeps/jobs.py",
     "torch._functorch.compile_utils.fx_graph_cse": "training/tracing.py",
     "torch._inductor.standalone_compile": "physics/fast/compiled.py",
     "torch._inductor.output_code.CompiledFxGraph": "physics/fast/compiled.py",

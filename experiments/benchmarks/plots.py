@@ -1,4 +1,4 @@
-"""Figures: bandwidth beside the memory's own, and speed against size."""
+"""Figures: bandwidth relative to that of memory, and speed against size."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -33,7 +33,7 @@ def measure_bandwidth(case: Case) -> tuple[float, ...]:
 
 
 def write_bandwidth(cases: Sequence[Case], results: Results, path: Path) -> None:
-    """Draw the bandwidth that each step achieves beside that of a copy and an in-place pass."""
+    """Draw the bandwidth of each step next to a copy and an in-place pass."""
     cases = sorted(cases, key=lambda case: measure_bandwidth(case)[1])
     with panels(path, size=(9.0, 1.6 + 0.27 * len(cases))) as [[axes]]:
         for i, case in enumerate(cases):

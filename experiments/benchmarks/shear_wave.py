@@ -1,6 +1,6 @@
 """The check that every code passes before it is timed: a shear wave decays at its viscosity.
 
-u_x = U sin(k y) decays as exp(-nu k^2 t) in a periodic box, whatever U.
+u_x = U sin(k y) decays as exp(-nu k^2 t) in a periodic box for every U.
 """
 
 from collections.abc import Callable

@@ -143,7 +143,7 @@ JOBS = [
 
 
 def judge(runs: Runs) -> Iterator[Check]:
-    """Set the distance beside that of the published code, with its refinement."""
+    """Compare the distance and its refinement with the published code."""
     found = runs.by("body_length")
     distance = {n: run["distance"] for n, run in found.items()}
     quantity, theirs = "distance after 2.7 T, L", f"CubismUP 2D, {PUBLISHED[-1][0]} cells per L"

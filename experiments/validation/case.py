@@ -71,7 +71,7 @@ class Runs:
 
 @dataclass(frozen=True)
 class Check:
-    """One number beside its reference.
+    """One number and its reference.
 
     Args:
         quantity: what it is, with its unit where it has one.
@@ -129,7 +129,7 @@ def as_range(reference: float | Range) -> Range:
 def check_finest(
     symbol: str, quantity: str, values: Mapping[int, float], *criterion: Any, **options: Any
 ) -> Check:
-    """Return the check of a quantity at its finest resolution, with the others beside it.
+    """Return the check of a quantity at its finest resolution; the note lists the others.
 
     ``symbol`` names the resolution; the rest is that of ``Check``.
     """
@@ -149,7 +149,7 @@ class Case:
         source: of the reference values.
         jobs: the runs.
         judge: yields the checks of the finished runs, perhaps the quick ones alone.
-        draw: draws the results beside the reference into an empty figure.
+        draw: draws the results and the reference into an empty figure.
         size: of the figure, width and height in inches.
         headline: quantity of the check that stands for the case in the summary table; by default
             that of the first.

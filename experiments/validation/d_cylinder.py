@@ -103,7 +103,7 @@ JOBS = [
 
 
 def judge(runs: Runs) -> Iterator[Check]:
-    """Show what was measured beside the paper, without a criterion."""
+    """Compare the measurements with the paper, without a criterion."""
     for reynolds in SPEEDS:
         sizes = runs.by("diameter", reynolds=reynolds)
         known = {n: run for n, a in RUNS.items() if (run := runs.get(reynolds=reynolds, **a))}

@@ -32,7 +32,7 @@ BLOCKAGE = 0.01  # D / H of the judged value: that of the references' own domain
 SHEDDING = (100, 200)
 # Ranges of what others found without walls, as third parties quote them.
 ROUND_20 = "Dennis & Chang 1970, Fornberg 1980, Giannetti & Luchini 2007, Wu & Shu 2009"
-ROUND_40 = "range quoted beside Gautier, Biau & Lamballais 2013, who found 1.4931 and 2.2360"
+ROUND_40 = "range quoted with Gautier, Biau & Lamballais 2013, who found 1.4931 and 2.2360"
 ROUND_100 = (
     "Kim, Liu et al. 1998, Park, Calhoun, Russell & Wang 2003, Choi, Wu & Shu 2009, Qu et al. 2013"
 )

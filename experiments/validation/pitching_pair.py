@@ -171,9 +171,9 @@ def judge(runs: Runs) -> Iterator[Check]:
         "L", "speed of a foil alone, L / T", {n: r["speed"][0] for n, r in alone.items()}
     )
     for lag, name, bounds in ((0.0, "in phase", (0.0, 1.0)), (0.5, "antiphase", (1.0, np.inf))):
-        beside = runs.by("length", aside=ASIDE, lag=lag)
+        side_by_side = runs.by("length", aside=ASIDE, lag=lag)
         speeds, powers = (
-            {n: float(np.mean(beside[n][of]) / alone[n][of][0]) for n in alone}
+            {n: float(np.mean(side_by_side[n][of]) / alone[n][of][0]) for n in alone}
             for of in ("speed", "power")
         )
         costs = {n: powers[n] / speeds[n] for n in alone}

@@ -17,7 +17,7 @@ def draw_reference(axes: Axes, points: Iterable[Sequence[float]], name: str) -> 
 
 
 def draw_convergence(axes: Axes, series: Mapping[str, Mapping[int, float]]) -> None:
-    """Draw errors against resolution on logarithmic axes, beside a line of second order."""
+    """Draw errors against resolution on logarithmic axes, with a line of second order."""
     for (name, errors), mark in zip(series.items(), "os^DvP", strict=False):
         points = [*errors], [*errors.values()]
         axes.loglog(*points, marker=mark, label=name, markerfacecolor="none")

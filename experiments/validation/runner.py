@@ -189,7 +189,7 @@ def _call(job: Job) -> tuple[str, float]:
 
 
 def fingerprint(job: Job) -> str:
-    """Return a key that changes with whatever may change the job's result.
+    """Return a key that changes with everything that may change the job's result.
 
     It covers the arguments, the function with all it calls and the constants it reads in this
     package (not the rest of its file: a new tolerance or figure runs nothing again), every source

@@ -124,7 +124,7 @@ JOBS = [
 
 
 def judge(runs: Runs) -> Iterator[Check]:
-    """Check the convergence of the speed and set the rest beside what there is."""
+    """Check the convergence of the speed; list the rest for comparison."""
     found = runs.by("body_length", num_beats=NUM_BEATS)
     final = {n: run["speed"][-1] for n, run in found.items()}
     power = {n: run["power"][-1] for n, run in found.items()}

@@ -56,7 +56,7 @@ class HasHistory:
 
 
 class HasFlowLabels:
-    """Base of tasks whose episodes take place in flows that can be told apart.
+    """Base of tasks whose episodes take place in flows that can be distinguished.
 
     The task reports ``flow_index`` ``[B]``, the true flow.
     """

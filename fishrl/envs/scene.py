@@ -166,7 +166,7 @@ class Panel:
         is_step: values hold since the previous frame, rather than at an instant.
         is_output: the keys are entries of the env's output rather than of ``views.read_scene``; the
             plot is left out where the env has no such entry.
-        is_log: draw sign(x) log2(1 + abs(x)), in which 1 is 1 and small values show beside large
+        is_log: draw sign(x) log2(1 + abs(x)), in which 1 is 1 and small values show next to large
             ones.
     """
 

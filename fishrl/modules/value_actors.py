@@ -88,7 +88,7 @@ class RecurrentPolicy(TensorDictModuleBase):
 
     ``is_init`` resets the state of its rows; a new number of rows resets all of it. To collect
     transitions for a replay buffer, use ``network`` in an environment with the transform of
-    ``make_primer``, which stores the state beside the observation.
+    ``make_primer``, which stores the state with the observation.
 
     Args:
         network: see ``make_recurrent_value_actor``.

@@ -36,7 +36,7 @@ logger = logging.getLogger(__name__)
 
 
 class SearchSettings(Settings):
-    """Settings of a search, beside those of its trainings.
+    """Settings of a search, in addition to the settings of its trainings.
 
     Args:
         folder: folder of the study and its runs.
@@ -146,7 +146,7 @@ def run_trial(settings: SearchSettings, study: Any, number: int) -> None:
     except HeldError:
         return
     with lock:
-        trial = study.trials[number]  # read anew: another process may just have finished it
+        trial = study.trials[number]  # read again: another process may just have finished it
         if trial.state != optuna.trial.TrialState.RUNNING:
             return
         chosen = [f"{key}={value}" for key, value in trial.params.items()]

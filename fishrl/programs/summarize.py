@@ -2,7 +2,7 @@
 
 Runs that differ only in their seed form a group. Written into the folder: ``summary.md`` (mean
 and interquartile mean of each group with 95 % intervals, differences between groups paired by seed
-and probability of improvement, each run beside its baselines, the bias of selecting a checkpoint,
+and probability of improvement, each run next to its baselines, the bias of selecting a checkpoint,
 and runs to repeat), ``summary.csv`` (every number of the summaries), ``runs.csv`` (each run) and
 ``curves.png``.
 """
@@ -62,7 +62,7 @@ class SummarizeSettings(Settings):
     Args:
         folder: folder of a sweep, which holds the run folders.
         page: Markdown file to write the tables into, between the marks ``summary``. Pictures go to
-            ``figures`` beside it: the curves under the name of the page, and those pictures of the
+            ``figures`` next to it: the curves under the name of the page, and those pictures of the
             first run that the page shows.
     """
 
@@ -188,7 +188,7 @@ def describe_effort(finished: Sequence[Run]) -> str:
 
 
 def tabulate_runs(finished: Sequence[Run]) -> str:
-    """Return a row per run, its baselines beside it."""
+    """Return a row per run with its baselines."""
     names = dict.fromkeys(name for run in finished for name in run.summary.get("baselines", ()))
     columns = [("learned", "success_rate", ".1%")]
     columns += [(name, f"{name}_success_rate", ".1%") for name in names]

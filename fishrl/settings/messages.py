@@ -15,9 +15,9 @@ def explain(name: str, errors: list[Any], *, value: Any, known: Iterable[str]) -
     entries = [e["loc"][1] for e in errors if e["type"] == "missing"]
     if entries:  # of a tuple
         return f"{name} = {_show(value)}: must be a list of {max(entries) + 1}"
-    told = dict.fromkeys(_say(error) for error in errors)
+    reasons = dict.fromkeys(_say(error) for error in errors)
     is_choice = all(isinstance(part, str) for error in errors for part in error["loc"])
-    return f"{name} = {_show(value)}: must be {' or '.join([*told][: None if is_choice else 1])}"
+    return f"{name} = {_show(value)}: must be {' or '.join([*reasons][: None if is_choice else 1])}"
 
 
 def _say(error: Any) -> str:

@@ -118,7 +118,7 @@ class CsvLogger:
 
 
 class WandbLogger(CsvLogger):
-    """Weights & Biases beside the CSV file.
+    """Weights & Biases in addition to the CSV file.
 
     Args:
         project: project of Weights & Biases.

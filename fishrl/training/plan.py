@@ -64,7 +64,7 @@ class Plan(Settings):
         return None if name is None else Path(folder).expanduser() / name
 
     def to_config(self) -> dict[str, Any]:
-        """Return the plan as plain data: ``PARTS`` are nested, all other settings beside them."""
+        """Return the plan as plain data: ``PARTS`` nested, other settings at the top level."""
         parts = {name: to_plain(getattr(self, name)) for name in PARTS}
         flat = describe(self.learning) | describe(self.run)
         del flat[TARGET]

@@ -88,7 +88,7 @@ class Progress(Callback):
             self._bar.set_description_str(f"{phase:<12}", refresh=self._is_terminal)
 
     def advance(self, amount: int, **shown: float) -> None:
-        """Count ``amount`` more and show some numbers beside the bar."""
+        """Count ``amount`` more and show some numbers next to the bar."""
         if shown:
             # a dash where there is no number yet, as before the first episode ends
             words = {n.replace("_", " "): "-" if v != v else f"{v:.3g}" for n, v in shown.items()}

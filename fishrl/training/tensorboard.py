@@ -10,7 +10,7 @@ from fishrl.training.logger import CsvLogger
 
 
 class TensorboardLogger(CsvLogger):
-    """TensorBoard's event files in the run folder, beside the CSV file.
+    """TensorBoard's event files in the run folder, in addition to the CSV file.
 
     ``open`` raises ImportError if tensorboard is not installed.
     """

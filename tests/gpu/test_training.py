@@ -1,4 +1,4 @@
-"""A run goes on on another device, and learns on one or on two."""
+"""A run continues on another device, and learns on one or on two."""
 
 import copy
 from pathlib import Path

@@ -22,21 +22,14 @@ def states(num: int, *, num_actions: int = 3) -> TensorDict:
     return TensorDict({"observation_stack": stack, "action_mask": mask}, [num])
 
 
-def test_greedy_action_is_the_most_probable_legal_one() -> None:
+def test_illegal_actions_have_probability_zero_and_the_greedy_one_is_the_most_probable() -> None:
     td = states(500)
     actor = make_actor(num_inputs=16, num_actions=3, hidden=(32,))
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
-        out = actor(td.clone())
+        actor[0].module[-1].bias.fill_(-2000.0)  # legal logits far below a small "minus infinity"
+        out, probs = actor(td.clone()), actor.get_dist(td).probs
     legal_logits = out["logits"].masked_fill(~td["action_mask"], -torch.inf)
     assert torch.equal(out["action"], legal_logits.argmax(-1))
-
-
-def test_illegal_actions_have_probability_zero() -> None:
-    td = states(500)
-    actor = make_actor(num_inputs=16, num_actions=3, hidden=(32,))
-    with torch.no_grad():
-        actor[0].module[-1].bias.fill_(-2000.0)  # legal logits far below a small "minus infinity"
-        probs = actor.get_dist(td).probs
     assert (probs[~td["action_mask"]] == 0).all()
     assert torch.allclose(probs.sum(-1), torch.ones(500))
 
@@ -55,14 +48,6 @@ def test_seed_fixes_the_network_without_the_global_generator() -> None:
     assert not torch.equal(first[0], other[0])
 
 
-def test_twin_critics_are_two_different_networks_with_a_value_per_action() -> None:
-    first, second = make_twin_critics(num_inputs=16, num_actions=3, hidden=(32,))
-    td = states(10)
-    values = first(td.clone())["action_value"], second(td.clone())["action_value"]
-    assert values[0].shape == (10, 3)
-    assert not torch.allclose(*values)
-
-
 def test_continuous_actions_are_bounded_and_greedy_ones_follow_from_the_state() -> None:
     td = states(2000).exclude("action_mask")
     actor = make_continuous_actor(num_inputs=16, num_actions=2, hidden=(32,))
@@ -79,16 +64,14 @@ def test_continuous_actions_are_bounded_and_greedy_ones_follow_from_the_state() 
     assert not torch.allclose(first["action"], second["action"])
 
 
-def test_twin_critics_of_continuous_actions_differ_and_read_the_action() -> None:
-    first, second = make_twin_action_critics(num_inputs=16, num_actions=2, hidden=(32,))
+def test_twin_critics_differ_read_the_action_and_stay_bounded_in_far_states() -> None:
     td, other = (states(10).set("action", torch.full((10, 2), value)) for value in (0.0, 1.0))
-    values = [critic(td.clone())["state_action_value"] for critic in (first, second)]
-    assert values[0].shape == (10, 1)
-    assert not torch.allclose(*values)
-    assert not torch.allclose(first(other)["state_action_value"], values[0])
-
-
-def test_values_of_far_states_stay_bounded() -> None:
-    critic, _ = make_twin_action_critics(num_inputs=16, num_actions=2)
+    per_action = make_twin_critics(num_inputs=16, num_actions=3, hidden=(32,))
+    twins = make_twin_action_critics(num_inputs=16, num_actions=2, hidden=(32,))
+    for critics, key, width in ((per_action, "action_value", 3), (twins, "state_action_value", 1)):
+        values = [critic(td.clone())[key] for critic in critics]
+        assert values[0].shape == (10, width)
+        assert not torch.allclose(*values)
+    assert not torch.allclose(twins[0](other)["state_action_value"], values[0])
     far = TensorDict({"observation_stack": 1e6 * torch.randn(10, 16), "action": torch.ones(10, 2)})
-    assert critic(far)["state_action_value"].abs().max() < 10.0
+    assert twins[0](far)["state_action_value"].abs().max() < 10.0

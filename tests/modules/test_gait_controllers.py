@@ -16,7 +16,6 @@ def see(
     gear: int = 1,
     flow: int = 0,
     is_init: bool = False,
-    num_actions: int = 3,
 ) -> TensorDict:
     """Return what fish at distances ``x`` see."""
     num = len(x)
@@ -25,7 +24,7 @@ def see(
     return TensorDict(
         {
             "observation": observation,
-            "action_mask": torch.ones(num, num_actions, dtype=torch.bool),
+            "action_mask": torch.ones(num, 3, dtype=torch.bool),
             "gear": torch.full((num, 1), gear),
             "flow_index": torch.full((num, 1), flow),
             "is_init": torch.full((num, 1), is_init),
@@ -38,31 +37,23 @@ def act(policy: GaitPolicy, seen: TensorDict) -> list[int]:
     return policy(seen)["action"].tolist()
 
 
-def test_fixed_frequency_is_reached_gear_by_gear() -> None:
-    policy = GaitPolicy(controller=FixedFrequency(1.4), rows=ROWS)
-    assert [act(policy, see([1.5], gear=gear))[0] for gear in range(3)] == [2, 2, 1]
-    passive = GaitPolicy(controller=FixedFrequency(0.0), rows=ROWS)
-    assert [act(passive, see([1.5], gear=gear))[0] for gear in range(3)] == [1, 0, 0]
+def test_fixed_frequency_of_a_flow_is_reached_gear_by_gear() -> None:
+    for frequency, actions in ((1.4, [2, 2, 1]), (0.0, [1, 0, 0])):
+        policy = GaitPolicy(controller=FixedFrequency(frequency), rows=ROWS)
+        assert [act(policy, see([1.5], gear=gear))[0] for gear in range(3)] == actions
+    policy = GaitPolicy(controller=FixedFrequency((0.5, 1.8)), rows=ROWS)
+    assert [act(policy, see([1.5], flow=flow)) for flow in (0, 1)] == [[0], [2]]
+    between = see([1.5]).set("flow_index", torch.tensor([[0.8]]))  # the mean of uncertain labels
+    assert act(policy, between) == [2]
 
 
-def test_direct_action_is_the_nearest_frequency() -> None:
+def test_direct_and_continuous_actions_are_the_nearest_and_the_clamped_frequency() -> None:
     policy = GaitPolicy(controller=FixedFrequency(1.2), rows=ROWS[:1], is_direct=True)
     assert act(policy, see([1.5, 3.0], gear=0, flow=1)) == [1, 1]
-
-
-def test_continuous_action_is_the_clamped_frequency() -> None:
     asked = [0.0, 0.5, 1.0, 9.0]
     policy = GaitPolicy(controller=FixedFrequency(asked), rows=[(0.5, 1.5)], is_continuous=True)
     given = [policy(see([1.5], flow=flow))["action"].tolist() for flow in range(4)]
     assert given == [[[-1.0]], [[-1.0]], [[0.0]], [[1.0]]]
-
-
-def test_each_flow_may_have_its_own_frequency() -> None:
-    policy = GaitPolicy(controller=FixedFrequency((0.5, 1.8)), rows=ROWS)
-    assert act(policy, see([1.5], flow=0)) == [0]
-    assert act(policy, see([1.5], flow=1)) == [2]
-    between = see([1.5]).set("flow_index", torch.tensor([[0.8]]))  # the mean of uncertain labels
-    assert act(policy, between) == [2]
 
 
 def test_bang_bang_accelerates_behind_the_station_and_decelerates_ahead() -> None:
@@ -71,15 +62,11 @@ def test_bang_bang_accelerates_behind_the_station_and_decelerates_ahead() -> Non
     assert act(policy, see([1.9], gear=0)) == [1]
 
 
-def test_pid_beats_faster_behind_the_station_and_when_drifting_back() -> None:
+def test_pid_beats_faster_behind_the_station_of_a_row_and_when_drifting_back() -> None:
     controller = PID(station_bl=2.0, frequency=1.0, gain=1.0, damping=2.0)
     policy = GaitPolicy(controller=controller, rows=ROWS)
     assert act(policy, see([1.4, 2.0, 2.6])) == [0, 1, 2]
-    assert act(policy, see([2.0], change=0.3)) == [2]
-    assert act(policy, see([2.0], change=-0.3)) == [0]
-
-
-def test_each_row_may_have_its_own_station() -> None:
+    assert [act(policy, see([2.0], change=change)) for change in (0.3, -0.3)] == [[2], [0]]
     controller = PID(station_bl=torch.tensor([1.4, 2.0, 2.6]), frequency=1.0, gain=1.0)
     assert act(GaitPolicy(controller=controller, rows=ROWS), see([2.0, 2.0, 2.0])) == [2, 1, 0]
 

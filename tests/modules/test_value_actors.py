@@ -70,7 +70,7 @@ def test_recurrent_policy_remembers_each_rows_own_episode() -> None:
     steps = [states(2, key="observation") for _ in range(6)]
     for i, step in enumerate(steps):
         step["observation"] = torch.randn(2, 4)
-        step["is_init"] = torch.tensor([[i == 0], [i in (0, 3)]])  # the second row begins anew
+        step["is_init"] = torch.tensor([[i == 0], [i in (0, 3)]])  # the second row begins again
         policy(step)
         assert list(step.keys()) == ["observation", "action_mask", "is_init", "action"]
     for step in steps[3:]:

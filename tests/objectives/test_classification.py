@@ -50,41 +50,30 @@ def fit(network: nn.Module, parts: list[TensorDict], **changes: Any) -> Curves:
     return fit_classifier(network, training=parts[0], validation=parts[1], **(arguments | changes))
 
 
-def test_parts_share_no_episode_and_lose_none() -> None:
-    data = make_samples(20)
-    masks = split_episodes(
-        data["episode"], data["flow_index"], shares=SHARES, generator=generator()
-    )
-    assert torch.equal(sum(mask.int() for mask in masks), torch.ones(200, dtype=torch.int32))
-    ids = [set(data["episode"][mask].tolist()) for mask in masks]
-    assert not ids[0] & ids[1] and not ids[1] & ids[2] and not ids[0] & ids[2]
+def test_parts_share_no_episode_and_have_those_of_each_class_in_about_its_share() -> None:
+    episode = torch.arange(60).repeat_interleave(10)
+    constant = episode % 3
+    changing = (episode + torch.arange(10).repeat(60) // 5) % 3  # after five samples
+    for label in (constant, changing):
+        masks = split_episodes(episode, label, shares=SHARES, generator=generator())
+        assert torch.equal(sum(mask.int() for mask in masks), torch.ones_like(label).int())
+        assert sum(episode[mask].unique().numel() for mask in masks) == 60
+        for mask, share in zip(masks, SHARES, strict=True):
+            per_class = label[mask].view(-1, 10)[:, 0].bincount(minlength=3)
+            assert per_class.tolist() == [pytest.approx(20 * share, abs=1)] * 3
 
 
-def test_every_part_has_episodes_of_every_class_in_about_its_share() -> None:
-    parts = make_parts(60)
-    for part, share in zip(parts, SHARES, strict=True):
-        per_flow = [part["episode"][part["flow_index"] == k].unique().numel() for k in range(3)]
-        assert per_flow == [pytest.approx(20 * share, abs=1)] * 3
-
-
-def test_an_episode_in_which_the_flow_changes_stays_whole() -> None:
-    episode = torch.arange(30).repeat_interleave(4)
-    label = (episode + torch.arange(4).repeat(30) // 2) % 3  # changes after two samples
-    masks = split_episodes(episode, label, shares=SHARES, generator=generator())
-    ids = [set(episode[mask].tolist()) for mask in masks]
-    assert sum(map(len, ids)) == 30 and sum(int(mask.sum()) for mask in masks) == 120
-    for mask in masks:
-        assert (label[mask].view(-1, 4)[:, 0].bincount(minlength=3) > 1).all()
-
-
-def test_too_few_episodes_of_a_class_are_refused() -> None:
-    data = make_samples(8)  # two of class 2
-    with pytest.raises(ValueError, match="class 2 has 2 episodes for 3 parts"):
-        split_episodes(data["episode"], data["flow_index"], shares=SHARES, generator=generator())
-    with pytest.raises(ValueError, match=r"shares = \(0.9, 0.9\): must be positive and of sum 1"):
-        split_episodes(
-            data["episode"], data["flow_index"], shares=(0.9, 0.9), generator=generator()
-        )
+@pytest.mark.parametrize(
+    ("shares", "message"),
+    [
+        (SHARES, "class 2 has 2 episodes for 3 parts"),
+        ((0.9, 0.9), r"shares = \(0.9, 0.9\): must be positive and of sum 1"),
+    ],
+)
+def test_shares_of_too_few_episodes_are_refused(shares: tuple[float, ...], message: str) -> None:
+    data = make_samples(8)
+    with pytest.raises(ValueError, match=message):
+        split_episodes(data["episode"], data["flow_index"], shares=shares, generator=generator())
 
 
 @pytest.mark.parametrize("empty", [0, 1])
@@ -133,22 +122,19 @@ def test_one_seed_gives_one_fit_whatever_the_global_generator_does() -> None:
         assert torch.equal(a, b)
 
 
-def test_a_patient_fit_ends_early_with_the_weights_of_the_lowest_validation_loss() -> None:
+@pytest.mark.parametrize("patience", [5, None])
+def test_a_patient_fit_keeps_the_weights_of_the_lowest_validation_loss_and_others_the_last(
+    patience: int | None,
+) -> None:
     parts, network = make_parts(12), make_network()
-    settings = FitSettings(learning_rate=0.05, num_epochs=200, patience=5)
+    num_epochs = 200 if patience else 3
+    settings = FitSettings(learning_rate=0.05, num_epochs=num_epochs, patience=patience)
     curves = fit(network, parts, settings=settings)
     losses = curves.validation_loss
-    assert len(losses) < 200
-    assert curves.chosen_epoch == len(losses) - 6 == losses.index(min(losses))
-    assert score_classifier(network, parts[1]).loss == pytest.approx(min(losses))
-
-
-def test_without_patience_all_epochs_are_run_and_the_last_weights_kept() -> None:
-    parts, network = make_parts(9), make_network()
-    curves = fit(network, parts, settings=FitSettings(num_epochs=3, patience=None))
-    assert len(curves.validation_loss) == 3
-    assert curves.chosen_epoch == 2
-    assert score_classifier(network, parts[1]).loss == pytest.approx(curves.validation_loss[-1])
+    chosen = losses.index(min(losses)) if patience else 2
+    assert curves.chosen_epoch == chosen == len(losses) - 1 - (patience or 0)
+    assert (len(losses) < num_epochs) is bool(patience)
+    assert score_classifier(network, parts[1]).loss == pytest.approx(losses[chosen])
 
 
 def test_noise_on_a_feature_keeps_the_fit_from_relying_on_it() -> None:

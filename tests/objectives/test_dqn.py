@@ -57,19 +57,6 @@ def test_the_loss_is_that_of_the_papers_among_legal_actions(is_double: bool) -> 
     torch.testing.assert_close(loss(batch)["loss_qvalue"], smooth_l1_loss(chosen, wanted))
 
 
-@pytest.mark.parametrize("is_double", [False, True])
-def test_values_of_illegal_actions_change_nothing(is_double: bool) -> None:
-    loss, batch = make_loss(is_double=is_double), make_transitions()
-    for td in (batch, batch["next"]):
-        td["action_mask"] = torch.tensor([True, True, True, False]).expand(64, -1)
-    batch["action"] = batch["action"] % 3
-    before = loss(batch)["loss_qvalue"]
-    for weights in (loss.value_network_params, loss.target_value_network_params):
-        weights["module", "0", "module", "2", "bias"].data[3] = 1e6
-    assert torch.equal(loss(batch)["loss_qvalue"], before)
-    before.backward()
-
-
 def test_a_network_that_reads_no_mask_is_refused() -> None:
     module = TensorDictModule(nn.Linear(2, 2), in_keys=["observation"], out_keys=["action_value"])
     with pytest.raises(ValueError, match=r"not 'action_mask'.*make_value_actor"):
@@ -156,12 +143,3 @@ def test_the_recurrent_loss_is_that_of_the_network_step_by_step(
     assert all(
         weight.grad is None for weight in loss.target_value_network_params.values(True, True)
     )
-
-
-def test_an_episode_begins_without_memory() -> None:
-    loss, batch = make_recurrent_loss(is_double=False), stretches()
-    before = loss(batch)["loss_qvalue"]
-    batch["recurrent_state_h"][0] = 9.0  # at is_init
-    assert torch.equal(loss(batch)["loss_qvalue"], before)
-    batch["recurrent_state_h"][2 * LENGTH] = 9.0  # in the middle of an episode
-    assert not torch.equal(loss(batch)["loss_qvalue"], before)

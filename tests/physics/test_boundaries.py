@@ -31,15 +31,6 @@ def test_a_sliding_wall_drives_an_exact_couette_flow(top: NoSlip | NonEquilibriu
     torch.testing.assert_close(u, exact, rtol=0, atol=1e-6)
 
 
-def test_a_wall_velocity_given_as_a_list_equals_a_tuple() -> None:
-    edges = [
-        Boundaries(top=NoSlip(velocity=(1.0, 0.0)), left=NoSlip(velocity=rest), right=NoSlip())
-        for rest in ((0.0, 0.0), [0.0, 0.0])
-    ]
-    one, other = (each.evaluate_profile(Side.TOP, 8) for each in edges)
-    assert torch.equal(one, other) and one[0] == 0.0
-
-
 def test_sound_leaves_through_an_open_edge_and_returns_from_a_pinned_one() -> None:
     """A plane pulse of density 1e-3 meets the right edge; 4 % of it returns from the open one."""
     left = {}

@@ -1,5 +1,6 @@
 """The unrolled collision against the matrices of the literature."""
 
+import pytest
 import torch
 
 from fishrl.physics.collision import (
@@ -43,10 +44,6 @@ def equilibrium(rho: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
     return WEIGHTS * rho * (1 + 3 * cu + 4.5 * cu**2 - 1.5 * (u @ u))
 
 
-def relax(f: torch.Tensor, f_eq: torch.Tensor) -> torch.Tensor:
-    return torch.linalg.solve(M, S * (M @ (f - f_eq)))
-
-
 def force_populations(u: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
     cu = C.T @ u
     return WEIGHTS * (3 * (C.T @ force - u @ force) + 9 * cu * (C.T @ force))
@@ -60,39 +57,17 @@ def collide_with_force(f: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
     return torch.stack([a + b for a, b in zip(collided, added, strict=True)]) + WEIGHTS
 
 
-def test_collision_equals_the_matrix_form() -> None:
-    f = make_populations()
+@pytest.mark.parametrize("force", [(0.0, 0.0), (0.02, -0.03)])
+def test_collision_equals_its_matrix_form_and_the_force_guo_2002(
+    force: tuple[float, float],
+) -> None:
+    """The paper's implicit Eq. 1 is the same in f - g / 2."""
+    f, g = make_populations(), torch.tensor(force, dtype=torch.float64)
     rho = f.sum()
-    expected = f - relax(f, equilibrium(rho, C @ f / rho))
-    got = torch.stack(collide_mrt((f - WEIGHTS).unbind(), OMEGA, RATES)) + WEIGHTS
-    torch.testing.assert_close(got, expected, rtol=0, atol=1e-15)
-
-
-def test_forced_collision_equals_guo_2002_in_moment_form() -> None:
-    f, force = make_populations(), torch.tensor([0.02, -0.03], dtype=torch.float64)
-    rho = f.sum()
-    u = (C @ f + force / 2) / rho
-    source = torch.linalg.solve(M, (1 - S / 2) * (M @ force_populations(u, force)))
-    expected = f - relax(f, equilibrium(rho, u)) + source
-    torch.testing.assert_close(collide_with_force(f, force), expected, rtol=0, atol=1e-15)
-
-
-def test_forced_collision_equals_the_papers_implicit_eq_1() -> None:
-    """f(t+1) = f - M^-1 S (m - m_eq) + (g(t) + g(t+1)) / 2, solved by fixed point in one cell."""
-    force = torch.tensor([0.02, -0.03], dtype=torch.float64)
-    transformed = make_populations()  # f - g / 2
-    f = transformed
-    for _ in range(60):
-        u = C @ f / f.sum()
-        f = transformed + 0.5 * force_populations(u, force)
-    g_now = force_populations(C @ f / f.sum(), force)
-    explicit = f - relax(f, equilibrium(f.sum(), C @ f / f.sum())) + 0.5 * g_now
-    f_next = explicit
-    for _ in range(60):
-        u = C @ f_next / f_next.sum()
-        f_next = explicit + 0.5 * force_populations(u, force)
-    expected = f_next - 0.5 * force_populations(C @ f_next / f_next.sum(), force)
-    torch.testing.assert_close(collide_with_force(transformed, force), expected, rtol=0, atol=1e-14)
+    u = (C @ f + g / 2) / rho
+    source = torch.linalg.solve(M, (1 - S / 2) * (M @ force_populations(u, g)))
+    expected = f - torch.linalg.solve(M, S * (M @ (f - equilibrium(rho, u)))) + source
+    torch.testing.assert_close(collide_with_force(f, g), expected, rtol=0, atol=1e-15)
 
 
 def test_shares_of_the_force_add_up_to_the_whole() -> None:

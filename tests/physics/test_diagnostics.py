@@ -30,22 +30,16 @@ def test_cycles_of_a_sine_are_its_own_although_the_record_ends_within_a_period()
     assert cycles.rms == pytest.approx(0.8 / math.sqrt(2.0), rel=1e-3)
     assert cycles.amplitude == pytest.approx(0.8, rel=1e-4)
     assert (cycles.low, cycles.high) == pytest.approx((-0.5, 1.1), abs=1e-4)
-
-
-def test_drag_is_averaged_over_the_periods_of_the_lift() -> None:
     drag = 1.3 + 0.01 * torch.cos(4.0 * math.pi * FREQUENCY * TIME)
-    cycles = measure_cycles(drag, 0.1, clock=LIFT)
+    cycles = measure_cycles(drag, 0.1, clock=LIFT)  # over the periods of the lift
     assert cycles.frequency == pytest.approx(FREQUENCY, rel=1e-4)
     assert cycles.mean == pytest.approx(1.3, abs=1e-5)
     assert cycles.amplitude == pytest.approx(0.01, rel=1e-3)
 
 
-def test_a_spectrum_needs_four_samples() -> None:
+def test_cycles_need_two_whole_periods_and_a_spectrum_four_samples() -> None:
     with pytest.raises(ValueError, match=r"3 samples .* four are needed"):
         compute_spectral_frequency(torch.ones(3), 1.0)
-
-
-def test_cycles_need_two_whole_periods() -> None:
     with pytest.raises(ValueError, match="measure longer"):
         measure_cycles(LIFT[:200], 0.1)
     noise = torch.randn(20, generator=torch.Generator().manual_seed(5918), dtype=torch.float64)
@@ -72,14 +66,11 @@ def test_what_is_measured_of_a_diverged_flow_says_so(
         measure(lift, 0.1)
 
 
-def test_spectrum_and_crossings_agree_between_the_bins() -> None:
+def test_spectrum_and_crossings_agree_and_coefficients_follow_their_definitions() -> None:
     """The bin is 0.01 wide; 2 % of it is what a parabola through a Hann window's line leaves."""
     assert compute_spectral_frequency(LIFT, 0.1) == pytest.approx(FREQUENCY, abs=2e-4)
     strouhal = compute_strouhal(LIFT, 0.1, length=20.0, speed=0.1)
     assert strouhal == pytest.approx(FREQUENCY * 200.0, rel=1e-4)
-
-
-def test_coefficient_and_pressure_follow_their_definitions() -> None:
     force = torch.tensor([0.0, 0.5])
     assert compute_coefficient(force, length=20.0, speed=0.1, rho=1.25)[1] == pytest.approx(4.0)
     assert compute_pressure(torch.tensor(1.03)) == pytest.approx(0.01, rel=1e-4)

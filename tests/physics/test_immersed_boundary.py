@@ -36,7 +36,9 @@ def make_markers(heading: float = 0.7, fish: Fish = FISH) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("kernel", KERNELS, ids=lambda k: type(k).__name__)
-def test_kernel_weights_sum_to_one_wherever_the_marker_lies(kernel: Kernel) -> None:
+def test_sums_of_kernel_weights_and_squares_do_not_depend_on_the_place(
+    kernel: Kernel,
+) -> None:
     markers = 20 + torch.rand(1, 500, 2, dtype=torch.float64)
     stencil = make_stencil(markers, kernel, SIZE, SIZE, torch.float64)
     torch.testing.assert_close(stencil.weights.sum(1), torch.ones(1, 500, dtype=torch.float64))
@@ -44,16 +46,9 @@ def test_kernel_weights_sum_to_one_wherever_the_marker_lies(kernel: Kernel) -> N
     nodes = stencil.index_nodes(SIZE)
     x = (nodes % SIZE).double()
     torch.testing.assert_close(interpolate(x, stencil.weights), markers[..., 0])
-
-
-@pytest.mark.parametrize(("kernel", "square"), [(Roma3(), 1 / 2), (Peskin4(), 3 / 8)])
-def test_kernel_has_a_constant_sum_of_squares(kernel: Kernel, square: float) -> None:
-    stencil = make_stencil(
-        20 + torch.rand(1, 500, 2, dtype=torch.float64), kernel, SIZE, SIZE, torch.float64
-    )
-    torch.testing.assert_close(
-        stencil.weight_x.square().sum(1), torch.full((1, 500), square, dtype=torch.float64)
-    )
+    if not isinstance(kernel, Hat):
+        square = torch.full((1, 500), 1 / 2 if isinstance(kernel, Roma3) else 3 / 8).double()
+        torch.testing.assert_close(stencil.weight_x.square().sum(1), square)
 
 
 @pytest.mark.parametrize("kernel", KERNELS, ids=lambda k: type(k).__name__)
@@ -89,19 +84,11 @@ def measure_slip(solve: IterativeForcing | DirectSolve) -> float:
     return float(rest.norm() / target.norm())
 
 
-def test_slip_falls_with_the_number_of_iterations() -> None:
-    slips = [measure_slip(IterativeForcing.zhang(n)) for n in (1, 3, 5, 10)]
+def test_slip_falls_with_iterations_faster_than_the_papers_and_to_none_in_a_direct_solve() -> None:
+    slips = [measure_slip(IterativeForcing.zhang(n)) for n in (1, 3, 5, 7, 10)]
     assert all(later < 0.6 * earlier for earlier, later in pairwise(slips))
     assert slips[-1] < 0.02
-
-
-def test_the_default_iteration_leaves_less_slip_than_twice_as_many_of_the_papers() -> None:
-    assert measure_slip(IterativeForcing(num_iterations=4)) < measure_slip(
-        IterativeForcing.zhang(7)
-    )
-
-
-def test_direct_solve_leaves_no_slip() -> None:
+    assert measure_slip(IterativeForcing(num_iterations=4)) < slips[3]
     assert measure_slip(DirectSolve(regularisation=1e-12)) < 1e-12
 
 

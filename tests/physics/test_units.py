@@ -8,12 +8,32 @@ from fishrl.physics import CARANGIFORM, CARLING, Gait
 from fishrl.physics.units import Scales, compute_tau
 
 
-def test_budget_keeps_reynolds_number_and_tail_speed() -> None:
+def test_budget_keeps_reynolds_number_and_bounds_the_fastest_beat_and_stream() -> None:
     scales = Scales.from_budget(body_length=50, reynolds=7000.0, max_wall_speed=0.07)
     assert scales.period % 2 == 0
     assert scales.body_length**2 / (scales.nu * scales.period) == pytest.approx(7000.0)
     assert 0.0697 < scales.tail_speed <= 0.07
     assert scales.reference_speed == pytest.approx(50 / scales.period)
+    beat = Scales.from_budget(body_length=50, reynolds=500.0, max_frequency=1.6)
+    assert 0.0697 < beat.tail_speed <= 0.07
+    stream = Scales.from_budget(body_length=50, reynolds=500.0, stream_speed_bl=1.5)
+    assert 0.0697 < stream.stream_speed <= 0.07
+    assert stream.tail_speed < 0.04
+    assert stream.mach == pytest.approx(stream.stream_speed * 3**0.5)
+    rounded = {"body_length": 20, "reynolds": 500.0, "stream_speed_bl": 1.5}
+    limit = Scales.from_budget(**rounded, max_wall_speed=0.15)
+    assert limit.period == 200
+    assert limit.stream_speed == pytest.approx(0.15, rel=1e-12)
+
+
+def test_relaxation_times_of_the_paper_follow_from_its_reynolds_numbers() -> None:
+    """L = 100, T = 600 of Task 1; D = 40, U = 0.1, Re = 200 of Task 2."""
+    assert Scales(body_length=100, reynolds=7000.0, period=600).tau == pytest.approx(
+        0.50714, abs=1e-5
+    )
+    assert compute_tau(length=40, speed=0.1, reynolds=200) == pytest.approx(0.56)
+    with pytest.raises(ValueError, match="must be positive"):
+        compute_tau(length=40.0, speed=0.0, reynolds=100.0)
 
 
 @pytest.mark.parametrize(
@@ -31,12 +51,6 @@ def test_the_fastest_point_of_the_midline_sets_the_speed_of_a_gait(
     assert gait.tail_speed == pytest.approx(2.0 * math.pi * largest, rel=1e-12)
 
 
-def test_the_papers_scale_is_available() -> None:
-    """L = 100, T = 600 gives tau = 0.50714 (PAPER, task 1)."""
-    scales = Scales(body_length=100, reynolds=7000.0, period=600)
-    assert scales.tau == pytest.approx(0.50714, abs=1e-5)
-
-
 @pytest.mark.parametrize(
     ("bad", "message"),
     [
@@ -49,31 +63,3 @@ def test_the_papers_scale_is_available() -> None:
 def test_unusable_scales_are_refused_with_a_remedy(bad: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Scales(**({"body_length": 100, "reynolds": 7000.0, "period": 600} | bad))
-
-
-def test_the_budget_holds_for_the_fastest_beat_and_the_fastest_stream() -> None:
-    beat = Scales.from_budget(body_length=50, reynolds=500.0, max_frequency=1.6)
-    assert 0.0697 < beat.tail_speed <= 0.07
-    stream = Scales.from_budget(body_length=50, reynolds=500.0, stream_speed_bl=1.5)
-    assert 0.0697 < stream.stream_speed <= 0.07
-    assert stream.tail_speed < 0.04
-    assert stream.mach == pytest.approx(stream.stream_speed * 3**0.5)
-
-
-def test_tau_of_a_cylinder_follows_from_its_reynolds_number() -> None:
-    """The paper's Task 2: D = 40, U = 0.1, Re = 200 gives nu = 0.02 and tau = 0.56."""
-    assert compute_tau(length=40, speed=0.1, reynolds=200) == pytest.approx(0.56)
-
-
-def test_a_budget_at_its_limit_is_kept_although_it_rounds() -> None:
-    scales = Scales.from_budget(
-        body_length=20, reynolds=500.0, max_wall_speed=0.15, stream_speed_bl=1.5
-    )
-    assert scales.period == 200
-    assert scales.stream_speed == pytest.approx(0.15, rel=1e-12)
-
-
-@pytest.mark.parametrize("bad", ["length", "speed", "reynolds"])
-def test_a_relaxation_time_needs_positive_numbers(bad: str) -> None:
-    with pytest.raises(ValueError, match="must be positive"):
-        compute_tau(**({"length": 40.0, "speed": 0.05, "reynolds": 100.0} | {bad: 0.0}))

@@ -290,7 +290,7 @@ def _is_capturing(*_: Any) -> bool:
     return capturing is not None
 
 
-#: What torch's C++ side and ``torch.cuda`` answer whatever they are asked.
+#: What torch's C++ side and ``torch.cuda`` answer to every question.
 _ANSWERS_BELOW = {
     "getDeviceCount": 1, "init": None, "getDevice": 0, "setDevice": None, "synchronize": None,
     "isInBadFork": False, "getCurrentRawStream": 0, "exchangeDevice": 0, "maybeExchangeDevice": 0,

@@ -1,4 +1,4 @@
-"""Sweeps through the launchers beside hydra's own, which the extra `sweep` brings."""
+"""Sweeps through the launchers that the extra `sweep` brings."""
 
 from __future__ import annotations
 

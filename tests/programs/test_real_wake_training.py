@@ -1,4 +1,4 @@
-"""A training in a wake that really sheds goes on, after a stop, as if nothing had been."""
+"""A training in a wake that sheds continues exactly after a stop."""
 
 from __future__ import annotations
 

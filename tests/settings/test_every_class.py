@@ -1,4 +1,4 @@
-"""Every settings class of fishrl takes exactly what its annotations allow, whatever comes.
+"""Every settings class of fishrl takes exactly what its annotations allow.
 
 ``fits`` reads an annotation independently of pydantic; values are drawn around its bounds and from
 a list of odd ones.

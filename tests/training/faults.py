@@ -1,7 +1,7 @@
 """Loggers for runs in other processes, where no fixture reaches. Tests only name them.
 
 Importing this file replaces the flow by kinematic fish, but not where the tests run: there,
-whatever reads a run's settings imports it too.
+all that reads a run's settings imports it too.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Lingering(Marking):
 
 
 class Killed(Marking):
-    """The end that no program can see coming, at frame 8; but not when the run goes on."""
+    """The end that no program can see coming, at frame 8; but not when the run continues."""
 
     def log(self, metrics: Mapping[str, float]) -> None:
         super().log(metrics)

@@ -1,4 +1,4 @@
-"""Settings of a training: what fixes its result, and what may change when it goes on."""
+"""Settings of a training: what fixes its result, and what may change when it continues."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def draw_curves(
     has_bands = any(curve.band is not None for curve in every)
     rows, labels = -(-len(shown) // 2), {curve.label for curve in every}
     longest = max(map(len, labels))
-    columns = max(1, min(4, 120 // (longest + 8)))  # 120 characters fit beside each other
+    columns = max(1, min(4, 120 // (longest + 8)))  # 120 characters fit in a row
     lines = len(labels) // columns
     size = (10.0, 0.5 + 2.3 * rows + 0.25 * lines)
     with panels(path, size=size, rows=rows, columns=2, sharex=True) as grid:

@@ -1,4 +1,4 @@
-"""Tables of the Kármán gait study, with the paper's numbers beside ours."""
+"""Tables of the Kármán gait study, with the paper's numbers next to ours."""
 
 from collections.abc import Mapping, Sequence
 from math import nan

@@ -28,9 +28,9 @@ from fishrl.training.classifier import find_classifier, load_recognition
 from fishrl.training.policies import load_plan, load_policy
 from fishrl.training.progress import Progress
 
-#: Duration of a trial in T, whatever the length of the training episodes.
+#: Duration of a trial in T, regardless of the length of training episodes.
 PERIODS = 100.0
-#: Initial position of the nose, whatever it was in training; body lengths.
+#: Initial position of the nose, regardless of the training; body lengths.
 START_X_BL, START_Y_BL = (1.5, 2.0), (-0.1, 0.1)
 #: Frames within an action, for phases and oscillations.
 FRAMES = 8
@@ -157,7 +157,7 @@ def make_trial(name: str, task: KarmanGait, *, periods: float = PERIODS) -> Tria
     """Return the trial of a baseline, which is given the true flow label.
 
     Names are those of ``make_baseline``, and ``passive``, ``shedding`` (the shedding frequency of
-    each flow) or ``fixed-0.6`` (0.6 beats per T), whatever the rows of the task; with ``+policy``
+    each flow) or ``fixed-0.6`` (0.6 beats per T), regardless of the task's rows; with ``+policy``
     appended, the learned heading controller steers.
     """
     task = replace(task, reads_flow_class=False)
@@ -214,7 +214,7 @@ def run_trial(
         )
         return [pick(Histories(**kept), kept["flow"] == flow) for flow in range(flows)]
     starts: TensorDict = task.sample_starts(flows * episodes, torch.Generator().manual_seed(0))
-    # the same noses, phases and keys in each flow, whatever the policy
+    # the same noses, phases and keys in each flow for every policy
     starts = torch.cat([starts[:episodes]] * flows)
     starts["flow_index"] = torch.arange(flows).repeat_interleave(episodes)
     histories = record(trial, starts, samples_actions=samples_actions, progress=progress)

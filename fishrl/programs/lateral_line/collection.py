@@ -40,7 +40,7 @@ class CollectionSettings(TaskSettings):
     """Settings of a collection.
 
     Args:
-        task: task all of whose flows are classified, whatever ``task.start_flows`` is.
+        task: task all of whose flows are classified, regardless of ``task.start_flows``.
         seed: seed of data, splits and fits.
         device: cpu or cuda, for the flows.
         compile: compile the flow solver.
@@ -60,7 +60,7 @@ class CollectionSettings(TaskSettings):
 
     @property
     def recorded_task(self) -> Any:
-        """The task that records every feature of every neuromast, whatever it senses itself."""
+        """The task that records every feature of every neuromast."""
         task: Any = self.task
         has_labels = isinstance(task, HasFlowLabels) and len(task.flow_labels) > 1
         if not (has_labels and task.lateral_line_layout):

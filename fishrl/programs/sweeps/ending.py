@@ -33,7 +33,7 @@ def ending_runs() -> Iterator[None]:
 
     def pass_on(number: int, frame: FrameType | None) -> None:
         nonlocal is_ending
-        signalled.clear()  # the loop below, which this may have interrupted, signals all anew
+        signalled.clear()  # the loop below, which this may have interrupted, signals all again
         if is_ending:
             return
         is_ending = True

@@ -45,7 +45,7 @@ class SAC(Algorithm):
         critics = make_twin_action_critics(**spec.sizes, generator=generator)
         return SACLoss(
             policy,
-            [critic.to(device) for critic in critics],  # a single one would be drawn anew
+            [critic.to(device) for critic in critics],  # a single one would be drawn again
             alpha_init=self.alpha_init,
             target_entropy=self.target_entropy * spec.num_actions,
             deactivate_vmap=True,  # two small critics are faster one after the other

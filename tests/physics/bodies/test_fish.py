@@ -1,6 +1,7 @@
 """The fish: outline, kinematics and its coupling to the flow, in float64."""
 
 import math
+from collections.abc import Callable
 
 import pytest
 import torch
@@ -36,6 +37,7 @@ from tests.physics.flows import advance
 
 SCALES = Scales.from_budget(body_length=24, reynolds=800.0, max_wall_speed=0.1)
 STILL = Gait(amplitude=0.0, envelope=(0.0, 1.0, 0.0), wavenumber=1.0)
+STEEP = Gait(amplitude=0.2, envelope=(0.0, 1.0, 0.0), wavenumber=2 * math.pi)
 MOTIONS = [Free(), Commanded(), Bending()]
 
 
@@ -60,27 +62,9 @@ def run(config: FlowConfig, body: BodyState, num_steps: int) -> FlowState:
     return advance(FlowState(make_rest(config, 1), (body,)), config, num_steps)
 
 
-def test_a_state_with_other_bodies_than_the_config_is_refused() -> None:
-    config = make_tank()
-    with pytest.raises(ValueError, match="the state has 0 bodies, the config 1"):
-        step(FlowState(make_rest(config, 1)), config)
-
-
 def measure_momentum(f: torch.Tensor) -> torch.Tensor:
     _, jx, jy = compute_moments(f.unbind(1))
     return torch.stack((jx.sum((-1, -2)), jy.sum((-1, -2))), -1)
-
-
-@pytest.mark.parametrize("gait", GAITS.values(), ids=GAITS.keys())
-def test_area_stays_within_half_a_percent_over_a_beat(gait: Gait) -> None:
-    fish = Fish(body_length=50, gait=gait)
-    phase = torch.linspace(0.0, 2.0 * math.pi, 41, dtype=torch.float64)
-    one = torch.ones_like(phase)
-    body = make_body(torch.stack((50 * one, 50 * one), -1), 0.3 * one, one / 500)
-    body = body._replace(phase=phase, beats=2 * one)
-    area = compute_area(outline(fish, body))
-    assert (area / area.mean() - 1.0).abs().max() < 0.005
-    assert area.mean() == pytest.approx(0.08171 * 50**2, rel=0.01)
 
 
 @pytest.mark.parametrize("motion", MOTIONS, ids=lambda m: type(m).__name__)
@@ -133,17 +117,6 @@ def test_half_the_amplitude_is_half_the_sway_of_the_tail(is_midline: bool) -> No
         tail = places[:, fish.num_markers // 2, 1]
         sway.append(float(tail.max() - tail.min()))
     assert sway[1] == pytest.approx(0.5 * sway[0], rel=0.02)
-
-
-def test_deformation_never_moves_the_centre_of_area() -> None:
-    body = make_fish_body()
-    body = body._replace(beats=body.beats + 2)
-    centres = []
-    for phase in torch.linspace(0, 2 * math.pi, 9, dtype=torch.float64):
-        moved = body._replace(phase=phase[None])
-        centres.append(compute_centre(outline(Fish(body_length=50), moved)[0]))
-    spread = torch.stack(centres)
-    assert (spread - spread.mean(0)).abs().max() < 0.05  # polygon against exact outline, nodes
 
 
 def compute_centre(polygon: torch.Tensor) -> torch.Tensor:
@@ -203,12 +176,23 @@ def assert_midline_keeps_length_area_and_centre(
 
 @pytest.mark.parametrize("is_midline", [False, True])
 @pytest.mark.parametrize("gait", GAITS.values(), ids=GAITS.keys())
-def test_deformation_has_no_angular_momentum(gait: Gait, is_midline: bool) -> None:
-    fish = Fish(body_length=100, gait=gait, keeps_length=is_midline)
-    body = make_fish_body()
+def test_a_deformation_has_no_angular_momentum_and_keeps_area_and_centre(
+    gait: Gait, is_midline: bool
+) -> None:
+    """And a midline of constant length its length."""
+    fish, at_rest = Fish(body_length=100, gait=gait, keeps_length=is_midline), make_fish_body()
+    assert fish.area == pytest.approx(0.08171 * 100**2, rel=0.01)
     for phase in (0.2, 1.7, 4.0):
-        body = body._replace(beats=0 * body.beats + 1e3, phase=0 * body.phase + phase)
+        body = at_rest._replace(beats=0 * at_rest.beats + 1e3, phase=0 * at_rest.phase + phase)
         assert_no_angular_momentum(deform_body(fish, fish.make_params(), body))
+        if is_midline:
+            turn = math.pi * body.frequency  # of half a step
+            around = (outline(fish, body._replace(phase=body.phase + d * turn)) for d in (-1, 1))
+            assert_midline_keeps_length_area_and_centre(fish, body, *around)
+            continue
+        places = outline(fish, body)  # polygon against exact outline
+        assert float(compute_area(places)) == pytest.approx(fish.area, rel=0.005)
+        assert (compute_centre(places[0]) - body.position[0]).abs().max() < 0.05
 
 
 def test_a_commanded_turn_ends_at_the_commanded_heading() -> None:
@@ -220,6 +204,8 @@ def test_a_commanded_turn_ends_at_the_commanded_heading() -> None:
         total, largest = total + rate, max(largest, rate)
     assert total == pytest.approx(0.26, rel=1e-12)
     assert largest < 2.01 * 0.26 / 300
+    rates = [Bending(response=each).compute_bend_rate(body).item() for each in (6.0, 2.0)]
+    assert rates == pytest.approx([-0.0052, -0.0052 / 3.0])
 
 
 @pytest.mark.parametrize("motion", MOTIONS, ids=lambda m: type(m).__name__)
@@ -285,42 +271,19 @@ def test_the_papers_explicit_coupling_runs_where_the_body_is_heavy() -> None:
     assert float(body.position[0, 0]) < 40.3  # it swims forward, facing -x
 
 
-def test_a_mirrored_start_swims_the_mirrored_way() -> None:
-    config = make_tank()
-    height = config.height - 1.0
-    up, down = make_fish_body((60.0, 30.0)), make_fish_body((60.0, height - 30.0))
-    down = down._replace(phase=down.phase + math.pi)  # the mirrored wave
-    a, b = (run(config, body, 100).bodies[0] for body in (up, down))
-    assert float(a.position[0, 0]) == pytest.approx(float(b.position[0, 0]), abs=1e-9)
-    assert float(a.position[0, 1]) == pytest.approx(height - float(b.position[0, 1]), abs=1e-9)
-
-
-@pytest.mark.parametrize("gait", GAITS.values(), ids=GAITS.keys())
-def test_a_midline_of_constant_length_keeps_length_area_and_centre(gait: Gait) -> None:
-    fish = Fish(body_length=100, gait=gait, keeps_length=True)
-    one = torch.ones(1, dtype=torch.float64)
-    for phase in (0.2, 1.7, 4.0):
-        body = make_fish_body()._replace(beats=1e3 * one, phase=phase * one)
-        before, after = (
-            outline(fish, body._replace(phase=body.phase + d * 2 * math.pi * body.frequency))
-            for d in (-0.5, 0.5)
-        )
-        assert_midline_keeps_length_area_and_centre(fish, body, before, after)
-
-
-def test_a_gait_too_steep_for_a_midline_of_constant_length_is_refused() -> None:
-    steep = Gait(amplitude=0.2, envelope=(0.0, 1.0, 0.0), wavenumber=2 * math.pi)
-    with pytest.raises(ValueError, match=r"rises by 1.2. per unit of arc, allowed is 0.95"):
-        Fish(body_length=50, gait=steep, keeps_length=True)
-
-
-def test_bending_needs_vertical_shear_and_a_fish_an_even_number_of_markers() -> None:
-    with pytest.raises(ValueError, match="not this Fish"):
-        Fish(body_length=50, keeps_length=True, motion=Bending())
-    with pytest.raises(ValueError, match="not this Cylinder"):
-        Cylinder(diameter=20, motion=Bending())
-    with pytest.raises(ValueError, match="num_markers = 101: must be even"):
-        Fish(body_length=50, num_markers=101)
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Fish(body_length=50, gait=STEEP, keeps_length=True), "by 1.2. per unit of arc, a"),
+        (lambda: Fish(body_length=50, keeps_length=True, motion=Bending()), "not this Fish"),
+        (lambda: Cylinder(diameter=20, motion=Bending()), "not this Cylinder"),
+        (lambda: Fish(body_length=50, num_markers=101), "num_markers = 101: must be even"),
+        (lambda: step(FlowState(make_rest(make_tank(), 1)), make_tank()), "has 0 bodies, the con"),
+    ],
+)
+def test_bodies_that_do_not_fit_are_refused(make: Callable[[], object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()
 
 
 def test_a_bent_fish_turns_without_a_torque_from_outside() -> None:
@@ -336,13 +299,6 @@ def test_a_bent_fish_turns_without_a_torque_from_outside() -> None:
         turned.append(float(after.heading + after.internal_angle) - math.pi)
         assert abs(float(after.bend)) > 0.01
     assert turned[0] - turned[1] > 0.1
-
-
-def test_a_bend_with_a_smaller_response_moves_the_tail_more_slowly() -> None:
-    one = torch.ones(1, dtype=torch.float64)
-    body = make_fish_body()._replace(turn=0.1 * one, turn_steps=60.0 * one, turn_clock=0 * one)
-    rates = [Bending(response=each).compute_bend_rate(body).item() for each in (6.0, 2.0)]
-    assert rates == pytest.approx([-0.01, -0.01 / 3.0])
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from fishrl.physics.bodies.motion import Driven, Fixed, Oscillating
 from fishrl.physics.bodies.outline import BodyConfig, Cylinder, DCylinder, Ellipse, Foil
 from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.shear import ShearParams
-from fishrl.physics.bodies.state import BodyState, make_body
+from fishrl.physics.bodies.state import make_body
 from fishrl.physics.diagnostics import compute_area
 from fishrl.physics.geometry import deform_body, place_markers
 
@@ -94,9 +94,18 @@ def test_the_eel_has_the_thickness_of_its_source() -> None:
     assert float(fish.draw()[0][:, 1].max()) == pytest.approx(4.0, abs=1e-3)
 
 
-def oscillate(motion: Oscillating, *, heading: float) -> BodyState:
-    """Return a body that began at the origin, after 17 of 50 steps."""
-    body = make_body(torch.zeros(1, 2, dtype=torch.float64), heading * ONE, ONE / 50)
+@pytest.mark.parametrize(
+    ("motion", "start"),
+    [
+        (Oscillating(sway=(3.0, -2.0), pitch=0.4, pitch_lag=0.5 * math.pi), 0.0),
+        (Oscillating(pitch=0.4, pivot=5.0), 0.3),
+    ],
+)
+def test_an_oscillating_body_follows_its_sines_and_turns_about_its_pivot(
+    motion: Oscillating, start: float
+) -> None:
+    """From the origin, after 17 of 50 steps."""
+    body = make_body(torch.zeros(1, 2, dtype=torch.float64), start * ONE, ONE / 50)
     for _ in range(17):
         velocity, turn = motion.prescribe(body)
         body = body._replace(
@@ -104,23 +113,13 @@ def oscillate(motion: Oscillating, *, heading: float) -> BodyState:
             heading=body.heading + turn,
             phase=body.phase + 2 * math.pi * body.frequency,
         )
-    return body
-
-
-def test_an_oscillating_body_follows_its_sine_exactly() -> None:
-    motion = Oscillating(sway=(3.0, -2.0), pitch=0.4, pitch_lag=0.5 * math.pi)
-    body = oscillate(motion, heading=0.0)
-    angle = 2 * math.pi * 17 / 50
-    assert body.position[0].tolist() == pytest.approx([3 * math.sin(angle), -2 * math.sin(angle)])
-    assert float(body.heading) == pytest.approx(0.4 * (math.cos(angle) - 1.0))
-
-
-def test_a_pitching_body_turns_about_its_pivot() -> None:
-    motion = Oscillating(pitch=0.4, pivot=5.0)
-    body = oscillate(motion, heading=0.3)
-    angle = float(body.heading)
-    assert angle == pytest.approx(0.3 + 0.4 * math.sin(2 * math.pi * 17 / 50))
-    expected = [5 * (math.cos(0.3) - math.cos(angle)), 5 * (math.sin(0.3) - math.sin(angle))]
+    phase, end, lag = 2 * math.pi * 17 / 50, float(body.heading), motion.pitch_lag
+    assert end == pytest.approx(start + 0.4 * (math.sin(phase + lag) - math.sin(lag)))
+    turned = math.cos(start) - math.cos(end), math.sin(start) - math.sin(end)
+    expected = [
+        sway * math.sin(phase) + motion.pivot * rise
+        for sway, rise in zip(motion.sway, turned, strict=True)
+    ]
     assert body.position[0].tolist() == pytest.approx(expected)
 
 
