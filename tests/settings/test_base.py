@@ -70,19 +70,6 @@ def test_every_error_has_a_line() -> None:
     }
 
 
-def test_what_fits_neither_of_two_types_is_told_both() -> None:
-    with pytest.raises(ValueError, match=r"^one_or_more = 'x': must be a number or a list$"):
-        Whole(one_or_more="x")  # type: ignore[arg-type]
-
-
-def test_equal_settings_have_the_same_hash_and_text() -> None:
-    class Small(Settings):
-        sizes: tuple[float, ...] = (1.0,)
-
-    listed, tupled = Small(sizes=[1, 2]), Small(sizes=(1.0, 2.0))  # type: ignore[arg-type]
-    assert (hash(listed), repr(listed)) == (hash(tupled), repr(tupled))
-
-
 def test_settings_are_frozen_keyword_only_and_can_be_copied() -> None:
     whole = Whole(free=3)
     assert whole.doubled == 6.0
