@@ -30,10 +30,6 @@ def return_a_path() -> Result:
     return {"path": Path()}
 
 
-def square_nothing() -> Result:
-    return {}
-
-
 def stop_parent(*, number: int, log: str) -> Result:
     """Signal the process that runs the cases once the runs before are written."""
     done = Path(log).parent / "results"

@@ -14,6 +14,7 @@ import torch
 
 from experiments import export_steering
 from fishrl.envs import KarmanGait, Predation
+from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.steering import PolicySteering
 from fishrl.envs.transforms import equip
 from fishrl.modules import LateralLineClassifier
@@ -83,6 +84,8 @@ def test_trained_gaits_are_tried_in_every_flow(trained: Path, tmp_path: Path) ->
     figures = ("survival", "paths", "places", "decisions", "work")
     assert {"transfer.md", "transfer.json", *(f"{name}.png" for name in figures)} <= written
     assert name_arm(make_task(), None) == "macro-actions alone"
+    direct = make_task(control=DirectFrequencies(frequencies=(0.5, 1.0)), observes_flow=False)
+    assert name_arm(direct, "machine.pt") == "ablation"
     shutil.copytree(trained / "oracle", tmp_path / "oracle")
     for file in (tmp_path / "oracle").rglob("*-actor/*"):
         file.write_bytes(b"other weights")

@@ -7,11 +7,9 @@ from experiments.benchmarks.flows import (
     count_tensor_bytes,
     make_case,
     make_kernel_case,
-    make_periodic,
     make_solver,
 )
 from experiments.benchmarks.measuring import FISH, KERNEL, WALLS
-from experiments.benchmarks.shear_wave import ShearWave
 from fishrl.physics import InPlaceSolver
 
 
@@ -59,8 +57,3 @@ def test_the_calls_of_two_steps_are_those_of_the_solver() -> None:
             part.run(*arguments[parity])
     twin.advance_(2)
     assert torch.equal(flow.populations(), twin.populations())
-
-
-def test_this_flow_damps_a_shear_wave_as_it_should() -> None:
-    flow = make_periodic(ShearWave(16, 100), compile=False)  # raises otherwise
-    assert float(flow.macroscopic()[1].abs().max()) < 0.02

@@ -17,7 +17,7 @@ from fishrl.programs.gait.diagnostics import (
     trace_work,
 )
 from fishrl.programs.gait.tables import write_free_stream, write_results
-from fishrl.programs.gait.trials import Histories, pick, stack
+from fishrl.programs.gait.trials import Histories
 from fishrl.programs.statistics import half_width
 
 NUM, FRAMES, SHED = 40, 16, 0.625
@@ -85,11 +85,6 @@ def test_rates_are_per_T_of_all_episodes_together() -> None:
     assert result["named_right"] == pytest.approx(38 / 50)  # every fourth is named wrongly
 
 
-def test_ends_are_counted_at_the_nearest_border() -> None:
-    result = reduce(make_histories(lengths=[40, 23]))
-    assert (result["ended_far"], result["ended_near"], result["ended_aside"]) == (0.5, 0.0, 0.0)
-
-
 def test_gait_requires_a_beat_near_the_shedding_frequency() -> None:
     assert reduce(make_histories(lengths=[40]))["in_gait"] == 1.0
     fast = reduce(make_histories(lengths=[40], beat=2.0 * SHED))
@@ -131,14 +126,6 @@ def test_seeds_are_averaged_with_the_interval_over_seeds() -> None:
     assert both["survival_T"] == pytest.approx(30.0)
     assert both["survival_error_T"] == pytest.approx(half_width([40.0, 20.0]))
     assert both["episodes"] == 2
-
-
-def test_recordings_of_different_length_are_stacked_with_nan() -> None:
-    long, short = make_histories(lengths=[40]), make_histories(lengths=[10])
-    both = stack([long, Histories(*(v[:, :11] if v.dim() > 1 else v for v in short))])
-    assert both.place.shape[0] == 2
-    assert torch.equal(pick(both, torch.tensor([True, False])).place, long.place)
-    assert bool(both.place[1, 11:].isnan().all())
 
 
 def test_tables_have_a_row_per_policy_and_flow_and_ratios_of_work() -> None:

@@ -12,7 +12,6 @@ import torch
 
 import fishrl.envs.flow_env
 from fishrl.envs.changes import StreamSwitches
-from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.streams import Stream
 from fishrl.envs.wakes import WakeBank
 from fishrl.programs.gait import trials
@@ -56,7 +55,10 @@ def test_lift_is_the_impulse_on_the_obstacle_per_time_in_rho_L_and_T(
     torch.testing.assert_close(lift, expected)
 
 
-def test_duration_of_a_trial_does_not_depend_on_training_episodes() -> None:
+def test_trials_swim_in_steady_streams_for_a_time_that_does_not_depend_on_training() -> None:
+    changes = StreamSwitches(interval_T=10.0)
+    task = make_task(stream=Stream(has_disc=False, changes=changes))
+    assert make_trial("pid", task).task.stream.changes is None
     for time_limit, dt in ((3, 0.25), (900, 0.25), (3, 0.5)):
         task = make_task(
             time_limit=time_limit, control_interval_T=dt, checks_per_action=round(28 * dt)
@@ -96,19 +98,6 @@ def test_trial_is_recorded_again_only_if_its_inputs_change(
         path.write_bytes(b"not a file")
     with pytest.raises(ValueError, match="cannot be read; delete the file"):
         count(trial)
-
-
-def test_trials_swim_in_steady_streams() -> None:
-    changes = StreamSwitches(interval_T=10.0)
-    task = make_task(stream=Stream(has_disc=False, changes=changes))
-    assert make_trial("pid", task).task.stream.changes is None
-
-
-def test_a_policy_that_does_not_observe_the_label_is_the_ablation() -> None:
-    control = DirectFrequencies(frequencies=(0.5, 1.0))
-    for observes, arm in ((True, "lateral line alone"), (False, "ablation")):
-        task = make_task(control=control, observes_flow=observes)
-        assert trials.name_arm(task, "machine.pt") == arm
 
 
 @pytest.mark.parametrize("name", ["pid+pd", "fixed-99", "shedding"])

@@ -10,7 +10,6 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from fishrl.envs import Predation
 from fishrl.envs.changes import StreamSwitches
 from fishrl.envs.lateral_line import KNOWN, LateralLine
 from fishrl.envs.streams import Stream
@@ -95,8 +94,3 @@ def test_other_sensors_share_the_data_and_other_flows_and_seeds_do_not(tmp_path:
     assert {make_settings(tmp_path, task=make_task(**given)).place for given in shared} == {place}
     for own in ({"task": make_task(speeds=(1.0, 1.4))}, {"seed": 1}, {"max_decisions": 3}):
         assert make_settings(tmp_path, **own).place != place
-
-
-def test_a_task_without_two_flows_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="Predation has no two flows to tell apart"):
-        collect(make_settings(tmp_path, task=Predation()))

@@ -38,8 +38,3 @@ def test_program_writes_numbers_figures_and_a_classifier_that_the_task_takes(
     classifier = LateralLineClassifier.load(tmp_path / "machine.pt")
     classifier.check(flows=task.flow_labels, sensors=task.lateral_line_layout)
     assert classifier.features == list(LOCAL)
-
-
-def test_classifier_of_the_paper_is_fitted_on_request_alone(tmp_path: Path) -> None:
-    fits = train_lateral_line(make_settings(num_epochs=1), make_episodes(), tmp_path, QUIET)
-    assert list(fits) == ["classifier"]

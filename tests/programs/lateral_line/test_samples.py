@@ -57,20 +57,14 @@ def test_a_mirrored_signal_is_what_a_mirrored_fish_feels() -> None:
     assert (felt[0] - felt[1]).abs().max() > 0.1
 
 
-def test_whole_windows_of_one_interval_are_what_the_environment_shows() -> None:
-    data = cut_windows(make_episodes(), num_samples=4)
+def test_a_longer_window_reaches_back_and_repeats_the_first_sample_before_the_start() -> None:
+    data = cut_windows(make_episodes(), num_samples=6)
     data = data[data["is_whole"]]
-    rows = ((0, 0, 0, 0), (4, 5, 6, 7), (8, 9, 10, 11), (12, 12, 12, 12), (16, 17, 18, 19))
-    assert windows_of(data) == [list(row) for row in rows]
+    rows = ((0, 0, 0, 0, 0, 0), (0, 0, 4, 5, 6, 7), (6, 7, 8, 9, 10, 11))
+    assert windows_of(data)[:3] == [list(row) for row in rows]
     assert data["decision"].tolist() == [0, 1, 2, 0, 1]
     assert data["episode"].tolist() == [7, 7, 7, 8, 8]
     assert data["flow_index"].tolist() == [0, 0, 0, 1, 1]
-
-
-def test_a_longer_window_reaches_back_and_repeats_the_first_sample_before_the_start() -> None:
-    data = cut_windows(make_episodes(), num_samples=6)
-    rows = ((0, 0, 0, 0, 0, 0), (0, 0, 4, 5, 6, 7), (6, 7, 8, 9, 10, 11))
-    assert windows_of(data[data["is_whole"]])[:3] == [list(row) for row in rows]
 
 
 def test_a_window_ends_at_every_sample_but_the_repeated_ones_of_the_reset() -> None:
