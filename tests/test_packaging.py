@@ -23,8 +23,8 @@ LEFT_OUT = {"__pycache__"}
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build a wheel from a copy of what the build reads."""
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build a wheel from a copy of what the build reads, and unpack it, as installing it does."""
     source = tmp_path_factory.mktemp("source")
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
@@ -36,14 +36,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     assert done.returncode == 0, done.stderr
     (path,) = (source / "dist").glob("*.whl")
-    return path
-
-
-@pytest.fixture(scope="module")
-def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Unpack the wheel, which is all that installing a wheel without programs does."""
     folder = tmp_path_factory.mktemp("site")
-    with zipfile.ZipFile(wheel) as archive:
+    with zipfile.ZipFile(path) as archive:
         archive.extractall(folder)
     return folder
 
@@ -68,14 +62,11 @@ def test_every_file_of_the_library_is_in_the_wheel_and_no_other_package(installe
     assert {"fishrl/py.typed", "fishrl/envs/steering.pt"} <= packed
 
 
-def test_the_version_is_said_once_and_the_licence_comes_along(installed: Path) -> None:
+def test_the_version_is_said_once_and_citation_and_changelog_know_it(installed: Path) -> None:
     metadata = _read_metadata(installed)
     assert metadata["Version"] == fishrl.__version__
     assert metadata["License-Expression"] == "MIT"
     assert list(installed.glob("*.dist-info/licenses/LICENSE"))
-
-
-def test_the_citation_is_of_this_version_and_the_changelog_knows_it() -> None:
     citation = OmegaConf.to_container(OmegaConf.load(ROOT / "CITATION.cff"))
     assert isinstance(citation, dict)
     needed = {"cff-version", "message", "title", "authors", "version", "license", "type"}
@@ -83,8 +74,7 @@ def test_the_citation_is_of_this_version_and_the_changelog_knows_it() -> None:
     assert str(citation["version"]) == fishrl.__version__
     assert all("name" in author or "family-names" in author for author in citation["authors"])
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    assert f"## [{fishrl.__version__}]" in changelog
-    assert "## [Unreleased]" in changelog
+    assert f"## [{fishrl.__version__}]" in changelog and "## [Unreleased]" in changelog
 
 
 def test_the_extras_that_errors_name_exist(installed: Path) -> None:

@@ -36,24 +36,18 @@ def test_its_folder_is_whole_and_small(name: str) -> None:
         assert hashlib.sha256((folder / file).read_bytes()).hexdigest() == sha256
     assert (folder / "metrics.csv").is_file()
     assert "success rate" in (folder / "README.md").read_text()
+    assert sum(file.stat().st_size for file in folder.parent.rglob("*") if file.is_file()) < 5e6
 
 
-def test_all_of_them_take_no_more_than_five_megabytes() -> None:
-    assert NAMES
-    root = Path(fishrl.zoo.__file__).parent
-    assert sum(file.stat().st_size for file in root.rglob("*") if file.is_file()) < 5e6
-
-
-def test_a_name_stands_for_a_checkpoint_and_a_wrong_one_is_answered() -> None:
+def test_a_name_stands_for_a_checkpoint_unless_there_is_a_folder_of_that_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     policy = load_policy(f"zoo/{NAMES[0]}")
     same, _ = fishrl.zoo.load_policy(NAMES[0])
     for one, other in zip(policy.parameters(), same.parameters(), strict=True):
         assert torch.equal(one, other)
     with pytest.raises(ValueError, match=f"did you mean '{NAMES[0]}'"):
         fishrl.zoo.load_policy(NAMES[0] + "x")
-
-
-def test_a_folder_of_that_path_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     shutil.copytree(fishrl.zoo.find_policy("follower_small"), "zoo/mine")
     assert load_plan("zoo/mine")[1].preset == "follower_small"

@@ -66,8 +66,9 @@ def compute_clearance(markers: Tensor, flow: FlowConfig) -> Tensor:
     Returns:
         ``[B]`` in nodes; NaN if a marker is NaN.
     """
-    last = torch.tensor([flow.width - 1.0, flow.height - 1.0]).to(markers)
-    return torch.minimum(markers, last - markers).flatten(1).amin(-1)
+    x, y = markers.unbind(-1)
+    gaps = (x, flow.width - 1.0 - x, y, flow.height - 1.0 - y)
+    return torch.stack(gaps, -1).flatten(1).amin(-1)
 
 
 def compute_gap(one: Tensor, other: Tensor) -> Tensor:

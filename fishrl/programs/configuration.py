@@ -8,8 +8,6 @@ imported, which are modules of fishrl and those that the command line names, by 
 a ``_target_`` or ``--config-dir``.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

@@ -5,8 +5,6 @@
 ``total_frames`` extends it, or another final evaluation is asked for.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path

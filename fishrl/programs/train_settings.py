@@ -1,7 +1,5 @@
 """Command line and settings of a training, and what may change when it continues."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

@@ -6,8 +6,6 @@ type that a field asks for, from fishrl or from modules that the user has import
 cannot choose other code.
 """
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import sys

@@ -1,7 +1,5 @@
 """The classifier of a run: read from a file, kept in the run folder."""
 
-from __future__ import annotations
-
 import filecmp
 from pathlib import Path
 from shutil import copyfile

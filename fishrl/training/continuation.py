@@ -1,7 +1,5 @@
 """What may change when a run continues, and what fixes its result."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any

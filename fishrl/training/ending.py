@@ -1,7 +1,5 @@
 """The end of a training: final evaluation, comparison with baselines, summary."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 from fishrl.envs.episodes import Policy
@@ -15,7 +13,7 @@ if TYPE_CHECKING:
     from fishrl.training.loop import Training
 
 
-def finish(training: Training) -> dict[str, Any]:
+def finish(training: "Training") -> dict[str, Any]:
     """Evaluate the best policy and the baselines of a training; write and return the summary."""
     plan, counters, actor = training.plan, training.counters, training.learner.actor
     best, folder = training.load({"actor": actor}, which="best"), training.folder
@@ -47,7 +45,7 @@ def finish(training: Training) -> dict[str, Any]:
     return summary
 
 
-def compare(training: Training) -> dict[str, Any]:
+def compare(training: "Training") -> dict[str, Any]:
     """Return the final metrics of the learned policy, and ``<name>_...`` of each baseline."""
     names, num_starts = training.resolved.baselines, training.plan.run.final_episodes
     metrics: dict[str, Any] = {}

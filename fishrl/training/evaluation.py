@@ -1,7 +1,5 @@
 """Evaluation of policies: one episode from each of a set of fixed starts."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -1,7 +1,5 @@
 """Loggers of metrics: a CSV file, and optionally Weights & Biases."""
 
-from __future__ import annotations
-
 import csv
 import io
 import logging

@@ -1,7 +1,5 @@
 """The training loop: collect, store, update; evaluate, log and save at intervals."""
 
-from __future__ import annotations
-
 import logging
 import math
 import os

@@ -1,7 +1,5 @@
 """Counters and metrics of a run."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterable, Mapping
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The complete settings of a run, as objects and as the ``config.yaml`` in its folder."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import field, replace
 from pathlib import Path
@@ -71,7 +69,7 @@ class Plan(Settings):
         return {**parts, **flat, **to_plain(self.extra)}
 
     @classmethod
-    def from_config(cls, config: Mapping[str, Any], *, modules: Collection[str] = ()) -> Plan:
+    def from_config(cls, config: Mapping[str, Any], *, modules: Collection[str] = ()) -> "Plan":
         """Make a plan from ``config.yaml`` or the metadata of a checkpoint; see ``to_config``.
 
         Missing entries keep their defaults; ``modules`` see ``settings.build``, like the errors.
@@ -86,7 +84,7 @@ class Plan(Settings):
         node["extra"] = {name: value for name, value in config.items() if name not in own}
         return build(cls, node, modules=modules)
 
-    def change(self, **changes: Any) -> Plan:
+    def change(self, **changes: Any) -> "Plan":
         """Return the plan with other settings of ``RunSettings`` or ``extra``, which may change."""
         for name in changes:
             if name in (*LEARNING, *PARTS):

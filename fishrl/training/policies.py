@@ -1,7 +1,5 @@
 """Load learned policies from checkpoints, and evaluate policies."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable
 from pathlib import Path
 from types import EllipsisType

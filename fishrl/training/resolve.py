@@ -1,7 +1,5 @@
 """Resolve a run: everything that follows from its settings, checked before anything slow."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec

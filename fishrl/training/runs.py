@@ -1,7 +1,5 @@
 """Start training runs and resume them."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Collection, Iterable, Mapping
 from contextlib import closing

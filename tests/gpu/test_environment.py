@@ -57,37 +57,27 @@ def test_an_environment_on_a_gpu_does_what_it_does_on_a_cpu(
         )
 
 
-@pytest.mark.parametrize("name", ["predation", "karman_gait"])
-def test_the_host_does_not_wait_within_a_decision(
-    name: str, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.skipif("device" not in sys.modules, reason="the pretended device alone counts")
+@pytest.mark.parametrize(
+    ("name", "num_waits", "budget"), [("predation", 3, 5000), ("karman_gait", 4, 4000)]
+)
+def test_a_decision_does_not_wait_and_launches_few_operators_besides_the_steps_of_the_flow(
+    name: str, num_waits: int, budget: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It waits to check action and command before the flow advances, and for its end."""
-    if "device" not in sys.modules:
-        pytest.skip("only the pretended device counts waits")
-    task = make_task(name, monkeypatch)
-    env = make_env(task=task, num_envs=2, seed=0, device="cuda", compile=False)
+    """It waits to check action and command before the flow advances, and for its end.
+
+    The steps are recorded as graphs.
+    """
+    env = make_env(task=make_task(name, monkeypatch), num_envs=2, device="cuda", compile=False)
     state = first_legal(env.reset())
     with sys.modules["device"].Waits() as waits:
-        env.step(state)
-    assert waits.total == (4 if name == "karman_gait" else 3), waits.lines
-    env.close()
-
-
-@pytest.mark.parametrize(("name", "budget"), [("predation", 5000), ("karman_gait", 4000)])
-def test_a_decision_launches_few_operators_beside_the_steps_of_the_flow(
-    name: str, budget: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The steps are recorded as graphs."""
-    if "device" not in sys.modules:
-        pytest.skip("only the pretended device counts launches")
+        env.step(state.clone())
+    assert waits.total == num_waits, waits.lines
     monkeypatch.setattr(Stepper, "advance_", lambda *_: None)
-    task = make_task(name, monkeypatch)
-    env = make_env(task=task, num_envs=2, seed=0, device="cuda", compile=False)
-    state = first_legal(env.reset())
     with sys.modules["device"].Waits() as waits:
         env.step(state)
-    env.close()
     assert waits.launches <= budget
+    env.close()
 
 
 @pytest.mark.parametrize(("first", "second"), [("cuda", "cpu"), ("cpu", "cuda")])
@@ -101,6 +91,11 @@ def test_flows_go_on_from_a_state_of_another_device(first: str, second: str) -> 
     for solver in solvers:
         solver.reset_(rows)
         solver.body.frequency.fill_(1e-3)
+        f = solver.populations().cpu() + 1e-3  # rows and fields from the host
+        solver.set_populations_(f[:1], torch.tensor([True, False]))
+        torch.testing.assert_close(solver.populations().cpu()[0], f[0])
+        solver.advance_(2, torch.tensor([True, False]))
+        assert solver.sample(torch.full((2, 3, 2), 9.0))[0].device.type == solver.device.type
     solvers[0].advance_(4)
     state = {name: value.to(second) for name, value in solvers[0].state_dict().items()}
     solvers[1].load_state_dict(state)
@@ -110,21 +105,3 @@ def test_flows_go_on_from_a_state_of_another_device(first: str, second: str) -> 
     torch.testing.assert_close(
         solvers[0].populations().to(second), solvers[1].populations(), rtol=0, atol=1e-6
     )
-
-
-@pytest.fixture
-def solver() -> InPlaceSolver:
-    config = Predation(**FLOW).flow_config()
-    return InPlaceSolver(config=config, num_envs=2, device="cuda", compile=False)
-
-
-def test_a_solver_on_a_gpu_takes_rows_and_fields_from_the_host(solver: InPlaceSolver) -> None:
-    rows = torch.tensor([True, False])
-    f = solver.populations().cpu() + 1e-3
-    solver.reset_(rows)
-    solver.set_populations_(f[rows], rows)
-
-    torch.testing.assert_close(solver.populations().cpu()[0], f[0])
-    solver.advance_(2, rows)
-    assert solver.sample(torch.full((2, 3, 2), 9.0))[0].device.type == "cuda"
-    assert not solver.is_diverged().any()

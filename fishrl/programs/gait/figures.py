@@ -1,7 +1,5 @@
 """Figures of the Kármán gait."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from math import pi

@@ -1,7 +1,5 @@
 """Groups of runs that differ only in their seed and in harmless settings."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Runs as read from their folders: settings, results, status, and the command that resumes each."""
 
-from __future__ import annotations
-
 import fcntl
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -70,13 +70,18 @@ def find_processes(mark: str) -> set[int]:
     return found
 
 
-def test_flows_in_processes_move_as_flows_here_do() -> None:
+def test_flows_in_processes_move_as_flows_here_do_until_they_are_closed() -> None:
     here, there = make_solver(0), make_solver(2)
     for solver in (here, there):
         solver.advance_(6)
     assert here.populations().abs().max() > 0
     assert torch.equal(here.populations(), there.populations())
+    assert there._execution.workers is not None
+    processes = list(there._execution.workers._processes)
     there.close()
+    assert all(process.poll() is not None for process in processes)
+    with pytest.raises(RuntimeError, match="closed and cannot advance: make a new one"):
+        there.advance_(2)
 
 
 def test_a_worker_that_is_killed_is_an_error_and_ends_the_others() -> None:
@@ -148,33 +153,18 @@ def test_nothing_is_left_of_a_program_that_is_killed(
     assert not left  # looked at once: a process that is starting shows no environment for a moment
 
 
-def test_closing_ends_the_processes_and_a_closed_solver_does_not_advance() -> None:
-    solver = make_solver(2)
-    solver.advance_(2)
-    assert solver._execution.workers is not None
-    processes = list(solver._execution.workers._processes)
-    solver.close()
-    assert all(process.poll() is not None for process in processes)
-    with pytest.raises(RuntimeError, match="closed and cannot advance: make a new one"):
-        solver.advance_(2)
-
-
-def run_elsewhere(script: Path, code: str) -> str:
-    """Run a script in another folder than its own, and return what it prints."""
-    script.write_text(code)
-    command = [sys.executable, str(script)]
-    return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
-
-
-def test_workers_find_the_classes_of_a_module_beside_the_script(tmp_path: Path) -> None:
+def test_workers_find_classes_of_a_module_next_to_the_script_and_its_own_need_none(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "own_motion.py").write_text(OWN_CLASS)
-    code = f"from own_motion import Own{WITH_OWN}make(compile=False, num_workers=1).advance_(2)"
-    run_elsewhere(tmp_path / "script.py", code)
-
-
-def test_flows_with_a_class_of_the_script_itself_stay_in_its_process(tmp_path: Path) -> None:
-    code = f"{OWN_CLASS}{WITH_OWN}print(make()._execution.num_workers)"
-    assert run_elsewhere(tmp_path / "script.py", code) == "0\n"
+    script = tmp_path / "script.py"
+    run, show = "make(compile=False, num_workers=1).advance_(2)", "make()._execution.num_workers"
+    for code in (
+        f"from own_motion import Own{WITH_OWN}{run}",
+        f"{OWN_CLASS}{WITH_OWN}assert {show} == 0",
+    ):
+        script.write_text(code)
+        subprocess.run([sys.executable, str(script)], check=True)
 
 
 def test_a_class_that_workers_cannot_import_is_refused() -> None:
