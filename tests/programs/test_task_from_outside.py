@@ -91,12 +91,6 @@ def test_every_program_takes_a_task_from_outside(outside: Path) -> None:
     assert type(train.main.read(searched.fixed).task) is type(task)
 
 
-def test_the_help_lists_tasks_from_outside_with_their_nested_settings(outside: Path) -> None:
-    said = train.main.describe(["--config-dir", str(outside / "conf"), "task=hold_station"])
-    assert re.search(r"task: one of .*follower, .*hold_station, ", said)
-    assert re.search(r"^  task\.leash_bl=\d", said, re.MULTILINE)
-
-
 @pytest.mark.parametrize(
     ("file", "text", "said"),
     [

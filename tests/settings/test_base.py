@@ -145,14 +145,3 @@ def test_fields_are_listed_with_type_default_and_role() -> None:
     assert entries["given"].default is REQUIRED
     assert entries["part"].default == Part(size=7) and entries["part"].type is Part
     assert entries["part"].role is Role.RESULT
-
-
-def test_constructors_of_other_classes_are_listed_too() -> None:
-    class Plain:
-        def __init__(self, *, size: int, names: tuple[str, ...] = ()) -> None: ...
-
-    entries = list_fields(Plain)
-    assert [(e.name, e.type, e.default) for e in entries] == [
-        ("size", int, REQUIRED),
-        ("names", tuple[str, ...], ()),
-    ]
