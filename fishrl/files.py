@@ -1,4 +1,4 @@
-"""Files that are whole or not there, and files of tensors that are what they should be."""
+"""Write files atomically, and read files of tensors with checks."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -30,8 +30,8 @@ def load_tensors(
     """Read a file of ``torch.save`` on the CPU; it cannot run code (``weights_only``).
 
     Args:
-        path: of the file.
-        what: it should hold, for messages.
+        path: path of the file.
+        what: what the file should hold, for messages.
         remedy: what to do about a file that holds nothing or something else.
         entries: names in the dictionary that it should hold; None for anything else.
 

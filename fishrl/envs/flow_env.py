@@ -129,7 +129,7 @@ class FlowEnv(EnvBase):
         self._next_start = 0
         task.place_(self.solver, ~self.is_resting, self.start)
         self.now = self._begin()
-        self._make_specs()  # a wrong task is reported before the compile
+        self._make_specs()  # reports an invalid task before the compilation
         self.solver.compile()
 
     @property

@@ -1,4 +1,4 @@
-"""TensorDicts of which each row belongs to one flow."""
+"""Operations on TensorDicts whose rows belong to one flow each."""
 
 import torch
 from tensordict import TensorDict, TensorDictBase

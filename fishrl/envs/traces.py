@@ -1,4 +1,4 @@
-"""Named values over the course of several episodes that run side by side."""
+"""Time series of named values, recorded in several episodes at once."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping

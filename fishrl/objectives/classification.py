@@ -22,12 +22,12 @@ class FitSettings(Settings):
     """How a classifier is fitted.
 
     Args:
-        learning_rate: of Adam.
+        learning_rate: Adam's learning rate.
         batch_size: samples per gradient step.
         num_epochs: passes over the data at most.
         patience: epochs without a lower validation loss after which the fit ends with the weights
             of the lowest one; None runs all epochs and keeps the last weights.
-        weight_decay: of Adam (L2).
+        weight_decay: Adam's L2 penalty.
     """
 
     learning_rate: Annotated[PositiveFloat, Field(le=1)] = 1e-3
@@ -83,8 +83,8 @@ def split_episodes(
     Args:
         episode: ``[N]`` int64, the episode of each sample.
         label: ``[N]`` int64; an episode belongs to the class of its first sample.
-        shares: of the episodes that each part gets, positive, of sum 1.
-        generator: what falls where.
+        shares: share of the episodes for each part; positive, with sum 1.
+        generator: draws the episodes of each part.
 
     Returns:
         One mask ``[N]`` bool per part.
@@ -131,7 +131,7 @@ def fit_classifier(
         training: TensorDict ``[N]`` with ``lateral_line`` and ``flow_index`` ``[N]`` int64.
         validation: the same, of other episodes; it decides only when to stop.
         settings: see ``FitSettings``.
-        generator: of the batches and the noise.
+        generator: draws batches and noise.
         noise: standard deviation of what is added to the signals of each batch, of a shape that
             broadcasts over them.
     """

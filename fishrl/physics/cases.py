@@ -47,7 +47,7 @@ def decay_taylor_green(
             the grid and the error is second order.
         reynolds: U N / nu.
         speed: U N.
-        dtype: of the populations.
+        dtype: float type of the populations.
 
     Returns:
         The relative L2 error of the velocity at the end, and the viscosity, from the decay of the

@@ -54,11 +54,11 @@ def solve_body_force(
     """Find the marker force and the new rigid velocities of all bodies together.
 
     Args:
-        config: of the flows; ``force_solve`` is P. Explicit coupling is the paper's with corrected
-            sign: the body feels minus the force on the fluid.
-        params: of each body.
-        states: of each body at the start of the step.
-        geometry: of the bodies at this step.
+        config: configuration of the flows; ``force_solve`` is P. Explicit coupling is the paper's
+            with corrected sign: the body feels minus the force on the fluid.
+        params: parameters of each body.
+        states: state of each body at the start of the step.
+        geometry: geometry of the bodies at this step.
         velocity: ``[B, 2, N]`` unforced fluid velocity at the markers.
         rho: ``[B, N]`` fluid density at the markers.
 

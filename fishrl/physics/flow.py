@@ -36,7 +36,7 @@ class Sponge(Settings):
     """A strip along an edge where the viscosity rises smoothly and damps vortices and sound.
 
     Args:
-        length: of the strip, nodes.
+        length: width of the strip, nodes.
         tau: relaxation time at the edge itself.
         side: which edge.
     """

@@ -33,8 +33,8 @@ class BodyGeometry(NamedTuple):
     """All bodies in one step; the markers of the bodies follow each other in N.
 
     Attributes:
-        deformations: of each body.
-        markers: of each body.
+        deformations: deformation of each body.
+        markers: markers of each body.
         spacing: ``[B, N]`` length of outline that each marker represents.
         stencil: nodes around all markers.
         operator: what the force solve needs, from ``ForceSolve.prepare``.

@@ -24,10 +24,10 @@ def check_placement(
     For set-up: it reads its result on the host, which waits for a GPU.
 
     Args:
-        config: of the flows.
-        params: of each body.
-        states: of each body.
-        rows: bool, which flows to look at.
+        config: configuration of the flows.
+        params: parameters of each body.
+        states: state of each body.
+        rows: bool, flows to check.
 
     Raises:
         ValueError: naming the first flow and bodies that are misplaced.

@@ -53,12 +53,12 @@ def report_bodies(
     """Return new velocities, force, torque and power of each body from the solution of a step.
 
     Args:
-        config: of the flows.
-        states: of each body at the start of the step.
-        geometry: of the bodies at this step.
+        config: configuration of the flows.
+        states: state of each body at the start of the step.
+        geometry: geometry of the bodies at this step.
         surface: prescribed motion of the markers.
-        changes: ``[B]`` of each rate that the flow determines.
-        mass: ``[B, N]`` of the fluid at each marker, 2 rho ds.
+        changes: ``[B]`` change of each rate that the flow determines.
+        mass: ``[B, N]`` mass of the fluid at each marker, 2 rho ds.
         g: (x, y) ``[B, N]`` each, force per mass.
         slip: (x, y) ``[B, N]`` each, remaining velocity error.
     """

@@ -64,7 +64,7 @@ def step(
 
     Args:
         state: populations ``[B, Q, Y, X]`` and bodies.
-        config: of all flows.
+        config: configuration of all flows.
         params: tau, stream and bodies of each flow, where they differ from ``config`` or from each
             other; None makes them from ``config``, which with bodies is worth doing once, by
             ``make_params([config] * B)``.

@@ -23,7 +23,7 @@ class Freedom(NamedTuple):
         body: index of its body.
         axis: 0 and 1 for the centre of mass along x and y, 2 for turning.
         unit: velocity (x, y) that a unit of it gives all markers, ``[B, N]``; None is zero.
-        rows: of the force solve whose right-hand sides these are.
+        rows: rows of the force solve that hold its right-hand sides.
         inertia: ``[B]`` mass or moment of inertia; implicit coupling leaves out the fluid's inside.
         push: ``[B]`` force or torque in addition to the fluid's.
     """

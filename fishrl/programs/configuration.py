@@ -54,12 +54,12 @@ class CommandLine:
     """The settings that a program accepts, as ``key=value`` and ``group=name``.
 
     Args:
-        name: of the program.
+        name: name of the program.
         schema: class of its settings.
         groups: config groups in the order in which they override each other, and the default
             choice in each, ``None`` for nothing. Without ``algorithm``, only the task of a
             ``preset`` is used.
-        conf: folder of YAML files besides those of fishrl.
+        conf: folder of YAML files in addition to fishrl's.
         stored: given the settings of the command line, returns those of a stored run.
         positional: setting whose value is a word without ``=``.
         others: setting that lists all words but those of the schema.
@@ -209,7 +209,7 @@ def run_hydra(run: Callable[[DictConfig], None], name: str | None, words: Sequen
 
     Args:
         run: called with what hydra composes.
-        name: of a program.
+        name: name of a program.
         words: options of hydra, and overrides.
     """
     sys.argv[1:] = words

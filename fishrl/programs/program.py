@@ -42,7 +42,7 @@ from fishrl.settings import REQUIRED, TARGET, Settings, build, describe, list_fi
 from fishrl.settings.plain import list_classes
 from fishrl.training.interruption import SIGNALS, exit_status
 
-#: Of lines of the help.
+#: Layout of the lines of the help.
 _WIDTH: dict[str, Any] = {"width": 100, "initial_indent": "  ", "subsequent_indent": " " * 8}
 
 
@@ -146,9 +146,9 @@ def _list_settings(key: str, value: Any, text: str) -> Iterator[str]:
 
 
 def check_names(names: Sequence[str]) -> None:
-    """Raise ValueError unless there are policies, all of different names."""
+    """Raise ValueError unless there are policies with unique names."""
     if not names or len(set(names)) < len(names):
-        raise ValueError(f"policies are called {sorted(names)}: give some, all of different names")
+        raise ValueError(f"policy names must be unique and non-empty; got {sorted(names)}")
 
 
 def write_value(value: Any) -> str:

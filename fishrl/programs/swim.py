@@ -25,7 +25,7 @@ def swim(name: str, *, periods: float, compile: bool = True) -> tuple[Recording,
     """Let a policy of the zoo swim one episode.
 
     Args:
-        name: of the policy.
+        name: name of the policy.
         periods: T after which the recording ends at the latest.
         compile: compile the flow step.
 
@@ -61,8 +61,8 @@ def film(name: str, path: str, *, periods: float, compile: bool = True) -> None:
     """Film a policy of the zoo in a process of its own.
 
     Args:
-        name: of the policy.
-        path: of the films and the picture, without their endings.
+        name: name of the policy.
+        path: path of the films and the picture, without suffix.
         periods: T after which the film ends at the latest.
         compile: compile the flow step.
     """

@@ -1,8 +1,8 @@
 """Train a policy: ``fishrl train task=predation preset=small seed=0``.
 
-``name=<folder>`` begins the run in that folder, or continues the one there;
-``resume=<run folder>`` does so with its own settings. A finished run is left unchanged unless
-``total_frames`` extends it, or another final evaluation is asked for.
+``name=<folder>`` starts a run in that folder, or continues the one there;
+``resume=<run folder>`` continues a run with its own settings. A finished run is left unchanged
+unless ``total_frames`` extends it, or another final evaluation is asked for.
 """
 
 import sys
@@ -64,7 +64,7 @@ def set_up(config: TrainConfig, progress: Progress | None = None) -> Training:
     """Begin the run of these settings, or continue the one in its folder.
 
     Raises:
-        ValueError: for invalid settings, and for others than those of the run that is continued.
+        ValueError: for invalid settings, or settings that differ from the run's own.
     """
     progress = progress or Progress(is_shown=False)
     callbacks = [progress, RunCallback(config, progress)]

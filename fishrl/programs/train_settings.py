@@ -17,7 +17,7 @@ from fishrl.training.settings import LearningSettings, RunSettings
 from fishrl.viewer import ViewerSettings
 
 
-class TrainConfig(LearningSettings, RunSettings, ViewerSettings):
+class TrainConfig(ViewerSettings, RunSettings, LearningSettings):
     """Settings of a training run.
 
     Args:
@@ -26,7 +26,7 @@ class TrainConfig(LearningSettings, RunSettings, ViewerSettings):
         logger: writes the metrics.
         preset: name of the preset.
         recognition: source of flow labels: ``oracle``, the file of a lateral-line classifier,
-            ``zoo/<name>`` for that of a policy, or nothing.
+            ``zoo/<name>`` for a policy's classifier, or nothing.
         resume: run folder to continue from its last checkpoint, with its own settings.
         picture_episodes: episodes of the final evaluation to record and draw; 0 for none.
         modules: modules of your own that define tasks, algorithms or loggers.
@@ -60,7 +60,7 @@ class TrainConfig(LearningSettings, RunSettings, ViewerSettings):
         return self.path is not None and RunFolder(self.path).config.is_file()
 
 
-#: Those that, if changed, evaluate or draw a finished run again, or extend it.
+#: Settings whose change extends a finished run, or evaluates or draws it again.
 LATE = {"total_frames"} | {e.name for e in list_fields(TrainConfig) if e.role is Role.EVALUATION}
 
 

@@ -220,7 +220,9 @@ def find_class(name: str, kinds: tuple[type, ...], *, modules: Collection[str] =
             f"modules=[{module}]"
         )
     found = getattr(loaded, last, None)
+    if found is None:
+        raise ValueError(f"{TARGET}: {name}: module {module!r} has no {last!r}")
     if not isinstance(found, type) or not issubclass(found, kinds):
         wanted = " or ".join(kind.__name__ for kind in kinds) or "plain value"
-        raise ValueError(f"{TARGET}: {name}: is no {wanted}")
+        raise ValueError(f"{TARGET}: {name}: is not a subclass of {wanted}")
     return found

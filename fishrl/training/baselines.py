@@ -55,7 +55,7 @@ def baseline(
     """Register the decorated function, which makes a policy, as a baseline.
 
     Args:
-        name: of the baseline; a later registration replaces an earlier one for the same task.
+        name: name of the baseline; a later registration replaces an earlier one for the same task.
         *tasks: classes of tasks that it can act in.
         fits: whether it can act in a task with its settings.
         is_default: compare learned policies with it by default.

@@ -42,7 +42,7 @@ class Callback:
 
         Args:
             summary: content of ``summary.json``.
-            folder: of the run.
+            folder: run folder.
             env: its flows, whose episodes may be abandoned.
             policy: the best learned policy; it raises ``Interrupted`` after a signal.
         """

@@ -38,13 +38,13 @@ class ClusterCollector:
     It joins the cluster that ``RAY_ADDRESS`` names, or starts one on this machine.
 
     Args:
-        collector_class: of the collector of each process.
-        env: of this process, for evaluations.
+        collector_class: class of the collector in each process.
+        env: environment of this process, for evaluations.
         make_env: makes the env of a collector from ``num_envs`` and ``seed``; picklable.
         explorer: the policy that collects.
         settings: numbers of processes, of flows and of warm-up frames of all of them together.
-        seed: of the first collector.
-        device: of the explorer. With ``cuda`` each collector has a GPU of its own.
+        seed: seed of the first collector.
+        device: device of the explorer. With ``cuda`` each collector has a GPU of its own.
 
     Raises:
         ValueError: if the cluster has fewer CPUs, or GPUs, than there are collectors.

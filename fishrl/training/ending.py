@@ -32,7 +32,7 @@ def finish(training: "Training") -> dict[str, Any]:
         "wall_seconds": training.wall_seconds(),
         "mlups": training.resolved.compute_mlups(counters.frames, counters.collect_seconds),
     }
-    env, policy = training.collector.env, training.heed(actor)
+    env, policy = training.collector.env, training.make_interruptible(actor)
     try:
         training.callbacks.on_end(summary, folder=folder.path, env=env, policy=policy)
     except Interrupted:  # unfinished, so that a resume repeats the end

@@ -42,8 +42,8 @@ def export_policy(
 
     Args:
         run: run folder.
-        folder: to write; must not exist, or be empty.
-        title: of the card; by default the name of the folder.
+        folder: folder to write; must not exist, or be empty.
+        title: title of the card; by default the name of the folder.
         revision: commit of the code that exports it, for the card.
         modules: modules outside fishrl that may be imported, see ``settings.build``.
 
@@ -89,9 +89,9 @@ def write_card(
     """Return the model card of a policy, as Markdown.
 
     Args:
-        plan: of its run.
-        summary: of its run; may be empty.
-        title: of the card.
+        plan: settings of its run.
+        summary: summary of its run; may be empty.
+        title: title of the card.
         frames: env frames after which the policy was saved.
         revision: commit of the code that exports it.
     """

@@ -40,7 +40,7 @@ class Learner(ABC):
     """Store transitions and take gradient steps on batches of them.
 
     Args:
-        networks: of the algorithm.
+        networks: networks and loss of the algorithm.
         settings: learning rate, batch size and buffer size.
         sampler: draws batches from the buffer; by default uniformly.
         keys: entries of a transition to store in addition to those that the loss reads.
@@ -71,7 +71,7 @@ class Learner(ABC):
         )
 
     def store(self, transitions: TensorDictBase) -> int:
-        """Store transitions ``[N]`` except diverged ones, and return the number of those.
+        """Store transitions ``[N]`` except diverged ones, and return how many diverged.
 
         Raises:
             ValueError: if a state has no legal action.
@@ -147,7 +147,7 @@ class OnPolicyLearner(Learner):
 
     Args:
         networks: the loss has a critic and a value estimator with ``lmbda``, as TorchRL's PPO.
-        settings: see ``Learner``; ``buffer_size`` is that of one rollout.
+        settings: see ``Learner``; the buffer holds one rollout.
         rollout_length: decisions of each flow in a rollout.
         gae_lambda: lambda of generalised advantage estimation.
     """

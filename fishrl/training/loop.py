@@ -178,11 +178,11 @@ class Training:
         options: dict[str, Any] = {"callbacks": self.callbacks, "is_counted": is_counted}
         try:
             with self.collector.lend_env() as env:
-                return evaluate_in(env, self.heed(policy), num, seed=seed, **options)
+                return evaluate_in(env, self.make_interruptible(policy), num, seed=seed, **options)
         finally:
             self.callbacks.on_new_episodes()
 
-    def heed(self, policy: Policy) -> Policy:
+    def make_interruptible(self, policy: Policy) -> Policy:
         """Return a policy that acts on the learner's device, or raises ``Interrupted``."""
 
         def act(state: TensorDictBase) -> TensorDictBase:
@@ -208,9 +208,9 @@ class Training:
         return load_checkpoint(path, components, spec=spec, device=device, which=which)
 
     def _save(self, path: Path, *, is_needed: bool = True) -> bool:
-        """Save, if not needed then if possible: a disk that is full for a while ends no run."""
+        """Save a checkpoint; a failure is only logged unless ``is_needed``, as on a full disk."""
         is_last = path == self.folder.last
-        if is_last:  # the rows that it counts survive a power failure too
+        if is_last:  # so that a power failure cannot lose rows older than the checkpoint
             with suppress(OSError), self.folder.metrics.open("rb") as rows:
                 os.fsync(rows.fileno())
         try:

@@ -96,7 +96,8 @@ class Plan(Settings):
         return replace(self, run=replace(self.run, **of_run), extra={**self.extra, **extra})
 
 
-#: Fixed once a run has begun, like ``PARTS``: its objects, and names for them.
+#: Names of the settings of learning, of the run, and of the other parts of a plan; those of
+#: ``LEARNING`` and ``PARTS`` are fixed once a run has begun.
 LEARNING = tuple(entry.name for entry in list_fields(LearningSettings))
 RUN = tuple(entry.name for entry in list_fields(RunSettings))
 PARTS = tuple(

@@ -54,7 +54,7 @@ def train(
         make_env: makes the flows, with the arguments of ``fishrl.envs.make_env``.
 
     Raises:
-        ValueError: for invalid settings, and others than fix the result of the run in the folder.
+        ValueError: for invalid settings, or if they change the result of the run in the folder.
         Interrupted: after SIGINT or SIGTERM; ``resume`` continues the run.
     """
     plan = Plan(

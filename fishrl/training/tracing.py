@@ -39,9 +39,8 @@ class Traced:
     created something. Later calls with others go to ``function`` itself.
 
     Args:
-        function: of a batch, whose entries it may change in place; returns tensors. What it does
-            must not depend on their values: torch raises a RuntimeError while it is traced
-            otherwise.
+        function: takes a batch, whose entries it may change in place, and returns tensors. Its
+            operations must not depend on their values; otherwise tracing raises a RuntimeError.
     """
 
     def __init__(self, function: Callable[[TensorDictBase], Sequence[Tensor]]) -> None:

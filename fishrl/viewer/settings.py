@@ -12,7 +12,7 @@ class ViewerSettings(Settings):
 
     Args:
         live: stream to a viewer on this machine (127.0.0.1) while the flows run.
-        flows: which flows of the batch to show, each in a tab of its own.
+        flows: flows of the batch to show, each in its own tab.
         frames_per_T: frames per period, approximately; they coincide with checks for termination.
         field: vorticity (1/T), pressure (rho L^2/T^2) or speed (L/T).
         field_format: format of the field, jpeg (small) or u8 (values under the mouse).

@@ -15,13 +15,13 @@ class BodyState(NamedTuple):
         internal_angle: rotation of the momentum-free frame that the beating itself causes.
         velocity: ``[B, 2]`` of the centre of mass.
         angular_velocity: Omega, without the beating's own rotation.
-        phase: of the body wave or oscillation, radians.
+        phase: phase of the body wave or oscillation, radians.
         frequency: tail beats or oscillations per step; a negative one reverses the wave.
         beats: tail beats or oscillations since reset.
         age: steps since reset.
         bend: kappa of the midline's bend kappa L x^2; see ``Bending``.
         amplitude: share of the gait's amplitude; see ``motion.compute_amplitude_rate``.
-        amplitude_goal: the share that is commanded.
+        amplitude_goal: commanded share.
         turn: commanded change of heading, radians.
         turn_steps: steps over which the turn is spread.
         turn_clock: steps since the command.

@@ -35,9 +35,9 @@ class Stroke(Settings):
     """A smooth change of the curvature.
 
     Args:
-        duration: of the change, in T.
+        duration: duration of the change, in T.
         bend: B L at s / L = 0.5, 0.75 and 0.95 when it ends.
-        wave: K L there.
+        wave: K L at the same points.
         lag: tau when it ends, waves along the body.
     """
 
@@ -51,7 +51,7 @@ class Strokes(Settings):
     """A sequence of strokes that begins straight, at rest and with tau = 0.
 
     Args:
-        sequence: of strokes.
+        sequence: strokes, in order.
         phase: phi, radians.
     """
 

@@ -87,9 +87,9 @@ class CoupleTensors(NamedTuple):
         first_cell: ``[B]`` int64.
         omega: ``[B, 1]`` or ``[B, cells]``.
         force: (x, y) ``[cells]``, zero between steps.
-        params: of each body.
+        params: parameters of each body.
         bodies: state of each body.
-        geometry: of bodies that stay still; empty for others.
+        geometry: geometry of bodies that stay still; empty for others.
     """
 
     data: Tensor

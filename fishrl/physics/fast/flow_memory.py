@@ -27,7 +27,7 @@ class GroupMemory(NamedTuple):
     """A group's own part of the memory: flows that advance together.
 
     Attributes:
-        layout: of the populations.
+        layout: layout of the populations.
         populations: ``[num_slots]`` as stored.
         omega: ``[B, 1]``, or ``[B, cells]`` where it differs from node to node.
         flow: the flows' numbers.
@@ -56,8 +56,8 @@ class FlowMemory:
 
     Args:
         sample: numbers of all flows, for their shapes.
-        layout: of one group's populations.
-        dtype: of stored populations.
+        layout: layout of one group's populations.
+        dtype: type of stored populations.
         has_omega_field: whether the relaxation rate differs from node to node.
     """
 

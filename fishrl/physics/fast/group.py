@@ -16,7 +16,7 @@ class FlowGroup:
 
     Attributes:
         nodes: the nine stored populations ``[B, Y, X]`` before an even step.
-        arguments: of each part, at even and odd steps.
+        arguments: arguments of each part, at even and odd steps.
         graphs: CUDA graphs by number of pairs of steps.
     """
 

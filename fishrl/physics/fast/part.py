@@ -20,7 +20,7 @@ class Part(ABC, Generic[Tensors]):
 
     Attributes:
         title: name in profiles.
-        settings: of Inductor, by type of device.
+        settings: Inductor's settings, by type of device.
         run: the part as a function of the tensors that ``bind`` returns.
     """
 

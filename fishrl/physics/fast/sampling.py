@@ -17,7 +17,7 @@ def sample_points(
         points: ``[B, P, 2]`` (x, y) in nodes; those outside the grid are moved to its edge, and
             where one is NaN, so is the result.
         populations: ``[groups, num_slots]`` of the B flows, as stored.
-        layout: of one group.
+        layout: layout of one group.
         storage: number format.
 
     Returns:

@@ -33,7 +33,7 @@ class InPlaceSolver:
     """A batch of flows and the bodies in them, advanced in place.
 
     Args:
-        config: of all flows, or one configuration per flow; see ``FlowConfig`` for what may differ.
+        config: one for all flows, or one per flow; see ``FlowConfig`` for what may differ.
         num_envs: number of flows B; with one configuration per flow it may be left out.
         frequency: tail beats or oscillations per step at start, of all bodies; ``[B]`` or a number.
         device: where everything lives.
@@ -161,7 +161,7 @@ class InPlaceSolver:
             position: centre of mass in nodes, ``[B, 2]`` or for several bodies ``[B, M, 2]``, read
                 where ``rows`` is true; None is the middle of the domain.
             heading: direction that the nose faces, radians, ``[B]`` or ``[B, M]``; None is 0.
-            velocity: of the fluid everywhere, in units of the stream speed.
+            velocity: velocity of the fluid everywhere, in units of the stream speed.
 
         Raises:
             ValueError: for wrong shapes, speeds above 0.3, and bodies that overlap or reach beyond

@@ -62,10 +62,10 @@ class Job(NamedTuple):
     """What a worker is sent.
 
     Attributes:
-        configs: of all flows.
+        configs: configuration of each flow.
         group_size: flows per group.
         file: descriptor of the shared memory.
-        groups: that this worker advances.
+        groups: groups that this worker advances.
         compile: whether to compile the step.
     """
 
@@ -80,7 +80,7 @@ class Workers:
     """Subprocesses that advance their share of the flows; ``wait`` until they can.
 
     Args:
-        configs: of all flows.
+        configs: configuration of each flow.
         group_size: flows per group.
         file: descriptor of the shared memory.
         count: number of workers.

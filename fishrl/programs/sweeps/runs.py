@@ -20,9 +20,9 @@ class Run:
         path: its folder.
         status: ``finished``, ``running``, ``failed`` (the reason is known) or ``stopped``.
         reason: why it failed, or what failed once it was finished, in one line.
-        frames: done, as far as ``metrics.csv`` says.
+        frames: frames done, according to ``metrics.csv``.
         config: its settings; empty if they could not be made.
-        summary: of a finished run.
+        summary: results of a finished run; otherwise empty.
     """
 
     path: Path

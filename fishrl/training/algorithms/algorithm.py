@@ -22,14 +22,14 @@ from fishrl.training.settings import LearningSettings
 class Algorithm(Settings, ABC):
     """Base of all algorithms: a frozen dataclass of the settings that only this algorithm has.
 
-    With the class attribute ``is_traced`` the tensor operations of one gradient step are repeated
-    at all others (``tracing.Traced``), with the same numbers in half the time. The loss must then
-    perform the same operations at every step, without branches on the values of tensors and without
-    numbers that change.
+    With the class attribute ``is_traced`` the tensor operations of a gradient step are recorded
+    once and replayed (``tracing.Traced``), with the same result in half the time. The loss must
+    then perform the same operations at every step, without branches on the values of tensors and
+    without Python numbers that change.
 
     The class attributes ``takes_discrete`` and ``takes_continuous`` say which actions it learns;
-    by default discrete ones. Several fish in a flow are treated as if each had a flow of its own,
-    unless ``takes_several`` is false, which excludes such tasks.
+    by default only discrete ones. Several fish in a flow are treated as if each had a flow of its
+    own, unless ``takes_several`` is false, which excludes such tasks.
     """
 
     is_traced: ClassVar[bool] = False
@@ -39,7 +39,7 @@ class Algorithm(Settings, ABC):
 
     @property
     def label(self) -> str:
-        """Part of a run folder's name: by default that of the class."""
+        """Part of a run folder's name; by default the name of the class in lower case."""
         return type(self).__name__.lower()
 
     @classmethod
@@ -72,7 +72,7 @@ class Algorithm(Settings, ABC):
 
     @abstractmethod
     def make_loss(self, policy: Any, spec: PolicySpec, generator: torch.Generator) -> LossModule:
-        """Make the loss that trains the policy, its further networks on the policy's device."""
+        """Make the loss that trains the policy; its other networks lie on the policy's device."""
 
     def make_explorer(self, policy: Any, spec: PolicySpec) -> TensorDictModuleBase:
         """Make the policy that collects, with the same weights; by default the policy itself."""
