@@ -85,19 +85,6 @@ def test_many_bodies_in_flows_that_differ_equal_the_readable_step(compile: bool)
     assert (still.impulse[:, 0] > 0.1).all()  # drag
 
 
-def test_a_batch_of_mixed_flows_equals_each_flow_alone() -> None:
-    both = start_crowd(CROWD)
-    both.advance_(40)
-    for i, config in enumerate(CROWD):
-        alone = start_crowd([config])
-        alone.bodies[0].frequency.fill_(float(both.body.frequency[i]))
-        alone.bodies[1].frequency.fill_(float(both.body.frequency[i]))
-        alone.advance_(40)
-        assert torch.equal(alone.populations()[0], both.populations()[i])
-        for mine, batch in zip(alone.bodies, both.bodies, strict=True):
-            assert torch.equal(mine.position[0], batch.position[i])
-
-
 def test_flows_that_differ_too_much_for_one_batch_are_refused() -> None:
     other = replace(CROWD[0], rates=Rates(energy=1.0))
     with pytest.raises(ValueError, match="flow 1 differs from flow 0 in more than tau"):
