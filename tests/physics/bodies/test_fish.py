@@ -9,26 +9,13 @@ import torch
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.gait import GAITS, Deformation, Gait
 from fishrl.physics.bodies.midline import MidlineParams
-from fishrl.physics.bodies.motion import (
-    Bending,
-    Commanded,
-    Free,
-    Motion,
-    Towed,
-    compute_turn_rate,
-)
+from fishrl.physics.bodies.motion import Bending, Commanded, Free, Motion, Towed, compute_turn_rate
 from fishrl.physics.bodies.outline import Cylinder
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.collision import compute_moments
 from fishrl.physics.diagnostics import compute_area
-from fishrl.physics.flow import (
-    Coupling,
-    FlowConfig,
-    FlowState,
-    make_params,
-    make_rest,
-)
+from fishrl.physics.flow import Coupling, FlowConfig, FlowState, make_params, make_rest
 from fishrl.physics.geometry import deform_body, locate_bodies, locate_markers, place_markers
 from fishrl.physics.step import step
 from fishrl.physics.units import Scales

@@ -6,15 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from fishrl.physics import (
-    Cylinder,
-    DCylinder,
-    Ellipse,
-    Fish,
-    FlowConfig,
-    FlowState,
-    InPlaceSolver,
-)
+from fishrl.physics import Cylinder, DCylinder, Ellipse, Fish, FlowConfig, FlowState, InPlaceSolver
 from fishrl.physics.bodies.gait import Gait
 from fishrl.physics.bodies.motion import Fixed, Free, Oscillating
 from fishrl.physics.bodies.state import BodyState
@@ -44,9 +36,7 @@ def make_crowd(tau: float = 0.56, diameter: float = 12.0, amplitude: float = 0.1
             Fish(body_length=24, gait=gait),
             Ellipse(length=10, width=8, motion=Oscillating(sway=(0.5, 2.0), pitch=0.2)),
             DCylinder(
-                diameter=diameter,
-                num_markers=36,
-                motion=Fixed(kick_speed=0.01, kick_steps=30),
+                diameter=diameter, num_markers=36, motion=Fixed(kick_speed=0.01, kick_steps=30)
             ),
             Cylinder(diameter=9, density_ratio=1.5, motion=Free()),
         ),

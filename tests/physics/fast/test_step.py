@@ -38,10 +38,7 @@ EDGES = {
         left=STREAM, right=NonEquilibrium(density=1.0), bottom=STREAM, top=STREAM
     ),
     "open edges": Boundaries(
-        left=STREAM,
-        right=OpenEdge(),
-        bottom=OpenEdge(is_plane=False),
-        top=OpenEdge(is_plane=False),
+        left=STREAM, right=OpenEdge(), bottom=OpenEdge(is_plane=False), top=OpenEdge(is_plane=False)
     ),
     "channel": Boundaries(
         left=NonEquilibrium(velocity=(1.0, 0.0), profile=Profile.PARABOLA),
