@@ -14,7 +14,7 @@ from experiments import paper, reproduce
 from experiments.reproduce import Job, Record, list_jobs, run_job
 from fishrl.__main__ import list_programs
 from fishrl.programs.sweeps.jobs import find_runs, plan_jobs
-from fishrl.programs.train_settings import TRAINING, make_plan
+from fishrl.programs.train_settings import make_plan
 from fishrl.training.run_folder import write_json
 from fishrl.training.runs import make_folder
 
@@ -68,19 +68,6 @@ def test_the_newest_classifier_with_results_is_used(tmp_path: Path) -> None:
     assert paper.find_fitted(tmp_path) == tmp_path / "classifier-2"
     words = list_by_name(tmp_path)["both"].words
     assert f"recognition={tmp_path / 'classifier-2' / 'machine.pt'}" in words
-
-
-def test_the_plan_counts_the_default_baselines_of_the_task(tmp_path: Path) -> None:
-    default, none = (
-        list_by_name(tmp_path, f"baselines={given}")["ablation"].updates for given in ("null", "[]")
-    )
-    assert default > none
-
-
-def test_hours_are_estimated_also_if_another_algorithm_trains() -> None:
-    gait = reproduce.main.read(["scale=tiny"]).scale.gait
-    plan = make_plan(TRAINING.read([*gait, "algorithm=ppo"]))
-    assert min(reproduce.measure_speed(plan)) > 0
 
 
 def test_a_finished_job_is_not_repeated_unless_its_settings_change(tmp_path: Path) -> None:

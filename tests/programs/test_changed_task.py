@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -21,13 +20,13 @@ pytestmark = pytest.mark.usefixtures("kinematic")
 OWN = [*SETTINGS, "task.stream.speeds_bl=[1.0,1.2,1.4]", "task.observes_flow=true"]
 
 
-def store(folder: Path, *overrides: str, recognition: str | None = None) -> str:
+def store(folder: Path) -> str:
     """Write the checkpoint of an untrained policy of the gait."""
-    plan = replace(make_plan(TRAINING.read([*OWN, *overrides])), recognition=recognition)
+    plan = make_plan(TRAINING.read(OWN))
     save_checkpoint(
         folder / "checkpoints" / "last",
         {"net": torch.nn.Linear(1, 1)},
-        spec=PolicySpec.for_task(plan.task, has_labels=recognition is not None),
+        spec=PolicySpec.for_task(plan.task),
         frames=0,
         config=plan.to_config(),
     )
@@ -50,28 +49,13 @@ def test_settings_of_the_task_that_are_not_given_stay_as_in_the_run(tmp_path: Pa
     assert own["stream"]["speeds_bl"] == [1.0, 1.2, 1.4]
     changed = evaluate.main.read([checkpoint, *CHANGES]).task
     assert view.main.read([checkpoint, *CHANGES]).task == changed
+    chosen = evaluate.main.read([checkpoint, "preset=gait_small"]).task
+    assert chosen.body_length == 32  # another task replaces that of the run
     own["stream"]["has_disc"] = False
     own["safe_area"] |= {"far_bl": 3.75, "near_bl": 0.1}
     own["control"]["bank"]["rows"] = [[0.1, 2.1]] * 3
     own["start_flows"], own["time_limit"] = [2], 7
     assert describe(changed) == own
-
-
-@pytest.mark.parametrize("chosen", [["preset=gait_small"], ["task=karman_gait"]])
-def test_a_task_chosen_by_name_replaces_the_task_of_the_run_but_not_its_flow_labels(
-    tmp_path: Path, chosen: list[str]
-) -> None:
-    checkpoint = store(tmp_path, recognition="machine.pt")
-    (tmp_path / "machine.pt").touch()
-    for given, wanted in (
-        ([], str(tmp_path / "machine.pt")),
-        (["recognition=oracle"], "oracle"),
-        (["recognition=null"], None),
-    ):
-        for program in (evaluate.main, view.main):
-            settings = program.read([checkpoint, *chosen, *given])
-            assert settings.recognition == wanted
-            assert settings.task.body_length > 20
 
 
 @pytest.mark.parametrize(

@@ -119,11 +119,6 @@ def stored_run(folder: Path, *words: str) -> Path:
     return folder
 
 
-def test_a_resumed_run_brings_its_settings_and_takes_new_ones(tmp_path: Path) -> None:
-    settings = read([f"resume='{stored_run(tmp_path)}'", "total_frames=9000"])
-    assert (settings.num_envs, settings.seed, settings.total_frames) == (5, 3, 9000)
-
-
 @pytest.mark.parametrize("argument", ["num_envs=4", "preset=paper", "task.time_limit=3"])
 def test_what_makes_the_result_is_fixed_in_a_run(tmp_path: Path, argument: str) -> None:
     with pytest.raises(ValueError, match="is fixed in"):

@@ -36,14 +36,6 @@ def test_fields_are_in_body_lengths_and_periods(flow: xr.Dataset) -> None:
     assert 0.1 < beating < 2.0
 
 
-def test_no_moment_is_written_twice_where_the_episode_ends_within_a_decision() -> None:
-    near = ["task.food_x_bl=2.2", "task.start_x_bl=[2.5,2.51]", "task.start_y_bl=[1.5,1.51]"]
-    settings = export.main.read([*TINY, *near, "periods=2", "frames_per_T=8", "save=x.nc"])
-    time = export.simulate(settings, progress=Progress(is_shown=False))["time"].values
-    assert 0.0 < time[-1] < 1.9  # it succeeds
-    assert (np.diff(time) > 0.0).all()
-
-
 def test_xarray_reads_netcdf_and_zarr(flow: xr.Dataset, tmp_path: Path) -> None:
     write_netcdf(flow, tmp_path / "flow.nc")
     write_zarr(flow, tmp_path / "flow.zarr")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +12,15 @@ import pytest
 import torch
 
 from experiments import export_steering
-from fishrl.envs import KarmanGait, Predation
+from fishrl.envs import KarmanGait
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.envs.steering import PolicySteering
-from fishrl.envs.transforms import equip
 from fishrl.modules import LateralLineClassifier
 from fishrl.programs import transfer
 from fishrl.programs.gait.trials import load_trial, make_trial, name_arm
 from fishrl.programs.train import finish, set_up
 from fishrl.programs.train_settings import TRAINING
-from fishrl.training.classifier import keep_recognition, load_recognition
-from tests.envs.conftest import SMALL, move_kinematically
+from tests.envs.conftest import move_kinematically
 from tests.programs.gait.tasks import BRIEF, OVERRIDES, make_task
 from tests.training.conftest import read_rows
 
@@ -111,28 +108,6 @@ def test_a_run_with_a_lateral_line_goes_on_exactly(trained: Path, tmp_path: Path
     assert resumed["updates"] == whole["updates"] > 0
     assert list_learned(tmp_path / "moved") == list_learned(trained / "machine")
     assert read_rows(tmp_path / "moved")[-1] == read_rows(trained / "machine")[-1]
-
-
-def test_recognition_fits_the_task_or_says_why(tmp_path: Path) -> None:
-    task = make_task()
-    assert equip(task, None) is task
-    assert equip(task, "oracle") == replace(task, reads_flow_class=True)
-    with pytest.raises(ValueError, match="Predation has no flows to tell apart"):
-        equip(Predation(**SMALL), "oracle")
-    for read in (load_recognition, partial(keep_recognition, folder=tmp_path)):
-        with pytest.raises(ValueError, match="no such file"):
-            read(str(tmp_path / "none.pt"))
-    other = make_task(reynolds=400.0)
-    with pytest.raises(ValueError, match="reynolds"):
-        equip(task, load_recognition(make_machine(tmp_path / "other.pt", other)))
-
-
-def test_a_classifier_of_the_zoo_is_named_like_its_policy(tmp_path: Path) -> None:
-    kept = keep_recognition("zoo/gait_narrow", tmp_path)
-    ours, theirs = (load_recognition(name, tmp_path) for name in (kept, "zoo/gait_narrow"))
-    assert isinstance(ours, LateralLineClassifier) and isinstance(theirs, LateralLineClassifier)
-    assert ours.flows == theirs.flows
-    torch.testing.assert_close(ours.state_dict(), theirs.state_dict(), rtol=0, atol=0)
 
 
 def test_a_policy_of_predation_becomes_a_heading_controller(tmp_path: Path) -> None:

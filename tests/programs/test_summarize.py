@@ -271,14 +271,14 @@ def test_frames_are_those_of_the_last_whole_row(tmp_path: Path) -> None:
 
 
 @contextmanager
-def hold_elsewhere(path: Path, then: str = "sys.stdin.read()") -> Iterator[None]:
+def hold_elsewhere(path: Path, then: str = "sys.stdin.read()") -> Iterator[Any]:
     """Let another process hold a run and then do something, until it is killed."""
     code = f"import fcntl, sys, time; held = open({str(RunFolder(path).lock)!r}, 'a'); "
     code += f"fcntl.lockf(held, fcntl.LOCK_EX); print(1, flush=True); {then}"
     pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "cwd": ROOT}
     with subprocess.Popen([sys.executable, "-c", code], **pipes) as holder:
         assert holder.stdout.readline() == b"1\n"
-        yield
+        yield holder
         holder.kill()
 
 

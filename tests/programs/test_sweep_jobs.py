@@ -229,19 +229,6 @@ def test_a_sweep_that_is_ended_saves_its_runs(tmp_path: Path) -> None:
     assert "0 of 2 runs finished" in done.stdout
 
 
-def test_a_run_that_was_ended_has_not_failed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    job = begin(tmp_path)
-    for code, status in ((128 + signal.SIGTERM, "stopped"), (3, "failed")):
-        training = tmp_path / "training"
-        training.write_text(f"#!/bin/sh\nexit {code}\n")
-        training.chmod(0o700)
-        with monkeypatch.context() as patch:
-            patch.setattr(sys, "executable", str(training))
-            assert jobs.run_job(job).status == status
-
-
 def test_trainings_below_a_process_end_before_it() -> None:
     code = "print('ready', flush=True); import sys; sys.stdin.read()"
     command = [sys.executable, "-c", code, "fishrl", "train", "name=x"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -66,18 +65,6 @@ def errors_of(node: Any, kind: type = Training) -> list[str]:
     with pytest.raises(ValueError) as caught:  # noqa: PT011  # the message is returned
         build(kind, node)
     return str(caught.value).splitlines()
-
-
-@pytest.mark.parametrize(
-    "task",
-    [
-        Task(gap_bl=2),
-        Task(line=Line(size=3), gait=Gait(speed=3), gaits=(Gait(), Gait(speed=2))),
-        Task(more={"a": [1, {"b": None}]}),
-    ],
-)
-def test_an_object_is_the_same_after_a_trip_through_a_file(task: Task) -> None:
-    assert build(Task, json.loads(json.dumps(describe(task)))) == task
 
 
 def test_a_node_without_a_class_changes_the_default_of_the_field_that_holds_it() -> None:

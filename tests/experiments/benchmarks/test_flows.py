@@ -4,12 +4,11 @@ import pytest
 import torch
 
 from experiments.benchmarks.flows import (
-    count_tensor_bytes,
     make_case,
     make_kernel_case,
     make_solver,
 )
-from experiments.benchmarks.measuring import FISH, KERNEL, WALLS
+from experiments.benchmarks.measuring import FISH, KERNEL
 from fishrl.physics import InPlaceSolver
 
 
@@ -28,15 +27,6 @@ def test_a_case_advances_all_flows_of_a_batch_or_the_first(solver: InPlaceSolver
     one.advance(4)
     assert (solver.body.age - before).tolist() == [4.0, 0.0]
     assert one.num_nodes == 160 * 80
-
-
-def test_a_flow_without_fish_is_a_flow_with_walls_little_larger_than_its_populations() -> None:
-    before = count_tensor_bytes()
-    empty = make_solver(16, has_fish=False, compile=False)
-    per_node = (count_tensor_bytes() - before) / (160 * 80)
-    case = make_case(empty, "x", "one core")
-    assert case.scope == WALLS
-    assert 36.0 < case.working_set / case.num_nodes <= per_node < 45.0
 
 
 def test_the_kernel_alone_collides_and_moves_no_fish() -> None:

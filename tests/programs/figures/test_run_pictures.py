@@ -6,7 +6,6 @@ import weakref
 from math import pi
 from pathlib import Path
 
-import imageio_ffmpeg
 import numpy as np
 import pytest
 import torch
@@ -146,14 +145,6 @@ def test_metrics_without_a_known_column_are_refused(tmp_path: Path, text: str) -
     (tmp_path / "metrics.csv").write_text(text)
     with pytest.raises(ValueError, match=r"no column 'frames'|no rows yet|needs one or more of"):
         write_learning_curve(tmp_path / "metrics.csv", tmp_path / "x.png")
-
-
-def test_a_film_has_every_frame(tmp_path: Path) -> None:
-    recording = make_recording(num_frames=5)
-    film.write_film(recording, tmp_path / "film.mp4", dpi=50.0)
-    num_frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "film.mp4"))
-    assert num_frames == 5
-    assert seconds == pytest.approx(5 / 14, abs=0.05)
 
 
 def test_a_painter_keeps_paths_of_one_episode_but_no_fields_of_earlier_frames() -> None:
