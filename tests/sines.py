@@ -41,10 +41,6 @@ def make_samples(num_episodes: int, *, length: int = 10, seed: int = 0) -> Tenso
     flow = episode % 3
     time = torch.arange(length).repeat(num_episodes) + torch.rand(len(flow), generator=generator)
     return TensorDict(
-        {
-            "lateral_line": make_signal(flow, time, phase),
-            "flow_index": flow,
-            "episode": episode,
-        },
+        {"lateral_line": make_signal(flow, time, phase), "flow_index": flow, "episode": episode},
         [len(flow)],
     )

@@ -6,9 +6,7 @@ from typing import Any
 
 import pytest
 import torch
-from tensordict import TensorDict
 from tensordict.nn import CudaGraphModule
-from torch import Tensor
 
 from fishrl.envs import Predation
 from fishrl.training import (
@@ -27,6 +25,7 @@ from fishrl.training.loop import Training
 from fishrl.training.policy_spec import PolicySpec
 from tests.envs.conftest import move_kinematically
 from tests.envs.test_real_flow import TINY
+from tests.objectives.transitions import NUM_ACTIONS, NUM_INPUTS, make_transitions
 from tests.training.conftest import assert_equal_weights
 
 pytestmark = [
@@ -85,10 +84,18 @@ def test_flows_and_networks_have_devices_of_their_own(
 def test_a_gradient_step_is_one_graph(algorithm: Any) -> None:
     is_continuous = algorithm.takes_continuous
     spec = PolicySpec(
-        task="", num_inputs=4, num_actions=3, is_continuous=is_continuous, hidden=(8,)
+        task="",
+        num_inputs=NUM_INPUTS,
+        num_actions=NUM_ACTIONS,
+        is_continuous=is_continuous,
+        hidden=(8,),
     )
     learner = algorithm.make_learner(spec, LearningSettings(batch_size=8), device="cuda")
-    learner.store(make_transitions(20, spec).to("cuda"))
+    transitions = make_transitions(20)
+    transitions["next", "diverged"] = torch.zeros(20, 1, dtype=torch.bool)
+    if is_continuous:
+        transitions["action"] = torch.rand(20, NUM_ACTIONS)
+    learner.store(transitions.to("cuda"))
     learner.update()
     loss, optimiser = (
         copy.deepcopy(part.state_dict()) for part in (learner.loss, learner.optimiser)
@@ -106,20 +113,3 @@ def test_a_gradient_step_is_one_graph(algorithm: Any) -> None:
             assert graph.graph is not None  # recorded
     for step, expected in zip(*runs, strict=True):
         torch.testing.assert_close(step, expected)
-
-
-def make_transitions(num: int, spec: PolicySpec) -> TensorDict:
-    """Return ``[num]`` random transitions."""
-    generator = torch.Generator().manual_seed(0)
-
-    def draw(width: int) -> Tensor:
-        return torch.rand(num, width, generator=generator)
-
-    states = [
-        {"observation_stack": draw(4), "action_mask": torch.ones(num, 3, dtype=torch.bool)}
-        for _ in range(2)
-    ]
-    flag = torch.zeros(num, 1, dtype=torch.bool)
-    ends = {"reward": draw(1), "done": flag, "terminated": flag, "diverged": flag}
-    action = draw(3) if spec.is_continuous else draw(3).argmax(-1)
-    return TensorDict({**states[0], "action": action, "next": {**states[1], **ends}}, [num])

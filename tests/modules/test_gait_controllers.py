@@ -10,12 +10,7 @@ ROWS = ((0.5, 1.0, 1.5), (0.6, 1.2, 1.8))
 
 
 def see(
-    x: list[float],
-    *,
-    change: float = 0.0,
-    gear: int = 1,
-    flow: int = 0,
-    is_init: bool = False,
+    x: list[float], *, change: float = 0.0, gear: int = 1, flow: int = 0, is_init: bool = False
 ) -> TensorDict:
     """Return what fish at distances ``x`` see."""
     num = len(x)

@@ -10,13 +10,7 @@ from tensordict import TensorDict
 from torch import nn
 
 from fishrl.modules import LateralLineClassifier
-from fishrl.objectives import (
-    Curves,
-    FitSettings,
-    fit_classifier,
-    score_classifier,
-    split_episodes,
-)
+from fishrl.objectives import Curves, FitSettings, fit_classifier, score_classifier, split_episodes
 from tests.sines import FLOWS, SENSORS, make_samples
 
 SHARES = (0.6, 0.2, 0.2)

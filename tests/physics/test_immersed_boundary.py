@@ -36,9 +36,7 @@ def make_markers(heading: float = 0.7, fish: Fish = FISH) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("kernel", KERNELS, ids=lambda k: type(k).__name__)
-def test_sums_of_kernel_weights_and_squares_do_not_depend_on_the_place(
-    kernel: Kernel,
-) -> None:
+def test_sums_of_kernel_weights_and_squares_do_not_depend_on_the_place(kernel: Kernel) -> None:
     markers = 20 + torch.rand(1, 500, 2, dtype=torch.float64)
     stencil = make_stencil(markers, kernel, SIZE, SIZE, torch.float64)
     torch.testing.assert_close(stencil.weights.sum(1), torch.ones(1, 500, dtype=torch.float64))

@@ -8,15 +8,14 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.envs import FlowEnv, KarmanGait
+from fishrl.envs import FlowEnv
 from fishrl.programs.train import set_up
 from fishrl.programs.train_settings import TrainConfig
-from fishrl.settings import build
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.logger import CsvLogger
 from fishrl.training.loop import Training
-from tests.programs.real_wake import develop, gait_settings
+from tests.programs.real_wake import develop, make_gait
 from tests.training.conftest import read_rows
 from tests.training.stops import run_and_stop
 
@@ -27,7 +26,7 @@ FRAMES = 16
 
 def begin(folder: Path, wakes: Path, **settings: Any) -> Training:
     config = TrainConfig(
-        task=build(KarmanGait, gait_settings(wakes)),
+        task=make_gait(wakes),
         algorithm=DiscreteSAC(),
         logger=CsvLogger(),
         preset="tiny",

@@ -9,27 +9,13 @@ import torch
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.gait import GAITS, Deformation, Gait
 from fishrl.physics.bodies.midline import MidlineParams
-from fishrl.physics.bodies.motion import (
-    Bending,
-    Commanded,
-    Free,
-    Motion,
-    Towed,
-    compute_turn_rate,
-)
+from fishrl.physics.bodies.motion import Bending, Commanded, Free, Motion, Towed, compute_turn_rate
 from fishrl.physics.bodies.outline import Cylinder
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.collision import compute_moments
 from fishrl.physics.diagnostics import compute_area
-from fishrl.physics.flow import (
-    Coupling,
-    FlowConfig,
-    FlowState,
-    make_params,
-    make_rest,
-    make_uniform,
-)
+from fishrl.physics.flow import Coupling, FlowConfig, FlowState, make_params, make_rest
 from fishrl.physics.geometry import deform_body, locate_bodies, locate_markers, place_markers
 from fishrl.physics.step import step
 from fishrl.physics.units import Scales
@@ -240,21 +226,6 @@ def test_muscle_power_equals_total_power_on_the_fluid_when_the_fish_is_free() ->
     # the lateral part misses only the work of -H/I against a torque that is zero
     assert float(body.lateral_work) == pytest.approx(float(body.work), rel=1e-6)
     assert float(body.work) > 0
-
-
-@pytest.mark.parametrize("motion", MOTIONS, ids=lambda m: type(m).__name__)
-def test_a_body_carried_by_a_uniform_stream_leaves_the_flow_untouched(motion: Motion) -> None:
-    fish = Fish(body_length=24, gait=STILL, motion=motion)
-    config = make_tank(boundaries=PERIODIC, bodies=(fish,))
-    zero = torch.zeros(1, config.height, config.width, dtype=torch.float64)
-    stream = (0.05, -0.02)
-    f = make_uniform(zero, zero + stream[0], zero + stream[1])
-    body = make_fish_body(heading=0.4)
-    body = body._replace(velocity=torch.tensor([stream], dtype=torch.float64))
-    state = advance(FlowState(f, (body,)), config, 60)
-    torch.testing.assert_close(state.f, f, rtol=0, atol=1e-14)
-    expected = body.position + 60 * body.velocity
-    torch.testing.assert_close(state.bodies[0].position, expected, rtol=0, atol=1e-10)
 
 
 def test_the_papers_explicit_coupling_runs_where_the_body_is_heavy() -> None:

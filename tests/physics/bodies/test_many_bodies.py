@@ -6,15 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from fishrl.physics import (
-    Cylinder,
-    DCylinder,
-    Ellipse,
-    Fish,
-    FlowConfig,
-    FlowState,
-    InPlaceSolver,
-)
+from fishrl.physics import Cylinder, DCylinder, Ellipse, Fish, FlowConfig, FlowState, InPlaceSolver
 from fishrl.physics.bodies.gait import Gait
 from fishrl.physics.bodies.motion import Fixed, Free, Oscillating
 from fishrl.physics.bodies.state import BodyState
@@ -44,9 +36,7 @@ def make_crowd(tau: float = 0.56, diameter: float = 12.0, amplitude: float = 0.1
             Fish(body_length=24, gait=gait),
             Ellipse(length=10, width=8, motion=Oscillating(sway=(0.5, 2.0), pitch=0.2)),
             DCylinder(
-                diameter=diameter,
-                num_markers=36,
-                motion=Fixed(kick_speed=0.01, kick_steps=30),
+                diameter=diameter, num_markers=36, motion=Fixed(kick_speed=0.01, kick_steps=30)
             ),
             Cylinder(diameter=9, density_ratio=1.5, motion=Free()),
         ),
@@ -83,19 +73,6 @@ def test_many_bodies_in_flows_that_differ_equal_the_readable_step(compile: bool)
     assert torch.equal(still.position, before[2].position)
     assert (solver.bodies[3].position[:, 1] < before[3].position[:, 1] - 0.05).all()  # it sinks
     assert (still.impulse[:, 0] > 0.1).all()  # drag
-
-
-def test_a_batch_of_mixed_flows_equals_each_flow_alone() -> None:
-    both = start_crowd(CROWD)
-    both.advance_(40)
-    for i, config in enumerate(CROWD):
-        alone = start_crowd([config])
-        alone.bodies[0].frequency.fill_(float(both.body.frequency[i]))
-        alone.bodies[1].frequency.fill_(float(both.body.frequency[i]))
-        alone.advance_(40)
-        assert torch.equal(alone.populations()[0], both.populations()[i])
-        for mine, batch in zip(alone.bodies, both.bodies, strict=True):
-            assert torch.equal(mine.position[0], batch.position[i])
 
 
 def test_flows_that_differ_too_much_for_one_batch_are_refused() -> None:

@@ -10,25 +10,10 @@ import pytest
 import torch
 from torch.profiler import ProfilerActivity, profile
 
-from fishrl.physics import (
-    Fish,
-    FlowConfig,
-    FlowState,
-    Foil,
-    InPlaceSolver,
-    Scales,
-    Stroke,
-    Strokes,
-)
+from fishrl.physics import Fish, FlowConfig, FlowState, Foil, InPlaceSolver, Scales, Stroke, Strokes
 from fishrl.physics.bodies.motion import Bending, Commanded, Fixed, Free, Surging, Towed
 from fishrl.physics.bodies.state import BodyState, make_body
-from fishrl.physics.boundaries import (
-    Boundaries,
-    NonEquilibrium,
-    NoSlip,
-    Periodic,
-    Side,
-)
+from fishrl.physics.boundaries import Boundaries, NonEquilibrium, NoSlip, Periodic, Side
 from fishrl.physics.cases import make_swimmer_config
 from fishrl.physics.fast import compiled as compiled_module
 from fishrl.physics.flow import Sponge, make_params, make_rest, make_uniform

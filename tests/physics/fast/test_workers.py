@@ -84,30 +84,24 @@ def test_flows_in_processes_move_as_flows_here_do_until_they_are_closed() -> Non
         there.advance_(2)
 
 
-def test_a_worker_that_is_killed_is_an_error_and_ends_the_others() -> None:
+@pytest.mark.usefixtures("heeds_ctrl_c")
+@pytest.mark.parametrize("kind", [ChildProcessError, KeyboardInterrupt])
+def test_a_killed_worker_and_an_interrupt_end_all_workers(
+    kind: type[BaseException], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None is left with an answer that nobody has read."""
     solver = make_solver(2)
     solver.advance_(2)
-    assert solver._execution.workers is not None
-    processes = list(solver._execution.workers._processes)
-    processes[1].kill()
-    with pytest.raises(ChildProcessError, match="it was killed"):
+    workers = solver._execution.workers
+    assert workers is not None
+    processes = list(workers._processes)
+    if kind is ChildProcessError:
+        processes[1].kill()
+    else:
+        monkeypatch.setattr(workers, "wait", lambda: signal.raise_signal(signal.SIGINT))
+    with pytest.raises(kind, match="it was killed" if kind is ChildProcessError else ""):
         solver.advance_(2)
     assert all(process.poll() is not None for process in processes)
-    with pytest.raises(ChildProcessError, match="make a new solver"):
-        solver.advance_(2)
-
-
-@pytest.mark.usefixtures("heeds_ctrl_c")
-def test_an_interrupt_from_the_keyboard_ends_the_workers_instead_of_leaving_their_answers(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    solver = make_solver(2)
-    solver.advance_(2)
-    monkeypatch.setattr(
-        solver._execution.workers, "wait", lambda: signal.raise_signal(signal.SIGINT)
-    )
-    with pytest.raises(KeyboardInterrupt):
-        solver.advance_(2)
     with pytest.raises(ChildProcessError, match="make a new solver"):
         solver.advance_(2)
 

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from fishrl.envs import KarmanGait, make_env
+from fishrl.envs import make_env
 from fishrl.programs.gait import figures, trials
-from fishrl.settings import build
-from tests.programs.real_wake import gait_settings
+from tests.programs.real_wake import make_gait
 
 
 def test_period_is_drawn_even_if_the_episodes_end_before_it(
@@ -18,9 +17,8 @@ def test_period_is_drawn_even_if_the_episodes_end_before_it(
 ) -> None:
     monkeypatch.setattr(figures, "make_env", partial(make_env, compile=False))
     monkeypatch.setattr(trials, "START_X_BL", (0.8, 0.9))
-    settings = gait_settings(tmp_path)
-    settings["stream"]["has_disc"] = False  # no wake to develop
-    trial = trials.make_trial("bang_bang", build(KarmanGait, settings), periods=4.0)
+    task = make_gait(tmp_path, has_disc=False)  # no wake to develop
+    trial = trials.make_trial("bang_bang", task, periods=4.0)
     for name, lead_T in (("period", 0.2), ("ended", 3.0)):
         path = tmp_path / f"{name}.png"
         figures.write_period(path, trial, lead_T=lead_T, periods_T=[0.2])
