@@ -32,7 +32,7 @@ FIELDS = ("vorticity", "pressure", "speed")
 FISH, MIDLINE, OBSTACLE = (32, 37, 43), (240, 240, 240), (110, 110, 110)
 #: Length of an arrow for a force of rho U^2 L, body lengths, with the fastest stream U.
 _FORCE_BL = 3.0
-#: What stands for U in still water, L / T: about the speed of a fish.
+#: Substitute for U in still water, L / T: about the speed of a fish.
 _SWIMMING = 0.5
 #: Below this speed, L / T, neither a stream nor a fish has a direction.
 _MIN_SPEED = 0.05

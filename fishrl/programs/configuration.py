@@ -38,11 +38,11 @@ Node = dict[str, Any]
 
 
 class Composed(NamedTuple):
-    """What a command line says, not checked yet.
+    """Content of a command line, not checked yet.
 
     Attributes:
         node: plain nested data.
-        modules: outside fishrl, which may be imported for it.
+        modules: modules outside fishrl that may be imported for it.
     """
 
     node: Node

@@ -36,9 +36,9 @@ COLUMNS = (
     ("learning curve", "curve_mean", ".3f"),
     ("duration, T", "mean_length_T", ".1f"),
 )
-#: What groups are compared by, seed by seed.
+#: Columns by which groups are compared, seed by seed.
 COMPARED = COLUMNS[:3]
-#: Of each run, behind the success rates of policy and baselines.
+#: Columns of each run, after the success rates of policy and baselines.
 EACH = (
     ("in selection", "selection_rate", ".1%"),
     ("last policy", "last_rate", ".1%"),
@@ -110,10 +110,10 @@ def summarize(
 
 
 def add_evaluations(run: Run) -> Run:
-    """Add to a run's summary what its evaluations in training gave.
+    """Add the evaluations during training to a run's summary.
 
-    ``curve_mean`` is the mean success rate, ``last_rate`` that of the last policy, and
-    ``selection_rate`` that for which the best checkpoint was selected.
+    ``curve_mean`` is their mean success rate, ``last_rate`` the rate of the last policy, and
+    ``selection_rate`` the rate for which the best checkpoint was selected.
     """
     if not run.summary or not run.frames:
         return run
@@ -202,15 +202,15 @@ def tabulate_runs(finished: Sequence[Run]) -> str:
 
 
 def describe_selection(finished: Sequence[Run]) -> str:
-    """Say how the best checkpoints did where they were selected, and the last policies."""
+    """Describe by how much selection overestimates the best checkpoints, and the last ones."""
     gains = []
     for name in ("selection_rate", "last_rate"):
         known = [run.summary for run in finished if is_number(run.summary.get(name))]
         found = Statistic.of([each[name] - each["success_rate"] for each in known])
         gains.append(found.show("+.1%"))
     return (
-        "Success rate on the starts that select a checkpoint, less that of the final evaluation: "
-        "{} of the selected one, {} of the last; means over runs.\n".format(*gains)
+        "Selection bias, the success rate on the starts that select the checkpoint minus the final "
+        "one (mean over runs): {} for the selected checkpoint, {} for the last.\n".format(*gains)
     )
 
 

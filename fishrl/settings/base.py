@@ -142,7 +142,7 @@ class Entry(NamedTuple):
 
 
 def list_fields(kind: type) -> list[Entry]:
-    """List what the constructor of a class takes; ``REQUIRED`` is the default of what it must."""
+    """List the arguments of a constructor; those without a default have ``REQUIRED``."""
     entries = []
     for name, info in find_schema(kind).__pydantic_fields__.items():
         if info.init is False:
@@ -157,7 +157,7 @@ def list_fields(kind: type) -> list[Entry]:
 
 @cache
 def find_schema(kind: type) -> type[Settings]:
-    """Return a class, or settings with the arguments of a class that is none itself."""
+    """Return a ``Settings`` class, or make one of the constructor of any other class."""
     if issubclass(kind, Settings):
         return kind
     hints = typing.get_type_hints(kind.__init__, include_extras=True)

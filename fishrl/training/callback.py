@@ -22,12 +22,12 @@ class Callback:
     def on_phase(self, phase: str, *, total: int | None = None, done: int = 0) -> None:
         """Receive the name of the phase that begins.
 
-        With ``total`` it counts so many frames or episodes, ``done`` of which are over; without, it
-        is part of what is counted already.
+        With ``total``, progress restarts: ``done`` of ``total`` frames or episodes are over.
+        Without, the current count continues.
         """
 
     def on_progress(self, amount: int, shown: Mapping[str, float] = NOTHING) -> None:
-        """Receive the number of further frames or episodes, and numbers that describe them."""
+        """Receive how many more frames or episodes are over, and numbers to show with them."""
 
     def on_step(self, step: TensorDictBase) -> None:
         """Receive a completed step ``[B]`` as the env returns it."""

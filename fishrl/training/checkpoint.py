@@ -20,7 +20,7 @@ from fishrl.training.policy_zoo import find_folder
 from fishrl.training.run_folder import refuse_many
 
 SUMS = "SHA256SUMS"
-#: What may go wrong while a damaged checkpoint is read.
+#: Exceptions that reading a damaged checkpoint may raise.
 _DAMAGE = (CheckpointError, OSError, RuntimeError, ValueError, LookupError, TypeError)
 #: Entries of the metadata.
 _METADATA = {*CHECKED, "preset", "frames", "config"}

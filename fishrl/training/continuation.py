@@ -10,7 +10,7 @@ from fishrl.training.plan import LEARNING, Plan
 from fishrl.training.run_folder import RunFolder, read_config, read_summary
 from fishrl.training.settings import RunSettings
 
-#: What fixes the result of a run, by the roles of the settings.
+#: Settings that determine the result of a run, by their roles.
 FIXED = (
     *LEARNING,
     *(
@@ -37,7 +37,7 @@ def find_changes(
 ) -> dict[str, Any]:
     """Return the settings of a plan that differ from those of a run, as ``reopen`` takes them.
 
-    The logger of the run is kept, and it stays where it is.
+    The run keeps its logger, folder and name.
 
     Raises:
         ValueError: naming each setting that fixes the result and differs.

@@ -88,7 +88,7 @@ class CsvLogger:
         self._write()
 
     def close(self) -> None:
-        """End the log; rows are on disk already, but for those that could not be written."""
+        """Close the log, and try again to write the rows that could not be written."""
         self._write()
 
     def _write(self) -> None:

@@ -20,8 +20,8 @@ WINDOW = 32
 def list_metrics(losses: tuple[str, ...], counted: Iterable[str] = ()) -> tuple[str, ...]:
     """List the columns of metrics.csv, given the losses of the algorithm and what a task counts.
 
-    ``train/`` is over the last episodes or of the last gradient step, ``eval/`` of the greedy
-    policy from fixed starts, ``time/`` of this machine. The seed fixes all but the last kind.
+    ``train/`` describes the last episodes or the last gradient step, ``eval/`` the greedy policy
+    from fixed starts, ``time/`` this machine. The seed determines all but ``time/``.
     """
     of_eval = ("success_rate", "mean_return", "mean_length_T", "mean_time_to_success_T")
     of_time = ("wall_seconds", "frames_per_second", "mlups", "memory_mb")
@@ -38,7 +38,7 @@ def list_metrics(losses: tuple[str, ...], counted: Iterable[str] = ()) -> tuple[
 class Counters:
     """Counters of a run.
 
-    ``losses`` are those of the last gradient step, until they are logged. ``pending`` are metrics
+    ``losses`` come from the last gradient step and are cleared once logged. ``pending`` are metrics
     of the newest frames, not yet complete; a resumed run completes them.
     """
 

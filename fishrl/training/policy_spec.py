@@ -8,7 +8,7 @@ from typing import Any
 from fishrl.envs import AbstractTask
 from fishrl.envs.extensions import count_label_inputs
 
-#: What a checkpoint stores and must match.
+#: Entries that a checkpoint stores and that must match.
 CHECKED = ("task", "is_continuous", "num_inputs", "num_stacked", "num_actions")
 
 

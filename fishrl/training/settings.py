@@ -1,4 +1,4 @@
-"""Settings of a training: those that determine its result, and where and how often it reports."""
+"""Settings of a training: what determines its result, and where and how often it reports."""
 
 from typing import Annotated
 

@@ -20,7 +20,7 @@ WHITE_BLUE = (
     (255, 255, 255), (237, 248, 177), (199, 233, 180), (127, 205, 187), (65, 182, 196),
     (29, 145, 192), (34, 94, 168), (37, 52, 148), (8, 29, 88),
 )  # fmt: skip
-#: Of lines in plots; Okabe and Ito: distinguishable for the colour-blind too.
+#: Colours of lines in plots, by Okabe and Ito, which colour-blind readers can distinguish.
 LINES = (
     (0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (230, 159, 0),
     (127, 63, 191), (110, 110, 110),

@@ -282,7 +282,7 @@ def write_animation(
         dpi, pictures = dpi * min(0.9, max(0.5, 0.95 * (max_bytes / len(data)) ** 0.5)), None
 
 
-#: What writes a film, by the ending of the file.
+#: The writer of a film, by file suffix.
 FILMS: Mapping[str, Callable[..., None]] = {".mp4": write_film, ".gif": write_animation}
 
 

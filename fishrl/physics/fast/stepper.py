@@ -68,7 +68,7 @@ class Stepper:
         self.check = Check(config, layout.num_envs, device)
 
     def list_all(self) -> list[Part[Any]]:
-        """Return the parts of a step, and those that run apart from it."""
+        """Return all parts: those of a step, the check, and the one that locates still bodies."""
         return [*self.parts, self.check, *([self.locate] if self.locate else [])]
 
     def compile(self, example: FlowGroup) -> None:

@@ -24,7 +24,7 @@ _MOST_PATHS = 40
 _NUM_MOMENTS, _FRAMES_PER_T = 4, 32
 _VORTICITY = 15.0  # at which colours saturate, 1/T
 
-#: Of one policy: its episodes in each flow.
+#: The episodes of one policy in each flow.
 Recorded = Mapping[str, Sequence[Histories]]
 #: Work in each flow, see ``diagnostics.trace_work``.
 Traces = Sequence[Mapping[str, Sequence[float]]]

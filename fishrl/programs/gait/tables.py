@@ -10,7 +10,7 @@ from fishrl.programs.statistics import show
 
 #: Work in a free stream over that in the wake, conditions I to III: Li et al. 2023, Table 4.
 PAPER_WORK_RATIO = (7577.94 / 1526.73, 14682.95 / 2145.74, 51520.26 / 3057.03)
-#: Of each table: heading, entry of ``diagnose``, format.
+#: Columns of each table: heading, entry of ``diagnose``, format.
 STATION = (
     ("episodes", "episodes", ".0f"),
     ("survival, T", "survival_T", ".1f"),
@@ -45,7 +45,7 @@ WORK_HEADS = (
     *("lateral (paper's form), wake", "free", "ratio", "paper's ratio"),
 )
 
-#: Of each arm, per flow, as ``diagnose`` or ``combine_seeds`` returns.
+#: Results of each arm per flow, as ``diagnose`` or ``combine_seeds`` returns them.
 Results = Mapping[str, Sequence[Mapping[str, float]]]
 
 
