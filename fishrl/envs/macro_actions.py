@@ -144,12 +144,12 @@ class MacroActions(FrequencyControl):
 
     @property
     def rows(self) -> tuple[tuple[float, ...], ...]:
-        """Those of the bank."""
+        """Rows of the frequency bank."""
         return self.bank.rows
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """What they do to the tail beat."""
+        """Names of the three changes of the tail-beat frequency."""
         return "decelerate", "cruise", "accelerate"
 
     def shift(self, gear: Tensor, action: Tensor) -> Tensor:

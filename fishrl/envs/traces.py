@@ -10,7 +10,7 @@ from torch.nn.utils.rnn import pad_sequence
 
 
 class Traces(Mapping[str, list[Tensor]]):
-    """What was recorded of E episodes: by name, E tensors ``[N, ...]`` in the order of time.
+    """Recordings of E episodes: for each name, E tensors ``[N, ...]`` in order of time.
 
     Tensors are copies on the CPU; their lengths N differ with the episodes.
 

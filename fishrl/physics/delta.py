@@ -30,7 +30,7 @@ class Kernel(ABC):
 
     @property
     def margin(self) -> float:
-        """How far inside the edge nodes a marker must lie to reach no node beyond them."""
+        """Distance from the edge nodes at which a marker's kernel reaches no node beyond them."""
         return 0.5 * self.support - 1.0
 
     @abstractmethod

@@ -45,7 +45,7 @@ class ResolvedRun:
 
     @property
     def success(self) -> str:
-        """What a successful episode did, in a word."""
+        """Word for a successful episode: the task's ``success`` or ``survived``."""
         return self.task.success or "survived"
 
     def compute_mlups(self, num_frames: int, seconds: float) -> float:

@@ -53,7 +53,7 @@ class Viewer:
 
     @property
     def is_running(self) -> bool:
-        """Whether the program has not ended."""
+        """Whether the program is still running."""
         return self._process.poll() is None
 
     def explain_failure(self) -> str:

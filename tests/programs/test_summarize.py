@@ -188,7 +188,7 @@ def test_the_bias_of_selecting_a_checkpoint_is_shown(tmp_path: Path) -> None:
         write_run(tmp_path, f"run-{seed}", seed=seed, curve=curve, summary=summary)
     text = summarize.summarize(tmp_path)
     # 0.8 and 0.7 in the selection, 0.5 and 0.7 at the end, 0.6 in both final evaluations
-    assert re.search(r"evaluation: \+15.0% ± [0-9.]+% of the selected one, \+0.0% ± ", text)
+    assert re.search(r": \+15.0% ± [0-9.]+% for the selected checkpoint, \+0.0% ± ", text)
 
 
 def test_tables_and_pictures_go_into_a_page(sweep: Path, tmp_path: Path) -> None:

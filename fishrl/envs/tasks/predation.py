@@ -95,7 +95,7 @@ class AbstractPredation(AbstractTask, HasScene):
 
     @property
     def is_continuous(self) -> bool:
-        """Whether actions are numbers."""
+        """Whether actions are continuous."""
         return self.action == "continuous"
 
     @property
