@@ -65,7 +65,7 @@ class LateralLineClassifier(nn.Module):
             raise ValueError(f"sensors = {dict(sensors)}: lacks {missing}")
         names = [flow.get("name") for flow in flows]
         if len(names) < 2 or None in names or len(set(names)) < len(names):
-            raise ValueError(f"flow names must be two or more and unique; got {names}")
+            raise ValueError(f"flows must be two or more, with unique names; got {names}")
         known = list(sensors["features"])
         if features is None:
             features = [name for name in known if name not in BOOKKEEPING]

@@ -69,8 +69,8 @@ def test_saved_classifier_keeps_predictions_and_description(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"flows": FLOWS[:1]}, "two or more flows"),
-        ({"flows": [FLOWS[0], FLOWS[0]]}, "different names"),
+        ({"flows": FLOWS[:1]}, "two or more, with unique names; got"),
+        ({"flows": [FLOWS[0], FLOWS[0]]}, "two or more, with unique names; got"),
         ({"sensors": {"features": ["u"]}}, r"lacks \['num_neuromasts', 'num_samples'\]"),
         ({"features": ["w"]}, r"features = \['w'\]: give one or more of"),
     ],

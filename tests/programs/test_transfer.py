@@ -19,7 +19,7 @@ pytestmark = pytest.mark.usefixtures("kinematic")
 def test_policies_of_one_name_or_of_different_tasks_are_refused(tmp_path: Path) -> None:
     settings = TransferSettings(task=make_task(), episodes=1, folder=str(tmp_path))
     pid = make_trial("pid", make_task(), periods=BRIEF)
-    with pytest.raises(ValueError, match="all of different names"):
+    with pytest.raises(ValueError, match="policy names must be unique"):
         transfer([pid, pid], settings)
     other = make_trial("bang_bang", make_task(reynolds=400.0), periods=BRIEF)
     with pytest.raises(ValueError, match="tasks differ in reynolds"):
