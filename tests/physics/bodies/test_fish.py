@@ -15,7 +15,14 @@ from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.collision import compute_moments
 from fishrl.physics.diagnostics import compute_area
-from fishrl.physics.flow import Coupling, FlowConfig, FlowState, make_params, make_rest
+from fishrl.physics.flow import (
+    Coupling,
+    FlowConfig,
+    FlowState,
+    make_params,
+    make_rest,
+    make_uniform,
+)
 from fishrl.physics.geometry import deform_body, locate_bodies, locate_markers, place_markers
 from fishrl.physics.step import step
 from fishrl.physics.units import Scales
@@ -285,3 +292,28 @@ def test_markers_located_without_their_motion_are_the_same(
     body = body._replace(phase=0.7 * one, beats=0.6 * one, bend=0.02 * one)
     expected = place_markers(body, deform_body(fish, shape, body)).position
     assert torch.equal(locate_markers(shape, body), expected)
+
+
+@pytest.mark.parametrize("motion", MOTIONS, ids=lambda m: type(m).__name__)
+def test_body_carried_by_a_uniform_stream_leaves_the_flow_unchanged(motion: Motion) -> None:
+    fish = Fish(body_length=24, gait=STILL, motion=motion)
+    config = make_tank(boundaries=PERIODIC, bodies=(fish,))
+    zero = torch.zeros(1, config.height, config.width, dtype=torch.float64)
+    stream = (0.05, -0.02)
+    f = make_uniform(zero, zero + stream[0], zero + stream[1])
+    body = make_fish_body(heading=0.4)
+    body = body._replace(velocity=torch.tensor([stream], dtype=torch.float64))
+    state = advance(FlowState(f, (body,)), config, 60)
+    torch.testing.assert_close(state.f, f, rtol=0, atol=1e-14)
+    expected = body.position + 60 * body.velocity
+    torch.testing.assert_close(state.bodies[0].position, expected, rtol=0, atol=1e-10)
+
+
+def test_mirrored_fish_swims_the_mirrored_path() -> None:
+    config = make_tank()
+    height = config.height - 1.0
+    up, down = make_fish_body((60.0, 30.0)), make_fish_body((60.0, height - 30.0))
+    down = down._replace(phase=down.phase + math.pi)  # the mirrored wave
+    a, b = (run(config, body, 100).bodies[0] for body in (up, down))
+    assert float(a.position[0, 0]) == pytest.approx(float(b.position[0, 0]), abs=1e-9)
+    assert float(a.position[0, 1]) == pytest.approx(height - float(b.position[0, 1]), abs=1e-9)
