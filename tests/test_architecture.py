@@ -1,6 +1,7 @@
 """Who may import whom, and the few rules about files that keep the house in order."""
 
 import ast
+import subprocess
 import sys
 from collections.abc import Iterator
 from functools import cache
@@ -212,3 +213,19 @@ def test_no_module_imports_itself_through_others() -> None:
 def test_few_modules_are_imported_inside_functions() -> None:
     _, late = _find_imports()
     assert len(late) <= MAX_LATE_IMPORTS, f"{len(late)} imports inside functions: {late}"
+
+
+def test_only_the_viewer_imports_rerun() -> None:
+    importers = [
+        _relative(path)
+        for path in _sources("fishrl", "experiments")
+        if any(_is_within(name, {"rerun"}) for name in _names(path))
+    ]
+    assert all(importer.startswith("fishrl/viewer/") for importer in importers)
+
+
+def test_physics_imports_without_torchrl_hydra_rerun_and_wandb() -> None:
+    blocked = ("torchrl", "hydra", "omegaconf", "rerun", "wandb", "matplotlib")
+    script = f"import sys; sys.modules.update(dict.fromkeys({blocked!r})); import fishrl.physics"
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
