@@ -17,7 +17,7 @@ MARKERS ?= not slow and not smoke
 PROCESSES ?= -n auto --maxprocesses 4
 PARALLEL ?= $(PROCESSES) --dist loadfile --no-loadscope-reorder
 
-.PHONY: help constraints coverage setup demo train test test-gpu test-gpu-proxy test-all smoke docs check bench bench-peers validate validate-quick format clean
+.PHONY: help constraints coverage setup demo train test test-gpu test-gpu-proxy test-all smoke docs check bench validate validate-quick format clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -92,9 +92,6 @@ check: $(STAMP) ## lint, formatting, types, import rules
 
 bench: $(STAMP) ## run the benchmarks, about ten minutes; ARGS="groups=[solver,coupled]" selects some
 	$(BIN)/python -m experiments.benchmark $(ARGS)
-
-bench-peers: $(STAMP) ## install the other codes of the benchmark
-	$(BIN)/python -m pip install --quiet -e '.[bench]' -c constraints.txt
 
 validate: $(STAMP) ## compare the solver with the literature and write docs/validation.md
 	$(BIN)/python -m experiments.validate $(ARGS)

@@ -1,10 +1,9 @@
 """Benchmark solver, environment and training: ``python -m experiments.benchmark`` (``make bench``).
 
-The codes take turns in short bursts. Tables, goals and figures show medians and quartiles over the
-rounds, and ratios of the same round. Codes that are not installed are left out;
-``pip install -e '.[bench]'`` installs lbmpy and numba.
+All cases take turns in short bursts. Tables, goals and figures show medians and quartiles over the
+rounds, and ratios of the same round.
 
-    python -m experiments.benchmark groups=[solver,peers]    # some groups
+    python -m experiments.benchmark groups=[solver,env]      # some groups
     python -m experiments.benchmark docs=docs                # put the last results into the page
 """
 
@@ -16,7 +15,7 @@ from pathlib import Path
 
 import torch
 
-from experiments.benchmarks import environment, flows, peers
+from experiments.benchmarks import environment, flows
 from experiments.benchmarks.machine import describe_machine
 from experiments.benchmarks.measuring import BenchmarkSettings, Results, measure
 from experiments.benchmarks.plots import write_plots
@@ -25,43 +24,33 @@ from fishrl.programs.configuration import unknown
 from fishrl.programs.program import program
 
 logger = logging.getLogger(__name__)
-#: Group, code, and what makes its cases; an ImportError says that the code is not installed.
-GROUPS = (
-    ("probe", "torch", flows.make_probes),
-    ("solver", "fishrl", flows.make_flows),
-    ("coupled", "fishrl", flows.make_swimmers),
-    ("peers", "lbmpy", peers.make_lbmpy),
-    ("peers", "numba", peers.make_numba),
-    ("peers", "lettuce", peers.make_lettuce),
-    ("peers", "xlb", peers.make_xlb),
-    ("gpu", "fishrl", flows.make_gpu),
-    ("env", "fishrl", environment.make_overhead),
-    ("train", "fishrl", environment.make_training),
-    ("profile", "fishrl", environment.make_profile),
-    ("compile", "fishrl", flows.make_compilation),
-)
+#: What makes the cases of each group.
+GROUPS = {
+    "probe": flows.make_probes,
+    "solver": flows.make_flows,
+    "coupled": flows.make_swimmers,
+    "gpu": flows.make_gpu,
+    "env": environment.make_overhead,
+    "train": environment.make_training,
+    "profile": environment.make_profile,
+    "compile": flows.make_compilation,
+}
 
 
 def run(settings: BenchmarkSettings) -> Results:
     """Make the cases of the chosen groups and of the probes, and measure them."""
-    known = {group for group, _, _ in GROUPS}
-    for group in set(settings.groups) - known:
-        raise unknown(group, sorted(known))
-    chosen = {"probe", *settings.groups} if settings.groups else known
-    os.environ["OMP_NUM_THREADS"] = str(settings.threads)  # read by libraries loaded later
+    for group in set(settings.groups) - set(GROUPS):
+        raise unknown(group, sorted(GROUPS))
+    chosen = {"probe", *(settings.groups or GROUPS)}
+    os.environ["OMP_NUM_THREADS"] = str(settings.threads)  # of the processes that are started
     torch.set_num_threads(settings.threads)
     results = Results(machine=describe_machine(), settings=asdict(settings))
-    for group, code, make in GROUPS:
+    for group, make in GROUPS.items():
         if group in chosen:
-            logger.info("%s: preparing %s ...", group, code)
-            try:
-                cases = make(settings)
-            except ImportError as absent:
-                results.left_out.append(f"{code} ({group}): {absent}")
-                continue
-            for case in cases:
-                case.group, case.code = group, code
-            results.cases += cases
+            logger.info("preparing %s ...", group)
+            for case in make(settings):
+                case.group = group
+                results.cases.append(case)
     measure(results.cases, settings)
     return results
 

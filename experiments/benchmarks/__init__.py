@@ -1,1 +1,1 @@
-"""The benchmark: the measuring loop, cases of fishrl and of other codes, report."""
+"""The benchmark: the measuring loop, its cases, report."""

@@ -2,13 +2,13 @@
 
 import os
 import platform
-from importlib.metadata import distributions
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import torch
 
-PACKAGES = ("torchrl", "tensordict", "numpy", "lbmpy", "pystencils", "numba", "lettucecfd", "xlb")
+PACKAGES = ("torchrl", "tensordict", "numpy")
 
 
 def describe_machine() -> dict[str, Any]:
@@ -16,7 +16,6 @@ def describe_machine() -> dict[str, Any]:
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
     models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    installed = {each.name.lower(): each.version for each in distributions()}
     return {
         "cpu": (models or [platform.processor() or platform.machine()])[0],
         "cores": os.cpu_count(),
@@ -25,7 +24,7 @@ def describe_machine() -> dict[str, Any]:
         "instructions": torch.backends.cpu.get_cpu_capability(),
         "caches": read_caches(),
         "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
-        "versions": {name: installed[name] for name in PACKAGES if name in installed},
+        "versions": {name: version(name) for name in PACKAGES},
         "load": round(os.getloadavg()[0], 2),
     }
 

@@ -35,7 +35,7 @@ class BenchmarkSettings(Settings):
 
     Args:
         body_length: L of the large case, whose tank is 10 L x 5 L; others have L / 2 and L / 4.
-        threads: cores that each code may use.
+        threads: cores to use.
         rounds: number of bursts of every case.
         burst: seconds that a burst should take.
         groups: groups of measurements; by default all.
@@ -73,7 +73,7 @@ class Case:
         num_steps: of each burst. None: as many as fill one, an even number. 0: no bursts.
         facts: numbers known in advance, and words.
         measured: by round, "seconds" of one step and further numbers.
-        code, group: whose code it is, and the group of measurements.
+        group: the group of measurements.
     """
 
     label: str
@@ -87,7 +87,6 @@ class Case:
     num_steps: int | None = None
     facts: dict[str, Any] = field(default_factory=dict)
     measured: dict[str, list[float]] = field(default_factory=dict)
-    code: str = ""
     group: str = ""
 
 
@@ -99,20 +98,19 @@ def make_flow_case(label: str, flows: tuple[int, int, int], how: str, **fields: 
 
 @dataclass(kw_only=True)
 class Results:
-    """Everything that a run has found; ``left_out`` says which codes it could not run, and why."""
+    """Everything that a run has found."""
 
     machine: dict[str, Any]
     settings: dict[str, Any]
     cases: list[Case] = field(default_factory=list)
-    left_out: list[str] = field(default_factory=list)
 
-    def find(self, *labels: str) -> list[Case]:
-        """Return the cases of some labels that were measured."""
-        return [case for case in self.cases if case.label in labels]
+    def find(self, label: str) -> Case | None:
+        """Return the case with a label if it was measured."""
+        return next((case for case in self.cases if case.label == label), None)
 
-    def of_group(self, *groups: str) -> list[Case]:
-        """Return the cases of some groups."""
-        return [case for group in groups for case in self.cases if case.group == group]
+    def of_group(self, group: str) -> list[Case]:
+        """Return the cases of a group."""
+        return [case for case in self.cases if case.group == group]
 
     def save(self, path: Path) -> None:
         """Write everything as JSON."""

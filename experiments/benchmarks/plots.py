@@ -17,8 +17,7 @@ def write_plots(results: Results, folder: Path) -> dict[Path, str]:
     folder.mkdir(parents=True, exist_ok=True)
     bandwidth, scaling = folder / "roofline.png", folder / "scaling.png"
     written = {}
-    cases = results.of_group("solver", "coupled", "peers", "gpu")
-    if cases := [case for case in cases if case.scope in SCOPES]:
+    if cases := [case for case in results.cases if case.scope in SCOPES]:
         written[bandwidth] = "Bandwidth of each step and of the memory"
         write_bandwidth(cases, results, bandwidth)
     if cases := results.of_group("coupled"):
@@ -39,21 +38,22 @@ def write_bandwidth(cases: Sequence[Case], results: Results, path: Path) -> None
         for i, case in enumerate(cases):
             low, median, high = measure_bandwidth(case)
             axes.barh(
-                i, median, color=SCOPES[case.scope], alpha=1.0 if case.code == "fishrl" else 0.45,
-                height=0.72, xerr=[[median - low], [high - median]], error_kw={"capsize": 2},
+                i, median, color=SCOPES[case.scope], height=0.72,
+                xerr=[[median - low], [high - median]], error_kw={"capsize": 2},
             )  # fmt: skip
             axes.text(high, i, f"  {median:.3g}", va="center", fontsize=8)
         for name, style, side in (("copy", "--", "right"), ("in place", ":", "left")):
-            for probe in results.find(f"probe/{name}"):
+            if probe := results.find(f"probe/{name}"):
                 speed = measure_bandwidth(probe)[1]
                 axes.axvline(speed, color="#222222", linestyle=style, linewidth=1.0)
                 axes.text(speed, len(cases) - 0.35, f"{name} {speed:.0f}", ha=side, fontsize=8)
-        axes.set_yticks(range(len(cases)), [f"{c.code}: {c.name}" for c in cases], fontsize=8)
+        axes.set_yticks(range(len(cases)), [case.name for case in cases], fontsize=8)
         axes.set(xlabel="GB/s at 72 bytes per node update", ylim=(-0.6, len(cases) - 0.4))
         axes.margins(x=0.08)
         handles = [Patch(color=colour, label=name) for name, colour in SCOPES.items()]
-        legend = {"loc": "outside lower center", "ncols": len(SCOPES), "title": "strong: fishrl"}
-        axes.figure.legend(handles=handles, fontsize=8, **legend)
+        axes.figure.legend(
+            handles=handles, fontsize=8, loc="outside lower center", ncols=len(SCOPES)
+        )
         axes.grid(axis="y", visible=False)
 
 

@@ -88,6 +88,19 @@ def test_accuracy_of_the_papers_classifier_is_inflated_by_leakage() -> None:
     assert gaps[0] < 3 and gaps[1] > 30
 
 
+def test_flow_with_walls_runs_at_70_percent_of_lbmpys_fastest_kernel() -> None:
+    speeds = read("peers", "speeds", "code", "case", "what")
+    shape = "1 × 1000 × 500"
+    fastest = speeds["lbmpy", f"{shape}, in place (esoteric twist), 2 threads", "kernel"]
+    assert int(fastest["MLUPS"]) == max(int(row["MLUPS"]) for row in speeds.values())
+    ratio = read("peers", "ratios", "fishrl / other code")[
+        "flow and walls / lbmpy's in-place kernel",
+    ]
+    assert (ratio["measured, ×"], ratio["result"]) == ("0.70", "MISSED")
+    bulk = speeds["fishrl", f"{shape}, 2 threads", "kernel"]
+    assert int(bulk["MLUPS"]) / int(fastest["MLUPS"]) == pytest.approx(0.86, abs=0.01)
+
+
 def test_three_seeds_of_predation_catch_91_percent() -> None:
     rates = [float(row["learned, %"]) for row in read_data("predation", "small")]
     assert len(rates) == 3 and round(fmean(rates)) == 91
