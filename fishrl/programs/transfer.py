@@ -85,7 +85,7 @@ def transfer(
     for arm, recorded in arms.items():
         seeds = [alone[trial.name] for trial in tried if trial.arm == arm]
         combined[arm] = [combine_seeds(flow) for flow in zip(*seeds, strict=True)]
-        together = [trials.stack(flow) for flow in zip(*recorded, strict=True)]
+        together = [trials.concatenate(flow) for flow in zip(*recorded, strict=True)]
         work[arm] = [trace_work(flow, interval_T=interval_T) for flow in together]
     free = None
     if settings.free_episodes:
@@ -114,7 +114,6 @@ def transfer(
     first = {arm: seeds[0] for arm, seeds in arms.items()}
     figures.write_survival(folder / "survival.png", arms, speeds=speeds)
     figures.write_paths(folder / "paths.png", first, task=task)
-    figures.write_places(folder / "places.png", first, task=task)
     figures.write_decisions(folder / "decisions.png", first[best], task=task, shedding=shedding)
     in_free = None if free is None else free["work"]
     figures.write_work(folder / "work.png", work[best], in_free, speeds=speeds)

@@ -78,7 +78,7 @@ def test_trained_gaits_are_tried_in_every_flow(trained: Path, tmp_path: Path) ->
     assert [flow["episodes"] for flows in arms.values() for flow in flows] == [2] * 9
     assert all(flow["named_right"] == 1.0 for flow in arms["oracle"])
     written = {path.name for path in tmp_path.iterdir()}
-    figures = ("survival", "paths", "places", "decisions", "work")
+    figures = ("survival", "paths", "decisions", "work")
     assert {"transfer.md", "transfer.json", *(f"{name}.png" for name in figures)} <= written
     assert name_arm(make_task(), None) == "macro-actions alone"
     direct = make_task(control=DirectFrequencies(frequencies=(0.5, 1.0)), observes_flow=False)

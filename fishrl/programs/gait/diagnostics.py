@@ -9,15 +9,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fishrl.envs import KarmanGait
-from fishrl.envs.stations import SafeArea
-from fishrl.programs.gait.trials import Histories
+from fishrl.programs.gait.trials import WORKS, Histories
 from fishrl.programs.statistics import half_width
 
 #: Nose positions (x behind the flat side, |y|), body lengths, inside the vortex street.
 STREET = ((0.8, 3.0), 0.5)
 #: Largest relative difference from the shedding frequency that counts as Kármán gait.
 GAIT_BAND = 0.25
-WORKS = ("work", "positive_work", "lateral_work")
 
 
 def diagnose(
@@ -27,18 +25,18 @@ def diagnose(
 
     ``survival_T`` is the mean over all episodes, a diverged one counting until then, with the
     half-width ``survival_error_T`` of its 95 % interval; ``survivors`` lasted and did not diverge.
-    Shares are of all episodes (``survivors``, ``ended_...``), of the intervals (``in_street``:
-    nose in ``STREET``; ``in_gait``: and beating within ``GAIT_BAND`` of the shedding frequency;
-    ``accelerations``, ``decelerations``), or of the decisions (``named_right``: correct flow
-    label). Lengths are in L, angles in degrees, frequencies per T, work per T in rho L^2 (L / T)^2.
-    The shedding frequency is that of the wake without a fish, NaN in a free stream.
+    Shares are of all episodes (``survivors``), of the intervals (``in_street``: nose in ``STREET``;
+    ``in_gait``: and beating within ``GAIT_BAND`` of the shedding frequency), or of the decisions
+    (``named_right``: correct flow label). Lengths are in L, angles in degrees, frequencies per T,
+    work per T in rho L^2 (L / T)^2. The shedding frequency is that of the wake without a fish, NaN
+    in a free stream.
     """
     h, lengths = histories, histories.lengths_T.double()
     x, y = h.place[:, 1:, 0], h.place[:, 1:, 1]
     (near, far), aside = STREET
     is_known = ~h.frequency.isnan()
     in_street = (x >= near) & (x <= far) & (y.abs() <= aside) & is_known
-    ratio, change = h.frequency / shedding_frequency, h.frequency.diff(dim=1)
+    ratio = h.frequency / shedding_frequency
     in_gait = in_street & ((ratio - 1.0).abs() <= GAIT_BAND)
     frames_per_T = max(1, h.beat.shape[1] // max(1, h.frequency.shape[1])) / task.interval_T
     angle = h.angle_of_attack.abs() * 180.0 / math.pi
@@ -50,19 +48,13 @@ def diagnose(
         "survival_T": _mean(lengths),
         "survival_error_T": half_width(lengths.tolist()),
         "survivors": _mean((~h.terminated & ~h.diverged).double()),
-        **_count_ends(h, task.safe_area),
         "x_mean": _mean(x),
-        "x_deviation": _deviation(x),
-        "y_deviation": _deviation(y),
         "frequency": _mean(h.frequency),
         "frequency_over_shedding": _mean(ratio),
         "in_street": _share(in_street, is_known),
         "in_gait": _share(in_gait, is_known & ~ratio.isnan()),
-        "accelerations": _share(change > 1e-9, ~change.isnan()),
-        "decelerations": _share(change < -1e-9, ~change.isnan()),
         "angle_mean": _mean(angle),
         "angle_max": float(angle.nan_to_num(0.0).max()),
-        "sway": measure_sway(h.aside, frames_per_T=frames_per_T),
         "phase_lock": lock_phases(h, shedding_frequency, frames_per_T=frames_per_T),
         **{name: float(getattr(h, name).gather(1, last).nansum()) / total_T for name in WORKS},
         "named_right": _share(h.named == h.flow[:, None], ~h.named.isnan() & is_known),
@@ -80,29 +72,6 @@ def trace_work(histories: Histories, *, interval_T: float) -> dict[str, list[flo
     runs = ~means["work"].isnan()
     times = interval_T * every * torch.arange(len(runs), dtype=torch.float64)
     return {name: series[runs].tolist() for name, series in {"time_T": times, **means}.items()}
-
-
-def measure_sway(aside: Tensor, *, frames_per_T: float) -> float:
-    """Return the amplitude of a lateral oscillation, root of twice the variance within each 2 T.
-
-    Only whole spans of 2 T count, without NaN; without any it is NaN.
-    """
-    span = round(2 * frames_per_T)
-    blocks = aside[:, : aside.shape[1] // span * span].double().reshape(-1, span)
-    swings = (blocks - blocks.mean(1, keepdim=True)).square().mean(1)
-    return math.sqrt(2.0 * float(swings.nanmean()))
-
-
-def measure_lean(histories: Histories, *, interval_T: float) -> tuple[Tensor, Tensor]:
-    """Return tail beats per T and lean (|mean angle of attack|, degrees) ``[n]`` of each 8 T."""
-    span = max(1, round(8.0 / interval_T))
-    num = histories.frequency.shape[1] // span * span
-    rates, angles = (
-        getattr(histories, name)[:, :num].double().reshape(-1, span).mean(1)
-        for name in ("frequency", "angle_of_attack")
-    )
-    known = ~angles.isnan() & ~rates.isnan()
-    return rates[known], angles[known].abs() * 180.0 / math.pi
 
 
 def lock_phases(histories: Histories, shedding_frequency: float, *, frames_per_T: float) -> float:
@@ -149,23 +118,8 @@ def combine_seeds(results: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return mean
 
 
-def _count_ends(histories: Histories, area: SafeArea) -> dict[str, float]:
-    """Return the shares of episodes that left the safe area at each of its sides."""
-    sides = []
-    for place in histories.place[histories.terminated]:
-        x, y = place[~place[:, 0].isnan()][-1].tolist()
-        gaps = {"near": x - area.near_bl, "far": area.far_bl - x, "aside": area.aside_bl - abs(y)}
-        sides.append(min(gaps, key=lambda name: gaps[name]))
-    num = len(histories.flow)
-    return {f"ended_{side}": sides.count(side) / num for side in ("near", "far", "aside")}
-
-
 def _mean(values: Tensor) -> float:
     return float(values[~values.isnan()].double().mean())
-
-
-def _deviation(values: Tensor) -> float:
-    return float(values[~values.isnan()].double().std(unbiased=False))
 
 
 def _share(flag: Tensor, of: Tensor) -> float:

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle, Wedge
 
 from fishrl.envs import KarmanGait, make_env
 from fishrl.envs.scene import Frame
+from fishrl.envs.transforms import make_labelling
 from fishrl.programs.figures.style import COLOURS, panels
 from fishrl.programs.gait.trials import Histories, Trial
 from fishrl.training.evaluation import fixed_starts
@@ -62,56 +62,29 @@ def write_survival(
         grid[0, 0].figure.suptitle("point: an episode; line: mean of a seed", fontsize=9)
 
 
-@contextmanager
-def _arenas(
-    path: Path, recorded: Recorded, task: KarmanGait
-) -> Iterator[Iterator[tuple[Axes, Histories]]]:
-    """Yield a panel for each policy and flow, with its episodes; draw disc and safe area there."""
-    labels, size, area = task.stream.labels, (11, 0.5 + 2.1 * len(recorded)), task.safe_area
-    shape: Any = {"rows": len(recorded), "columns": len(labels), "has_grid": False}
-    corner = (area.near_bl, -area.aside_bl)
-    extent = (area.far_bl - area.near_bl, 2.0 * area.aside_bl)
-    border: Any = {"edgecolor": "#999999", "linestyle": "--", "linewidth": 0.8}
-    with panels(path, size=size, **shape, sharex=True, sharey=True) as grid:
-        episodes = [histories for flows in recorded.values() for histories in flows]
-        yield zip(grid.flat, episodes, strict=True)
-        for row, name in zip(grid, recorded, strict=True):
-            for axes, label in zip(row, labels, strict=True):
-                axes.add_patch(Rectangle(corner, *extent, fill=False, **border))
-                if task.stream.has_disc:
-                    radius = 0.5 * label["diameter_bl"]
-                    axes.add_patch(Wedge((0.0, 0.0), radius, 90.0, 270.0, color="#444444"))
-                height = area.aside_bl + 0.15
-                axes.set(xlim=(-0.3, area.far_bl + 0.2), ylim=(-height, height), aspect="equal")
-                axes.set_title(f"{name}, {label['name']}", fontsize=9)
-            row[0].set_ylabel("y  [L]")
-        for axes in grid[-1]:
-            axes.set_xlabel("x behind the disc  [L]")
-
-
 def write_paths(path: Path, recorded: Recorded, *, task: KarmanGait) -> None:
     """Draw the noses' paths, a row per policy, a panel per flow; a cross where an episode ended."""
-    with _arenas(path, recorded, task) as shown:
-        for axes, histories in shown:
-            ended = histories.terminated[:_MOST_PATHS].tolist()
-            for place, has_ended in zip(histories.place[:_MOST_PATHS], ended, strict=True):
-                known = place[~place[:, 0].isnan()].numpy()
-                axes.plot(*known.T, color=COLOURS[0], linewidth=0.6, alpha=0.45)
-                if has_ended:
-                    axes.plot(*known[-1], "x", color=COLOURS[1], markersize=5)
-
-
-def write_places(path: Path, recorded: Recorded, *, task: KarmanGait) -> None:
-    """Draw the density of the nose's position per L^2, all episodes together."""
-    area = task.safe_area
-    x = np.linspace(0.0, area.far_bl + 0.2, 43)
-    y = np.linspace(-area.aside_bl, area.aside_bl, 31)
-    with _arenas(path, recorded, task) as shown:
-        for axes, histories in shown:
-            known: Any = histories.place[~histories.place[..., 0].isnan()].numpy()
-            density, *_ = np.histogram2d(known[:, 0], known[:, 1], bins=(x, y), density=True)
-            mesh = axes.pcolormesh(x, y, density.T, cmap="magma_r", vmin=0.0)
-            axes.figure.colorbar(mesh, ax=axes, label="[1/L²]", pad=0.01)
+    area, radius = task.safe_area, 0.5 * task.stream.diameters_bl[0]  # 0 without a disc
+    corner, height = (area.near_bl, -area.aside_bl), area.aside_bl + 0.15
+    extent = (area.far_bl - area.near_bl, 2.0 * area.aside_bl)
+    border: Any = {"edgecolor": "#999999", "linestyle": "--", "linewidth": 0.8}
+    shape: Any = {"rows": len(recorded), "columns": len(task.stream.speeds_bl), "has_grid": False}
+    size = (11, 0.5 + 2.1 * len(recorded))
+    with panels(path, size=size, **shape, sharex=True, sharey=True) as grid:
+        for row, (name, flows) in zip(grid, recorded.items(), strict=True):
+            for axes, histories, label in zip(row, flows, task.stream.labels, strict=True):
+                axes.add_patch(Rectangle(corner, *extent, fill=False, **border))
+                axes.add_patch(Wedge((0.0, 0.0), radius, 90.0, 270.0, color="#444444"))
+                for place, has_ended in zip(
+                    histories.place[:_MOST_PATHS], histories.terminated, strict=False
+                ):
+                    known = place[~place[:, 0].isnan()].numpy()
+                    axes.plot(*known.T, color=COLOURS[0], linewidth=0.6, alpha=0.45)
+                    if has_ended:
+                        axes.plot(*known[-1], "x", color=COLOURS[1], markersize=5)
+                axes.set(xlim=(-0.3, area.far_bl + 0.2), ylim=(-height, height), aspect="equal")
+                axes.set_title(f"{name}, {label['name']}", fontsize=9)
+                label_axes(axes, x=name == [*recorded][-1], y=axes is row[0])
 
 
 def write_decisions(
@@ -159,8 +132,9 @@ def write_period(path: Path, trial: Trial, *, lead_T: float, periods_T: Sequence
     task, num = trial.task, len(periods_T)
     starts = fixed_starts(task, 1, seed=0)[[0] * num]
     starts["flow_index"] = torch.arange(num)
-    how: Any = {"recognition": trial.recognition, "frames_per_action": task.checks_per_action}
-    env = make_env(task=task, num_envs=num, **how)
+    labelling = make_labelling(task, trial.recognition)
+    frames = task.checks_per_action
+    env = make_env(task=task, num_envs=num, frames_per_action=frames, transforms=labelling)
     scene = make_scene(env, field_limit=_VORTICITY)
     recordings = [Recording(scene=scene) for _ in range(num)]
 

@@ -13,8 +13,8 @@ from typing import Any
 from fishrl.envs import KarmanGait
 from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.modules import PID
-from fishrl.programs.gait.diagnostics import WORKS, measure_lean, trace_work
-from fishrl.programs.gait.trials import Histories, Trial, pick, prolong, run_trial
+from fishrl.programs.gait.diagnostics import trace_work
+from fishrl.programs.gait.trials import WORKS, Histories, Trial, pick, prolong, run_trial
 from fishrl.programs.statistics import half_width
 from fishrl.training.baselines import make_gait_policy
 from fishrl.training.progress import Progress
@@ -79,7 +79,7 @@ def hold_in_free_stream(
 
 
 def summarise(held: Histories, *, interval_T: float) -> dict[str, float]:
-    """Return work per T, beats per T, drift (L / T) and lean (degrees) in the second half."""
+    """Return work per T, beats per T and drift (L / T) in the second half."""
     num_intervals = held.frequency.shape[1]
     half = num_intervals // 2
     time_T = interval_T * (num_intervals - half)
@@ -90,5 +90,4 @@ def summarise(held: Histories, *, interval_T: float) -> dict[str, float]:
         row |= {name: float(per_T.mean()), f"{name}_error": half_width(per_T.tolist())}
     row["frequency"] = float(held.frequency[:, half:].mean())
     row["drift"] = float((held.place[:, -1, 0] - held.place[:, half, 0]).mean()) / time_T
-    row["lean"] = float(measure_lean(held, interval_T=interval_T)[1].mean())
     return row

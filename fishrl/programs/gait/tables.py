@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from math import nan
 from typing import Any
 
-from fishrl.programs.gait.diagnostics import WORKS
+from fishrl.programs.gait.trials import WORKS
 from fishrl.programs.pages import write_table
 from fishrl.programs.statistics import show
 
@@ -13,6 +13,7 @@ PAPER_WORK_RATIO = (7577.94 / 1526.73, 14682.95 / 2145.74, 51520.26 / 3057.03)
 #: Columns of each table: heading, entry of ``diagnose``, format.
 STATION = (
     ("episodes", "episodes", ".0f"),
+    ("diverged", "diverged", ".0f"),
     ("survival, T", "survival_T", ".1f"),
     ("lasted", "survivors", ".0%"),
     ("label correct", "named_right", ".1%"),
@@ -22,24 +23,14 @@ STATION = (
     ("in gait", "in_gait", ".0%"),
 )
 MOTION = (
-    ("up", "accelerations", ".0%"),
-    ("down", "decelerations", ".0%"),
     ("angle mean, °", "angle_mean", ".1f"),
     ("max, °", "angle_max", ".1f"),
-    ("sway, L", "sway", ".3f"),
     ("phase lock", "phase_lock", ".2f"),
     ("work per T", "work", ".3f"),
     ("pushing", "positive_work", ".3f"),
     ("lateral", "lateral_work", ".3f"),
 )
-ENDS = (
-    ("lasted", "survivors", ".0%"),
-    ("at the disc", "ended_near", ".0%"),
-    ("swept away", "ended_far", ".0%"),
-    ("aside", "ended_aside", ".0%"),
-    ("diverged", "diverged", ".0f"),
-)
-HELD_HEADS = ("stream, L/T", "beats per T", "drift, L/T", "lean, °", "held")
+HELD_HEADS = ("stream, L/T", "beats per T", "drift, L/T", "held")
 WORK_HEADS = (
     *("stream, L/T", "work, wake", "free", "ratio", "saved", "pushing: ratio"),
     *("lateral (paper's form), wake", "free", "ratio", "paper's ratio"),
@@ -50,12 +41,12 @@ Results = Mapping[str, Sequence[Mapping[str, float]]]
 
 
 def write_results(results: Results, speeds: Sequence[float]) -> str:
-    """Return Markdown tables of station, motion and ends of episodes, a row per arm and flow.
+    """Return Markdown tables of station and motion, a row per arm and flow.
 
     ``speeds`` are those of the flows, L / T.
     """
     tables = []
-    for columns in (STATION, MOTION, ENDS):
+    for columns in (STATION, MOTION):
         rows = []
         for name, flows in results.items():
             for speed, flow in zip(speeds, flows, strict=True):
@@ -79,7 +70,7 @@ def write_free_stream(
 
     ``free`` is as ``hold_in_free_stream`` returns, ``in_wake`` as ``diagnose`` per flow.
     """
-    forms = (("frequency", ".2f"), ("drift", "+.4f"), ("lean", ".1f"))
+    forms = (("frequency", ".2f"), ("drift", "+.4f"))
     held, rows = [], []
     papers = PAPER_WORK_RATIO if len(speeds) == len(PAPER_WORK_RATIO) else [nan] * len(speeds)
     for speed, wake, still, paper in zip(speeds, in_wake, free["flows"], papers, strict=True):

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torch.nn.utils.rnn import pad_sequence
 from torchrl.envs.utils import ExplorationType
 
 from fishrl.envs import KarmanGait, make_env
@@ -19,7 +18,7 @@ from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.macro_actions import ContinuousFrequency, DirectFrequencies
 from fishrl.envs.sensors import wrap_angle
 from fishrl.envs.steering import PolicySteering
-from fishrl.envs.transforms import ORACLE, equip
+from fishrl.envs.transforms import ORACLE, equip, make_labelling
 from fishrl.files import load_tensors, staged
 from fishrl.modules import FixedFrequency, LateralLineClassifier
 from fishrl.physics.cache_key import hash_sources, make_key
@@ -32,14 +31,16 @@ from fishrl.training.progress import Progress
 PERIODS = 100.0
 #: Initial position of the nose, regardless of the training; body lengths.
 START_X_BL, START_Y_BL = (1.5, 2.0), (-0.1, 0.1)
-#: Frames within an action, for phases and oscillations.
+#: Frames within an action, for phases.
 FRAMES = 8
+#: Entries of ``Histories``: work done since the start.
+WORKS = ("work", "positive_work", "lateral_work")
 _TRAINING = tuple(f"fishrl.training.{name}" for name in ("algorithms", "baselines", "policies"))
 _SOURCES = ("fishrl.envs", "fishrl.modules", *_TRAINING, __name__)
 
 
 class Histories(NamedTuple):
-    """E episodes of up to N decisions, with M frames in each; NaN after an episode's end."""
+    """E episodes of at most N decisions, with M frames in each; NaN after an episode's end."""
 
     flow: Tensor  #: [E] index of the flow
     place: Tensor  #: [E, N + 1, 2] nose (x downstream, y) from the start on, body lengths
@@ -53,7 +54,6 @@ class Histories(NamedTuple):
     terminated: Tensor  #: [E] bool, whether it left the safe area
     diverged: Tensor  #: [E] bool
     beat: Tensor  #: [E, N M] phase of the tail beat at the end of each frame, radians
-    aside: Tensor  #: [E, N M] y of the nose, body lengths
     lift: Tensor  #: [E, N M] mean on the obstacle within each frame, rho (L / T)^2 L; 0 without one
 
 
@@ -62,16 +62,9 @@ def pick(histories: Histories, rows: Tensor) -> Histories:
     return Histories(*(value[rows] for value in histories))
 
 
-def stack(parts: Sequence[Histories]) -> Histories:
-    """Concatenate episodes of several recordings; shorter ones are padded with NaN."""
-
-    def join(values: Sequence[Tensor]) -> Tensor:
-        if values[0].dim() == 1:
-            return torch.cat(list(values))
-        rows = [row for value in values for row in value]
-        return pad_sequence(rows, batch_first=True, padding_value=torch.nan)
-
-    return Histories(*(join(values) for values in zip(*parts, strict=True)))
+def concatenate(parts: Sequence[Histories]) -> Histories:
+    """Return the episodes of several recordings."""
+    return Histories(*(torch.cat(values) for values in zip(*parts, strict=True)))
 
 
 #: Settings of the task that policies must share to be compared.
@@ -234,58 +227,56 @@ def record(
     """Run one episode from each start ``[E]``, all side by side."""
     task = trial.task
     env = make_env(
-        task=task, num_envs=len(starts), frames_per_action=FRAMES, recognition=trial.recognition
+        task=task,
+        num_envs=len(starts),
+        frames_per_action=FRAMES,
+        transforms=make_labelling(task, trial.recognition),
     )
     base = env.base_env
     torch.manual_seed(0)  # of sampled actions
     progress = progress or Progress(is_shown=False)
     progress.start(trial.name, total=task.time_limit)
 
-    def read_now(*names: str) -> dict[str, Tensor]:
-        names = ("place", "work", "positive_work", "lateral_work", *names)
-        return {name: base.now[name] for name in names}
+    def read_place() -> dict[str, Tensor]:
+        return {name: base.now[name] for name in ("place", *WORKS)}
 
-    def read_impulse() -> dict[str, Tensor]:
-        fish, *obstacles = base.solver.bodies
+    def read_frame(start_of: Tensor, flows: FlowEnv) -> dict[str, Tensor]:
+        fish, *obstacles = flows.solver.bodies
         impulse = obstacles[0].impulse[:, 1] if obstacles else torch.zeros_like(fish.age)
-        return {"age": fish.age, "impulse": impulse}
+        return {"beat": fish.phase, "age": fish.age, "impulse": impulse}
 
     def read_decision(start_of: Tensor, step: TensorDictBase) -> dict[str, Tensor]:
         progress.advance(1)
         unnamed = torch.full(step.shape, torch.nan)
         return {
-            **read_now("frequency"),
+            **read_place(),
+            "frequency": base.now["frequency"],
             "angle_of_attack": wrap_angle(base.now["heading"] - torch.pi),
             "named": step.get("flow_class", unnamed).reshape(-1).double(),
             "lengths_T": base.now["age"].float() / task.scales.period,
         }
-
-    def read_frame(start_of: Tensor, flows: FlowEnv) -> dict[str, Tensor]:
-        y = flows.solver.markers()[:, 0, 1]
-        aside = (y - task.origin[1]) / task.body_length
-        return {"beat": flows.solver.body.phase, "aside": aside, **read_impulse()}
 
     episodes = run_episodes(
         env,
         trial.make_policy(),
         starts,
         exploration=ExplorationType.RANDOM if samples_actions else ExplorationType.DETERMINISTIC,
-        on_begin=lambda start_of, state: read_now() | read_impulse(),
+        on_begin=lambda start_of, state: read_place() | read_frame(start_of, base),
         on_step=read_decision,
         on_frame=read_frame,
     )
     env.close()
-    num_frames, traces = FRAMES * int(episodes.lengths.max()), episodes.traces
-    of_frames = {"beat": num_frames, "aside": num_frames, "age": num_frames + 1}
-    of_frames["impulse"] = of_frames["age"]
-    series = {name: traces.pad(name, length=of_frames.get(name, 0)) for name in traces}
-    age, impulse = series.pop("age").diff(dim=1), series.pop("impulse").diff(dim=1)
+    num, traces = task.time_limit, episodes.traces
+    lengths = dict.fromkeys(("place", *WORKS), num + 1)
+    lengths |= dict.fromkeys(("beat", "age", "impulse"), num * FRAMES + 1)
+    series = {name: traces.pad(name, length=lengths.get(name, num)) for name in traces}
+    beat, age, impulse = (series.pop(name) for name in ("beat", "age", "impulse"))
     unit = task.body_length * (task.body_length / task.scales.period) ** 2
-    lengths_T = series.pop("lengths_T").gather(1, episodes.lengths[:, None] - 1).squeeze(1)
+    series["lengths_T"] = torch.stack([ages[-1] for ages in traces["lengths_T"]])
     return Histories(
         flow=starts["flow_index"].cpu(),
-        lengths_T=lengths_T,
-        lift=impulse / age.clamp_min(1.0) / unit,
+        beat=beat[:, 1:],
+        lift=impulse.diff(dim=1) / age.diff(dim=1).clamp_min(1.0) / unit,
         terminated=episodes.terminated,
         diverged=episodes.diverged,
         **series,

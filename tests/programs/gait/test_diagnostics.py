@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from fishrl.envs.stations import SafeArea
-from fishrl.programs.gait.diagnostics import (
-    combine_seeds,
-    diagnose,
-    find_phase,
-    measure_lean,
-    trace_work,
-)
+from fishrl.programs.gait.diagnostics import combine_seeds, diagnose, find_phase, trace_work
 from fishrl.programs.gait.tables import write_free_stream, write_results
 from fishrl.programs.gait.trials import Histories
 from fishrl.programs.statistics import half_width
@@ -47,14 +40,12 @@ def make_histories(*, lengths: list[int], beat: float = SHED) -> Histories:
         terminated=lengths_T < NUM,
         diverged=torch.zeros(len(lengths), dtype=torch.bool),
         beat=cut((2.0 * math.pi * beat * fine) % (2.0 * math.pi), lost),
-        aside=cut(0.2 * torch.sin(2.0 * math.pi * SHED * fine), lost),
         lift=cut(0.7 + torch.sin(2.0 * math.pi * SHED * fine + 1.0), lost),
     )
 
 
 def reduce(histories: Histories, *, shed: float = SHED, interval_T: float = 1.0) -> dict[str, Any]:
-    area = SafeArea(far_bl=1.75)
-    task: Any = SimpleNamespace(safe_area=area, time_limit=NUM, interval_T=interval_T)
+    task: Any = SimpleNamespace(time_limit=NUM, interval_T=interval_T)
     return diagnose(histories, task, shedding_frequency=shed)
 
 
@@ -107,18 +98,6 @@ def test_frames_of_shorter_intervals_are_timed_in_T() -> None:
     slow = make_histories(lengths=[40])._replace(lengths_T=torch.tensor([20.0]))
     result = reduce(slow, shed=2.0 * SHED, interval_T=0.5)
     assert result["phase_lock"] > 0.95
-    assert result["sway"] == pytest.approx(0.2, rel=0.06)
-
-
-def test_lean_is_the_mean_angle_of_a_swaying_body() -> None:
-    histories = make_histories(lengths=[40, 12])
-    sway = 0.2 * (-1.0) ** torch.arange(NUM)
-    lean = torch.where(torch.arange(NUM) < 16, 0.1, -0.05)
-    histories = histories._replace(angle_of_attack=histories.angle_of_attack * 0 + lean + sway)
-    rates, leans = measure_lean(histories, interval_T=1.0)
-    degrees = torch.tensor([0.1, 0.1, 0.05, 0.05, 0.05, 0.1]) * 180.0 / math.pi
-    torch.testing.assert_close(leans, degrees.double(), rtol=1e-6, atol=1e-6)  # 40 T, then 12
-    assert rates.tolist() == pytest.approx([SHED] * 6)
 
 
 def test_seeds_are_averaged_with_the_interval_over_seeds() -> None:
@@ -131,11 +110,10 @@ def test_seeds_are_averaged_with_the_interval_over_seeds() -> None:
 def test_tables_have_a_row_per_policy_and_flow_and_ratios_of_work() -> None:
     result = reduce(make_histories(lengths=[40, 23]))
     table = write_results({"pid": [result, result], "passive": [result, result]}, (1.0, 1.5))
-    assert len(table.splitlines()) == 3 * 6 + 2
-    assert "| pid | 1.5 | 2 | 31.5 ±" in table
-    assert "| passive | 1 | 50% | 0% | 50% | 0% | 0 |" in table
-    held = {"held": 1, "episodes": 2, "frequency": 4.0, "drift": 0.001, "lean": 5.0}
+    assert len(table.splitlines()) == 2 * 6 + 1
+    assert "| pid | 1.5 | 2 | 0 | 31.5 ±" in table
+    held = {"held": 1, "episodes": 2, "frequency": 4.0, "drift": 0.001}
     flows = [held | {"work": 8.0, "positive_work": 9.0, "lateral_work": 5.0}]
     free = write_free_stream({"flows": flows, "steps_per_T": 900, "mach": 0.17}, [result], (1,))
     row = "| 1 | 2.000 | 8.00 | 4.0 | 75.0% | 3.0 | 1.000 | 5.00 | 5.0 | – |"
-    assert row in free and "| 1 | 4.00 | +0.0010 | 5.0 | 1 of 2 |" in free
+    assert row in free and "| 1 | 4.00 | +0.0010 | 1 of 2 |" in free

@@ -71,7 +71,7 @@ def test_trial_is_recorded_again_only_if_its_inputs_change(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     trial = make_trial("bang_bang", make_task(), periods=BRIEF)
-    first = trials.stack(run_trial(trial, episodes=1, folder=tmp_path))
+    first = trials.concatenate(run_trial(trial, episodes=1, folder=tmp_path))
     recorded = []
 
     def pretend(*_: Any, **__: Any) -> Histories:
@@ -83,7 +83,7 @@ def test_trial_is_recorded_again_only_if_its_inputs_change(
     def count(trial: Trial, **settings: Any) -> int:
         for _ in range(2):  # the second time it is read
             again = run_trial(trial, **{"episodes": 1, "folder": tmp_path, **settings})
-            for a, b in zip(first, trials.stack(again), strict=True):
+            for a, b in zip(first, trials.concatenate(again), strict=True):
                 torch.testing.assert_close(a, b, rtol=0.0, atol=0.0, equal_nan=True)
         return len(recorded)
 
