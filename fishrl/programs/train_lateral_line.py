@@ -13,7 +13,7 @@ from pathlib import Path
 from tensordict import TensorDict
 
 from fishrl.programs.lateral_line.collection import collect
-from fishrl.programs.lateral_line.fitting import Design, Fit, LateralLineSettings, fit
+from fishrl.programs.lateral_line.fitting import Fit, LateralLineSettings, fit
 from fishrl.programs.lateral_line.report import describe, tabulate, write_figures
 from fishrl.programs.program import program
 from fishrl.settings import describe as describe_settings
@@ -30,15 +30,12 @@ def train_lateral_line(
 
     Writes classifier, results and figures to the folder; returns the fits by name.
     """
-    designs = {"classifier": Design.own(settings)}
+    progress.start("fits", total=1 + (settings.paper_epochs > 0))
+    fits = {"classifier": fit(settings, episodes)}
+    fits["classifier"].classifier.save(folder / "machine.pt")
+    progress.advance(1)
     if settings.paper_epochs:
-        designs["paper"] = Design.of_the_paper(settings)
-    progress.start("fits", total=len(designs))
-    fits = {}
-    for name, design in designs.items():
-        fits[name] = fit(settings, episodes, design)
-        if name == "classifier":
-            fits[name].classifier.save(folder / "machine.pt")
+        fits["paper"] = fit(settings.as_in_the_paper(), episodes)
         progress.advance(1)
     write_json(folder / "lateral_line.json", describe(episodes, fits))
     write_figures(fits, folder)

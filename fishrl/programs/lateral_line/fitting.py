@@ -1,7 +1,7 @@
 """Classifiers, fitted to the signals of some episodes and scored on those of others."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import torch
@@ -9,9 +9,8 @@ from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.envs.lateral_line import KNOWN, PAPER
+from fishrl.envs.lateral_line import KNOWN, PAPER, LateralLine
 from fishrl.modules import LateralLineClassifier
-from fishrl.modules.lateral_line import BOOKKEEPING
 from fishrl.objectives import (
     Curves,
     FitSettings,
@@ -37,22 +36,57 @@ class LateralLineSettings(CollectionSettings, FitSettings):
         folder: folder of all run folders.
         name: name of the run folder; by default made from task and seed.
         window: samples that the classifier reads, the newest; by default those of eight intervals.
+        reads: features of the task's lateral line that it reads; by default all but time and
+            position.
         hidden: widths of its hidden layers.
         is_recurrent: read the window sample by sample with a GRU.
         noise: noise added to the training signals, as a share of each feature's standard deviation.
+        is_mirrored: fit on the mirror image of each sample too.
+        max_samples: samples to fit on at most; by default all.
         paper_epochs: epochs of a classifier as in the paper, fitted for comparison; 0 for none.
     """
 
     folder: str = "runs"
     name: str | None = None
     window: PositiveInt | None = None
+    reads: tuple[str, ...] | None = None
     hidden: tuple[PositiveInt, ...] = (128, 128)
     batch_size: int = 256
     patience: int | None = 15
     is_recurrent: bool = False
     weight_decay: float = 1e-3
     noise: NonNegativeFloat = 0.5
+    is_mirrored: bool = True
+    max_samples: PositiveInt | None = None
     paper_epochs: NonNegativeInt = 0
+
+    @property
+    def line(self) -> LateralLine:
+        """The lateral line of the task."""
+        task: Any = self.task
+        line: LateralLine = task.lateral_line
+        return line
+
+    @property
+    def num_read(self) -> int:
+        """Number of samples that the classifier reads."""
+        return self.window or NUM_INTERVALS * self.line.num_samples
+
+    def as_in_the_paper(self) -> "LateralLineSettings":
+        """Return the settings of the paper's classifier, fitted to the same data."""
+        task: Any = self.task
+        line = replace(self.line, features=PAPER, is_averaged=True)
+        return replace(
+            self,
+            task=replace(task, lateral_line=line),
+            window=1,
+            reads=PAPER,
+            is_recurrent=False,
+            noise=0.0,
+            is_mirrored=False,
+            max_samples=self.num_samples,
+            **vars(replace(FitSettings.of_the_paper(), num_epochs=self.paper_epochs)),
+        )
 
 
 def mirror(signal: Tensor, *, features: Sequence[str], middle_bl: float) -> Tensor:
@@ -114,90 +148,42 @@ class Fit(NamedTuple):
     test: TensorDict  #: the samples of those
 
 
-@dataclass(frozen=True, kw_only=True)
-class Design:
-    """What a classifier reads, and how it is fitted."""
-
-    features: tuple[str, ...]  #: names from ``KNOWN``
-    num_samples: int = 1  #: length of the window
-    is_averaged: bool = False  #: read the mean over the neuromasts
-    sensed: tuple[str, ...] | None = None  #: features of its lateral line, if more than it reads
-    noise: float = 0.0  #: added while fitting, in shares of each feature's standard deviation
-    fitting: FitSettings | None = None  #: by default that of the settings
-    max_samples: int | None = None  #: to fit on at most
-    is_mirrored: bool = True  #: fit on the mirror image of each sample too
-    is_recurrent: bool = False  #: read the window sample by sample
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Features of the signal."""
-        return self.sensed or self.features
-
-    @classmethod
-    def own(cls, settings: LateralLineSettings) -> "Design":
-        """Return the design of a classifier for the task's lateral line."""
-        task: Any = settings.task
-        line = task.lateral_line
-        return cls(
-            features=tuple(name for name in line.features if name not in BOOKKEEPING),
-            num_samples=settings.window or NUM_INTERVALS * line.num_samples,
-            is_averaged=line.is_averaged,
-            sensed=line.features,
-            noise=settings.noise,
-            is_recurrent=settings.is_recurrent,
-        )
-
-    @classmethod
-    def of_the_paper(cls, settings: LateralLineSettings) -> "Design":
-        """Return the design of the paper's classifier."""
-        return cls(
-            features=PAPER,
-            is_averaged=True,
-            fitting=replace(FitSettings.of_the_paper(), num_epochs=settings.paper_epochs),
-            max_samples=settings.num_samples,
-            is_mirrored=False,
-        )
-
-
-def cut_samples(episodes: TensorDict, design: Design) -> TensorDict:
+def cut_samples(episodes: TensorDict, settings: LateralLineSettings) -> TensorDict:
     """Return the samples ``[N]`` that a classifier reads, from episodes as ``collect`` returns."""
-    columns = [KNOWN.index(name) for name in design.columns]
+    columns = [KNOWN.index(name) for name in settings.line.features]
     signal = episodes["lateral_line"][..., columns]
-    if design.is_averaged:
+    if settings.line.is_averaged:
         signal = signal.mean(-2, keepdim=True)
     episodes = episodes.copy().set("lateral_line", signal)
-    return cut_windows(episodes, num_samples=design.num_samples)
+    return cut_windows(episodes, num_samples=settings.num_read)
 
 
-def fit(settings: LateralLineSettings, episodes: TensorDict, design: Design) -> Fit:
+def fit(settings: LateralLineSettings, episodes: TensorDict) -> Fit:
     """Fit a classifier to some of the episodes and score it on others."""
-    samples = cut_samples(episodes, design)
+    samples = cut_samples(episodes, settings)
     divider, generator = (torch.Generator().manual_seed(1000 * settings.seed) for _ in range(2))
     labels = samples["episode"], samples["flow_index"]
     masks = split_episodes(*labels, shares=SHARES, generator=divider)
     training, validation, test = (samples[mask] for mask in masks)
     test = test[test["is_whole"]]
-    if design.max_samples is not None and len(training) > design.max_samples:
+    if settings.max_samples is not None and len(training) > settings.max_samples:
         drawn = torch.randperm(len(training), generator=generator)
-        training = training[drawn[: design.max_samples]]
+        training = training[drawn[: settings.max_samples]]
     task: Any = settings.task
     flows: Sequence[dict[str, Any]] = task.flow_labels
-    if design.is_mirrored:
+    if settings.is_mirrored:
         flow, signal = flows[0], training["lateral_line"]
         num_nodes = round(flow["domain_bl"][1] * flow["body_length"])
         middle_bl = 0.5 * (num_nodes - 1) / flow["body_length"]
-        image = mirror(signal, features=design.columns, middle_bl=middle_bl)
+        image = mirror(signal, features=settings.line.features, middle_bl=middle_bl)
         training = torch.cat((training, training.copy().set("lateral_line", image)))
-    sensors = settings.recorded_task.lateral_line_layout | {"features": list(design.columns)}
-    if design.is_averaged:
-        sensors["num_neuromasts"] = 1
     classifier = LateralLineClassifier(
         flows=flows,
-        sensors=sensors,
-        features=design.features,
-        num_samples=design.num_samples,
+        sensors=task.lateral_line_layout,
+        features=settings.reads,
+        num_samples=settings.num_read,
         hidden=settings.hidden,
-        is_recurrent=design.is_recurrent,
+        is_recurrent=settings.is_recurrent,
         generator=generator,
     )
     classifier.set_normalisation(training["lateral_line"])
@@ -206,9 +192,9 @@ def fit(settings: LateralLineSettings, episodes: TensorDict, design: Design) -> 
         classifier,
         training=training,
         validation=validation,
-        settings=design.fitting or settings,
+        settings=settings,
         generator=generator,
-        noise=design.noise * deviation,
+        noise=settings.noise * deviation,
     )
     fitted, held_out = (score_classifier(classifier, part) for part in (training, test))
     return Fit(classifier, curves, fitted, held_out, test)

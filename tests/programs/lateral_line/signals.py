@@ -57,4 +57,4 @@ def make_episodes(num: int = 40, length: int = 5) -> TensorDict:
 
 def make_settings(**settings: Any) -> LateralLineSettings:
     given = {"num_epochs": 15, "learning_rate": 0.01, "hidden": (8,), **settings}
-    return LateralLineSettings(task=make_task(), **given)
+    return LateralLineSettings(**{"task": make_task(), **given})

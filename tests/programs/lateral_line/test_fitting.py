@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from fishrl.envs.lateral_line import LOCAL
+from fishrl.envs.lateral_line import LOCAL, LateralLine
 from fishrl.modules import LateralLineClassifier
-from fishrl.programs.lateral_line.fitting import Design, fit
+from fishrl.programs.lateral_line.fitting import fit
 from fishrl.programs.lateral_line.report import tabulate
 from fishrl.programs.train_lateral_line import train_lateral_line
 from fishrl.training.progress import Progress
@@ -17,8 +17,9 @@ QUIET = Progress(is_shown=False)
 
 
 def test_classifier_learns_the_difference_between_flows_from_informative_features() -> None:
-    local, place = Design(features=LOCAL, num_samples=INTERVAL), Design(features=("t", "x"))
-    fits = [fit(make_settings(), make_episodes(), design) for design in (local, place)]
+    line = LateralLine(num_neuromasts=3, num_samples=INTERVAL, features=("t", "x"))
+    place = make_settings(task=make_task(lateral_line=line), reads=("t", "x"), window=1)
+    fits = [fit(each, make_episodes()) for each in (make_settings(window=INTERVAL), place)]
     assert fits[0].held_out.accuracy > 0.95
     assert fits[1].held_out.accuracy < 0.75
 

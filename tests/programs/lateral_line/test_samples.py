@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from fishrl.envs.lateral_line import KNOWN, LateralLine
 from fishrl.physics import Fish, FlowConfig, InPlaceSolver
 from fishrl.physics.flow import make_uniform
-from fishrl.programs.lateral_line.fitting import Design, cut_samples, cut_windows, mirror
+from fishrl.programs.lateral_line.fitting import cut_samples, cut_windows, mirror
 from tests.programs.lateral_line import signals
 
 #: Two episodes of at most three decisions with four samples each, numbered; one neuromast.
@@ -80,9 +80,13 @@ def test_a_window_ends_at_every_sample_but_the_repeated_ones_of_the_reset() -> N
 def test_a_classifier_reads_some_features_or_their_mean() -> None:
     episodes = signals.make_episodes()
     signal = episodes["lateral_line"][0, 0, -1:]  # of the first whole interval
-    each, mean = (
-        cut_samples(episodes, Design(features=("slip", "u_x"), is_averaged=is_averaged))
+    lines = (
+        LateralLine(num_neuromasts=3, features=("slip", "u_x"), is_averaged=is_averaged)
         for is_averaged in (False, True)
+    )
+    tasks = (signals.make_task(lateral_line=line) for line in lines)
+    each, mean = (
+        cut_samples(episodes, signals.make_settings(task=task, window=1)) for task in tasks
     )
     assert torch.equal(each["lateral_line"][0, ..., 1], signal[..., KNOWN.index("u_x")])
     torch.testing.assert_close(mean["lateral_line"], each["lateral_line"].mean(-2, keepdim=True))
