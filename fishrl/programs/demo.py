@@ -1,8 +1,8 @@
 """Watch trained policies swim: ``fishrl demo``.
 
 Policies of ``fishrl.zoo``, trained before. Their films, recorded when they were added to the zoo,
-are written at once. Then each swims again in a flow that is computed here and now; an MP4, a GIF
-and a picture of each are written.
+are written at once. Then each swims again in a flow that is computed here and now, and is filmed by
+``fishrl view``.
 """
 
 import argparse
@@ -10,6 +10,7 @@ import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from fishrl.children import start_child
 
@@ -24,24 +25,25 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--folder", default="demo", help="to write into (default: demo)")
     parser.add_argument("--eager", action="store_true", help="do not compile the flow step")
     options = parser.parse_args(arguments)
-    folder = Path(options.folder)
+    folder = Path(options.folder).resolve()
     folder.mkdir(parents=True, exist_ok=True)
     for name, title, _ in SHOWS:
         film = shutil.copy(ZOO / name / "film.mp4", folder / f"{title}_recorded.mp4")
         sys.stdout.write(f"{film}: recorded film of zoo/{name}\n")
     sys.stdout.write("now in a flow computed here: about a minute, most of it compilation\n")
     sys.stdout.flush()
-    swim = "import gc; gc.disable(); from fishrl.programs.swim import film; "
-    running = [
-        start_child(
-            f"{swim}film({name!r}, {str(folder / title)!r}, periods={periods}, "
-            f"compile={not options.eager})"
-        )
-        for name, title, periods in SHOWS
-    ]
-    try:
-        statuses = [process.wait() for process in running]
-        if any(statuses):
-            sys.exit("not every film could be made")
-    except KeyboardInterrupt:
-        sys.exit("interrupted")
+    swim = "import gc; gc.disable(); import torch; torch.set_num_threads(1)"
+    swim = f"{swim}; from fishrl.programs.view import main; main()"
+    with TemporaryDirectory() as place:  # where developed wakes are stored
+        running = {}
+        for name, title, periods in SHOWS:
+            words = [f"policy=zoo/{name}", f"periods={periods}", "frames_per_T=4"]
+            words += [f"save='{folder / title}.mp4'", f"compile={not options.eager}"]
+            log = Path(place, name)
+            running[log] = start_child(swim, *words, cwd=place, stderr=log.open("w"))
+        try:
+            for log, process in running.items():
+                if process.wait():
+                    sys.exit(log.read_text(encoding="utf-8").strip())
+        except KeyboardInterrupt:
+            sys.exit("interrupted")

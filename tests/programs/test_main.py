@@ -28,7 +28,7 @@ def run(*words: str, line: str | None = None) -> subprocess.CompletedProcess[str
 def test_fishrl_alone_lists_each_program_with_the_first_line_of_its_docstring() -> None:
     said = run().stdout
     assert {"train", "evaluate", "view", "export-data", "demo"} <= set(list_programs())
-    assert {"configuration", "swim"}.isdisjoint(list_programs())  # no programs
+    assert {"configuration", "live"}.isdisjoint(list_programs())  # no programs
     for name, line in list_programs().items():
         assert name in said
         assert line.replace("``", "`") in said
