@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from shutil import copyfile
@@ -13,19 +13,14 @@ from markdown_it import MarkdownIt
 
 from fishrl.programs.figures.learning_curve import Curve, draw_curves, read_metrics
 from fishrl.programs.gait import figures
-from fishrl.programs.gait.tables import (
-    PAPER_WORK_RATIO,
-    divide_work,
-    write_free_stream,
-    write_results,
-)
+from fishrl.programs.gait.tables import divide_work, write_free_stream, write_results
 from fishrl.programs.gait.trials import list_shedding, load_trial
 from fishrl.programs.pages import write_table
 from fishrl.programs.statistics import Statistic, show
 from fishrl.programs.summarize import summarize
 from fishrl.programs.sweeps.jobs import find_runs
 from fishrl.programs.sweeps.runs import read_run
-from fishrl.settings import to_plain
+from fishrl.settings import flatten, to_plain
 from fishrl.training.run_folder import read_config
 
 #: Folder and name of each kind of policy in the second task.
@@ -74,6 +69,11 @@ def find_fitted(folder: Path) -> Path | None:
     return newest and newest.parent
 
 
+def read_paper() -> Any:
+    """Return the paper's numbers and settings."""
+    return yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+
+
 def read(path: Path) -> Any:
     """Return the results in a JSON file; NaN where an entry is null."""
 
@@ -86,80 +86,40 @@ def read(path: Path) -> Any:
 def compare(transfer: Any, line: Any, captures: Sequence[float]) -> str:
     """Return each number of the paper next to ours, and why they may differ.
 
-    The paper's are from the text and the tables 2 to 4 of Li et al. 2023. ``captures`` are the
-    mean times to capture of the predation policies, in T.
+    ``captures`` are the mean times to capture of the predation policies, in T.
     """
     arms, speeds = transfer["arms"], transfer["speeds_bl"]
     both, ablation = arms[ARMS["both"]], arms[ARMS["ablation"]]
-    shedding = [0.4 * rate / u for rate, u in zip(transfer["shedding"], speeds, strict=True)]
     works = zip(transfer["free_stream"]["flows"], both, strict=True)
-    ratios = [divide_work(flow, wake, "lateral_work") for flow, wake in works]
-    quantities: list[tuple[str, Sequence[float], Sequence[float], str, str]] = [
-        (
-            "Strouhal number of the wake",
-            (0.267, 0.256, 0.267), shedding, ".3f",
-            "theirs are spectral bins 7 to 10 % apart; neither the orientation of the half disc "
-            "nor the method is stated",
-        ),
-        (
-            "survival without modules, T",
-            (6.54, 39.80, 6.13), [flow["survival_T"] for flow in ablation], ".1f",
-            "their frequencies and danger area are not stated; ours reaches its highest frequency "
-            "in one decision",
-        ),
-        (
-            "survival with both, T",
-            (100.0, 100.0, 100.0), [flow["survival_T"] for flow in both], ".1f", "",
-        ),
-        (
-            "time in Kármán gait",
-            (0.955, 0.87, 0.93), [flow["in_gait"] for flow in both], ".0%",
-            "our rows reach far beyond the shedding frequency, theirs stay within 15 %; on coarse "
-            "grids a fish swims less far per beat",
-        ),
-        (
-            "tail beat / shedding frequency",
-            (1.0, 1.0, 1.0), [flow["frequency_over_shedding"] for flow in both], ".2f", "as above",
-        ),
-        (
-            "largest angle of attack, °",
-            (14.3, 15.0, 11.7), [flow["angle_max"] for flow in both], ".1f",
-            "ours is limited to 15",
-        ),
-        (
-            "work in a free stream / in the wake",
-            PAPER_WORK_RATIO, ratios, ".1f", "their gait in the free stream is not stated",
-        ),
-    ]  # fmt: skip
+
+    def write(form: str, values: Iterable[float]) -> str:
+        return ", ".join(show(value, form) for value in values)
+
+    rates = zip(transfer["shedding"], speeds, strict=True)
+    ours = {
+        "strouhal": write(".3f", (0.4 * rate / speed for rate, speed in rates)),
+        "survival_ablation": write(".1f", (flow["survival_T"] for flow in ablation)),
+        "survival_both": write(".1f", (flow["survival_T"] for flow in both)),
+        "in_gait": write(".0%", (flow["in_gait"] for flow in both)),
+        "frequency": write(".2f", (flow["frequency_over_shedding"] for flow in both)),
+        "angle": write(".1f", (flow["angle_max"] for flow in both)),
+        "work": write(".1f", (divide_work(*pair, "lateral_work") for pair in works)),
+        "capture": Statistic.of(captures).show(".1f"),
+        "fitted": f"{line['paper']['fitted_accuracy']:.0%}",
+        "held_out": f"{line['paper']['held_out_accuracy']:.0%}",
+        "own_held_out": f"{line['classifier']['held_out_accuracy']:.0%}",
+    }
     rows = [
-        [name, *(", ".join(show(value, form) for value in each) for each in (theirs, ours)), reason]
-        for name, theirs, ours, form, reason in quantities
-    ]
-    capture = Statistic.of(captures).show(".1f")
-    fits = line["paper"]["fitted_accuracy"], line["paper"]["held_out_accuracy"]
-    own = line["classifier"]["held_out_accuracy"]
-    rows += [
-        ["time to capture, T", "14.3", capture, "one start there; their food path is unknown"],
-        ["accuracy, paper's classifier, fitted", "95%", f"{fits[0]:.0%}", "data differ"],
-        ["the same, held-out episodes", "–", f"{fits[1]:.0%}", "not reported"],
-        ["accuracy of our classifier, held-out episodes", "–", f"{own:.0%}", ""],
+        [each["name"], each["paper"], ours[key], each.get("reason")]
+        for key, each in read_paper()["quantities"].items()
     ]
     return write_table(HEADS, rows)
 
 
 def list_settings(run: Path) -> str:
     """Return the hyper-parameters and flows of the second task, as tables 1 and 2 of the paper."""
-    config = read_config(run / "config.yaml")
-    rows = [
-        ["learning rate", "0.0005", config["learning_rate"]],
-        ["discount", "0.99", config["gamma"]],
-        ["replay buffer", "500000", config["buffer_size"]],
-        ["soft update", "0.01", config["tau"]],
-        ["batch size", "128", config["batch_size"]],
-        ["body length, nodes", "100", config["task"]["body_length"]],
-        ["Re_f", "500", config["task"]["reynolds"]],
-        ["decisions in training", "–", config["total_frames"]],
-    ]
+    config = flatten(read_config(run / "config.yaml"))
+    rows = [[name, value, config[key]] for name, value, key in read_paper()["settings"]]
     return write_table(("setting", "paper", "ours"), rows)
 
 

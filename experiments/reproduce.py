@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -50,8 +50,6 @@ ARM_SETTINGS = {
     ),
     "ablation": ("task=karman_gait_direct",),
 }
-#: Seconds after which the time that a job has taken is noted.
-NOTE_SECONDS = 30.0
 
 
 class Scale(Settings):
@@ -233,18 +231,16 @@ def run_job(job: Job, record: Record, lock: int) -> None:
     name, *words = job.words
     command = ["fishrl", name] if name in list_programs() else [f"experiments.{name}"]
     print(f"\n{show_command(command[-1], *words)}", flush=True)
+    began = time.monotonic()
     child = subprocess.Popen([sys.executable, "-m", *command, *words], pass_fds=[lock])
     try:
-        while child.returncode is None:
-            began = time.monotonic()
-            with suppress(subprocess.TimeoutExpired):
-                child.wait(NOTE_SECONDS)
-            seconds = time.monotonic() - began
-            record.note(job, seconds=seconds, is_finished=child.returncode == 0)
+        child.wait()
     except KeyboardInterrupt:
         child.terminate()  # it saves first
         child.wait()
         raise
+    finally:
+        record.note(job, seconds=time.monotonic() - began, is_finished=child.returncode == 0)
     if child.returncode:
         raise ValueError(f"{job.name} ended with status {child.returncode}; repeat the command")
 

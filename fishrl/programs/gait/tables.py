@@ -1,4 +1,4 @@
-"""Tables of the Kármán gait study, with the paper's numbers next to ours."""
+"""Tables of the Kármán gait."""
 
 from collections.abc import Mapping, Sequence
 from math import nan
@@ -8,8 +8,6 @@ from fishrl.programs.gait.trials import WORKS
 from fishrl.programs.pages import write_table
 from fishrl.programs.statistics import show
 
-#: Work in a free stream over that in the wake, conditions I to III: Li et al. 2023, Table 4.
-PAPER_WORK_RATIO = (7577.94 / 1526.73, 14682.95 / 2145.74, 51520.26 / 3057.03)
 #: Columns of each table: heading, entry of ``diagnose``, format.
 STATION = (
     ("episodes", "episodes", ".0f"),
@@ -33,7 +31,7 @@ MOTION = (
 HELD_HEADS = ("stream, L/T", "beats per T", "drift, L/T", "held")
 WORK_HEADS = (
     *("stream, L/T", "work, wake", "free", "ratio", "saved", "pushing: ratio"),
-    *("lateral (paper's form), wake", "free", "ratio", "paper's ratio"),
+    *("lateral (paper's form), wake", "free", "ratio"),
 )
 
 #: Results of each arm per flow, as ``diagnose`` or ``combine_seeds`` returns them.
@@ -72,8 +70,7 @@ def write_free_stream(
     """
     forms = (("frequency", ".2f"), ("drift", "+.4f"))
     held, rows = [], []
-    papers = PAPER_WORK_RATIO if len(speeds) == len(PAPER_WORK_RATIO) else [nan] * len(speeds)
-    for speed, wake, still, paper in zip(speeds, in_wake, free["flows"], papers, strict=True):
+    for speed, wake, still in zip(speeds, in_wake, free["flows"], strict=True):
         count = f"{still['held']} of {still['episodes']}"
         held.append([f"{speed:g}", *(show(still[name], form) for name, form in forms), count])
         work, pushing, lateral = (divide_work(still, wake, name) for name in WORKS)
@@ -81,7 +78,6 @@ def write_free_stream(
             *((wake["work"], ".3f"), (still["work"], ".2f"), (work, ".1f")),
             *((1.0 - 1.0 / work, ".1%"), (pushing, ".1f")),
             *((wake["lateral_work"], ".3f"), (still["lateral_work"], ".2f"), (lateral, ".1f")),
-            (paper, ".2f"),
         )
         rows.append([f"{speed:g}", *(show(value, form) for value, form in cells)])
     scales = f"Free stream: T = {free['steps_per_T']} steps, Mach {free['mach']:.2f}."
