@@ -26,6 +26,8 @@ class Networks(NamedTuple):
         explorer: policy that collects, with the same weights; the collector saves its state.
         loss: the sum of its outputs ``loss_...`` is minimised; all are logged as ``train/<name>``.
         transforms: transforms that the explorer needs in its environment.
+        sampler: draws batches from the buffer; by default uniformly.
+        keys: entries of a transition to store in addition to those that the loss reads.
         is_traced: see ``Algorithm``.
     """
 
@@ -33,6 +35,8 @@ class Networks(NamedTuple):
     explorer: TensorDictModuleBase
     loss: LossModule
     transforms: Sequence[Transform] = ()
+    sampler: Sampler | None = None
+    keys: Sequence[Any] = ()
     is_traced: bool = False
 
 
@@ -42,20 +46,12 @@ class Learner(ABC):
     Args:
         networks: networks and loss of the algorithm.
         settings: learning rate, batch size and buffer size.
-        sampler: draws batches from the buffer; by default uniformly.
-        keys: entries of a transition to store in addition to those that the loss reads.
     """
 
-    def __init__(
-        self,
-        networks: Networks,
-        settings: LearningSettings,
-        *,
-        sampler: Sampler | None = None,
-        keys: Sequence[Any] = (),
-    ) -> None:
-        self.actor, self.explorer, self.loss, self.transforms, self._is_traced = networks
-        self.reports, self._keys = tuple(self.loss.out_keys), [*self.loss.in_keys, *keys]
+    def __init__(self, networks: Networks, settings: LearningSettings) -> None:
+        self.actor, self.explorer, self.loss = networks.actor, networks.explorer, networks.loss
+        self.transforms, self._is_traced = networks.transforms, networks.is_traced
+        self.reports, self._keys = tuple(self.loss.out_keys), [*self.loss.in_keys, *networks.keys]
         self.optimiser = torch.optim.Adam(
             self.loss.parameters(), lr=settings.learning_rate, fused=True
         )
@@ -65,7 +61,7 @@ class Learner(ABC):
         device = next(self.actor.parameters()).device
         self.buffer = TensorDictReplayBuffer(
             storage=_ZeroedStorage(settings.buffer_size, device=device),
-            sampler=sampler,
+            sampler=networks.sampler,
             batch_size=settings.batch_size,
             prefetch=0,  # threads would draw batches in an order that no seed fixes
         )
@@ -121,17 +117,10 @@ class Learner(ABC):
 class OffPolicyLearner(Learner):
     """Replay past transitions, with target networks; arguments as for ``Learner``."""
 
-    def __init__(
-        self,
-        networks: Networks,
-        settings: LearningSettings,
-        *,
-        sampler: Sampler | None = None,
-        keys: Sequence[Any] = (),
-    ) -> None:
+    def __init__(self, networks: Networks, settings: LearningSettings) -> None:
         networks.loss.make_value_estimator(gamma=settings.gamma)
         self._targets = SoftUpdate(networks.loss, tau=settings.tau)
-        super().__init__(networks, settings, sampler=sampler, keys=keys)
+        super().__init__(networks, settings)
 
     def _remember(self, transitions: TensorDictBase) -> None:
         self._extend(transitions)
@@ -161,8 +150,8 @@ class OnPolicyLearner(Learner):
         gae_lambda: float,
     ) -> None:
         networks.loss.make_value_estimator(gamma=settings.gamma, lmbda=gae_lambda)
-        keys = ("advantage", "value_target")
-        super().__init__(networks, settings, sampler=SamplerWithoutReplacement(), keys=keys)
+        keys, sampler = ("advantage", "value_target"), SamplerWithoutReplacement()
+        super().__init__(networks._replace(sampler=sampler, keys=keys), settings)
         self._length, self._decisions = rollout_length, list[TensorDictBase]()
 
     def _remember(self, transitions: TensorDictBase) -> None:

@@ -84,8 +84,13 @@ class CsvLogger:
         unknown = sorted(set(metrics) - set(self._columns))
         if unknown:
             raise ValueError(f"metrics {unknown}: not among the columns {self._columns}")
-        self._unwritten.append({n: v for n, v in metrics.items() if not math.isnan(v)})
+        measured = {name: value for name, value in metrics.items() if not math.isnan(value)}
+        self._unwritten.append(measured)
         self._write()
+        self._send(measured, step=int(metrics[self._columns[0]]))
+
+    def _send(self, measured: Mapping[str, float], *, step: int) -> None:
+        """Send a row to wherever else a subclass logs."""
 
     def close(self) -> None:
         """Close the log, and try again to write the rows that could not be written."""
@@ -136,7 +141,7 @@ class WandbLogger(CsvLogger):
     ) -> None:
         """Start the run at Weights & Biases as well; a resumed run keeps its identity."""
         super().open(folder, columns=columns, config=config, step=step)
-        self._step_key, identity = columns[0], folder / "wandb_id"
+        identity = folder / "wandb_id"
         self._run = self._wandb.init(
             project=self.project,
             name=folder.name,
@@ -149,11 +154,8 @@ class WandbLogger(CsvLogger):
         )
         write_whole(identity, self._run.id)  # an agent has its own
 
-    def log(self, metrics: Mapping[str, float]) -> None:
-        """Add a row here and there."""
-        super().log(metrics)
-        measured = {name: value for name, value in metrics.items() if not math.isnan(value)}
-        self._run.log(measured, step=int(metrics[self._step_key]))
+    def _send(self, measured: Mapping[str, float], *, step: int) -> None:
+        self._run.log(measured, step=step)
 
     def close(self) -> None:
         """End the run at Weights & Biases, so that the next one in this process is another."""

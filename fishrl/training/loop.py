@@ -16,16 +16,17 @@ from tensordict import TensorDictBase
 
 from fishrl.envs.agents import split_fish
 from fishrl.envs.episodes import Episodes, Policy, name_counted
+from fishrl.settings import describe
+from fishrl.training.baselines import make_baseline
 from fishrl.training.callback import Callback, join
 from fishrl.training.checkpoint import CheckpointNotWritten, load_checkpoint, save_checkpoint
 from fishrl.training.collector import RNGState, make_collector
-from fishrl.training.ending import finish
-from fishrl.training.evaluation import SELECTION_SEED, TRAIN_SEED, evaluate_in
+from fishrl.training.evaluation import FINAL_SEED, SELECTION_SEED, TRAIN_SEED, evaluate_in
 from fishrl.training.interruption import Interrupted, Interruption, ignore_signals_in_children
 from fishrl.training.learner import one_thread
 from fishrl.training.metrics import Counters, list_metrics, measure_memory_mb
 from fishrl.training.resolve import ResolvedRun
-from fishrl.training.run_folder import RunFolder
+from fishrl.training.run_folder import RunFolder, write_json
 
 logger = logging.getLogger(__name__)
 
@@ -82,7 +83,7 @@ class Training:
         except Interrupted:
             self._save(self.folder.last)
             raise
-        return finish(self)
+        return self.finish()
 
     def _learn(self) -> None:
         """Collect, store and update until ``total_frames``; evaluate, log and save when due."""
@@ -145,7 +146,7 @@ class Training:
         is_evaluated = is_over or self._has_crossed(run.eval_frames)
         if is_evaluated:
             metrics = metrics | self._select()
-        counters.wall_seconds = metrics["time/wall_seconds"] = self.wall_seconds()
+        counters.wall_seconds = metrics["time/wall_seconds"] = self._wall_seconds()
         if is_evaluated or self._has_crossed(run.log_frames):
             self.plan.logger.log(metrics | {"time/memory_mb": measure_memory_mb()})
             counters.losses = {}
@@ -173,16 +174,61 @@ class Training:
                 self.counters.best = before
         return {f"eval/{name}": value for name, value in metrics.items()}
 
+    def finish(self) -> dict[str, Any]:
+        """Evaluate the best policy and the baselines; write and return the summary."""
+        resolved, counters, actor = self.resolved, self.counters, self.learner.actor
+        best = self._load({"actor": actor}, which="best")
+        summary = self._compare() | {
+            "task": resolved.spec.task,
+            "success": resolved.success,
+            "baselines": list(resolved.baselines),
+            "preset": self.plan.preset,
+            "algorithm": describe(self.plan.algorithm),
+            "seed": self.plan.learning.seed,
+            "frames": counters.frames,
+            "best_checkpoint_frames": best["frames"],
+            "updates": counters.updates,
+            "train_episodes": counters.episodes,
+            "train_diverged": counters.diverged,
+            "wall_seconds": self._wall_seconds(),
+            "mlups": resolved.compute_mlups(counters.frames, counters.collect_seconds),
+        }
+        env, policy, folder = self.collector.env, self._make_interruptible(actor), self.folder
+        try:
+            self.callbacks.on_end(summary, folder=folder.path, env=env, policy=policy)
+        except Interrupted:  # unfinished, so that a resume repeats the end
+            raise
+        except Exception:
+            write_json(folder.summary, summary)
+            raise
+        summary["wall_seconds"] = self._wall_seconds()
+        write_json(folder.summary, summary)
+        return summary
+
+    def _compare(self) -> dict[str, Any]:
+        """Return the final metrics of the learned policy, and ``<name>_...`` of each baseline."""
+        names, num = self.resolved.baselines, self.plan.run.final_episodes
+        metrics: dict[str, Any] = {}
+        self.callbacks.on_phase("evaluation", total=num * (1 + len(names)))
+        for name in ("", *names):
+            self.callbacks.on_phase(f"evaluation: {name or 'learned'}")
+            policy: Policy = self.learner.actor
+            if name:
+                policy = make_baseline(name, task=self.task, seed=FINAL_SEED)
+            result = self.evaluate(policy, num, seed=FINAL_SEED).metrics()
+            metrics |= {f"{name}_{key}" if name else key: value for key, value in result.items()}
+        return metrics
+
     def evaluate(self, policy: Policy, num: int, *, seed: int, is_counted: bool = True) -> Episodes:
         """Evaluate in the flows of training, and leave these as they were; see ``evaluate_in``."""
         options: dict[str, Any] = {"callbacks": self.callbacks, "is_counted": is_counted}
         try:
             with self.collector.lend_env() as env:
-                return evaluate_in(env, self.make_interruptible(policy), num, seed=seed, **options)
+                return evaluate_in(env, self._make_interruptible(policy), num, seed=seed, **options)
         finally:
             self.callbacks.on_new_episodes()
 
-    def make_interruptible(self, policy: Policy) -> Policy:
+    def _make_interruptible(self, policy: Policy) -> Policy:
         """Return a policy that acts on the learner's device, or raises ``Interrupted``."""
 
         def act(state: TensorDictBase) -> TensorDictBase:
@@ -191,18 +237,18 @@ class Training:
 
         return act
 
-    def components(self) -> dict[str, Any]:
+    def _components(self) -> dict[str, Any]:
         """Return by name everything that the next frame depends on, for a checkpoint."""
         others = {"collector": self.collector, "rng": RNGState(), "counters": self.counters}
         return self.learner.components() | others
 
     def restore(self) -> None:
         """Continue from the last checkpoint in the folder; see ``load_checkpoint``."""
-        self.load(self.components(), which="last")
+        self._load(self._components(), which="last")
         self._began -= self.counters.wall_seconds
         logger.info("continuing from frame %d of %s", self.counters.frames, self.folder.path)
 
-    def load(self, components: dict[str, Any], *, which: str) -> dict[str, Any]:
+    def _load(self, components: dict[str, Any], *, which: str) -> dict[str, Any]:
         """Load components from the ``best`` or ``last`` checkpoint and return its metadata."""
         path, spec, device = self.folder.path, self.resolved.spec, self.plan.run.policy_device
         return load_checkpoint(path, components, spec=spec, device=device, which=which)
@@ -216,7 +262,7 @@ class Training:
         try:
             save_checkpoint(
                 path,
-                self.components(),
+                self._components(),
                 spec=self.resolved.spec,
                 frames=self.counters.frames,
                 config=self.plan.to_config(),
@@ -236,7 +282,7 @@ class Training:
         self.collector.shutdown()
         self._lock.close()
 
-    def wall_seconds(self) -> float:
+    def _wall_seconds(self) -> float:
         """Return the seconds since the run was set up, plus those before a resume."""
         return time.perf_counter() - self._began
 

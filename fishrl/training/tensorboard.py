@@ -1,6 +1,5 @@
 """A logger for TensorBoard."""
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -30,15 +29,11 @@ class TensorboardLogger(CsvLogger):
                 f"logger=tensorboard needs a package: {show_install('tensorboard')}; or logger=csv"
             ) from error
         super().open(folder, columns=columns, config=config, step=step)
-        self._step_key = columns[0]
         self._writer = SummaryWriter(str(folder / "tensorboard"), purge_step=step + 1)
 
-    def log(self, metrics: Mapping[str, float]) -> None:
-        """Add a row here and there."""
-        super().log(metrics)
-        step = int(metrics[self._step_key])
-        for name, value in metrics.items():
-            if name != self._step_key and not math.isnan(value):
+    def _send(self, measured: Mapping[str, float], *, step: int) -> None:
+        for name, value in measured.items():
+            if name != self._columns[0]:
                 self._writer.add_scalar(name, value, step)
         self._writer.flush()
 

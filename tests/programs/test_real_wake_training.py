@@ -67,7 +67,7 @@ def read_states(run: Path) -> dict[str, Any]:
 def test_a_training_in_a_real_wake_that_is_interrupted_equals_one_that_is_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("fishrl.training.loop.finish", lambda training: {})
+    monkeypatch.setattr("fishrl.training.loop.Training.finish", lambda training: {})
     wakes = tmp_path / "wakes"
     develop(wakes)
     whole = begin(tmp_path, wakes, name="whole")

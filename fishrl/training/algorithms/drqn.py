@@ -78,7 +78,5 @@ class DRQN(DQN):
             truncated_key=None,
         )
         primer = cast(RecurrentPolicy, networks.actor).make_primer()
-        keys = (TRAJECTORY, STEP)
-        return OffPolicyLearner(
-            networks._replace(transforms=(primer,)), settings, sampler=sampler, keys=keys
-        )
+        parts = networks._replace(transforms=(primer,), sampler=sampler, keys=(TRAJECTORY, STEP))
+        return OffPolicyLearner(parts, settings)
