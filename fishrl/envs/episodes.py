@@ -13,6 +13,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from fishrl.envs.agents import EachFish, average_fish
 from fishrl.envs.flow_env import FlowEnv
+from fishrl.envs.task import AbstractTask
 from fishrl.envs.traces import Traces
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
@@ -157,6 +158,11 @@ def run_episodes(
         traces=traces,
         **done,
     )
+
+
+def count_decisions(task: AbstractTask, periods: float | None) -> int:
+    """Return how many decisions last some periods T, rounded up; None is a whole episode."""
+    return task.time_limit if periods is None else math.ceil(periods / task.interval_T - 1e-9)
 
 
 def name_counted(env: EnvBase) -> dict[str, tuple[str, int]]:

@@ -1,17 +1,25 @@
-"""Optional bases of a task: history, flow labels and what is drawn.
+"""Optional bases of a task: history, changes of the flow, flow labels, what is drawn, safe steps.
 
 A task inherits those that it needs, next to ``AbstractTask``. Their defaults add nothing, so that a
-plain instance of a base stands in for a task without it.
+plain instance of a base stands in for a task without it, see ``extend``.
 """
 
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
+import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.protocol import Solver
 from fishrl.envs.scene import Scene
+
+E = TypeVar("E")
+
+
+def extend(task: object, kind: type[E]) -> E:
+    """Return a task as one of the bases below, or a plain instance of it for a task without."""
+    return task if isinstance(task, kind) else kind()
 
 
 class HasHistory:
@@ -53,6 +61,28 @@ class HasHistory:
     def inputs(self) -> tuple[str, ...]:
         """Entries ``[B]`` that a transform writes and ``command`` reads."""
         return ()
+
+
+class HasFlowChanges:
+    """Base of tasks whose flow changes within an episode, for example its stream speed."""
+
+    def prepare_(self, solver: Solver, starts: TensorDictBase) -> None:
+        """Change the flow before an action.
+
+        ``starts`` ``[B]`` belong to the episodes; ``solver.body.age`` counts the steps since.
+        """
+
+
+class HasSafeSteps:
+    """Base of tasks that bound how soon an episode can end, which saves checks for termination."""
+
+    def count_safe_steps(self, now: TensorDictBase) -> Tensor:
+        """Return a number of steps ``[B]`` in which an episode certainly does not terminate.
+
+        The environment skips the checks for termination within these steps. ``now`` is as in
+        ``is_terminated``. The default, 0, is always valid.
+        """
+        return torch.zeros(now.shape, device=now.device)
 
 
 class HasFlowLabels:
@@ -107,4 +137,4 @@ def name_flow(task: object, start: TensorDictBase) -> str:
 
 def count_label_inputs(task: object) -> int:
     """Return the number of components that labels of its flows add to a task's observation."""
-    return task.num_label_inputs if isinstance(task, HasFlowLabels) else 0
+    return extend(task, HasFlowLabels).num_label_inputs

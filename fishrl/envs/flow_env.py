@@ -30,8 +30,7 @@ from fishrl.envs.checks import (
     scale_action,
 )
 from fishrl.envs.draws import draw_uniform
-from fishrl.envs.extensions import HasHistory
-from fishrl.envs.rows import merge
+from fishrl.envs.extensions import HasFlowChanges, HasHistory, HasSafeSteps, extend
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.specs import make_action_spec, make_observation_spec, make_reward_spec
 from fishrl.envs.task import AbstractTask
@@ -104,7 +103,7 @@ class FlowEnv(EnvBase):
         if task.num_fish > 1:
             names = [f"fish_{number}" for number in range(task.num_fish)]
             self.group_map = MarlGroupMapType.ALL_IN_ONE_GROUP.get_group_map(names)
-        self._history = task if isinstance(task, HasHistory) else HasHistory()
+        self._history = extend(task, HasHistory)
         self._schedule = make_schedule(
             task.n_substeps,
             checks=task.checks_per_action,
@@ -199,11 +198,11 @@ class FlowEnv(EnvBase):
         if tensordict is not None and "_reset" in tensordict:
             rows = tensordict["_reset"].reshape(self.batch_size)
         drawn, index = self._draw_starts(rows)
-        self.start = merge(rows, drawn, self.start)
+        self.start = _merge(rows, drawn, self.start)
         self._start_index = torch.where(rows, index, self._start_index)
         self._episode = self._episode + rows
         self.task.place_(self.solver, rows, self.start)
-        self.now = merge(rows, self._begin(), self.now)
+        self.now = _merge(rows, self._begin(), self.now)
         none = torch.zeros_like(rows)
         return self._write(diverged=none, done=none, terminated=none, truncated=none)
 
@@ -212,13 +211,13 @@ class FlowEnv(EnvBase):
         before = self.now.copy().update(self._read_inputs(tensordict))
         command = self.task.command(action, before)
         check_command(self.task, command, self._shape)
-        self.task.prepare_(self.solver, self.start)
+        extend(self.task, HasFlowChanges).prepare_(self.solver, self.start)
         self.solver.command_(
             command.turn, self.task.n_substeps, command.frequency, command.amplitude
         )
         now, diverged = self._advance(before)
         now.update(self._history.remember(before, action, now))
-        self.now = merge(~diverged, now, self.now)
+        self.now = _merge(~diverged, now, self.now)
         self._count(diverged)
         terminated = self.task.is_terminated(self.now) & ~diverged
         reward = self.task.reward(before, self.now)
@@ -255,7 +254,7 @@ class FlowEnv(EnvBase):
             num_due = 0
             self.is_moving, self.is_ending = ~has_ended, torch.zeros_like(has_ended)
             if stretch.is_sample:
-                kept = merge(has_ended, kept, self._sense())
+                kept = _merge(has_ended, kept, self._sense())
                 samples.append(kept)
             if is_check:
                 measured, num_unmeasured = self.measure(), 0
@@ -265,10 +264,10 @@ class FlowEnv(EnvBase):
                 # ask a GPU whether any have would be to wait for it.
                 if is_new.is_cuda or is_new.any():
                     diverged = diverged | is_new & self.solver.is_diverged()
-                    now = merge(is_new, measured, now.select(*measured.keys()))
+                    now = _merge(is_new, measured, now.select(*measured.keys()))
                     has_ended = has_ended | is_new
                     if self._history.num_samples and not samples:
-                        kept = merge(is_new, self._sense(), kept)
+                        kept = _merge(is_new, self._sense(), kept)
                 num_safe = self._count_safe_steps(measured, has_ended)
             if on_frame:
                 on_frame(self)
@@ -278,7 +277,8 @@ class FlowEnv(EnvBase):
         """Return for how many steps no row ends; 0 on a GPU, where reading it would wait."""
         if has_ended.is_cuda:
             return 0.0
-        return float(self.task.count_safe_steps(now).masked_fill(has_ended, inf).min())
+        safe = extend(self.task, HasSafeSteps).count_safe_steps(now)
+        return float(safe.masked_fill(has_ended, inf).min())
 
     def _count(self, diverged: Tensor) -> None:
         if diverged.any():
@@ -364,3 +364,11 @@ class FlowEnv(EnvBase):
         """End the solver's processes, if any."""
         super().close(raise_if_closed=raise_if_closed)
         self.solver.close()
+
+
+def _merge(rows: Tensor, new: TensorDictBase, old: TensorDictBase) -> TensorDict:
+    """Return ``new`` in ``rows`` ``[B]`` and ``old`` elsewhere."""
+    return old.apply(
+        lambda kept, fresh: torch.where(rows.view(-1, *(1,) * (kept.dim() - 1)), fresh, kept),
+        new,
+    )

@@ -1,8 +1,9 @@
 """Streams of several speeds, which may change within an episode, with or without half discs."""
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, cached_property
 from math import floor, inf, pi
 from typing import Annotated, Any
 
@@ -14,7 +15,8 @@ from torch.utils import _pytree as pytree
 
 from fishrl.envs.changes import StreamChanges
 from fishrl.envs.protocol import Solver
-from fishrl.envs.scene import Panel, Series
+from fishrl.envs.scene import Area, Panel, Series
+from fishrl.envs.task import AbstractTask
 from fishrl.envs.wakes import WakeBank, WakeRecipe, load_wakes
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.outline import BodyParams, DCylinder
@@ -125,8 +127,13 @@ class Stream(Settings):
         """Return the diameter of each half disc in nodes."""
         return tuple(diameter * scales.body_length for diameter in self.diameters_bl)
 
-    def load_wakes(self, config: FlowConfig, scales: Scales) -> WakeBank:
-        """Return the developed wakes of all flows, from the file of each diameter if it exists."""
+    def load_wakes(self, config: FlowConfig, scales: Scales) -> WakeBank | None:
+        """Return the developed wakes of all flows, from the file of each diameter if it exists.
+
+        None in free streams.
+        """
+        if not self.has_disc:
+            return None
         discs, places = _make_discs(self._measure_discs(scales)), self.find_discs(config, scales)
         wakes: dict[int, tuple[Tensor, Tensor]] = {}
         for diameter in dict.fromkeys(self.diameters_bl):
@@ -236,6 +243,52 @@ class Stream(Settings):
         solver.reset_(rows, position, heading, velocity=(1.0, 0.0))
         if wakes is not None:
             solver.set_populations_(wakes.take(flow[rows], starts["wake_phase"][rows]), rows)
+
+
+class AbstractStreamTask(AbstractTask):
+    """Base of tasks in streams; places are relative to the middle of the disc's flat side, in L."""
+
+    @property
+    @abstractmethod
+    def stream(self) -> Stream:
+        """The streams."""
+
+    @property
+    def max_stream_speed_bl(self) -> float:
+        """Fastest of the known streams."""
+        return max(self.stream.speeds_bl)
+
+    def flow_config(self) -> FlowConfig:
+        """Return the flow with the fastest stream."""
+        return self.stream.make_config(self.fish, self.scales, self.domain_bl)
+
+    @cached_property
+    def origin(self) -> tuple[float, float]:
+        """Middle of the disc's flat side, (x, y) in nodes."""
+        return self.stream.find_origin(self.flow_config(), self.scales)
+
+    @cached_property
+    def wakes(self) -> WakeBank | None:
+        """Developed wakes in which episodes begin; None in free streams."""
+        return self.stream.load_wakes(self.flow_config(), self.scales)
+
+    def locate(self, position: Tensor) -> Tensor:
+        """Return the places of positions ``[..., 2]`` in nodes."""
+        x, y = self.origin  # numbers: a tensor would have to be copied to a GPU each time
+        return torch.stack((position[..., 0] - x, position[..., 1] - y), -1) / self.body_length
+
+    def frame(self, key: str, *, x_bl: tuple[float, float], aside_bl: float) -> Area:
+        """Return the area of places with x in ``x_bl`` and y within ``aside_bl`` of 0."""
+        (x, y), length = self.origin, self.body_length
+        (near, far), aside = (x + length * end for end in x_bl), aside_bl * length
+        return Area(key=key, low=(near, y - aside), high=(far, y + aside))
+
+    def check_starts(self, starts: TensorDictBase) -> None:
+        """Also check the wake phases."""
+        super().check_starts(starts)
+        phase = starts["wake_phase"]
+        if not ((phase >= 0.0) & (phase < 1.0)).all():
+            raise ValueError(f"starts['wake_phase'] = {phase.tolist()}: allowed is [0, 1)")
 
 
 @cache

@@ -5,8 +5,8 @@ reward and termination follow from the measurement. Everything is a tensor or Te
 leading batch axis B; there are no loops over the batch, and rows are distinguished by masks
 (``torch.where``). A task keeps no state: what persists between decisions is in the flow, in the
 starts or in the last measurement. The environment handles specs, resets, sub-steps, divergence and
-checkpoints. ``fishrl.envs.extensions`` holds optional bases: sensor series and memory, flow labels,
-and items of the scene.
+checkpoints. ``fishrl.envs.extensions`` holds optional bases, such as sensor series and memory, flow
+labels, and items of the scene.
 """
 
 from abc import ABC, abstractmethod
@@ -19,7 +19,7 @@ from pydantic import Field, PositiveFloat, PositiveInt
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.envs.extensions import HasHistory
+from fishrl.envs.extensions import HasHistory, extend
 from fishrl.envs.protocol import Solver
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.starts import check_fit, check_pattern, place_fish
@@ -75,7 +75,7 @@ class AbstractTask(Settings, ABC):
     checks_per_action: PositiveInt = 25
 
     def __post_init__(self) -> None:
-        num_samples = self.num_samples if isinstance(self, HasHistory) else 0
+        num_samples = extend(self, HasHistory).num_samples
         stretches = make_schedule(
             self.n_substeps, checks=self.checks_per_action, samples=num_samples
         )
@@ -175,10 +175,6 @@ class AbstractTask(Settings, ABC):
         """Duration of an action in periods T, rounded to whole steps."""
         return self.n_substeps / self.scales.period
 
-    def count_decisions(self, periods: float | None) -> int:
-        """Return how many decisions last some periods T, rounded up; None is a whole episode."""
-        return self.time_limit if periods is None else ceil(periods / self.interval_T - 1e-9)
-
     @property
     def wall_margin(self) -> float:
         """Smallest distance of a marker from the edge, in nodes."""
@@ -227,12 +223,6 @@ class AbstractTask(Settings, ABC):
         position, heading = place_fish(starts, self.fish)
         solver.reset_(rows, position, heading)
 
-    def prepare_(self, solver: Solver, starts: TensorDictBase) -> None:  # optional
-        """Change the flow before an action, for example its stream speed; by default do nothing.
-
-        ``starts`` ``[B]`` belong to the episodes; ``solver.body.age`` counts the steps since.
-        """
-
     @abstractmethod
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
         """Map legal actions ``[B]`` (int64, in [0, num_actions)) to commands to the body.
@@ -264,14 +254,6 @@ class AbstractTask(Settings, ABC):
 
         Also called within actions, with the entries of ``measure`` only.
         """
-
-    def count_safe_steps(self, now: TensorDictBase) -> Tensor:
-        """Return a number of steps ``[B]`` in which an episode certainly does not terminate.
-
-        The environment skips the checks for termination within these steps. ``now`` is as in
-        ``is_terminated``. The default, 0, is always valid.
-        """
-        return torch.zeros(now.shape, device=now.device)
 
     def action_mask(self, now: TensorDictBase) -> Tensor:
         """Return ``[B, num_actions]`` bool: legal discrete actions, at least one per row."""

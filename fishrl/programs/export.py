@@ -15,7 +15,7 @@ from pydantic import PositiveFloat, PositiveInt
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from fishrl.envs import run_episodes
+from fishrl.envs.episodes import count_decisions, run_episodes
 from fishrl.extras import show_install
 from fishrl.programs.policy_settings import PolicySettings, read_task
 from fishrl.programs.program import program
@@ -51,7 +51,7 @@ class ExportSettings(PolicySettings):
 def simulate(settings: ExportSettings, *, progress: Progress) -> "xr.Dataset":
     """Run one episode and return its fields ``(time, y, x)`` and outlines ``(time, marker)``."""
     task, recognition, policy = settings.make_policy()
-    max_decisions = min(task.time_limit, task.count_decisions(settings.periods))
+    max_decisions = min(task.time_limit, count_decisions(task, settings.periods))
     stride = max(1, round(task.checks_per_action / task.interval_T / settings.frames_per_T))
     is_due = cycle([*[False] * (stride - 1), True])  # at a check
     env = settings.make_env(task, recognition, num_envs=1, progress=progress)

@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
+from fishrl.envs.episodes import count_decisions
 from fishrl.envs.scene import Frame
 from fishrl.programs.policy_settings import PolicySettings, read_task
 from fishrl.programs.program import program
@@ -102,7 +103,7 @@ def record(
     flows = settings.shown
     task, recognition, policy = settings.make_policy()
     starts = fixed_starts(task, settings.episodes, seed=settings.seed)
-    max_decisions = min(task.time_limit, task.count_decisions(settings.periods))
+    max_decisions = min(task.time_limit, count_decisions(task, settings.periods))
     times: dict[int, list[float]] = {flow: [] for flow in flows}
     with ExitStack() as stack:
         env = settings.make_env(task, recognition, num_envs=len(flows), progress=progress)

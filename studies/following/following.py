@@ -23,7 +23,7 @@ from experiments.program import TaskSettings, check_names, program
 from experiments.statistics import Statistic
 from fishrl.bounds import bounded
 from fishrl.envs import Follower, make_env
-from fishrl.envs.episodes import run_episodes
+from fishrl.envs.episodes import count_decisions, run_episodes
 from fishrl.envs.views import compute_fields
 from fishrl.training import load_policy
 from fishrl.training.baselines import make_baseline
@@ -189,7 +189,7 @@ def main(settings: FollowingSettings) -> None:
     torch.set_num_threads(1)
     check_names([*(Path(run).name for run in settings.runs), settings.baseline])
     task = make(settings.task, kind=Follower)
-    task = replace(task, time_limit=task.count_decisions(settings.periods))
+    task = replace(task, time_limit=count_decisions(task, settings.periods))
     check_tasks(settings.runs, task)
     places = {"behind the leader": task, "alone": replace(task, leader="none")}
     folder, tried = Path(settings.folder), dict[str, Record]()

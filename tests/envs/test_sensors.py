@@ -4,8 +4,9 @@ import math
 
 import pytest
 import torch
+from tensordict import TensorDict
 
-from fishrl.envs.rewards import reward_approach
+from fishrl.envs import Predation
 from fishrl.envs.sensors import compute_bearing_error, compute_clearance, sense_target
 from fishrl.physics import FlowConfig
 
@@ -75,5 +76,9 @@ def test_clearance_is_the_distance_from_the_nearest_edge() -> None:
 def test_approach_reward_needs_a_smaller_distance_or_bearing_error() -> None:
     before, after = doubles(2.0, 2.0, 2.0, 2.0, 2.0), doubles(1.9, 2.1, 2.1, 2.0, 2.0)
     old_error, error = doubles(0.1, -0.5, 0.5, 0.2, 0.2), doubles(0.3, 0.4, -0.6, 0.2, -0.1)
-    reward = reward_approach(before, after, old_error, error)
+    seen = (
+        TensorDict({"target": torch.stack((*[distance] * 3, angle), -1)}, [5])
+        for distance, angle in ((before, old_error), (after, error))
+    )
+    reward = Predation().reward(*seen)
     assert reward.tolist() == [1.0, 1.0, -1.0, -1.0, 1.0]

@@ -12,12 +12,11 @@ from torch import Tensor
 
 from fishrl.envs.extensions import HasHistory, HasScene
 from fishrl.envs.protocol import Solver
-from fishrl.envs.scene import Area, Scene
+from fishrl.envs.scene import Scene
 from fishrl.envs.sensors import compute_clearance, compute_gap, wrap_angle
 from fishrl.envs.starts import check_fit, place_fish, place_outline
-from fishrl.envs.streams import Stream
-from fishrl.envs.task import AbstractTask, Command
-from fishrl.envs.wakes import WakeBank
+from fishrl.envs.streams import AbstractStreamTask, Stream
+from fishrl.envs.task import Command
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.motion import Bending, Driven
 from fishrl.physics.flow import FlowConfig, Sponge
@@ -30,7 +29,7 @@ _Share = Annotated[float, Field(ge=0, le=1)]
 
 
 @final
-class Follower(AbstractTask, HasHistory, HasScene):
+class Follower(AbstractStreamTask, HasHistory, HasScene):
     """Hold a place in the wake of a leader by bending the midline and choosing the tail beat.
 
     The leader beats once per T and is held in place, in a stream along +x of the speed at which it
@@ -138,11 +137,6 @@ class Follower(AbstractTask, HasHistory, HasScene):
         return max(1.0, self.frequency_range[1])
 
     @property
-    def max_stream_speed_bl(self) -> float:
-        """Speed of the stream."""
-        return self.stream_speed_bl
-
-    @property
     def swimming_speed(self) -> float:
         """Bound on the speed of a marker, with a bend from one side to the other.
 
@@ -168,26 +162,14 @@ class Follower(AbstractTask, HasHistory, HasScene):
             wake_folder=self.wake_folder,
         )
 
-    @cached_property
-    def wakes(self) -> WakeBank | None:
-        """Developed wakes behind the half disc; the wake of a fish develops within the episode."""
-        if self.leader != "disc":
-            return None
-        return self.stream.load_wakes(self.flow_config(), self.scales)
-
     def flow_config(self) -> FlowConfig:
         """Return the stream with the follower and, if any, the leader."""
-        config = self.stream.make_config(self.fish, self.scales, self.domain_bl)
+        config = super().flow_config()
         leader = replace(self.fish, motion=Driven())
         bodies = (self.fish, leader) if self.leader == "fish" else config.bodies
         # the first vortices would grow at the outflow
         sponge = Sponge(length=self.body_length // 2)
         return replace(config, bodies=bodies, sponges=(sponge,))
-
-    @cached_property
-    def origin(self) -> tuple[float, float]:
-        """Initial position of the leader's rear end, (x, y) in nodes."""
-        return self.stream.find_origin(self.flow_config(), self.scales)
 
     @cached_property
     def leader_start(self) -> TensorDict:
@@ -223,9 +205,7 @@ class Follower(AbstractTask, HasHistory, HasScene):
     def check_starts(self, starts: TensorDictBase) -> None:
         """Also check that the follower is within its range and apart from the leader."""
         super().check_starts(starts)
-        if not ((starts["wake_phase"] >= 0.0) & (starts["wake_phase"] < 1.0)).all():
-            raise ValueError(f"wake_phase = {starts['wake_phase'].tolist()}: allowed is [0, 1)")
-        place = self._locate(place_fish(starts, self.fish)[0])
+        place = self.locate(place_fish(starts, self.fish)[0])
         gap, config = torch.full_like(place[:, 0], inf), self.flow_config()
         for leader in config.bodies[1:]:
             check_fit(self.leader_start, leader, config, margin=self.wall_margin)
@@ -268,7 +248,7 @@ class Follower(AbstractTask, HasHistory, HasScene):
         unit = (scales.reference_speed * self.body_length) ** 2
         return TensorDict(
             {
-                "place": self._locate(body.position),
+                "place": self.locate(body.position),
                 "heading": wrap_angle(body.heading + body.internal_angle - pi),
                 "velocity": body.velocity / scales.reference_speed,
                 "spin": body.angular_velocity * scales.period,
@@ -327,14 +307,8 @@ class Follower(AbstractTask, HasHistory, HasScene):
 
     def add_to_scene(self, scene: Scene) -> Scene:
         """Add the range of the centre of mass."""
-        (x, y), length, aside = self.origin, self.body_length, self.aside_bl * self.body_length
-        low, high = (x + length * end for end in self.range_bl)
-        area = Area(key="range", low=(low, y - aside), high=(high, y + aside))
+        area = self.frame("range", x_bl=self.range_bl, aside_bl=self.aside_bl)
         return scene.extend(areas=(area,))
-
-    def _locate(self, position: Tensor) -> Tensor:
-        x, y = self.origin  # numbers: a tensor would have to be copied to a GPU each time
-        return torch.stack((position[:, 0] - x, position[:, 1] - y), -1) / self.body_length
 
     def _measure_way(self, now: TensorDictBase) -> Tensor:
         """Return how far the follower has swum through the water, L, up to a constant."""

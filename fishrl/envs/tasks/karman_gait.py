@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cached_property
 from math import pi
 from typing import Any, ClassVar, final
 
@@ -10,24 +9,22 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.envs.extensions import HasFlowLabels, HasHistory, HasScene
+from fishrl.envs.extensions import HasFlowChanges, HasFlowLabels, HasHistory, HasScene
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import FrequencyControl, MacroActions
 from fishrl.envs.protocol import Solver
-from fishrl.envs.scene import Area, Panel, Scene, Series
+from fishrl.envs.scene import Panel, Scene, Series
 from fishrl.envs.sensors import compute_clearance, wrap_angle
 from fishrl.envs.starts import place_fish
 from fishrl.envs.stations import SafeArea, StationReward
 from fishrl.envs.steering import PIDSteering, Steering
-from fishrl.envs.streams import Stream
-from fishrl.envs.task import AbstractTask, Command
+from fishrl.envs.streams import AbstractStreamTask, Stream
+from fishrl.envs.task import Command
 from fishrl.envs.views import describe_flow_label, describe_lateral_line, find_shown_feature
-from fishrl.envs.wakes import WakeBank
-from fishrl.physics.flow import FlowConfig
 
 
 @final
-class KarmanGait(AbstractTask, HasFlowLabels, HasHistory, HasScene):
+class KarmanGait(AbstractStreamTask, HasFlowChanges, HasFlowLabels, HasHistory, HasScene):
     """Hold station behind a half disc, or in a free stream, by choosing the tail-beat frequency.
 
     Positions are of the nose relative to the middle of the disc's flat side, x downstream, in body
@@ -136,11 +133,6 @@ class KarmanGait(AbstractTask, HasFlowLabels, HasHistory, HasScene):
         return self.control.max_frequency
 
     @property
-    def max_stream_speed_bl(self) -> float:
-        """Fastest of the known streams."""
-        return max(self.stream.speeds_bl)
-
-    @property
     def flow_labels(self) -> list[dict[str, Any]]:
         """Parameters of each flow, in the order of ``flow_index``."""
         common = {
@@ -165,22 +157,6 @@ class KarmanGait(AbstractTask, HasFlowLabels, HasHistory, HasScene):
         interval = self.interval_T / self.num_samples
         return self.lateral_line.layout | {"interval_T": interval}
 
-    def flow_config(self) -> FlowConfig:
-        """Return the flow with the fastest stream."""
-        return self.stream.make_config(self.fish, self.scales, self.domain_bl)
-
-    @cached_property
-    def origin(self) -> tuple[float, float]:
-        """Middle of the disc's flat side, (x, y) in nodes."""
-        return self.stream.find_origin(self.flow_config(), self.scales)
-
-    @cached_property
-    def wakes(self) -> WakeBank | None:
-        """Developed wakes in which episodes begin; None in free streams."""
-        if not self.stream.has_disc:
-            return None
-        return self.stream.load_wakes(self.flow_config(), self.scales)
-
     def starts_from(self, uniform: Tensor) -> TensorDict:
         """Draw nose position, flow, wake phase, key for sensor noise, and changes of the stream."""
         ranges = torch.tensor((self.start_x_bl, self.start_y_bl)).to(uniform)
@@ -203,16 +179,13 @@ class KarmanGait(AbstractTask, HasFlowLabels, HasHistory, HasScene):
         )
 
     def check_starts(self, starts: TensorDictBase) -> None:
-        """Also check flow indices, wake phases, streams, and that no nose is in the danger area."""
+        """Also check flow indices, streams, and that no nose is in the danger area."""
         super().check_starts(starts)
         self.stream.check_starts(starts, self.scales)
-        flow, phase = starts["flow_index"], starts["wake_phase"]
-        num = len(self.stream.speeds_bl)
+        flow, num = starts["flow_index"], len(self.stream.speeds_bl)
         if not ((flow >= 0) & (flow < num)).all():
             raise ValueError(f"starts['flow_index'] = {flow.tolist()}: allowed is 0 to {num - 1}")
-        if not ((phase >= 0.0) & (phase < 1.0)).all():
-            raise ValueError(f"starts['wake_phase'] = {phase.tolist()}: allowed is [0, 1)")
-        self.safe_area.check_starts(self._locate(starts["head"]))
+        self.safe_area.check_starts(self.locate(starts["head"]))
 
     def place_(self, solver: Solver, rows: Tensor, starts: TensorDictBase) -> None:
         """Set the stream, wake and fish of each row."""
@@ -237,8 +210,8 @@ class KarmanGait(AbstractTask, HasFlowLabels, HasHistory, HasScene):
         unit = (self.scales.reference_speed * self.body_length) ** 2
         return TensorDict(
             {
-                "place": self._locate(markers[:, 0]),
-                "middle": self._locate(markers.mean(1)),
+                "place": self.locate(markers[:, 0]),
+                "middle": self.locate(markers.mean(1)),
                 "heading": body.heading.clone(),
                 "age": body.age.clone(),
                 "clearance": compute_clearance(markers, solver.config),
@@ -332,19 +305,15 @@ class KarmanGait(AbstractTask, HasFlowLabels, HasHistory, HasScene):
 
     def add_to_scene(self, scene: Scene) -> Scene:
         """Add the safe area, the nose's place in it, the lateral line and the flow label."""
-        (x, y), length, area = self.origin, self.body_length, self.safe_area
-        danger = Area(
-            key="danger_area",
-            low=(x + area.near_bl * length, y - area.aside_bl * length),
-            high=(x + area.far_bl * length, y + area.aside_bl * length),
-        )
+        area = self.safe_area
+        x_bl = (area.near_bl, area.far_bl)
         place = (
             Series(key="place", column=0, label="x, downstream"),
             Series(key="place", column=1, label="y"),
         )
-        neuromasts, signals = describe_lateral_line(self.lateral_line, body_length=length)
+        neuromasts, signals = describe_lateral_line(self.lateral_line, body_length=self.body_length)
         return scene.extend(
-            areas=(danger,),
+            areas=(self.frame("danger_area", x_bl=x_bl, aside_bl=area.aside_bl),),
             marks=(neuromasts,),
             panels=(
                 *self.stream.panels,
@@ -360,15 +329,11 @@ class KarmanGait(AbstractTask, HasFlowLabels, HasHistory, HasScene):
         neuromasts = self.lateral_line.place(solver)[0]
         signal = self.sense(solver, starts)["sensed"][..., find_shown_feature(self.lateral_line)]
         return {
-            "place": self._locate(solver.markers()[:, 0]),
+            "place": self.locate(solver.markers()[:, 0]),
             "neuromasts": neuromasts,
             "signal": signal.expand(neuromasts.shape[:2]),
             "stream_speed": solver.stream_speed / self.scales.reference_speed,
         }
-
-    def _locate(self, head: Tensor) -> Tensor:
-        x, y = self.origin  # numbers: a tensor would have to be copied to a GPU each time
-        return torch.stack((head[..., 0] - x, head[..., 1] - y), -1) / self.body_length
 
     def _observe_steering(self, now: TensorDictBase) -> Tensor:
         return self.steering.observe(now["place"], now["middle"], now["heading"])

@@ -9,9 +9,8 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.envs.extensions import HasScene
+from fishrl.envs.extensions import HasSafeSteps, HasScene
 from fishrl.envs.protocol import Solver
-from fishrl.envs.rewards import reward_approach
 from fishrl.envs.scene import Marks, Panel, Scene, Series
 from fishrl.envs.sensors import compute_clearance, sense_target
 from fishrl.envs.task import AbstractTask, Command
@@ -21,7 +20,7 @@ CHANCE_UP = {"up": 1.0, "down": 0.0, "random": 0.5}
 _Frequency = Annotated[float, Field(ge=0, le=10)]
 
 
-class AbstractPredation(AbstractTask, HasScene):
+class AbstractPredation(AbstractTask, HasSafeSteps, HasScene):
     """Base of tasks with food that rests at first and then moves up and down between two limits.
 
     Actions: 0 turn clockwise, 1 keep the heading, 2 turn counter-clockwise; or two numbers, the
@@ -184,25 +183,53 @@ class AbstractPredation(AbstractTask, HasScene):
             return Command(turn.deg2rad(), frequency / self.scales.period)
         return Command(turn=radians(self.turn_degrees) * (action.double() - 1.0))
 
-    def count_approach(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
-        """Return +1 or -1 for approach, see ``rewards``; if actions are continuous, for each beat.
+    def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
+        """Return +1 or -1 for approach, plus 20 for a capture; ``[B]``, or ``[B, M]`` of M fish.
 
-        If each decision counted alike, the slowest approach would be rewarded most. Shape ``[B]``,
-        or ``[B, M]`` of M fish.
+        Approach is a smaller distance or bearing error: either suffices, as in the paper ("bearing
+        or distance shrinks"). If actions are continuous it counts for each beat: if each decision
+        counted alike, the slowest approach would be rewarded most.
         """
         (old_distance, old_error), (distance, error) = (
             td["target"][..., 2:].unbind(-1) for td in (before, now)
         )
-        approach = reward_approach(old_distance, distance, old_error, error)
-        if not self.is_continuous:
-            return approach
-        swum: Tensor = now["beats"] - before["beats"]
-        return approach * swum
+        comes_nearer = (distance < old_distance) | (error.abs() < old_error.abs())
+        approach = torch.where(comes_nearer, 1.0, -1.0)
+        if self.is_continuous:
+            approach = approach * (now["beats"] - before["beats"])
+        return approach + 20.0 * self.has_caught(now)
 
     def has_caught(self, now: TensorDictBase) -> Tensor:
         """Return whether the food is within reach, ``[B]``, or ``[B, M]`` of M fish."""
         distance: Tensor = now["target"][..., 2]
         return distance <= self.capture_radius_bl
+
+    def is_terminated(self, now: TensorDictBase) -> Tensor:
+        """Return whether the food is captured or a wall is hit, by any fish."""
+        hits_wall: Tensor = now["clearance"] < self.wall_margin
+        has_ended = hits_wall | self.has_caught(now)
+        return has_ended.any(1) if self.num_fish > 1 else has_ended
+
+    def count_safe_steps(self, now: TensorDictBase) -> Tensor:
+        """Return how long the nearest fish takes at least to a wall and to the food."""
+        speed = self.marker_speed
+        distance = now["target"][..., 2] * self.body_length - self.capture_radius
+        to_food = distance / (speed + self.food_speed)
+        steps = torch.minimum((now["clearance"] - self.wall_margin) / speed, to_food)
+        return steps.amin(1) if self.num_fish > 1 else steps
+
+    def _make_starts(self, head: Tensor, chance: Tensor) -> TensorDict:
+        """Return starts that face -x, of noses ``head`` and random numbers ``chance`` ``[E]``."""
+        is_up = chance < CHANCE_UP[self.food_direction]
+        return TensorDict(
+            {
+                "head": head,
+                "heading": torch.full_like(head[..., 0], pi),
+                "food_direction": torch.where(is_up, 1.0, -1.0).to(chance.dtype),
+            },
+            chance.shape,
+            device=chance.device,
+        )
 
     def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
         """Add the food and its distance from the nearest nose."""
@@ -254,16 +281,8 @@ class Predation(AbstractPredation):
     def starts_from(self, uniform: Tensor) -> TensorDict:
         """Draw nose positions (on nodes, facing -x) and the food's first direction."""
         low, high = torch.tensor(self.start_range, dtype=torch.float64, device=uniform.device).T
-        head = low + torch.floor(uniform[:, :2] * (high - low + 1.0))
-        is_up = uniform[:, 2] < CHANCE_UP[self.food_direction]
-        return TensorDict(
-            {
-                "head": head,
-                "heading": torch.full_like(uniform[:, 2], pi),
-                "food_direction": torch.where(is_up, 1.0, -1.0).to(uniform.dtype),
-            },
-            uniform.shape[:1],
-            device=uniform.device,
+        return self._make_starts(
+            low + torch.floor(uniform[:, :2] * (high - low + 1.0)), uniform[:, 2]
         )
 
     def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
@@ -288,22 +307,6 @@ class Predation(AbstractPredation):
         """Return the food relative to the nose, see ``sensors.sense_target``."""
         target: Tensor = now["target"]
         return target.float()
-
-    def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
-        """Return +1 or -1 for approach, plus 20 for a capture."""
-        return self.count_approach(before, now) + 20.0 * self.has_caught(now)
-
-    def is_terminated(self, now: TensorDictBase) -> Tensor:
-        """Return whether the food is captured or a wall is hit."""
-        hits_wall: Tensor = now["clearance"] < self.wall_margin
-        return hits_wall | self.has_caught(now)
-
-    def count_safe_steps(self, now: TensorDictBase) -> Tensor:
-        """Return how long the fish takes at least to the nearest wall and to the food."""
-        speed = self.marker_speed
-        distance = now["target"][:, 2] * self.body_length - self.capture_radius
-        to_food = distance / (speed + self.food_speed)
-        return torch.minimum((now["clearance"] - self.wall_margin) / speed, to_food)
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return ``captured`` ``[B]``."""

@@ -1,6 +1,5 @@
 """Predation by two fish that pursue the same food."""
 
-from math import pi
 from typing import Annotated, ClassVar, final
 
 import torch
@@ -11,7 +10,7 @@ from torch import Tensor
 from fishrl.envs.protocol import Solver
 from fishrl.envs.sensors import compute_clearance, compute_gap, sense_target
 from fishrl.envs.starts import place_outline
-from fishrl.envs.tasks.predation import CHANCE_UP, AbstractPredation
+from fishrl.envs.tasks.predation import AbstractPredation
 from fishrl.physics.placement import MIN_GAP
 
 
@@ -84,16 +83,7 @@ class PredationPair(AbstractPredation):
         low = uniform.new_tensor([[left, lane[0]] for lane in lanes])
         high = uniform.new_tensor([[right, lane[1]] for lane in lanes])
         places = uniform[:, :4].view(-1, 2, 2)
-        is_up = uniform[:, 4] < CHANCE_UP[self.food_direction]
-        return TensorDict(
-            {
-                "head": low + torch.floor(places * (high - low + 1.0)),
-                "heading": torch.full_like(uniform[:, :2], pi),
-                "food_direction": torch.where(is_up, 1.0, -1.0).to(uniform.dtype),
-            },
-            uniform.shape[:1],
-            device=uniform.device,
-        )
+        return self._make_starts(low + torch.floor(places * (high - low + 1.0)), uniform[:, 4])
 
     def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
         """Measure what each fish observes, its distance from the walls, and the gap of the two."""
@@ -126,24 +116,17 @@ class PredationPair(AbstractPredation):
         return torch.cat((now["other"], now["target"]), -1).float()
 
     def reward(self, before: TensorDictBase, now: TensorDictBase) -> Tensor:
-        """Return +1 or -1 for approach, plus 20 for a catch, minus the penalty for contact."""
-        touched = self.contact_penalty * self._has_contact(now)[:, None]
-        approach = self.count_approach(before, now)
-        reward: Tensor = approach + 20.0 * self.has_caught(now) - touched
-        return reward
+        """Subtract the penalty for contact."""
+        return super().reward(before, now) - self.contact_penalty * self._has_contact(now)[:, None]
 
     def is_terminated(self, now: TensorDictBase) -> Tensor:
         """Return whether the food is caught, a wall is hit, or the fish touch."""
-        hits_wall: Tensor = (now["clearance"] < self.wall_margin).any(1)
-        return hits_wall | self.has_caught(now).any(1) | self._has_contact(now)
+        return super().is_terminated(now) | self._has_contact(now)
 
     def count_safe_steps(self, now: TensorDictBase) -> Tensor:
         """Return the fewest steps in which a wall, the food or the other fish can be reached."""
-        speed = self.marker_speed
-        to_wall = (now["clearance"].amin(1) - self.wall_margin) / speed
-        away = now["target"][..., 2].amin(1) * self.body_length - self.capture_radius
-        to_other = (now["gap"] - self.contact_bl * self.body_length) / (2.0 * speed)
-        return torch.stack((to_wall, away / (speed + self.food_speed), to_other)).amin(0)
+        gap = now["gap"] - self.contact_bl * self.body_length
+        return torch.minimum(super().count_safe_steps(now), gap / (2.0 * self.marker_speed))
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return ``captured`` and ``contact`` ``[B]``, and ``caught`` ``[B, 2]``, by which fish."""

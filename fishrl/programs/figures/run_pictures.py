@@ -8,7 +8,7 @@ from matplotlib.patches import Circle, Polygon
 from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
 
-from fishrl.envs.episodes import Policy
+from fishrl.envs.episodes import Policy, count_decisions
 from fishrl.envs.scene import Frame
 from fishrl.programs.figures.learning_curve import write_learning_curve
 from fishrl.programs.figures.style import COLOURS, panels
@@ -46,7 +46,7 @@ def record_run(
     scene = make_scene(env, field=settings.field, field_limit=settings.field_limit)
     flows, max_decisions = list(range(min(_MAX_FLOWS, len(starts)))), None
     if scene.goal is None:
-        starts, max_decisions = starts[flows], task.count_decisions(_MAX_PERIODS)
+        starts, max_decisions = starts[flows], count_decisions(task, _MAX_PERIODS)
     recordings = [Recording(scene=scene) for _ in range(len(starts))]
 
     with start_drawing(

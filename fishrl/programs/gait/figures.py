@@ -11,6 +11,7 @@ import torch
 from matplotlib.patches import Rectangle, Wedge
 
 from fishrl.envs import KarmanGait, make_env
+from fishrl.envs.episodes import count_decisions
 from fishrl.envs.scene import Frame
 from fishrl.envs.transforms import make_labelling
 from fishrl.programs.figures.style import COLOURS, panels
@@ -145,7 +146,7 @@ def write_period(path: Path, trial: Trial, *, lead_T: float, periods_T: Sequence
         frames.append(frame)
 
     with closing(env):
-        most = task.count_decisions(lead_T + max(periods_T))
+        most = count_decisions(task, lead_T + max(periods_T))
         kept: Any = {"scene": scene, "give": give, "frames_per_T": _FRAMES_PER_T}
         record_episodes(env, trial.make_policy(), starts, max_decisions=most, **kept)
     x, y = (float(place) / task.body_length for place in task.origin)

@@ -13,7 +13,7 @@ from torch import Tensor
 from torchrl.envs.utils import ExplorationType
 
 from fishrl.envs import KarmanGait, make_env
-from fishrl.envs.episodes import run_episodes
+from fishrl.envs.episodes import count_decisions, run_episodes
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.macro_actions import ContinuousFrequency, DirectFrequencies
 from fishrl.envs.sensors import wrap_angle
@@ -109,7 +109,7 @@ def prolong(task: KarmanGait, periods: float) -> KarmanGait:
         task,
         stream=replace(task.stream, changes=None),
         start_flows=tuple(range(len(task.stream.speeds_bl))),
-        time_limit=task.count_decisions(periods),
+        time_limit=count_decisions(task, periods),
         start_x_bl=START_X_BL,
         start_y_bl=START_Y_BL,
     )
