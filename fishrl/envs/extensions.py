@@ -11,8 +11,8 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from fishrl.envs.protocol import Solver
 from fishrl.envs.scene import Scene
+from fishrl.physics.fast.solver import InPlaceSolver
 
 E = TypeVar("E")
 
@@ -34,7 +34,7 @@ class HasHistory:
         """W, calls of ``sense`` per action; 0 records no series."""
         return 0
 
-    def sense(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
+    def sense(self, solver: InPlaceSolver, starts: TensorDictBase) -> dict[str, Tensor]:
         """Return ``[B, ...]`` sensor readings to be recorded as a series within each action.
 
         Called W times within an action, at equal intervals, the last time at its end. The
@@ -66,7 +66,7 @@ class HasHistory:
 class HasFlowChanges:
     """Base of tasks whose flow changes within an episode, for example its stream speed."""
 
-    def prepare_(self, solver: Solver, starts: TensorDictBase) -> None:
+    def prepare_(self, solver: InPlaceSolver, starts: TensorDictBase) -> None:
         """Change the flow before an action.
 
         ``starts`` ``[B]`` belong to the episodes; ``solver.body.age`` counts the steps since.
@@ -123,7 +123,7 @@ class HasScene:
         """Return the scene with more in it: ``scene.extend(marks=(Marks(...),))``."""
         return scene
 
-    def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
+    def read_scene(self, solver: InPlaceSolver, starts: TensorDictBase) -> dict[str, Tensor]:
         """Return ``[B, ...]`` tensors of what was added, by key; arguments as in ``measure``."""
         return {}
 

@@ -8,7 +8,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 from torch import Tensor
 
 from fishrl.envs.draws import draw_uniform
-from fishrl.envs.protocol import Solver
+from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.settings import Settings, suggest
 
 #: The paper's features: time since the start in T, position in body lengths, and velocity, pressure
@@ -85,7 +85,7 @@ class LateralLine(Settings):
             "distance": self.distance,
         }
 
-    def place(self, solver: Solver) -> tuple[Tensor, Tensor, Tensor]:
+    def place(self, solver: InPlaceSolver) -> tuple[Tensor, Tensor, Tensor]:
         """Return neuromasts' points, velocity of the skin below them, and normals, ``[B, P, 2]``.
 
         Points are in nodes, velocities in nodes per step, unit normals point out of the body.
@@ -116,7 +116,7 @@ class LateralLine(Settings):
         return own
 
     def sense(
-        self, solver: Solver, key: Tensor, *, body_length: float, period: int
+        self, solver: InPlaceSolver, key: Tensor, *, body_length: float, period: int
     ) -> tuple[Tensor, Tensor]:
         """Return the current signals ``[B, P, F]`` (P = 1 if averaged) and the water's velocity.
 

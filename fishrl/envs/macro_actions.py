@@ -31,7 +31,9 @@ def _check_rising(row: tuple[float, ...]) -> tuple[float, ...]:
     return row
 
 
-_Row = Annotated[tuple[NonNegativeFloat, ...], Field(min_length=2), AfterValidator(_check_rising)]
+#: In the annotation of a tuple: its numbers rise.
+Rising = AfterValidator(_check_rising)
+_Row = Annotated[tuple[NonNegativeFloat, ...], Field(min_length=2), Rising]
 
 
 class FrequencyBank(Settings):
@@ -77,8 +79,8 @@ class FrequencyControl(Settings, ABC):
 
     @property
     def num_flows(self) -> int | None:
-        """Number of rows; None if the frequency does not depend on the flow."""
-        return len(self.rows)
+        """Number of rows; None, the default, if the frequency does not depend on the flow."""
+        return None
 
     @property
     def num_gears(self) -> int:
@@ -148,6 +150,11 @@ class MacroActions(FrequencyControl):
         return self.bank.rows
 
     @property
+    def num_flows(self) -> int:
+        """Number of rows."""
+        return len(self.rows)
+
+    @property
     def action_names(self) -> tuple[str, ...]:
         """Names of the three changes of the tail-beat frequency."""
         return "decelerate", "cruise", "accelerate"
@@ -177,11 +184,6 @@ class DirectFrequencies(FrequencyControl):
         return (self.frequencies,)
 
     @property
-    def num_flows(self) -> None:
-        """None: independent of the flow."""
-        return None
-
-    @property
     def action_names(self) -> tuple[str, ...]:
         """The frequencies."""
         return tuple(f"{frequency:g} beats/T" for frequency in self.frequencies)
@@ -199,24 +201,12 @@ class ContinuousFrequency(FrequencyControl):
             range of the whole bank of the macro-actions.
     """
 
-    frequency_range: tuple[NonNegativeFloat, NonNegativeFloat] = (0.25, 2.6)
-
-    def __post_init__(self) -> None:
-        if not self.frequency_range[0] < self.frequency_range[1]:
-            raise ValueError(
-                f"frequency_range = {self.frequency_range}: give the least, then the largest"
-            )
-        super().__post_init__()
+    frequency_range: Annotated[tuple[NonNegativeFloat, NonNegativeFloat], Rising] = (0.25, 2.6)
 
     @property
     def rows(self) -> tuple[tuple[float, ...], ...]:
         """The ends of the range."""
         return (self.frequency_range,)
-
-    @property
-    def num_flows(self) -> None:
-        """None: independent of the flow."""
-        return None
 
     @property
     def action_names(self) -> tuple[str, ...]:

@@ -14,13 +14,13 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from fishrl.envs.changes import StreamChanges
-from fishrl.envs.protocol import Solver
 from fishrl.envs.scene import Area, Panel, Series
 from fishrl.envs.task import AbstractTask
 from fishrl.envs.wakes import WakeBank, WakeRecipe, load_wakes
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.outline import BodyParams, DCylinder
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
+from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import MAX_WALL_SPEED, Scales
 from fishrl.settings import Settings
@@ -127,13 +127,8 @@ class Stream(Settings):
         """Return the diameter of each half disc in nodes."""
         return tuple(diameter * scales.body_length for diameter in self.diameters_bl)
 
-    def load_wakes(self, config: FlowConfig, scales: Scales) -> WakeBank | None:
-        """Return the developed wakes of all flows, from the file of each diameter if it exists.
-
-        None in free streams.
-        """
-        if not self.has_disc:
-            return None
+    def load_wakes(self, config: FlowConfig, scales: Scales) -> WakeBank:
+        """Return the developed wakes of all flows, from the file of each diameter if it exists."""
         discs, places = _make_discs(self._measure_discs(scales)), self.find_discs(config, scales)
         wakes: dict[int, tuple[Tensor, Tensor]] = {}
         for diameter in dict.fromkeys(self.diameters_bl):
@@ -173,7 +168,7 @@ class Stream(Settings):
             _check_speeds("starts['stream_speeds']", starts["stream_speeds"], scales)
 
     def change_(
-        self, solver: Solver, starts: TensorDictBase, *, scales: Scales, num_steps: int
+        self, solver: InPlaceSolver, starts: TensorDictBase, *, scales: Scales, num_steps: int
     ) -> None:
         """Begin the changes that fell due within the last ``num_steps``."""
         if self.changes is None or not starts["stream_speeds"].shape[1]:
@@ -188,7 +183,7 @@ class Stream(Settings):
             num_steps=round(self.changes.ramp_T * scales.period),
         )
 
-    def measure(self, solver: Solver, first: Tensor, scales: Scales) -> dict[str, Tensor]:
+    def measure(self, solver: InPlaceSolver, first: Tensor, scales: Scales) -> dict[str, Tensor]:
         """Return ``flow_index`` ``[B]``, and ``stream_speed`` ``[B]`` in L / T if it changes.
 
         ``flow_index`` is the flow behind the same disc whose speed is nearest at present; ``first``
@@ -218,7 +213,7 @@ class Stream(Settings):
 
     def begin_(
         self,
-        solver: Solver,
+        solver: InPlaceSolver,
         rows: Tensor,
         starts: Mapping[str, Tensor],
         place: tuple[Tensor, Tensor],
@@ -270,6 +265,8 @@ class AbstractStreamTask(AbstractTask):
     @cached_property
     def wakes(self) -> WakeBank | None:
         """Developed wakes in which episodes begin; None in free streams."""
+        if not self.stream.has_disc:
+            return None
         return self.stream.load_wakes(self.flow_config(), self.scales)
 
     def locate(self, position: Tensor) -> Tensor:

@@ -20,10 +20,10 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.extensions import HasHistory, extend
-from fishrl.envs.protocol import Solver
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.starts import check_fit, check_pattern, place_fish
 from fishrl.physics.bodies.fish import Fish
+from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import DEFAULT_WALL_SPEED, Scales
 from fishrl.settings import Settings
@@ -215,7 +215,7 @@ class AbstractTask(Settings, ABC):
         check_pattern(starts, self.starts_from(torch.zeros(1, self.num_draws, dtype=torch.float64)))
         check_fit(starts, self.fish, self.flow_config(), margin=self.wall_margin)
 
-    def place_(self, solver: Solver, rows: Tensor, starts: TensorDictBase) -> None:
+    def place_(self, solver: InPlaceSolver, rows: Tensor, starts: TensorDictBase) -> None:
         """Reset the flows of ``rows`` ``[B]`` bool and place their fish; others must not change.
 
         ``starts`` ``[B]`` are valid in ``rows``. The default is still water.
@@ -232,7 +232,7 @@ class AbstractTask(Settings, ABC):
         """
 
     @abstractmethod
-    def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
+    def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
         """Return a TensorDict ``[B]`` from which observation, reward and termination follow.
 
         Called several times within an action; a row keeps the first measurement that terminates its

@@ -8,7 +8,6 @@ from torch import Tensor
 
 from fishrl.envs.extensions import HasScene, extend
 from fishrl.envs.lateral_line import LateralLine
-from fishrl.envs.protocol import Solver
 from fishrl.envs.scene import (
     Area,
     Arrow,
@@ -24,6 +23,7 @@ from fishrl.envs.scene import (
 from fishrl.envs.task import AbstractTask
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.diagnostics import compute_pressure, compute_vorticity
+from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.units import Scales
 
@@ -184,7 +184,7 @@ def make_fields(config: FlowConfig, scales: Scales) -> tuple[Field, ...]:
     )
 
 
-def compute_fields(solver: Solver, scales: Scales) -> dict[str, Tensor]:
+def compute_fields(solver: InPlaceSolver, scales: Scales) -> dict[str, Tensor]:
     """Return the fields ``[B, Y, X]`` of ``make_fields``, float16."""
     rho, u = solver.macroscopic()
     speed = scales.reference_speed
@@ -196,7 +196,9 @@ def compute_fields(solver: Solver, scales: Scales) -> dict[str, Tensor]:
     return {key: field.half() for key, field in fields.items()}
 
 
-def read_scene(task: AbstractTask, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
+def read_scene(
+    task: AbstractTask, solver: InPlaceSolver, starts: TensorDictBase
+) -> dict[str, Tensor]:
     """Return ``[B, ...]`` tensors by the keys of ``make_scene``; numbers of M fish ``[B, M]``."""
     extension = extend(task, HasScene)
     scales, num_fish = task.scales, task.num_fish
@@ -213,7 +215,7 @@ def read_scene(task: AbstractTask, solver: Solver, starts: TensorDictBase) -> di
     return values | extension.read_scene(solver, starts)
 
 
-def _read_fish(solver: Solver, index: int, scales: Scales) -> dict[str, Tensor]:
+def _read_fish(solver: InPlaceSolver, index: int, scales: Scales) -> dict[str, Tensor]:
     """Return midline and nose of a fish, and its numbers ``[B]``."""
     body, markers, length = solver.bodies[index], solver.markers(index), scales.body_length
     heading = body.heading
@@ -285,7 +287,7 @@ def _name_obstacles(config: FlowConfig) -> list[str]:
     ]
 
 
-def _read_body(solver: Solver, index: int, name: str, scales: Scales) -> dict[str, Tensor]:
+def _read_body(solver: InPlaceSolver, index: int, name: str, scales: Scales) -> dict[str, Tensor]:
     """Return outline and centre of a body, the force on it and its time integral."""
     body, length = solver.bodies[index], scales.body_length
     force = length * scales.reference_speed**2  # per unit depth

@@ -79,7 +79,7 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
         loss_actor, actor_metadata = self.actor_loss(tensordict)
         log_prob, num_legal = actor_metadata["log_prob"], actor_metadata["num_legal"]
         loss_alpha = self._reduce_loss(
-            self._alpha_loss(log_prob, num_legal=num_legal),
+            self._temperature_loss(log_prob, num_legal),
             tensordict=tensordict,
             weights=self._maybe_get_priority_weight(tensordict),
         )
@@ -133,14 +133,10 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
         }
         return loss, metadata
 
-    def _alpha_loss(self, log_prob: Tensor, num_legal: Tensor | None = None) -> Tensor:
+    def _temperature_loss(self, log_prob: Tensor, num_legal: Tensor) -> Tensor:
         """Compute -log(alpha) (E[log pi] + target): Christodoulou 2019, eq. 11, with log(alpha).
 
         States with a single legal action do not contribute.
         """
-        if num_legal is None:
-            loss: Tensor = super()._alpha_loss(log_prob)
-            return loss
         gap = log_prob + self.target_entropy_by_count[num_legal]
-        loss = -self.log_alpha * torch.where(num_legal > 1, gap, torch.zeros_like(gap))
-        return loss
+        return -self.log_alpha * torch.where(num_legal > 1, gap, torch.zeros_like(gap))

@@ -76,7 +76,7 @@ class PolicySettings(TaskSettings):
         self, task: AbstractTask, recognition: Recognition, *, num_envs: int, progress: Progress
     ) -> TransformedEnv:
         """Return flows of ``make_policy``'s task, for whoever reads them at every check."""
-        progress.rename("compilation" if self.compile else "set-up")
+        progress.on_phase("compilation" if self.compile else "set-up")
         return make_env(
             task=task,
             recognition=recognition,

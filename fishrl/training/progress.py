@@ -61,10 +61,17 @@ class Progress(Callback):
 
     def on_phase(self, phase: str, *, total: int | None = None, done: int = 0) -> None:
         """Begin a bar, or name another phase on the same bar."""
-        if total is None:
-            self.rename(phase)
-        else:
-            self.start(phase, total=total, done=done)
+        if phase != self.phase:
+            if not self._is_terminal:
+                self._bar.refresh()
+            self.phase = phase
+            self._bar.set_description_str(f"{phase:<12}", refresh=self._is_terminal)
+        if total is not None:
+            self._bar.set_postfix_str("", refresh=False)
+            self._bar.initial = done  # what was done before says nothing about the speed now
+            self._bar.reset(total=total)
+            self._bar.n = done
+            self._bar.refresh()
 
     def on_progress(self, amount: int, shown: Mapping[str, float] = NOTHING) -> None:
         """Advance the bar."""
@@ -72,20 +79,7 @@ class Progress(Callback):
 
     def start(self, phase: str, *, total: int, done: int = 0) -> None:
         """Begin a bar of ``total`` frames or episodes, ``done`` of which are already over."""
-        self.rename(phase)
-        self._bar.set_postfix_str("", refresh=False)
-        self._bar.initial = done  # what was done before says nothing about the speed now
-        self._bar.reset(total=total)
-        self._bar.n = done
-        self._bar.refresh()
-
-    def rename(self, phase: str) -> None:
-        """Go over to another phase on the same bar."""
-        if phase != self.phase:
-            if not self._is_terminal:
-                self._bar.refresh()
-            self.phase = phase
-            self._bar.set_description_str(f"{phase:<12}", refresh=self._is_terminal)
+        self.on_phase(phase, total=total, done=done)
 
     def advance(self, amount: int, **shown: float) -> None:
         """Count ``amount`` more and show some numbers next to the bar."""

@@ -23,8 +23,8 @@ TINY["wall_margin_bl"] = 0.3
         ({"start_x_bl": (1.5, 1.0)}, "least"),
         ({"leader": "fisch"}, "did you mean 'fish'"),
         ({"leader_x_bl": 1.0}, "too near the edge"),
-        ({"amplitude_range": (0.5, 0.5)}, "amplitude_range = .* least, then"),
-        ({"frequency_range": (1, 1)}, "frequency_range = .* least, then"),
+        ({"amplitude_range": (0.5, 0.5)}, "amplitude_range = .* rising"),
+        ({"frequency_range": (1, 1)}, "frequency_range = .* rising"),
     ],
 )
 def test_invalid_settings_are_refused(settings: dict[str, object], problem: str) -> None:

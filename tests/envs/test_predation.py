@@ -188,7 +188,7 @@ BAD_ARGUMENTS: dict[str, tuple[dict[str, Any], str]] = {
     "in reach": ({"start_x_bl": (2.0, 7.5)}, r"may start with its food in reach"),
     "outside": ({"start_x_bl": (9.9, 9.9)}, r"does not fit; widen"),
     "action": ({"action": "continous"}, r"action = 'continous'.*did you mean 'continuous'"),
-    "frequency": ({"frequency_range": (1.0, 0.5)}, r"give the least, then the largest"),
+    "frequency": ({"frequency_range": (1.0, 0.5)}, r"frequency_range = .*must be rising"),
     "turn": ({"action": "continuous", "turn_degrees": 0}, r"turn_degrees = 0: .*greater than 0"),
     "tau": ({"reynolds": 1e6}, r"tau = 0.50.* outside the validated range.*raise body_length"),
 }

@@ -13,12 +13,12 @@ class Terminal(io.StringIO):
 def run(progress: Progress) -> None:
     """Go through the phases of a training with one evaluation."""
     with progress:
-        progress.rename("compilation")
+        progress.on_phase("compilation")
         progress.start("training", total=200)
         for _ in range(100):
             progress.advance(1, speed=3.0)
-        progress.rename("evaluation")
-        progress.rename("training")
+        progress.on_phase("evaluation")
+        progress.on_phase("training")
         for _ in range(100):
             progress.advance(1, speed=4.0)
 

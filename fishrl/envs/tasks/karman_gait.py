@@ -12,7 +12,6 @@ from torch import Tensor
 from fishrl.envs.extensions import HasFlowChanges, HasFlowLabels, HasHistory, HasScene
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import FrequencyControl, MacroActions
-from fishrl.envs.protocol import Solver
 from fishrl.envs.scene import Panel, Scene, Series
 from fishrl.envs.sensors import compute_clearance, wrap_angle
 from fishrl.envs.starts import place_fish
@@ -21,6 +20,7 @@ from fishrl.envs.steering import PIDSteering, Steering
 from fishrl.envs.streams import AbstractStreamTask, Stream
 from fishrl.envs.task import Command
 from fishrl.envs.views import describe_flow_label, describe_lateral_line, find_shown_feature
+from fishrl.physics.fast.solver import InPlaceSolver
 
 
 @final
@@ -187,12 +187,12 @@ class KarmanGait(AbstractStreamTask, HasFlowChanges, HasFlowLabels, HasHistory, 
             raise ValueError(f"starts['flow_index'] = {flow.tolist()}: allowed is 0 to {num - 1}")
         self.safe_area.check_starts(self.locate(starts["head"]))
 
-    def place_(self, solver: Solver, rows: Tensor, starts: TensorDictBase) -> None:
+    def place_(self, solver: InPlaceSolver, rows: Tensor, starts: TensorDictBase) -> None:
         """Set the stream, wake and fish of each row."""
         place = place_fish(starts, self.fish)
         self.stream.begin_(solver, rows, starts, place, scales=self.scales, wakes=self.wakes)
 
-    def prepare_(self, solver: Solver, starts: TensorDictBase) -> None:
+    def prepare_(self, solver: InPlaceSolver, starts: TensorDictBase) -> None:
         """Begin the changes of the stream that are due."""
         self.stream.change_(solver, starts, scales=self.scales, num_steps=self.n_substeps)
 
@@ -204,7 +204,7 @@ class KarmanGait(AbstractStreamTask, HasFlowChanges, HasFlowLabels, HasHistory, 
         _, frequency = self.control.choose(before["gear"], action, flow)
         return Command(self.steering.turn(before["steering"]), frequency / self.scales.period)
 
-    def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
+    def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
         """Measure position, heading, distance from the edges and the work done so far."""
         markers, body = solver.markers(), solver.body
         unit = (self.scales.reference_speed * self.body_length) ** 2
@@ -224,7 +224,7 @@ class KarmanGait(AbstractStreamTask, HasFlowChanges, HasFlowLabels, HasHistory, 
             device=starts.device,
         )
 
-    def sense(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
+    def sense(self, solver: InPlaceSolver, starts: TensorDictBase) -> dict[str, Tensor]:
         """Return the signals of the lateral line, before any delay."""
         signals, velocity = self.lateral_line.sense(
             solver,
@@ -324,7 +324,7 @@ class KarmanGait(AbstractStreamTask, HasFlowChanges, HasFlowLabels, HasHistory, 
             note="The danger area is outside the rectangle with red strokes.",
         )
 
-    def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
+    def read_scene(self, solver: InPlaceSolver, starts: TensorDictBase) -> dict[str, Tensor]:
         """Add the nose's place and the lateral line."""
         neuromasts = self.lateral_line.place(solver)[0]
         signal = self.sense(solver, starts)["sensed"][..., find_shown_feature(self.lateral_line)]

@@ -10,10 +10,11 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.extensions import HasSafeSteps, HasScene
-from fishrl.envs.protocol import Solver
+from fishrl.envs.macro_actions import Rising
 from fishrl.envs.scene import Marks, Panel, Scene, Series
 from fishrl.envs.sensors import compute_clearance, sense_target
 from fishrl.envs.task import AbstractTask, Command
+from fishrl.physics.fast.solver import InPlaceSolver
 
 #: Probability that the food first moves up.
 CHANCE_UP = {"up": 1.0, "down": 0.0, "random": 0.5}
@@ -48,7 +49,7 @@ class AbstractPredation(AbstractTask, HasSafeSteps, HasScene):
 
     action: Literal["discrete", "continuous"] = "discrete"
     turn_degrees: Annotated[float, Field(ge=0, le=180)] = 15.0
-    frequency_range: tuple[_Frequency, _Frequency] = (0.5, 1.0)
+    frequency_range: Annotated[tuple[_Frequency, _Frequency], Rising] = (0.5, 1.0)
     start_x_bl: tuple[float, float] = (5.0, 7.5)
     start_y_bl: tuple[float, float] = (0.25, 4.75)
     food_x_bl: float = 2.5
@@ -60,10 +61,6 @@ class AbstractPredation(AbstractTask, HasSafeSteps, HasScene):
     capture_radius_bl: PositiveFloat = 0.25
 
     def __post_init__(self) -> None:
-        if not self.frequency_range[0] < self.frequency_range[1]:
-            raise ValueError(
-                f"frequency_range = {self.frequency_range}: give the least, then the largest"
-            )
         super().__post_init__()
         if self.is_continuous and not self.turn_degrees:
             raise ValueError("turn_degrees = 0: a continuous action needs one greater than 0")
@@ -231,7 +228,7 @@ class AbstractPredation(AbstractTask, HasSafeSteps, HasScene):
             device=chance.device,
         )
 
-    def read_scene(self, solver: Solver, starts: TensorDictBase) -> dict[str, Tensor]:
+    def read_scene(self, solver: InPlaceSolver, starts: TensorDictBase) -> dict[str, Tensor]:
         """Add the food and its distance from the nearest nose."""
         food = self.locate_food(starts, solver.body.age)
         noses = torch.stack([solver.markers(index)[:, 0] for index in range(self.num_fish)], 1)
@@ -285,7 +282,7 @@ class Predation(AbstractPredation):
             low + torch.floor(uniform[:, :2] * (high - low + 1.0)), uniform[:, 2]
         )
 
-    def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
+    def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
         """Measure nose, heading, food, its relative position and the distance from the walls."""
         markers, heading = solver.markers(), solver.body.heading.clone()
         head, food = markers[:, 0].clone(), self.locate_food(starts, solver.body.age)

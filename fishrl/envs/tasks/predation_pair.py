@@ -7,10 +7,10 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.envs.protocol import Solver
 from fishrl.envs.sensors import compute_clearance, compute_gap, sense_target
 from fishrl.envs.starts import place_outline
 from fishrl.envs.tasks.predation import AbstractPredation
+from fishrl.physics.fast.solver import InPlaceSolver
 from fishrl.physics.placement import MIN_GAP
 
 
@@ -85,7 +85,7 @@ class PredationPair(AbstractPredation):
         places = uniform[:, :4].view(-1, 2, 2)
         return self._make_starts(low + torch.floor(places * (high - low + 1.0)), uniform[:, 4])
 
-    def measure(self, solver: Solver, starts: TensorDictBase) -> TensorDict:
+    def measure(self, solver: InPlaceSolver, starts: TensorDictBase) -> TensorDict:
         """Measure what each fish observes, its distance from the walls, and the gap of the two."""
         outlines = [solver.markers(index) for index in range(self.num_fish)]
         headings = [body.heading for body in solver.bodies[: self.num_fish]]
