@@ -313,18 +313,15 @@ class FlowEnv(EnvBase):
         if self.task.action_bounds is None:
             own["action_mask"] = self.task.action_mask(self.now).clone()
         columns = {**self.task.report(self.now), **flags}
-        return TensorDict(
-            {
-                **group(own, self._shape),
-                "start_index": self._start_index.clone(),
-                **{
-                    name: (value.unsqueeze(-1) if value.dim() == 1 else value).clone()
-                    for name, value in columns.items()
-                },
+        written = {
+            **group(own, self._shape),
+            "start_index": self._start_index.clone(),
+            **{
+                name: (value.unsqueeze(-1) if value.dim() == 1 else value).clone()
+                for name, value in columns.items()
             },
-            self.batch_size,
-            device=self.device,
-        )
+        }
+        return TensorDict(written, self.batch_size, device=self.device)
 
     def _set_seed(self, seed: int | None) -> None:
         """Restart the sequence of starts from ``seed`` (0 if None) at the next reset."""

@@ -7,7 +7,7 @@ last one swims upstream. When the flow label changes, the gear stays and the row
 
 from abc import ABC, abstractmethod
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import torch
 from pydantic import AfterValidator, Field, NonNegativeFloat, NonNegativeInt
@@ -142,6 +142,8 @@ class MacroActions(FrequencyControl):
         bank: the frequencies.
     """
 
+    action_names: ClassVar[tuple[str, ...]] = ("decelerate", "cruise", "accelerate")
+
     bank: FrequencyBank = FrequencyBank()
 
     @property
@@ -153,11 +155,6 @@ class MacroActions(FrequencyControl):
     def num_flows(self) -> int:
         """Number of rows."""
         return len(self.rows)
-
-    @property
-    def action_names(self) -> tuple[str, ...]:
-        """Names of the three changes of the tail-beat frequency."""
-        return "decelerate", "cruise", "accelerate"
 
     def shift(self, gear: Tensor, action: Tensor) -> Tensor:
         """Return the gear ``[B]`` after legal actions ``[B]``."""

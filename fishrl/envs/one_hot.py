@@ -1,6 +1,5 @@
 """One-hot actions, which TorchRL's own scripts and losses expect by default."""
 
-from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Categorical, OneHot, TensorSpec
 from torchrl.envs import EnvBase, Transform
@@ -38,8 +37,3 @@ class OneHotAction(Transform):
             num_actions, shape=(*known.shape, num_actions), device=known.device
         )
         return input_spec
-
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        return tensordict_reset

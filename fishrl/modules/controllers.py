@@ -23,26 +23,20 @@ SWIM_SPEED_BL, TURN_RADIUS_BL = 0.4, 1.7
 HORIZON_T = 40.0
 
 
-def _legal(action: Tensor, mask: Tensor) -> Tensor:
-    """Replace an illegal action ``[B]`` by the first legal one of ``mask`` ``[B, A]``."""
-    is_legal = mask.gather(-1, action.unsqueeze(-1)).squeeze(-1)
-    return torch.where(is_legal, action, mask.int().argmax(-1))
-
-
-def _turn_towards(angle: Tensor, half_turn: float) -> Tensor:
-    """Choose the action that reduces the bearing error ``angle`` ``[B]``, positive to the left."""
-    action = torch.full_like(angle, KEEP, dtype=torch.int64)
-    action[angle > half_turn] = COUNTER_CLOCKWISE
-    action[angle < -half_turn] = CLOCKWISE
-    return action
-
-
 def _act(tensordict: TensorDictBase, angle: Tensor, *, turn: float, is_continuous: bool) -> Tensor:
-    """Return the action that turns by ``angle`` ``[B]``, at most ``turn``, at full speed."""
+    """Return the action that turns by ``angle`` ``[B]``, at most ``turn``, at full speed.
+
+    The first legal action stands in for an illegal one.
+    """
     if is_continuous:
         share = (angle / turn).clamp(-1.0, 1.0)
         return torch.stack((share, torch.ones_like(share)), -1)
-    return _legal(_turn_towards(angle, 0.5 * turn), tensordict["action_mask"])
+    action = torch.full_like(angle, KEEP, dtype=torch.int64)
+    action[angle > 0.5 * turn] = COUNTER_CLOCKWISE
+    action[angle < -0.5 * turn] = CLOCKWISE
+    mask = tensordict["action_mask"]
+    is_legal = mask.gather(-1, action.unsqueeze(-1)).squeeze(-1)
+    return torch.where(is_legal, action, mask.int().argmax(-1))
 
 
 class RandomPolicy(TensorDictModuleBase):
@@ -149,8 +143,7 @@ class InterceptPolicy(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``action``."""
         stack = tensordict["observation_stack"].unflatten(-1, (-1, NUM_FEATURES))
-        food = stack[..., -1, :2]
-        heading = _heading(stack[..., -1, :])
+        x, y, heading = stack[..., -1, :1], stack[..., -1, 1:2], _heading(stack[..., -1:, :])
         lead = torch.arange(0.0, HORIZON_T, 0.25, device=stack.device)
         velocity = self._food_velocity(stack).unsqueeze(-1)
         if self.food_limits_bl is None:
@@ -159,8 +152,8 @@ class InterceptPolicy(TensorDictModuleBase):
             now = tensordict["step_count"].to(stack.dtype)
             direction = self._food_direction_of(velocity, now)
             rise = self._food_height(now + lead, direction) - self._food_height(now, direction)
-        ahead_of, left_of = _body_frame(food.unsqueeze(-2), rise, heading.unsqueeze(-1))
-        length, angle = _shortest_path(ahead_of, left_of, TURN_RADIUS_BL)
+        y, cos, sin = y + rise, heading.cos(), heading.sin()  # then, in the frame of the nose now
+        length, angle = _shortest_path(cos * x + sin * y, cos * y - sin * x, TURN_RADIUS_BL)
         is_in_time = length <= SWIM_SPEED_BL * lead
         # Earliest meeting point; where there is none, the one missed by the least time.
         delay = torch.where(is_in_time, lead - HORIZON_T, length / SWIM_SPEED_BL - lead)
@@ -212,17 +205,6 @@ class InterceptPolicy(TensorDictModuleBase):
 def _heading(observation: Tensor) -> Tensor:
     """Return the heading of the fish ``[...]`` in radians from observations ``[..., 4]``."""
     return torch.atan2(observation[..., 1], observation[..., 0]) - observation[..., 3]
-
-
-def _body_frame(food: Tensor, rise: Tensor, heading: Tensor) -> tuple[Tensor, Tensor]:
-    """Return future positions of the food in the frame of the nose: ahead and left, ``[B, K]``.
-
-    ``food`` ``[B, 1, 2]`` is its current position, ``rise`` ``[B, K]`` its displacement in y by
-    then, and ``heading`` ``[B, 1]`` the current heading of the fish.
-    """
-    x, y = food[..., 0], food[..., 1] + rise
-    cos, sin = heading.cos(), heading.sin()
-    return cos * x + sin * y, cos * y - sin * x
 
 
 def _shortest_path(ahead: Tensor, left: Tensor, radius: float) -> tuple[Tensor, Tensor]:

@@ -86,16 +86,15 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
         tensordict.set(self.tensor_keys.priority, value_metadata["td_error"])
         has_choice = num_legal > 1
         fraction = -log_prob / self._largest_entropy[num_legal].clamp_min(math.log(2.0))
-        losses = TensorDict(
-            {
-                "loss_actor": loss_actor,
-                "loss_qvalue": loss_qvalue,
-                "loss_alpha": loss_alpha,
-                "alpha": self._alpha,
-                "entropy": -log_prob.mean(),
-                "entropy_fraction": (fraction * has_choice).sum() / has_choice.sum().clamp_min(1),
-            }
-        )
+        outputs = {
+            "loss_actor": loss_actor,
+            "loss_qvalue": loss_qvalue,
+            "loss_alpha": loss_alpha,
+            "alpha": self._alpha,
+            "entropy": -log_prob.mean(),
+            "entropy_fraction": (fraction * has_choice).sum() / has_choice.sum().clamp_min(1),
+        }
+        losses = TensorDict(outputs)
         self._clear_weakrefs(
             tensordict,
             losses,

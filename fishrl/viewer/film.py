@@ -183,17 +183,12 @@ class FramePainter:
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
 
 
-def find_frames(recording: Recording, num: int = _NUM_SNAPSHOTS) -> list[int]:
-    """Return frames at equal distances in time, the last one among them, each once."""
-    times = recording.time
-    wanted = torch.linspace(float(times[-1]) / num, float(times[-1]), num)
-    nearest = (times[None] - wanted[:, None]).abs().argmin(1)
-    return list(dict.fromkeys(nearest.tolist()))
-
-
 def write_snapshots(recording: Recording, path: str | PathLike[str]) -> None:
     """Write the field at several times on one sheet, as the paper shows its predation."""
-    frames = find_frames(recording)
+    times, num = recording.time, _NUM_SNAPSHOTS
+    wanted = torch.linspace(float(times[-1]) / num, float(times[-1]), num)
+    nearest = (times[None] - wanted[:, None]).abs().argmin(1)
+    frames = list(dict.fromkeys(nearest.tolist()))  # each once
     columns = min(2, len(frames))
     rows = -(-len(frames) // columns)
     ratio = recording.scene.height / recording.scene.width

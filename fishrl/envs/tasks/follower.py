@@ -192,15 +192,12 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
         heading = pi + angle.deg2rad()
         ahead = torch.stack((heading.cos(), heading.sin()), -1)
         centre = uniform.new_tensor(self.origin) + self.body_length * torch.stack((x, y), -1)
-        return TensorDict(
-            {
-                "head": centre + self.fish.centre * ahead,
-                "heading": heading,
-                "wake_phase": uniform[:, 3].clone(),
-            },
-            uniform.shape[:1],
-            device=uniform.device,
-        )
+        starts = {
+            "head": centre + self.fish.centre * ahead,
+            "heading": heading,
+            "wake_phase": uniform[:, 3].clone(),
+        }
+        return TensorDict(starts, uniform.shape[:1], device=uniform.device)
 
     def check_starts(self, starts: TensorDictBase) -> None:
         """Also check that the follower is within its range and apart from the leader."""
@@ -246,23 +243,20 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
         if self.leader == "fish":
             lead = solver.bodies[1].phase
         unit = (scales.reference_speed * self.body_length) ** 2
-        return TensorDict(
-            {
-                "place": self.locate(body.position),
-                "heading": wrap_angle(body.heading + body.internal_angle - pi),
-                "velocity": body.velocity / scales.reference_speed,
-                "spin": body.angular_velocity * scales.period,
-                "phase": body.phase.clone(),
-                "phase_ahead": body.phase - lead,
-                "age": body.age.clone(),
-                "gap": gap,
-                "clearance": compute_clearance(markers, solver.config),
-                "work": body.work / unit,
-                "positive_work": body.positive_work / unit,
-            },
-            starts.batch_size,
-            device=starts.device,
-        )
+        now = {
+            "place": self.locate(body.position),
+            "heading": wrap_angle(body.heading + body.internal_angle - pi),
+            "velocity": body.velocity / scales.reference_speed,
+            "spin": body.angular_velocity * scales.period,
+            "phase": body.phase.clone(),
+            "phase_ahead": body.phase - lead,
+            "age": body.age.clone(),
+            "gap": gap,
+            "clearance": compute_clearance(markers, solver.config),
+            "work": body.work / unit,
+            "positive_work": body.positive_work / unit,
+        }
+        return TensorDict(now, starts.batch_size, device=starts.device)
 
     def begin(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Start without earlier actions."""

@@ -165,18 +165,15 @@ class KarmanGait(AbstractStreamTask, HasFlowChanges, HasFlowLabels, HasHistory, 
         flows = torch.tensor(self.start_flows, device=uniform.device)
         flow, key = flows[(uniform[:, 2] * len(flows)).long()], (uniform[:, 4] * 2.0**53).long()
         duration_T = self.time_limit * self.interval_T
-        return TensorDict(
-            {
-                "head": uniform.new_tensor(self.origin) + self.body_length * place,
-                "heading": torch.full_like(uniform[:, 0], pi),
-                "flow_index": flow,
-                "wake_phase": uniform[:, 3].clone(),
-                "episode_key": key,
-                **self.stream.draw_changes(flow, key, duration_T=duration_T),
-            },
-            uniform.shape[:1],
-            device=uniform.device,
-        )
+        starts = {
+            "head": uniform.new_tensor(self.origin) + self.body_length * place,
+            "heading": torch.full_like(uniform[:, 0], pi),
+            "flow_index": flow,
+            "wake_phase": uniform[:, 3].clone(),
+            "episode_key": key,
+            **self.stream.draw_changes(flow, key, duration_T=duration_T),
+        }
+        return TensorDict(starts, uniform.shape[:1], device=uniform.device)
 
     def check_starts(self, starts: TensorDictBase) -> None:
         """Also check flow indices, streams, and that no nose is in the danger area."""
@@ -208,21 +205,18 @@ class KarmanGait(AbstractStreamTask, HasFlowChanges, HasFlowLabels, HasHistory, 
         """Measure position, heading, distance from the edges and the work done so far."""
         markers, body = solver.markers(), solver.body
         unit = (self.scales.reference_speed * self.body_length) ** 2
-        return TensorDict(
-            {
-                "place": self.locate(markers[:, 0]),
-                "middle": self.locate(markers.mean(1)),
-                "heading": body.heading.clone(),
-                "age": body.age.clone(),
-                "clearance": compute_clearance(markers, solver.config),
-                "work": body.work / unit,
-                "positive_work": body.positive_work / unit,
-                "lateral_work": body.lateral_work / unit,
-                **self.stream.measure(solver, starts["flow_index"], self.scales),
-            },
-            starts.batch_size,
-            device=starts.device,
-        )
+        now = {
+            "place": self.locate(markers[:, 0]),
+            "middle": self.locate(markers.mean(1)),
+            "heading": body.heading.clone(),
+            "age": body.age.clone(),
+            "clearance": compute_clearance(markers, solver.config),
+            "work": body.work / unit,
+            "positive_work": body.positive_work / unit,
+            "lateral_work": body.lateral_work / unit,
+            **self.stream.measure(solver, starts["flow_index"], self.scales),
+        }
+        return TensorDict(now, starts.batch_size, device=starts.device)
 
     def sense(self, solver: InPlaceSolver, starts: TensorDictBase) -> dict[str, Tensor]:
         """Return the signals of the lateral line, before any delay."""

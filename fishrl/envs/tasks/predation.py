@@ -168,11 +168,6 @@ class AbstractPredation(AbstractTask, HasSafeSteps, HasScene):
         turning = 2.0 * radians(self.turn_degrees) / self.n_substeps * self.body_length
         return self.swimming_speed + turning
 
-    @property
-    def food_speed(self) -> float:
-        """Speed of the moving food in nodes per step."""
-        return self.food_speed_bl * self.body_length / self.scales.period
-
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
         """Turn clockwise, not at all, or counter-clockwise; or turn and beat as the action says."""
         if self.is_continuous:
@@ -210,23 +205,21 @@ class AbstractPredation(AbstractTask, HasSafeSteps, HasScene):
     def count_safe_steps(self, now: TensorDictBase) -> Tensor:
         """Return how long the nearest fish takes at least to a wall and to the food."""
         speed = self.marker_speed
+        food_speed = self.food_speed_bl * self.body_length / self.scales.period
         distance = now["target"][..., 2] * self.body_length - self.capture_radius
-        to_food = distance / (speed + self.food_speed)
+        to_food = distance / (speed + food_speed)
         steps = torch.minimum((now["clearance"] - self.wall_margin) / speed, to_food)
         return steps.amin(1) if self.num_fish > 1 else steps
 
     def _make_starts(self, head: Tensor, chance: Tensor) -> TensorDict:
         """Return starts that face -x, of noses ``head`` and random numbers ``chance`` ``[E]``."""
         is_up = chance < CHANCE_UP[self.food_direction]
-        return TensorDict(
-            {
-                "head": head,
-                "heading": torch.full_like(head[..., 0], pi),
-                "food_direction": torch.where(is_up, 1.0, -1.0).to(chance.dtype),
-            },
-            chance.shape,
-            device=chance.device,
-        )
+        starts = {
+            "head": head,
+            "heading": torch.full_like(head[..., 0], pi),
+            "food_direction": torch.where(is_up, 1.0, -1.0).to(chance.dtype),
+        }
+        return TensorDict(starts, chance.shape, device=chance.device)
 
     def read_scene(self, solver: InPlaceSolver, starts: TensorDictBase) -> dict[str, Tensor]:
         """Add the food and its distance from the nearest nose."""
@@ -287,18 +280,15 @@ class Predation(AbstractPredation):
         markers, heading = solver.markers(), solver.body.heading.clone()
         head, food = markers[:, 0].clone(), self.locate_food(starts, solver.body.age)
         beats = {"beats": solver.body.beats.clone()} if self.is_continuous else {}
-        return TensorDict(
-            {
-                **beats,
-                "head": head,
-                "heading": heading,
-                "food": food,
-                "target": sense_target(head, heading, food, body_length=self.body_length),
-                "clearance": compute_clearance(markers, solver.config),
-            },
-            starts.batch_size,
-            device=starts.device,
-        )
+        now = {
+            **beats,
+            "head": head,
+            "heading": heading,
+            "food": food,
+            "target": sense_target(head, heading, food, body_length=self.body_length),
+            "clearance": compute_clearance(markers, solver.config),
+        }
+        return TensorDict(now, starts.batch_size, device=starts.device)
 
     def observe(self, now: TensorDictBase) -> Tensor:
         """Return the food relative to the nose, see ``sensors.sense_target``."""

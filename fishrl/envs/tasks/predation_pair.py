@@ -98,18 +98,15 @@ class PredationPair(AbstractPredation):
         clearance = [compute_clearance(outline, solver.config) for outline in outlines]
         swum = [body.beats for body in solver.bodies[: self.num_fish]]
         beats = {"beats": torch.stack(swum, 1)} if self.is_continuous else {}
-        return TensorDict(
-            {
-                **beats,
-                "food": food,
-                "target": torch.stack([sense(food, fish) for fish in (0, 1)], 1),
-                "other": torch.stack([sense(noses[1 - fish], fish) for fish in (0, 1)], 1),
-                "clearance": torch.stack(clearance, 1),
-                "gap": compute_gap(outlines[0], outlines[1]),
-            },
-            starts.batch_size,
-            device=starts.device,
-        )
+        now = {
+            **beats,
+            "food": food,
+            "target": torch.stack([sense(food, fish) for fish in (0, 1)], 1),
+            "other": torch.stack([sense(noses[1 - fish], fish) for fish in (0, 1)], 1),
+            "clearance": torch.stack(clearance, 1),
+            "gap": compute_gap(outlines[0], outlines[1]),
+        }
+        return TensorDict(now, starts.batch_size, device=starts.device)
 
     def observe(self, now: TensorDictBase) -> Tensor:
         """Return the other fish and the food relative to the nose."""

@@ -1,6 +1,6 @@
 """Discrete soft actor-critic, the algorithm of the paper."""
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import torch
 from pydantic import Field
@@ -21,14 +21,10 @@ class DiscreteSAC(Algorithm):
     """
 
     is_traced = True
+    label: ClassVar[str] = ""  # the default algorithm
 
     alpha_init: Annotated[float, Field(gt=0, le=1e6)] = 1.0
     target_entropy_weight: Annotated[float, Field(ge=0, le=1)] = 0.1
-
-    @property
-    def label(self) -> str:
-        """Empty: the default algorithm."""
-        return ""
 
     def make_policy(
         self, spec: PolicySpec, generator: torch.Generator | None = None
