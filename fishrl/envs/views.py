@@ -8,18 +8,7 @@ from torch import Tensor
 
 from fishrl.envs.extensions import HasScene, extend
 from fishrl.envs.lateral_line import LateralLine
-from fishrl.envs.scene import (
-    Area,
-    Arrow,
-    Choice,
-    Curve,
-    Field,
-    Marks,
-    Panel,
-    Scene,
-    Series,
-    Trail,
-)
+from fishrl.envs.scene import Area, Arrow, Choice, Curve, Field, Marks, Panel, Scene, Series, Trail
 from fishrl.envs.task import AbstractTask
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.diagnostics import compute_pressure, compute_vorticity

@@ -157,10 +157,7 @@ def make_twin_action_critics(
 
 
 def make_state_critic(
-    *,
-    num_inputs: int,
-    hidden: Sequence[int] = (256, 256),
-    generator: torch.Generator | None = None,
+    *, num_inputs: int, hidden: Sequence[int] = (256, 256), generator: torch.Generator | None = None
 ) -> TensorDictModule:
     """Build a critic: reads ``observation_stack`` and writes ``state_value`` ``[..., 1]``."""
     return TensorDictModule(

@@ -72,11 +72,7 @@ class Score:
 
 
 def split_episodes(
-    episode: Tensor,
-    label: Tensor,
-    *,
-    shares: Sequence[float],
-    generator: torch.Generator,
+    episode: Tensor, label: Tensor, *, shares: Sequence[float], generator: torch.Generator
 ) -> list[Tensor]:
     """Divide samples into parts that share no episode, each with episodes of every class.
 

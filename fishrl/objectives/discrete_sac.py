@@ -126,10 +126,7 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
         loss = self._reduce_loss(
             loss, tensordict=tensordict, weights=self._maybe_get_priority_weight(tensordict)
         )
-        metadata = {
-            "log_prob": (log_prob * prob).sum(-1).detach(),
-            "num_legal": mask.sum(-1),
-        }
+        metadata = {"log_prob": (log_prob * prob).sum(-1).detach(), "num_legal": mask.sum(-1)}
         return loss, metadata
 
     def _temperature_loss(self, log_prob: Tensor, num_legal: Tensor) -> Tensor:

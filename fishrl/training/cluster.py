@@ -78,11 +78,7 @@ class ClusterCollector:
             sync=True,
             weight_sync_schemes={},  # _send_weights does it
             storing_device="cpu",  # between machines
-            remote_configs={
-                "num_cpus": 1,
-                "num_gpus": num_gpus,
-                "scheduling_strategy": "SPREAD",
-            },
+            remote_configs={"num_cpus": 1, "num_gpus": num_gpus, "scheduling_strategy": "SPREAD"},
         )
 
     def __iter__(self) -> Iterator[TensorDictBase]:
