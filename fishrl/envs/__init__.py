@@ -1,7 +1,13 @@
 """The environment and its tasks."""
 
 from fishrl.envs.episodes import run_episodes
-from fishrl.envs.extensions import HasFlowLabels, HasHistory, HasScene
+from fishrl.envs.extensions import (
+    HasFlowChanges,
+    HasFlowLabels,
+    HasHistory,
+    HasSafeSteps,
+    HasScene,
+)
 from fishrl.envs.flow_env import FlowEnv
 from fishrl.envs.making import make_env
 from fishrl.envs.one_hot import OneHotAction
@@ -14,8 +20,10 @@ __all__ = [
     "Command",
     "FlowEnv",
     "Follower",
+    "HasFlowChanges",
     "HasFlowLabels",
     "HasHistory",
+    "HasSafeSteps",
     "HasScene",
     "KarmanGait",
     "OneHotAction",

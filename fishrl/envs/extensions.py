@@ -1,7 +1,7 @@
 """Optional bases of a task: history, changes of the flow, flow labels, what is drawn, safe steps.
 
 A task inherits those that it needs, next to ``AbstractTask``. Their defaults add nothing, so that a
-plain instance of a base stands in for a task without it, see ``extend``.
+plain instance of a base stands in for a task without it, see ``find_extension``.
 """
 
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ from fishrl.physics.fast.solver import InPlaceSolver
 E = TypeVar("E")
 
 
-def extend(task: object, kind: type[E]) -> E:
+def find_extension(task: object, kind: type[E]) -> E:
     """Return a task as one of the bases below, or a plain instance of it for a task without."""
     return task if isinstance(task, kind) else kind()
 
@@ -137,4 +137,4 @@ def name_flow(task: object, start: TensorDictBase) -> str:
 
 def count_label_inputs(task: object) -> int:
     """Return the number of components that labels of its flows add to a task's observation."""
-    return extend(task, HasFlowLabels).num_label_inputs
+    return find_extension(task, HasFlowLabels).num_label_inputs

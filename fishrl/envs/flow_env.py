@@ -30,7 +30,7 @@ from fishrl.envs.checks import (
     scale_action,
 )
 from fishrl.envs.draws import draw_uniform
-from fishrl.envs.extensions import HasFlowChanges, HasHistory, HasSafeSteps, extend
+from fishrl.envs.extensions import HasFlowChanges, HasHistory, HasSafeSteps, find_extension
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.specs import make_action_spec, make_observation_spec, make_reward_spec
 from fishrl.envs.task import AbstractTask
@@ -103,7 +103,7 @@ class FlowEnv(EnvBase):
         if task.num_fish > 1:
             names = [f"fish_{number}" for number in range(task.num_fish)]
             self.group_map = MarlGroupMapType.ALL_IN_ONE_GROUP.get_group_map(names)
-        self._history = extend(task, HasHistory)
+        self._history = find_extension(task, HasHistory)
         self._schedule = make_schedule(
             task.n_substeps,
             checks=task.checks_per_action,
@@ -211,7 +211,7 @@ class FlowEnv(EnvBase):
         before = self.now.copy().update(self._read_inputs(tensordict))
         command = self.task.command(action, before)
         check_command(self.task, command, self._shape)
-        extend(self.task, HasFlowChanges).prepare_(self.solver, self.start)
+        find_extension(self.task, HasFlowChanges).prepare_(self.solver, self.start)
         self.solver.command_(
             command.turn, self.task.n_substeps, command.frequency, command.amplitude
         )
@@ -277,7 +277,7 @@ class FlowEnv(EnvBase):
         """Return for how many steps no row ends; 0 on a GPU, where reading it would wait."""
         if has_ended.is_cuda:
             return 0.0
-        safe = extend(self.task, HasSafeSteps).count_safe_steps(now)
+        safe = find_extension(self.task, HasSafeSteps).count_safe_steps(now)
         return float(safe.masked_fill(has_ended, inf).min())
 
     def _count(self, diverged: Tensor) -> None:

@@ -19,7 +19,7 @@ from pydantic import Field, PositiveFloat, PositiveInt
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.envs.extensions import HasHistory, extend
+from fishrl.envs.extensions import HasHistory, find_extension
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.starts import check_fit, check_pattern, place_fish
 from fishrl.physics.bodies.fish import Fish
@@ -75,7 +75,7 @@ class AbstractTask(Settings, ABC):
     checks_per_action: PositiveInt = 25
 
     def __post_init__(self) -> None:
-        num_samples = extend(self, HasHistory).num_samples
+        num_samples = find_extension(self, HasHistory).num_samples
         stretches = make_schedule(
             self.n_substeps, checks=self.checks_per_action, samples=num_samples
         )

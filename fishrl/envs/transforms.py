@@ -10,7 +10,7 @@ from torch.nn.functional import one_hot
 from torchrl.data import Bounded, Categorical, Composite, TensorSpec, Unbounded
 from torchrl.envs import CatFrames, EnvBase, Transform
 
-from fishrl.envs.extensions import HasFlowLabels, extend
+from fishrl.envs.extensions import HasFlowLabels, find_extension
 from fishrl.envs.task import AbstractTask
 
 #: Gives the policy the true label of its flow; see ``equip``.
@@ -62,7 +62,7 @@ class FlowLabelTransform(Transform):
 
     def check_task(self, task: Any) -> None:
         """Raise ValueError unless the task has ``num_flows`` labelled flows."""
-        flows = extend(task, HasFlowLabels).flow_labels
+        flows = find_extension(task, HasFlowLabels).flow_labels
         if len(flows) != self.num_flows:
             raise ValueError(
                 f"{type(task).__name__} has {len(flows)} labelled flows, expected "

@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from fishrl.envs.extensions import HasScene, extend
+from fishrl.envs.extensions import HasScene, find_extension
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.scene import Area, Arrow, Choice, Curve, Field, Marks, Panel, Scene, Series, Trail
 from fishrl.envs.task import AbstractTask
@@ -41,7 +41,7 @@ def make_scene(task: AbstractTask) -> Scene:
     The first bodies are fish; with several, plots have a line for each. A task with ``HasScene``
     adds to it.
     """
-    extension = extend(task, HasScene)
+    extension = find_extension(task, HasScene)
     config, scales, num_fish = task.flow_config(), task.scales, task.num_fish
     names = extension.action_names or tuple(f"action {index}" for index in range(task.num_actions))
     wall_margin, is_continuous = task.wall_margin, task.action_bounds is not None
@@ -189,7 +189,7 @@ def read_scene(
     task: AbstractTask, solver: InPlaceSolver, starts: TensorDictBase
 ) -> dict[str, Tensor]:
     """Return ``[B, ...]`` tensors by the keys of ``make_scene``; numbers of M fish ``[B, M]``."""
-    extension = extend(task, HasScene)
+    extension = find_extension(task, HasScene)
     scales, num_fish = task.scales, task.num_fish
     names = ("fish", *_name_obstacles(solver.config))[: len(solver.bodies)]
     values = compute_fields(solver, scales)
