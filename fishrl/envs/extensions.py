@@ -133,8 +133,3 @@ def name_flow(task: object, start: TensorDictBase) -> str:
     if not isinstance(task, HasFlowLabels):
         return ""
     return str(task.flow_labels[int(start["flow_index"])]["name"])
-
-
-def count_label_inputs(task: object) -> int:
-    """Return the number of components that labels of its flows add to a task's observation."""
-    return find_extension(task, HasFlowLabels).num_label_inputs

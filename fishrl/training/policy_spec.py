@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from fishrl.envs import AbstractTask
-from fishrl.envs.extensions import count_label_inputs
+from fishrl.envs.extensions import HasFlowLabels, find_extension
 
 #: Entries that a checkpoint stores and that must match.
 CHECKED = ("task", "is_continuous", "num_inputs", "num_stacked", "num_actions")
@@ -49,7 +49,7 @@ class PolicySpec:
         cls, task: AbstractTask, *, hidden: tuple[int, ...] = (256, 256), has_labels: bool = False
     ) -> "PolicySpec":
         """Return the sizes that a task requires; with ``has_labels`` transforms label its flows."""
-        num_labels = count_label_inputs(task) if has_labels else 0
+        num_labels = find_extension(task, HasFlowLabels).num_label_inputs if has_labels else 0
         return cls(
             task=type(task).__name__,
             num_inputs=(task.n_obs + num_labels) * task.num_stacked,
