@@ -68,6 +68,12 @@ def choose_limit(recording: Recording) -> float:
     return round_up(float(np.quantile(visible.numpy(), 1.0 - field.saturated)))
 
 
+def fit_colours(recording: Recording) -> Scene:
+    """Return the scene of a recording with colours that saturate at ``choose_limit``."""
+    scene = recording.scene
+    return scene.choose_field(scene.field.key, limit=choose_limit(recording))
+
+
 def make_colours(field: Field, num_levels: int = 256) -> LinearSegmentedColormap:
     """Return the colours of a field."""
     table = np.array(RED_BLUE if field.is_signed else WHITE_BLUE) / 255.0
@@ -80,18 +86,17 @@ class FlowAxes:
     Args:
         axes: to draw on.
         scene: what to draw.
-        limit: value of the field at which the colours saturate.
         num_levels: number of colours of the field.
     """
 
-    def __init__(self, axes: Axes, scene: Scene, *, limit: float, num_levels: int = 256) -> None:
+    def __init__(self, axes: Axes, scene: Scene, *, num_levels: int = 256) -> None:
         self.scene = scene
         length, x, y = scene.body_length, scene.width, scene.height
         edges = (-0.5 / length, (x - 0.5) / length, -0.5 / length, (y - 0.5) / length)
         self.image = axes.imshow(
             np.zeros((y, x)), extent=edges, origin="lower",
             cmap=make_colours(scene.field, num_levels),
-            vmin=-limit if scene.field.is_signed else 0.0, vmax=limit, interpolation="bilinear",
+            vmin=scene.field.low, vmax=scene.field.limit, interpolation="bilinear",
         )  # fmt: skip
         self.paths = {
             trail.key: axes.plot([], [], color=FISH, linewidth=0.9, linestyle=(0, (4, 2)))[0]
@@ -154,18 +159,15 @@ class FramePainter:
 
     Args:
         scene: what to draw.
-        limit: value of the field at which the colours saturate.
         dpi: dots per inch; a picture is 8 inches wide.
         num_levels: number of colours of the field.
     """
 
-    def __init__(
-        self, scene: Scene, *, limit: float, dpi: float = 100.0, num_levels: int = 256
-    ) -> None:
+    def __init__(self, scene: Scene, *, dpi: float = 100.0, num_levels: int = 256) -> None:
         self._trails = [trail.key for trail in scene.trails]
         self._path: list[Frame] = []  # without fields, which are large
         with mpl.rc_context(STYLE):
-            figure, self._flow = make_single(scene, limit=limit, num_levels=num_levels)
+            figure, self._flow = make_single(scene, num_levels=num_levels)
             figure.set_dpi(dpi)
             self._canvas = FigureCanvasAgg(figure)
             self._canvas.draw()
@@ -196,12 +198,12 @@ def write_snapshots(recording: Recording, path: str | PathLike[str]) -> None:
         size = (1.2 + 4.6 * columns, 0.9 + 4.6 * ratio * rows)
         figure = Figure(figsize=size, layout="constrained")
         grid = figure.subplots(rows, columns, squeeze=False)
-        limit = choose_limit(recording)
+        scene = fit_colours(recording)
         for i, axes in enumerate(grid.flat):
             if i >= len(frames):
                 axes.set_visible(False)
                 continue
-            flow = FlowAxes(axes, recording.scene, limit=limit)
+            flow = FlowAxes(axes, scene)
             flow.show(recording.frames[: frames[i] + 1])
             label_axes(axes, x=i + columns >= len(frames), y=i % columns == 0)
         flow.add_colourbar(figure, grid, aspect=40)
@@ -211,8 +213,7 @@ def write_snapshots(recording: Recording, path: str | PathLike[str]) -> None:
 def write_flow(recording: Recording, path: str | PathLike[str]) -> None:
     """Write one large picture of the flow in the last frame."""
     with mpl.rc_context(STYLE):
-        limit = choose_limit(recording)
-        figure, flow = make_single(recording.scene, limit=limit)
+        figure, flow = make_single(fit_colours(recording))
         flow.show(recording.frames)
         figure.savefig(path)
 
@@ -281,13 +282,13 @@ def write_animation(
 FILMS: Mapping[str, Callable[..., None]] = {".mp4": write_film, ".gif": write_animation}
 
 
-def make_single(scene: Scene, *, limit: float, num_levels: int = 256) -> tuple[Figure, FlowAxes]:
+def make_single(scene: Scene, *, num_levels: int = 256) -> tuple[Figure, FlowAxes]:
     """Return a figure with one set of axes, see ``FlowAxes``."""
     width = _GIF_WIDTH_INCHES
     size = (width, 0.86 * width * scene.height / scene.width + 0.6)
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots()
-    flow = FlowAxes(axes, scene, limit=limit, num_levels=num_levels)
+    flow = FlowAxes(axes, scene, num_levels=num_levels)
     label_axes(axes)
     flow.add_colourbar(figure, axes)
     return figure, flow
@@ -297,8 +298,7 @@ def render_frames(
     recording: Recording, dpi: float = 100.0, *, num_levels: int = 256
 ) -> list[NDArray[np.uint8]]:
     """Return a picture ``[height, width, 3]`` of every frame, see ``FramePainter``."""
-    limit = choose_limit(recording)
-    painter = FramePainter(recording.scene, limit=limit, dpi=dpi, num_levels=num_levels)
+    painter = FramePainter(fit_colours(recording), dpi=dpi, num_levels=num_levels)
     return [painter.paint(frame) for frame in recording.frames]
 
 

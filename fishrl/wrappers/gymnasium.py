@@ -102,8 +102,7 @@ class FlowVectorEnv(VectorEnv):
         }
         self._scene = make_scene(env, field=field)
         self._painters = [
-            FramePainter(self._scene, limit=self._scene.field.limit, dpi=60.0)
-            for _ in range(self.num_envs if render_mode else 0)
+            FramePainter(self._scene, dpi=60.0) for _ in range(self.num_envs if render_mode else 0)
         ]
         self._reported = [name for name in specs.keys(True, True) if name not in OBSERVED]
         self._state: TensorDictBase | None = None

@@ -156,7 +156,7 @@ def write_period(path: Path, trial: Trial, *, lead_T: float, periods_T: Sequence
             recording, speed = recordings[flow], task.stream.speeds_bl[flow]
             for number, axes in enumerate(row):
                 moment = lead_T + number * period / _NUM_MOMENTS
-                drawn = FlowAxes(axes, scene, limit=_VORTICITY)
+                drawn = FlowAxes(axes, scene)
                 drawn.show([recording.frames[int((recording.time - moment).abs().argmin())]])
                 axes.set(xlim=(x - 0.6, x + 4.4), ylim=(y - 1.2, y + 1.2))
                 axes.set_title(

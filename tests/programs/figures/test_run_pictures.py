@@ -105,7 +105,7 @@ def test_colours_are_symmetric_about_zero_and_saturate_at_a_round_number() -> No
 
 def test_flows_are_drawn_in_body_lengths() -> None:
     recording = make_recording(num_frames=5)
-    figure, flow = film.make_single(recording.scene, limit=5.0)
+    figure, flow = film.make_single(recording.scene.choose_field("vorticity", limit=5.0))
     flow.show(recording.frames)
     x, y = flow.paths["head"].get_data()
     assert np.allclose([x[-1], y[-1]], recording.stack_bl("head")[-1].numpy())
@@ -116,10 +116,9 @@ def test_flows_are_drawn_in_body_lengths() -> None:
 def test_a_film_shows_the_field_that_its_scene_has_chosen() -> None:
     recording = scale_vorticity(make_recording(num_frames=5), 0.1, "speed")
     recording.scene = recording.scene.choose_field("speed")
-    limit = film.choose_limit(recording)
-    figure, flow = film.make_single(recording.scene, limit=limit)
+    figure, flow = film.make_single(film.fit_colours(recording))
     flow.show(recording.frames)
-    assert flow.image.get_clim() == (0.0, limit)
+    assert flow.image.get_clim() == (0.0, film.choose_limit(recording))
     assert figure.axes[1].get_ylabel() == "speed  [L/T]"
 
 
@@ -149,7 +148,7 @@ def test_metrics_without_a_known_column_are_refused(tmp_path: Path, text: str) -
 
 def test_a_painter_keeps_paths_of_one_episode_but_no_fields_of_earlier_frames() -> None:
     recording = make_recording(num_frames=4)
-    painter = film.FramePainter(recording.scene, limit=5.0, dpi=40.0)
+    painter = film.FramePainter(recording.scene.choose_field("vorticity", limit=5.0), dpi=40.0)
     begin = dataclasses.replace(recording.frames[0], begins=True)
     first, later, again = (painter.paint(f) for f in (begin, recording.frames[3], begin))
     assert np.array_equal(first, again)
