@@ -135,4 +135,5 @@ class MaskedDiscreteSACLoss(DiscreteSACLoss):
         States with a single legal action do not contribute.
         """
         gap = log_prob + self.target_entropy_by_count[num_legal]
-        return -self.log_alpha * torch.where(num_legal > 1, gap, torch.zeros_like(gap))
+        loss: Tensor = -self.log_alpha * torch.where(num_legal > 1, gap, torch.zeros_like(gap))
+        return loss
