@@ -25,10 +25,10 @@ def test_tables_of_a_page_follow_from_its_data(study: str) -> None:
 
 
 @pytest.mark.parametrize("study", NAMES)
-def test_page_has_a_picture_commands_and_commits(study: str) -> None:
+def test_page_has_a_picture_or_table_commands_and_commits(study: str) -> None:
     page = (STUDIES / study / "README.md").read_text(encoding="utf-8")
-    assert re.search(r"^!\[.+\]\(.+\.png\)$", page, re.MULTILINE)
-    assert re.search(r"^python -m experiments\.\w+", page, re.MULTILINE)
+    assert re.search(r"^!\[.+\]\(.+\.png\)$|^<!-- table: ", page, re.MULTILINE)
+    assert re.search(r"^python -m (experiments|tests)\.\w+", page, re.MULTILINE)
     assert re.search(r"commits? [0-9a-f]{7}\b", page)
 
 
