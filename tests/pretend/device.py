@@ -78,38 +78,30 @@ PROPERTIES = SimpleNamespace(
 )  # fmt: skip
 
 
+def _answer(value: Any) -> Any:
+    return lambda *args, **kwargs: value
+
+
 class Stream:
-    """A stream; there is one."""
+    """The one stream: whatever is launched is done at once."""
 
     device_index, device_type, stream_id, cuda_stream = 0, 1, 0, 0
     device = torch.device("cuda", 0)
+    wait_stream = wait_event = record = wait = synchronize = _answer(None)
+    query, elapsed_time = _answer(True), _answer(1.0)
 
     def __init__(self, *args: Any, **kwargs: Any) -> None: ...
-    def wait_stream(self, other: Stream) -> None: ...
-    def wait_event(self, event: Any) -> None: ...
     def record_event(self, event: Any = None) -> Event:
         return event or Event()
 
-    def query(self) -> bool:
-        return True
-
-    def synchronize(self) -> None: ...
     def __enter__(self) -> Stream:
         return self
 
     def __exit__(self, *_: object) -> None: ...
 
 
-class Event:
-    def __init__(self, *args: Any, **kwargs: Any) -> None: ...
-    def record(self, stream: Any = None) -> None: ...
-    def wait(self, stream: Any = None) -> None: ...
-    def query(self) -> bool:
-        return True
-
-    def synchronize(self) -> None: ...
-    def elapsed_time(self, other: Any) -> float:
-        return 1.0
+class Event(Stream):
+    """A moment on it."""
 
 
 _WAITING = {"_local_scalar_dense", "nonzero", "masked_select", "_unique2", "unique_dim",
@@ -280,10 +272,6 @@ class graph:  # as torch.cuda.graph
             memory.copy_(before)
         torch.set_rng_state(self.random)
         self.graph.saved.clear()
-
-
-def _answer(value: Any) -> Any:
-    return lambda *args, **kwargs: value
 
 
 def _is_capturing(*_: Any) -> bool:

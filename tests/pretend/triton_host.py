@@ -9,7 +9,6 @@ says of their registers. A process can do one of the two. Kernels written by han
 
 from __future__ import annotations
 
-import collections
 import contextlib
 import io
 import sys
@@ -28,9 +27,6 @@ from triton import knobs
 from triton.backends.compiler import GPUTarget
 from triton.runtime import interpreter
 from triton.runtime.driver import driver
-
-#: Numbers of launches, by kernel.
-LAUNCHES: collections.Counter[str] = collections.Counter()
 
 
 def _set_up() -> None:
@@ -74,7 +70,6 @@ def interpret() -> None:
 
     def launch(self: Any, *args: Any, **kwargs: Any) -> None:
         name = self.fn.__name__
-        LAUNCHES[name] += 1
         for t in (*args, *kwargs.values()):
             assert not isinstance(t, Tensor) or t.is_cuda, f"{name} got a tensor on {t.device}"
         device.do_or_record(lambda: execute(self, *args, **kwargs))

@@ -1,15 +1,19 @@
-"""Flows written for other tools are read back by those tools."""
+"""Flows and transitions written for other tools are read back by those tools; uploads fail well."""
 
+import socket
 from pathlib import Path
 
+import minari
 import numpy as np
 import pytest
 import pyvista as pv
 import xarray as xr
 
-from fishrl.programs import export
+from fishrl.programs import export, export_data
+from fishrl.programs.export_policy import upload
 from fishrl.training.progress import Progress
 from fishrl.viewer.fields import write_netcdf, write_vtk, write_zarr
+from fishrl.zoo import find_policy
 
 TINY = [
     "policy=pursuit", "compile=false", "periods=1", "frames_per_T=2", "task.body_length=16",
@@ -57,3 +61,54 @@ def test_vtk_reads_the_flow_and_the_bodies(flow: xr.Dataset, tmp_path: Path) -> 
     assert np.array_equal(image["vorticity"], last["vorticity"].values.ravel())
     assert np.allclose(image.points[:, 1].max(), last["y"].values[-1])
     assert np.allclose(fish.points[:, :2], last["outline_0"].values, atol=1e-6)
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_minari_reads_the_transitions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    tiny = [words for words in TINY if not words.startswith(("periods", "frames_per_T"))]
+    settings = export_data.main.read(
+        [*tiny, "name=fishrl/pursuit-v0", "episodes=3", "num_envs=2", f"folder={tmp_path}",
+         "task.time_limit=4"]
+    )  # fmt: skip
+    export_data.record(settings, progress=Progress(is_shown=False))
+    with pytest.raises(ValueError, match="exists: take the next version"):
+        export_data.record(settings, progress=Progress(is_shown=False))
+    data = minari.load_dataset("fishrl/pursuit-v0")
+    episodes = list(data.iterate_episodes())
+    assert len(episodes) == 3
+    for episode in episodes:
+        num = len(episode.actions)
+        assert 1 <= num <= 4 and data.observation_space["observation"].dtype == np.float32
+        assert len(episode.observations["observation"]) == len(episode.infos["captured"]) == num + 1
+        masks = episode.observations["action_mask"][:-1]
+        assert masks[np.arange(num), episode.actions].all()  # only legal actions
+        over = episode.terminations | episode.truncations
+        assert over[-1] and not over[:-1].any()
+
+
+@pytest.mark.usefixtures("kinematic")
+def test_a_seed_repeats_the_sampled_actions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    sampled = []
+    for name in ("first-v0", "second-v0"):
+        settings = export_data.main.read(
+            [f"name={name}", f"folder={tmp_path}", "policy=zoo/predation_small", "episodes=2",
+             "samples_actions=true", "compile=false", "task.time_limit=12"]
+        )  # fmt: skip
+        data = export_data.record(settings, progress=Progress(is_shown=False))
+        sampled.append([episode.actions.tolist() for episode in data.iterate_episodes()])
+    assert sampled[0] == sampled[1]
+
+
+def test_a_hub_that_does_not_answer_is_an_error_in_one_line(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    with socket.create_server(("127.0.0.1", 0)) as closed:
+        port = closed.getsockname()[1]
+    monkeypatch.setattr("huggingface_hub.constants.ENDPOINT", f"http://127.0.0.1:{port}")
+    with pytest.raises(OSError, match=r"^upload = me/fish: .*refused$"):
+        upload(find_policy("predation_small"), "me/fish")

@@ -10,19 +10,15 @@ from pathlib import Path
 import pytest
 
 from fishrl.__main__ import list_programs
+from fishrl.programs.completion import answer
 
 ROOT = Path(__file__).parents[2]
 
 
-def run(*words: str, line: str | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "fishrl", *words],
-        cwd=ROOT,
-        env=os.environ | ({} if line is None else {"COMP_LINE": line}),
-        check=False,
-        capture_output=True,
-        text=True,
-    )
+def run(*words: str, command: str = sys.executable, **env: str) -> subprocess.CompletedProcess[str]:
+    words = words if command == "bash" else ("-m", "fishrl", *words)
+    env = os.environ | env
+    return subprocess.run([command, *words], cwd=ROOT, env=env, capture_output=True, text=True)
 
 
 def test_fishrl_alone_lists_each_program_with_the_first_line_of_its_docstring() -> None:
@@ -34,12 +30,16 @@ def test_fishrl_alone_lists_each_program_with_the_first_line_of_its_docstring() 
         assert line.replace("``", "`") in said
 
 
-def test_an_unknown_program_is_answered_with_the_nearest_name() -> None:
-    done = run("trian", "seed=0")
-    assert (done.returncode, done.stderr) == (
-        1,
-        "error: there is no program 'trian'; did you mean 'train'?\n",
-    )
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["trian", "seed=0"], "there is no program 'trian'; did you mean 'train'?"),
+        (["train", "totl_frames=3"], "there is no 'totl_frames'; did you mean 'total_frames'?"),
+    ],
+)
+def test_a_mistake_ends_a_program_with_one_line(words: list[str], said: str) -> None:
+    done = run(*words)
+    assert (done.returncode, done.stderr) == (1, f"error: {said}\n")
 
 
 @pytest.mark.parametrize(
@@ -54,12 +54,18 @@ def test_an_unknown_program_is_answered_with_the_nearest_name() -> None:
     ],
 )
 def test_the_shell_completes_programs_choices_and_nested_settings(
-    line: str, completed: list[str]
+    line: str,
+    completed: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    done = run("-sc", "query=bash", line=line)
-    words = done.stdout.split()
-    assert bool(words) == bool(completed), done.stderr
-    assert all(part in done.stdout for part in completed)
+    monkeypatch.setattr(sys, "argv", ["fishrl", "-sc", "query=bash"])
+    monkeypatch.setenv("COMP_LINE", line)
+    answer(list_programs())
+    said = capsys.readouterr().out
+    words = said.split()
+    assert bool(words) == bool(completed)
+    assert all(part in said for part in completed)
     assert all(word.startswith(line.split()[-1]) for word in words)
 
 
@@ -74,14 +80,7 @@ def test_bash_completes_with_the_function_that_fishrl_installs(tmp_path: Path) -
     COMP_LINE="{line}" COMP_CWORD=4
     hydra_bash_completion; echo "${{COMPREPLY[@]}}"
     """
-    done = subprocess.run(
-        ["bash", "-c", script],
-        cwd=ROOT,
-        env=os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"},
-        check=False,
-        capture_output=True,
-        text=True,
-    )
+    done = run("-c", script, command="bash", PATH=f"{tmp_path}:{os.environ['PATH']}")
     own = "task=predator"
     shipped = ["task=predation", "task=predation_continuous", "task=predation_pair"]
     assert sorted(done.stdout.split()) == sorted([own, *shipped]), done.stderr

@@ -54,13 +54,8 @@ def test_jobs_are_named_after_what_differs() -> None:
 def test_jobs_are_listed_and_named_before_they_run() -> None:
     line = ["num_envs=2", "seed=0,1", "task.time_limit=range(3,5)", "folder=runs/my sweep"]
     planned = [job.settings for job in plan_jobs(line)]
-    assert [job.name for job in planned] == [
-        *("seed_0-time_limit_3", "seed_0-time_limit_4", "seed_1-time_limit_3"),
-        "seed_1-time_limit_4",
-    ]
-    assert [(job.seed, job.num_envs, job.folder) for job in planned[1:3]] == [
-        *((0, 2, "runs/my sweep"), (1, 2, "runs/my sweep")),
-    ]
+    expected = [(f"seed_{s}-time_limit_{t}", s, 2, "runs/my sweep") for s in (0, 1) for t in (3, 4)]
+    assert [(job.name, job.seed, job.num_envs, job.folder) for job in planned] == expected
     files = list((CONF / "preset").glob("gait*"))
     assert len(plan_jobs(["preset=glob(gait*)"])) == len(files)
 
@@ -78,15 +73,9 @@ def test_an_experiment_sets_what_is_swept_unless_the_command_line_does(tmp_path:
         "# @package _global_\nfolder: runs/own\nhydra: {sweeper: {params: {seed: '0,1'}}}"
     )
     line = [f"--config-dir={tmp_path}", "experiment=own"]
-    assert [job.path for job in plan_jobs(line)] == [
-        Path("runs/own/seed_0"),
-        Path("runs/own/seed_1"),
-    ]
-    assert [job.path.name for job in plan_jobs([*line, "seed=3,4,5"])] == [
-        "seed_3",
-        "seed_4",
-        "seed_5",
-    ]
+    for more, seeds in (([], (0, 1)), (["seed=3,4,5"], (3, 4, 5))):
+        paths = [job.path for job in plan_jobs([*line, *more])]
+        assert paths == [Path(f"runs/own/seed_{seed}") for seed in seeds]
 
 
 @pytest.mark.parametrize("argument", ["name=x", "resume=runs/x", "folder=a,b"])
@@ -99,10 +88,7 @@ def test_the_name_and_folder_of_each_run_are_not_to_be_given(argument: str) -> N
     ("arguments", "said"),
     [
         (["hydra/launcher=jobli"], "did you mean 'joblib'"),
-        (
-            ["algorithm=dqn,discrete_sac", "algorithm.epsilon_frames=100"],
-            "algorithm.epsilon_frames",
-        ),
+        (["algorithm=dqn,discrete_sac", "algorithm.epsilon_frames=9"], "algorithm.epsilon_frames"),
         (["preset=small,gait_half", "task=predation"], "task.start_flows"),
         (["gamma=0.9,2", "seed=0,1"], "gamma = 2"),
     ],
@@ -129,15 +115,15 @@ def test_a_run_of_the_same_settings_is_continued_and_one_of_others_is_refused(
     first = begin(tmp_path)
     assert find_runs([f"folder={tmp_path}"]) == [first.path]
     assert find_runs([f"folder={tmp_path}", "seed=1,2"]) == []
-    assert not is_finished(first.settings)
+    assert not is_finished(first.settings) and list_changes(first.settings) == {}
     write_json(first.path / "summary.json", {"frames": 2800})
     assert is_finished(first.settings)
     (longer,) = plan_jobs([f"folder={tmp_path}", "total_frames=3000", "port=9900"])
     assert not is_finished(longer.settings)
-    assert list_changes(longer.settings)["total_frames"] == 3000
+    assert list_changes(longer.settings) == {"total_frames": 3000, "port": 9900}
     (compared,) = plan_jobs([f"folder={tmp_path}", "baselines=[random]", "log_frames=8"])
     assert not is_finished(compared.settings)  # it is evaluated again
-    assert list_changes(compared.settings)["log_frames"] == 8
+    assert list_changes(compared.settings) == {"baselines": ["random"], "log_frames": 8}
     (logged,) = plan_jobs([f"folder={tmp_path}", "log_frames=8"])
     assert is_finished(logged.settings)
     for word in ("gamma=0.5", "task.reynolds=500", "recognition=oracle", "algorithm=dqn"):
@@ -170,13 +156,8 @@ def test_a_run_with_another_classifier_is_another_run(tmp_path: Path) -> None:
 
 def test_runs_that_are_logged_and_compared_otherwise_are_one_group(tmp_path: Path) -> None:
     given = ["port=9900", "live_share=0.2", "flows=[0,1]", "log_frames=8", "checkpoint_frames=8"]
-    given += [
-        "keep_checkpoints=4",
-        "picture_episodes=0",
-        "baselines=[random]",
-        "live=true",
-        "logger=wandb",
-    ]
+    given += ["keep_checkpoints=4", "picture_episodes=0", "baselines=[random]", "live=true"]
+    given.append("logger=wandb")
     for name, words in {"a": [], "b": given, "c": ["eval_frames=8"]}.items():
         plan = make_plan(TRAINING.read([f"folder={tmp_path}", f"name={name}", *words]))
         make_folder(plan)
@@ -210,23 +191,23 @@ def test_a_killed_job_leaves_the_others_and_is_continued_by_the_same_sweep(
     assert read_run(killed).status == "finished"
 
 
-def test_a_sweep_that_is_ended_saves_its_runs(tmp_path: Path) -> None:
-    command = ["-m", "fishrl", "train", "--multirun", *SETTINGS, f"folder={tmp_path}", "seed=0,1"]
-    command.append(f"logger._target_={HERE}.Ending")
-    done = subprocess.run(
-        [sys.executable, *command], cwd=ROOT, check=False, capture_output=True, text=True
-    )
-    assert done.returncode == 1
-    assert "interrupted; the same command with the same folder=... continues" in done.stderr
-    assert "Traceback" not in done.stderr
+def test_a_sweep_that_is_ended_saves_its_runs(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    command = [*SETTINGS, f"folder={tmp_path}", "seed=0,1", f"logger._target_={HERE}.Ending"]
+    assert run_sweep(*command) == 1
+    done = capfd.readouterr()
+    assert "interrupted; the same command with the same folder=... continues" in done.err
+    assert "Traceback" not in done.err
     (run,) = read_runs(tmp_path)  # the other one never began
     assert (run.status, run.frames) == ("stopped", 8)
     assert read_metadata(run.path, which="last")[1]["frames"] == 8
+    assert not (run.path / "failure.txt").exists()
     said = (run.path / "output.log").read_text(encoding="utf-8")
     command = show_command("train", "resume=")
     assert f"SIGTERM: saved at frame 8; resume with: {command}" in said
-    assert f"rerun: {command}" in done.stdout
-    assert "0 of 2 runs finished" in done.stdout
+    assert f"rerun: {command}" in done.out
+    assert "0 of 2 runs finished" in done.out
 
 
 def test_trainings_below_a_process_end_before_it() -> None:

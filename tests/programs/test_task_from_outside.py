@@ -91,14 +91,12 @@ def test_every_program_takes_a_task_from_outside(outside: Path) -> None:
     assert type(train.main.read(searched.fixed).task) is type(task)
 
 
-def test_the_help_lists_tasks_from_outside_with_their_nested_settings(outside: Path) -> None:
-    said = train.main.describe(["--config-dir", str(outside / "conf"), "task=hold_station"])
+def test_help_and_presets_know_tasks_from_outside(outside: Path) -> None:
+    folder = f"--config-dir={outside / 'conf'}"
+    said = train.main.describe([folder, "task=hold_station"])
     assert re.search(r"task: one of .*follower, .*hold_station, ", said)
     assert re.search(r"^  task\.leash_bl=\d", said, re.MULTILINE)
-
-
-def test_a_preset_from_outside_is_found_too(outside: Path) -> None:
-    settings = train.main.read([f"--config-dir={outside / 'conf'}", "preset=mine"])
+    settings = train.main.read([folder, "preset=mine"])
     assert (settings.num_envs, settings.preset) == (8, "mine")
     assert (settings.task.leash_bl, settings.task.time_limit) == (1.5, 20)
 

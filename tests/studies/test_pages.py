@@ -5,6 +5,7 @@ import re
 
 import pytest
 
+from studies import claims
 from studies.tables import STUDIES, TABLE, fill
 
 NAMES = sorted(path.parent.name for path in STUDIES.glob("*/README.md"))
@@ -48,6 +49,11 @@ def test_scripts_compile_and_import_public_names_alone(study: str) -> None:
         nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8"), filename=path.name))
         named = [a.name for n in nodes if isinstance(n, ast.ImportFrom) for a in n.names]
         assert not [name for name in named if name.startswith("_")], path
+
+
+@pytest.mark.parametrize("study", [name for name in NAMES if hasattr(claims, f"check_{name}")])
+def test_main_claim_of_a_study_follows_from_its_data(study: str) -> None:
+    getattr(claims, f"check_{study}")()
 
 
 def test_nothing_imports_the_studies() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import json
 import resource
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -98,23 +97,15 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Training:
     return training
 
 
-def read_rows(folder: Path) -> list[dict[str, str]]:
-    """Read metrics.csv without what depends on the machine."""
-    with (folder / "metrics.csv").open(newline="") as file:
+def read_rows(folder: Path, name: str = "metrics.csv") -> list[dict[str, str]]:
+    """Read a metrics file without what depends on the machine."""
+    with (folder / name).open(newline="") as file:
         rows = list(csv.DictReader(file))
     return [{k: v for k, v in row.items() if not k.startswith("time/")} for row in rows]
 
 
-def change_manifest(checkpoint: Path, change: Callable[[dict[str, Any]], None]) -> None:
-    """Change the metadata and write matching checksums, as an attacker would."""
-    manifest = checkpoint / "manifest.json"
-    content = json.loads(manifest.read_text())
-    change(content["metadata"])
-    manifest.write_text(json.dumps(content))
-    renew_checksums(checkpoint)
-
-
 def renew_checksums(checkpoint: Path) -> None:
+    """Write the checksums of a changed checkpoint, as an attacker would."""
     files = [path for path in checkpoint.rglob("*") if path.is_file() and path.name != "SHA256SUMS"]
     lines = [
         f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.relative_to(checkpoint)}\n"
@@ -123,13 +114,9 @@ def renew_checksums(checkpoint: Path) -> None:
     (checkpoint / "SHA256SUMS").write_text("".join(lines))
 
 
-def weights_of(training: Training) -> dict[str, torch.Tensor]:
-    return dict(training.learner.loss.state_dict())
-
-
 def assert_equal_weights(training: Training, other: Training) -> None:
-    theirs = weights_of(other)
-    for name, value in weights_of(training).items():
+    theirs = other.learner.loss.state_dict()
+    for name, value in training.learner.loss.state_dict().items():
         assert torch.equal(value, theirs[name]), name
 
 

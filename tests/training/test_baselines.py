@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from fishrl.envs import KarmanGait, Predation
@@ -43,11 +41,3 @@ def test_an_unknown_baseline_is_refused_with_the_known_ones() -> None:
         make_baseline("pursiut", task=Predation(), seed=0)
     with pytest.raises(ValueError, match="has pursuit, random"):
         make_baseline("intercept", task=Predation(control_interval_T=0.5), seed=0)
-
-
-def test_names_are_checked_without_developing_wakes(tmp_path: Path) -> None:
-    task = KarmanGait(stream=Stream(wake_folder=str(tmp_path / "wakes")))
-    assert choose_baselines(["shedding"], task) == ("shedding",)
-    with pytest.raises(ValueError, match="has pid, passive, bang_bang, shedding, random"):
-        make_baseline("nobody", task=task, seed=0)
-    assert not list(tmp_path.iterdir())

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import math
 from pathlib import Path
 
 import pytest
@@ -13,7 +11,7 @@ from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
-from tests.training.conftest import Toy
+from tests.training.conftest import Toy, read_rows
 
 GOLDENS = Path(__file__).parents[1] / "goldens"
 ALGORITHMS: dict[str, Algorithm] = {
@@ -26,13 +24,9 @@ ALGORITHMS: dict[str, Algorithm] = {
 }
 
 
-def read(path: Path) -> list[dict[str, float]]:
+def read(folder: Path, name: str = "metrics.csv") -> list[dict[str, float]]:
     """Return the rows of a metrics file without what depends on the machine; NaN where empty."""
-    with path.open(newline="", encoding="utf-8") as file:
-        return [
-            {k: float(v) if v else math.nan for k, v in row.items() if not k.startswith("time/")}
-            for row in csv.DictReader(file)
-        ]
+    return [{k: float(v or "nan") for k, v in row.items()} for row in read_rows(folder, name)]
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
@@ -40,7 +34,7 @@ def test_seed_reproduces_the_golden_learning_curve(name: str, toy: Toy) -> None:
     algorithm = ALGORITHMS[name]
     task = {"is_continuous": not algorithm.takes_discrete}
     toy.begin(algorithm=algorithm, task=task, name=name, baselines=(), final_episodes=1).run()
-    rows, expected = read(toy.folder / name / "metrics.csv"), read(GOLDENS / f"toy_{name}.csv")
+    rows, expected = read(toy.folder / name), read(GOLDENS, f"toy_{name}.csv")
     assert len(rows) == len(expected)
     for row, golden in zip(rows, expected, strict=True):
         # 1e-5: float32 sums may be ordered differently on another processor

@@ -9,23 +9,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from fishrl.training.checkpoint import read_metadata
 from fishrl.training.interruption import (
     Interrupted,
     Interruption,
     exit_status,
     ignore_signals_in_children,
 )
-from tests.training.conftest import Toy
-from tests.training.stops import run_and_signal
-
-
-def test_signal_saves_and_ends_a_run(toy: Toy) -> None:
-    code, said = run_and_signal(toy.folder, signal.SIGTERM, step=5)
-    assert code == 128 + signal.SIGTERM, said
-    run = toy.folder / "run"
-    assert read_metadata(run, which="last")[1]["frames"] == 40
-    assert not (run / "failure.txt").exists()
 
 
 @pytest.mark.usefixtures("heeds_ctrl_c")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import os
@@ -15,7 +14,7 @@ import wandb
 from fishrl.training import complete
 from fishrl.training.logger import CsvLogger, WandbLogger
 from fishrl.training.run_folder import RunFolder, write_json
-from tests.training.conftest import Toy
+from tests.training.conftest import Toy, read_rows
 
 
 def test_a_second_run_of_a_name_gets_a_number(tmp_path: Path) -> None:
@@ -34,11 +33,6 @@ def test_a_folder_without_write_permission_is_an_error(
         RunFolder.of_existing(str(tmp_path))
 
 
-def read(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def test_rows_have_empty_cells_for_metrics_that_were_not_measured(
     tmp_path: Path,
 ) -> None:
@@ -46,7 +40,7 @@ def test_rows_have_empty_cells_for_metrics_that_were_not_measured(
     log.open(tmp_path, columns=["frames", "train/a", "eval/b"], config={})
     log.log({"frames": 1, "train/a": 0.5})
     log.log({"frames": 2, "train/a": math.nan, "eval/b": 3.0})
-    assert read(tmp_path / "metrics.csv") == [
+    assert read_rows(tmp_path) == [
         {"frames": "1", "train/a": "0.5", "eval/b": ""},
         {"frames": "2", "train/a": "", "eval/b": "3.0"},
     ]
@@ -79,12 +73,8 @@ def test_resumed_log_drops_rows_after_the_checkpoint(tmp_path: Path) -> None:
     again = CsvLogger()
     again.open(tmp_path, columns=["frames", "a"], config={}, step=16)
     again.log({"frames": 24, "a": 2.0})
-    rows = read(tmp_path / "metrics.csv")
-    assert [(row["frames"], row["a"]) for row in rows] == [
-        ("8", "1.0"),
-        ("16", "1.0"),
-        ("24", "2.0"),
-    ]
+    rows = read_rows(tmp_path)
+    assert [tuple(row.values()) for row in rows] == [("8", "1.0"), ("16", "1.0"), ("24", "2.0")]
 
 
 def test_wandb_writes_offline_beside_the_csv(
@@ -101,7 +91,7 @@ def test_wandb_writes_offline_beside_the_csv(
     while b"train/return" not in recorded[0].read_bytes():
         assert time.monotonic() < deadline, "wandb wrote no metrics"
         time.sleep(0.1)
-    assert len(read(folder / "metrics.csv")) == 2
+    assert len(read_rows(folder)) == 2
     assert os.environ.get("WANDB_MODE") == before.get("WANDB_MODE")
 
 

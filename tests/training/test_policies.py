@@ -51,22 +51,13 @@ def test_flows_are_labelled_as_in_the_run_unless_another_source_is_named(
 
 
 def test_baselines_are_evaluated_by_name_and_any_policy_as_it_is() -> None:
-    task = ToyPredation()
-    rates = {
-        name: evaluate(name, task=task, episodes=16, compile=False, make_env=make_toy_env)
-        for name in ("random", "pursuit")
-    }
-    assert rates["pursuit"]["success_rate"] > rates["random"]["success_rate"]
-    still = evaluate(
-        lambda td: td.set("action", td["start_index"] * 0 + 1),
-        task=task,
-        episodes=4,
-        compile=False,
-        make_env=make_toy_env,
-    )
+    given: dict[str, Any] = {"task": ToyPredation(), "make_env": make_toy_env, "compile": False}
+    rates = [evaluate(name, episodes=16, **given) for name in ("random", "pursuit")]
+    assert rates[0]["success_rate"] < rates[1]["success_rate"]
+    still = evaluate(lambda td: td.set("action", td["start_index"] * 0 + 1), episodes=4, **given)
     assert still["episodes"] == 4
     with pytest.raises(ValueError, match="did you mean 'pursuit'"):
-        evaluate("pursiut", task=task, make_env=make_toy_env)
+        evaluate("pursiut", **given)
     with pytest.raises(ValueError, match="give a task"):
         evaluate("pursuit", make_env=make_toy_env)
 

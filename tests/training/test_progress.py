@@ -35,21 +35,16 @@ def test_a_log_gets_one_line_per_phase_and_no_bar() -> None:
     assert "speed 3" in lines[0] and "speed 4" in lines[2] and "\r" not in log.getvalue()
 
 
-def test_a_terminal_gets_a_bar_in_place() -> None:
+def test_a_terminal_gets_a_bar_in_place_with_phase_counts_and_numbers() -> None:
     terminal = Terminal()
     run(Progress(stream=terminal))
     assert terminal.getvalue().count("\r") >= 5 and terminal.getvalue().count("\n") == 1
-
-
-def test_the_bar_shows_phase_counts_and_numbers() -> None:
-    terminal = Terminal()
-    with Progress(stream=terminal) as progress:
+    with Progress(stream=(terminal := Terminal())) as progress:
         assert "set-up" in terminal.getvalue()  # at once
         progress.start("training", total=100, done=40)
         progress.advance(60, frames_per_s=12.5, captured=0.75)
-    shown = terminal.getvalue()
-    assert "training" in shown and "100/100" in shown
-    assert "frames per s 12.5" in shown and "captured 0.75" in shown
+    for shown in ("training", "100/100", "frames per s 12.5", "captured 0.75"):
+        assert shown in terminal.getvalue()
 
 
 def test_nothing_is_shown_unless_asked_for() -> None:

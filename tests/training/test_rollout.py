@@ -53,16 +53,6 @@ def test_advantages_match_the_definition_of_gae(toy: Toy) -> None:
     torch.testing.assert_close(kept["value_target"], expected + before, rtol=1e-4, atol=1e-4)
 
 
-def test_learner_is_ready_only_after_a_complete_rollout(toy: Toy) -> None:
-    training = toy.begin(algorithm=PPO(rollout_length=3), batch_size=8)
-    batches, ready = iter(training.collector), []
-    for _ in range(6):
-        training.learner.store(next(batches).reshape(-1))
-        ready.append(training.learner.is_ready)
-    assert ready == [False, False, True] * 2
-    assert training.learner.buffer[:]["advantage"].std() > 0.0
-
-
 @pytest.mark.learning
 @pytest.mark.parametrize("is_continuous", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_ppo_learns_to_catch_still_food(toy: Toy, is_continuous: bool) -> None:

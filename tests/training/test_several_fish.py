@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,47 +12,23 @@ import torch
 from fishrl.envs import PredationPair, make_env
 from fishrl.envs.episodes import run_episodes
 from fishrl.modules import PursuitPolicy
-from fishrl.training import (
-    Algorithm,
-    DiscreteSAC,
-    LearningSettings,
-    Plan,
-    RunSettings,
-    begin,
-    evaluate,
-    reopen,
-)
+from fishrl.training import Algorithm, DiscreteSAC, Plan, begin, evaluate, reopen
 from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.algorithms.ppo import PPO
 from tests.envs.conftest import SMALL
-from tests.training.conftest import assert_equal_weights, read_rows
+from tests.training.conftest import QUICK, assert_equal_weights, make_toy_plan, read_rows
 
 pytestmark = pytest.mark.usefixtures("kinematic")
 
 
 def make_plan(folder: Path, *, algorithm: Algorithm, **changes: Any) -> Plan:
-    learning = {"num_envs": 3, "warmup_frames": 6, "updates_per_frame": 0.5, "batch_size": 4}
-    run = {
-        "name": "pair",
-        "total_frames": 24,
-        "log_frames": 12,
-        "checkpoint_frames": 6,
-        "eval_frames": 24,
-    }
-    return Plan(
-        task=PredationPair(**SMALL, time_limit=4, control_interval_T=0.25, checks_per_action=6),
-        algorithm=algorithm,
-        learning=LearningSettings(**learning, hidden=(8,), buffer_size=100),
-        run=RunSettings(
-            folder=str(folder),
-            compile=False,
-            eval_episodes=2,
-            final_episodes=2,
-            baselines=("random",),
-            **run | changes,
-        ),
-    )
+    few = {"num_envs": 3, "warmup_frames": 6, "updates_per_frame": 0.5, "batch_size": 4}
+    few |= {"total_frames": 24, "log_frames": 12, "checkpoint_frames": 6, "eval_frames": 24}
+    given = QUICK | few | {"name": "pair", "baselines": ("random",)} | changes
+    plan = make_toy_plan(folder, algorithm=algorithm, **given)
+    task = PredationPair(**SMALL, time_limit=4, control_interval_T=0.25, checks_per_action=6)
+    return replace(plan, task=task)
 
 
 @pytest.mark.parametrize("algorithm", [DiscreteSAC(), PPO(rollout_length=4, num_epochs=2)])

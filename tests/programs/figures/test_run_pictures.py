@@ -58,29 +58,23 @@ def scale_vorticity(recording: Recording, factor: float, name: str = "vorticity"
     return dataclasses.replace(recording, frames=frames)
 
 
-@pytest.fixture
-def run_dir(tmp_path: Path) -> Path:
+def test_a_task_with_a_goal_gets_every_picture_others_the_learning_curve(tmp_path: Path) -> None:
     (tmp_path / "metrics.csv").write_text(METRICS)
-    return tmp_path
-
-
-def test_a_task_with_a_goal_gets_every_picture(run_dir: Path) -> None:
     recordings = [make_recording(has_succeeded=False), make_recording(num_frames=9, lane=3.0)]
-    write_run_pictures(run_dir, recordings, baselines={"random": 0.1})
-    written = {path.name for path in run_dir.glob("*.[pg]*") if path.stat().st_size > 1000}
+    write_run_pictures(tmp_path, recordings, baselines={"random": 0.1})
+    written = {path.name for path in tmp_path.glob("*.[pg]*") if path.stat().st_size > 1000}
     assert written == {
         *("learning_curve.png", "trajectories.png", "vorticity_sequence.png"),
         *("vorticity_last.png", "capture.gif"),
     }
-    with Image.open(run_dir / "capture.gif") as picture:  # the first capture, frame by frame
+    with Image.open(tmp_path / "capture.gif") as picture:  # the first capture, frame by frame
         assert picture.n_frames == 9
-
-
-def test_a_task_without_a_goal_gets_the_learning_curve(run_dir: Path) -> None:
-    recording = make_recording(num_frames=2)
-    recording.scene = dataclasses.replace(recording.scene, marks=())
-    write_run_pictures(run_dir, [recording], baselines={})
-    assert [path.name for path in run_dir.glob("*.[pg]*")] == ["learning_curve.png"]
+    for path in tmp_path.glob("*.[pg]*"):
+        path.unlink()
+    for recording in recordings:  # without a goal
+        recording.scene = dataclasses.replace(recording.scene, marks=())
+    write_run_pictures(tmp_path, recordings, baselines={})
+    assert [path.name for path in tmp_path.glob("*.[pg]*")] == ["learning_curve.png"]
 
 
 def test_the_animation_shrinks_until_it_fits(tmp_path: Path) -> None:
@@ -103,23 +97,17 @@ def test_colours_are_symmetric_about_zero_and_saturate_at_a_round_number() -> No
     assert film.choose_limit(dataclasses.replace(recording, scene=scene)) == 4.2
 
 
-def test_flows_are_drawn_in_body_lengths() -> None:
-    recording = make_recording(num_frames=5)
-    figure, flow = film.make_single(recording.scene.choose_field("vorticity", limit=5.0))
-    flow.show(recording.frames)
-    x, y = flow.paths["head"].get_data()
-    assert np.allclose([x[-1], y[-1]], recording.stack_bl("head")[-1].numpy())
-    assert flow.clock.get_text() == "t = 1.0 T"
-    assert figure.axes[0].get_xlabel() == "x / L"
-
-
-def test_a_film_shows_the_field_that_its_scene_has_chosen() -> None:
+def test_flows_are_drawn_in_body_lengths_with_the_field_that_their_scene_has_chosen() -> None:
     recording = scale_vorticity(make_recording(num_frames=5), 0.1, "speed")
     recording.scene = recording.scene.choose_field("speed")
     figure, flow = film.make_single(film.fit_colours(recording))
     flow.show(recording.frames)
     assert flow.image.get_clim() == (0.0, film.choose_limit(recording))
     assert figure.axes[1].get_ylabel() == "speed  [L/T]"
+    x, y = flow.paths["head"].get_data()
+    assert np.allclose([x[-1], y[-1]], recording.stack_bl("head")[-1].numpy())
+    assert flow.clock.get_text() == "t = 1.0 T"
+    assert figure.axes[0].get_xlabel() == "x / L"
 
 
 @pytest.mark.parametrize("name", ["discrete_sac", "dqn", "drqn", "sac", "ppo"])

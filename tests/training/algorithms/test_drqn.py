@@ -1,6 +1,8 @@
-"""DRQN learns from sequences of single episodes."""
+"""DRQN learns from sequences of single episodes, with a memory of its own in each."""
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import torch
 
@@ -30,3 +32,15 @@ def test_sampled_sequences_do_not_cross_episodes(toy: Toy) -> None:
         follows = batch["next", "observation"][:, :-1] == batch["observation"][:, 1:]
         assert follows[is_real[:, 1:]].all()
     assert num_short > 0
+
+
+def test_lstm_state_carries_over_between_decisions_and_resets_with_each_episode(toy: Toy) -> None:
+    training = toy.begin(algorithm=ALGORITHM, warmup_frames=0, task={"time_limit": 4})
+    batches = iter(training.collector)
+    seen = [next(batches)[:, 0].clone() for _ in range(9)]
+    for before, after in pairwise(seen):
+        begins = after["is_init"].squeeze(-1)
+        memory = after["recurrent_state_h"]
+        assert (memory[begins] == 0).all()
+        assert torch.equal(memory[~begins], before["next", "recurrent_state_h"][~begins])
+        assert (memory[~begins] != 0).any(-1).all()

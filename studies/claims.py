@@ -1,8 +1,7 @@
-"""The main claim of each frozen study, from its data."""
+"""The main claim of each study, from its data; a test runs all ``check_*``."""
 
+from math import isclose
 from statistics import fmean
-
-import pytest
 
 from studies.tables import read_data
 
@@ -13,22 +12,25 @@ def read(study: str, name: str, *keys: str) -> dict[tuple[str, ...], dict[str, s
 
 
 def find_interval(row: dict[str, str], name: str) -> tuple[float, float]:
+    """Return the ends of the interval of a value."""
     value, error = float(row[name]), float(row[f"{name} ±"])
     return value - error, value + error
 
 
-def test_sac_leads_drqn_alone_significantly() -> None:
+def check_algorithms() -> None:
+    """Discrete SAC leads DRQN alone significantly."""
     runs = read_data("algorithms", "runs")
     rates = [float(row["learned, %"]) for row in runs if row["run"].endswith("discrete_sac")]
     table = read("algorithms", "algorithms", "`algorithm`")
     assert len(rates) == 10 and len(runs) == 40
-    assert fmean(rates) == pytest.approx(float(table["DiscreteSAC",]["success: mean, %"]), abs=0.05)
+    assert isclose(fmean(rates), float(table["DiscreteSAC",]["success: mean, %"]), abs_tol=0.05)
     for row in read_data("algorithms", "differences"):
         low, _ = find_interval(row, "learning curve")
         assert (low > 0) == row["DiscreteSAC minus"].startswith("DRQN")
 
 
-def test_best_c_start_goes_farther_with_less_work_on_every_grid() -> None:
+def check_c_start() -> None:
+    """The best C-start goes farther than the published one with less work on every grid."""
     rows = read("c_start", "distances", "nodes per L", "strokes")
     gains = []
     for nodes in ("48", "96", "192"):
@@ -38,7 +40,8 @@ def test_best_c_start_goes_farther_with_less_work_on_every_grid() -> None:
     assert [round(100 * gain) for gain in gains] == [13, 7, 6]
 
 
-def test_no_classifier_recognises_95_percent_of_the_changes_within_2_periods() -> None:
+def check_changing_streams() -> None:
+    """No classifier recognises 95 % of the changes within 2 periods."""
     for name in ("steady_classifier", "changing_classifier", "windows"):
         for row in read_data("changing_streams", name):
             is_true = "true label" in row.values()
@@ -46,19 +49,22 @@ def test_no_classifier_recognises_95_percent_of_the_changes_within_2_periods() -
             assert is_true or not rate or float(rate) < 95
 
 
-def test_free_frequency_leads_to_the_karman_gait_in_the_stream_of_training_at_L64() -> None:
+def check_continuous_control() -> None:
+    """A free frequency leads to the Kármán gait at L = 64, in the stream of training."""
     own = read("continuous_control", "L64", "stream, L/T")["1.25 (trained)",]
     assert (own["lasted, %"], own["phase lock"]) == ("100", "0.96")
     coarse = read_data("continuous_control", "gait_sac")
     assert max(float(row["phase lock"]) for row in coarse) < 0.4
 
 
-def test_no_constant_frequency_holds_station_in_all_streams() -> None:
+def check_drift_sweep() -> None:
+    """No constant frequency holds station in all streams."""
     for row in read_data("drift_sweep", "fixed"):
         assert min(float(row[f"{speed} L/T"]) for speed in ("1", "1.25", "1.5")) < 20
 
 
-def test_learned_followers_save_work_behind_the_leader_alone() -> None:
+def check_following() -> None:
+    """Learned followers save work only behind the leader."""
     rows = read("following", "followers", "policy")
     relative = "relative to `keep_place` alone"
     behind, alone = (
@@ -67,7 +73,8 @@ def test_learned_followers_save_work_behind_the_leader_alone() -> None:
     assert find_interval(behind, relative)[1] < 1 < find_interval(alone, relative)[0]
 
 
-def test_phase_decides_the_force_at_the_shedding_frequency() -> None:
+def check_gait_forces() -> None:
+    """At the shedding frequency the phase decides the force."""
     rows = [row for row in read_data("gait_forces", "forces") if float(row["x, L"]) >= 1.6]
     forces = [[float(word) for word in row["1 f, by phase"].split(" to ")] for row in rows]
     assert (min(map(min, forces)), max(map(max, forces))) == (-0.121, 0.031)
@@ -76,37 +83,41 @@ def test_phase_decides_the_force_at_the_shedding_frequency() -> None:
     assert all(high - low > s for (low, high), s in zip(forces, spread, strict=True))
 
 
-def test_301_of_306_episodes_last_with_both_modules() -> None:
+def check_karman_gait() -> None:
+    """301 of 306 episodes last with both modules."""
     rows = [row for row in read_data("karman_gait", "station") if row["policy"] == "both modules"]
     lasted = [round(int(row["episodes"]) * float(row["lasted, %"]) / 100) for row in rows]
     assert (sum(lasted), sum(int(row["episodes"]) for row in rows)) == (301, 306)
 
 
-def test_accuracy_of_the_papers_classifier_is_inflated_by_leakage() -> None:
+def check_lateral_line() -> None:
+    """The accuracy of the paper's classifier is inflated by leakage."""
     own, paper = read_data("lateral_line", "classifiers")
     gaps = [float(r["fitted, %"]) - float(r["held-out episodes, %"]) for r in (own, paper)]
     assert gaps[0] < 3 and gaps[1] > 30
 
 
-def test_flow_with_walls_runs_at_70_percent_of_lbmpys_fastest_kernel() -> None:
+def check_peers() -> None:
+    """The flow with walls runs at 70 % of the speed of lbmpy's fastest kernel."""
     speeds = read("peers", "speeds", "code", "case", "what")
     shape = "1 × 1000 × 500"
     fastest = speeds["lbmpy", f"{shape}, in place (esoteric twist), 2 threads", "kernel"]
     assert int(fastest["MLUPS"]) == max(int(row["MLUPS"]) for row in speeds.values())
-    ratio = read("peers", "ratios", "fishrl / other code")[
-        "flow and walls / lbmpy's in-place kernel",
-    ]
+    ratios = read("peers", "ratios", "fishrl / other code")
+    ratio = ratios["flow and walls / lbmpy's in-place kernel",]
     assert (ratio["measured, ×"], ratio["result"]) == ("0.70", "MISSED")
     bulk = speeds["fishrl", f"{shape}, 2 threads", "kernel"]
-    assert int(bulk["MLUPS"]) / int(fastest["MLUPS"]) == pytest.approx(0.86, abs=0.01)
+    assert isclose(int(bulk["MLUPS"]) / int(fastest["MLUPS"]), 0.86, abs_tol=0.01)
 
 
-def test_three_seeds_of_predation_catch_91_percent() -> None:
+def check_predation() -> None:
+    """Three seeds of predation catch 91 %."""
     rates = [float(row["learned, %"]) for row in read_data("predation", "small")]
     assert len(rates) == 3 and round(fmean(rates)) == 91
 
 
-def test_both_modules_survive_as_the_papers_and_the_ablation_longer() -> None:
+def check_reproduction() -> None:
+    """Both modules survive as the paper's do, and the ablation longer."""
     for scale in ("small", "half"):
         rows = read("reproduction", scale, "quantity, in the flows I, II, III")
         both, none = rows["survival with both, T",], rows["survival without modules, T",]
@@ -115,7 +126,8 @@ def test_both_modules_survive_as_the_papers_and_the_ablation_longer() -> None:
         assert all(a > b for a, b in zip(ours, papers, strict=True))
 
 
-def test_no_policy_differs_from_the_pid_controller_by_more_than_the_scatter() -> None:
+def check_robustness() -> None:
+    """No policy differs from the PID controller by more than the scatter."""
     rows = [row for row in read_data("robustness", "conditions") if row["policy"] != "pid"]
     name = "beyond pid, T"
     assert len(rows) == 30
