@@ -130,3 +130,27 @@ def test_commands_are_shown_as_typed_here(tmp_path: Path, monkeypatch: pytest.Mo
     assert show_command("view", "a b") == (".venv/bin/fishrl view 'a b'")
     monkeypatch.setenv("PATH", f"{place}:{tmp_path}")
     assert show_command("experiments.validate") == "python -m experiments.validate"
+
+
+def test_an_unwritable_result_is_found_before_the_evaluation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evaluate, "evaluate", lambda *_, **__: pytest.fail("evaluated first"))
+    with pytest.raises(SystemExit, match=r"error: no folder .*nowhere: make it first"):
+        evaluate.main(["policy=random", f"save={tmp_path / 'nowhere' / 'x.json'}"])
+    with pytest.raises(SystemExit, match=r"error: .*: cannot be written; choose another"):
+        evaluate.main(["policy=random", f"save={tmp_path}"])
+
+
+def test_a_result_that_cannot_be_written_is_still_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def remove_the_folder(*_: object, **__: object) -> dict[str, float]:
+        (tmp_path / "gone").rmdir()
+        return {"mean_return": 1.5}
+
+    (tmp_path / "gone").mkdir()
+    monkeypatch.setattr(evaluate, "evaluate", remove_the_folder)
+    with pytest.raises(SystemExit, match=r"error: .*No such file.*gone"):
+        evaluate.main(["policy=random", f"save={tmp_path / 'gone' / 'x.json'}"])
+    assert "mean_return             1.500" in capsys.readouterr().out

@@ -5,8 +5,8 @@ from __future__ import annotations
 import csv
 import hashlib
 import resource
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -120,17 +120,12 @@ def assert_equal_weights(training: Training, other: Training) -> None:
         assert torch.equal(value, theirs[name]), name
 
 
-@pytest.fixture
-def limited_disk() -> Callable[[int], AbstractContextManager[None]]:
+@contextmanager
+def limited_disk(num_bytes: int) -> Iterator[None]:
     """Let no file grow beyond a size: what a full disk does, for this process alone."""
-
-    @contextmanager
-    def limit(num_bytes: int) -> Iterator[None]:
-        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (num_bytes, hard))
-        try:
-            yield
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-    return limit
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (num_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

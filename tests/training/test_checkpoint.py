@@ -7,7 +7,6 @@ import logging
 import os
 import pickle
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,10 +22,9 @@ from fishrl.training.checkpoint import (
 )
 from fishrl.training.loop import Training
 from fishrl.training.policy_spec import PolicySpec
-from tests.training.conftest import QUICK, Toy, read_rows, renew_checksums
+from tests.training.conftest import QUICK, Toy, limited_disk, read_rows, renew_checksums
 
 SPEC = PolicySpec(task="Predation", num_inputs=16, num_actions=3)
-Limit = Callable[[int], AbstractContextManager[None]]
 
 
 def save(path: Path, *, value: float = 1.0) -> torch.nn.Linear:
@@ -189,9 +187,7 @@ def test_checkpoint_holds_every_component_without_pickled_code_or_uninitialised_
     assert rows and all((value[16:] == 0).all() for value in rows)
 
 
-def test_full_disk_is_reported_and_keeps_the_previous_checkpoint(
-    tmp_path: Path, limited_disk: Limit
-) -> None:
+def test_full_disk_is_reported_and_keeps_the_previous_checkpoint(tmp_path: Path) -> None:
     save(tmp_path / "last", value=1.0)
     with (
         limited_disk(1000),
@@ -231,7 +227,6 @@ def test_run_that_ends_in_its_first_checkpoint_starts_over(
 def test_run_survives_a_full_disk(
     toy: Toy,
     whole: Training,
-    limited_disk: Limit,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
 import torch
 
 from fishrl.training.algorithms.ppo import PPO
@@ -51,24 +50,3 @@ def test_advantages_match_the_definition_of_gae(toy: Toy) -> None:
         expected[:, t] = later
     torch.testing.assert_close(kept["advantage"], expected, rtol=1e-4, atol=1e-4)
     torch.testing.assert_close(kept["value_target"], expected + before, rtol=1e-4, atol=1e-4)
-
-
-@pytest.mark.learning
-@pytest.mark.parametrize("is_continuous", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_ppo_learns_to_catch_still_food(toy: Toy, is_continuous: bool) -> None:
-    summary = toy.begin(
-        task={"food_speed_bl": 0.0, "is_continuous": is_continuous},
-        algorithm=PPO(rollout_length=16),
-        num_envs=32,
-        total_frames=6_144,
-        learning_rate=2e-3,
-        hidden=(64, 64),
-        eval_frames=2_048,
-        eval_episodes=10,
-        final_episodes=32,
-        checkpoint_frames=6_144,
-        baselines=("random",),
-    ).run()
-    # This seed gave 32 captures of 32 with either kind of action, random actions 9 and 3.
-    assert summary["success_rate"] >= 0.75
-    assert summary["random_success_rate"] <= 0.4

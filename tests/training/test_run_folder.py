@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
@@ -15,11 +13,10 @@ from fishrl.training.run_folder import (
     write_whole,
     write_yaml,
 )
+from tests.training.conftest import limited_disk
 
-Limit = Callable[[int], AbstractContextManager[None]]
 
-
-def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, limited_disk: Limit) -> None:
+def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     write_whole(tmp_path / "a", "before")
     with limited_disk(3), pytest.raises(OSError, match="File too large"):
         write_whole(tmp_path / "a", "afterwards")
