@@ -79,7 +79,7 @@ def test_run_with_several_fish_resumes_exactly(tmp_path: Path) -> None:
 
 def test_a_recurrent_policy_of_several_fish_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="the discrete actions of several fish"):
-        make_plan(tmp_path, algorithm=DRQN())
+        make_plan(tmp_path, algorithm=DRQN(sequence_length=4))
 
 
 def test_pursuit_catches_the_food_and_outcomes_are_counted() -> None:
