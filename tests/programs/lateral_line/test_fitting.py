@@ -93,9 +93,7 @@ def test_a_classifier_reads_some_features_or_their_mean() -> None:
         for is_averaged in (False, True)
     )
     tasks = (make_task(lateral_line=line) for line in lines)
-    each, mean = (
-        cut_samples(episodes, make_settings(task=task, window=1)) for task in tasks
-    )
+    each, mean = (cut_samples(episodes, make_settings(task=task, window=1)) for task in tasks)
     assert torch.equal(each["lateral_line"][0, ..., 1], signal[..., KNOWN.index("u_x")])
     torch.testing.assert_close(mean["lateral_line"], each["lateral_line"].mean(-2, keepdim=True))
 
