@@ -72,7 +72,6 @@ def set_up(config: TrainConfig, progress: Progress | None = None) -> Training:
         make_plan(config),
         folder=config.path,
         recognition=config.recognition,
-        modules=config.modules,
         callbacks=callbacks,
     )
 

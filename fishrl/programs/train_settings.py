@@ -105,12 +105,10 @@ def list_changes(config: TrainConfig) -> dict[str, Any]:
     Raises:
         ValueError: if one of them fixes its result.
     """
-    return find_changes(
-        str(config.path), make_plan(config), recognition=config.recognition, modules=config.modules
-    )
+    return find_changes(str(config.path), make_plan(config), recognition=config.recognition)
 
 
 def is_finished(config: TrainConfig) -> bool:
     """Tell whether the run that is continued has been trained and evaluated as it should be."""
     changes = {name: value for name, value in list_changes(config).items() if name in LATE}
-    return find_summary(str(config.path), modules=config.modules, **changes) is not None
+    return find_summary(str(config.path), **changes) is not None

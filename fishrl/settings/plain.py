@@ -217,7 +217,7 @@ def find_class(name: str, kinds: tuple[type, ...], *, modules: Collection[str] =
     if loaded is None:
         raise ValueError(
             f"{TARGET}: {name}: module {module!r} is not imported; if you trust it, give "
-            f"modules=[{module}]"
+            f"modules=[{module}], or import it"
         )
     found = getattr(loaded, last, None)
     if found is None:

@@ -1,6 +1,5 @@
 """What may change when a run continues, and what fixes its result."""
 
-from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +22,9 @@ FIXED = (
 FINAL = [entry.name for entry in list_fields(RunSettings) if entry.role is Role.EVALUATION]
 
 
-def read_plan(folder: RunFolder, *, modules: Collection[str] = ()) -> Plan:
-    """Return the settings of a run; ``modules`` see ``settings.build``, like the errors."""
-    return Plan.from_config(read_config(folder.config), modules=modules)
+def read_plan(folder: RunFolder) -> Plan:
+    """Return the settings of a run; errors are those of ``Plan.from_config``."""
+    return Plan.from_config(read_config(folder.config))
 
 
 def find_changes(
@@ -33,7 +32,6 @@ def find_changes(
     plan: Plan,
     *,
     recognition: Recognition = None,
-    modules: Collection[str] = (),
 ) -> dict[str, Any]:
     """Return the settings of a plan that differ from those of a run, as ``reopen`` takes them.
 
@@ -43,7 +41,7 @@ def find_changes(
         ValueError: naming each setting that fixes the result and differs.
     """
     run = RunFolder.of_existing(folder)
-    stored, wanted = read_plan(run, modules=modules).to_config(), plan.to_config()
+    stored, wanted = read_plan(run).to_config(), plan.to_config()
     wanted["recognition"] = name_recognition(recognition, run.path)
     before, now = ({name: config[name] for name in FIXED} for config in (stored, wanted))
     flat, other = flatten(before), flatten(now)
@@ -56,9 +54,7 @@ def find_changes(
     return {name: wanted[name] for name in names if wanted[name] != stored.get(name)}
 
 
-def find_summary(
-    folder: str | Path, /, *, modules: Collection[str] = (), **changes: Any
-) -> dict[str, Any] | None:
+def find_summary(folder: str | Path, /, **changes: Any) -> dict[str, Any] | None:
     """Return the summary of a run that is finished, also under some changes, or None.
 
     More frames or another final evaluation make it unfinished; arguments see ``resume``.
@@ -66,7 +62,7 @@ def find_summary(
     run = RunFolder.of_existing(folder)
     if not run.summary.is_file() or run.failure.is_file():
         return None
-    summary, stored = read_summary(run.summary), read_plan(run, modules=modules)
+    summary, stored = read_summary(run.summary), read_plan(run)
     plan = stored.change(**changes)
     is_same = plan.extra == stored.extra and all(
         getattr(plan.run, name) == getattr(stored.run, name) for name in FINAL

@@ -1,6 +1,6 @@
 """Write the policy of a run into a small folder of its own, with a model card."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from shutil import copyfile
 from typing import Any
@@ -32,7 +32,6 @@ def export_policy(
     *,
     title: str | None = None,
     revision: str | None = None,
-    modules: Collection[str] = (),
 ) -> Path:
     """Write the best policy of a run, without what only its training needs.
 
@@ -45,7 +44,6 @@ def export_policy(
         folder: folder to write; must not exist, or be empty.
         title: title of the card; by default the name of the folder.
         revision: commit of the code that exports it, for the card.
-        modules: modules outside fishrl that may be imported, see ``settings.build``.
 
     Returns:
         The folder.
@@ -56,11 +54,11 @@ def export_policy(
     source, folder = RunFolder(Path(run).expanduser()), Path(folder).expanduser()
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ValueError(f"folder = {folder}: exists; name a new one")
-    path, plan = load_plan(source.path, modules=modules)
+    path, plan = load_plan(source.path)
     metadata = read_metadata(path)[1]
     if source.config.is_file():  # its settings may have changed since the best checkpoint
-        plan = Plan.from_config(read_config(source.config), modules=modules)
-    actor = load_policy(path, modules=modules)
+        plan = Plan.from_config(read_config(source.config))
+    actor = load_policy(path)
     spec = PolicySpec.for_task(plan.task, has_labels=plan.recognition is not None)
     config = {**plan.to_config(), "folder": "runs", "name": folder.name}
     folder.parent.mkdir(parents=True, exist_ok=True)

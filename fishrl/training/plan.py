@@ -1,6 +1,6 @@
 """The complete settings of a run, as objects and as the ``config.yaml`` in its folder."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import field, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -69,10 +69,11 @@ class Plan(Settings):
         return {**parts, **flat, **to_plain(self.extra)}
 
     @classmethod
-    def from_config(cls, config: Mapping[str, Any], *, modules: Collection[str] = ()) -> "Plan":
+    def from_config(cls, config: Mapping[str, Any]) -> "Plan":
         """Make a plan from ``config.yaml`` or the metadata of a checkpoint; see ``to_config``.
 
-        Missing entries keep their defaults; ``modules`` see ``settings.build``, like the errors.
+        Missing entries keep their defaults. Modules outside fishrl that it names must have been
+        imported, since a file cannot choose other code; errors are those of ``settings.build``.
         """
         node: dict[str, Any] = {name: config[name] for name in PARTS if name in config}
         for name, kind, known in (
@@ -82,7 +83,7 @@ class Plan(Settings):
             node[name] = build(kind, {key: config[key] for key in known if key in config})
         own = (*PARTS, *LEARNING, *RUN)
         node["extra"] = {name: value for name, value in config.items() if name not in own}
-        return build(cls, node, modules=modules)
+        return build(cls, node)
 
     def change(self, **changes: Any) -> "Plan":
         """Return the plan with other settings of ``RunSettings`` or ``extra``, which may change."""

@@ -1,6 +1,6 @@
 """Load learned policies from checkpoints, and evaluate policies."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from types import EllipsisType
 from typing import Any
@@ -21,13 +21,13 @@ from fishrl.training.resolve import MakeEnv
 from fishrl.training.settings import check_device
 
 
-def load_plan(checkpoint: str | Path, *, modules: Collection[str] = ()) -> tuple[Path, Plan]:
+def load_plan(checkpoint: str | Path) -> tuple[Path, Plan]:
     """Return the path of a checkpoint (or that in a run folder) and the plan of its run.
 
-    ``modules`` see ``settings.build``; errors are those of ``build`` and ``read_metadata``.
+    Errors are those of ``Plan.from_config`` and ``read_metadata``.
     """
     path, metadata = read_metadata(checkpoint)
-    return path, Plan.from_config(metadata["config"], modules=modules)
+    return path, Plan.from_config(metadata["config"])
 
 
 def load_policy(
@@ -36,7 +36,6 @@ def load_policy(
     task: AbstractTask | None = None,
     has_labels: bool | None = None,
     device: str = "cpu",
-    modules: Collection[str] = (),
 ) -> TensorDictModuleBase:
     """Load the learned policy of a run folder or a checkpoint.
 
@@ -45,9 +44,10 @@ def load_policy(
         task: the task to act in; by default the task of its run.
         has_labels: whether transforms label the flows of the task; by default as in its run.
         device: device of the policy.
-        modules: see ``load_plan``, like the errors.
+
+    Errors are those of ``load_plan``.
     """
-    path, plan = load_plan(checkpoint, modules=modules)
+    path, plan = load_plan(checkpoint)
     if has_labels is None:
         has_labels = plan.recognition is not None
     hidden = plan.learning.hidden
@@ -67,7 +67,6 @@ def evaluate(
     seed: int = 0,
     device: str = "cpu",
     compile: bool = True,
-    modules: Collection[str] = (),
     callbacks: Iterable[Callback] = (),
     make_env: MakeEnv = make_env,
 ) -> dict[str, Any]:
@@ -85,7 +84,6 @@ def evaluate(
             evaluation, 1 those that selected its best checkpoint.
         device: cpu or cuda.
         compile: compile the flow step.
-        modules: see ``load_plan``.
         callbacks: called during the evaluation, such as ``Progress()``.
         make_env: makes the flows, with the arguments of ``fishrl.envs.make_env``.
 
@@ -98,7 +96,7 @@ def evaluate(
     check_device(device)
     called = join(callbacks)
     if isinstance(policy, Path):
-        path, plan = load_plan(policy, modules=modules)
+        path, plan = load_plan(policy)
         task = task or plan.task
         if recognition is ...:
             recognition = find_classifier(plan.recognition, path)
@@ -109,7 +107,7 @@ def evaluate(
     has_labels = labels is not None
     act: Policy
     if isinstance(policy, Path):
-        act = load_policy(policy, task=task, has_labels=has_labels, device=device, modules=modules)
+        act = load_policy(policy, task=task, has_labels=has_labels, device=device)
     elif isinstance(policy, str):
         act = make_baseline(policy, task=task, seed=seed)
     else:

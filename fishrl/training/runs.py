@@ -1,7 +1,7 @@
 """Start training runs and resume them."""
 
 import logging
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -76,7 +76,6 @@ def resume(
     folder: str | Path,
     /,
     *,
-    modules: Collection[str] = (),
     callbacks: Iterable[Callback] = (),
     make_env: MakeEnv = make_env,
     **changes: Any,
@@ -85,7 +84,6 @@ def resume(
 
     Args:
         folder: folder of the run.
-        modules: modules outside fishrl that may be imported, see ``settings.build``.
         callbacks: see ``train``.
         make_env: see ``train``.
         **changes: new values of ``RunSettings``, such as ``total_frames=8000``.
@@ -94,10 +92,10 @@ def resume(
         ValueError: if there is no run, its files do not load, or a change is not possible.
         Interrupted: see ``train``.
     """
-    summary = find_summary(folder, modules=modules, **changes)
+    summary = find_summary(folder, **changes)
     if summary is not None:
         return summary
-    opened = reopen(folder, modules=modules, callbacks=callbacks, make_env=make_env, **changes)
+    opened = reopen(folder, callbacks=callbacks, make_env=make_env, **changes)
     return complete(opened)
 
 
@@ -106,7 +104,6 @@ def begin(
     *,
     folder: Path | None = None,
     recognition: Recognition = None,
-    modules: Collection[str] = (),
     callbacks: Iterable[Callback] = (),
     make_env: MakeEnv = make_env,
 ) -> Training:
@@ -116,7 +113,6 @@ def begin(
         plan: the settings; invalid ones raise an error before a folder is made.
         folder: run folder; by default the one that ``plan.run.name`` names, or a new one.
         recognition: see ``train``.
-        modules: see ``resume``.
         callbacks: see ``train``.
         make_env: see ``train``.
 
@@ -125,8 +121,8 @@ def begin(
     """
     path = folder or plan.path
     if path is not None and RunFolder(path).config.is_file():
-        changes = find_changes(path, plan, recognition=recognition, modules=modules)
-        return reopen(path, modules=modules, callbacks=callbacks, make_env=make_env, **changes)
+        changes = find_changes(path, plan, recognition=recognition)
+        return reopen(path, callbacks=callbacks, make_env=make_env, **changes)
     resolved = resolve(plan, recognition=recognition, make_env=make_env)
     run, plan = make_folder(plan, recognition=recognition)
     with run.noting_failure():
@@ -150,7 +146,6 @@ def reopen(
     folder: str | Path,
     /,
     *,
-    modules: Collection[str] = (),
     callbacks: Iterable[Callback] = (),
     make_env: MakeEnv = make_env,
     **changes: Any,
@@ -158,7 +153,7 @@ def reopen(
     """Set up a run in the state of its last checkpoint; see ``resume``."""
     run = RunFolder.of_existing(folder)
     with run.noting_failure():
-        stored = read_plan(run, modules=modules)
+        stored = read_plan(run)
         plan = stored.change(**changes)
         resolved = resolve(plan, recognition=plan.recognition, folder=run.path, make_env=make_env)
         training = Training(resolved, folder=run, callbacks=callbacks)
