@@ -68,7 +68,7 @@ def export_policy(
         if file.is_file():
             copyfile(file, folder / file.name)
     summary = read_summary(source.summary) if source.summary.is_file() else {}
-    card = write_card(
+    card = _write_card(
         plan, summary, title=title or folder.name, frames=metadata["frames"], revision=revision
     )
     with staged(folder / "README.md") as stage:
@@ -76,23 +76,10 @@ def export_policy(
     return folder
 
 
-def write_card(
-    plan: Plan,
-    summary: Mapping[str, Any],
-    *,
-    title: str,
-    frames: int,
-    revision: str | None = None,
+def _write_card(
+    plan: Plan, summary: Mapping[str, Any], *, title: str, frames: int, revision: str | None
 ) -> str:
-    """Return the model card of a policy, as Markdown.
-
-    Args:
-        plan: settings of its run.
-        summary: summary of its run; may be empty.
-        title: title of the card.
-        frames: env frames after which the policy was saved.
-        revision: commit of the code that exports it.
-    """
+    """Return the model card of a policy that was saved after ``frames``, as Markdown."""
     header = {"library_name": "fishrl", "license": "mit", "tags": ["reinforcement-learning"]}
     task = type(plan.task).__name__
     recognition = {None: "none", "oracle": "true flow labels"}.get(
