@@ -109,20 +109,18 @@ class HeadlessViewer:
     """
 
     def __init__(self, process: Viewer) -> None:
-        from rerun.experimental import ViewerClient
-
         self._process = process
-        self._client = self._retry(lambda: ViewerClient.connect(process.url))
+        self._client: Any = None
 
     def ask(self, call: Callable[[Any], Any]) -> Any:
         """Return what a call of rerun's client returns."""
-        return self._retry(lambda: call(self._client))
+        from rerun.experimental import ViewerClient
 
-    def _retry(self, call: Callable[[], Any]) -> Any:
         deadline = time.monotonic() + _PATIENCE_S
         while True:
             try:
-                return call()
+                self._client = self._client or ViewerClient.connect(self._process.url)
+                return call(self._client)
             except (OSError, RuntimeError) as error:  # refused, or out of time
                 # without a driver the program listens first, and then ends
                 if not self._process.is_running or time.monotonic() > deadline:
