@@ -6,27 +6,19 @@ body lengths. A ``FrequencyController`` commands a frequency (beats per T); ``Ga
 action that comes nearest to it.
 """
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-
-class FrequencyController(ABC):
-    """Map an observation to a commanded tail-beat frequency."""
-
-    @abstractmethod
-    def __call__(self, tensordict: TensorDictBase, flow: Tensor) -> Tensor:
-        """Return the commanded frequency ``[B]`` in beats per T, float64; may be infinite.
-
-        ``tensordict`` ``[B]`` is what a policy reads, ``flow`` ``[B]`` the flow label, an index.
-        """
+#: Maps what a policy reads, ``[B]``, and the flow label ``[B]``, an index, to the commanded
+#: frequency ``[B]`` in beats per T, float64; may be infinite.
+FrequencyController = Callable[[TensorDictBase, Tensor], Tensor]
 
 
-class FixedFrequency(FrequencyController):
+class FixedFrequency:
     """Command a constant frequency; 0 is a passive fish.
 
     Args:
@@ -42,7 +34,7 @@ class FixedFrequency(FrequencyController):
         return frequency[flow] if frequency.dim() else frequency.expand(flow.shape)
 
 
-class BangBang(FrequencyController):
+class BangBang:
     """Command the highest frequency downstream of the station and the lowest upstream of it.
 
     Args:
@@ -58,7 +50,7 @@ class BangBang(FrequencyController):
         return torch.where(is_behind, torch.inf, 0.0).double()
 
 
-class PID(FrequencyController):
+class PID:
     """PID control of the streamwise position.
 
     Args:
