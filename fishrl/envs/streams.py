@@ -241,7 +241,7 @@ class Stream(Settings):
 
 
 class AbstractStreamTask(AbstractTask):
-    """Base of tasks in streams; places are relative to the middle of the disc's flat side, in L."""
+    """Base of tasks in streams; places are (x, y) in L from the middle of the disc's flat side."""
 
     @property
     @abstractmethod

@@ -40,7 +40,6 @@ class LearningSettings(Settings):
     hidden: tuple[PositiveInt, ...] = (256, 256)
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         super().__post_init__()
         if self.batch_size > self.buffer_size:
             raise ValueError(

@@ -33,7 +33,6 @@ class DQN(Algorithm):
     epsilon_frames: PositiveInt = 1000
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         super().__post_init__()
         if self.epsilon_end > self.epsilon_start:
             raise ValueError(
