@@ -14,10 +14,10 @@ from math import pi
 from typing import Any
 
 import torch
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.validation.case import Case, Check, Job, Result, Runs, check_finest
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
+from experiments.validation.wake import draw_vorticity
 from fishrl.physics import (
     C_START,
     Boundaries,
@@ -125,20 +125,13 @@ def escape(
     return result | take_picture(solver, 0, body_length)
 
 
-def make_job(body_length: int, **changes: Any) -> Job:
-    """Return a job of ``escape``."""
-    tank, steps = changes.get("tank_bl", 6.0), changes.get("steps", STEPS)
-    return Job(
-        escape,
-        {"body_length": body_length, **changes},
-        cost=0.1 * PARTS * tank**2 * steps * body_length**3,
-        is_quick=body_length == SIZES[0],
-    )
-
-
+RUNS: list[dict[str, Any]] = [
+    *({"body_length": n} for n in SIZES),
+    *({"body_length": VARIANT_SIZE, **changes} for changes, _ in VARIANTS.values()),
+]
 JOBS = [
-    *(make_job(n) for n in SIZES),
-    *(make_job(VARIANT_SIZE, **changes) for changes, _ in VARIANTS.values()),
+    Job(escape, a, cost=a.get("steps", STEPS) * a["body_length"] ** 3 * 100, is_quick=a == RUNS[0])
+    for a in RUNS
 ]
 
 
@@ -152,11 +145,11 @@ def judge(runs: Runs) -> Iterator[Check]:
         "code has converged on these grids; theirs smooths the body. Here φ is constant; the "
         "comments do not say how it was set."
     )
-    yield check_finest("L", quantity, distance, PUBLISHED[-1][1], theirs, note=note)
+    yield check_refined("L", quantity, distance, PUBLISHED[-1][1], theirs, note=note)
     work = {n: run["work"][-1] for n, run in found.items()}
     note = "the reference counts only positive power, at each point of the surface."
     power = "work of the muscles, ρ L⁴ / T²"
-    yield check_finest("L", power, work, PUBLISHED[-1][2], theirs, note=note)
+    yield check_refined("L", power, work, PUBLISHED[-1][2], theirs, note=note)
     for name, (changes, limit) in VARIANTS.items():
         run, base = runs.get(body_length=VARIANT_SIZE, **changes), distance.get(VARIANT_SIZE)
         if run and base:
@@ -182,25 +175,14 @@ def judge(runs: Runs) -> Iterator[Check]:
         )
 
 
-def draw_picture(axes: Axes, run: Result) -> Any:
-    """Draw vorticity, the fish and its path; return the image."""
-    extent = (-WINDOW, WINDOW, -WINDOW, WINDOW)
-    image = axes.imshow(
-        run["vorticity"], extent=extent, origin="lower", cmap="RdBu_r",
-        vmin=-30.0, vmax=30.0, interpolation="bilinear",
-    )  # fmt: skip
-    axes.fill(*zip(*run["outline"], strict=True), color="0.3")
-    axes.plot(*zip(*run["path"], strict=True), color="black", linewidth=1.0)
-    axes.set(xlabel="x / L", ylabel="y / L", aspect="equal")
-    return image
-
-
 def draw(figure: Figure, runs: Runs) -> None:
     """Draw the flow at the end, and the distance against time."""
     left, right = figure.subplots(1, 2)
     found = runs.by("body_length")
-    image = draw_picture(left, found[max(found)])
-    figure.colorbar(image, ax=left, label="vorticity  [1 / T]", shrink=0.8)
+    run, extent = found[max(found)], (-WINDOW, WINDOW, -WINDOW, WINDOW)
+    draw_vorticity(left, run, extent, limit=30.0, length="L", unit="1 / T")
+    left.fill(*zip(*run["outline"], strict=True), color="0.3")
+    left.plot(*zip(*run["path"], strict=True), color="black", linewidth=1.0)
     left.set_title(f"L = {max(found)}, 2.7 T")
     for n, run in found.items():
         course = [(x * x + y * y) ** 0.5 for x, y in run["path"]]

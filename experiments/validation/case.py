@@ -126,16 +126,22 @@ def as_range(reference: float | Range) -> Range:
     return reference if isinstance(reference, tuple) else (reference, reference)
 
 
-def check_finest(
-    symbol: str, quantity: str, values: Mapping[int, float], *criterion: Any, **options: Any
+def check_refined(
+    symbol: str, quantity: str, values: Mapping[Any, float], *criterion: Any, **options: Any
 ) -> Check:
-    """Return the check of a quantity at its finest resolution; the note lists the others.
+    """Return the check of a quantity at one of its resolutions, with all in the refinement.
 
-    ``symbol`` names the resolution; the rest is that of ``Check``.
+    Args:
+        symbol: of the resolution, such as "N"; empty where ``values`` has whole names.
+        quantity: what it is.
+        values: the quantity by resolution.
+        criterion: reference, source and tolerance, as of ``Check``.
+        options: ``at``, the resolution of the check, by default the finest; others of ``Check``.
     """
-    options["refinement"] = {f"{symbol} = {n}": value for n, value in values.items()}
-    finest = max(values)
-    return Check(quantity, values[finest], *criterion, resolution=f"{symbol} = {finest}", **options)
+    at = options.pop("at", None) or max(values)
+    names = {n: f"{symbol} = {n}" if symbol else n for n in values}
+    options["refinement"] = {names[n]: value for n, value in values.items()}
+    return Check(quantity, values[at], *criterion, **{"resolution": names[at]} | options)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.validation.case import Case, Check, Job, Result, Runs, check_finest
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from experiments.validation.plots import GREY, draw_reference, find_extreme
 from fishrl.physics import Boundaries, FlowConfig, InPlaceSolver, NonEquilibrium, NoSlip
 
@@ -108,9 +108,9 @@ def judge(runs: Runs) -> Iterator[Check]:
             for key, reference in references.items():
                 values = runs.read(key, "size", reynolds=reynolds, is_half_way=is_half_way)
                 criterion = (reference, "Botella & Peyret 1998, spectral", tolerance)
-                yield check_finest("N", f"{key} / U, {where}", values, *criterion)
+                yield check_refined("N", f"{key} / U, {where}", values, *criterion)
             name = f"flow / (U × node distance), {where}"
-            yield check_finest("N", name, flow, 0.0, "mass", is_absolute=True, note=note)
+            yield check_refined("N", name, flow, 0.0, "mass", is_absolute=True, note=note)
 
 
 def draw(figure: Figure, runs: Runs) -> None:

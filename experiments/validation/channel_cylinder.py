@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from experiments.validation import wake
-from experiments.validation.case import Case, Check, Job, Result, Runs, check_finest
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from experiments.validation.plots import GREY
 from fishrl.physics import Cylinder, Fixed, compute_pressure
 from fishrl.physics.boundaries import NonEquilibrium, NoSlip, OpenEdge, Profile
@@ -149,14 +149,14 @@ def judge(runs: Runs) -> Iterator[Check]:
     for quantity, reynolds, key, *criterion, note in TARGETS:
         values = runs.read(key, "diameter", reynolds=reynolds)
         if note is not FINER or len(values) > 1:  # the lift of a quick run is known to be 9 % low
-            yield check_finest("D", quantity, values, *criterion, note=note)
+            yield check_refined("D", quantity, values, *criterion, note=note)
     for quantity, reynolds, key, reference, source, note in VARIANT_TARGETS:
         found = {v: runs.get(diameter=SIZES[0], reynolds=reynolds, **VARIANTS[v]) for v in VARIANTS}
         row = {variant: run[key] for variant, run in found.items() if run}
         if len(row) > 1:
-            options: Any = {"resolution": f"D = {SIZES[0]}", "refinement": row, "note": note}
-            name = f"{quantity}, D = {SIZES[0]}"
-            yield Check(name, row["standard"], reference, source, **options)
+            size = f"D = {SIZES[0]}"
+            options: Any = {"at": "standard", "resolution": size, "note": note}
+            yield check_refined("", f"{quantity}, {size}", row, reference, source, **options)
 
 
 def draw(figure: Figure, runs: Runs) -> None:

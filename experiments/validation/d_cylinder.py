@@ -16,7 +16,7 @@ from math import pi
 from matplotlib.figure import Figure
 
 from experiments.validation import wake
-from experiments.validation.case import Case, Check, Job, Result, Runs
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from fishrl.physics import DCylinder, NoSlip
 from fishrl.physics.immersed_boundary import DirectSolve
 
@@ -108,15 +108,11 @@ def judge(runs: Runs) -> Iterator[Check]:
         sizes = runs.by("diameter", reynolds=reynolds)
         known = {n: run for n, a in RUNS.items() if (run := runs.get(reynolds=reynolds, **a))}
         for key, name in QUANTITIES.items() if sizes else ():
-            paper = (PAPER[reynolds], "the paper's table") if key == "strouhal" else (None, "")
-            yield Check(
-                f"{name}, Re = {reynolds}",
-                sizes[max(sizes)][key],
-                *paper,
-                resolution=f"D = {max(sizes)}",
-                refinement={n: run[key] for n, run in known.items()},
-                note=NOTE if key == "strouhal" else "",
-            )
+            is_known = key == "strouhal"
+            paper = (PAPER[reynolds], "the paper's table") if is_known else ()
+            row, options = {n: run[key] for n, run in known.items()}, {"at": f"D = {max(sizes)}"}
+            options |= {"note": NOTE} if is_known else {}
+            yield check_refined("", f"{name}, Re = {reynolds}", row, *paper, **options)
 
 
 def draw(figure: Figure, runs: Runs) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from experiments.validation.case import Case, Check, Job, Result, Runs
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from experiments.validation.wake import draw_vorticity, kick, measure_wake, start_stream
 from fishrl.physics import Cylinder, Fixed
 
@@ -122,20 +122,11 @@ def judge(runs: Runs) -> Iterator[Check]:
         shown = {f"D = {d}, H = {h} D, U = {u}": value for (d, h, u), value in values.items()}
         quantity = f"{name}, Re = {reynolds}"
         if len(values) == len(SETUPS):
-            ours = extrapolate(values)
-            yield Check(
-                quantity,
-                ours,
-                reference,
-                source,
-                resolution="extrapolated",
-                refinement=shown | {"extrapolated": ours},
-                note=NOTES.get((reynolds, key), ""),
-            )
+            shown["extrapolated"], note = extrapolate(values), NOTES.get((reynolds, key), "")
+            criterion: Any = (reference, source)
+            yield check_refined("", quantity, shown, *criterion, at="extrapolated", note=note)
         elif values:
-            where = next(iter(shown))
-            options: Any = {"source": source, "resolution": where, "refinement": shown}
-            yield Check(f"{quantity}, with walls", values[BASE], **options)
+            yield check_refined("", f"{quantity}, with walls", shown, source=source)
 
 
 def extrapolate(values: Mapping[Setup, float]) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from experiments.validation.case import Case, Check, Job, Result, Runs, check_finest
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from experiments.validation.plots import draw_reference
 from experiments.validation.wake import PINNED, make_even, start_flow
 from fishrl.physics import Boundaries, Cylinder, FlowConfig, Oscillating
@@ -122,7 +122,7 @@ def judge(runs: Runs) -> Iterator[Check]:
             values = {d: run[key] for d, run in by_size.items()}
             criterion = (reference, "Dütsch et al. 1998", TOLERANCE if inset else None)
             note = INERTIA_NOTE if key == "c_i" and not inset else ""
-            yield check_finest("D", f"{name}, {where}", values, *criterion, note=note)
+            yield check_refined("D", f"{name}, {where}", values, *criterion, note=note)
         time, theirs = CURVE.T
         ours = np.interp(time, finest["time"], finest["force"], period=1.0)
         rms = float(np.sqrt(np.mean((ours - theirs) ** 2)) / np.abs(theirs).max())

@@ -18,7 +18,7 @@ import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from experiments.validation.case import Case, Check, Job, Result, Runs
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from experiments.validation.wake import OPEN, OPEN_SIDE, PINNED, STREAM
 from fishrl.physics import FlowConfig, InPlaceSolver, Sponge
 from fishrl.physics.boundaries import Boundaries, Boundary, Periodic
@@ -138,8 +138,7 @@ def judge(runs: Runs) -> Iterator[Check]:
     """Show what each outflow reflects, without a criterion."""
     for kind in KINDS:
         row = runs.read("worst", "outflow", kind=kind)
-        pinned, name = row["pinned density"], f"reflected share of a {kind}"
-        yield Check(name, pinned, resolution="pinned density", refinement=row)
+        yield check_refined("", f"reflected share of a {kind}", row, at="pinned density")
 
 
 def draw(figure: Figure, runs: Runs) -> None:

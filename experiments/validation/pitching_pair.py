@@ -19,7 +19,7 @@ import torch
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from experiments.validation.case import Case, Check, Job, Result, Runs, check_finest
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from experiments.validation.wake import OPEN, OPEN_SIDE, STREAM, make_even
 from fishrl.physics import Boundaries, FlowConfig, Foil, InPlaceSolver, Surging
 
@@ -152,11 +152,11 @@ def judge(runs: Runs) -> Iterator[Check]:
     slopes = {size: fit_lags(found)[0] for size, found in spacings.items()}
     source = "Heydari, Hang & Kanso 2024, eLife 96129"
     slope = "slope of d / (U T) over φ / 2π"
-    yield check_finest("L", slope, slopes, 1.0, source, 0.1)
+    yield check_refined("L", slope, slopes, 1.0, source, 0.1)
     other = {size: find_spacings(runs, gap=OTHER_GAP, length=size) for size in spacings}
     for lag in other[FINER]:
         apart = {size: other[size][lag] - spacings[size][lag] for size in other}
-        yield check_finest(
+        yield check_refined(
             "L",
             f"spacing from another start less that from {GAP} L, φ = {360 * lag:g}°",
             {size: value - round(value) for size, value in apart.items()},
@@ -167,7 +167,7 @@ def judge(runs: Runs) -> Iterator[Check]:
     alone = runs.by("length", has_pair=False)
     if not alone:
         return
-    yield check_finest(
+    yield check_refined(
         "L", "speed of a foil alone, L / T", {n: r["speed"][0] for n, r in alone.items()}
     )
     for lag, name, bounds in ((0.0, "in phase", (0.0, 1.0)), (0.5, "antiphase", (1.0, np.inf))):
@@ -178,8 +178,8 @@ def judge(runs: Runs) -> Iterator[Check]:
         )
         costs = {n: powers[n] / speeds[n] for n in alone}
         quantity = f"cost of transport side by side {name} / alone"
-        yield check_finest("L", quantity, costs, bounds, source)
-        yield check_finest("L", f"speed side by side {name} / alone", speeds)
+        yield check_refined("L", quantity, costs, bounds, source)
+        yield check_refined("L", f"speed side by side {name} / alone", speeds)
 
 
 def draw(figure: Figure, runs: Runs) -> None:

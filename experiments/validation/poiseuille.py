@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 from matplotlib.figure import Figure
 
-from experiments.validation.case import Case, Check, Job, Result, Runs
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from experiments.validation.plots import draw_convergence, fit_order
 from fishrl.physics import Boundaries, NonEquilibrium, NoSlip, Periodic
 from fishrl.physics.cases import measure_poiseuille_error
@@ -50,14 +50,8 @@ def judge(runs: Runs) -> Iterator[Check]:
             is_absolute=True,
             resolution=f"H = {min(errors)}–{max(errors)}",
         )
-        yield Check(
-            f"largest profile error / peak, {walls}",
-            errors[JUDGED_HEIGHT],
-            (0.0, 1e-3),
-            "own criterion",
-            resolution=f"H = {JUDGED_HEIGHT}",
-            refinement={f"H = {n}": e for n, e in errors.items()},
-        )
+        name, criterion = f"largest profile error / peak, {walls}", ((0.0, 1e-3), "own criterion")
+        yield check_refined("H", name, errors, *criterion, at=JUDGED_HEIGHT)
 
 
 def draw(figure: Figure, runs: Runs) -> None:

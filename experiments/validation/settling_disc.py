@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
-from experiments.validation.case import Case, Check, Job, Result, Runs, as_range, check_finest
+from experiments.validation.case import Case, Check, Job, Result, Runs, as_range, check_refined
 from experiments.validation.plots import GREY
 from experiments.validation.wake import make_even, start_flow
 from fishrl.physics import Boundaries, Cylinder, FlowConfig, Free, NoSlip
@@ -124,7 +124,7 @@ def judge(runs: Runs) -> Iterator[Check]:
             where = f", markers {inset} nodes inside" if inset else ""
             name = f"{experiment}: {quantity}{where}"
             if values:
-                yield check_finest("d", name, values, *criterion, TOLERANCE)
+                yield check_refined("d", name, values, *criterion, TOLERANCE)
 
 
 def draw(figure: Figure, runs: Runs) -> None:

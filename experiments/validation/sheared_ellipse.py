@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 
-from experiments.validation.case import Case, Check, Job, Result, Runs, check_finest
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from experiments.validation.wake import make_even, start_flow
 from fishrl.physics import Boundaries, Ellipse, FlowConfig, Free, NoSlip, Periodic
 from fishrl.physics.flow import make_uniform
@@ -128,7 +128,7 @@ def judge(runs: Runs) -> Iterator[Check]:
     )
     for inset, where in ((0.0, "no inset"), (INSET, f"inset {INSET}")):
         values = runs.read("period", "length", reynolds=0.5, inset=inset)
-        yield check_finest("2b", f"period × G, Re = 0.5, H = 5 (2b), {where}", values)
+        yield check_refined("2b", f"period × G, Re = 0.5, H = 5 (2b), {where}", values)
     periods = runs.read("period", "tau", **USUAL)
     for tau in TAUS:
         name = f"period × G, 2b = 24, Re = 0.5, H = 5 (2b), τ = {tau}"

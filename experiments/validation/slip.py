@@ -14,7 +14,7 @@ from math import pi
 import torch
 from matplotlib.figure import Figure
 
-from experiments.validation.case import Case, Check, Job, Result, Runs
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from experiments.validation.plots import name_ticks
 from experiments.validation.wake import PINNED, STREAM
 from fishrl.physics import Cylinder, Fish, FlowConfig, FlowState, Free, Scales
@@ -129,12 +129,10 @@ def judge(runs: Runs) -> Iterator[Check]:
             yield Check(name, run[key], (0.0, limit), "round-off")
         for w in RELAXATIONS:
             slips = dict(zip(COUNTS, run[f"relaxation {w}"], strict=True))
-            yield Check(
-                f"slip / speed, {body}, relaxation {w}",
-                slips[DEFAULT.num_iterations],
-                resolution=f"{DEFAULT.num_iterations} iterations",
-                refinement={f"K = {k}": slip for k, slip in slips.items()},
-            )
+            name = f"slip / speed, {body}, relaxation {w}"
+            resolution = f"{DEFAULT.num_iterations} iterations"
+            at = {"at": DEFAULT.num_iterations, "resolution": resolution}
+            yield check_refined("K", name, slips, **at)
 
 
 def draw(figure: Figure, runs: Runs) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.validation.case import Case, Check, Job, Result, Runs, check_finest
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from experiments.validation.wake import start_flow
 from fishrl.physics import Commanded, Fish, Free, Scales, Section
 from fishrl.physics.bodies.gait import GAITS
@@ -131,9 +131,9 @@ def judge(runs: Runs) -> Iterator[Check]:
     slip = {n: run["slip"] / run["tail_speed"] for n, run in found.items()}
     speed = f"speed in beat {NUM_BEATS}"
     carling = (0.77 * WAVE_SPEED, CARLING)
-    yield check_finest("L", f"{speed}, L / T", final, *carling, note=NO_SOURCE)
-    yield check_finest("L", "power of the muscles, ρ L⁴ / T³", power)
-    yield check_finest("L", "slip at the skin / tail speed", slip)
+    yield check_refined("L", f"{speed}, L / T", final, *carling, note=NO_SOURCE)
+    yield check_refined("L", "power of the muscles, ρ L⁴ / T³", power)
+    yield check_refined("L", "slip at the skin / tail speed", slip)
     if len(found) < len(LENGTHS):
         return
     coarse, middle, fine = (final[n] for n in LENGTHS[::2])

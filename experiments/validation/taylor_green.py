@@ -14,7 +14,7 @@ from math import inf
 import torch
 from matplotlib.figure import Figure
 
-from experiments.validation.case import Case, Check, Job, Result, Runs, check_finest
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from experiments.validation.plots import draw_convergence, fit_order
 from fishrl.physics.cases import decay_taylor_green
 
@@ -40,23 +40,14 @@ JOBS = [
 def judge(runs: Runs) -> Iterator[Check]:
     """Check order, viscosity and what single precision costs."""
     double, single = (runs.read("error", "size", is_single=each) for each in (False, True))
-    order = "order of the L2 velocity error"
-    grids = f"N = {min(double)}–{max(double)}"
-    source = "second-order method"
-    yield Check(order, fit_order(double), (1.95, inf), source, resolution=grids)
-    yield check_finest("N", "L2 velocity error", double)
+    order, grids = "order of the L2 velocity error", f"N = {min(double)}–{max(double)}"
+    yield Check(order, fit_order(double), (1.95, inf), "second-order method", resolution=grids)
+    yield check_refined("N", "L2 velocity error", double)
     viscosity = runs.read("viscosity", "size", is_single=False)
-    yield check_finest("N", "viscosity ν / ((τ − ½) / 3)", viscosity, 1.0, SOURCE, 0.005)
+    yield check_refined("N", "viscosity ν / ((τ − ½) / 3)", viscosity, 1.0, SOURCE, 0.005)
     ratios = {n: single[n] / double[n] for n in double}
-    worst = max(ratios, key=lambda n: ratios[n])
-    yield Check(
-        "error in float32 / in float64, worst grid",
-        ratios[worst],
-        (0.0, 2.0),
-        "own criterion",
-        resolution=f"N = {worst}",
-        refinement={f"N = {n}": r for n, r in ratios.items()},
-    )
+    worst, name = max(ratios, key=lambda n: ratios[n]), "error in float32 / in float64, worst grid"
+    yield check_refined("N", name, ratios, (0.0, 2.0), "own criterion", at=worst)
 
 
 def draw(figure: Figure, runs: Runs) -> None:

@@ -142,15 +142,23 @@ def _record_force(solver: InPlaceSolver, num_steps: float, interval: int) -> Ten
     return torch.stack(impulses).diff(dim=0) / interval
 
 
-def draw_vorticity(axes: Axes, run: Result, extent: Sequence[float], limit: float) -> None:
-    """Draw vorticity in units of U / D around a body at the origin; lengths in D."""
+def draw_vorticity(
+    axes: Axes,
+    run: Result,
+    extent: Sequence[float],
+    limit: float,
+    *,
+    length: str = "D",
+    unit: str = "U / D",
+) -> None:
+    """Draw vorticity around a body at the origin, with units of length and vorticity."""
     left, right, low, high = extent
     image = axes.imshow(
         run["vorticity"], extent=(left, right, low, high), origin="lower", cmap="RdBu_r",
         vmin=-limit, vmax=limit, interpolation="bilinear",
     )  # fmt: skip
-    axes.set(xlabel="x / D", ylabel="y / D", aspect="equal")
-    axes.figure.colorbar(image, ax=axes, label="vorticity  [U / D]", shrink=0.8)
+    axes.set(xlabel=f"x / {length}", ylabel=f"y / {length}", aspect="equal")
+    axes.figure.colorbar(image, ax=axes, label=f"vorticity  [{unit}]", shrink=0.8)
 
 
 def draw_series(axes: Axes, run: Result, key: str, name: str, shift: float = 0.0) -> None:
