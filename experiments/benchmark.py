@@ -4,7 +4,7 @@ All cases take turns in short bursts. Tables, goals and figures show medians and
 rounds, and ratios of the same round.
 
     python -m experiments.benchmark groups=[solver,env]      # some groups
-    python -m experiments.benchmark docs=docs                # put the last results into the page
+    python -m experiments.benchmark docs=docs                # put the results into the page too
 """
 
 import logging
@@ -19,7 +19,7 @@ from experiments.benchmarks import environment, flows
 from experiments.benchmarks.machine import describe_machine
 from experiments.benchmarks.measuring import BenchmarkSettings, Results, measure
 from experiments.benchmarks.plots import write_plots
-from experiments.benchmarks.report import describe_run, list_tables, write_page
+from experiments.benchmarks.report import render, write_page
 from fishrl.programs.configuration import unknown
 from fishrl.programs.program import program
 
@@ -57,18 +57,16 @@ def run(settings: BenchmarkSettings) -> Results:
 
 @program(BenchmarkSettings)
 def main(settings: BenchmarkSettings) -> None:
-    """Measure, print tables and write JSON and figures; or write stored results into the page."""
+    """Measure, print tables, and write JSON, figures and perhaps the page."""
     folder, start = Path(settings.folder), time.perf_counter()
-    if settings.docs is not None:
-        docs = Path(settings.docs)
-        results = Results.load(folder / "results.json")
-        figures = write_plots(results, docs / "figures" / "benchmark")
-        write_page(results, figures, docs / "performance.md")
-        return
     results = run(settings)
     results.save(folder / "results.json")
     write_plots(results, folder)
-    print("\n\n".join([describe_run(results), *list_tables(results)]))
+    print(render(results))
+    if settings.docs is not None:
+        docs = Path(settings.docs)
+        figures = write_plots(results, docs / "figures" / "benchmark")
+        write_page(results, figures, docs / "performance.md")
     print(f"\n{(time.perf_counter() - start) / 60.0:.1f} minutes; written to {folder}")
 
 

@@ -1,8 +1,7 @@
 """Cases beyond the flow: the environment, a training run, and a profile.
 
-One action lasts a tail beat. The same flows are advanced by the bare solver, by the environment,
-and by the environment with its transforms, resets and a policy. No episode ends meanwhile, so the
-steps are the same. Tests give another task and other ``options`` of ``make_env``.
+One action lasts a tail beat, by the environment alone and with its transforms, resets and a policy.
+No episode ends meanwhile. Tests give another task and other ``options`` of ``make_env``.
 """
 
 import time
@@ -16,7 +15,7 @@ from tensordict import TensorDictBase
 from torch.profiler import ProfilerActivity, profile, record_function
 from torchrl.envs import ExplorationType, set_exploration_type
 
-from experiments.benchmarks.measuring import BenchmarkSettings, Case, make_flow_case
+from experiments.benchmarks.measuring import BenchmarkSettings, Case
 from fishrl.envs import Predation, make_env
 from fishrl.modules import make_actor
 from fishrl.physics import InPlaceSolver
@@ -63,16 +62,14 @@ class Stage:
 def make_case(base: Any, label: str, what: str, advance: Any, **options: Any) -> Case:
     """Return bursts of one action of all flows of an environment."""
     flow = base.solver.config
-    shape = (base.batch_size[0], flow.width, flow.height)
-    case = make_flow_case(label, shape, what, advance=advance, num_steps=1, **options)
-    case.num_nodes *= base.task.n_substeps
-    return case
+    name = f"{base.batch_size[0]} × {flow.width} × {flow.height}, {what}"
+    return Case(label=label, name=name, advance=advance, num_steps=1, **options)
 
 
 def make_overhead(
     settings: BenchmarkSettings, *, task: Any = None, num_envs: int = NUM_ENVS, **options: Any
 ) -> list[Case]:
-    """Make the flows once, and the three ways to advance them by one action."""
+    """Make one action of all flows, and measure which share of it is spent outside the flow."""
     stage = Stage(task or make_task(settings), num_envs, **options)
     base, advance_, spent = stage.base, stage.base.solver.advance_, [0.0]  # seconds in the flow
     keep_heading = torch.ones(base.batch_size, dtype=torch.int64)
@@ -94,7 +91,6 @@ def make_overhead(
     make = partial(make_case, base, prepare=stage.prepare)
     whole = "environment, transforms and policy"
     return [
-        make("env/solver", "bare solver", lambda _: advance_(stage.task.n_substeps)),
         make("env/env", "environment", partial(run_env, act=step)),
         make("env/policy", whole, partial(run_env, act=stage.act)),
     ]

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from experiments.benchmarks import measuring
-from experiments.benchmarks.measuring import BenchmarkSettings, Case, make_flow_case, repeat
+from experiments.benchmarks.measuring import BenchmarkSettings, Case, repeat
 from fishrl.physics import Boundaries, InPlaceSolver, Scales
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.storage import Storage
@@ -50,10 +50,10 @@ def make_case(solver: InPlaceSolver, label: str, how: str, *, num_flows: int | N
     config, num_flows = solver.config, num_flows or solver.num_envs
     is_first = torch.arange(solver.num_envs) < num_flows
     populations = sum(tensor.nbytes for tensor in solver.state_dict().values())
-    return make_flow_case(
-        label,
-        (num_flows, config.width, config.height),
-        how,
+    return Case(
+        label=label,
+        name=f"{num_flows} × {config.width} × {config.height}, {how}",
+        num_nodes=num_flows * config.width * config.height,
         scope=measuring.FISH if config.bodies else measuring.WALLS,
         advance=partial(solver.advance_, rows=None if is_first.all() else is_first),
         working_set=round(populations * num_flows / solver.num_envs),

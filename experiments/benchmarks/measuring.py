@@ -6,7 +6,6 @@ its own threads.
 """
 
 import json
-import math
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -40,7 +39,7 @@ class BenchmarkSettings(Settings):
         burst: seconds that a burst should take.
         groups: groups of measurements; by default all.
         folder: folder of results and figures.
-        docs: folder of pages to write stored results of ``folder`` into; nothing is measured.
+        docs: folder of the page that the results are also put into.
     """
 
     body_length: Annotated[int, Field(ge=80)] = 100  # at least 16 nodes in a small case too
@@ -90,12 +89,6 @@ class Case:
     group: str = ""
 
 
-def make_flow_case(label: str, flows: tuple[int, int, int], how: str, **fields: Any) -> Case:
-    """Return a case of flows of a shape ``[B, X, Y]``."""
-    name = f"{' × '.join(map(str, flows))}, {how}"
-    return Case(label=label, name=name, num_nodes=math.prod(flows), **fields)
-
-
 @dataclass(kw_only=True)
 class Results:
     """Everything that a run has found."""
@@ -117,12 +110,6 @@ class Results:
         cases = [vars(case) | {"advance": None, "prepare": None} for case in self.cases]
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(vars(self) | {"cases": cases}, indent=1), encoding="utf-8")
-
-    @classmethod
-    def load(cls, path: Path) -> "Results":
-        """Read what ``save`` wrote."""
-        plain = json.loads(path.read_text(encoding="utf-8"))
-        return cls(**plain | {"cases": [Case(**case) for case in plain["cases"]]})
 
 
 def measure(cases: Sequence[Case], settings: BenchmarkSettings) -> None:

@@ -48,7 +48,6 @@ GOALS = (
     ("GPU, bulk / copy", "≥ 0.9 ×", "gpu/kernel", "gpu/copy"),
     ("GPU, whole step with fish / copy", "≥ 0.75 ×", "gpu/fish", "gpu/copy"),
     ("GPU, stored in half / in single precision", "≥ 1.6 ×", "gpu/fish, half", "gpu/fish"),
-    ("environment, transforms and policy / bare solver", "≥ 0.94 ×", "env/policy", "env/solver"),
     ("share of an environment step outside the flow", "≤ 2 %", "outside_flow", "env/policy"),
     ("gradient step, 64 transitions", "≤ 3 ms", "seconds", "train/gradient"),
     ("memory per node", "≤ 45 B", "bytes", "middle/fish"),
@@ -93,13 +92,6 @@ def _over(label: str, case: Case, results: Results) -> str | None:
     return f"{compare(case, other).median:.2f}" if other else None
 
 
-def _excess(case: Case, results: Results) -> str | None:
-    bare = results.find("env/solver")
-    if not bare or case is bare:
-        return None
-    return Spread(*(100.0 * (ratio - 1.0) for ratio in compare(bare, case))).show()
-
-
 def _price(case: Case, results: Results) -> str:
     seconds = spread(case.measured["seconds"]).median
     return f"{seconds * case.facts['period'] / case.facts['flows']:.2f}"
@@ -121,7 +113,6 @@ COLUMNS: dict[str, Cell] = {
     "µs / step": lambda case, _: f"{1e6 * spread(case.measured['seconds']).median:.0f}",
     "s / T and flow": _price,
     "ms": _number("seconds", 2, 1e3),
-    "beyond the bare solver, %": _excess,
     "share outside the flow, %": _number("outside_flow", 2, 100.0),
     "share of learning, %": _number("learning", 1, 100.0),
     "ms / action": _number("seconds", 1, 1e3),
@@ -131,7 +122,7 @@ COLUMNS: dict[str, Cell] = {
 SPEED = ("case", "what", "MLUPS", "/ copy", "/ in-place probe", "B / update", "MB")
 GPU_SPEED = ("case", "what", "MLUPS", "/ copy on the GPU", "B / update", "MB")
 MEMORY, PRICE = "memory, B / node", ("µs / step", "s / T and flow")
-BEYOND = ("case", "ms", "beyond the bare solver, %", "share outside the flow, %")
+OUTSIDE = ("case", "ms", "share outside the flow, %")
 PARTS = ("part", "of", "ms / action", "share, %")
 #: Group, heading, line above the table (with facts of its first case), columns.
 TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
@@ -139,15 +130,15 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("solver", "Flow without bodies", "", (*SPEED, MEMORY)),
     ("coupled", "A swimming fish in each flow", "T is a tail beat.", (*SPEED, MEMORY, *PRICE)),
     ("gpu", "GPU", "", GPU_SPEED),
-    ("env", "Environment", "Bursts of one action, which lasts a tail beat T.", BEYOND),
+    ("env", "Environment", "Bursts of one action, which lasts a tail beat T.", OUTSIDE),
     ("train", "Training", "", ("case", "ms", "share of learning, %")),
     ("profile", "Profile of an environment step", "{size}, one core.", PARTS),
     ("compile", "Compilation", "Time until the first step with a fish.", ("case", "seconds")),
 )
 
 
-def list_tables(results: Results) -> list[str]:
-    """Return every table that there is something to put into, in Markdown."""
+def render(results: Results) -> str:
+    """Return a description of the run and every table that is not empty, in Markdown."""
     goals = write_table(("goal", "target", "measured", "result"), list_goals(results))
     tables = [f"### Goals\n\nRatios of the same round: median and quartiles.\n\n{goals}"]
     for group, title, note, columns in TABLES:
@@ -155,7 +146,7 @@ def list_tables(results: Results) -> list[str]:
             cells = [[COLUMNS[c](case, results) or "–" for c in columns] for case in cases]
             parts = [f"### {title}", note.format(**cases[0].facts), write_table(columns, cells)]
             tables.append("\n\n".join(filter(None, parts)))
-    return [table.strip() for table in tables]
+    return "\n\n".join(table.strip() for table in (describe_run(results), *tables))
 
 
 def describe_run(results: Results) -> str:
@@ -177,4 +168,4 @@ def write_page(results: Results, figures: dict[Path, str], page: Path) -> None:
     pictures = [
         f"![{caption}]({path.relative_to(page.parent)})" for path, caption in figures.items()
     ]
-    fill(page, MARK, "\n\n".join([describe_run(results), *list_tables(results), *pictures]))
+    fill(page, MARK, "\n\n".join([render(results), *pictures]))

@@ -14,13 +14,11 @@ SETTINGS = BenchmarkSettings()
 TASK = Predation(**TINY | {"control_interval_T": 0.05, "checks_per_action": 2})  # few steps
 
 
-def test_the_environment_takes_longer_than_its_flow() -> None:
-    solver, env, policy = make_overhead(SETTINGS, task=TASK, num_envs=2, compile=False)
-    assert solver.num_nodes == env.num_nodes == policy.num_nodes
-    for case in (solver, env, policy):
+def test_a_part_of_an_action_is_spent_outside_the_flow() -> None:
+    env, policy = make_overhead(SETTINGS, task=TASK, num_envs=2, compile=False)
+    for case in (env, policy):
         case.prepare()
-        extras = case.advance(1)
-        assert case is solver or 0.0 < extras["outside_flow"] < 1.0
+        assert 0.0 < case.advance(1)["outside_flow"] < 1.0
 
 
 def test_a_training_loop_collects_and_learns() -> None:
