@@ -141,7 +141,8 @@ def check_refined(
     at = options.pop("at", None) or max(values)
     names = {n: f"{symbol} = {n}" if symbol else n for n in values}
     options["refinement"] = {names[n]: value for n, value in values.items()}
-    return Check(quantity, values[at], *criterion, **{"resolution": names[at]} | options)
+    options.setdefault("resolution", names[at])
+    return Check(quantity, values[at], *criterion, **options)
 
 
 @dataclass(frozen=True)
