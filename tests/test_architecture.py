@@ -66,11 +66,17 @@ LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
 )
 TORCHRL_SIDE = {f"fishrl.envs.{name}" for name in ("flow_env", "making", "transforms", "episodes")}
 ON_USE = {"rerun", "wandb"}
-#: Modules for users of other frameworks: nothing else imports them, nor what they need.
-WAYS_IN = [
-    ROOT / "fishrl/wrappers" / name for name in ("gymnasium.py", "minari.py", "stable_baselines.py")
-]
-FRAMEWORKS = {"gymnasium", "minari", "stable_baselines3", "sb3_contrib"}
+#: Imports of our own modules inside functions: for optional packages and what they bring.
+MAX_LATE_IMPORTS = 5
+OWN = {"fishrl", "experiments"}
+#: Packages, and the only files that import them: modules for users of other frameworks, say.
+IMPORTERS: tuple[tuple[set[str], tuple[str, ...]], ...] = (
+    ({"rerun"}, ("fishrl/viewer/",)),
+    (
+        {"gymnasium", "minari", "stable_baselines3", "sb3_contrib", "fishrl.wrappers"},
+        ("fishrl/wrappers/", "fishrl/programs/export_data.py"),
+    ),
+)
 
 
 def _sources(*folders: str) -> list[Path]:
@@ -117,6 +123,11 @@ def _names(path: Path, *, at_import: bool = False) -> list[str]:
     return [name for node in nodes for name in _imported_by(node, path)]
 
 
+def list_imports(*folders: str) -> set[str]:
+    """Return the absolute names that the files of some folders import."""
+    return {name for path in _sources(*folders) for name in _names(path)}
+
+
 def _is_within(name: str, packages: set[str]) -> bool:
     return any(name == package or name.startswith(package + ".") for package in packages)
 
@@ -137,20 +148,14 @@ def test_task_files_do_not_reach_torchrl_through_the_env() -> None:
     assert not wrong
 
 
-def test_rerun_and_wandb_are_imported_on_use() -> None:
+def test_some_packages_are_imported_on_use_or_by_few_files_alone() -> None:
     for path in _sources("fishrl", "experiments"):
+        file = _relative(path)
         early = [name for name in _names(path, at_import=True) if _is_within(name, ON_USE)]
-        assert not early, (
-            f"{_relative(path)} imports {early} at the top: import it where it is used"
-        )
-
-
-def test_only_the_ways_in_import_other_frameworks() -> None:
-    ways = {"fishrl.wrappers"}
-    allowed = {*WAYS_IN, ROOT / "fishrl/programs/export_data.py"}  # its program
-    for path in set(_sources("fishrl", "experiments")) - allowed:
-        wrong = [name for name in _names(path) if _is_within(name, FRAMEWORKS | ways)]
-        assert not wrong, f"{_relative(path)} imports {wrong}"
+        assert not early, f"{file} imports {early} at the top: import it where it is used"
+        for packages, importers in IMPORTERS:
+            wrong = [name for name in _names(path) if _is_within(name, packages)]
+            assert not wrong or file.startswith(importers), f"{file} imports {wrong}"
 
 
 def test_files_are_short_and_have_names_that_say_something() -> None:
@@ -165,11 +170,6 @@ def test_the_library_logs_and_never_prints() -> None:
         calls = [node for node in ast.walk(_parse(path)) if isinstance(node, ast.Call)]
         lines = [call.lineno for call in calls if ast.unparse(call.func) == "print"]
         assert not lines, f"{_relative(path)} prints on lines {lines}: use logging"
-
-
-#: Imports of our own modules inside functions: for optional packages and what they bring.
-MAX_LATE_IMPORTS = 5
-OWN = {"fishrl", "experiments"}
 
 
 @cache
@@ -213,15 +213,6 @@ def test_no_module_imports_itself_through_others() -> None:
 def test_few_modules_are_imported_inside_functions() -> None:
     _, late = _find_imports()
     assert len(late) <= MAX_LATE_IMPORTS, f"{len(late)} imports inside functions: {late}"
-
-
-def test_only_the_viewer_imports_rerun() -> None:
-    importers = [
-        _relative(path)
-        for path in _sources("fishrl", "experiments")
-        if any(_is_within(name, {"rerun"}) for name in _names(path))
-    ]
-    assert all(importer.startswith("fishrl/viewer/") for importer in importers)
 
 
 def test_physics_imports_without_torchrl_hydra_rerun_and_wandb() -> None:

@@ -1,11 +1,11 @@
 """Parts of other packages that are not public, and that a new version of theirs may move."""
 
-import ast
 import inspect
 from importlib import import_module
-from pathlib import Path
+from typing import Any
 
-ROOT = Path(__file__).parents[1]
+from tests.test_architecture import OWN, list_imports
+
 #: Where each is used, and what has to be looked at when it moves.
 PRIVATE = {
     "torch._functorch.compile_utils.fx_graph_cse": "training/tracing.py",
@@ -15,8 +15,6 @@ PRIVATE = {
     "torch._inductor.standalone_compile.AOTCompiledArtifact": "physics/fast/compiled.py",
     "torch.utils._pytree": "envs/streams.py, physics",
 }
-
-
 #: Private attributes of TorchRL's classes, by class, that their subclasses or callers here use.
 ATTRIBUTES = {
     "torchrl.collectors.Collector": ("_carrier", "_traj_pool"),  # training/collector.py
@@ -24,34 +22,17 @@ ATTRIBUTES = {
 }
 
 
-def _is_private(name: str) -> bool:
-    package, *parts = name.split(".")
-    return package not in ("fishrl", "experiments") and any(
-        part.startswith("_") and not part.startswith("__") for part in parts
-    )
+def _find(name: str) -> Any:
+    module, _, attribute = name.rpartition(".")
+    return getattr(import_module(module), attribute)
 
 
-def _find_imported() -> set[str]:
-    found: set[str] = set()
-    for path in (p for f in ("fishrl", "experiments") for p in (ROOT / f).rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ImportFrom) and node.module:
-                found |= {f"{node.module}.{alias.name}" for alias in node.names}
-            elif isinstance(node, ast.Import):
-                found |= {alias.name for alias in node.names}
-    return {name for name in found if _is_private(name)}
-
-
-def test_private_imports_are_listed_and_exist_in_the_installed_versions() -> None:
-    assert _find_imported() == set(PRIVATE)
+def test_private_parts_are_listed_and_exist_in_the_installed_versions() -> None:
+    foreign = {name for name in list_imports(*OWN) if name.partition(".")[0] not in OWN}
+    assert {name for name in foreign if "._" in name.replace(".__", "")} == set(PRIVATE)
     for name in PRIVATE:
-        module, _, attribute = name.rpartition(".")
-        assert hasattr(import_module(module), attribute), f"{name} (used in {PRIVATE[name]})"
-
-
-def test_private_attributes_of_torchrl_are_still_used_there() -> None:
+        assert _find(name), f"{name} (used in {PRIVATE[name]})"
     for name, attributes in ATTRIBUTES.items():
-        module, _, kind = name.rpartition(".")
-        source = inspect.getsource(getattr(import_module(module), kind))
+        source = inspect.getsource(_find(name))
         missing = [attribute for attribute in attributes if attribute not in source]
         assert not missing, f"{name} has no {missing}"

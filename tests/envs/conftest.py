@@ -44,20 +44,6 @@ def make_flows(task: AbstractTask, num_envs: int, **options: Any) -> FlowEnv:
     return FlowEnv(task=task, num_envs=num_envs, compile_flow=False, **options)
 
 
-def assert_resets_rewrite_all(task: AbstractTask) -> None:
-    """Compare an episode in new flows with one from the same starts in flows that were used."""
-    starts = task.sample_starts(2, torch.Generator().manual_seed(1))
-    new, used = make_flows(task, 2), make_flows(task, 2, seed=7)
-    used.reset()
-    act(used, 0, 2)
-    for env in (new, used):
-        with env.set_starts(starts):
-            env.reset()
-    assert (act(new, 1, 2) == act(used, 1, 2)).all()
-    for name, value in read_flows(new).items():
-        assert torch.equal(read_flows(used)[name], value), name
-
-
 def act(env: FlowEnv, *actions: int, **inputs: Any) -> TensorDict:
     """Take one action per row, with further inputs, and return what follows."""
     entries = {name: torch.tensor(value) for name, value in inputs.items()}

@@ -8,7 +8,7 @@ from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 from torchrl.envs.utils import check_marl_grouping
 
-from fishrl.envs import FlowEnv, Predation, make_env
+from fishrl.envs import FlowEnv, make_env
 from fishrl.envs.agents import EachFish, average_fish, split_fish
 from fishrl.modules import RandomPolicy
 from tests.envs.conftest import SMALL, make_flows, reset_rows
@@ -46,12 +46,6 @@ def test_layout_is_torchrls_multi_agent_layout(is_continuous: bool) -> None:
     if not is_continuous:
         assert agents["action_mask"].gather(-1, agents["action"].unsqueeze(-1)).all()
         assert not agents["action_mask"].all()
-
-
-def test_one_fish_keeps_its_entries_at_the_top_level() -> None:
-    env = make_env(task=Predation(**SMALL), num_envs=2, compile=False)
-    assert not hasattr(env.base_env, "group_map")
-    assert {"observation", "observation_stack", "action_mask"} <= set(env.reset().keys())
 
 
 def test_each_fish_is_commanded_observed_and_rewarded_separately(flows: FlowEnv) -> None:

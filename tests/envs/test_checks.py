@@ -48,26 +48,14 @@ def _start_outside(task: MaskedTask, uniform: torch.Tensor) -> TensorDict:
         ("success", "reached", r"success gives reached, expected .*\['beats'\]"),
         ("starts_from", _start_outside, "head at .*: the fish, or a part of it, lies outside"),
         ("command", lambda _, a, b: 0.1 * a, "command gives a tensor .* expected"),
-        (
-            "command",
-            lambda _, a, b: Command(0.0 * a, 1.0 + a),
-            r"frequency gives \[1.0, 2.0\], expected 0 to .* tail beats per step",
-        ),
-        (
-            "command",
-            lambda task, a, b: Command(0.0 * a, 0.0 * a + 2.2 / task.scales.period),
-            "which is max_frequency = 2 per T",
-        ),
-        (
-            "command",
-            lambda _, a, b: Command(7.0 + 0.0 * a),
-            r"turn gives \[7.0, 7.0\], expected radians, at most",
-        ),
-        (
-            "command",
-            lambda _, a, b: Command(0.0 * a, amplitude=1.0 + a),
-            r"amplitude gives \[1.0, 2.0\], expected 0 to 1",
-        ),
+        ("command", lambda _, a, b: Command(0.0 * a, 1.0 + a),
+         r"frequency gives \[1.0, 2.0\], expected 0 to .* tail beats per step"),
+        ("command", lambda task, a, b: Command(0.0 * a, 0.0 * a + 2.2 / task.scales.period),
+         "which is max_frequency = 2 per T"),
+        ("command", lambda _, a, b: Command(7.0 + 0.0 * a),
+         r"turn gives \[7.0, 7.0\], expected radians, at most"),
+        ("command", lambda _, a, b: Command(0.0 * a, amplitude=1.0 + a),
+         r"amplitude gives \[1.0, 2.0\], expected 0 to 1"),
     ],
 )  # fmt: skip
 def test_invalid_return_value_is_named(member: str, gives: Any, said: str) -> None:

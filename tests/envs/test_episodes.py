@@ -8,7 +8,6 @@ from torchrl.envs import TransformedEnv
 
 from fishrl.envs import FlowEnv, Predation, make_env
 from fishrl.envs.episodes import Episodes, has_succeeded, run_episodes
-from fishrl.envs.traces import Traces
 from tests.envs.conftest import SMALL, keep_straight
 
 pytestmark = pytest.mark.usefixtures("kinematic")
@@ -96,9 +95,7 @@ def test_episodes_cut_by_max_decisions_do_not_succeed() -> None:
     assert not episodes.succeeded[~episodes.terminated].any()
 
 
-def test_env_is_restored_even_if_the_policy_fails(
-    task: Predation,
-) -> None:
+def test_env_is_restored_even_if_the_policy_fails(task: Predation) -> None:
     seen: list[FlowEnv] = []
     env = make_env(task=task, num_envs=7, compile=False, on_frame=seen.append)
     base = env.base_env
@@ -127,14 +124,10 @@ def test_traces_hold_each_episode_in_order_of_time(task: Predation, num_envs: in
     def read(start_of: Tensor, what: object) -> dict[str, Tensor]:
         return {"age": base.solver.body.age, "head": base.solver.markers()[:, 0]}
 
-    episodes = run_episodes(
-        env,
-        keep_straight,
-        starts,
-        on_begin=read,
-        on_step=lambda start_of, step: {"reward": step["next", "reward"][:, 0]},
-        on_frame=read,
-    )
+    def earn(start_of: Tensor, step: TensorDict) -> dict[str, Tensor]:
+        return {"reward": step["next", "reward"][:, 0]}
+
+    episodes = run_episodes(env, keep_straight, starts, on_begin=read, on_step=earn, on_frame=read)
     traces = episodes.traces
     assert set(traces) == {"age", "head", "reward"}
     for e, (age, head) in enumerate(zip(traces["age"], traces["head"], strict=True)):
@@ -145,12 +138,3 @@ def test_traces_hold_each_episode_in_order_of_time(task: Predation, num_envs: in
     padded = traces.pad("age", length=3 * task.time_limit + 1)
     assert padded.shape == (NUM_STARTS, 3 * task.time_limit + 1)
     assert padded[0].isnan().any() and torch.equal(traces.of(0)["age"], traces["age"][0])
-
-
-def test_rows_without_a_start_leave_no_trace(task: Predation) -> None:
-    traces = Traces(2)
-    traces.add(torch.tensor([1, -1]), {"x": torch.tensor([1.0, 2.0])})
-    traces.add(torch.tensor([-1, 1]), {"x": torch.tensor([3.0, 4.0])})
-    assert [trace.tolist() for trace in traces["x"]] == [[], [1.0, 4.0]]
-    with pytest.raises(KeyError):
-        traces["y"]

@@ -60,7 +60,7 @@ def test_starts_of_a_row_do_not_depend_on_other_rows() -> None:
     assert drawn[0].unique(dim=0).shape[0] == 4
 
 
-def test_set_seed_repeats_random_and_given_starts(small_task: Predation) -> None:
+def test_set_seed_repeats_random_starts(small_task: Predation) -> None:
     env = make_flows(small_task, 3, seed=1)
     first, second = (env.reset()["observation"] for _ in range(2))
     assert not torch.equal(first, second)
@@ -68,16 +68,13 @@ def test_set_seed_repeats_random_and_given_starts(small_task: Predation) -> None
     assert torch.equal(env.reset()["observation"], first)
     env.set_seed(None)
     assert torch.equal(env.reset()["observation"], make_flows(small_task, 3).reset()["observation"])
-    starts = small_task.sample_starts(5, torch.Generator().manual_seed(0))
-    env = make_flows(small_task, 2, starts=starts)
-    for _ in range(2):
-        env.set_seed(0)
-        assert env.reset()["start_index"].tolist() == [0, 1]
 
 
 def test_given_starts_are_taken_in_order_of_resets_and_rows(small_task: Predation) -> None:
     starts = small_task.sample_starts(5, torch.Generator().manual_seed(0))
     env = make_flows(small_task, 3, starts=starts)
+    env.reset()
+    env.set_seed(0)  # begins with the first again
     assert env.reset()["start_index"].tolist() == [0, 1, 2]
     assert reset_rows(env, False, True, True)["start_index"].tolist()[1:] == [3, 4]
     assert reset_rows(env, True, False, True)["start_index"].tolist()[::2] == [0, 1]
@@ -95,14 +92,6 @@ def test_resting_row_stands_still_and_affects_no_other(small_task: Predation) ->
     assert env.solver.body.age.tolist() == [106.0, 0.0, 106.0]
     for key in ("observation", "reward", "done", "diverged"):
         assert torch.equal(after[key][[0, 2]], expected[key][[0, 2]])
-
-
-def test_terminated_row_stops_at_its_end(small_task: Predation) -> None:
-    env = make_flows(small_task, 2)
-    env.reset()
-    env.solver.body.position[1, 0] = 12.0  # about to hit the left wall
-    assert act(env, 1, 1)["terminated"].squeeze(-1).tolist() == [False, True]
-    assert env.solver.body.age[1] < env.solver.body.age[0] == 106.0
 
 
 def test_diverged_row_is_truncated_alone_with_reward_0_and_the_last_observation(

@@ -6,8 +6,9 @@ from typing import Any
 import pytest
 import torch
 from tensordict import TensorDict
+from torchrl.envs import check_env_specs
 
-from fishrl.envs import FlowEnv, KarmanGait
+from fishrl.envs import FlowEnv, KarmanGait, make_env
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import FrequencyBank, MacroActions
 from fishrl.envs.stations import SafeArea, StationReward
@@ -43,13 +44,11 @@ def close(*values: float) -> Any:
 
 def test_stream_follows_the_start_of_each_row() -> None:
     env, _ = begin(3)
-    speed = env.solver.stream_speed / env.task.scales.reference_speed
-    assert speed.tolist() == pytest.approx([1.0, 1.25, 1.5])
+    unit = env.task.scales.reference_speed
+    assert (env.solver.stream_speed / unit).tolist() == pytest.approx([1.0, 1.25, 1.5])
     env.starts = env.starts[[1]]
     reset_rows(env, True, False, False)
-    speed = env.solver.stream_speed / env.task.scales.reference_speed
-    assert speed.tolist() == pytest.approx([1.25, 1.25, 1.5])
-    assert env.now["flow_index"].tolist() == [1, 1, 2]
+    assert (env.solver.stream_speed / unit).tolist() == pytest.approx([1.25, 1.25, 1.5])
 
 
 def test_starts_are_uniform_in_the_given_flows_and_places() -> None:
@@ -84,6 +83,16 @@ def test_flow_label_selects_the_row_and_leaves_the_gear() -> None:
         assert after["frequency"].squeeze(-1).tolist() == expected
         assert after["gear"].squeeze(-1).tolist() == [2, 2]
         assert after["flow_index"].squeeze(-1).tolist() == [0, 1]
+    env = make_env(
+        task=make_task(reads_flow_class=True), num_envs=2, starts=env.starts.flip(0),
+        compile=False, recognition="oracle",
+    )  # fmt: skip
+    state = env.reset()
+    assert state["observation_stack"].shape == (2, (7 + 3) * env.base_env.task.num_stacked)
+    after = env.step(state.set("action", torch.tensor([CRUISE, CRUISE])))["next"]
+    assert after["frequency"].squeeze(-1).tolist() == [1.1, 1.0]
+    check_env_specs(env, seed=0)
+    env, _ = begin(2, reads_flow_class=True)
     with pytest.raises(ValueError, match=r"flow_class = \[0, 3\]: allowed is 0 to 2"):
         act(env, CRUISE, CRUISE, flow_class=[0, 3])
     with pytest.raises(ValueError, match=r"KarmanGait reads \['flow_class'\].*append the transf"):
@@ -211,10 +220,7 @@ def test_free_stream_has_neither_disc_nor_wake() -> None:
         ({"start_flows": ()}, r"start_flows = \(\): give one or more of the indices 0 to 2"),
         ({"stream": Stream(speeds_bl=(1.0,)), "start_flows": (0,)}, "control has rows for 3 flows"),
         ({"start_x_bl": (0.3, 1.0)}, r"nose at \(0.30, -0.10\) L from the disc, is in the danger"),
-        (
-            {"steering": PolicySteering()},
-            "decisions_per_T = 4, but the control interval is 1 T: give 1",
-        ),
+        ({"steering": PolicySteering()}, "decisions_per_T = 4, but the control interval is 1 T: g"),
     ],
 )
 def test_invalid_settings_are_refused(bad: dict[str, Any], message: str) -> None:
@@ -222,16 +228,10 @@ def test_invalid_settings_are_refused(bad: dict[str, Any], message: str) -> None
         make_task(**bad)
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "message"),
-    [
-        ("flow_index", 3, r"starts\['flow_index'\] = \[3\]: allowed is 0 to 2"),
-        ("wake_phase", 1.0, r"starts\['wake_phase'\] = \[1.0\]: allowed is \[0, 1\)"),
-    ],
-)
-def test_invalid_starts_are_refused(key: str, value: float, message: str) -> None:
+def test_starts_of_other_flows_and_phases_are_refused() -> None:
     task = make_task()
-    starts = task.sample_starts(1, torch.Generator().manual_seed(0))
-    starts[key].fill_(value)
-    with pytest.raises(ValueError, match=message):
-        task.check_starts(starts)
+    for key, value, allowed in (("flow_index", 3, "0 to 2"), ("wake_phase", 1.0, r"\[0, 1\)")):
+        starts = task.sample_starts(1, torch.Generator().manual_seed(0))
+        starts[key].fill_(value)
+        with pytest.raises(ValueError, match=rf"\['{key}'\] = \[{value}\]: allowed is {allowed}"):
+            task.check_starts(starts)

@@ -18,6 +18,7 @@ def test_stack_holds_the_last_observations_and_restarts_with_its_row() -> None:
     """Row 0 captures its food after some actions and is reset, row 1 swims on."""
     starts = starts_at((3.8, 2.5), (7.5, 1.5), (7.0, 3.0))
     env = make_env(task=Predation(**SMALL), num_envs=2, compile=False, starts=starts)
+    assert not hasattr(env.base_env, "group_map")  # entries of one fish are at the top level
     rollout = env.rollout(8, policy=keep_straight, break_when_any_done=False)
     is_init = rollout["is_init"].squeeze(-1)
     assert is_init.sum(1).tolist() == [2, 1] and is_init[:, 0].all()
@@ -32,20 +33,15 @@ def test_stack_holds_the_last_observations_and_restarts_with_its_row() -> None:
             assert torch.equal(rollout["next", "observation_stack"][row, t], after)
 
 
-def test_time_limit_truncates_and_does_not_terminate() -> None:
-    env = make_env(task=Predation(**SMALL, time_limit=3), num_envs=2, compile=False)
-    after = env.rollout(4, break_when_any_done=False)["next"]
-    assert after["truncated"].squeeze(-1).tolist() == [[False, False, True, False]] * 2
-    assert torch.equal(after["done"], after["truncated"])
-    assert not after["terminated"].any()
-    assert after["step_count"].squeeze(-1).tolist() == [[1, 2, 3, 1]] * 2
-
-
-def test_episode_reward_is_the_sum_of_rewards() -> None:
-    env = make_env(task=Predation(**SMALL), num_envs=2, compile=False, starts=starts_at((3.8, 2.5)))
-    rollout = env.rollout(6, policy=keep_straight)
-    assert rollout.shape == (2, 3)  # 1.3 L to the food, 0.25 L of it for free, at 0.4 L an action
-    assert rollout["next", "episode_reward"][0].squeeze(-1).tolist() == [1.0, 2.0, 23.0]
+def test_time_limit_truncates_and_episode_rewards_are_sums() -> None:
+    task = Predation(**SMALL, time_limit=3)
+    starts = starts_at((5.0, 2.5), (3.8, 2.5))  # 1.3 L to the food, at 0.4 L an action
+    env = make_env(task=task, num_envs=2, compile=False, starts=starts)
+    after = env.rollout(4, policy=keep_straight, break_when_any_done=False)["next"]
+    flags = {"truncated": [False, False, True, False], "terminated": [False] * 4}
+    for key, expected in (flags | {"step_count": [1, 2, 3, 1]}).items():
+        assert after[key][0].squeeze(-1).tolist() == expected
+    assert after["episode_reward"][:, :3, 0].tolist() == [[1.0, 2.0, 3.0], [1.0, 2.0, 23.0]]
 
 
 def test_saved_flows_and_frame_stacks_continue_in_another_environment() -> None:

@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict
 
 from fishrl.envs import FlowEnv, Predation, PredationPair, make_env
-from tests.envs.conftest import SMALL, act, assert_resets_rewrite_all, make_flows, read_flows
+from tests.envs.conftest import SMALL, act, make_flows, read_flows
 
 #: A tank of 5 L x 3 L, where an eager action takes about a second.
 TINY = SMALL | {
@@ -26,37 +26,15 @@ def task() -> Predation:
     return Predation(**TINY)
 
 
-def test_fish_swims_turns_as_commanded_and_continues_exactly_when_saved(
-    task: Predation,
-) -> None:
-    env, other = make_flows(task, 1, seed=3), make_flows(task, 1, seed=2)
+def test_fish_swims_and_turns_as_commanded(task: Predation) -> None:
+    env = make_flows(task, 1, seed=3)
     first = env.reset()["observation"]
     for _ in range(3):
         after = act(env, 1)
     assert after["observation"][0, 0] > first[0, 0] + 0.1  # the food has come nearer
-    other.load_state_dict(env.state_dict())
-    assert (act(env, 2) == act(other, 2)).all()
-    for name, value in read_flows(env).items():
-        assert torch.equal(read_flows(other)[name], value), name
+    act(env, 2)
     turned = math.degrees(float(env.solver.body.heading[0]) - math.pi)
     assert turned == pytest.approx(15.0, abs=1e-9)
-
-
-def test_reset_erases_the_history_of_a_flow(task: Predation) -> None:
-    assert_resets_rewrite_all(task)
-
-
-def test_continuous_approach_earns_1_per_beat() -> None:
-    start = {"start_x_bl": (3.5, 3.5), "start_y_bl": (1.5, 1.5)}
-    task = Predation(**TINY | start, action="continuous")
-    env = make_flows(task, 2)
-    env.reset()
-    beats = torch.tensor([0.6, 1.0])
-    low, high = task.frequency_range
-    action = torch.stack((torch.zeros(2), 2 * (beats - low) / (high - low) - 1), -1)
-    for _ in range(3):
-        earned = env.step(TensorDict({"action": action}, [2]))["next", "reward"].squeeze(-1)
-        torch.testing.assert_close(earned, beats)
 
 
 def test_diverged_flow_is_reset_alone_and_swims_on() -> None:

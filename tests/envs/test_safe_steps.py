@@ -31,9 +31,7 @@ def run(task: Predation, num_actions: int, **options: Any) -> tuple[list[TensorD
     return steps, count
 
 
-def test_skipped_checks_change_no_episode(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_skipped_checks_change_no_episode(monkeypatch: pytest.MonkeyPatch) -> None:
     move_kinematically(monkeypatch)
     task = Predation(**SMALL, turn_degrees=40.0, food_direction="random")
     some, num_some = run(task, 60)
@@ -47,9 +45,7 @@ def test_skipped_checks_change_no_episode(
     assert num_some < 0.5 * num_every
 
 
-def test_swimming_fish_stays_below_the_assumed_speed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_swimming_fish_stays_below_the_assumed_speed(monkeypatch: pytest.MonkeyPatch) -> None:
     task = Predation(**TINY)
     env = make_flows(task, 2, seed=1)
     env.reset()
@@ -66,9 +62,7 @@ def test_swimming_fish_stays_below_the_assumed_speed(
     monkeypatch.setattr(env.solver, "advance_", advance_)
     for action in ([0, 2], [0, 1]):  # from rest, turning to both sides
         env.step(TensorDict({"action": torch.tensor(action)}, env.batch_size))
-    at_rest = {
-        "clearance": torch.tensor([task.wall_margin + 1.0]),
-        "target": torch.full((1, 4), 99.0),
-    }
+    clearance = torch.tensor([task.wall_margin + 1.0])
+    at_rest = {"clearance": clearance, "target": torch.full((1, 4), 99.0)}
     speed = 1.0 / float(task.count_safe_steps(TensorDict(at_rest, [1])))
     assert 0.2 * speed < largest < 0.9 * speed

@@ -20,7 +20,7 @@ def test_schedule_fills_the_action_with_even_stretches(
     assert {s.num_steps // 2 - num_steps // 2 // checks for s in between} <= {0, 1}
 
 
-@pytest.mark.parametrize(("checks", "frames"), [(0, 1), (1, 4)])
-def test_too_many_checks_or_frames_are_refused(checks: int, frames: int) -> None:
-    with pytest.raises(ValueError, match=r"must lie in \[1, 3\]"):
-        make_schedule(6, checks=checks, frames=frames)
+def test_too_many_checks_or_frames_are_refused() -> None:
+    for checks, frames in ((0, 1), (1, 4)):
+        with pytest.raises(ValueError, match=r"must lie in \[1, 3\]"):
+            make_schedule(6, checks=checks, frames=frames)

@@ -45,15 +45,10 @@ def test_pid_turns_towards_the_centreline_within_its_bounds(
     assert turn.item() == pytest.approx(expected)
 
 
-def test_sway_of_the_nose_causes_no_turn() -> None:
-    nose, middle = torch.tensor([[1.5, 0.1]]).double(), torch.tensor([[2.0, 0.0]]).double()
-    seen = PIDSteering().observe(nose, middle, torch.tensor([pi], dtype=torch.float64))
-    assert PIDSteering().turn(seen[:, None].expand(-1, 32, -1)).item() == pytest.approx(0.0)
-
-
-def test_turn_is_periodic_in_the_heading() -> None:
-    steering = PIDSteering()
-    seen = torch.tensor([[0.0, heading] for heading in (pi, -pi, 3.0 * pi, pi - 0.1)]).double()
+def test_neither_sway_of_the_nose_nor_whole_turns_change_the_turn() -> None:
+    steering, headings = PIDSteering(), torch.tensor([pi, -pi, 3.0 * pi, pi - 0.1]).double()
+    nose, middle = (torch.tensor([each]).double().expand(4, 2) for each in ((1.5, 0.1), (2.0, 0.0)))
+    seen = steering.observe(nose, middle, headings)
     turns = steering.turn(seen[:, None].expand(-1, steering.num_stacked, -1))
     expected = torch.tensor([0.0, 0.0, 0.0, 0.1]).double()
     torch.testing.assert_close(turns, expected, rtol=0, atol=1e-6)

@@ -1,81 +1,52 @@
 """Flow labels: entries, memory, partial resets and refused classifiers."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from itertools import pairwise, product
 from typing import Any
 
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torchrl.data import Categorical, Composite, Unbounded
-from torchrl.envs import CatFrames, EnvBase, StepCounter, TransformedEnv, check_env_specs
+from torchrl.envs import CatFrames, StepCounter, Transform, TransformedEnv, check_env_specs
 
-from fishrl.envs import FlowEnv, Predation, PredictedFlowLabel, TrueFlowLabel, make_recognition
-from fishrl.envs.extensions import HasFlowLabels
+from fishrl.envs import (
+    KarmanGait,
+    Predation,
+    PredictedFlowLabel,
+    TrueFlowLabel,
+    make_recognition,
+)
+from fishrl.envs.lateral_line import LateralLine
+from fishrl.envs.macro_actions import DirectFrequencies
 from fishrl.modules import LateralLineClassifier
-from tests.envs.conftest import SMALL
-from tests.sines import FLOWS, NUM_FEATURES, SENSORS, make_signal
+from tests.envs.conftest import SMALL, make_flows
+
+pytestmark = pytest.mark.usefixtures("kinematic")
+LINE = LateralLine(num_neuromasts=5, num_samples=16, features=("u_x", "u_y"), noise=0.3)
+BEATS = DirectFrequencies(frequencies=(1.0, 2.0))
+TASK = KarmanGait(**SMALL | {"wall_margin_bl": 0.25}, lateral_line=LINE, control=BEATS)
+FLOWS, NUM_SEEN = TASK.flow_labels, TASK.n_obs
 
 
-class SineTask(HasFlowLabels):
-    """The flow labels of a task."""
-
-    flow_labels = FLOWS
-    lateral_line_layout = SENSORS
-
-
-class SineEnv(EnvBase):
-    """Rows that feel sines; row b's episodes end after b + 2 steps and change the flow."""
-
-    def __init__(self, num_envs: int = 3) -> None:
-        super().__init__(batch_size=[num_envs])
-        self.task = SineTask()
-        self.age = torch.zeros(num_envs)
-        self.flow = torch.arange(num_envs) % 3
-        self.observation_spec_unbatched = Composite(
-            observation=Unbounded((2,)),
-            lateral_line=Unbounded((16, 5, NUM_FEATURES)),
-            flow_index=Unbounded((1,), dtype=torch.int64),
-        )
-        self.action_spec_unbatched = Categorical(2)
-        self.reward_spec_unbatched = Unbounded((1,))
-
-    def _sense(self) -> dict[str, torch.Tensor]:
-        phase = 0.7 * torch.arange(float(len(self.flow)))
-        return {
-            "observation": torch.stack((self.age, phase), -1),
-            "lateral_line": make_signal(self.flow, self.age, phase),
-            "flow_index": self.flow.unsqueeze(-1).clone(),
-        }
-
-    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
-        rows = torch.ones_like(self.flow, dtype=torch.bool)
-        if tensordict is not None and "_reset" in tensordict:
-            rows = tensordict["_reset"].reshape(self.batch_size)
-            self.flow = torch.where(rows, (self.flow + 1) % 3, self.flow)
-        self.age = torch.where(rows, 0.0, self.age)
-        return TensorDict(self._sense(), self.batch_size)
-
-    def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        self.age = self.age + 1.0
-        done = (self.age >= 2.0 + torch.arange(len(self.age))).unsqueeze(-1)
-        flags = {"done": done, "terminated": done.clone(), "reward": torch.zeros(done.shape)}
-        return TensorDict({**self._sense(), **flags}, self.batch_size)
-
-    def _set_seed(self, seed: int | None) -> None:
-        pass
-
-
-def make(*transforms: Any, num_envs: int = 3) -> TransformedEnv:
-    env = TransformedEnv(SineEnv(num_envs))
+def make(*transforms: Transform, num_envs: int = 3) -> TransformedEnv:
+    """Return flows whose fish swim 0.1 L per decision to the danger area, from place to place."""
+    number = torch.arange(num_envs + 4)
+    starts = TASK.sample_starts(len(number), torch.Generator().manual_seed(0))
+    x = TASK.origin[0] + TASK.body_length * (0.55 + 0.2 * number)
+    starts["head"][:, 0], starts["flow_index"] = x, number // 2 % 3
+    env = TransformedEnv(make_flows(TASK, num_envs, starts=starts))
     for transform in transforms:
         env.append_transform(transform)
     return env
 
 
+def roll(env: TransformedEnv, num: int) -> TensorDictBase:
+    still = torch.zeros(env.batch_size, dtype=torch.int64)
+    return env.rollout(num, lambda td: td.set("action", still), break_when_any_done=False)
+
+
 def untrained(**changes: Any) -> LateralLineClassifier:
-    arguments = {"flows": FLOWS, "sensors": SENSORS, "hidden": (8,)} | changes
+    arguments = {"flows": FLOWS, "sensors": TASK.lateral_line_layout, "hidden": (8,)} | changes
     return LateralLineClassifier(**arguments, generator=torch.Generator().manual_seed(0))
 
 
@@ -88,34 +59,52 @@ def test_specs_hold_in_front_of_a_frame_stack(num_samples: int) -> None:
     stack = CatFrames(N=2, dim=-1, in_keys=["observation"], out_keys=["observation_stack"])
     env = make(*make_recognition(untrained(num_samples=num_samples)), StepCounter(), stack)
     check_env_specs(env, seed=0)
-    assert env.observation_spec["observation_stack"].shape == (3, 2 * (2 + 3))
+    assert env.observation_spec["observation_stack"].shape == (3, 2 * (NUM_SEEN + 3))
 
 
 def test_without_memory_labels_are_the_classifiers_output() -> None:
     env = make_predicted(memory=0.0)
-    rollout = env.rollout(6, break_when_any_done=False)
+    rollout = roll(env, 6)
     for td in (rollout, rollout["next"]):
         expected = env.transform[0].machine(td["lateral_line"]).softmax(-1)
         assert torch.allclose(td["flow_probabilities"], expected)
         assert torch.equal(td["flow_class"], expected.argmax(-1))
         assert td["flow_class"].dtype == torch.int64
-        assert td["observation"].shape == (3, 6, 5)
-        assert torch.equal(td["observation"][..., 2:], td["flow_probabilities"])
+        assert td["observation"].shape == (3, 6, NUM_SEEN + 3)
+        assert torch.equal(td["observation"][..., NUM_SEEN:], td["flow_probabilities"])
 
 
-@pytest.mark.parametrize("is_true", [True, False])
-def test_labels_that_are_not_observed_leave_the_observation_alone(is_true: bool) -> None:
-    true = TrueFlowLabel(num_flows=3, is_observed=False)
-    env = make(true) if is_true else make_predicted(is_observed=False)
+@pytest.mark.parametrize(
+    "transforms",
+    [
+        lambda: [TrueFlowLabel(num_flows=3, is_observed=False)],
+        lambda: make_recognition(untrained(), is_observed=False),
+        lambda: make_recognition(untrained(), interpolates=True, is_observed=False),
+    ],
+    ids=["true", "predicted", "interpolated"],
+)
+def test_labels_need_not_be_observed_and_may_be_interpolated(
+    transforms: Callable[[], list[Transform]], request: pytest.FixtureRequest
+) -> None:
+    env = make(*transforms())
     check_env_specs(env, seed=0)
-    rollout = env.rollout(3)
-    assert rollout["observation"].shape[-1] == 2
-    assert torch.equal(rollout["flow_class"], rollout["flow_probabilities"].argmax(-1))
+    rollout = roll(env, 6)
+    assert rollout["observation"].shape[-1] == NUM_SEEN
+    p = rollout["flow_probabilities"]
+    mean, most = p[..., 1] + 2.0 * p[..., 2], p.argmax(-1)
+    expected = mean if request.node.callspec.id == "interpolated" else most
+    torch.testing.assert_close(rollout["flow_class"], expected)
+
+
+def test_oracle_writes_the_true_flow() -> None:
+    rollout = roll(make(TrueFlowLabel(num_flows=3)), 10)
+    assert torch.equal(rollout["flow_class"], rollout["flow_index"].squeeze(-1))
+    assert torch.equal(rollout["observation"][..., NUM_SEEN:].argmax(-1), rollout["flow_class"])
 
 
 def test_partial_reset_restarts_the_history_of_its_rows_alone() -> None:
     env = make(*make_recognition(untrained(num_samples=32)))
-    td = env.rollout(3, break_when_any_done=False)[:, -1].exclude("action")["next"]
+    td = roll(env, 3)[:, -1].exclude("action")["next"]
     before = td.clone()
     td = env.reset(td.set("_reset", torch.tensor([[False], [True], [False]])))
     history, signal = td["lateral_line_history"], td["lateral_line"]
@@ -129,20 +118,21 @@ def test_partial_reset_restarts_the_history_of_its_rows_alone() -> None:
 
 def test_memory_discounts_earlier_output_within_an_episode() -> None:
     env = make_predicted(memory=0.5)
-    rollout = env.rollout(6, break_when_any_done=False)
+    rollout = roll(env, 6)
     said = env.transform[0].machine(rollout["lateral_line"]).log_softmax(-1)
-    age, total = rollout["observation"][..., 0], torch.zeros(3, 3)
+    ends, total = rollout["next", "done"], torch.zeros(3, 3)
     for k in range(6):
-        total = torch.where((age[:, k] == 0.0)[:, None], 0.0, 0.5 * total) + said[:, k]
+        begins = ends[:, k - 1] if k else torch.ones(3, 1, dtype=torch.bool)
+        total = torch.where(begins, 0.0, 0.5 * total) + said[:, k]
         assert torch.allclose(rollout["flow_probabilities"][:, k], total.softmax(-1), atol=1e-6)
-    assert (age == 0.0).sum(1).tolist() == [3, 2, 2]  # episodes begin at different times
+    assert ends[:, :5].sum(1).flatten().tolist() == [1, 1, 0]  # at different times
 
 
 def test_switching_rate_gives_the_filter_of_a_hidden_markov_model() -> None:
     """Against the sum over every path of flows, each weighted by its probability."""
     rate, num = 0.3, 5
     env = make_predicted(9, memory=1.0, switching_rate=rate)
-    rollout = env.rollout(num, break_when_any_done=False)[8]  # a row whose episode does not end
+    rollout = roll(env, num)[8]  # a row whose episode does not end
     said = env.transform[0].machine(rollout["lateral_line"]).softmax(-1).double()
     transition = (1.0 - rate) * torch.eye(3).double() + rate / 3.0
     for k in range(num):
@@ -156,57 +146,29 @@ def test_switching_rate_gives_the_filter_of_a_hidden_markov_model() -> None:
         torch.testing.assert_close(rollout["flow_probabilities"][k], expected)
 
 
-def test_interpolated_label_is_the_mean_over_the_probabilities() -> None:
-    env = make_predicted(interpolates=True)
-    check_env_specs(env, seed=0)
-    rollout = env.rollout(6, break_when_any_done=False)
-    p = rollout["flow_probabilities"]
-    torch.testing.assert_close(rollout["flow_class"], p[..., 1] + 2.0 * p[..., 2])
-
-
-@pytest.mark.parametrize("name", ["memory", "switching_rate"])
-def test_share_above_1_is_refused(name: str) -> None:
-    with pytest.raises(ValueError, match=rf"{name} = 1\.5: must lie in \[0, 1\]"):
-        make_recognition(untrained(), **{name: 1.5})
-
-
 def test_saved_environment_keeps_weights_and_evidence() -> None:
+    """The weights are frozen, so they may be changed in place."""
     first, second = (make(*make_recognition(untrained(num_samples=32))) for _ in range(2))
     for parameter in second.transform[1].machine.parameters():
         parameter.add_(1.0)
-    td = first.rollout(2)[:, -1]["next"]
+    assert not second.transform[1].machine.training
+    td = roll(first, 2)[:, -1]["next"]
     second.reset()
     second.load_state_dict(first.state_dict())
-    second.base_env.age, second.base_env.flow = first.base_env.age, first.base_env.flow
+    second.base_env.load_state_dict(first.base_env.state_dict())
     action = TensorDict({"action": torch.zeros(3, dtype=torch.int64)}, [3])
     after = [env.step(action.clone())["next", "flow_probabilities"] for env in (first, second)]
     assert torch.equal(*after) and not torch.equal(after[0], td["flow_probabilities"])
 
 
-def test_classifier_is_frozen() -> None:
-    machine = untrained().train()
-    PredictedFlowLabel(machine=machine)
-    assert not machine.training
-    assert not any(parameter.requires_grad for parameter in machine.parameters())
-
-
-def test_oracle_writes_the_true_flow() -> None:
-    env = make(TrueFlowLabel(num_flows=3))
-    check_env_specs(env, seed=0)
-    rollout = env.rollout(10, break_when_any_done=False)
-    assert torch.equal(rollout["flow_class"], rollout["flow_index"].squeeze(-1))
-    assert torch.equal(rollout["observation"][..., 2:].argmax(-1), rollout["flow_class"])
-
-
-def test_classifier_for_other_flows_is_refused_when_attached() -> None:
+def test_what_does_not_fit_is_refused() -> None:
+    for name in ("memory", "switching_rate"):
+        with pytest.raises(ValueError, match=rf"{name} = 1\.5: must lie in \[0, 1\]"):
+            make_recognition(untrained(), **{name: 1.5})
     other = untrained(flows=[*FLOWS[:2], {**FLOWS[2], "stream_speed_bl": 2.0}])
     with pytest.raises(ValueError, match=r"stream_speed_bl = 2\.0, here it is 1\.5"):
         make(PredictedFlowLabel(machine=other))
-
-
-@pytest.mark.usefixtures("kinematic")
-def test_task_without_a_lateral_line_is_refused() -> None:
-    env = TransformedEnv(FlowEnv(task=Predation(**SMALL), num_envs=1, compile_flow=False))
+    env = TransformedEnv(make_flows(Predation(**SMALL), 1))
     with pytest.raises(ValueError, match="Predation has no lateral line"):
         env.append_transform(PredictedFlowLabel(machine=untrained()))
     with pytest.raises(ValueError, match="0 labelled flows"):

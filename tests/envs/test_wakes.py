@@ -63,9 +63,7 @@ def test_snapshots_are_equal_parts_of_a_period_apart(bank: WakeBank) -> None:
     assert (error.amin(1) < 0.15 * error.amax(1)).all()
 
 
-def test_each_wake_has_its_own_speed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_each_wake_has_its_own_speed(monkeypatch: pytest.MonkeyPatch) -> None:
     """One solver develops them all; vortices are left out, to save time."""
     speeds, frequencies = (0.12, 0.10), iter((0.02, 0.05))
     shed = lambda *_: SimpleNamespace(frequency=next(frequencies), mean=0.0)  # noqa: E731
@@ -106,26 +104,21 @@ def test_key_covers_all_that_shapes_the_wakes_and_nothing_else() -> None:
     assert len({RECIPE.key, *(other.key for other in others)}) == 5
 
 
-def test_invalid_files_are_refused(bank: WakeBank, tmp_path: Path) -> None:
-    path = tmp_path / f"wakes-{RECIPE.key}.pt"
-    path.write_bytes(b"no wakes")
-    with pytest.raises(ValueError, match=r"wakes .*: cannot be read; delete the file"):
-        load_wakes(RECIPE, tmp_path)
-    torch.save({"populations": bank.populations}, path)
-    with pytest.raises(ValueError, match="the file holds something else; delete the file"):
-        load_wakes(RECIPE, tmp_path)
+def test_file_of_another_recipe_is_refused(bank: WakeBank, tmp_path: Path) -> None:
+    """What damaged files say is tested in ``tests/test_files.py``."""
+    names = ("populations", "shedding_frequencies")
     content = {
-        "populations": bank.populations,
-        "shedding_frequencies": bank.shedding_frequencies,
+        "format": "fishrl wakes, 1",
+        "key": "another",
+        **{n: getattr(bank, n) for n in names},
     }
-    torch.save({"format": "fishrl wakes, 1", "key": "another", **content}, path)
+    torch.save(content, tmp_path / f"wakes-{RECIPE.key}.pt")
     with pytest.raises(ValueError, match=f"is of recipe another .* expected {RECIPE.key}"):
         load_wakes(RECIPE, tmp_path)
 
 
 def test_diverged_wake_is_refused_with_a_remedy() -> None:
-    thin = replace(
-        RECIPE, config=replace(RECIPE.config, tau=0.501), speeds=(0.3,), num_travels=10.0
-    )
+    config = replace(RECIPE.config, tau=0.501)
+    thin = replace(RECIPE, config=config, speeds=(0.3,), num_travels=10.0)
     with pytest.raises(ValueError, match=r"the wake at 0.3000 nodes per step diverged: lower"):
         develop_wakes(thin, compile=False)

@@ -6,13 +6,11 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
-from fishrl.envs import AbstractTask, KarmanGait, Predation, make_env
-from fishrl.envs.streams import Stream
-from fishrl.envs.wakes import WakeBank
+from fishrl.envs import Predation, make_env
 from fishrl.physics import InPlaceSolver
 from fishrl.physics.fast.stepper import Stepper
 from tests.envs.test_real_flow import TINY as FLOW
-from tests.envs.test_real_wake import TINY as WAKE
+from tests.envs.test_real_wake import make_task as make_wake_task
 
 pytestmark = [
     pytest.mark.gpu,
@@ -20,30 +18,17 @@ pytestmark = [
 ]
 
 
-def make_task(name: str, monkeypatch: pytest.MonkeyPatch) -> AbstractTask:
-    if name == "predation":
-        return Predation(**FLOW)
-    stream = Stream(diameter_bl=(0.4, 0.5, 0.6), face_bl=1.0, num_travels=30.0, num_phases=2)
-    task = KarmanGait(**WAKE, stream=stream)
-    config = task.flow_config()
-    noise = torch.randn(
-        3, 2, 9, config.height, config.width, generator=torch.Generator().manual_seed(0)
-    )
-    bank = WakeBank(populations=1e-3 * noise, shedding_frequencies=torch.ones(3))
-    monkeypatch.setattr(Stream, "load_wakes", lambda *_: bank)
-    return task
+TASKS = {"predation": lambda: Predation(**FLOW), "karman_gait": make_wake_task}
 
 
 def first_legal(state: TensorDictBase) -> TensorDictBase:
     return state.set("action", state["action_mask"].int().argmax(-1))
 
 
-@pytest.mark.parametrize("name", ["predation", "karman_gait"])
-def test_an_environment_on_a_gpu_does_what_it_does_on_a_cpu(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("name", TASKS)
+def test_an_environment_on_a_gpu_does_what_it_does_on_a_cpu(name: str) -> None:
     """Three decisions, a saved and restored state; single precision."""
-    task, rollouts = make_task(name, monkeypatch), []
+    task, rollouts = TASKS[name](), []
     for device in ("cuda", "cpu"):
         env = make_env(task=task, num_envs=2, seed=0, device=device, compile=False)
         rollouts.append(env.rollout(3, policy=first_legal, break_when_any_done=False))
@@ -52,9 +37,8 @@ def test_an_environment_on_a_gpu_does_what_it_does_on_a_cpu(
     there, here = rollouts
     assert there.device.type == "cuda"
     for key in ("observation_stack", "reward", "done", "action_mask"):
-        torch.testing.assert_close(
-            there["next", key].cpu(), here["next", key], rtol=1e-3, atol=1e-4
-        )
+        got, expected = there["next", key].cpu(), here["next", key]
+        torch.testing.assert_close(got, expected, rtol=1e-3, atol=1e-4)
 
 
 @pytest.mark.skipif("device" not in sys.modules, reason="the pretended device alone counts")
@@ -68,7 +52,7 @@ def test_a_decision_does_not_wait_and_launches_few_operators_besides_the_steps_o
 
     The steps are recorded as graphs.
     """
-    env = make_env(task=make_task(name, monkeypatch), num_envs=2, device="cuda", compile=False)
+    env = make_env(task=TASKS[name](), num_envs=2, device="cuda", compile=False)
     state = first_legal(env.reset())
     with sys.modules["device"].Waits() as waits:
         env.step(state.clone())

@@ -1,7 +1,5 @@
 """The lateral-line classifier: its input, its checks, and its file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -80,31 +78,23 @@ def test_invalid_settings_are_refused(changes: dict[str, Any], message: str) -> 
         make(**changes)
 
 
-@pytest.mark.parametrize("shape", [(8, 5, 6), (16, 4, 6), (16, 5, 7), (5, 6)])
+@pytest.mark.parametrize("shape", [(2, 8, 5, 6), (2, 16, 4, 6), (2, 16, 5, 7), (5, 6)])
 def test_signal_of_other_sensors_is_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match="at least 16 samples, 5 neuromasts, 6 features"):
-        make()(torch.zeros(2, *shape) if len(shape) == 3 else torch.zeros(shape))
+        make()(torch.zeros(shape))
 
 
-@pytest.mark.parametrize(
-    ("flows", "sensors", "message"),
-    [
-        (FLOWS[:2], SENSORS, r"flows: .* \['I', 'II', 'III'\], here it is \['I', 'II'\]"),
-        (
-            [*FLOWS[:2], {**FLOWS[2], "stream_speed_bl": 2.0}],
-            SENSORS,
-            "flow 2: .* stream_speed_bl = 1.5, here it is 2.0",
-        ),
-        (FLOWS, {**SENSORS, "num_neuromasts": 7}, "num_neuromasts = 5, here it is 7"),
-    ],
-)
-def test_flows_and_sensors_other_than_those_of_the_training_are_refused(
-    flows: list[dict[str, Any]], sensors: dict[str, Any], message: str
-) -> None:
+def test_flows_and_sensors_other_than_those_of_the_training_are_refused() -> None:
     almost = [{**flow, "stream_speed_bl": flow["stream_speed_bl"] * (1 + 1e-9)} for flow in FLOWS]
     make().check(flows=almost, sensors={**SENSORS, "features": tuple(SENSORS["features"])})
-    with pytest.raises(ValueError, match=message):
-        make().check(flows=flows, sensors=sensors)
+    faster = [*FLOWS[:2], {**FLOWS[2], "stream_speed_bl": 2.0}]
+    for flows, sensors, message in (
+        (FLOWS[:2], SENSORS, r"flows: .* \['I', 'II', 'III'\], here it is \['I', 'II'\]"),
+        (faster, SENSORS, "flow 2: .* stream_speed_bl = 1.5, here it is 2.0"),
+        (FLOWS, SENSORS | {"num_neuromasts": 7}, "num_neuromasts = 5, here it is 7"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            make().check(flows=flows, sensors=sensors)
 
 
 def test_recurrent_classifier_depends_on_the_order_of_samples() -> None:

@@ -1,7 +1,5 @@
 """The fit of a classifier: it learns, other episodes judge it, and one seed gives one fit."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -57,21 +55,14 @@ def test_parts_share_no_episode_and_have_those_of_each_class_in_about_its_share(
             assert per_class.tolist() == [pytest.approx(20 * share, abs=1)] * 3
 
 
-@pytest.mark.parametrize(
-    ("shares", "message"),
-    [
-        (SHARES, "class 2 has 2 episodes for 3 parts"),
-        ((0.9, 0.9), r"shares = \(0.9, 0.9\): must be positive and of sum 1"),
-    ],
-)
-def test_shares_of_too_few_episodes_are_refused(shares: tuple[float, ...], message: str) -> None:
-    data = make_samples(8)
-    with pytest.raises(ValueError, match=message):
-        split_episodes(data["episode"], data["flow_index"], shares=shares, generator=generator())
-
-
 @pytest.mark.parametrize("empty", [0, 1])
-def test_parts_without_samples_are_refused(empty: int) -> None:
+def test_impossible_shares_and_parts_without_samples_are_refused(empty: int) -> None:
+    data, wrong = make_samples(8), r"shares = \(0.9, 0.9\): must be positive and of sum 1"
+    for shares, message in ((SHARES, "class 2 has 2 episodes for 3 parts"), ((0.9, 0.9), wrong)):
+        with pytest.raises(ValueError, match=message):
+            split_episodes(
+                data["episode"], data["flow_index"], shares=shares, generator=generator()
+            )
     parts = make_parts(9)
     parts[empty] = parts[empty][:0]
     with pytest.raises(ValueError, match="holds no samples"):
@@ -94,13 +85,8 @@ def test_a_fit_classifies_sines_of_unseen_episodes() -> None:
 
 
 def test_confusion_counts_true_classes_in_rows() -> None:
-    data = TensorDict(
-        {
-            "lateral_line": torch.tensor([[9.0, 0.0, 0.0], [0.0, 9.0, 0.0], [0.0, 9.0, 0.0]]),
-            "flow_index": torch.tensor([0, 1, 2]),
-        },
-        [3],
-    )
+    said = torch.tensor([[9.0, 0.0, 0.0], [0.0, 9.0, 0.0], [0.0, 9.0, 0.0]])
+    data = TensorDict({"lateral_line": said, "flow_index": torch.arange(3)}, [3])
     score = score_classifier(nn.Identity(), data)
     assert score.confusion.tolist() == [[1, 0, 0], [0, 1, 0], [0, 1, 0]]
     assert score.accuracy == pytest.approx(2 / 3)

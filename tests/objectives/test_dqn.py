@@ -1,6 +1,6 @@
 """Deep Q-learning against its definition, written out by hand."""
 
-from __future__ import annotations
+from typing import TypeVar
 
 import pytest
 import torch
@@ -15,26 +15,24 @@ from fishrl.objectives import MaskedDQNLoss, RecurrentDQNLoss
 from tests.objectives.transitions import NUM_ACTIONS, NUM_INPUTS, make_transitions
 
 GAMMA, LENGTH, WIDTH = 0.9, 6, 7
+SIZES = {"num_inputs": NUM_INPUTS, "num_actions": NUM_ACTIONS}
+Loss = TypeVar("Loss", MaskedDQNLoss, RecurrentDQNLoss)
 pytestmark = pytest.mark.filterwarnings("ignore:No target network updater")
 
 
-def shift_targets(loss: MaskedDQNLoss) -> None:
+def prepare(loss: Loss) -> Loss:
     """Let the target network differ from the one that learns."""
+    loss.make_value_estimator(gamma=GAMMA)
+    SoftUpdate(loss, tau=0.1)
     torch.manual_seed(1)
     for weight in loss.target_value_network_params.values(True, True):
         weight.data.add_(0.3 * torch.randn_like(weight))
+    return loss
 
 
 def make_loss(*, is_double: bool) -> MaskedDQNLoss:
-    generator = torch.Generator().manual_seed(0)
-    actor = make_value_actor(
-        num_inputs=NUM_INPUTS, num_actions=NUM_ACTIONS, hidden=(16,), generator=generator
-    )
-    loss = MaskedDQNLoss(actor, is_double=is_double)
-    loss.make_value_estimator(gamma=GAMMA)
-    SoftUpdate(loss, tau=0.1)
-    shift_targets(loss)
-    return loss
+    actor = make_value_actor(**SIZES, hidden=(16,), generator=torch.Generator().manual_seed(0))
+    return prepare(MaskedDQNLoss(actor, is_double=is_double))
 
 
 def values_of(loss: MaskedDQNLoss, states: Tensor, *, is_target: bool) -> Tensor:
@@ -63,31 +61,14 @@ def test_a_network_that_reads_no_mask_is_refused() -> None:
         MaskedDQNLoss(TensorDictSequential(module))
 
 
-def make_recurrent_loss(
-    *, is_double: bool, hidden: tuple[int, ...] = (8, WIDTH)
-) -> RecurrentDQNLoss:
-    network = make_recurrent_value_actor(
-        num_inputs=NUM_INPUTS,
-        num_actions=NUM_ACTIONS,
-        hidden=hidden,
-        generator=torch.Generator().manual_seed(0),
-    )
-    loss = RecurrentDQNLoss(network, sequence_length=LENGTH, is_double=is_double)
-    loss.make_value_estimator(gamma=GAMMA)
-    SoftUpdate(loss, tau=0.1)
-    shift_targets(loss)
-    return loss
-
-
 def stretches(num: int = 5) -> TensorDict:
     """Return stretches of 6 decisions, as the sampler gives them; the second is 3 long."""
     torch.manual_seed(3)
     batch = make_transitions(num * LENGTH, key="observation").reshape(num, LENGTH)
     for key in ("observation", "action_mask"):
         batch[key][:, 1:] = batch["next", key][:, :-1]
-    batch["action"] = torch.multinomial(batch["action_mask"].flatten(0, 1).float(), 1).reshape(
-        num, LENGTH
-    )
+    legal = batch["action_mask"].flatten(0, 1).float()
+    batch["action"] = torch.multinomial(legal, 1).reshape(num, LENGTH)
     batch["next", "terminated"][:, :-1] = False
     batch["is_init"] = torch.zeros(num, LENGTH, 1, dtype=torch.bool)
     batch["is_init"][0, 0] = True
@@ -122,10 +103,10 @@ def unroll(loss: RecurrentDQNLoss, row: TensorDict, num: int, *, is_target: bool
 def test_the_recurrent_loss_is_that_of_the_network_step_by_step(
     is_double: bool, hidden: tuple[int, ...]
 ) -> None:
-    loss, batch = make_recurrent_loss(is_double=is_double, hidden=hidden), stretches()
-    rows = batch.reshape(-1, LENGTH)
-    errors = []
-    for row in rows:
+    draw, batch, errors = torch.Generator().manual_seed(0), stretches(), []
+    network = make_recurrent_value_actor(**SIZES, hidden=hidden, generator=draw)
+    loss = prepare(RecurrentDQNLoss(network, sequence_length=LENGTH, is_double=is_double))
+    for row in batch.reshape(-1, LENGTH):
         num = int(row["collector", "mask"].sum())
         values, target = (unroll(loss, row, num, is_target=flag) for flag in (False, True))
         for step in range(num):
@@ -140,6 +121,5 @@ def test_the_recurrent_loss_is_that_of_the_network_step_by_step(
     got.backward()
     weights = list(loss.value_network_params.values(True, True))
     assert all(weight.grad is not None and weight.grad.isfinite().all() for weight in weights)
-    assert all(
-        weight.grad is None for weight in loss.target_value_network_params.values(True, True)
-    )
+    targets = loss.target_value_network_params.values(True, True)
+    assert all(weight.grad is None for weight in targets)

@@ -1,7 +1,5 @@
 """SAC for continuous actions: TorchRL's loss as the training makes it."""
 
-from __future__ import annotations
-
 import torch
 from tensordict import TensorDict
 

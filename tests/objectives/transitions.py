@@ -1,7 +1,5 @@
 """Random transitions with action masks, for the losses."""
 
-from __future__ import annotations
-
 import torch
 from tensordict import TensorDict
 

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from fishrl.physics import FlowConfig, FlowState, InPlaceSolver
+from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.flow import FlowParams, make_params
 from fishrl.physics.step import step
 
@@ -19,6 +20,13 @@ def advance(
     for _ in range(num_steps):
         state = step(state, config, params)
     return state
+
+
+def read_state(solver: InPlaceSolver) -> FlowState:
+    """Return the state at which flows begin, in float64, for readable steps."""
+    bodies = tuple(BodyState(*(value.clone() for value in body)) for body in solver.bodies)
+    time = torch.zeros(solver.num_envs, dtype=torch.float64)
+    return FlowState(solver.populations().double(), bodies, time)
 
 
 def start_solver(

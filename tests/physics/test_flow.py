@@ -41,21 +41,18 @@ def test_the_stream_rises_and_changes_as_half_a_cosine_and_a_sudden_change_conti
     assert compute_stream_speed(sudden, zero + 50).item() == pytest.approx(0.02)
 
 
+FAST = NonEquilibrium(velocity=(0.5, 0.0))
+
+
 @pytest.mark.parametrize(
     ("bad", "message"),
     [
         ({"tau": 0.5}, "tau = 0.50000 lies outside the validated range"),
         ({"bodies": (Fish(body_length=70),)}, "does not fit into 128 x 64 nodes"),
-        (
-            {"bodies": (Cylinder(diameter=9), Fish(body_length=24))},
-            r"bodies = \['Cylinder', 'Fish'\]: the fish must come first",
-        ),
+        ({"bodies": (Cylinder(diameter=9), Fish(body_length=24))}, "the fish must come first"),
         ({"sponges": (Sponge(length=129),)}, "Sponge of 129 nodes does not fit into 128 x 64"),
         ({"sponges": (Sponge(length=65, side=Side.TOP),)}, "Sponge of 65 nodes does not fit"),
-        (
-            {"boundaries": Boundaries(left=NonEquilibrium(velocity=(0.5, 0.0)))},
-            "an edge imposes 0.500 nodes per step",
-        ),
+        ({"boundaries": Boundaries(left=FAST)}, "an edge imposes 0.500 nodes per step"),
     ],
 )
 def test_a_flow_that_cannot_run_is_refused(bad: dict[str, object], message: str) -> None:

@@ -67,6 +67,7 @@ def list_settings() -> list[type[Settings]]:
 
 
 KINDS = list_settings()
+assert {"FlowConfig", "Predation", "DiscreteSAC", "Plan"} <= {kind.__name__ for kind in KINDS}
 
 
 def read_bounds(metadata: typing.Iterable[Any]) -> Iterator[Any]:
@@ -119,13 +120,9 @@ def fits(value: Any, hint: Any, metadata: typing.Iterable[Any] = ()) -> bool:
     elif origin is Literal:
         right = any(value == part and type(value) is type(part) for part in parts)
     elif origin is tuple:
-        each = (
-            parts[:1] * len(value)
-            if parts[1:] == (...,) and isinstance(value, list | tuple)
-            else parts
-        )
-        right = isinstance(value, list | tuple) and len(value) == len(each)
-        right = right and all(map(fits, value, each))
+        is_series = isinstance(value, list | tuple)
+        each = parts[:1] * len(value) if is_series and parts[1:] == (...,) else parts
+        right = is_series and len(value) == len(each) and all(map(fits, value, each))
     elif hint is float:
         right = isinstance(value, int | float) and not isinstance(value, bool)
     elif hint is int:
@@ -143,17 +140,16 @@ def draw(hint: Any, generator: random.Random) -> Any:
     """Return a value that fits an annotated type more often than not."""
     origin, parts = get_origin(hint), get_args(hint)
     if origin is typing.Annotated:
-        numbers = [v for m in read_bounds(parts[1:]) for v in vars_of(m)]
+        marks, names = list(read_bounds(parts[1:])), ("ge", "gt", "le", "lt")
+        numbers = [getattr(mark, name) for mark in marks for name in names if hasattr(mark, name)]
         inner = draw(parts[0], generator)
         near = [b + d for b in numbers for d in (-1, -1e-3, 0, 1e-3, 1)]
         kind = parts[0] if parts[0] in (int, float) else None
         return kind(generator.choice(near)) if kind and near and generator.random() < 0.8 else inner
-    if origin in (typing.Union, UnionType, Literal):
-        return (
-            draw(generator.choice(parts), generator)
-            if origin is not Literal
-            else generator.choice(parts)
-        )
+    if origin is Literal:
+        return generator.choice(parts)
+    if origin in (typing.Union, UnionType):
+        return draw(generator.choice(parts), generator)
     if origin is tuple:
         num = generator.randrange(4) if parts[1:] == (...,) else len(parts)
         return tuple(draw(part, generator) for part in (parts * 4)[:num] if part is not ...)
@@ -163,10 +159,6 @@ def draw(hint: Any, generator: random.Random) -> Any:
     if isinstance(hint, type) and issubclass(hint, Enum):
         return generator.choice(list(hint))
     return None
-
-
-def vars_of(mark: Any) -> list[float]:
-    return [v for v in (getattr(mark, n, None) for n in ("ge", "gt", "le", "lt")) if v is not None]
 
 
 def make_values(kind: type[Settings]) -> dict[str, Any]:
@@ -185,17 +177,11 @@ def make_one(hint: Any, metadata: Any = ()) -> Any:
     for known in KINDS:
         if isinstance(hint, type) and issubclass(known, hint) and known.__name__ != "Plan":
             return known(**make_values(known))
-    drawn = (
-        draw(typing.Annotated[hint, *metadata] if metadata else hint, generator) for _ in range(200)
-    )
+    drawn = (draw(typing.Annotated[hint, *metadata, None], generator) for _ in range(200))
     for value in (20, 20.0, "a", (1.0,), (1.0, 1.0), (1.0, 1.0, 1.0), *drawn):
         if fits(value, hint, metadata):
             return value
     raise AssertionError(f"no value of {hint}")
-
-
-def test_settings_are_found() -> None:
-    assert {"FlowConfig", "Predation", "DiscreteSAC", "Plan"} <= {kind.__name__ for kind in KINDS}
 
 
 def try_to_make(kind: type[Settings], **values: Any) -> Settings | FieldErrors:

@@ -20,6 +20,8 @@ WIDTH, HEIGHT, LENGTH = 120, 60, 20.0
 
 
 def make_scene(*, limit: float = 10.0) -> Scene:
+    reward = (Series(key="reward", label="reward"),)
+    labels = tuple(Series(key="labels", label=f"flow {i}", column=i) for i in range(2))
     return Scene(
         body_length=LENGTH,
         width=WIDTH,
@@ -40,18 +42,9 @@ def make_scene(*, limit: float = 10.0) -> Scene:
         trails=(Trail(key="head", length_T=1.0),),
         areas=(Area(key="danger_area", low=(10.0, 10.0), high=(90.0, 50.0)),),
         panels=(
-            Panel(
-                name="reward",
-                series=(Series(key="reward", label="reward"),),
-                is_step=True,
-                is_log=True,
-            ),
+            Panel(name="reward", series=reward, is_step=True, is_log=True),
             Choice(names=("left", "keep", "right")),
-            Panel(
-                name="class probabilities",
-                series=tuple(Series(key="labels", label=f"flow {i}", column=i) for i in range(2)),
-                span=(-0.05, 1.05),
-            ),
+            Panel(name="class probabilities", series=labels, span=(-0.05, 1.05)),
             Panel(name="power [x/T]", series=(Series(key="work", label="power", is_rate=True),)),
             Panel(name="angle [°]", series=(Series(key="angle", label="angle"),)),
         ),

@@ -10,7 +10,7 @@ import torch
 from fishrl.envs.scene import Field, Frame
 from fishrl.viewer import Drawing, FieldFormat
 from fishrl.viewer.colours import PURPLE_GREEN, RED_BLUE, paint, quantise
-from fishrl.viewer.drawing import TIMELINE, place
+from fishrl.viewer.drawing import TIMELINE
 from tests.viewer.scenes import HEIGHT, LENGTH, make_frame, make_scene
 
 
@@ -58,11 +58,6 @@ def carry(time: float, **values: Any) -> Frame:
 
 
 CHOICE = "flow_2/plots/action_line_among_the_legal_ones_dots"
-
-
-def test_node_coordinates_become_pixel_centres_with_y_down() -> None:
-    placed = place(torch.tensor([3.0, 10.0]), HEIGHT)
-    assert placed.tolist() == [3.5, HEIGHT - 0.5 - 10.0]
 
 
 def test_rate_is_the_change_per_T_within_an_episode() -> None:
@@ -119,16 +114,12 @@ def test_colours_of_an_unsigned_field_begin_at_zero() -> None:
     assert np.abs((stored[0] - 1.0) / 254.0 * 4.0 - speed).max() <= 0.5 * 4.0 / 254.0 + 1e-6
 
 
-def test_unknown_field_is_refused() -> None:
-    with pytest.raises(ValueError, match="field = sped: must be one of vorticity, speed"):
-        make_scene().choose_field("sped")
-
-
 def test_arrow_begins_at_its_point_and_points_up_for_positive_y() -> None:
     ((_, arrow),) = draw(make_frame(0)).logged["flow_2/world/force"]
     assert arrow.vectors.as_arrow_array().to_pylist() == [[10.0, -20.0]]
     (origin,) = arrow.origins.as_arrow_array().to_pylist()
-    assert origin == pytest.approx(place(make_frame(0).values["centre"], HEIGHT).tolist())
+    x, y = make_frame(0).values["centre"].tolist()
+    assert origin == pytest.approx([x + 0.5, HEIGHT - 0.5 - y])  # pixel centres, with y down
 
 
 def test_rewards_are_drawn_as_logarithms_with_their_sign() -> None:
@@ -148,7 +139,9 @@ def test_ticks_count_body_lengths_and_the_clock_periods() -> None:
     assert clock.labels.as_arrow_array().to_pylist() == ["t = 0.50 T"]
 
 
-@pytest.mark.parametrize("limit", [0.0, -1.0, float("nan")])
-def test_limit_must_be_positive(limit: float) -> None:
-    with pytest.raises(ValueError, match="must be positive"):
-        Field(key="v", name="vorticity", unit="1/T", limit=limit)
+def test_unknown_fields_and_limits_that_are_not_positive_are_refused() -> None:
+    with pytest.raises(ValueError, match="field = sped: must be one of vorticity, speed"):
+        make_scene().choose_field("sped")
+    for limit in (0.0, -1.0, float("nan")):
+        with pytest.raises(ValueError, match="must be positive"):
+            Field(key="v", name="vorticity", unit="1/T", limit=limit)

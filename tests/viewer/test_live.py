@@ -80,9 +80,7 @@ def test_taken_port_gives_way_to_the_next() -> None:
         assert first < find_port(first) < first + 100
 
 
-def test_viewer_that_cannot_start_is_an_error(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_viewer_that_cannot_start_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match=r"rerun does not run on port .* with --no-such"):
         Viewer("--no-such-option", port=29500)
     monkeypatch.setattr(process_module, "_MAX_PORT", 2000)

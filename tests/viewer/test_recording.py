@@ -10,7 +10,7 @@ from fishrl.envs import KarmanGait, Predation, make_env
 from fishrl.envs.scene import Frame
 from fishrl.viewer import Recording, make_scene, name_flows, record_episodes
 from fishrl.viewer.recording import Recorder
-from tests.envs.conftest import SMALL, keep_straight
+from tests.envs.conftest import SMALL, keep_straight, starts_at
 
 TASK: dict[str, Any] = {**SMALL, "time_limit": 12, "food_still_T": 99.0, "checks_per_action": 20}
 
@@ -23,12 +23,9 @@ class Recorded:
         checks = task.checks_per_action
         self.env = make_env(task=task, num_envs=2, compile=False, frames_per_action=checks)
         self.base, self.given = self.env.base_env, defaultdict[int, list[Frame]](list)
-        self.recorder = Recorder(
-            self.base,
-            make_scene(self.env),
-            frames_per_T=frames_per_T,
-            give=lambda row, frame: self.given[row].append(frame),
-        )
+        give = lambda row, frame: self.given[row].append(frame)  # noqa: E731
+        scene = make_scene(self.env)
+        self.recorder = Recorder(self.base, scene, frames_per_T=frames_per_T, give=give)
         self.base.on_frame = lambda _: self.recorder.is_due() and self.recorder.keep([0, 1])
         self.state = self.env.reset()
         self.recorder.begin([0, 1])
@@ -37,11 +34,6 @@ class Recorded:
     def act(self) -> None:
         step, self.state = self.env.step_and_maybe_reset(keep_straight(self.state))
         self.recorder.settle(step, [0, 1])
-
-    def diverge(self) -> None:
-        """Let flow 1 diverge within the next action."""
-        self.base.solver.body.position[1] = torch.nan
-        self.act()
 
     def times(self, row: int) -> list[float]:
         return [frame.time for frame in self.given[row]]
@@ -55,9 +47,12 @@ def at(*times: float) -> Any:
 @pytest.mark.usefixtures("kinematic")
 def test_frames_are_evenly_spaced_and_carry_the_reward_of_their_action() -> None:
     flows = Recorded(frames_per_T=2)
+    flows.recorder.keep([1])  # a moment is recorded once
     for _ in range(2):
         flows.act()
     assert flows.times(1) == at(0.0, 0.5, 1.0, 1.5, 2.0)
+    with pytest.raises(ValueError, match="frames_per_T = 0"):
+        Recorded(frames_per_T=0)
     rewards = [frame.values["reward"].item() for frame in flows.given[1]]
     assert len(set(rewards[:3])) == len(set(rewards[3:])) == 1
     assert [frame.begins for frame in flows.given[1]] == [True, False, False, False, False]
@@ -65,39 +60,22 @@ def test_frames_are_evenly_spaced_and_carry_the_reward_of_their_action() -> None
 
 @pytest.mark.usefixtures("kinematic")
 def test_diverged_flow_keeps_the_frames_before_its_last_decision() -> None:
-    flows = Recorded(frames_per_T=4)
-    flows.act()
-    flows.diverge()
-    assert flows.times(0)[-1:] == at(2.0)
-    assert flows.times(1) == at(0.0, 0.25, 0.5, 0.75, 1.0)
-    flows = Recorded(frames_per_T=4)
-    flows.diverge()
-    assert flows.times(1) == [0.0]
-
-
-@pytest.mark.usefixtures("kinematic")
-def test_moment_is_recorded_once() -> None:
-    flows = Recorded(frames_per_T=4)
-    flows.recorder.keep([0])
-    flows.act()
-    assert flows.times(0) == sorted(set(flows.times(0)))
-
-
-@pytest.mark.usefixtures("kinematic")
-def test_less_than_a_frame_per_period_is_refused() -> None:
-    with pytest.raises(ValueError, match="frames_per_T = 0"):
-        Recorded(frames_per_T=0)
+    for num, kept in ((1, at(0.0, 0.25, 0.5, 0.75, 1.0)), (0, [0.0])):
+        flows = Recorded(frames_per_T=4)
+        for _ in range(num):
+            flows.act()
+        flows.base.solver.body.position[1] = torch.nan
+        flows.act()
+        assert flows.times(0)[-1:] == at(num + 1.0)
+        assert flows.times(1) == kept
 
 
 def record(num_envs: int, *, device: str = "cpu") -> tuple[Predation, list[Recording], Any]:
     """Record two episodes: one that catches its food, and one that misses it."""
-    task = Predation(**TASK)
-    starts = task.sample_starts(2, torch.Generator().manual_seed(0))
-    starts["head"] = torch.tensor([[5.0, 2.5], [5.0, 3.75]], dtype=torch.float64) * 20
+    task, settings = Predation(**TASK), {"device": device, "compile": False}
+    starts = starts_at((5.0, 2.5), (5.0, 3.75))
     checks = task.checks_per_action
-    env = make_env(
-        task=task, num_envs=num_envs, device=device, compile=False, frames_per_action=checks
-    )
+    env = make_env(task=task, num_envs=num_envs, frames_per_action=checks, **settings)
     env.rollout(1)
     scene = make_scene(env)
     recordings = [Recording(scene=scene), Recording(scene=scene)]

@@ -1,7 +1,5 @@
 """Flows as a Gymnasium vector environment, on kinematic fish."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from typing import Any
@@ -12,7 +10,7 @@ import torch
 from gymnasium.error import Error, ResetNeeded
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 from fishrl.envs import AbstractTask, Predation, make_env
 from fishrl.wrappers.gymnasium import FlowVectorEnv
@@ -162,9 +160,14 @@ def test_disabled_autoreset_needs_a_reset_mask() -> None:
     assert envs.step(keep(3))[4]["step_count"].tolist() == [2, 1, 2]
 
 
-def test_masks_are_in_the_infos_and_illegal_actions_are_refused() -> None:
+def test_masks_and_reports_are_in_the_infos_and_illegal_actions_are_refused() -> None:
     envs = make(task=MaskedTask(**SMALL, time_limit=8))
     _, infos = envs.reset(seed=0)
+    assert infos["beats"].tolist() == [1.0, 1.0]
+    reported = {name for name in infos if not name.startswith("_")}
+    assert {"action_mask", "diverged", "start_index", "step_count", "episode_reward"} <= reported
+    assert not {"observation", "observation_stack"} & reported
+    assert all(infos[f"_{name}"].tolist() == [True, True] for name in reported)
     rng, seen = np.random.default_rng(0), []
     for _ in range(20):
         masks = envs.action_masks()
@@ -179,47 +182,29 @@ def test_masks_are_in_the_infos_and_illegal_actions_are_refused() -> None:
         envs.step(keep())
 
 
-def test_reported_entries_are_in_the_infos() -> None:
-    envs = make("SameStep", MaskedTask(**SMALL, time_limit=2))
-    _, infos = envs.reset(seed=0)
-    assert infos["beats"].tolist() == [1.0, 1.0]
-    reported = {name for name in infos if not name.startswith("_")}
-    assert {"action_mask", "diverged", "start_index", "step_count", "episode_reward"} <= reported
-    assert not {"observation", "observation_stack"} & reported
-    assert all(infos[f"_{name}"].tolist() == [True, True] for name in reported)
-
-
-def test_gymnasium_wrappers_apply() -> None:
+def test_gymnasium_records_episode_statistics() -> None:
     envs = RecordEpisodeStatistics(make("SameStep"))
     envs.reset(seed=0)
     rewards = sum(envs.step(keep())[1] for _ in range(LIMIT - 1))
     _, last, _, _, infos = envs.step(keep())
     assert infos["episode"]["l"].tolist() == [LIMIT, LIMIT]
     assert infos["episode"]["r"].tolist() == (rewards + last).tolist()
-    rows = DictInfoToList(make())
-    _, infos = rows.reset(seed=0)
-    assert [info["step_count"] for info in infos] == [0, 0]
 
 
 def test_invalid_arguments_are_refused() -> None:
     with pytest.raises(ValueError, match="'sometimes' is not a valid AutoresetMode"):
         make("sometimes")
-    envs, mask = make(), np.array([True, False])
-    before = (
-        lambda: envs.step(keep()),
-        envs.action_masks,
-        lambda: envs.reset(options={"reset_mask": mask}),
-    )
-    for call in before:
+    envs, mask = make(), {"reset_mask": np.array([True, False])}
+    for call in (lambda: envs.step(keep()), envs.action_masks, lambda: envs.reset(options=mask)):
         with pytest.raises(ResetNeeded, match="call reset"):
             call()
     envs.reset()
     for actions in (np.ones(3, dtype=int), np.ones(2)):
         with pytest.raises(ValueError, match=r"actions of shape .*: expected \(2,\), integer"):
             envs.step(actions)
-    for name, wrong in (("reset_mask", np.ones(3, bool)), ("reset_msk", mask)):
+    for wrong in ({"reset_mask": np.ones(3, bool)}, {"reset_msk": mask["reset_mask"]}):
         with pytest.raises(ValueError, match=r"reset_mask of shape|options = "):
-            envs.reset(options={name: wrong})
+            envs.reset(options=wrong)
     with pytest.raises(Error):
         envs.reset(seed=-1)
 

@@ -1,7 +1,5 @@
 """Stable-Baselines3 itself learns on flows, on kinematic fish."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -38,16 +36,11 @@ def test_ended_row_is_reset_and_returns_its_terminal_observation() -> None:
         _, _, dones, infos = envs.step(keep())
         assert not dones.any()
         assert all("terminal_observation" not in info for info in infos)
-    envs.vector.flows.solver.body.position[0] = torch.nan
-    observations, rewards, dones, infos = envs.step(keep())
-    assert dones.tolist() == [True, True]
-    assert rewards[0] == 0.0
-    assert [info["TimeLimit.truncated"] for info in infos] == [True, True]
-    assert [info["diverged"] for info in infos] == [True, False]
+    observations, _, dones, infos = envs.step(keep())
+    assert dones.tolist() == [info["TimeLimit.truncated"] for info in infos] == [True, True]
     assert [info["step_count"] for info in infos] == [3, 3]
     assert [info["step_count"] for info in envs.reset_infos] == [0, 0]
     assert not np.array_equal(infos[1]["terminal_observation"], observations[1])
-    assert np.isfinite(infos[0]["terminal_observation"]).all()
 
 
 def test_attributes_and_methods_are_returned_per_row() -> None:

@@ -28,25 +28,22 @@ def get_shape(outline: BodyConfig) -> ShearParams:
     ("outline", "area", "inertia", "perimeter"),
     [
         (Cylinder(diameter=40, inset=0.0), math.pi * 20**2, math.pi / 2 * 20**4, math.pi * 40),
+        # Ramanujan's approximation
         (
-            Ellipse(length=40, width=20, inset=0.0),
-            math.pi * 200,
-            math.pi * 200 * (20**2 + 10**2) / 4,
-            math.pi * (90 - 3500**0.5),  # Ramanujan's approximation
+            Ellipse(length=40, width=20, inset=0.0), math.pi * 200,
+            math.pi * 200 * (20**2 + 10**2) / 4, math.pi * (90 - 3500**0.5),
         ),
         # polar moment about the centre of area: pi r^4 / 4 less A (4 r / 3 pi)^2
         (
-            DCylinder(diameter=40, inset=0.0),
-            math.pi * 200,
-            math.pi * 20**4 / 4 - math.pi * 200 * (80 / (3 * math.pi)) ** 2,
-            40 + math.pi * 20,
+            DCylinder(diameter=40, inset=0.0), math.pi * 200,
+            math.pi * 20**4 / 4 - math.pi * 200 * (80 / (3 * math.pi)) ** 2, 40 + math.pi * 20,
         ),
         # integrals of the section of a NACA 0012
         (Foil(chord=100, inset=0.0), 0.08171 * 100**2, 0.0045097 * 100**4, 203.95),
         (Fish(body_length=100), 0.08171 * 100**2, 0.0045097 * 100**4, 203.95),
     ],
     ids=["cylinder", "ellipse", "half disc", "foil", "fish"],
-)
+)  # fmt: skip
 def test_outlines_have_the_sizes_of_their_formulas_and_a_marker_per_node(
     outline: BodyConfig, area: float, inertia: float, perimeter: float
 ) -> None:

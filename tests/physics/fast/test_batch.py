@@ -1,11 +1,9 @@
-"""Flows of a batch: reading them at points, and bodies that differ from flow to flow."""
+"""Flows of a batch are read at points."""
 
 import pytest
 import torch
 
-from fishrl.physics import DCylinder, FlowConfig, InPlaceSolver, Storage
-from fishrl.physics.boundaries import Boundaries, NonEquilibrium
-from fishrl.physics.flow import make_params
+from fishrl.physics import FlowConfig, InPlaceSolver, Storage
 
 
 def make_solver(storage: Storage = Storage.FLOAT32, flows_per_launch: int = 1) -> InPlaceSolver:
@@ -44,25 +42,3 @@ def test_between_nodes_the_flow_is_bilinear_and_outside_the_grid_that_of_the_edg
     for got, wanted in zip(solver.sample(outside), solver.sample(edge), strict=True):
         torch.testing.assert_close(got[:, :2], wanted[:, :2])
         assert got[:, 2].isnan().all()
-
-
-def test_bodies_of_different_size_in_one_batch_have_the_drag_they_have_alone() -> None:
-    """Also of the same solver, before it got the big disc in one row."""
-    stream = NonEquilibrium(velocity=(1.0, 0.0))
-    edges = Boundaries(left=stream, right=stream, bottom=stream, top=stream)
-    flow = {"width": 48, "height": 40, "tau": 0.6, "stream_speed": 0.05, "boundaries": edges}
-    big = DCylinder(diameter=16)
-    small = DCylinder(diameter=9, num_markers=big.num_markers)
-    configs = [FlowConfig(bodies=(disc,), **flow) for disc in (small, big)]
-    alone = [InPlaceSolver(config=config, compile=False, num_workers=0) for config in configs]
-    batch = InPlaceSolver(config=configs[1], num_envs=2, compile=False, num_workers=0)
-    params = make_params(configs).bodies[0]
-    for given, rows in ((params, [True, False]), (make_params(configs[:1] * 2).bodies[0], None)):
-        batch.set_body_(0, given, rows and torch.tensor(rows))
-        for solver in (*alone, batch):
-            solver.reset_(torch.ones(solver.num_envs, dtype=torch.bool), velocity=(1.0, 0.0))
-            solver.advance_(20)
-        drags = [solver.body.impulse[0, 0].item() for solver in alone]
-        assert drags[0] < 0.8 * drags[1]
-        expected = drags if rows else drags[:1] * 2
-        assert batch.body.impulse[:, 0].tolist() == expected

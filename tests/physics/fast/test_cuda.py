@@ -48,6 +48,7 @@ CASES = {
 MOST_LAUNCHES = {"free fish": 19, "cylinder": 16, "gait with disc": 23}
 #: Bytes that a kernel may spill: the sums over a cylinder's markers need too many registers.
 MOST_SPILLED = {("sm_80", "cylinder"): 276, ("sm_90", "cylinder"): 264}
+LONG = [pytest.mark.slow] if IS_PRETENDED else []
 REPLAY = Stepper._replay_  # recorded here, and nowhere else on the pretended device
 
 
@@ -97,13 +98,7 @@ def compute_error(there: Tensor, here: Tensor) -> float:
     ("parts", "storage", "tolerance"),
     [
         pytest.param([4], None, 1e-6, id="4 steps"),
-        pytest.param(
-            [80, 80, 80],
-            Storage.FLOAT32,
-            1e-4,
-            id="240 steps",
-            marks=[pytest.mark.slow] if IS_PRETENDED else [],
-        ),
+        pytest.param([80, 80, 80], Storage.FLOAT32, 1e-4, id="240 steps", marks=LONG),
     ],
 )
 def test_a_flow_on_a_gpu_equals_the_flow_on_a_cpu(

@@ -13,12 +13,21 @@ from torch.profiler import ProfilerActivity, profile
 from fishrl.physics import Fish, FlowConfig, FlowState, Foil, InPlaceSolver, Scales, Stroke, Strokes
 from fishrl.physics.bodies.motion import Bending, Commanded, Fixed, Free, Surging, Towed
 from fishrl.physics.bodies.state import BodyState, make_body
-from fishrl.physics.boundaries import Boundaries, NonEquilibrium, NoSlip, Periodic, Side
-from fishrl.physics.cases import make_swimmer_config
+from fishrl.physics.boundaries import (
+    Boundaries,
+    NonEquilibrium,
+    NoSlip,
+    OpenEdge,
+    Periodic,
+    Profile,
+    Side,
+)
+from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.fast import compiled as compiled_module
 from fishrl.physics.flow import Sponge, make_params, make_rest, make_uniform
 from fishrl.physics.immersed_boundary import DirectSolve
-from tests.physics.flows import advance, start_solver
+from fishrl.physics.step import step
+from tests.physics.flows import advance, read_state, start_solver
 
 SCALES = Scales.from_budget(body_length=24, reynolds=800.0, max_wall_speed=0.1)
 STARTS = torch.tensor([[60.3, 36.4], [40.1, 30.7], [50.0, 41.0]], dtype=torch.float64)
@@ -42,41 +51,43 @@ def make_solver(
     return solver
 
 
-def run_reference(config: FlowConfig, num_steps: int) -> FlowState:
-    body = make_body(STARTS, HEADINGS, torch.full((3,), 1.0 / SCALES.period, dtype=torch.float64))
-    steps = torch.full((3,), 160.0, dtype=torch.float64)
-    body = body._replace(turn=TURN, turn_steps=steps, turn_clock=0.0 * steps)
-    state = FlowState(make_rest(config, 3), (body,), torch.zeros(3, dtype=torch.float64))
-    return advance(state, config, num_steps)
-
-
-def assert_equal_to_reference(solver: InPlaceSolver, reference: FlowState) -> None:
+def assert_equal_to_reference(
+    solver: InPlaceSolver, reference: FlowState, *, tolerance: float = 5e-6
+) -> None:
     """Single against double precision, a few times what 120 steps were measured to differ by.
 
     1.7e-6 of the largest population, 7e-8 nodes, 1e-8 radians, 1.4e-7 of the work, impulse 2e-7.
     """
-    scale = float(reference.f.abs().max())
+    scale, small = float(reference.f.abs().max()), 0.2 * tolerance
     assert scale > 0.005
-    assert float((solver.populations() - reference.f).abs().max()) < 5e-6 * scale
+    assert float((solver.populations() - reference.f).abs().max()) < tolerance * scale
     for got, expected in zip(solver.bodies, reference.bodies, strict=True):
-        assert float((got.position - expected.position).abs().max()) < 1e-6
-        assert float((got.heading - expected.heading).abs().max()) < 1e-7
-        torch.testing.assert_close(got.work, expected.work, rtol=1e-6, atol=1e-6)
-        torch.testing.assert_close(got.impulse, expected.impulse, rtol=1e-6, atol=1e-6)
+        assert float((got.position - expected.position).abs().max()) < small
+        assert float((got.heading - expected.heading).abs().max()) < 0.1 * small
+        torch.testing.assert_close(got.work, expected.work, rtol=small, atol=small)
+        torch.testing.assert_close(got.impulse, expected.impulse, rtol=small, atol=small)
 
 
-INLET = Boundaries(
-    left=NonEquilibrium(velocity=(0.03, 0.0)),
-    right=NonEquilibrium(density=1.0),
-    bottom=NoSlip(),
-    top=NonEquilibrium(velocity=(0.03, 0.0)),
-)
+STREAM, PINNED = NonEquilibrium(velocity=(1.0, 0.0)), NonEquilibrium(density=1.0)
+INLET = Boundaries(left=STREAM, right=PINNED, bottom=NoSlip(), top=STREAM)
 COUETTE = Boundaries(
-    left=Periodic(),
-    right=Periodic(),
-    bottom=NoSlip(velocity=(-1.0, 0.0)),
-    top=NonEquilibrium(velocity=(1.0, 0.0)),
+    left=Periodic(), right=Periodic(), bottom=NoSlip(velocity=(-1.0, 0.0)), top=STREAM
 )
+ALONG = OpenEdge(is_plane=False)
+PARABOLA = Profile.PARABOLA
+EDGES = {
+    "no-slip walls": Boundaries(left=NoSlip(), right=NoSlip(), bottom=NoSlip(), top=NoSlip()),
+    "lid": Boundaries(left=NoSlip(), right=NoSlip(), bottom=NoSlip(), top=NoSlip(velocity=(1, 0))),
+    "pinned outflow": Boundaries(left=STREAM, right=PINNED, bottom=STREAM, top=STREAM),
+    "open edges": Boundaries(left=STREAM, right=OpenEdge(), bottom=ALONG, top=ALONG),
+    "channel": Boundaries(
+        left=NonEquilibrium(velocity=(1.0, 0.0), profile=PARABOLA),
+        right=OpenEdge(profile=PARABOLA),
+        bottom=NoSlip(),
+        top=NoSlip(),
+    ),
+    "periodic along": Boundaries(left=Periodic(), right=Periodic(), bottom=NoSlip(), top=STREAM),
+}
 
 
 BEND, STRAIGHT = (-1.0, -0.4, -0.2), (0.0, 0.0, 0.0)
@@ -99,25 +110,39 @@ CHANGES: dict[str, dict[str, Any]] = {
     "sheared": {"boundaries": COUETTE, "stream_speed": 0.03, "ramp_steps": 50},
     "sponges": {
         "boundaries": INLET,
+        "stream_speed": 0.03,
         "sponges": (Sponge(length=20), Sponge(length=8, side=Side.TOP)),
     },
-    "in a sponge": {"boundaries": INLET, "sponges": (Sponge(length=90),)},
+    "in a sponge": {"boundaries": INLET, "stream_speed": 0.03, "sponges": (Sponge(length=90),)},
     "direct solve": {"force_solve": DirectSolve()},
+    "periodic both ways": {"boundaries": PERIODIC},
+    **{name: {"boundaries": edges, "stream_speed": 0.02} for name, edges in EDGES.items()},
 }
 
 
-@pytest.mark.parametrize("name", CHANGES)
-def test_in_place_step_equals_the_readable_step(name: str) -> None:
-    """Kinds of edges are compared in ``test_step``."""
-    config = make_tank(**CHANGES[name])
-    solver = make_solver(config, flows_per_launch=3)  # as fast as one flow where it runs eagerly
-    solver.advance_(120)
-    assert_equal_to_reference(solver, run_reference(config, 120))
+@pytest.mark.parametrize(("name", "num_steps"), [*((n, 120) for n in CHANGES), ("open edges", 800)])
+def test_many_steps_in_place_and_one_more_equal_readable_steps(name: str, num_steps: int) -> None:
+    """The odd step is read where it left the populations.
+
+    Sound crosses 69 nodes in 120 steps, so what the edges send has met. The errors that single
+    precision gathers in many steps are looked at behind one kind of edge.
+    """
+    config, rows = make_tank(**CHANGES[name]), slice(1) if name in EDGES else slice(3)
+    solver = make_solver(config, rows, flows_per_launch=len(STARTS[rows]))
+    reference = advance(read_state(solver), config, num_steps)
+    solver.advance_(num_steps)
+    assert_equal_to_reference(solver, reference, tolerance=5e-6 if num_steps == 120 else 5e-5)
+    batch = solver._batch
+    batch.stepper.step_(batch.first, 0)
+    after_odd = torch.stack(batch.memory_of(0).incoming(1), 1)
+    error = (after_odd - step(reference, config).f).abs().max() / reference.f.abs().max()
+    assert float(error) < 5e-5
 
 
 def test_a_stream_that_changes_equals_the_readable_step_and_resumes_on_the_way() -> None:
     config = make_tank(**CHANGES["sheared"])
     solver, other = make_solver(config), make_solver(config)
+    state, params = advance(read_state(solver), config, 60), make_params([config] * 3)
     speed = torch.tensor([0.05, 0.06, 0.02], dtype=torch.float64)
     for each in (solver, other):
         each.advance_(60)
@@ -134,8 +159,6 @@ def test_a_stream_that_changes_equals_the_readable_step_and_resumes_on_the_way()
     for name, a, b in zip(BodyState._fields, other.body, solver.body, strict=True):
         assert torch.equal(a, b), name
     torch.testing.assert_close(solver.stream_speed, torch.tensor([0.05, 0.03, 0.02]).double())
-    state = run_reference(config, 60)
-    params = make_params([config] * 3)
     changed = params._replace(
         stream_speed=torch.tensor([0.05, 0.03, 0.02]).double(),
         former_speed=params.stream_speed,
@@ -156,11 +179,12 @@ def test_compiled_step_equals_the_readable_step_and_repeats_bit_for_bit_in_proce
 ) -> None:
     config = make_tank(**CHANGES[name])
     solver, twin = (make_solver(config, compile=True, num_workers=num) for num in (0, 2))
+    reference = advance(read_state(solver), config, 120)
     for each in (solver, twin):
         each.advance_(120)
     assert torch.equal(solver.populations(), twin.populations())
     assert torch.equal(solver.body.position, twin.body.position)
-    assert_equal_to_reference(solver, run_reference(config, 120))
+    assert_equal_to_reference(solver, reference)
     twin.close()
 
 
@@ -177,6 +201,11 @@ def test_a_compiled_step_takes_no_memory_that_grows_with_the_grid() -> None:
 
 def test_a_step_and_a_reset_change_their_rows_alone_and_a_reset_erases_the_history() -> None:
     solver, fresh = make_solver(), make_solver()
+    assert torch.equal(solver.populations().double(), make_rest(TANK, 3))
+    body = make_body(STARTS, HEADINGS, torch.full((3,), 1.0 / SCALES.period, dtype=torch.float64))
+    body = body._replace(turn=TURN, turn_steps=torch.full_like(TURN, 160.0), turn_clock=0.0 * TURN)
+    for name, got, expected in zip(BodyState._fields, solver.body, body, strict=True):
+        assert torch.equal(got, expected), name
     rows = torch.tensor([True, False, True])
     solver.advance_(20, rows)
     fresh.advance_(20)

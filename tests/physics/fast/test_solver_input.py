@@ -8,12 +8,19 @@ import torch
 
 from fishrl.physics import FlowConfig, Foil, InPlaceSolver
 from fishrl.physics.bodies.motion import Oscillating
-from fishrl.physics.cases import make_swimmer_config
 from fishrl.physics.flow import make_params
-from tests.physics.fast.test_solver import HEADINGS, SCALES, STARTS, TANK, TURN, make_solver
+from tests.physics.fast.test_solver import HEADINGS, STARTS, TANK, TURN, make_solver
 
 FOIL = Foil(chord=16, motion=Oscillating(pitch=0.5, pivot=8.0))
 PITCHING = FlowConfig(width=60, height=40, tau=0.6, bodies=(FOIL,))
+
+
+EVERY = torch.tensor([True, True, True])
+
+
+def reset_in_stream(solver: InPlaceSolver, speed: float) -> None:
+    solver.set_stream_speed_(torch.full((3,), 0.1))
+    solver.reset_(EVERY, STARTS, HEADINGS, velocity=(speed, 0.0))
 
 
 @pytest.mark.parametrize(
@@ -31,21 +38,15 @@ PITCHING = FlowConfig(width=60, height=40, tau=0.6, bodies=(FOIL,))
         (lambda s: s.sample(torch.zeros(1, 5, 2)), r"points has shape \(1, 5, 2\)"),
         (lambda s: s.set_stream_speed_(torch.ones(1)), r"speed has shape \(1,\)"),
         (
-            lambda s: s.set_body_(0, make_params([make_swimmer_config(SCALES)]).bodies[0]),
-            r"params has shape \(1, .* give a tensor of shape \(3, ",
+            lambda s: s.set_body_(0, make_params([TANK]).bodies[0]),
+            r"params has shape \(1, .*\(3",
         ),
         (lambda s: s.set_populations_(torch.zeros(3, 9, 2, 2)), "f has shape"),
         (lambda s: s.reset_(torch.ones(2), STARTS, HEADINGS), "rows has shape"),
+        (lambda s: reset_in_stream(s, 4.0), r"times stream_speed = .*: allowed is at most 0\.3"),
         (
-            lambda s: [
-                s.set_stream_speed_(torch.full((3,), 0.1)),
-                s.reset_(torch.ones(3) > 0, STARTS, HEADINGS, velocity=(4.0, 0.0)),
-            ],
-            r"velocity times stream_speed = .*: allowed is at most 0\.3",
-        ),
-        (
-            lambda s: s.reset_(torch.ones(3) > 0, STARTS * torch.inf, HEADINGS),
-            "position = .*: must be finite in every chosen row",
+            lambda s: s.reset_(EVERY, STARTS * torch.inf, HEADINGS),
+            "position = .*: must be finite",
         ),
         (lambda s: s.load_state_dict({}), "state 'f0' is nothing, expected torch.float32"),
     ],

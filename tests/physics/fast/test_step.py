@@ -1,8 +1,7 @@
-"""The in-place step itself: long runs, odd steps, launches of many flows, memory."""
+"""The in-place step itself: half precision, memory, and its compiled code."""
 
-import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -10,108 +9,15 @@ import torch
 from torch._inductor import config as inductor_config
 from torch._inductor.graph import GraphLowering
 
-from fishrl.physics import DCylinder, Fish, FlowConfig, FlowState, InPlaceSolver, Storage
-from fishrl.physics.bodies.motion import Commanded, Fixed
-from fishrl.physics.bodies.state import make_body
-from fishrl.physics.boundaries import (
-    Boundaries,
-    NonEquilibrium,
-    NoSlip,
-    OpenEdge,
-    Periodic,
-    Profile,
-)
+from fishrl.physics import Fish, FlowConfig, InPlaceSolver, Storage
+from fishrl.physics.boundaries import Boundaries, NoSlip
 from fishrl.physics.fast.body_parts import CoupleBodies
 from fishrl.physics.fast.compiled import compile_inplace, is_own
-from fishrl.physics.flow import make_uniform
 from fishrl.physics.lattice import Q
-from fishrl.physics.step import step
-from tests.physics.flows import advance, start_solver
+from tests.physics.fast.test_solver import CHANGES, TANK, make_solver, make_tank
 
-WIDTH, HEIGHT, SPEED = 90, 60, 0.02
-STREAM = NonEquilibrium(velocity=(1.0, 0.0))
-EDGES = {
-    "tank": Boundaries(),
-    "no-slip walls": Boundaries(left=NoSlip(), right=NoSlip(), bottom=NoSlip(), top=NoSlip()),
-    "lid": Boundaries(left=NoSlip(), right=NoSlip(), bottom=NoSlip(), top=NoSlip(velocity=(1, 0))),
-    "pinned outflow": Boundaries(
-        left=STREAM, right=NonEquilibrium(density=1.0), bottom=STREAM, top=STREAM
-    ),
-    "open edges": Boundaries(
-        left=STREAM, right=OpenEdge(), bottom=OpenEdge(is_plane=False), top=OpenEdge(is_plane=False)
-    ),
-    "channel": Boundaries(
-        left=NonEquilibrium(velocity=(1.0, 0.0), profile=Profile.PARABOLA),
-        right=OpenEdge(profile=Profile.PARABOLA),
-        bottom=NoSlip(),
-        top=NoSlip(),
-    ),
-    "periodic along": Boundaries(left=Periodic(), right=Periodic(), bottom=NoSlip(), top=STREAM),
-    "periodic both ways": Boundaries(
-        left=Periodic(), right=Periodic(), bottom=Periodic(), top=Periodic()
-    ),
-}
-
-
-def make_config(name: str = "pinned outflow", **changes: object) -> FlowConfig:
-    fish = Fish(body_length=20, motion=Commanded())
-    half_disc = DCylinder(diameter=8, motion=Fixed())
-    settings: dict[str, object] = {
-        "width": WIDTH,
-        "height": HEIGHT,
-        "tau": 0.56,
-        "stream_speed": SPEED,
-        "bodies": (fish, half_disc),
-        "boundaries": EDGES[name],
-    }
-    return FlowConfig(**{**settings, **changes})  # type: ignore[arg-type]
-
-
-PLACES = torch.tensor(
-    [[[55.3, 30.2], [20.0, 30.0]], [[50.0, 27.7], [18.4, 31.0]], [[52.6, 33.3], [22.2, 28.5]]],
-    dtype=torch.float64,
-)
-HEADINGS = torch.tensor([[math.pi, math.pi], [3.0, 3.2], [-2.9, 3.1]], dtype=torch.float64)
-FREQUENCY = 1.0 / 300.0
-
-
-def start(config: FlowConfig, rows: Sequence[int] = (0, 1, 2), **changes: object) -> InPlaceSolver:
-    where = PLACES[list(rows)], HEADINGS[list(rows)]
-    return start_solver(config, *where, velocity=(1.0, 0.0), frequency=FREQUENCY, **changes)
-
-
-def run_readable(config: FlowConfig, num_steps: int) -> FlowState:
-    frequency = torch.full((1,), FREQUENCY, dtype=torch.float64)
-    bodies = tuple(make_body(PLACES[:1, m], HEADINGS[:1, m], frequency) for m in range(2))
-    none = torch.zeros(1, HEIGHT, WIDTH, dtype=torch.float64)
-    state = FlowState(make_uniform(none, none + SPEED, none), bodies, none[:, 0, 0])
-    return advance(state, config, num_steps)
-
-
-@pytest.mark.parametrize(
-    ("name", "num_steps", "tolerance"),
-    [*((name, 80, 1e-4) for name in EDGES), ("open edges", 1000, 1e-3)],
-)
-def test_many_steps_and_one_equal_the_readable_step(
-    name: str, num_steps: int, tolerance: float
-) -> None:
-    """Single against double precision; the odd step is read where it left the populations.
-
-    Sound crosses 46 nodes in 80 steps, so what the edges send has met. The errors that single
-    precision gathers in a thousand steps are looked at behind one kind of edge.
-    """
-    config = make_config(name)
-    solver = start(config, rows=[0])
-    reference = run_readable(config, num_steps)
-    solver.advance_(num_steps)
-    scale = float(reference.f.abs().max())
-    assert float((solver.populations() - reference.f).abs().max()) < tolerance * scale
-    assert float((solver.body.position - reference.bodies[0].position).abs().max()) < tolerance
-    batch = solver._batch
-    batch.stepper.step_(batch.first, 0)
-    after_odd = batch.memory_of(0).incoming(1)
-    reference = step(reference, config)
-    assert float((torch.stack(after_odd, 1) - reference.f).abs().max()) < tolerance * scale
+SPEED = 0.02
+OUTFLOW = CHANGES["pinned outflow"]
 
 
 def test_half_precision_stays_near_single_precision_and_is_restored_exactly() -> None:
@@ -119,14 +25,16 @@ def test_half_precision_stays_near_single_precision_and_is_restored_exactly() ->
 
     Measured: 0.2 % of the stream, and 0.002 nodes.
     """
-    single, half = (start(make_config(storage=each), flows_per_launch=3) for each in Storage)
+    single, half = (
+        make_solver(make_tank(**OUTFLOW, storage=each), flows_per_launch=3) for each in Storage
+    )
     for solver in (single, half):
         solver.advance_(400)
     assert half.state_dict()["f0"].dtype == torch.float16
     error = (half.macroscopic()[1] - single.macroscopic()[1]).abs().max()
     assert 0.0 < float(error) < 0.01 * SPEED
     assert float((half.body.position - single.body.position).abs().max()) < 0.01
-    other = start(half.config, flows_per_launch=3)
+    other = make_solver(half.config, flows_per_launch=3)
     other.set_populations_(half.populations())
     assert torch.equal(other.populations(), half.populations())
     other.load_state_dict(half.state_dict())
@@ -143,7 +51,7 @@ def test_the_bulk_pass_is_one_loop_of_nine_loads_and_nine_stores(
 ) -> None:
     written: list[str] = []
     monkeypatch.setattr(GraphLowering, "save_output_code", written.append)
-    solver = start(make_config(storage=storage), rows=[0])
+    solver = make_solver(make_tank(**OUTFLOW, storage=storage), slice(1))
     with inductor_config.patch(force_disable_caches=True):
         part, (even, _) = solver.list_calls()[0]
         compile_inplace(part.run, even)
@@ -203,5 +111,5 @@ def test_a_class_from_outside_the_package_is_not_cached_by_name() -> None:
     class Magnetic(NoSlip):
         """An edge whose source this package does not hold."""
 
-    assert is_own(make_config().get_structure())
-    assert not is_own(make_config(boundaries=Boundaries(top=Magnetic())).get_structure())
+    assert is_own(TANK.get_structure())
+    assert not is_own(make_tank(boundaries=Boundaries(top=Magnetic())).get_structure())

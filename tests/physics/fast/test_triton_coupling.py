@@ -40,13 +40,8 @@ STREAM = NonEquilibrium(velocity=(1.0, 0.0))
 EDGES = Boundaries(left=STREAM, right=OpenEdge(), bottom=STREAM, top=STREAM)
 PERIODIC = Boundaries(left=Periodic(), right=Periodic(), bottom=Periodic(), top=Periodic())
 FISH = Fish(body_length=16, motion=Free())
-FLOW: dict[str, Any] = {
-    "width": 56,
-    "height": 40,
-    "tau": 0.56,
-    "stream_speed": 0.03,
-    "boundaries": EDGES,
-}
+FLOW: dict[str, Any] = {"width": 56, "height": 40, "tau": 0.56, "stream_speed": 0.03}
+FLOW["boundaries"] = EDGES
 ZHANG = IterativeForcing(num_iterations=2, relaxation=1.0)
 CASES: dict[str, dict[str, Any]] = {
     "free fish, periodic edges": {"bodies": (FISH,), "boundaries": PERIODIC},
