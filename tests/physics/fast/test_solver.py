@@ -120,7 +120,7 @@ CHANGES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize(("name", "num_steps"), [*((n, 120) for n in CHANGES), ("open edges", 800)])
+@pytest.mark.parametrize(("name", "num_steps"), [*((n, 120) for n in CHANGES), ("open edges", 400)])
 def test_many_steps_in_place_and_one_more_equal_readable_steps(name: str, num_steps: int) -> None:
     """The odd step is read where it left the populations.
 
