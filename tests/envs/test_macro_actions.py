@@ -45,7 +45,10 @@ def test_continuous_action_is_the_frequency() -> None:
         (lambda: FrequencyBank(rows=((1, 2), (1, 2, 3))), r"have \[2, 3\] frequencies: give all"),
         (lambda: FrequencyBank(rows=((2.0, 1.0),)), "must be rising"),
         (lambda: MacroActions(bank=MACRO.bank, first_gear=4), "first_gear = 4: .*0 to 3"),
-        (lambda: ContinuousFrequency(frequency_range=(2.0, 1.0)), "frequency_range = .*must be rising"),
+        (
+            lambda: ContinuousFrequency(frequency_range=(2.0, 1.0)),
+            "frequency_range = .*must be rising",
+        ),
     ],
 )
 def test_invalid_settings_are_refused(make: Callable[[], object], message: str) -> None:

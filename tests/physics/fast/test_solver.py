@@ -247,7 +247,8 @@ def test_flows_that_diverge_are_reported_once_each_time(
     is_reported: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Unless the caller names rows. What is not finite spreads by one node per step."""
-    solver, every = make_solver(), torch.tensor([True, True, True])
+    solver = start_solver(FlowConfig(width=40, height=32, tau=0.6), num_envs=3)
+    every = torch.tensor([True, True, True])
 
     def count_reports(*diverged: int) -> int:
         caplog.clear()
@@ -260,11 +261,11 @@ def test_flows_that_diverge_are_reported_once_each_time(
 
     assert count_reports(0, 2) == is_reported
     assert not caplog.records[is_reported:]
-    solver.reset_(every, STARTS, HEADINGS)
+    solver.reset_(every)
     assert count_reports() == 0 and not caplog.records
     for _ in range(2):
         assert count_reports(1) == is_reported
-        solver.reset_(every, STARTS, HEADINGS)
+        solver.reset_(every)
 
 
 @pytest.mark.parametrize(
