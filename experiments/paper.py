@@ -13,7 +13,7 @@ from markdown_it import MarkdownIt
 
 from fishrl.programs.figures.learning_curve import Curve, draw_curves, read_metrics
 from fishrl.programs.gait import figures
-from fishrl.programs.gait.tables import divide_work, write_free_stream, write_results
+from fishrl.programs.gait.tables import divide_work
 from fishrl.programs.gait.trials import list_shedding, load_trial
 from fishrl.programs.pages import write_table
 from fishrl.programs.statistics import Statistic, show
@@ -161,7 +161,6 @@ def write_page(folder: Path, jobs: Mapping[str, Mapping[str, Any]], scale: Any) 
     draw(folder, runs, folder / "figures")
     transfer, fitted = read(folder / "transfer" / "transfer.json"), find_fitted(folder)
     assert fitted is not None  # its job is finished
-    both, speeds = transfer["arms"][ARMS["both"]], transfer["speeds_bl"]
     times = [read_run(path).summary["mean_time_to_success_T"] for path in runs["predation"]]
     captures = [time for time in times if time is not None]  # None without a capture
     machines = {
@@ -182,8 +181,7 @@ def write_page(folder: Path, jobs: Mapping[str, Mapping[str, Any]], scale: Any) 
         "## Task 1: predation",
         (folder / "predation" / "summary.md").read_text(encoding="utf-8").partition("\n")[2],
         "## Task 2: Kármán gait",
-        write_results(transfer["arms"], speeds),
-        write_free_stream(transfer["free_stream"], both, speeds),
+        (folder / "transfer" / "transfer.md").read_text(encoding="utf-8"),
         "## Figures",
         *(f"![{text}](figures/{key}.png)\n\n*{text}*" for key, text in shown.items()),
         "## Jobs",

@@ -116,11 +116,11 @@ class CommandLine:
             config = compose(self.name, overrides)
             node = cast(Node, OmegaConf.to_container(config, resolve=True))
         node = {key: value for key, value in node.items() if value != "???"}
-        named = node.pop("modules", None) or []
-        modules = [named] if isinstance(named, str) else [str(module) for module in named]
-        for module in modules:
+        own = node.pop("modules", None) or []
+        named = [own] if isinstance(own, str) else [str(module) for module in own]
+        for module in named:
             import_module(module)
-        modules += [*list_modules(node), *_search_modules(split_options(arguments).config_dir)]
+        trusted = {*list_modules(node), *_search_modules(split_options(arguments).config_dir)}
         changes = [each.key_or_group for each in parse(overrides) if not each.is_delete()]
         given = {key: _select(node, key) for key in changes}
         if "algorithm" not in self.groups:
@@ -130,6 +130,7 @@ class CommandLine:
             node |= self.stored(given)
             for key in given.keys() - {*self.groups, "modules"}:
                 _update(node, key.split("."), given[key])
+        modules = {*named, *(module for module in list_modules(node) if module in trusted)}
         outside = {module for module in modules if module.split(".")[0] != "fishrl"}
         return Composed(node, sorted(outside))
 

@@ -31,7 +31,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 import yaml
 from tqdm import tqdm
@@ -40,7 +40,7 @@ from fishrl.envs import AbstractTask
 from fishrl.programs.configuration import CommandLine, split_options
 from fishrl.settings import REQUIRED, TARGET, Settings, build, describe, list_fields, to_plain
 from fishrl.settings.plain import list_classes
-from fishrl.training.interruption import SIGNALS, exit_status
+from fishrl.training.interruption import exit_status, list_heeded
 
 #: Layout of the lines of the help.
 _WIDTH: dict[str, Any] = {"width": 100, "initial_indent": "  ", "subsequent_indent": " " * 8}
@@ -65,7 +65,7 @@ class Program:
             gc.enable()
         set_up_logging()
         words = list(sys.argv[1:] if arguments is None else arguments)
-        with plain_errors(), interruptible():
+        with plain_errors(), handling_signals(interrupt):
             options = split_options(words)
             if options.help:
                 print(self.describe(words))
@@ -145,12 +145,6 @@ def _list_settings(key: str, value: Any, text: str) -> Iterator[str]:
         yield from _list_settings(f"{key}.{name}", getattr(value, name), texts.get(name, ""))
 
 
-def check_names(names: Sequence[str]) -> None:
-    """Raise ValueError unless there are policies with unique names."""
-    if not names or len(set(names)) < len(names):
-        raise ValueError(f"policy names must be unique and non-empty; got {sorted(names)}")
-
-
 def write_value(value: Any) -> str:
     """Write a plain value as on a command line."""
     if isinstance(value, bool) or value is None:
@@ -210,23 +204,19 @@ def show_command(program: str, *arguments: str) -> str:
 
 
 @contextmanager
-def interruptible() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM raise KeyboardInterrupt, so that the program cleans up behind itself.
-
-    A signal that is ignored, as with ``nohup``, stays so.
-    """
-
-    def end(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt(number)
-
-    before = {n: signal.getsignal(n) for n in SIGNALS if signal.getsignal(n) != signal.SIG_IGN}
-    for number in before:
-        signal.signal(number, end)
+def handling_signals(handle: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Handle Ctrl-C and SIGTERM; a signal that is ignored, as with ``nohup``, stays so."""
+    before = {number: signal.signal(number, handle) for number in list_heeded()}
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    """Raise KeyboardInterrupt with the number of a signal, so that the program cleans up."""
+    raise KeyboardInterrupt(number)
 
 
 @contextmanager

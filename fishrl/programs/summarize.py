@@ -10,13 +10,12 @@ and runs to repeat), ``summary.csv`` (every number of the summaries), ``runs.csv
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from shutil import copyfile
 from typing import Any
 
 import numpy as np
 
 from fishrl.programs.figures.learning_curve import RATE, Curve, draw_curves, read_metrics
-from fishrl.programs.pages import fill, write_csv, write_table
+from fishrl.programs.pages import write_csv, write_table
 from fishrl.programs.program import program
 from fishrl.programs.statistics import (
     Statistic,
@@ -61,18 +60,12 @@ class SummarizeSettings(Settings):
 
     Args:
         folder: folder of a sweep, which holds the run folders.
-        page: Markdown file to write the tables into, between the marks ``summary``. Pictures go to
-            ``figures`` next to it: the curves under the name of the page, and those pictures of the
-            first run that the page shows.
     """
 
     folder: str
-    page: str | None = None
 
 
-def summarize(
-    folder: Path, *, paths: Sequence[Path] | None = None, page: Path | None = None
-) -> str:
+def summarize(folder: Path, *, paths: Sequence[Path] | None = None) -> str:
     """Write tables and curves of a sweep into its folder, and return the text of summary.md.
 
     ``paths`` are the runs; by default all in the folder.
@@ -95,15 +88,6 @@ def summarize(
         for title, column in PANELS.items()
     }
     has_curves = draw_curves(folder / "curves.png", panels)
-    if page is not None:
-        fill(page, "summary", text)
-        figures, shown = page.parent / "figures", page.read_text(encoding="utf-8")
-        figures.mkdir(exist_ok=True)
-        if has_curves:
-            copyfile(folder / "curves.png", figures / f"{page.stem}.png")
-        for picture in sorted(runs[0].path.iterdir()):
-            if f"figures/{picture.name}" in shown:
-                copyfile(picture, figures / picture.name)
     text = f"# {folder.resolve().name}\n\n{text}\n{advise(runs)}\n"
     (folder / "summary.md").write_text(text, encoding="utf-8")
     return text + (f"\ncurves: {folder / 'curves.png'}\n" if has_curves else "")
@@ -242,5 +226,4 @@ def write_csv_files(groups: Sequence[Group], folder: Path) -> None:
 @program(SummarizeSettings, positional="folder")
 def main(settings: SummarizeSettings) -> None:
     """Print the tables."""
-    page = None if settings.page is None else Path(settings.page)
-    print(summarize(Path(settings.folder), page=page))
+    print(summarize(Path(settings.folder)))

@@ -19,12 +19,7 @@ from fishrl.programs.live import LiveCallback
 from fishrl.programs.program import program, show_command
 from fishrl.programs.sweeps.jobs import sweep
 from fishrl.programs.sweeps.runs import show_modules, show_resume
-from fishrl.programs.train_settings import (
-    TRAINING,
-    TrainConfig,
-    is_finished,
-    make_plan,
-)
+from fishrl.programs.train_settings import TRAINING, TrainConfig, is_finished, make_plan
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.evaluation import FINAL_SEED, fixed_starts
 from fishrl.training.interruption import Interrupted, exit_status
@@ -115,7 +110,7 @@ def report(summary: dict[str, Any], *, folder: Path, modules: Sequence[str]) -> 
 @program(TRAINING, sweep=sweep)
 def main(settings: TrainConfig) -> None:
     """Begin or continue a run; print the command to resume it if it is interrupted."""
-    if settings.has_begun and is_finished(settings):
+    if is_finished(settings):
         print(f"{settings.path}: already finished; total_frames=... extends it")
         return
     with Progress() as progress:

@@ -1,7 +1,7 @@
 """Command line and settings of a training, and what may change when it continues."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import NonNegativeInt
 
@@ -99,16 +99,15 @@ def make_plan(config: TrainConfig) -> Plan:
     return Plan(**parts, learning=learning, run=run, extra=to_plain(values))
 
 
-def list_changes(config: TrainConfig) -> dict[str, Any]:
-    """Return the settings that differ from those of the run that is continued.
+def is_finished(config: TrainConfig) -> bool:
+    """Tell whether the run in the folder has been trained and evaluated with these settings.
 
     Raises:
-        ValueError: if one of them fixes its result.
+        ValueError: if the run has others that fix its result.
     """
-    return find_changes(str(config.path), make_plan(config), recognition=config.recognition)
-
-
-def is_finished(config: TrainConfig) -> bool:
-    """Tell whether the run that is continued has been trained and evaluated as it should be."""
-    changes = {name: value for name, value in list_changes(config).items() if name in LATE}
-    return find_summary(str(config.path), **changes) is not None
+    if not config.has_begun:
+        return False
+    plan, folder = make_plan(config), str(config.path)
+    changes = find_changes(folder, plan, recognition=config.recognition)
+    late = {name: value for name, value in changes.items() if name in LATE}
+    return find_summary(folder, **late) is not None

@@ -17,7 +17,7 @@ from fishrl.programs.gait import figures, trials
 from fishrl.programs.gait.diagnostics import combine_seeds, diagnose, trace_work
 from fishrl.programs.gait.free_stream import hold_in_free_stream
 from fishrl.programs.gait.tables import write_free_stream, write_results
-from fishrl.programs.program import TaskSettings, check_names, program
+from fishrl.programs.program import TaskSettings, program
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
 
@@ -58,11 +58,8 @@ def transfer(
     Those are ``shedding``: its frequencies, per T; ``arms``: diagnostics per arm and flow over its
     seeds; ``trials``: of each policy alone; ``work``: per arm and flow as it adds up in time;
     ``free_stream``: as ``hold_in_free_stream`` returns, or None.
-    ``ValueError`` for equal names, tasks that cannot be compared, and several half discs.
     """
-    check_names([trial.name for trial in tried])
-    trials.check_shared(tried)
-    trials.check_one_disc(tried[0].task)
+    trials.check_comparable(tried)
     folder, task, best = Path(settings.folder), tried[0].task, tried[0].arm
     speeds, interval_T = task.stream.speeds_bl, task.interval_T
     shedding = trials.list_shedding(task)

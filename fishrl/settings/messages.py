@@ -55,13 +55,16 @@ def _show(value: Any) -> str:
 def suggest(word: str, known: Iterable[str]) -> str:
     """Return ``; did you mean 'x'?`` for the most similar known word, or nothing.
 
-    Dotted keys are compared as a whole and by their last part.
+    Dotted keys are compared as a whole and by their last part. A short word must be more similar,
+    unless it is part of the known one.
     """
+    tail = word.rpartition(".")[2]
 
     def rate(other: str) -> tuple[bool, float]:
-        tails = (word.rpartition(".")[2], other.rpartition(".")[2])
-        of_tail = SequenceMatcher(None, *tails).ratio()
-        return of_tail >= 0.6, of_tail + SequenceMatcher(None, word, other).ratio()
+        known_tail = other.rpartition(".")[2]
+        of_tail = SequenceMatcher(None, tail, known_tail).ratio()
+        least = 0.6 if len(tail) >= 8 or tail in known_tail else 0.75
+        return of_tail >= least, of_tail + SequenceMatcher(None, word, other).ratio()
 
     best = max(known, key=rate, default="")
     return f"; did you mean {best!r}?" if rate(best)[0] else ""

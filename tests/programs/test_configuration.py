@@ -46,6 +46,8 @@ def test_a_key_of_another_object_is_refused() -> None:
         read(["task.stream.has_disc=false"])
     with pytest.raises(ValueError, match=r"there is no 'task\.start_flows'"):
         read(["preset=gait_small", "task=predation"])
+    with pytest.raises(ValueError, match=r"there is no 'gap_bl'. There is: seed, "):
+        read(["task=karman_gait", "gap_bl=1"])  # far_bl is another word
     with pytest.raises(ValueError, match="there is no 'logger'"):
         evaluate.main.read(["policy=random", "logger=wandb"])
 

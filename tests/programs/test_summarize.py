@@ -183,23 +183,6 @@ def test_the_bias_of_selecting_a_checkpoint_is_shown(tmp_path: Path) -> None:
     assert re.search(r": \+15.0% ± [0-9.]+% for the selected checkpoint, \+0.0% ± ", text)
 
 
-def test_tables_and_pictures_go_into_a_page(sweep: Path, tmp_path: Path) -> None:
-    docs = tmp_path / "docs"
-    (docs / "figures").mkdir(parents=True)
-    page = docs / "results.md"
-    page.write_text("A\n<!-- summary: begin -->\nold\n<!-- summary: end -->\n![x](figures/x.png)\n")
-    for name in ("x.png", "y.png"):
-        (sweep / "gamma_0.9-seed_0" / name).write_bytes(b"picture")
-    summarize.main([str(sweep), f"page='{page}'"])
-    text = page.read_text()
-    assert text.startswith("A\n") and "old" not in text and "| gamma_0.9-seed_0 | 10.0% |" in text
-    figures = sorted(path.name for path in (docs / "figures").iterdir())
-    assert figures == ["results.png", "x.png"]
-    page.write_text("no mark")
-    with pytest.raises(ValueError, match="put one line <!-- summary: begin -->"):
-        summarize.summarize(sweep, page=page)
-
-
 def test_the_csv_files_hold_every_number_and_every_run(sweep: Path) -> None:
     summarize.summarize(sweep)
     with (sweep / "summary.csv").open(newline="") as file:

@@ -18,7 +18,7 @@ from fishrl.programs.sweeps import ending, jobs
 from fishrl.programs.sweeps.groups import group_runs
 from fishrl.programs.sweeps.jobs import Job, find_runs, plan_jobs
 from fishrl.programs.sweeps.runs import read_run, read_runs
-from fishrl.programs.train_settings import TRAINING, is_finished, list_changes, make_plan
+from fishrl.programs.train_settings import TRAINING, is_finished, make_plan
 from fishrl.settings import describe
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.run_folder import read_config, write_json, write_yaml
@@ -115,15 +115,13 @@ def test_a_run_of_the_same_settings_is_continued_and_one_of_others_is_refused(
     first = begin(tmp_path)
     assert find_runs([f"folder={tmp_path}"]) == [first.path]
     assert find_runs([f"folder={tmp_path}", "seed=1,2"]) == []
-    assert not is_finished(first.settings) and list_changes(first.settings) == {}
+    assert not is_finished(first.settings)
     write_json(first.path / "summary.json", {"frames": 2800})
     assert is_finished(first.settings)
     (longer,) = plan_jobs([f"folder={tmp_path}", "total_frames=3000", "port=9900"])
     assert not is_finished(longer.settings)
-    assert list_changes(longer.settings) == {"total_frames": 3000, "port": 9900}
     (compared,) = plan_jobs([f"folder={tmp_path}", "baselines=[random]", "log_frames=8"])
     assert not is_finished(compared.settings)  # it is evaluated again
-    assert list_changes(compared.settings) == {"baselines": ["random"], "log_frames": 8}
     (logged,) = plan_jobs([f"folder={tmp_path}", "log_frames=8"])
     assert is_finished(logged.settings)
     for word in ("gamma=0.5", "task.reynolds=500", "recognition=oracle", "algorithm=dqn"):

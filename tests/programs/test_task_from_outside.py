@@ -84,6 +84,8 @@ def test_every_program_takes_a_task_from_outside(outside: Path) -> None:
     folder = ["--config-dir", str(outside / "conf")]
     task = train.main.read([*folder, "task=hold_station", "task.leash_bl=1.25"]).task
     assert (type(task).__name__, task.leash_bl, task.body_length) == ("HoldStation", 1.25, 50)
+    assert train.main.read([*folder, "task=hold_station"]).modules == ("hold_station",)
+    assert train.main.read(folder).modules == ()  # those in use, not all in the folder
     watched = view.main.read([*folder, "task=hold_station", "policy=random"])
     assert type(watched.task) is type(task)
     searched = search.main.read([*folder, "task=hold_station", "folder=x", "gamma=interval(0,1)"])

@@ -86,17 +86,16 @@ class Trial:
     recognition: LateralLineClassifier | str | None = None  #: gives it flow labels
 
 
-def check_shared(tried: Sequence[Trial]) -> None:
-    """Raise ValueError unless the tasks can be compared."""
+def check_comparable(tried: Sequence[Trial]) -> None:
+    """Raise ValueError for equal names, different tasks, and flows behind several half discs."""
+    names = [trial.name for trial in tried]
+    if not names or len(set(names)) < len(names):
+        raise ValueError(f"policy names must be unique and non-empty; got {sorted(names)}")
     for setting in SHARED:
         values = {trial.name: getattr(trial.task, setting) for trial in tried}
         if len(set(map(repr, values.values()))) > 1:
             raise ValueError(f"tasks differ in {setting}: {values}; try them separately")
-
-
-def check_one_disc(task: KarmanGait) -> None:
-    """Raise ValueError for flows behind several discs: results are named by the speed alone."""
-    if len(set(task.stream.diameters_bl)) > 1:
+    if len(set(tried[0].task.stream.diameters_bl)) > 1:  # results are named by the speed alone
         raise ValueError(
             "flows behind several half discs: give one task.stream.diameter_bl (fishrl evaluate "
             "takes policies that were trained behind several)"

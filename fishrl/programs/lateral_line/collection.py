@@ -29,10 +29,7 @@ from fishrl.training.progress import Progress
 
 #: Share of random actions.
 RANDOM_SHARE = 0.5
-_ENTRIES = (
-    *("lateral_line", "frequency", "is_decision"),
-    *("flow_index", "named_flow", "start"),
-)
+_ENTRIES = ("lateral_line", "frequency", "is_decision", "flow_index", "named_flow")
 _SOURCES = ("fishrl.envs", "fishrl.modules", "fishrl.training.baselines", __name__)
 
 
@@ -93,8 +90,7 @@ def collect(settings: CollectionSettings, progress: Progress | None = None) -> T
         ``[E, D, W, P, F]`` with F features as in ``KNOWN``, sensed in the interval before each
         decision; ``is_decision`` bool, false after the end; ``flow_index`` (of a changing stream,
         the flow nearest to it at the decision), ``named_flow`` (the row of frequencies in use) and
-        ``episode`` int64; ``start`` ``[E, D, 2]``, the nose's initial position in L; ``frequency``
-        in beats per T.
+        ``episode`` int64; ``frequency`` in beats per T.
     """
     s, progress = settings, progress or Progress(is_shown=False)
     task, place = s.recorded_task, s.place
@@ -158,5 +154,4 @@ def record_piece(env: TransformedEnv, number: int, *, seed: int) -> TensorDict:
     traces = run_episodes(env, act, starts, on_step=read).traces
     read_off = {name: traces.pad(name, value=0, length=task.time_limit) for name in traces}
     shape = read_off["is_decision"].shape
-    start = (starts["head"] / task.body_length).float()[:, None].expand(*shape, 2)
-    return TensorDict({**read_off, "named_flow": row[:, None].expand(shape), "start": start}, shape)
+    return TensorDict({**read_off, "named_flow": row[:, None].expand(shape)}, shape)

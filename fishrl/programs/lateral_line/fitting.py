@@ -116,9 +116,8 @@ def cut_windows(episodes: TensorDictBase, *, num_samples: int) -> TensorDict:
     ``[E, D]`` as ``collect`` returns.
 
     Returns:
-        TensorDict ``[N]`` with ``lateral_line`` ``[N, num_samples, P, F]``; ``decision``, the
-        number (from 0) of the decision that the last sample precedes; ``is_whole``, whether the
-        window ends right at the decision; and the other entries of ``episodes``.
+        TensorDict ``[N]`` with ``lateral_line`` ``[N, num_samples, P, F]``; ``is_whole``, whether
+        the window ends right at a decision; and the other entries of ``episodes``.
     """
     signal = episodes["lateral_line"]
     rows, num_decisions, interval = signal.shape[:3]
@@ -133,7 +132,7 @@ def cut_windows(episodes: TensorDictBase, *, num_samples: int) -> TensorDict:
     is_used = samples["is_decision"]
     # at reset all samples of the interval are the first one
     is_used = is_used & (is_whole | (decision > 0))
-    samples["decision"], samples["is_whole"] = (v.expand(rows, -1) for v in (decision, is_whole))
+    samples["is_whole"] = is_whole.expand(rows, -1)
     samples["lateral_line"] = windows
     return samples[is_used]
 

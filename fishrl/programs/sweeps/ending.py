@@ -11,6 +11,7 @@ from types import FrameType
 
 import psutil
 
+from fishrl.programs.program import handling_signals
 from fishrl.training.interruption import list_heeded
 
 logger = logging.getLogger(__name__)
@@ -25,8 +26,7 @@ def ending_runs() -> Iterator[None]:
 
     A launcher may kill its processes where it is interrupted, so the trainings save before. Ctrl-C
     in a terminal reaches them too, another signal may reach this process alone; a training takes
-    two signals at once as one. A second signal is passed on, and ends them at once. Ignored signals
-    stay so.
+    two signals at once as one. A second signal is passed on, and ends them at once.
     """
     signalled: set[int] = set()
     is_ending = False
@@ -48,12 +48,8 @@ def ending_runs() -> Iterator[None]:
             time.sleep(0.1)
         raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, pass_on) for number in list_heeded()}
-    try:
+    with handling_signals(pass_on):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def leave_ending_to_sweep() -> None:

@@ -28,7 +28,7 @@ from fishrl.programs.configuration import parse, run_hydra, split_options
 from fishrl.programs.program import set_up_logging, show_command
 from fishrl.programs.sweeps.ending import ending_runs, leave_ending_to_sweep
 from fishrl.programs.sweeps.runs import Run, advise, count_frames, read_run
-from fishrl.programs.train_settings import TRAINING, TrainConfig, is_finished, list_changes
+from fishrl.programs.train_settings import TRAINING, TrainConfig, is_finished
 from fishrl.training.interruption import SIGNALS
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder
@@ -87,8 +87,7 @@ def sweep(arguments: Sequence[str]) -> None:
         arguments = [*arguments, f"folder=runs/sweep-{time.strftime('%Y%m%d-%H%M%S')}"]
         launch, jobs = _plan(arguments)
     for job in jobs:
-        if job.settings.has_begun:
-            list_changes(job.settings)  # refuses others than the run has
+        is_finished(job.settings)  # refuses settings that its run does not have
     folder = Path(jobs[0].settings.folder).expanduser()
     folder.mkdir(parents=True, exist_ok=True)
     command = f"{show_command('train', *arguments)}\n"
@@ -165,7 +164,7 @@ def run_job(job: Job) -> Run:
     """
     path = job.path
     run = read_run(path)
-    if run.status == "running" or (job.settings.has_begun and is_finished(job.settings)):
+    if run.status == "running" or is_finished(job.settings):
         return run
     path.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "fishrl", "train", *job.words]

@@ -45,7 +45,6 @@ def make_episodes(num: int = 40, length: int = 5) -> TensorDict:
     sine = sine.view(num, length, INTERVAL, 1)
     signal[..., KNOWN.index("ahead")] = 1.0 + 0.5 * flow.view(-1, 1, 1, 1) + 0.2 * sine
     here = {
-        "start": torch.rand(num, 2, generator=generator),
         "flow_index": flow,
         "named_flow": torch.randint(2, (num,), generator=generator),
         "episode": torch.arange(num),

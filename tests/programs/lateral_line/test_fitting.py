@@ -70,7 +70,6 @@ def test_a_longer_window_reaches_back_and_repeats_the_first_sample_before_the_st
     data = data[data["is_whole"]]
     rows = ((0, 0, 0, 0, 0, 0), (0, 0, 4, 5, 6, 7), (6, 7, 8, 9, 10, 11))
     assert windows_of(data)[:3] == [list(row) for row in rows]
-    assert data["decision"].tolist() == [0, 1, 2, 0, 1]
     assert data["episode"].tolist() == [7, 7, 7, 8, 8]
     assert data["flow_index"].tolist() == [0, 0, 0, 1, 1]
 
@@ -82,7 +81,6 @@ def test_a_window_ends_at_every_sample_but_the_repeated_ones_of_the_reset() -> N
     assert windows_of(data)[:4] == [[0, 0], [0, 4], [4, 5], [5, 6]]
     later = [False, False, False, True]
     assert data["is_whole"].tolist() == [True, *later, *later, True, *later]
-    assert data["decision"].tolist() == [0, *[1] * 4, *[2] * 4, 0, *[1] * 4]
 
 
 def test_a_classifier_reads_some_features_or_their_mean() -> None:
