@@ -30,34 +30,13 @@ ARMS = {
     "lateral_line": "lateral line alone",
     "ablation": "ablation",
 }
-#: Figures by their name on the page: file, in the folder of the reproduction, of its classifier or
-#: of its first predation policy; caption.
-FIGURES = {
-    "swimmer": ("{folder}/swimmer/figures/validation/swimmer.png", "Task 0: speed against time"),
-    "classifier": ("{classifier}/curves.png", "Accuracy and loss of the classifiers"),
-    "predation": ("{folder}/predation/curves.png", "Task 1: learning curves"),
-    "trajectories": ("{hunt}/trajectories.png", "Task 1: paths to the food"),
-    "vorticity": ("{hunt}/vorticity_sequence.png", "Task 1: vorticity before a capture"),
-    "survival": ("{folder}/transfer/survival.png", "Task 2: survival of each episode"),
-    "paths": ("{folder}/transfer/paths.png", "Task 2: paths of the nose"),
-    "decisions": (
-        "{folder}/transfer/decisions.png",
-        "Task 2: tail-beat frequency and angle of attack against time",
-    ),
-    "work": ("{folder}/transfer/work.png", "Task 2: work in the wake and in a free stream"),
-}
-#: Figures that are drawn for the page.
-DRAWN = {
-    "training": "Task 2: survival, return and actor loss in training",
-    "period": "Task 2: vorticity in one shedding period",
-}
-#: Panels of the first one, and their columns of metrics.csv.
+#: Panels of the figure ``training``, and their columns of metrics.csv.
 TRAINING = {
     "survival  [decisions], mean of 32": "train/episode_length",
     "return, mean of 32 episodes": "train/return",
     "actor loss": "train/loss_actor",
 }
-#: Time before the first moment of the figure of a period, in which fish find their place, T.
+#: Time before the first moment of the figure ``period``, in which fish find their place, T.
 SETTLED_T = 20.0
 HEADS = ("quantity, in the flows I, II, III", "paper", "ours", "likely reason of a difference")
 
@@ -70,7 +49,7 @@ def find_fitted(folder: Path) -> Path | None:
 
 
 def read_paper() -> Any:
-    """Return the paper's numbers and settings."""
+    """Return the paper's numbers and settings, and the figures of the page."""
     return yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
 
 
@@ -128,8 +107,9 @@ def draw(folder: Path, runs: Mapping[str, Sequence[Path]], pictures: Path) -> No
     summarize(folder / "predation", paths=runs["predation"])
     pictures.mkdir(parents=True, exist_ok=True)
     places = {"folder": folder, "classifier": find_fitted(folder), "hunt": runs["predation"][0]}
-    for name, (file, _) in FIGURES.items():
-        copyfile(file.format(**places), pictures / f"{name}.png")
+    for name, figure in read_paper()["figures"].items():
+        if "file" in figure:
+            copyfile(figure["file"].format(**places), pictures / f"{name}.png")
     curves = {
         title: [
             Curve(name, *metrics[column], number=number)
@@ -169,7 +149,7 @@ def write_page(folder: Path, jobs: Mapping[str, Mapping[str, Any]], scale: Any) 
     }
     hours = {name: job["seconds"] / 3600 for name, job in jobs.items()}
     spent = [[name, jobs[name]["words"][0], f"{hours[name]:.2f}"] for name in jobs]
-    shown = {key: text for key, (_, text) in FIGURES.items()} | DRAWN
+    shown = {name: figure["caption"] for name, figure in read_paper()["figures"].items()}
     parts = [
         f"# Reproduction, {scale.name}",
         f"{sum(hours.values()):.1f} hours on {'; '.join(sorted(machines))}. Settings:",
@@ -183,7 +163,7 @@ def write_page(folder: Path, jobs: Mapping[str, Mapping[str, Any]], scale: Any) 
         "## Task 2: Kármán gait",
         (folder / "transfer" / "transfer.md").read_text(encoding="utf-8"),
         "## Figures",
-        *(f"![{text}](figures/{key}.png)\n\n*{text}*" for key, text in shown.items()),
+        *(f"![{text}](figures/{name}.png)\n\n*{text}*" for name, text in shown.items()),
         "## Jobs",
         write_table(("job", "program", "hours"), spent),
     ]

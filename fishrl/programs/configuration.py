@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn, cast
+from typing import Any, NoReturn, cast
 
 import hydra
 from hydra import compose, initialize_config_dir
@@ -35,18 +35,6 @@ from fishrl.settings import REQUIRED, TARGET, build, list_fields, suggest, to_pl
 CONF = Path(__file__).parent / "conf"
 
 Node = dict[str, Any]
-
-
-class Composed(NamedTuple):
-    """Content of a command line, not checked yet.
-
-    Attributes:
-        node: plain nested data.
-        modules: modules outside fishrl that may be imported for it.
-    """
-
-    node: Node
-    modules: list[str]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,8 +97,13 @@ class CommandLine:
             node["modules"] = modules
         return build(self.schema, node, modules=modules)
 
-    def compose(self, arguments: Sequence[str] = ()) -> Composed:
-        """Compose a command line with YAML files and a stored run; see ``read``."""
+    def compose(self, arguments: Sequence[str] = ()) -> tuple[Node, list[str]]:
+        """Compose a command line with YAML files and a stored run; see ``read``.
+
+        Returns:
+            Plain nested data, not checked yet, and the modules outside fishrl that may be imported
+            for it.
+        """
         overrides = self.prepare(arguments)
         with self.use_hydra():
             config = compose(self.name, overrides)
@@ -132,7 +125,7 @@ class CommandLine:
                 _update(node, key.split("."), given[key])
         modules = {*named, *(module for module in list_modules(node) if module in trusted)}
         outside = {module for module in modules if module.split(".")[0] != "fishrl"}
-        return Composed(node, sorted(outside))
+        return node, sorted(outside)
 
     @contextmanager
     def use_hydra(self) -> Iterator[None]:

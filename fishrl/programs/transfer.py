@@ -56,13 +56,12 @@ def transfer(
     """Run all trials, write tables and figures, and return the results.
 
     Those are ``shedding``: its frequencies, per T; ``arms``: diagnostics per arm and flow over its
-    seeds; ``trials``: of each policy alone; ``work``: per arm and flow as it adds up in time;
-    ``free_stream``: as ``hold_in_free_stream`` returns, or None.
+    seeds; ``trials``: of each policy alone; ``free_stream``: as ``hold_in_free_stream`` returns, or
+    None.
     """
     trials.check_comparable(tried)
     folder, task, best = Path(settings.folder), tried[0].task, tried[0].arm
-    speeds, interval_T = task.stream.speeds_bl, task.interval_T
-    shedding = trials.list_shedding(task)
+    speeds, shedding = task.stream.speeds_bl, trials.list_shedding(task)
     arms: dict[str, list[list[trials.Histories]]] = {}
     alone: dict[str, list[dict[str, float]]] = {}
     for trial in tried:
@@ -78,12 +77,10 @@ def transfer(
             diagnose(flow, trial.task, shedding_frequency=frequency)
             for flow, frequency in zip(flows, trials.list_shedding(trial.task), strict=True)
         ]
-    combined, work = {}, {}
-    for arm, recorded in arms.items():
+    combined = {}
+    for arm in arms:
         seeds = [alone[trial.name] for trial in tried if trial.arm == arm]
         combined[arm] = [combine_seeds(flow) for flow in zip(*seeds, strict=True)]
-        together = [trials.concatenate(flow) for flow in zip(*recorded, strict=True)]
-        work[arm] = [trace_work(flow, interval_T=interval_T) for flow in together]
     free = None
     if settings.free_episodes:
         free = hold_in_free_stream(
@@ -100,7 +97,6 @@ def transfer(
         "trials": alone,
         "episodes": settings.episodes,
         "samples_actions": settings.samples_actions,
-        "work": work,
         "free_stream": free,
     }
     write_json(folder / "transfer.json", results)
@@ -112,8 +108,10 @@ def transfer(
     figures.write_survival(folder / "survival.png", arms, speeds=speeds)
     figures.write_paths(folder / "paths.png", first, task=task)
     figures.write_decisions(folder / "decisions.png", first[best], task=task, shedding=shedding)
+    together = [trials.concatenate(flow) for flow in zip(*arms[best], strict=True)]
+    work = [trace_work(flow, interval_T=task.interval_T) for flow in together]
     in_free = None if free is None else free["work"]
-    figures.write_work(folder / "work.png", work[best], in_free, speeds=speeds)
+    figures.write_work(folder / "work.png", work, in_free, speeds=speeds)
     return results
 
 
