@@ -42,16 +42,13 @@ def test_every_kind_of_range_is_searched(tmp_path: Path) -> None:
         "task.time_limit=10,20",
         "preset=paper",
     )
-    from optuna.distributions import CategoricalDistribution as Choice
-    from optuna.distributions import FloatDistribution as Float
-    from optuna.distributions import IntDistribution as Whole
-
+    made = optuna.distributions
     assert plan.space() == {
-        "gamma": Float(0.9, 1.0),
-        "learning_rate": Float(1e-5, 1e-2, log=True),
-        "batch_size": Whole(16, 128),
-        "hidden": Choice(["[64]", "[64,64]"]),
-        "++task.time_limit": Choice(["10", "20"]),
+        "gamma": made.FloatDistribution(0.9, 1.0),
+        "learning_rate": made.FloatDistribution(1e-5, 1e-2, log=True),
+        "batch_size": made.IntDistribution(16, 128),
+        "hidden": made.CategoricalDistribution(["[64]", "[64,64]"]),
+        "++task.time_limit": made.CategoricalDistribution(["10", "20"]),
     }
     assert plan.fixed == ["preset=paper"]
 

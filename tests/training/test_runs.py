@@ -18,6 +18,7 @@ from fishrl.training import (
     RunSettings,
     complete,
     evaluate,
+    find_changes,
     find_summary,
     resume,
     train,
@@ -26,6 +27,7 @@ from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
+from fishrl.training.logger import CsvLogger
 from fishrl.training.loop import Training
 from fishrl.training.run_folder import read_config
 from tests.envs.conftest import SMALL
@@ -158,6 +160,10 @@ def test_resume_leaves_a_finished_run_unchanged_unless_extended(toy: Toy) -> Non
     assert resume(run, make_env=make_toy_env, final_episodes=4)["episodes"] == 4
 
 
+class Spare(CsvLogger):
+    """Another logger."""
+
+
 def test_training_a_named_run_again_continues_it_or_returns_its_summary(toy: Toy) -> None:
     phases: list[str] = []
 
@@ -176,6 +182,8 @@ def test_training_a_named_run_again_continues_it_or_returns_its_summary(toy: Toy
     assert phases == []
     assert run(240)["frames"] == 240 and "warm-up" not in phases  # continued, not begun
     assert [path.name for path in toy.folder.iterdir()] == ["run"]
+    moved = make_toy_plan(toy.folder / "elsewhere", total_frames=240, logger=Spare(), **QUICK)
+    assert find_changes(toy.folder / "run", moved) == {}  # it keeps its folder, name and logger
 
 
 def test_a_run_without_its_checkpoint_is_not_resumed(toy: Toy) -> None:
