@@ -24,6 +24,7 @@ from fishrl.physics.boundaries import (
 )
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.fast import compiled as compiled_module
+from fishrl.physics.fast import execution as execution_module
 from fishrl.physics.flow import Sponge, make_params, make_rest, make_uniform
 from fishrl.physics.immersed_boundary import DirectSolve
 from fishrl.physics.step import step
@@ -289,8 +290,9 @@ def test_speed_above_half_a_node_and_impossible_densities_count_as_diverged(
 def test_without_a_compiler_the_flow_runs_eagerly_and_says_so_once(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    find = compiled_module.find_compiler_problem
-    monkeypatch.setattr(compiled_module, "find_compiler_problem", cache(find.__wrapped__))
+    find = cache(compiled_module.find_compiler_problem.__wrapped__)
+    for module in (compiled_module, execution_module):  # neither has looked for a compiler yet
+        monkeypatch.setattr(module, "find_compiler_problem", find)
     monkeypatch.setattr(shutil, "which", lambda name: None)
     with caplog.at_level(logging.WARNING):
         solver = InPlaceSolver(config=TANK, num_envs=3, frequency=1.0 / SCALES.period)
