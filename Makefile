@@ -17,7 +17,7 @@ MARKERS ?= not slow and not smoke
 PROCESSES ?= -n auto --maxprocesses 4
 PARALLEL ?= $(PROCESSES) --dist loadfile --no-loadscope-reorder
 
-.PHONY: help constraints coverage setup demo train test test-gpu test-gpu-proxy test-all smoke docs check bench validate validate-quick format clean
+.PHONY: help constraints coverage setup demo train test test-gpu test-all smoke docs check bench validate validate-quick format clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -49,14 +49,12 @@ $(TRITON_STAMP): $(STAMP)
 	@$(BIN)/python -m pip install --quiet -e '.[triton]' -c constraints.txt
 	@touch $@
 
-GPU_TESTS := PRETEND_CUDA=1 SMOKE_DEVICE=cuda PYTHONPATH=tests/pretend $(BIN)/python -m pytest $(PARALLEL)
+GPU_MARKERS ?= (gpu or smoke) and not slow
 GPU_FOLDERS := tests/gpu tests/smoke tests/physics/fast tests/viewer
 
 test-gpu: $(TRITON_STAMP) ## run the GPU and smoke tests on a GPU, or an emulated one where there is none
-	$(GPU_TESTS) -m "(gpu or smoke) and not slow" $(ARGS) $(GPU_FOLDERS)
-
-test-gpu-proxy: $(TRITON_STAMP) ## the same with the slow ones
-	$(GPU_TESTS) -m "gpu or smoke" $(ARGS) $(GPU_FOLDERS)
+	PRETEND_CUDA=1 SMOKE_DEVICE=cuda PYTHONPATH=tests/pretend $(BIN)/python -m pytest $(PARALLEL) \
+		-m "$(GPU_MARKERS)" $(ARGS) $(GPU_FOLDERS)
 
 test-all: $(STAMP) ## run all tests, including the slow ones and those of make smoke
 	$(BIN)/python -m pytest $(ARGS)

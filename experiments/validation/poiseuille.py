@@ -8,6 +8,7 @@ refers to the distance of the walls: H node distances for the first kind, H − 
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -41,15 +42,10 @@ def judge(runs: Runs) -> Iterator[Check]:
     """Check order and error for each kind of wall."""
     for walls in WALLS:
         errors, lost = runs.read("error", "height", walls=walls), 0 if walls == HALF_WAY else 1
-        yield Check(
-            f"order of the profile error, {walls}",
-            fit_order({n - lost: e for n, e in errors.items()}),
-            2.0,
-            "second-order method",
-            tolerance=0.1,
-            is_absolute=True,
-            resolution=f"H = {min(errors)}–{max(errors)}",
-        )
+        order = fit_order({n - lost: e for n, e in errors.items()})
+        name, heights = f"order of the profile error, {walls}", f"H = {min(errors)}–{max(errors)}"
+        criterion: Any = (2.0, "second-order method", 0.1)
+        yield Check(name, order, *criterion, is_absolute=True, resolution=heights)
         name, criterion = f"largest profile error / peak, {walls}", ((0.0, 1e-3), "own criterion")
         yield check_refined("H", name, errors, *criterion, at=JUDGED_HEIGHT)
 

@@ -117,15 +117,10 @@ JOBS = [
 
 def judge(runs: Runs) -> Iterator[Check]:
     """Check the period; record what inertia, tau and the markers' place do."""
-    yield Check(
-        f"period × G at Re = 0.1 without walls, inset {INSET}",
-        extrapolate(runs.read("period", "gap", **SLOW)),
-        JEFFERY,
-        "Jeffery 1922",
-        tolerance=0.04,
-        resolution="2b = 16",
-        note=SLOW_NOTE,
-    )
+    period = extrapolate(runs.read("period", "gap", **SLOW))
+    name = f"period × G at Re = 0.1 without walls, inset {INSET}"
+    criterion = (JEFFERY, "Jeffery 1922", 0.04)
+    yield Check(name, period, *criterion, resolution="2b = 16", note=SLOW_NOTE)
     for inset, where in ((0.0, "no inset"), (INSET, f"inset {INSET}")):
         values = runs.read("period", "length", reynolds=0.5, inset=inset)
         yield check_refined("2b", f"period × G, Re = 0.5, H = 5 (2b), {where}", values)
@@ -134,15 +129,12 @@ def judge(runs: Runs) -> Iterator[Check]:
         name = f"period × G, 2b = 24, Re = 0.5, H = 5 (2b), τ = {tau}"
         yield Check(name, periods[tau], resolution="2b = 24")
     for reynolds, rate in runs.read("slowest", "reynolds", **INERTIAL).items():
-        yield Check(
+        name, source = (
             f"slowest rate / G at Re = {reynolds:g}",
-            rate,
-            SLOWEST[reynolds],
             "Ding & Aidun 2000, read off fig. 9",
-            resolution="2b = 32",
-            is_absolute=True,
-            note=INERTIA_NOTE,
         )
+        options: Any = {"is_absolute": True, "resolution": "2b = 32", "note": INERTIA_NOTE}
+        yield Check(name, rate, SLOWEST[reynolds], source, **options)
 
 
 def extrapolate(periods: Mapping[float, float]) -> float:

@@ -17,7 +17,7 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.validation.case import Case, Check, Job, Result, Runs
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
 from experiments.validation.plots import name_ticks
 from experiments.validation.wake import PINNED, STREAM, start_stream
 from fishrl.physics import Cylinder, Fixed, InPlaceSolver, Scales
@@ -147,23 +147,18 @@ def judge(runs: Runs) -> Iterator[Check]:
                 f"{num} episodes, the share is below {3.0 / num:.3f} at 95 % confidence."
             ),
         )
-    shares = _read_shares(runs)
-    yield Check(
-        "share of diverged episodes at the paper's speed, by collision rates",
-        shares[DEFAULT.energy, DEFAULT.flux],
-        resolution="L = 50",
-        refinement={f"energy {e:g}, flux {f:g}": share for (e, f), share in shares.items()},
-    )
+    shares = {f"energy {e:g}, flux {f:g}": share for (e, f), share in _read_shares(runs).items()}
+    name = "share of diverged episodes at the paper's speed, by collision rates"
+    at = f"energy {DEFAULT.energy:g}, flux {DEFAULT.flux:g}"
+    yield check_refined("", name, shares, at=at, resolution="L = 50")
     fates = [
         fate
         for d, u in product(DIAMETERS, SPEEDS)
         for fate in runs.read("fate", "reynolds", diameter=d, speed=u).values()
     ]
-    yield Check(
-        "impulsively started cylinders that diverge, of those accepted",
-        float(fates.count(DIVERGED)),
-        resolution=f"of {len(fates) - fates.count(REFUSED)}",
-    )
+    name = "impulsively started cylinders that diverge, of those accepted"
+    accepted = f"of {len(fates) - fates.count(REFUSED)}"
+    yield Check(name, float(fates.count(DIVERGED)), resolution=accepted)
 
 
 def draw(figure: Figure, runs: Runs) -> None:
