@@ -66,7 +66,7 @@ def solve_body_force(
         g ``[B, 2, N]``, with F = 2 rho g per unit length, and an update per body.
     """
     markers = _MarkerMass(2.0 * rho * geometry.spacing, slice_markers(config.bodies))
-    surface = prescribe_surface(config, params, states, geometry, velocity.dtype)
+    surface = prescribe_surface(config, params, states, geometry.outlines, velocity.dtype)
     residual = surface.velocity - velocity
     right = torch.stack([*residual.unbind(1), *surface.units], 1)
     solution, rest = config.force_solve(geometry.operator, right)
@@ -81,7 +81,13 @@ def solve_body_force(
                     if response is not None:
                         values[axis] = values[axis] + weight * response
     updates = report_bodies(
-        config, states, geometry, surface, changes=changes, mass=markers.mass, g=g, slip=slip
+        config,
+        states,
+        geometry.outlines,
+        surface,
+        changes=changes,
+        force=(markers.mass * g[0], markers.mass * g[1]),
+        slip=(slip[0], slip[1]),
     )
     return torch.stack(g, 1), updates
 

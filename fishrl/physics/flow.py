@@ -20,16 +20,27 @@ from fishrl.physics.collision import Rates, compute_equilibrium
 from fishrl.physics.delta import Kernel, Roma3
 from fishrl.physics.immersed_boundary import ForceSolve, IterativeForcing
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED, Q
+from fishrl.physics.links import MAX_SPACING
 from fishrl.physics.storage import Storage
 from fishrl.physics.units import check_tau
 from fishrl.settings import Settings
 
 
 class Coupling(Enum):
-    """How force and rigid motion are solved."""
+    """How bodies and fluid act on each other.
 
-    IMPLICIT = "implicit"  # together; conserves momentum, stable at equal density
-    EXPLICIT = "explicit"  # the paper's eqs. 5 and 6: the last step's velocity sets the force
+    ``IMPLICIT``: immersed boundary, force and rigid motion solved together; conserves momentum and
+    is stable at equal density.
+
+    ``EXPLICIT``: the paper's eqs. 5 and 6, where the last step's velocity sets the force.
+
+    ``BOUNCE_BACK``: the skin is a sharp surface (``bounce_back.py``), for markers at most
+    ``links.MAX_SPACING`` apart. More accurate for a thin fish; kernel and force solve do not matter.
+    """
+
+    IMPLICIT = "implicit"
+    EXPLICIT = "explicit"
+    BOUNCE_BACK = "bounce-back"
 
 
 class Sponge(Settings):
@@ -68,7 +79,7 @@ class FlowConfig(Settings):
         sponges: strips of raised viscosity.
         kernel: delta kernel of the immersed boundary.
         force_solve: method that enforces no slip.
-        coupling: implicit, or the paper's explicit one.
+        coupling: how bodies and fluid act on each other, see ``Coupling``.
         storage: number format of the in-place step's populations; half precision halves the memory
             traffic, for GPUs (a CPU gains nothing).
     """
@@ -105,6 +116,11 @@ class FlowConfig(Settings):
                     f"{self.height} nodes: shorten it or enlarge the domain"
                 )
         for body in self.bodies:
+            if self.coupling is Coupling.BOUNCE_BACK and body.spacing > MAX_SPACING:
+                raise ValueError(
+                    f"{type(body).__name__}: markers {body.spacing:.2f} nodes apart with "
+                    f"Coupling.BOUNCE_BACK, allowed is {MAX_SPACING}: give marker_spacing=0.5"
+                )
             if body.size > min(self.width, self.height) - 4:
                 raise ValueError(
                     f"{type(body).__name__} of {body.size:g} nodes does not fit into {self.width} "

@@ -29,19 +29,29 @@ class Markers(NamedTuple):
     deformation_velocity: Tensor
 
 
-class BodyGeometry(NamedTuple):
-    """All bodies in one step; the markers of the bodies follow each other in N.
+class Outlines(NamedTuple):
+    """The outlines of all bodies in one step.
 
     Attributes:
         deformations: deformation of each body.
         markers: markers of each body.
+    """
+
+    deformations: tuple[Deformation, ...]
+    markers: tuple[Markers, ...]
+
+
+class BodyGeometry(NamedTuple):
+    """All bodies in one step; the markers of the bodies follow each other in N.
+
+    Attributes:
+        outlines: how the bodies deform and where their markers are.
         spacing: ``[B, N]`` length of outline that each marker represents.
         stencil: nodes around all markers.
         operator: what the force solve needs, from ``ForceSolve.prepare``.
     """
 
-    deformations: tuple[Deformation, ...]
-    markers: tuple[Markers, ...]
+    outlines: Outlines
     spacing: Tensor
     stencil: Stencil
     operator: tuple[Tensor, ...]
@@ -54,14 +64,22 @@ def locate_bodies(
     dtype: torch.dtype,
 ) -> BodyGeometry:
     """Deform the bodies, place their markers, find the nodes around them; weights of ``dtype``."""
-    bodies = zip(config.bodies, params, states, strict=True)
-    deformations = tuple(deform_body(body, own, state) for body, own, state in bodies)
-    markers = tuple(place_markers(s, d) for s, d in zip(states, deformations, strict=True))
-    positions = torch.cat([m.position for m in markers], 1)
+    outlines = locate_outlines(config, params, states)
+    positions = torch.cat([m.position for m in outlines.markers], 1)
     stencil = make_stencil(positions, config.kernel, config.width, config.height, dtype)
     spacing = torch.cat([p.spacing.to(dtype).expand(len(positions), -1) for p in params], -1)
     operator = config.force_solve.prepare(overlap_markers(stencil), spacing)
-    return BodyGeometry(deformations, markers, spacing, stencil, operator)
+    return BodyGeometry(outlines, spacing, stencil, operator)
+
+
+def locate_outlines(
+    config: FlowConfig, params: Sequence[BodyParams], states: Sequence[BodyState]
+) -> Outlines:
+    """Deform the bodies and place their markers."""
+    bodies = zip(config.bodies, params, states, strict=True)
+    deformations = tuple(deform_body(body, own, state) for body, own, state in bodies)
+    markers = tuple(place_markers(s, d) for s, d in zip(states, deformations, strict=True))
+    return Outlines(deformations, markers)
 
 
 def deform_body(config: BodyConfig, params: BodyParams, state: BodyState) -> Deformation:

@@ -11,8 +11,10 @@ from fishrl.physics.bodies.motion import compute_amplitude_rate
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.flow import FlowConfig
-from fishrl.physics.geometry import BodyGeometry, Markers, compute_axis
+from fishrl.physics.geometry import Markers, Outlines, compute_axis
 from fishrl.physics.surface import Surface, slice_markers
+
+Pair = tuple[Tensor, Tensor]
 
 
 class RigidUpdate(NamedTuple):
@@ -42,39 +44,36 @@ class RigidUpdate(NamedTuple):
 def report_bodies(
     config: FlowConfig,
     states: Sequence[BodyState],
-    geometry: BodyGeometry,
+    outlines: Outlines,
     surface: Surface,
     *,
     changes: Sequence[Tensor],
-    mass: Tensor,
-    g: Sequence[Tensor],
-    slip: Sequence[Tensor],
+    force: Pair,
+    slip: Pair | None,
 ) -> list[RigidUpdate]:
     """Return new velocities, force, torque and power of each body from the solution of a step.
 
     Args:
         config: configuration of the flows.
         states: state of each body at the start of the step.
-        geometry: geometry of the bodies at this step.
+        outlines: outlines of the bodies at this step.
         surface: prescribed motion of the markers.
         changes: ``[B]`` change of each rate that the flow determines.
-        mass: ``[B, N]`` mass of the fluid at each marker, 2 rho ds.
-        g: (x, y) ``[B, N]`` each, force per mass.
-        slip: (x, y) ``[B, N]`` each, remaining velocity error.
+        force: (x, y) ``[B, N]`` each, of the markers on the fluid.
+        slip: (x, y) ``[B, N]`` each, remaining velocity error; None is zero.
     """
     rates = [list(own) for own in surface.rates]
     for freedom, change in zip(surface.freedoms, changes, strict=True):
         own_rates = rates[freedom.body]
         own_rates[freedom.axis] = own_rates[freedom.axis] + change
-    square = slip[0] * slip[0] + slip[1] * slip[1]
+    square = torch.zeros_like(force[0]) if slip is None else slip[0] * slip[0] + slip[1] * slip[1]
     return [
         _report(
             states[m],
-            geometry.markers[m],
+            outlines.markers[m],
             rates=rates[m],
-            lateral_velocity=geometry.deformations[m].lateral_velocity,
-            mass=mass[:, own],
-            g=(g[0][:, own], g[1][:, own]),
+            lateral_velocity=outlines.deformations[m].lateral_velocity,
+            force=(force[0][:, own], force[1][:, own]),
             square=square[:, own],
         )
         for m, own in enumerate(slice_markers(config.bodies))
@@ -87,22 +86,20 @@ def _report(
     *,
     rates: Sequence[Tensor],
     lateral_velocity: Tensor,
-    mass: Tensor,
-    g: tuple[Tensor, Tensor],
+    force: Pair,
     square: Tensor,
 ) -> RigidUpdate:
     """Sum force, torque and power over the markers of one body.
 
     ``rates`` are its new (U_x, U_y, Omega). ``[B, N]`` each at its markers: ``lateral_velocity`` of
-    its deformation in its own frame, fluid ``mass``, force per mass ``g`` and the remaining slip's
-    ``square``.
+    its deformation in its own frame, ``force`` on the fluid and the remaining slip's ``square``.
     """
     dtype = square.dtype
     rx, ry = (arm.to(dtype) for arm in markers.arm.unbind(-1))
     ux, uy = markers.deformation_velocity.to(dtype).unbind(-1)
     cos, sin = (part.to(dtype)[:, None] for part in compute_axis(state))
     across = lateral_velocity.to(dtype)
-    fx, fy = mass * g[0], mass * g[1]
+    fx, fy = force
     power = fx * ux + fy * uy
     return RigidUpdate(
         velocity=torch.stack((rates[0], rates[1]), -1),

@@ -33,6 +33,7 @@ from torch import Tensor
 
 from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState
+from fishrl.physics.bounce_back import bounce_off_bodies_, list_slots
 from fishrl.physics.boundaries import apply_boundaries_
 from fishrl.physics.collision import (
     Macroscopic,
@@ -42,6 +43,7 @@ from fishrl.physics.collision import (
 )
 from fishrl.physics.coupling import solve_body_force
 from fishrl.physics.flow import (
+    Coupling,
     FlowConfig,
     FlowParams,
     FlowState,
@@ -90,7 +92,8 @@ def step(
     fluid = compute_macroscopic(f)
     # bodies: from the fluid at their markers to their motion and the force on the fluid
     force = torch.zeros_like(state.f[:, :2]) if external_force is None else external_force
-    if bodies:
+    is_sharp = config.coupling is Coupling.BOUNCE_BACK
+    if bodies and not is_sharp:
         geometry = locate_bodies(config, params.bodies, bodies, f[0].dtype)
         nodes = geometry.stencil.index_nodes(config.width)
         nearby = gather_fluid(fluid, nodes)
@@ -103,6 +106,10 @@ def step(
     collided = collide_mrt(f, omega, config.rates)
     increment = compute_force_increment(fluid, (fx, fy), omega, config.rates)
     outgoing = [a + b for a, b in zip(collided, increment, strict=True)]
+    if bodies and is_sharp:  # in place of the forces above
+        slots = list_slots(outgoing)
+        bodies = bounce_off_bodies_(config, params.bodies, bodies, slots, f[0].dtype)
+        outgoing = slots.get_nodes(outgoing[0])
     # streaming, and the edges at the present speed of the stream (no clock: its full speed)
     incoming = stream(outgoing)
     clock = torch.full_like(params.ramp_steps, inf) if state.clock is None else state.clock + 1.0
@@ -129,7 +136,7 @@ def couple_bodies(
     velocity = torch.stack((interpolate(fluid.ux, weights), interpolate(fluid.uy, weights)), 1)
     rho = interpolate(fluid.rho, weights)
     g, updates = solve_body_force(config, params, states, geometry, velocity, rho)
-    bodies = zip(config.bodies, params, states, geometry.deformations, updates, strict=True)
+    bodies = zip(config.bodies, params, states, geometry.outlines.deformations, updates, strict=True)
     moved = tuple(
         move_body(body, body_params, state, deformation, update)
         for body, body_params, state, deformation, update in bodies

@@ -11,7 +11,7 @@ from torch.nn.functional import pad
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.flow import Coupling, FlowConfig
-from fishrl.physics.geometry import BodyGeometry
+from fishrl.physics.geometry import Outlines
 
 Pair = tuple[Tensor | None, Tensor | None]
 
@@ -61,11 +61,12 @@ def prescribe_surface(
     config: FlowConfig,
     params: Sequence[BodyParams],
     states: Sequence[BodyState],
-    geometry: BodyGeometry,
+    outlines: Outlines,
     dtype: torch.dtype,
 ) -> Surface:
     """Return the motion of all markers with the rates prescribed, or as in the last step."""
-    own, num_markers = slice_markers(config.bodies), geometry.spacing.shape[-1]
+    own = slice_markers(config.bodies)
+    num_markers = own[-1].stop
     displaced = 1.0 if config.coupling is Coupling.IMPLICIT else 0.0
 
     def widen(values: Tensor, m: int) -> Tensor:
@@ -77,7 +78,7 @@ def prescribe_surface(
     freedoms: list[Freedom] = []
     units: list[Tensor] = []
     for m, (body, state) in enumerate(zip(config.bodies, states, strict=True)):
-        markers, deformation, motion = geometry.markers[m], geometry.deformations[m], body.motion
+        markers, deformation, motion = outlines.markers[m], outlines.deformations[m], body.motion
         linear, omega = motion.prescribe(state)
         own_rates = [*linear.unbind(-1), omega]
         last = *state.velocity.unbind(-1), state.angular_velocity

@@ -60,15 +60,13 @@ class BodyConfig(Settings, ABC):
                 f"not this {type(self).__name__}; take Commanded() or Free()"
             )
         self.check_speed(0.0)
-        perimeter = float(sum(self._lengths))
         if self.num_markers == 0:
             counts = [max(8, round(s / self.marker_spacing)) for s in self._lengths]
             object.__setattr__(self, "num_markers", sum(counts))
-        spacing = perimeter / self.num_markers
-        if not 0.4 <= spacing <= 2.1:
+        if not 0.4 <= self.spacing <= 2.1:
             raise ValueError(
                 f"{type(self).__name__} with num_markers = {self.num_markers}: they would lie "
-                f"{spacing:.2f} nodes apart, allowed is 0.4 to 2.1; change the number of markers "
+                f"{self.spacing:.2f} nodes apart, allowed is 0.4 to 2.1; change the number of markers "
                 "or the size"
             )
 
@@ -120,6 +118,11 @@ class BodyConfig(Settings, ABC):
         centre = np.array([((x + x1) * cross).sum(), ((y + y1) * cross).sum()]) / (6.0 * area)
         square = ((x * x + x * x1 + x1 * x1 + y * y + y * y1 + y1 * y1) * cross).sum() / 12.0
         return abs(area), centre, abs(square) - abs(area) * float(centre @ centre)
+
+    @property
+    def spacing(self) -> float:
+        """Mean distance of the markers along the outline, nodes."""
+        return float(sum(self._lengths)) / self.num_markers
 
     @property
     def area(self) -> float:

@@ -8,6 +8,7 @@ from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState
+from fishrl.physics.bounce_back import Slots, bounce_off_bodies_
 from fishrl.physics.collision import compute_force_increment, compute_macroscopic
 from fishrl.physics.fast.flow_memory import FlowData, GroupMemory
 from fishrl.physics.fast.layout import InPlaceLayout
@@ -160,4 +161,60 @@ class CoupleBodies(Part[CoupleTensors]):
             data.index_put_((slot,), config.storage.encode(values), accumulate=True)
         for total in (force_x, force_y):
             total.index_put_((nodes,), torch.zeros_like(fluid.drho))
+        copy_tree(bodies, moved)
+
+
+class BounceTensors(NamedTuple):
+    """What ``BounceOffBodies`` reads and writes.
+
+    Attributes:
+        data: populations of the group, as stored.
+        offsets: ``[Q]`` int64, see ``MarkerCells``.
+        first_cell: ``[B]`` int64.
+        params: parameters of each body.
+        bodies: state of each body.
+    """
+
+    data: Tensor
+    offsets: Tensor
+    first_cell: Tensor
+    params: tuple[BodyParams, ...]
+    bodies: tuple[BodyState, ...]
+
+
+class BounceOffBodies(Part[BounceTensors]):
+    """Reflect populations at the skin of all bodies, and move the bodies."""
+
+    title = BODY_TITLE
+    settings = BODY_SETTINGS
+
+    def __init__(self, config: FlowConfig, layout: InPlaceLayout, device: torch.device) -> None:
+        super().__init__()
+        self._config, self._layout = config, layout
+        self._cells = MarkerCells(layout, device)
+
+    def collect(self, memory: GroupMemory, parity: int) -> BounceTensors:
+        """Return populations and bodies of the group."""
+        return BounceTensors(
+            data=memory.populations,
+            offsets=self._cells.offsets[parity],
+            first_cell=self._cells.first_cell,
+            params=memory.flow.params.bodies,
+            bodies=memory.flow.bodies,
+        )
+
+    def act(self, tensors: BounceTensors) -> None:
+        """Act on the outgoing populations as the readable step does; a ring's corner is scrap."""
+        data, offsets, first_cell, params, bodies = tensors
+        first = first_cell[:, None, None]
+        slots = Slots(
+            data=data,
+            offsets=offsets,
+            first=first,
+            row_length=self._layout.row_length,
+            scrap=first - self._layout.first_cell + offsets[0],
+            decode=self._config.storage.decode,
+            encode=self._config.storage.encode,
+        )
+        moved = bounce_off_bodies_(self._config, params, bodies, slots, torch.float32)
         copy_tree(bodies, moved)

@@ -141,7 +141,7 @@ class PlaceMarkers(_MotionPart):
         if not self._config.is_still:
             geometry = locate_bodies(self._config, params, bodies, torch.float32)
             copy_tree(tensors.geometry, geometry)
-        surface = prescribe_surface(self._config, params, bodies, geometry, torch.float32)
+        surface = prescribe_surface(self._config, params, bodies, geometry.outlines, torch.float32)
         one, freedoms = torch.ones_like(buffers.push[:, 0]), surface.freedoms
         buffers.surface.copy_(_stack_rows(surface))
         buffers.inertia.copy_(torch.stack([one, *(each.inertia for each in freedoms)], -1))
@@ -233,15 +233,17 @@ class MoveBodies(_MotionPart):
     def act(self, tensors: MotionTensors) -> None:
         """Write the bodies' states."""
         config, (params, bodies, geometry, buffers) = self._config, tensors
+        outlines = geometry.outlines
+        force_x, force_y = (buffers.mass * g for g in buffers.g.unbind(1))
+        slip_x, slip_y = buffers.slip.unbind(1)
         updates = report_bodies(
             config,
             bodies,
-            geometry,
-            prescribe_surface(config, params, bodies, geometry, torch.float32),
+            outlines,
+            prescribe_surface(config, params, bodies, outlines, torch.float32),
             changes=buffers.change[:, 1:].unbind(-1),
-            mass=buffers.mass,
-            g=buffers.g.unbind(1),
-            slip=buffers.slip.unbind(1),
+            force=(force_x, force_y),
+            slip=(slip_x, slip_y),
         )
-        each = zip(config.bodies, params, bodies, geometry.deformations, updates, strict=True)
+        each = zip(config.bodies, params, bodies, outlines.deformations, updates, strict=True)
         copy_tree(bodies, tuple(move_body(*body) for body in each))

@@ -13,7 +13,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fishrl.physics.fast.body_parts import CoupleBodies, LocateStill, keep_geometry
+from fishrl.physics.fast.body_parts import (
+    BounceOffBodies,
+    CoupleBodies,
+    LocateStill,
+    keep_geometry,
+)
 from fishrl.physics.fast.compiled import is_own
 from fishrl.physics.fast.flow_memory import FlowData
 from fishrl.physics.fast.fluid_parts import Check, Collide, CrossPeriodic, SetEdges
@@ -26,7 +31,7 @@ from fishrl.physics.fast.gpu_body_parts import (
 from fishrl.physics.fast.group import FlowGroup
 from fishrl.physics.fast.layout import InPlaceLayout
 from fishrl.physics.fast.part import Part
-from fishrl.physics.flow import FlowConfig
+from fishrl.physics.flow import Coupling, FlowConfig
 
 _GRAPH_PAIRS = 50  # most pairs of steps in one CUDA graph
 
@@ -49,7 +54,8 @@ class Stepper:
         structure, device = config.get_structure(), sample.clock.device
         self._key = repr(structure) if is_own(structure) else None
         self._device = device
-        is_kept = bool(config.bodies) and (config.is_still or uses_triton)
+        is_sharp = config.coupling is Coupling.BOUNCE_BACK
+        is_kept = bool(config.bodies) and not is_sharp and (config.is_still or uses_triton)
         geometry = keep_geometry(config, sample) if is_kept else None
         self.locate = LocateStill(config, geometry) if geometry and config.is_still else None
         self.parts: list[Part[Any]] = [Collide(config)]
@@ -60,6 +66,8 @@ class Stepper:
                 CoupleByTriton(config, layout, geometry, buffers),
                 MoveBodies(config, geometry, buffers),
             ]
+        elif config.bodies and is_sharp:
+            self.parts.append(BounceOffBodies(config, layout, device))
         elif config.bodies:
             self.parts.append(CoupleBodies(config, layout, geometry, device))
         if config.boundaries.list_crossings(config.height, config.width):

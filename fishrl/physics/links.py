@@ -1,0 +1,92 @@
+"""Links of the lattice that a body's outline cuts.
+
+The outline is the closed polygon of the markers. Its segments are shorter than the lines of the
+lattice are apart, so each crosses at most one line of each of the four families (x, y and the two
+diagonals): N markers give 4 N possible links in arrays of fixed shape, without a search.
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+# along x, along y and the two diagonals: (direction with the line, against it), and that with it
+_FAMILIES = ((1, 3), (2, 4), (5, 7), (8, 6))
+_ALONG = ((1, 0), (0, 1), (1, 1), (1, -1))
+#: Longest segment, nodes: the diagonals lie 0.707 apart, and a gait stretches the outline.
+MAX_SPACING = 0.55
+
+
+class Links(NamedTuple):
+    """Links that an outline cuts; ``[B, 4, N]``, one row per family of lattice lines.
+
+    Attributes:
+        is_cut: whether the segment from marker n to the next crosses a line of the family.
+        x: node outside, int64.
+        y: node outside, int64.
+        cx: int64, direction from there into the body.
+        cy: int64, the same along y.
+        q: int64, its number.
+        back: int64, the number of the opposite direction.
+        fraction: part of the link outside the body, 0 to 1.
+        at: place of the crossing on the segment, 0 to 1.
+    """
+
+    is_cut: Tensor
+    x: Tensor
+    y: Tensor
+    cx: Tensor
+    cy: Tensor
+    q: Tensor
+    back: Tensor
+    fraction: Tensor
+    at: Tensor
+
+
+def find_links(outline: Tensor, width: int, height: int) -> Links:
+    """Return the links that a clockwise closed polygon ``[B, N, 2]`` cuts, in nodes.
+
+    Neighbouring segments round their common corner alike, so no link is missed or found twice.
+    Nodes are clamped to the grid, two nodes from its edges, for bodies that have left it.
+    """
+    (xa, ya), (xb, yb) = outline.unbind(-1), outline.roll(-1, 1).unbind(-1)
+    level_a, level_b = (torch.stack((y, x, x - y, x + y), 1) for x, y in ((xa, ya), (xb, yb)))
+    place_a, place_b = (torch.stack((x, y, x, x), 1) for x, y in ((xa, ya), (xb, yb)))
+    floor_a, floor_b = level_a.floor(), level_b.floor()
+    is_cut = floor_a != floor_b
+    level = torch.maximum(floor_a, floor_b)
+    at = ((level - level_a) / torch.where(is_cut, level_b - level_a, 1.0)).clamp(0.0, 1.0)
+    place = place_a + at * (place_b - place_a)
+    # outward normal (ya - yb, xb - xa) along each family's line
+    nx, ny = ya - yb, xb - xa
+    faces = torch.stack((nx, ny, nx + ny, nx - ny), 1) > 0.0
+    node = place.floor() + faces
+    sides = list(zip(faces.unbind(1), _FAMILIES, _ALONG, strict=True))
+    (n0, n1, n2, n3), (m0, m1, m2, m3) = node.unbind(1), level.unbind(1)
+    x, y = torch.stack((n0, m1, n2, n3), 1), torch.stack((m0, n1, n2 - m2, m3 - n3), 1)
+    return Links(
+        is_cut=is_cut,
+        x=x.nan_to_num(0.0).clamp(2.0, width - 3.0).long(),
+        y=y.nan_to_num(0.0).clamp(2.0, height - 3.0).long(),
+        cx=torch.stack([torch.where(side, -along[0], along[0]) for side, _, along in sides], 1),
+        cy=torch.stack([torch.where(side, -along[1], along[1]) for side, _, along in sides], 1),
+        q=torch.stack([torch.where(side, own[1], own[0]) for side, own, _ in sides], 1),
+        back=torch.stack([torch.where(side, own[0], own[1]) for side, own, _ in sides], 1),
+        fraction=(node - place).abs(),
+        at=at,
+    )
+
+
+def to_links(values: Tensor, links: Links) -> Tensor:
+    """Interpolate values ``[B, N]`` of the markers to the crossings, ``[B, 4, N]``."""
+    here, after = values[:, None], values.roll(-1, -1)[:, None]
+    return here + links.at.to(values) * (after - here)
+
+
+def to_markers(values: Tensor, links: Links) -> Tensor:
+    """Share values ``[B, 4, N]`` at crossings among the markers, ``[B, N]``; adjoint of ``to_links``.
+
+    Forces keep their torque and their power.
+    """
+    share = links.at.to(values) * values
+    return (values - share).sum(1) + share.sum(1).roll(1, -1)
