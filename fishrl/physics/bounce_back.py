@@ -16,7 +16,7 @@ passed takes the skin's velocity, and density and stresses of the next node outs
 body collide and stream as all others, but nothing outside reads them.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -24,7 +24,6 @@ from torch import Tensor
 
 from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.collision import compute_equilibrium, compute_moments
 from fishrl.physics.coupling import eliminate
 from fishrl.physics.flow import FlowConfig
 from fishrl.physics.geometry import Markers, locate_outlines
@@ -41,11 +40,11 @@ class Slots(NamedTuple):
     Attributes:
         data: populations after collision; changed in place.
         offsets: ``[Q]`` int64, by direction.
-        first: ``[B, 1, 1]`` int64, of each flow's node (0, 0).
+        first: ``[B]`` int64, of each flow's node (0, 0).
         row_length: from a node to the next along y.
-        scrap: ``[B, 1, 1]`` int64, a slot that nobody reads.
-        decode: from stored to populations.
-        encode: from populations to stored.
+        scrap: ``[B]`` int64, a slot of each flow that nobody reads.
+        lattice: ``[Q, 3]`` float64, c_x, c_y and w of each direction.
+        storage: format of ``data``.
     """
 
     data: Tensor
@@ -53,39 +52,52 @@ class Slots(NamedTuple):
     first: Tensor
     row_length: int
     scrap: Tensor
-    decode: Callable[[Tensor], Tensor]
-    encode: Callable[[Tensor], Tensor]
+    lattice: Tensor
+    storage: Storage | None
 
-    def read(self, x: Tensor, y: Tensor, q: Tensor | int) -> Tensor:
-        """Return outgoing populations q of nodes (x, y)."""
-        return self.decode(self.data[self._find(x, y, q)])
+    def read(self, x: Tensor, y: Tensor, q: Tensor) -> Tensor:
+        """Return outgoing populations q of nodes (x, y), int64 ``[B, ...]``."""
+        values = self.data[self._find(x, y, q)]
+        return values if self.storage is None else self.storage.decode(values)
 
-    def write_(self, x: Tensor, y: Tensor, q: Tensor | int, values: Tensor, where: Tensor) -> None:
+    def write_(self, x: Tensor, y: Tensor, q: Tensor, values: Tensor, where: Tensor) -> None:
         """Set them ``where`` true."""
-        index = torch.where(where, self._find(x, y, q), self.scrap)
-        self.data.index_put_((index,), self.encode(torch.where(where, values, 0.0)))
+        index = torch.where(where, self._find(x, y, q), _widen(self.scrap, x))
+        values = torch.where(where, values, 0.0)
+        stored = values if self.storage is None else self.storage.encode(values)
+        self.data.index_put_((index,), stored)
 
     def get_nodes(self, like: Tensor) -> list[Tensor]:
         """Return all populations, nine ``[B, Y, X]`` shaped like ``like``; of ``list_slots``."""
         return [*self.data[len(like) :].view(len(like), Q, *like.shape[1:]).unbind(1)]
 
-    def _find(self, x: Tensor, y: Tensor, q: Tensor | int) -> Tensor:
-        return self.first + self.offsets[q] + y * self.row_length + x
+    def _find(self, x: Tensor, y: Tensor, q: Tensor) -> Tensor:
+        return _widen(self.first, x) + self.offsets[q] + y * self.row_length + x
+
+
+def _widen(values: Tensor, like: Tensor) -> Tensor:
+    """Return values ``[B]`` as ``[B, 1, ...]``."""
+    return values.view(-1, *[1] * (like.dim() - 1))
+
+
+def make_lattice(device: torch.device) -> Tensor:
+    """Return ``Slots.lattice``."""
+    return torch.tensor([CX, CY, W], dtype=torch.float64, device=device).T.contiguous()
 
 
 def list_slots(outgoing: Sequence[Tensor]) -> Slots:
     """Copy nine populations ``[B, Y, X]`` into a buffer; its first B slots are scrap."""
     num, height, width = outgoing[0].shape
     data = torch.cat((outgoing[0].new_zeros(num), torch.stack(list(outgoing), 1).flatten()))
-    flow = torch.arange(num, device=data.device)[:, None, None]
+    flow = torch.arange(num, device=data.device)
     return Slots(
         data=data,
         offsets=torch.arange(Q, device=data.device) * (height * width),
         first=num + flow * (Q * height * width),
         row_length=width,
         scrap=flow,
-        decode=Storage.FLOAT32.decode,
-        encode=lambda f: f,
+        lattice=make_lattice(data.device),
+        storage=None,
     )
 
 
@@ -227,24 +239,31 @@ def _uncover_(
         before: ``[B, N, 2]`` positions of the markers before it.
         markers: markers after it.
     """
-    all_links = find_links(markers.position, config.width, config.height)
-    tangent = before.roll(-1, 1) - before
+    # a node that the skin has just passed has a cut link along x or y
+    links = find_links(markers.position, config.width, config.height).along_axes()
+    tangent = (before.roll(-1, 1) - before)[:, None]
+    from_before = torch.stack((links.x, links.y), -1) - before[:, None]
+    depth = from_before[..., 0] * tangent[..., 1] - from_before[..., 1] * tangent[..., 0]
+    is_new = links.is_cut & (depth > 0.0)  # it was inside
     spin = torch.stack((-markers.arm[..., 1], markers.arm[..., 0]), -1)
-    skin = state.velocity[:, None] + state.angular_velocity[:, None, None] * spin
-    skin_x, skin_y = (skin + markers.deformation_velocity).unbind(-1)
-    for family in (0, 1):  # a node that the skin has just passed has a cut link along x or y
-        links = Links(*(part[:, family : family + 1] for part in all_links))
-        x, y = links.x, links.y
-        depth = (x - before[:, None, :, 0]) * tangent[:, None, :, 1] - (
-            y - before[:, None, :, 1]
-        ) * tangent[:, None, :, 0]
-        is_new = links.is_cut & (depth > 0.0)  # it was inside
-        nx, ny = x - links.cx, y - links.cy
-        f = [slots.read(nx - CX[q], ny - CY[q], q) for q in range(Q)]
-        drho, jx, jy = compute_moments(f)
-        rho = drho + 1.0
-        old = compute_equilibrium(drho, jx / rho, jy / rho)
-        ux, uy = (to_links(u, links).to(drho) for u in (skin_x, skin_y))
-        new = compute_equilibrium(drho, ux, uy)
-        for q in range(Q):
-            slots.write_(x - CX[q], y - CY[q], q, f[q] + (new[q] - old[q]), is_new)
+    rigid = state.velocity[:, None] + state.angular_velocity[:, None, None] * spin
+    skin = rigid + markers.deformation_velocity
+    # from here on [B, Q, 2, N]
+    cx, cy, w = (part[:, None, None] for part in slots.lattice.unbind(1))
+    own_x, own_y = cx.long(), cy.long()
+    q = torch.arange(Q, device=cx.device)[:, None, None]
+    x, y = links.x[:, None], links.y[:, None]
+    next_x, next_y = x - links.cx[:, None] - own_x, y - links.cy[:, None] - own_y
+    f = slots.read(next_x, next_y, q)
+    cx, cy, w = cx.to(f), cy.to(f), w.to(f)
+    rho = 1.0 + f.sum(1, keepdim=True)
+    speed = (f * cx).sum(1, keepdim=True) / rho, (f * cy).sum(1, keepdim=True) / rho
+    ux, uy = (to_links(part, links).to(f)[:, None] for part in skin.unbind(-1))
+    change = _expand(cx, cy, ux, uy) - _expand(cx, cy, *speed)
+    slots.write_(x - own_x, y - own_y, q, f + w * rho * change, is_new[:, None])
+
+
+def _expand(cx: Tensor, cy: Tensor, ux: Tensor, uy: Tensor) -> Tensor:
+    """Return f_eq / (w rho) - 1."""
+    along = cx * ux + cy * uy
+    return 3.0 * along + 4.5 * along * along - 1.5 * (ux * ux + uy * uy)

@@ -42,6 +42,10 @@ class Links(NamedTuple):
     fraction: Tensor
     at: Tensor
 
+    def along_axes(self) -> "Links":
+        """Return the links along x and y, ``[B, 2, N]``."""
+        return Links(*(part[:, :2] for part in self))
+
 
 def find_links(outline: Tensor, width: int, height: int) -> Links:
     """Return the links that a clockwise closed polygon ``[B, N, 2]`` cuts, in nodes.

@@ -8,7 +8,7 @@ from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.bounce_back import Slots, bounce_off_bodies_
+from fishrl.physics.bounce_back import Slots, bounce_off_bodies_, make_lattice
 from fishrl.physics.collision import compute_force_increment, compute_macroscopic
 from fishrl.physics.fast.flow_memory import FlowData, GroupMemory
 from fishrl.physics.fast.layout import InPlaceLayout
@@ -171,6 +171,7 @@ class BounceTensors(NamedTuple):
         data: populations of the group, as stored.
         offsets: ``[Q]`` int64, see ``MarkerCells``.
         first_cell: ``[B]`` int64.
+        lattice: see ``Slots``.
         params: parameters of each body.
         bodies: state of each body.
     """
@@ -178,6 +179,7 @@ class BounceTensors(NamedTuple):
     data: Tensor
     offsets: Tensor
     first_cell: Tensor
+    lattice: Tensor
     params: tuple[BodyParams, ...]
     bodies: tuple[BodyState, ...]
 
@@ -191,7 +193,7 @@ class BounceOffBodies(Part[BounceTensors]):
     def __init__(self, config: FlowConfig, layout: InPlaceLayout, device: torch.device) -> None:
         super().__init__()
         self._config, self._layout = config, layout
-        self._cells = MarkerCells(layout, device)
+        self._cells, self._lattice = MarkerCells(layout, device), make_lattice(device)
 
     def collect(self, memory: GroupMemory, parity: int) -> BounceTensors:
         """Return populations and bodies of the group."""
@@ -199,22 +201,22 @@ class BounceOffBodies(Part[BounceTensors]):
             data=memory.populations,
             offsets=self._cells.offsets[parity],
             first_cell=self._cells.first_cell,
+            lattice=self._lattice,
             params=memory.flow.params.bodies,
             bodies=memory.flow.bodies,
         )
 
     def act(self, tensors: BounceTensors) -> None:
         """Act on the outgoing populations as the readable step does; a ring's corner is scrap."""
-        data, offsets, first_cell, params, bodies = tensors
-        first = first_cell[:, None, None]
+        data, offsets, first_cell, lattice, params, bodies = tensors
         slots = Slots(
             data=data,
             offsets=offsets,
-            first=first,
+            first=first_cell,
             row_length=self._layout.row_length,
-            scrap=first - self._layout.first_cell + offsets[0],
-            decode=self._config.storage.decode,
-            encode=self._config.storage.encode,
+            scrap=first_cell - self._layout.first_cell + offsets[0],
+            lattice=lattice,
+            storage=self._config.storage,
         )
         moved = bounce_off_bodies_(self._config, params, bodies, slots, torch.float32)
         copy_tree(bodies, moved)
