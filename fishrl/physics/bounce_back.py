@@ -26,7 +26,7 @@ from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.coupling import eliminate
 from fishrl.physics.flow import FlowConfig
-from fishrl.physics.geometry import Markers, locate_outlines
+from fishrl.physics.geometry import Markers, Outlines, locate_outlines
 from fishrl.physics.lattice import CX, CY, Q, W
 from fishrl.physics.links import Links, find_links, to_links, to_markers
 from fishrl.physics.rigid_motion import Pair, move_body, report_bodies
@@ -127,10 +127,32 @@ class _Wall(NamedTuple):
         return returning, self.cx * both - ux * lost, self.cy * both - uy * lost
 
 
+class Skin(NamedTuple):
+    """Where the skins of all bodies are.
+
+    Attributes:
+        outlines: outlines of the bodies.
+        links: links that each body's outline cuts.
+    """
+
+    outlines: Outlines
+    links: tuple[Links, ...]
+
+
+def locate_skin(
+    config: FlowConfig, params: Sequence[BodyParams], states: Sequence[BodyState]
+) -> Skin:
+    """Deform and place the bodies, and find the links that they cut."""
+    outlines = locate_outlines(config, params, states)
+    size = config.width, config.height
+    return Skin(outlines, tuple(find_links(each.position, *size) for each in outlines.markers))
+
+
 def bounce_off_bodies_(
     config: FlowConfig,
     params: Sequence[BodyParams],
     states: Sequence[BodyState],
+    skin: Skin,
     slots: Slots,
     dtype: torch.dtype,
 ) -> tuple[BodyState, ...]:
@@ -140,6 +162,7 @@ def bounce_off_bodies_(
         config: configuration of the flows.
         params: parameters of each body.
         states: state of each body at the start of the step.
+        skin: where their skins are then.
         slots: populations after collision; what returns from a body replaces what leaves the nodes
             inside it.
         dtype: of the populations.
@@ -147,12 +170,10 @@ def bounce_off_bodies_(
     Returns:
         The bodies one step later.
     """
-    outlines = locate_outlines(config, params, states)
-    surface = prescribe_surface(config, params, states, outlines, dtype)
+    surface = prescribe_surface(config, params, states, skin.outlines, dtype)
     changes: list[Tensor] = []
     forces: list[Pair] = []
-    for markers, own in zip(outlines.markers, slice_markers(config.bodies), strict=True):
-        links = find_links(markers.position, config.width, config.height)
+    for links, own in zip(skin.links, slice_markers(config.bodies), strict=True):
         wall = _meet(slots, links, dtype)
         velocity = [to_links(u, links) for u in surface.velocity[..., own].unbind(1)]
         freedoms = [_cut(free, own) for free in surface.freedoms if free.body == len(forces)]
@@ -167,22 +188,35 @@ def bounce_off_bodies_(
         slots.write_(links.x + links.cx, links.y + links.cy, links.back, returning, links.is_cut)
     fx, fy = (torch.cat(parts, -1) for parts in zip(*forces, strict=True))
     updates = report_bodies(
-        config, states, outlines, surface, changes=changes, force=(fx, fy), slip=None
+        config, states, skin.outlines, surface, changes=changes, force=(fx, fy), slip=None
     )
     moved = []
-    each = zip(config.bodies, params, states, outlines.deformations, updates, strict=True)
+    each = zip(config.bodies, params, states, skin.outlines.deformations, updates, strict=True)
     for body, own_params, state, deformation, update in each:
         # the other totals count the water inside: as if it filled the body and moved with it
         gain = own_params.area[:, None] * (update.velocity - state.velocity)
         spin_up = deformation.inertia * (update.angular_velocity - state.angular_velocity)
         whole = update._replace(force=update.force + gain, torque=update.torque + spin_up)
         moved.append(move_body(body, own_params, state, deformation, whole))
-    later = locate_outlines(config, params, moved)
-    for m, body in enumerate(config.bodies):
-        if body.deforms or not body.motion.is_still:
-            before, now = outlines.markers[m].position, later.markers[m]
-            _uncover_(config, slots, moved[m], before, now)
     return tuple(moved)
+
+
+def uncover_nodes_(
+    config: FlowConfig, states: Sequence[BodyState], before: Skin, now: Skin, slots: Slots
+) -> None:
+    """Fill the nodes that the bodies have left in the step just made, in place.
+
+    Args:
+        config: configuration of the flows.
+        states: state of each body after the step.
+        before: where the skins were.
+        now: where they are.
+        slots: outgoing populations of the step; those that arrive at the uncovered nodes are set.
+    """
+    for m, (body, state) in enumerate(zip(config.bodies, states, strict=True)):
+        if body.deforms or not body.motion.is_still:
+            former, markers = before.outlines.markers[m].position, now.outlines.markers[m]
+            _uncover_(slots, state, former, markers, now.links[m].along_axes())
 
 
 def _cut(freedom: Freedom, own: slice) -> Freedom:
@@ -228,19 +262,17 @@ def _solve_motion(
 
 
 def _uncover_(
-    config: FlowConfig, slots: Slots, state: BodyState, before: Tensor, markers: Markers
+    slots: Slots, state: BodyState, before: Tensor, markers: Markers, links: Links
 ) -> None:
-    """Fill the nodes that the skin has passed outwards of in the step just made.
+    """Fill the nodes that one body has left.
 
     Args:
-        config: configuration of the flows.
-        slots: outgoing populations of the step; those that arrive at the uncovered nodes are set.
+        slots: as of ``uncover_nodes_``.
         state: state of the body after the step.
         before: ``[B, N, 2]`` positions of the markers before it.
         markers: markers after it.
+        links: links along x and y after it; a node that the skin has just passed has one of them.
     """
-    # a node that the skin has just passed has a cut link along x or y
-    links = find_links(markers.position, config.width, config.height).along_axes()
     tangent = (before.roll(-1, 1) - before)[:, None]
     from_before = torch.stack((links.x, links.y), -1) - before[:, None]
     depth = from_before[..., 0] * tangent[..., 1] - from_before[..., 1] * tangent[..., 0]

@@ -33,7 +33,12 @@ from torch import Tensor
 
 from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.bounce_back import bounce_off_bodies_, list_slots
+from fishrl.physics.bounce_back import (
+    bounce_off_bodies_,
+    list_slots,
+    locate_skin,
+    uncover_nodes_,
+)
 from fishrl.physics.boundaries import apply_boundaries_
 from fishrl.physics.collision import (
     Macroscopic,
@@ -107,8 +112,9 @@ def step(
     increment = compute_force_increment(fluid, (fx, fy), omega, config.rates)
     outgoing = [a + b for a, b in zip(collided, increment, strict=True)]
     if bodies and is_sharp:  # in place of the forces above
-        slots = list_slots(outgoing)
-        bodies = bounce_off_bodies_(config, params.bodies, bodies, slots, f[0].dtype)
+        slots, skin = list_slots(outgoing), locate_skin(config, params.bodies, bodies)
+        bodies = bounce_off_bodies_(config, params.bodies, bodies, skin, slots, f[0].dtype)
+        uncover_nodes_(config, bodies, skin, locate_skin(config, params.bodies, bodies), slots)
         outgoing = slots.get_nodes(outgoing[0])
     # streaming, and the edges at the present speed of the stream (no clock: its full speed)
     incoming = stream(outgoing)

@@ -1,6 +1,6 @@
 """The bodies' parts of the fast step, as tensor operations on any device."""
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -8,7 +8,14 @@ from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.outline import BodyParams
 from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.bounce_back import Slots, bounce_off_bodies_, make_lattice
+from fishrl.physics.bounce_back import (
+    Skin,
+    Slots,
+    bounce_off_bodies_,
+    locate_skin,
+    make_lattice,
+    uncover_nodes_,
+)
 from fishrl.physics.collision import compute_force_increment, compute_macroscopic
 from fishrl.physics.fast.flow_memory import FlowData, GroupMemory
 from fishrl.physics.fast.layout import InPlaceLayout
@@ -17,6 +24,8 @@ from fishrl.physics.flow import FlowConfig
 from fishrl.physics.geometry import BodyGeometry, locate_bodies
 from fishrl.physics.lattice import Q
 from fishrl.physics.step import couple_bodies
+
+Tree = TypeVar("Tree", bound=tuple[object, ...])
 
 BODY_TITLE = "bodies: markers, force, motion, spreading"
 BODY_SETTINGS: dict[str, dict[str, object]] = {
@@ -44,10 +53,11 @@ class MarkerCells:
 
 def keep_geometry(config: FlowConfig, sample: FlowData) -> BodyGeometry:
     """Return memory for a geometry of the bodies, with the ``sample``'s content."""
-    geometry = locate_bodies(config, sample.params.bodies, sample.bodies, torch.float32)
-    kept: BodyGeometry = pytree.tree_map(
-        lambda t: t.clone(memory_format=torch.contiguous_format), geometry
-    )
+    return _keep(locate_bodies(config, sample.params.bodies, sample.bodies, torch.float32))
+
+
+def _keep(tree: Tree) -> Tree:
+    kept: Tree = pytree.tree_map(lambda t: t.clone(memory_format=torch.contiguous_format), tree)
     return kept
 
 
@@ -164,17 +174,13 @@ class CoupleBodies(Part[CoupleTensors]):
         copy_tree(bodies, moved)
 
 
-class BounceTensors(NamedTuple):
-    """What ``BounceOffBodies`` reads and writes.
+def keep_skin(config: FlowConfig, sample: FlowData) -> Skin:
+    """Return memory for the skins of the bodies, with the ``sample``'s content."""
+    return _keep(locate_skin(config, sample.params.bodies, sample.bodies))
 
-    Attributes:
-        data: populations of the group, as stored.
-        offsets: ``[Q]`` int64, see ``MarkerCells``.
-        first_cell: ``[B]`` int64.
-        lattice: see ``Slots``.
-        params: parameters of each body.
-        bodies: state of each body.
-    """
+
+class SkinTensors(NamedTuple):
+    """Populations as ``Slots`` holds them, the bodies, and where their skins are."""
 
     data: Tensor
     offsets: Tensor
@@ -182,41 +188,70 @@ class BounceTensors(NamedTuple):
     lattice: Tensor
     params: tuple[BodyParams, ...]
     bodies: tuple[BodyState, ...]
+    skin: Skin
 
 
-class BounceOffBodies(Part[BounceTensors]):
-    """Reflect populations at the skin of all bodies, and move the bodies."""
+class _SkinPart(Part[SkinTensors]):
+    """A part that acts at the skins, which are kept from one part to the next."""
 
     title = BODY_TITLE
     settings = BODY_SETTINGS
 
-    def __init__(self, config: FlowConfig, layout: InPlaceLayout, device: torch.device) -> None:
+    def __init__(self, config: FlowConfig, layout: InPlaceLayout, skin: Skin) -> None:
         super().__init__()
-        self._config, self._layout = config, layout
+        self._config, self._layout, self._skin = config, layout, skin
+        device = skin.links[0].x.device
         self._cells, self._lattice = MarkerCells(layout, device), make_lattice(device)
 
-    def collect(self, memory: GroupMemory, parity: int) -> BounceTensors:
-        """Return populations and bodies of the group."""
-        return BounceTensors(
+    def collect(self, memory: GroupMemory, parity: int) -> SkinTensors:
+        """Return populations and bodies of the group, and the memory that groups share."""
+        return SkinTensors(
             data=memory.populations,
             offsets=self._cells.offsets[parity],
             first_cell=self._cells.first_cell,
             lattice=self._lattice,
             params=memory.flow.params.bodies,
             bodies=memory.flow.bodies,
+            skin=self._skin,
         )
 
-    def act(self, tensors: BounceTensors) -> None:
-        """Act on the outgoing populations as the readable step does; a ring's corner is scrap."""
-        data, offsets, first_cell, lattice, params, bodies = tensors
-        slots = Slots(
-            data=data,
-            offsets=offsets,
-            first=first_cell,
+    def _make_slots(self, tensors: SkinTensors) -> Slots:
+        """Return the outgoing populations; the corner of a flow's ring is scrap."""
+        return Slots(
+            data=tensors.data,
+            offsets=tensors.offsets,
+            first=tensors.first_cell,
             row_length=self._layout.row_length,
-            scrap=first_cell - self._layout.first_cell + offsets[0],
-            lattice=lattice,
+            scrap=tensors.first_cell - self._layout.first_cell + tensors.offsets[0],
+            lattice=tensors.lattice,
             storage=self._config.storage,
         )
-        moved = bounce_off_bodies_(self._config, params, bodies, slots, torch.float32)
+
+
+class LocateSkin(_SkinPart):
+    """Find where the skins are, once before many steps."""
+
+    def act(self, tensors: SkinTensors) -> None:
+        """Write them."""
+        copy_tree(tensors.skin, locate_skin(self._config, tensors.params, tensors.bodies))
+
+
+class BounceOffBodies(_SkinPart):
+    """Reflect populations at the skins, and move the bodies."""
+
+    def act(self, tensors: SkinTensors) -> None:
+        """Act as the readable step does."""
+        slots, (params, bodies, skin) = self._make_slots(tensors), tensors[-3:]
+        moved = bounce_off_bodies_(self._config, params, bodies, skin, slots, torch.float32)
         copy_tree(bodies, moved)
+
+
+class UncoverNodes(_SkinPart):
+    """Find where the skins are now, and fill the nodes that they have left."""
+
+    def act(self, tensors: SkinTensors) -> None:
+        """Act as the readable step does."""
+        slots, (params, bodies, skin) = self._make_slots(tensors), tensors[-3:]
+        now = locate_skin(self._config, params, bodies)
+        uncover_nodes_(self._config, bodies, skin, now, slots)
+        copy_tree(skin, now)

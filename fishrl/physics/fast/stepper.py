@@ -16,8 +16,11 @@ from torch import Tensor
 from fishrl.physics.fast.body_parts import (
     BounceOffBodies,
     CoupleBodies,
+    LocateSkin,
     LocateStill,
+    UncoverNodes,
     keep_geometry,
+    keep_skin,
 )
 from fishrl.physics.fast.compiled import is_own
 from fishrl.physics.fast.flow_memory import FlowData
@@ -45,7 +48,7 @@ class Stepper:
     Attributes:
         parts: in the order in which they run.
         check: which flows are within the method, on request.
-        locate: bodies that stay still, once before many steps.
+        locate: bodies that stay still, or sharp skins, once before many steps.
     """
 
     def __init__(
@@ -57,7 +60,9 @@ class Stepper:
         is_sharp = config.coupling is Coupling.BOUNCE_BACK
         is_kept = bool(config.bodies) and not is_sharp and (config.is_still or uses_triton)
         geometry = keep_geometry(config, sample) if is_kept else None
-        self.locate = LocateStill(config, geometry) if geometry and config.is_still else None
+        self.locate: Part[Any] | None = None
+        if geometry and config.is_still:
+            self.locate = LocateStill(config, geometry)
         self.parts: list[Part[Any]] = [Collide(config)]
         if geometry and uses_triton:
             buffers = CouplingBuffers.make(config, geometry)
@@ -67,7 +72,11 @@ class Stepper:
                 MoveBodies(config, geometry, buffers),
             ]
         elif config.bodies and is_sharp:
-            self.parts.append(BounceOffBodies(config, layout, device))
+            skin = keep_skin(config, sample)
+            self.locate = LocateSkin(config, layout, skin)
+            self.parts.append(BounceOffBodies(config, layout, skin))
+            if not config.is_still:
+                self.parts.append(UncoverNodes(config, layout, skin))
         elif config.bodies:
             self.parts.append(CoupleBodies(config, layout, geometry, device))
         if config.boundaries.list_crossings(config.height, config.width):
