@@ -1,5 +1,6 @@
 """The bodies' parts of the fast step, as tensor operations on any device."""
 
+from collections.abc import Sequence
 from typing import NamedTuple, TypeVar
 
 import torch
@@ -180,7 +181,7 @@ def keep_skin(config: FlowConfig, sample: FlowData) -> Skin:
 
 
 class SkinTensors(NamedTuple):
-    """Populations as ``Slots`` holds them, the bodies, and where their skins are."""
+    """Populations as ``Slots`` holds them, the bodies, and their skins before and after a step."""
 
     data: Tensor
     offsets: Tensor
@@ -188,19 +189,20 @@ class SkinTensors(NamedTuple):
     lattice: Tensor
     params: tuple[BodyParams, ...]
     bodies: tuple[BodyState, ...]
-    skin: Skin
+    before: Skin
+    after: Skin
 
 
 class _SkinPart(Part[SkinTensors]):
-    """A part that acts at the skins, which are kept from one part to the next."""
+    """A part that acts at the skins; ``skins`` holds them before even and before odd steps."""
 
     title = BODY_TITLE
     settings = BODY_SETTINGS
 
-    def __init__(self, config: FlowConfig, layout: InPlaceLayout, skin: Skin) -> None:
+    def __init__(self, config: FlowConfig, layout: InPlaceLayout, skins: Sequence[Skin]) -> None:
         super().__init__()
-        self._config, self._layout, self._skin = config, layout, skin
-        device = skin.links[0].x.device
+        self._config, self._layout, self._skins = config, layout, skins
+        device = skins[0].links[0].x.device
         self._cells, self._lattice = MarkerCells(layout, device), make_lattice(device)
 
     def collect(self, memory: GroupMemory, parity: int) -> SkinTensors:
@@ -212,7 +214,8 @@ class _SkinPart(Part[SkinTensors]):
             lattice=self._lattice,
             params=memory.flow.params.bodies,
             bodies=memory.flow.bodies,
-            skin=self._skin,
+            before=self._skins[parity],
+            after=self._skins[1 - parity],
         )
 
     def _make_slots(self, tensors: SkinTensors) -> Slots:
@@ -229,11 +232,11 @@ class _SkinPart(Part[SkinTensors]):
 
 
 class LocateSkin(_SkinPart):
-    """Find where the skins are, once before many steps."""
+    """Find where the skins are after the bodies have moved."""
 
     def act(self, tensors: SkinTensors) -> None:
         """Write them."""
-        copy_tree(tensors.skin, locate_skin(self._config, tensors.params, tensors.bodies))
+        copy_tree(tensors.after, locate_skin(self._config, tensors.params, tensors.bodies))
 
 
 class BounceOffBodies(_SkinPart):
@@ -241,17 +244,16 @@ class BounceOffBodies(_SkinPart):
 
     def act(self, tensors: SkinTensors) -> None:
         """Act as the readable step does."""
-        slots, (params, bodies, skin) = self._make_slots(tensors), tensors[-3:]
+        slots, params, bodies = self._make_slots(tensors), tensors.params, tensors.bodies
+        skin = tensors.before
         moved = bounce_off_bodies_(self._config, params, bodies, skin, slots, torch.float32)
         copy_tree(bodies, moved)
 
 
 class UncoverNodes(_SkinPart):
-    """Find where the skins are now, and fill the nodes that they have left."""
+    """Fill the nodes that the skins have passed."""
 
     def act(self, tensors: SkinTensors) -> None:
         """Act as the readable step does."""
-        slots, (params, bodies, skin) = self._make_slots(tensors), tensors[-3:]
-        now = locate_skin(self._config, params, bodies)
-        uncover_nodes_(self._config, bodies, skin, now, slots)
-        copy_tree(skin, now)
+        slots = self._make_slots(tensors)
+        uncover_nodes_(self._config, tensors.bodies, tensors.before, tensors.after, slots)

@@ -72,11 +72,10 @@ class Stepper:
                 MoveBodies(config, geometry, buffers),
             ]
         elif config.bodies and is_sharp:
-            skin = keep_skin(config, sample)
-            self.locate = LocateSkin(config, layout, skin)
-            self.parts.append(BounceOffBodies(config, layout, skin))
-            if not config.is_still:
-                self.parts.append(UncoverNodes(config, layout, skin))
+            skins = keep_skin(config, sample), keep_skin(config, sample)
+            self.locate = LocateSkin(config, layout, skins)
+            parts = BounceOffBodies(config, layout, skins), UncoverNodes(config, layout, skins)
+            self.parts += [parts[0], self.locate, parts[1]]
         elif config.bodies:
             self.parts.append(CoupleBodies(config, layout, geometry, device))
         if config.boundaries.list_crossings(config.height, config.width):
@@ -86,7 +85,8 @@ class Stepper:
 
     def list_all(self) -> list[Part[Any]]:
         """Return all parts: those of a step, the check, and the one that locates still bodies."""
-        return [*self.parts, self.check, *([self.locate] if self.locate else [])]
+        located = [self.locate] if self.locate and self.locate not in self.parts else []
+        return [*self.parts, self.check, *located]
 
     def compile(self, example: FlowGroup) -> None:
         """Compile all but the check, for groups of the form of ``example``."""
@@ -106,7 +106,7 @@ class Stepper:
     def advance_(self, group: FlowGroup, num_steps: int) -> None:
         """Advance one group by an even number of steps."""
         if self.locate is not None:
-            self.locate.run(*group.arguments[self.locate][0])
+            self.locate.run(*group.arguments[self.locate][1])  # as after an odd step
         num_pairs = num_steps // 2
         if self._device.type == "cuda" and num_pairs:
             if not group.graphs:  # kernels are built in a first call, which cannot be captured
