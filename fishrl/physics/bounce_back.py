@@ -250,12 +250,17 @@ def _solve_motion(
     force = to_markers(force_x, wall.links), to_markers(force_y, wall.links)
     along, drive = [], []
     for free in freedoms:
-        pairs = [(c, u) for c, u in zip((wall.cx, wall.cy), free.unit, strict=True) if u is not None]
+        pairs = [
+            (c, u) for c, u in zip((wall.cx, wall.cy), free.unit, strict=True) if u is not None
+        ]
         along.append(sum(c * to_links(u, wall.links) for c, u in pairs))
         parts = [f * u for f, u in zip(force, free.unit, strict=True) if u is not None]
         drive.append(sum(part.sum(-1).double() for part in parts) + free.push)
     matrix = [
-        [(wall.gain * a * b).sum((1, 2)).double() + (free.inertia if a is b else 0.0) for b in along]
+        [
+            (wall.gain * a * b).sum((1, 2)).double() + (free.inertia if a is b else 0.0)
+            for b in along
+        ]
         for a, free in zip(along, freedoms, strict=True)
     ]
     return eliminate(matrix, drive)
@@ -292,7 +297,12 @@ def _uncover_(
     speed = (f * cx).sum(1, keepdim=True) / rho, (f * cy).sum(1, keepdim=True) / rho
     ux, uy = (to_links(part, links).to(f)[:, None] for part in skin.unbind(-1))
     change = _expand(cx, cy, ux, uy) - _expand(cx, cy, *speed)
-    slots.write_(x - own_x, y - own_y, q, f + w * rho * change, is_new[:, None])
+    for k in (0, 1):  # one after the other: a node with cut links along both is written twice
+        to_x, to_y, values, where = (
+            part[..., k, :]
+            for part in (x - own_x, y - own_y, f + w * rho * change, is_new[:, None])
+        )
+        slots.write_(to_x, to_y, q[..., 0], values, where)
 
 
 def _expand(cx: Tensor, cy: Tensor, ux: Tensor, uy: Tensor) -> Tensor:

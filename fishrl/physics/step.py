@@ -142,7 +142,9 @@ def couple_bodies(
     velocity = torch.stack((interpolate(fluid.ux, weights), interpolate(fluid.uy, weights)), 1)
     rho = interpolate(fluid.rho, weights)
     g, updates = solve_body_force(config, params, states, geometry, velocity, rho)
-    bodies = zip(config.bodies, params, states, geometry.outlines.deformations, updates, strict=True)
+    bodies = zip(
+        config.bodies, params, states, geometry.outlines.deformations, updates, strict=True
+    )
     moved = tuple(
         move_body(body, body_params, state, deformation, update)
         for body, body_params, state, deformation, update in bodies

@@ -1,0 +1,230 @@
+"""Bounce-back at a body's skin: the links it cuts, its forces, and bodies that move."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from fishrl.physics import Cylinder, Fish, FlowConfig, FlowState, Scales
+from fishrl.physics.bodies.motion import Driven, Fixed, Free, Motion
+from fishrl.physics.bodies.state import BodyState, make_body
+from fishrl.physics.cases import PERIODIC, make_swimmer_config
+from fishrl.physics.collision import compute_macroscopic
+from fishrl.physics.flow import Coupling, make_params, make_rest, make_uniform
+from fishrl.physics.geometry import locate_markers
+from fishrl.physics.lattice import CX, CY
+from fishrl.physics.links import Links, find_links, to_links, to_markers
+from tests.physics.flows import advance, start_solver
+
+SIZE = 64
+MIDDLE = torch.tensor([[30.3, 29.6]], dtype=torch.float64)
+ONE = torch.ones(1, dtype=torch.float64)
+
+
+def make_cylinder(motion: Motion, **changes: object) -> FlowConfig:
+    body = Cylinder(diameter=16, inset=0.0, marker_spacing=0.5, motion=motion)
+    config = FlowConfig(
+        width=SIZE,
+        height=SIZE,
+        tau=0.6,
+        bodies=(body,),
+        boundaries=PERIODIC,
+        coupling=Coupling.BOUNCE_BACK,
+    )
+    return replace(config, **changes)  # type: ignore[arg-type]
+
+
+def draw_outline(seed: int) -> Tensor:
+    """Return an outline ``[1, N, 2]``: a fish in mid-stroke or an ellipse, anywhere, any way."""
+    torch.manual_seed(seed)
+    x, y, angle, phase = torch.rand(4, 1, dtype=torch.float64).unbind()
+    place = torch.stack((26 + 8 * x, 26 + 8 * y), -1)
+    body = Fish(body_length=32, marker_spacing=0.5, thickness=0.3)
+    if seed % 2:
+        body = Cylinder(diameter=17, marker_spacing=0.5)
+    state = make_body(place, 7 * angle, 0.01 * ONE)._replace(phase=7 * phase, beats=2 * ONE)
+    return locate_markers(body.make_params(), state)
+
+
+def contains(outline: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    """Return whether points lie inside, by the angle under which they see the outline turn."""
+    to = outline[0, :, None] - torch.stack((x, y), -1).double().view(-1, 2)
+    after = to.roll(-1, 0)
+    cross = to[..., 0] * after[..., 1] - to[..., 1] * after[..., 0]
+    turn = torch.atan2(cross, (to * after).sum(-1)).sum(0).abs()
+    return (turn > math.pi).view(x.shape)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_an_outline_cuts_every_link_from_outside_to_inside_once(seed: int) -> None:
+    outline = draw_outline(seed)
+    links = find_links(outline, SIZE, SIZE)
+    y, x = torch.meshgrid(torch.arange(SIZE), torch.arange(SIZE), indexing="ij")
+    inside = contains(outline, x, y)
+    expected = set()
+    for q, (cx, cy) in enumerate(zip(CX, CY, strict=True)):
+        cut = ~inside & inside.roll((-cy, -cx), (0, 1))
+        expected |= {(int(i), int(j), q) for j, i in cut.nonzero()}
+    cut = links.is_cut[0]
+    found = list(zip(*(part[0][cut].tolist() for part in (links.x, links.y, links.q)), strict=True))
+    ends_inside = [inside[j + CY[q], i + CX[q]].item() for i, j, q in found]
+    # a thin tail is cut on both sides of links that begin and end outside
+    thick = [link for link, is_in in zip(found, ends_inside, strict=True) if is_in]
+    assert len(thick) == len(set(thick))
+    assert set(thick) == expected
+    assert all(not inside[j, i] for i, j, _ in found)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_link_meets_the_skin_where_its_crossing_is(seed: int) -> None:
+    outline = draw_outline(seed)
+    links = find_links(outline, SIZE, SIZE)
+    for axis, (node, step) in enumerate(((links.x, links.cx), (links.y, links.cy))):
+        reached = node + links.fraction * step
+        crossing = to_links(outline[..., axis], links)
+        error = torch.where(links.is_cut, reached - crossing, 0.0)
+        assert float(error.abs().max()) < 1e-9
+
+
+def test_forces_at_crossings_keep_their_power_and_torque_at_the_markers() -> None:
+    torch.manual_seed(0)
+    outline = draw_outline(0)
+    links = find_links(outline, SIZE, SIZE)
+    force, speed = torch.rand(1, 4, outline.shape[1]).double(), torch.rand(outline[..., 0].shape)
+    power = (force * to_links(speed.double(), links)).sum()
+    assert float((to_markers(force, links) * speed.double()).sum()) == pytest.approx(float(power))
+
+
+def carry(motion: Motion, velocity: tuple[float, float], num_steps: int) -> FlowState:
+    """Advance a body in water that moves with it."""
+    config = make_cylinder(motion)
+    none = torch.zeros(1, SIZE, SIZE, dtype=torch.float64)
+    speed = torch.tensor([velocity], dtype=torch.float64)
+    body = make_body(MIDDLE, 0.3 * ONE, 0.0 * ONE)._replace(velocity=speed)
+    f = make_uniform(none, none + speed[0, 0], none + speed[0, 1])
+    return advance(FlowState(f, (body,)), config, num_steps)
+
+
+@pytest.mark.parametrize(
+    ("motion", "tolerance"), [(Driven(velocity=(0.07, -0.03)), 1e-12), (Free(), 1e-4)]
+)
+def test_a_body_carried_by_a_uniform_stream_leaves_it_unchanged(
+    motion: Motion, tolerance: float
+) -> None:
+    """While its skin passes nodes: links, uncovered nodes and forces are Galilean invariant.
+
+    The torque is but to the error of a sum over lattice lines, which turns a free body a little.
+    """
+    state = carry(motion, (0.07, -0.03), 60)
+    (body,) = state.bodies
+    rho, ux, uy = compute_macroscopic(state.f.unbind(1))
+    assert float(rho.abs().max()) < tolerance
+    assert float((ux - 0.07).abs().max() + (uy + 0.03).abs().max()) < tolerance
+    assert float(body.hydro_force.abs().max()) < 10 * tolerance
+    assert (body.position - MIDDLE)[0].tolist() == pytest.approx([4.2, -1.8], rel=tolerance)
+
+
+def push(coupling: Coupling, spacing: float) -> BodyState:
+    """Return a body as light as water that a load has pushed for a while."""
+    cylinder = Cylinder(diameter=16, marker_spacing=spacing, motion=Free())
+    config = make_cylinder(Free(), coupling=coupling, bodies=(cylinder,))
+    body = make_body(MIDDLE, 0.0 * ONE, 0.0 * ONE)
+    body = body._replace(load=torch.tensor([[0.05, 0.02]], dtype=torch.float64))
+    state = advance(FlowState(make_rest(config, 1), (body,)), config, 60)
+    return state.bodies[0]
+
+
+def test_a_pushed_body_obeys_newton_and_moves_as_with_the_immersed_boundary() -> None:
+    """Added mass included: the water takes about half of the momentum."""
+    body = push(Coupling.BOUNCE_BACK, 0.5)
+    area = math.pi * 64
+    given = 60 * body.load + body.impulse
+    torch.testing.assert_close(area * body.velocity, given, rtol=1e-3, atol=1e-4)
+    assert 0.3 < float(body.velocity[0, 0]) * area / 3.0 < 0.7
+    other = push(Coupling.IMPLICIT, 1.0)
+    torch.testing.assert_close(body.velocity, other.velocity, rtol=0.1, atol=0.0)
+
+
+def test_a_turning_cylinder_drags_the_water_as_stokes_second_problem() -> None:
+    """Torque of a suddenly turning cylinder: 2 R^2 L U sqrt(pi mu rho / t), less 1.5 sqrt(nu t)/R.
+
+    The layer is thin against R = 8; the impulse over 40 steps is compared, the first left out.
+    """
+    rate = 0.002
+    config = make_cylinder(Driven(angular_velocity=rate), tau=0.53)
+    nu, radius = config.nu, 8.0
+    state = FlowState(make_rest(config, 1), (make_body(MIDDLE, 0 * ONE, 0 * ONE),))
+    params = make_params([config])
+    state = advance(state, config, 40, params)
+    before = float(state.bodies[0].torque_impulse)
+    state = advance(state, config, 160, params)
+    got = float(state.bodies[0].torque_impulse) - before
+    speed = rate * radius
+
+    def impulse(t: float) -> float:
+        """Flat wall, and the first correction for its curvature."""
+        flat = 2.0 * speed * math.sqrt(nu * t / math.pi) + 1.5 * speed * nu * t / radius
+        return 2.0 * math.pi * radius * radius * flat
+
+    assert got == pytest.approx(impulse(200.0) - impulse(40.0), rel=0.03)
+
+
+SCALES = Scales.from_budget(body_length=20, reynolds=500.0, max_wall_speed=0.1)
+
+
+def swim(phase: Tensor, speed: Tensor) -> Tensor:
+    """Return what a fish did in three steps, begun at a phase, in a stream of a speed."""
+    fish = Fish(body_length=20, motion=Free(), marker_spacing=0.5)
+    config = make_swimmer_config(SCALES, length_bl=3, height_bl=3, bodies=(fish,))
+    config = replace(config, coupling=Coupling.BOUNCE_BACK)
+    body = make_body(MIDDLE, math.pi * ONE, ONE / SCALES.period)
+    body = body._replace(phase=phase[None], beats=2 * ONE)
+    none = torch.zeros(1, config.height, config.width, dtype=torch.float64)
+    state = FlowState(make_uniform(none, none + speed, none), (body,))
+    state = advance(state, config, 3)
+    (body,) = state.bodies
+    return torch.stack((body.position[0, 1], body.work[0], state.f[0, 1, 30, 20]))
+
+
+def test_place_work_and_populations_can_be_differentiated() -> None:
+    at = torch.tensor([0.7, 0.02], dtype=torch.float64)
+    got = torch.autograd.functional.jacobian(lambda p: swim(*p), at)
+    assert isinstance(got, Tensor)
+    for k in range(2):
+        change = torch.zeros(2, dtype=torch.float64)
+        change[k] = 1e-6
+        expected = (swim(*(at + change)) - swim(*(at - change))) / 2e-6
+        torch.testing.assert_close(got[:, k], expected, rtol=1e-5, atol=1e-8)
+
+
+def test_a_still_disc_feels_the_same_in_the_in_place_step_and_in_half_precision() -> None:
+    config = make_cylinder(Fixed(), stream_speed=0.05)
+    solver = start_solver(config, MIDDLE, velocity=(1.0, 0.0))
+    solver.advance_(40)
+    none = torch.zeros(1, SIZE, SIZE, dtype=torch.float64)
+    body = make_body(MIDDLE, 0 * ONE, 0 * ONE)
+    state = advance(FlowState(make_uniform(none, none + 0.05, none), (body,)), config, 40)
+    expected = state.bodies[0].impulse
+    assert float(expected[0, 0]) > 1.0
+    torch.testing.assert_close(solver.body.impulse, expected, rtol=1e-4, atol=1e-4)
+
+
+def test_markers_too_far_apart_are_refused_with_the_remedy() -> None:
+    with pytest.raises(ValueError, match="Cylinder: markers 1.* give marker_spacing=0.5"):
+        FlowConfig(
+            width=64,
+            height=64,
+            tau=0.6,
+            bodies=(Cylinder(diameter=16),),
+            coupling=Coupling.BOUNCE_BACK,
+        )
+
+
+def test_links_of_a_body_beyond_the_grid_stay_within_it() -> None:
+    outline = draw_outline(1) + 1000.0
+    for links in (find_links(outline, SIZE, SIZE), find_links(outline * math.nan, SIZE, SIZE)):
+        assert isinstance(links, Links)
+        for node in (links.x, links.y):
+            assert int(node.min()) >= 2 and int(node.max()) <= SIZE - 3
