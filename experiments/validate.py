@@ -24,7 +24,15 @@ from fishrl.settings import Settings
 NAMES = (
     *("taylor_green", "poiseuille", "cavity", "invariance", "slip", "channel_cylinder"),
     *("free_cylinder", "d_cylinder", "outflow", "oscillating_cylinder", "settling_disc"),
-    *("sheared_ellipse", "swimmer", "gaits", "turning", "pitching_pair", "c_start"),
+    *(
+        "sheared_ellipse",
+        "swimmer",
+        "sharp_swimmer",
+        "gaits",
+        "turning",
+        "pitching_pair",
+        "c_start",
+    ),
     *("compressibility", "stability"),
 )
 CASES: tuple[Case, ...] = tuple(

@@ -25,7 +25,7 @@ from fishrl.physics.boundaries import (
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.fast import compiled as compiled_module
 from fishrl.physics.fast import execution as execution_module
-from fishrl.physics.flow import Sponge, make_params, make_rest, make_uniform
+from fishrl.physics.flow import Coupling, Sponge, make_params, make_rest, make_uniform
 from fishrl.physics.immersed_boundary import DirectSolve
 from fishrl.physics.step import step
 from tests.physics.flows import advance, read_state, start_solver
@@ -116,8 +116,10 @@ CHANGES: dict[str, dict[str, Any]] = {
     },
     "in a sponge": {"boundaries": INLET, "stream_speed": 0.03, "sponges": (Sponge(length=90),)},
     "direct solve": {"force_solve": DirectSolve()},
-    "periodic both ways": {"boundaries": PERIODIC},
-    **{name: {"boundaries": edges, "stream_speed": 0.02} for name, edges in EDGES.items()},
+    "bounce-back": {
+        "bodies": (Fish(body_length=24, marker_spacing=0.5, motion=Free()),),
+        "coupling": Coupling.BOUNCE_BACK,
+    },
 }
 
 
