@@ -75,7 +75,7 @@ def measure_slip(state: FlowState, config: FlowConfig, params: FlowParams) -> fl
     nodes = place.stencil.index_nodes(config.width)
     seen = gather_fluid(fluid, nodes)
     moved, *shares = couple_bodies(config, params.bodies, state.bodies, place, seen)
-    body, markers = moved[0], place.markers[0]
+    body, markers = moved[0], place.outlines.markers[0]
     spin = torch.stack((-markers.arm[..., 1], markers.arm[..., 0]), -1)
     wall = body.velocity[:, None] + body.angular_velocity[:, None, None] * spin
     wall = wall + markers.deformation_velocity

@@ -21,7 +21,7 @@ from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.outline import BodyParams, DCylinder
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
 from fishrl.physics.fast.solver import InPlaceSolver
-from fishrl.physics.flow import FlowConfig
+from fishrl.physics.flow import Coupling, FlowConfig
 from fishrl.physics.units import MAX_WALL_SPEED, Scales
 from fishrl.settings import Settings
 
@@ -87,12 +87,18 @@ class Stream(Settings):
             for speed, diameter in zip(self.speeds_bl, self.diameters_bl, strict=True)
         ]
 
-    def make_config(self, fish: Fish, scales: Scales, domain_bl: tuple[float, float]) -> FlowConfig:
+    def make_config(
+        self,
+        fish: Fish,
+        scales: Scales,
+        domain_bl: tuple[float, float],
+        coupling: Coupling = Coupling.IMPLICIT,
+    ) -> FlowConfig:
         """Return the flow of the fastest stream with the fish and, if any, the largest disc."""
         width, height = (round(size * scales.body_length) for size in domain_bl)
         moving = NonEquilibrium(velocity=(1.0, 0.0))
         diameter = max(self.diameters_bl) * scales.body_length
-        discs = _make_discs(self._measure_discs(scales)) if self.has_disc else ()
+        discs = _make_discs(self._measure_discs(scales), coupling) if self.has_disc else ()
         largest = sorted(discs, key=lambda disc: disc.diameter)[-1:]
         config = FlowConfig(
             width=width,
@@ -101,6 +107,7 @@ class Stream(Settings):
             stream_speed=max(self.speeds_bl) * scales.reference_speed,
             bodies=(fish, *largest),
             boundaries=Boundaries(left=moving, right=OpenEdge(), bottom=moving, top=moving),
+            coupling=coupling,
         )
         x, y = self.find_origin(config, scales)
         if self.has_disc and not (min(x, y) - 0.5 * diameter >= 2.0 and x <= width - 3.0):
@@ -129,7 +136,8 @@ class Stream(Settings):
 
     def load_wakes(self, config: FlowConfig, scales: Scales) -> WakeBank:
         """Return the developed wakes of all flows, from the file of each diameter if it exists."""
-        discs, places = _make_discs(self._measure_discs(scales)), self.find_discs(config, scales)
+        discs = _make_discs(self._measure_discs(scales), config.coupling)
+        places = self.find_discs(config, scales)
         wakes: dict[int, tuple[Tensor, Tensor]] = {}
         for diameter in dict.fromkeys(self.diameters_bl):
             own = [flow for flow, other in enumerate(self.diameters_bl) if other == diameter]
@@ -232,7 +240,8 @@ class Stream(Settings):
         if self.has_disc:
             places = torch.tensor(self.find_discs(solver.config, scales)).to(position)
             position = torch.stack((position, places[flow]), 1)
-            params = _draw_discs(self._measure_discs(scales), rows.device)
+            sizes, coupling = self._measure_discs(scales), solver.config.coupling
+            params = _draw_discs(sizes, coupling, rows.device)
             solver.set_body_(1, pytree.tree_map(lambda each: each[flow], params), rows)
             heading = torch.stack((heading, torch.full_like(heading, pi)), 1)
         solver.reset_(rows, position, heading, velocity=(1.0, 0.0))
@@ -255,7 +264,7 @@ class AbstractStreamTask(AbstractTask):
 
     def flow_config(self) -> FlowConfig:
         """Return the flow with the fastest stream."""
-        return self.stream.make_config(self.fish, self.scales, self.domain_bl)
+        return self.stream.make_config(self.fish, self.scales, self.domain_bl, self.coupling)
 
     @cached_property
     def origin(self) -> tuple[float, float]:
@@ -289,16 +298,16 @@ class AbstractStreamTask(AbstractTask):
 
 
 @cache
-def _make_discs(sizes: tuple[float, ...]) -> tuple[DCylinder, ...]:
+def _make_discs(sizes: tuple[float, ...], coupling: Coupling) -> tuple[DCylinder, ...]:
     """Return half discs of these diameters in nodes, all with the markers of the largest."""
-    num_markers = DCylinder(diameter=max(sizes)).num_markers
-    return tuple(DCylinder(diameter=size, num_markers=num_markers) for size in sizes)
+    largest = DCylinder(diameter=max(sizes), **coupling.body_settings)
+    return tuple(replace(largest, diameter=size) for size in sizes)
 
 
 @cache
-def _draw_discs(sizes: tuple[float, ...], device: torch.device) -> BodyParams:
+def _draw_discs(sizes: tuple[float, ...], coupling: Coupling, device: torch.device) -> BodyParams:
     """Return the parameters ``[n, ...]`` of these half discs."""
-    params = [disc.make_params(device) for disc in _make_discs(sizes)]
+    params = [disc.make_params(device) for disc in _make_discs(sizes, coupling)]
     joined: BodyParams = pytree.tree_map(lambda *each: torch.cat(each), *params)
     return joined
 

@@ -24,7 +24,7 @@ from fishrl.envs.schedule import make_schedule
 from fishrl.envs.starts import check_fit, check_pattern, place_fish
 from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.fast.solver import InPlaceSolver
-from fishrl.physics.flow import FlowConfig
+from fishrl.physics.flow import Coupling, FlowConfig
 from fishrl.physics.units import DEFAULT_WALL_SPEED, Scales
 from fishrl.settings import Settings
 
@@ -56,6 +56,8 @@ class AbstractTask(Settings, ABC):
         body_length: L in nodes; at Reynolds number 7000 at least 50 for a useful swimming speed.
         reynolds: Re_f = L^2 / (T nu).
         max_wall_speed: largest speed of the beating tail, nodes per step; sets the period T.
+        coupling: how fish and water act on each other: ``implicit``, the immersed boundary, or
+            ``bounce-back``, a sharp skin; see ``Coupling`` and the page on accuracy.
         domain_bl: width and height of the domain in body lengths.
         wall_margin_bl: smallest distance of a marker from the edge, in body lengths.
         num_stacked: stacked observations, the current one included.
@@ -67,6 +69,7 @@ class AbstractTask(Settings, ABC):
     body_length: Annotated[int, Field(ge=16, le=100_000)] = 50
     reynolds: PositiveFloat = 7000.0
     max_wall_speed: PositiveFloat = DEFAULT_WALL_SPEED
+    coupling: Coupling = Coupling.IMPLICIT
     domain_bl: tuple[_Size, _Size] = (10.0, 5.0)
     wall_margin_bl: Annotated[float, Field(ge=0, le=1e6)] = 0.1
     num_stacked: Annotated[int, Field(ge=1, le=10_000)] = 4
@@ -163,7 +166,7 @@ class AbstractTask(Settings, ABC):
     @cached_property
     def fish(self) -> Fish:
         """Configuration of the fish."""
-        return Fish(body_length=self.body_length)
+        return Fish(body_length=self.body_length, **self.coupling.body_settings)
 
     @property
     def n_substeps(self) -> int:
@@ -192,7 +195,13 @@ class AbstractTask(Settings, ABC):
         """Return the flow; the default is a closed tank of still water."""
         width, height = (round(size * self.body_length) for size in self.domain_bl)
         bodies = (self.fish,) * self.num_fish
-        return FlowConfig(width=width, height=height, tau=self.scales.tau, bodies=bodies)
+        return FlowConfig(
+            width=width,
+            height=height,
+            tau=self.scales.tau,
+            bodies=bodies,
+            coupling=self.coupling,
+        )
 
     @abstractmethod
     def starts_from(self, uniform: Tensor) -> TensorDict:

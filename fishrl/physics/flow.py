@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum
 from math import pi
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import torch
 from pydantic import Field, NonNegativeInt, PositiveInt
@@ -34,13 +34,19 @@ class Coupling(Enum):
 
     ``EXPLICIT``: the paper's eqs. 5 and 6, where the last step's velocity sets the force.
 
-    ``BOUNCE_BACK``: the skin is a sharp surface (``bounce_back.py``), for markers at most
-    ``links.MAX_SPACING`` apart. More accurate for a thin fish; kernel and force solve do not matter.
+    ``BOUNCE_BACK``: the skin is a sharp surface (``bounce_back.py``). More accurate for a thin
+    fish; kernel and force solve do not matter.
     """
 
     IMPLICIT = "implicit"
     EXPLICIT = "explicit"
     BOUNCE_BACK = "bounce-back"
+
+    @property
+    def body_settings(self) -> dict[str, Any]:
+        """Settings that bodies need: markers on the skin itself, and half a node apart."""
+        is_sharp = self is Coupling.BOUNCE_BACK
+        return {"marker_spacing": 0.5, "inset": 0.0} if is_sharp else {}
 
 
 class Sponge(Settings):
@@ -116,10 +122,12 @@ class FlowConfig(Settings):
                     f"{self.height} nodes: shorten it or enlarge the domain"
                 )
         for body in self.bodies:
-            if self.coupling is Coupling.BOUNCE_BACK and body.spacing > MAX_SPACING:
+            is_sharp = self.coupling is Coupling.BOUNCE_BACK
+            if is_sharp and (body.spacing > MAX_SPACING or body.inset):
                 raise ValueError(
-                    f"{type(body).__name__}: markers {body.spacing:.2f} nodes apart with "
-                    f"Coupling.BOUNCE_BACK, allowed is {MAX_SPACING}: give marker_spacing=0.5"
+                    f"{type(body).__name__} with markers {body.spacing:.2f} nodes apart and inset "
+                    f"= {body.inset}: Coupling.BOUNCE_BACK needs them at most {MAX_SPACING} apart "
+                    "on the skin; give it **Coupling.BOUNCE_BACK.body_settings"
                 )
             if body.size > min(self.width, self.height) - 4:
                 raise ValueError(

@@ -88,9 +88,9 @@ def to_links(values: Tensor, links: Links) -> Tensor:
 
 
 def to_markers(values: Tensor, links: Links) -> Tensor:
-    """Share values ``[B, 4, N]`` at crossings among the markers, ``[B, N]``; adjoint of ``to_links``.
+    """Share values ``[B, 4, N]`` at crossings among the markers, ``[B, N]``.
 
-    Forces keep their torque and their power.
+    The adjoint of ``to_links``: forces keep their torque and their power.
     """
     share = links.at.to(values) * values
     return (values - share).sum(1) + share.sum(1).roll(1, -1)

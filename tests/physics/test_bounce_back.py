@@ -21,11 +21,12 @@ from tests.physics.flows import advance, start_solver
 
 SIZE = 64
 MIDDLE = torch.tensor([[30.3, 29.6]], dtype=torch.float64)
+SHARP = Coupling.BOUNCE_BACK.body_settings
 ONE = torch.ones(1, dtype=torch.float64)
 
 
 def make_cylinder(motion: Motion, **changes: object) -> FlowConfig:
-    body = Cylinder(diameter=16, inset=0.0, marker_spacing=0.5, motion=motion)
+    body = Cylinder(diameter=16, motion=motion, **SHARP)
     config = FlowConfig(
         width=SIZE,
         height=SIZE,
@@ -127,9 +128,9 @@ def test_a_body_carried_by_a_uniform_stream_leaves_it_unchanged(
     assert (body.position - MIDDLE)[0].tolist() == pytest.approx([4.2, -1.8], rel=tolerance)
 
 
-def push(coupling: Coupling, spacing: float) -> BodyState:
+def push(coupling: Coupling) -> BodyState:
     """Return a body as light as water that a load has pushed for a while."""
-    cylinder = Cylinder(diameter=16, marker_spacing=spacing, motion=Free())
+    cylinder = Cylinder(diameter=16, motion=Free(), **coupling.body_settings)
     config = make_cylinder(Free(), coupling=coupling, bodies=(cylinder,))
     body = make_body(MIDDLE, 0.0 * ONE, 0.0 * ONE)
     body = body._replace(load=torch.tensor([[0.05, 0.02]], dtype=torch.float64))
@@ -139,12 +140,12 @@ def push(coupling: Coupling, spacing: float) -> BodyState:
 
 def test_a_pushed_body_obeys_newton_and_moves_as_with_the_immersed_boundary() -> None:
     """Added mass included: the water takes about half of the momentum."""
-    body = push(Coupling.BOUNCE_BACK, 0.5)
+    body = push(Coupling.BOUNCE_BACK)
     area = math.pi * 64
     given = 60 * body.load + body.impulse
     torch.testing.assert_close(area * body.velocity, given, rtol=1e-3, atol=1e-4)
     assert 0.3 < float(body.velocity[0, 0]) * area / 3.0 < 0.7
-    other = push(Coupling.IMPLICIT, 1.0)
+    other = push(Coupling.IMPLICIT)
     torch.testing.assert_close(body.velocity, other.velocity, rtol=0.1, atol=0.0)
 
 
@@ -203,7 +204,7 @@ def test_place_work_and_populations_can_be_differentiated() -> None:
 @pytest.mark.parametrize("storage", Storage)
 def test_two_bodies_in_a_stream_are_the_same_in_the_in_place_step(storage: Storage) -> None:
     """A still cylinder and one that the wake moves; half precision keeps three digits."""
-    still = Cylinder(diameter=12, marker_spacing=0.5, motion=Fixed())
+    still = Cylinder(diameter=12, motion=Fixed(), **SHARP)
     free = replace(still, motion=Free())
     config = make_cylinder(Free(), bodies=(free, still), stream_speed=0.05, storage=storage)
     places = torch.tensor([[[40.2, 30.1], [18.7, 33.4]]], dtype=torch.float64)
@@ -221,7 +222,7 @@ def test_two_bodies_in_a_stream_are_the_same_in_the_in_place_step(storage: Stora
 
 
 def test_markers_too_far_apart_are_refused_with_the_remedy() -> None:
-    with pytest.raises(ValueError, match="Cylinder: markers 1.* give marker_spacing=0.5"):
+    with pytest.raises(ValueError, match=r"Cylinder with markers 1.* inset = 0\.45.* give it"):
         FlowConfig(
             width=64,
             height=64,

@@ -149,7 +149,7 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
     @cached_property
     def fish(self) -> Fish:
         """The follower."""
-        return Fish(body_length=self.body_length, motion=Bending(response=RESPONSE))
+        return replace(super().fish, motion=Bending(response=RESPONSE))
 
     @cached_property
     def stream(self) -> Stream:

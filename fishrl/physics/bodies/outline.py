@@ -66,8 +66,8 @@ class BodyConfig(Settings, ABC):
         if not 0.4 <= self.spacing <= 2.1:
             raise ValueError(
                 f"{type(self).__name__} with num_markers = {self.num_markers}: they would lie "
-                f"{self.spacing:.2f} nodes apart, allowed is 0.4 to 2.1; change the number of markers "
-                "or the size"
+                f"{self.spacing:.2f} nodes apart, allowed is 0.4 to 2.1; change the number of "
+                "markers or the size"
             )
 
     def compute_wall_speed(self, frequency: float) -> float:

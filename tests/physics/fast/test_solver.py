@@ -22,7 +22,7 @@ from fishrl.physics.boundaries import (
     Profile,
     Side,
 )
-from fishrl.physics.cases import PERIODIC, make_swimmer_config
+from fishrl.physics.cases import make_swimmer_config
 from fishrl.physics.fast import compiled as compiled_module
 from fishrl.physics.fast import execution as execution_module
 from fishrl.physics.flow import Coupling, Sponge, make_params, make_rest, make_uniform
