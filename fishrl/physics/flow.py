@@ -48,6 +48,11 @@ class Coupling(Enum):
         is_sharp = self is Coupling.BOUNCE_BACK
         return {"marker_spacing": 0.5, "inset": 0.0} if is_sharp else {}
 
+    @property
+    def spacing_range(self) -> tuple[float, float]:
+        """Smallest and largest mean distance of a body's markers, nodes."""
+        return (0.1, MAX_SPACING) if self is Coupling.BOUNCE_BACK else (0.4, 2.1)
+
 
 class Sponge(Settings):
     """A strip along an edge where the viscosity rises smoothly and damps vortices and sound.
@@ -122,12 +127,18 @@ class FlowConfig(Settings):
                     f"{self.height} nodes: shorten it or enlarge the domain"
                 )
         for body in self.bodies:
-            is_sharp = self.coupling is Coupling.BOUNCE_BACK
-            if is_sharp and (body.spacing > MAX_SPACING or body.inset):
+            low, high = self.coupling.spacing_range
+            if not low <= body.spacing <= high:
                 raise ValueError(
-                    f"{type(body).__name__} with markers {body.spacing:.2f} nodes apart and inset "
-                    f"= {body.inset}: Coupling.BOUNCE_BACK needs them at most {MAX_SPACING} apart "
-                    "on the skin; give it **Coupling.BOUNCE_BACK.body_settings"
+                    f"{type(body).__name__} with num_markers = {body.num_markers}: they would lie "
+                    f"{body.spacing:.2f} nodes apart, allowed is {low} to {high} with coupling = "
+                    f"{self.coupling.value!r}; give it **Coupling.{self.coupling.name}."
+                    "body_settings, or change the number of markers or the size"
+                )
+            if self.coupling is Coupling.BOUNCE_BACK and body.inset:
+                raise ValueError(
+                    f"{type(body).__name__} with inset = {body.inset}: must be 0 with coupling = "
+                    f"{self.coupling.value!r}"
                 )
             if body.size > min(self.width, self.height) - 4:
                 raise ValueError(

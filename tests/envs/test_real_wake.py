@@ -11,6 +11,7 @@ from fishrl.envs.stations import SafeArea
 from fishrl.envs.streams import Stream
 from fishrl.envs.views import make_scene, read_scene
 from fishrl.envs.wakes import WakeBank
+from fishrl.physics.flow import Coupling
 from tests.envs.conftest import act, make_flows, read_flows, reset_rows
 from tests.envs.test_views import list_keys
 
@@ -28,9 +29,9 @@ TINY = {
 STREAM = {"face_bl": 1.0, "num_travels": 30.0, "num_phases": 4}
 
 
-def make_task() -> KarmanGait:
+def make_task(**changes: object) -> KarmanGait:
     """Return a task whose wakes are undisturbed streams with a little noise."""
-    task = KarmanGait(**TINY, stream=Stream(**STREAM, diameter_bl=(0.4, 0.6, 0.5)))
+    task = KarmanGait(**TINY | changes, stream=Stream(**STREAM, diameter_bl=(0.4, 0.6, 0.5)))
     config = task.flow_config()
     generator = torch.Generator().manual_seed(0)
     noise = torch.randn(3, 4, 9, config.height, config.width, generator=generator)
@@ -123,3 +124,19 @@ def test_every_key_of_the_scene_of_a_disc_can_be_read(task: KarmanGait) -> None:
     env.reset()
     keys = list_keys(make_scene(task))
     assert "dcylinder_1" in keys and keys <= set(read_scene(task, env.solver, env.start))
+
+
+def test_fish_and_discs_with_sharp_skins_feel_the_stream() -> None:
+    task = make_task(coupling=Coupling.BOUNCE_BACK)
+    starts = task.sample_starts(3, torch.Generator().manual_seed(4))
+    starts["flow_index"] = torch.tensor([0, 1, 2])
+    env = make_flows(task, 3, starts=starts)
+    solver, start = env.solver, env.solver.body.position.clone()
+    act(env, 0, 0, 0)
+    fish, disc = solver.bodies
+    moved = (fish.position - start).norm(dim=-1) / task.body_length
+    assert ((moved > 0.01) & (moved < 1.0)).all()
+    drag = disc.impulse[:, 0]
+    assert (drag > 0.0).all()
+    assert drag[1] > drag[0]  # the largest disc
+    assert solver.macroscopic()[1].isfinite().all()

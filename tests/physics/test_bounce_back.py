@@ -222,7 +222,7 @@ def test_two_bodies_in_a_stream_are_the_same_in_the_in_place_step(storage: Stora
 
 
 def test_markers_too_far_apart_are_refused_with_the_remedy() -> None:
-    with pytest.raises(ValueError, match=r"Cylinder with markers 1.* inset = 0\.45.* give it"):
+    with pytest.raises(ValueError, match=r"lie 1.* with coupling = 'bounce-back'; give it"):
         FlowConfig(
             width=64,
             height=64,

@@ -63,12 +63,6 @@ class BodyConfig(Settings, ABC):
         if self.num_markers == 0:
             counts = [max(8, round(s / self.marker_spacing)) for s in self._lengths]
             object.__setattr__(self, "num_markers", sum(counts))
-        if not 0.4 <= self.spacing <= 2.1:
-            raise ValueError(
-                f"{type(self).__name__} with num_markers = {self.num_markers}: they would lie "
-                f"{self.spacing:.2f} nodes apart, allowed is 0.4 to 2.1; change the number of "
-                "markers or the size"
-            )
 
     def compute_wall_speed(self, frequency: float) -> float:
         """Return the largest imposed speed of the surface, nodes per step.

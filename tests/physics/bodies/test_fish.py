@@ -23,7 +23,7 @@ from fishrl.physics.flow import (
     make_rest,
     make_uniform,
 )
-from fishrl.physics.geometry import deform_body, locate_bodies, locate_markers, place_markers
+from fishrl.physics.geometry import deform_body, locate_markers, locate_outlines, place_markers
 from fishrl.physics.step import step
 from fishrl.physics.units import Scales
 from tests.physics.flows import advance
@@ -71,9 +71,9 @@ def test_markers_move_by_the_velocity_that_the_flow_is_given(motion: Motion) -> 
     state = FlowState(make_rest(config, 1), (body,))
     worst = 0.0
     for _ in range(SCALES.period + 40):
-        place = locate_bodies(config, params.bodies, state.bodies, torch.float64).markers[0]
+        place = locate_outlines(config, params.bodies, state.bodies).markers[0]
         state = step(state, config, params)
-        after = locate_bodies(config, params.bodies, state.bodies, torch.float64).markers[0]
+        after = locate_outlines(config, params.bodies, state.bodies).markers[0]
         rx, ry = place.arm.unbind(-1)
         omega = state.bodies[0].angular_velocity[:, None]
         imposed = (

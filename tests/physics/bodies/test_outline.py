@@ -13,6 +13,7 @@ from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.shear import ShearParams
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.diagnostics import compute_area
+from fishrl.physics.flow import FlowConfig
 from fishrl.physics.geometry import deform_body, place_markers
 
 ONE = torch.ones(1, dtype=torch.float64)
@@ -132,7 +133,12 @@ def test_a_kick_is_one_period_of_a_sine() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Cylinder(diameter=40, num_markers=500), "0.25 nodes apart"),
+        (
+            lambda: FlowConfig(
+                width=60, height=60, tau=1.0, bodies=(Cylinder(diameter=40, num_markers=500),)
+            ),
+            "0.25 nodes apart",
+        ),
         (lambda: Cylinder(diameter=40, motion=Driven(angular_velocity=0.02)), "0.4 nodes per step"),
     ],
 )
