@@ -11,7 +11,8 @@ populations towards equilibrium (collision), moves each to the next node along i
 (streaming) and sets those that enter at the edges. A body is a closed line of markers that
 exchanges velocity and force with the nodes around it: the fluid velocity is interpolated to the
 markers; the force that removes the slip between fluid and body, and the motion of bodies that move
-freely, are solved for together; and the force is spread to the nodes.
+freely, are solved for together; and the force is spread to the nodes. With Coupling.BOUNCE_BACK a
+body reflects the populations that meet its skin instead (``bounce_back.py``).
 
 In symbols, in lattice units (distance of nodes and time step 1), with the paper's equation numbers;
 A_kl = ds sum_x W_k W_l, and m_f is the mass of the fluid inside a body:
