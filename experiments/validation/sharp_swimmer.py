@@ -22,6 +22,10 @@ LIMITS = {32: 0.20, 50: 0.08}
 POWER_LIMIT = 0.10
 FINE_LIMIT = 0.08
 OWN = "own criterion"
+REASONS = {
+    500.0: "",
+    7142.0: "The boundary layer, about L / 60 thick, is half a node at L = 32 and one at L = 50. ",
+}
 
 
 def list_jobs() -> Iterator[Job]:
@@ -51,7 +55,8 @@ def judge(runs: Runs) -> Iterator[Check]:
                 limit,
                 resolution=f"L = {n}",
                 refinement={f"L = {m}": value for m, value in speed.items()},
-                note=f"With the immersed boundary {other:.3f}. The refinement lists speeds, L / T.",
+                note=f"{REASONS[reynolds]}With the immersed boundary {other:.3f}. The refinement "
+                "lists speeds, L / T.",
             )
         yield Check(
             f"speed at L = 100 / at L = 140, {at}",
@@ -69,8 +74,9 @@ def judge(runs: Runs) -> Iterator[Check]:
             POWER_LIMIT,
             resolution="L = 50",
             refinement={f"L = {m}": value for m, value in power.items()},
-            note="The refinement lists powers, ρ L⁴ / T³. With the immersed boundary "
-            f"{soft[50]['power'][-1] / soft[100]['power'][-1]:.3f}.",
+            note=f"{REASONS[reynolds]}With the immersed boundary "
+            f"{soft[50]['power'][-1] / soft[100]['power'][-1]:.3f}. The refinement lists powers, "
+            "ρ L⁴ / T³.",
         )
 
 

@@ -109,6 +109,8 @@ class Stream(Settings):
             boundaries=Boundaries(left=moving, right=OpenEdge(), bottom=moving, top=moving),
             coupling=coupling,
         )
+        for disc in discs:
+            replace(config, bodies=(disc,))  # raises if its markers lie too close
         x, y = self.find_origin(config, scales)
         if self.has_disc and not (min(x, y) - 0.5 * diameter >= 2.0 and x <= width - 3.0):
             raise ValueError(

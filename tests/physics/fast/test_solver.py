@@ -22,7 +22,7 @@ from fishrl.physics.boundaries import (
     Profile,
     Side,
 )
-from fishrl.physics.cases import make_swimmer_config
+from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.fast import compiled as compiled_module
 from fishrl.physics.fast import execution as execution_module
 from fishrl.physics.flow import Coupling, Sponge, make_params, make_rest, make_uniform
@@ -116,10 +116,12 @@ CHANGES: dict[str, dict[str, Any]] = {
     },
     "in a sponge": {"boundaries": INLET, "stream_speed": 0.03, "sponges": (Sponge(length=90),)},
     "direct solve": {"force_solve": DirectSolve()},
-    "bounce-back": {
-        "bodies": (Fish(body_length=24, marker_spacing=0.5, motion=Free()),),
+    "sharp skin": {
+        "bodies": (Fish(body_length=24, motion=Free(), **Coupling.BOUNCE_BACK.body_settings),),
         "coupling": Coupling.BOUNCE_BACK,
     },
+    "periodic both ways": {"boundaries": PERIODIC},
+    **{name: {"boundaries": edges, "stream_speed": 0.02} for name, edges in EDGES.items()},
 }
 
 
