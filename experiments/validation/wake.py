@@ -10,10 +10,11 @@ from torch import Tensor
 from experiments.validation.case import Result
 from fishrl.physics import Cylinder, DCylinder, Fixed, FlowConfig, InPlaceSolver, diagnostics
 from fishrl.physics.boundaries import Boundaries, Boundary, NonEquilibrium, OpenEdge
-from fishrl.physics.immersed_boundary import DirectSolve
+from fishrl.physics.flow import Coupling
+from fishrl.physics.immersed_boundary import DirectSolve, ForceSolve, IterativeForcing
 
 STREAM, PINNED = NonEquilibrium(velocity=(1.0, 0.0)), NonEquilibrium(density=1.0)
-EXACT = DirectSolve(regularisation=0.0)
+EXACT, ITERATIVE = DirectSolve(regularisation=0.0), IterativeForcing()
 OPEN, OPEN_SIDE = OpenEdge(), OpenEdge(is_plane=False)  # let sound out: plane waves, any waves
 
 
@@ -47,7 +48,8 @@ def start_stream(
     inflow: Boundary = STREAM,
     outflow: Boundary = OPEN,
     sides: Boundary = OPEN_SIDE,
-    solve: DirectSolve = EXACT,
+    solve: ForceSolve = EXACT,
+    coupling: Coupling = Coupling.IMPLICIT,
 ) -> InPlaceSolver:
     """Return a body in a stream along x that fills the domain, no slip solved directly.
 
@@ -61,6 +63,7 @@ def start_stream(
         bodies=(body,),
         boundaries=Boundaries(left=inflow, right=outflow, bottom=sides, top=sides),
         force_solve=solve,
+        coupling=coupling,
     )
     return start_flow(config, place, heading, stream=(1.0, 0.0))
 
@@ -92,10 +95,10 @@ def measure_wake(
     from the lower left corner). Without shedding the last quarter of the span is measured.
 
     Returns:
-        ``drag`` and ``lift`` coefficients, or of whole periods ``strouhal`` by zero crossings of
-        the lift, ``spectral`` by its spectrum, mean ``drag``, and extremes, crest to trough
-        ``_swing`` and ``lift_amplitude``; the last of the series, with their ``interval`` /
-        (D / U), and ``vorticity`` / (U / D).
+        ``drag`` and ``lift`` coefficients, their means over whole periods with shedding; then also
+        ``strouhal`` by zero crossings of the lift, ``spectral`` by its spectrum, extremes, crest
+        to trough ``_swing`` and ``lift_amplitude``; the last of the series, with their
+        ``interval`` / (D / U), and ``vorticity`` / (U / D).
     """
     travel = diameter / speed
     interval = make_even(travel / per_travel)
@@ -125,6 +128,7 @@ def measure_wake(
         "strouhal": beat.frequency,
         "spectral": diagnostics.compute_spectral_frequency(lift, unit),
         "drag": swing.mean,
+        "lift": beat.mean,
         "drag_max": swing.high,
         "drag_swing": swing.high - swing.low,
         "lift_max": beat.high,

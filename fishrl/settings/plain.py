@@ -178,8 +178,17 @@ class _Builder:
         elif isinstance(value, str):
             for kind in kinds:
                 if issubclass(kind, Enum):
-                    value = kind.__members__.get(value, value)
+                    return self._pick(kind, value, path)
         return value
+
+    def _pick(self, kind: type[Enum], word: str, path: str) -> Enum | None:
+        """Return the member of a name, in upper or lower case, with hyphens or underscores."""
+        members, name = kind.__members__, word.upper().replace("-", "_")
+        if name not in members:
+            allowed = ", ".join(members)
+            hint = suggest(name, members)
+            self.errors.append(f"{path} = {word!r}: must be one of {allowed}{hint}")
+        return members.get(name)
 
     def _learn_keys(self, kind: type, prefix: str) -> None:
         """Remember the keys of a class and of the objects in its fields by default."""

@@ -19,6 +19,7 @@ from fishrl.settings import Settings, build, describe, to_plain
 
 class Colour(Enum):
     RED = (1, 0)
+    DARK_RED = (2, 0)
 
 
 class Line(Settings):
@@ -99,7 +100,7 @@ def test_errors_have_a_line_each_with_dotted_keys() -> None:
         ({"task": {"gait": {"speed": 10}}}, "task.gait.speed = 10.0: must be that of a fish"),
         (
             {"task": {"line": {"colour": "BLUE"}}},
-            "task.line.colour = 'BLUE': must be of type Colour",
+            "task.line.colour = 'BLUE': must be one of RED, DARK_RED",
         ),
         ({"task": {}, "logger": {"size": "3"}}, "logger.size = '3': must be a whole number"),
         ({"task": {}, "logger": {"sice": 3}}, "logger.size: has no default, so it must be given"),
@@ -181,3 +182,10 @@ def test_a_class_of_the_script_that_runs_has_the_name_that_others_import_it_by(
     )
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["own.Own", "True"]
+
+
+@pytest.mark.parametrize("word", ["DARK_RED", "dark-red", "dark_red"])
+def test_a_member_of_an_enumeration_is_given_by_its_name(word: str) -> None:
+    assert build(Line, {"colour": word}).colour is Colour.DARK_RED
+    with pytest.raises(ValueError, match="must be one of RED, DARK_RED; did you mean 'DARK_RED'"):
+        build(Line, {"colour": f"{word}x"})

@@ -1,0 +1,76 @@
+"""Rotating cylinder.
+
+A cylinder in a stream at Re = U D / ν = 100 turns counter-clockwise, its surface as fast as the
+stream (α = ω D / 2 U = 1). It lies in the middle of a domain of 40 D × 40 D with a uniform inflow
+and open sides and outflow, at U = 0.1 nodes per step; of 120 D / U the last 48 are evaluated over
+whole periods. The immersed boundary has markers 0.45 nodes inside the outline and its default
+iteration; bounce-back has a sharp skin.
+"""
+
+from collections.abc import Iterator
+
+from matplotlib.figure import Figure
+
+from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
+from experiments.validation.wake import ITERATIVE, draw_vorticity, measure_wake, start_stream
+from fishrl.physics import Cylinder
+from fishrl.physics.bodies.motion import Driven
+from fishrl.physics.flow import Coupling
+
+REYNOLDS, SPEED, SIZE, TRAVELS = 100.0, 0.1, 40, (72.0, 48.0)
+DIAMETERS = (16, 24)
+NAMES = {"implicit": "immersed boundary", "bounce-back": "bounce-back"}
+KANG = "Kang, Choi & Lee 1999, Phys. Fluids 11, 3312"
+REFERENCES = (("drag", "C_d", 1.104), ("lift", "C_l", -2.488), ("strouhal", "St", 0.1655))
+TOLERANCE = 0.02
+VIEW_D = (-3.0, 15.0, -4.0, 4.0)  # left, right, low, high
+
+
+def turn(*, diameter: int, coupling: str) -> Result:
+    """Run the cylinder; return those of ``measure_wake``."""
+    rate, how = 2.0 * SPEED / diameter, Coupling(coupling)
+    middle = 0.5 * SIZE * diameter
+    left, right, low, high = (0.5 * SIZE + side for side in VIEW_D)
+    solver = start_stream(
+        Cylinder(diameter=diameter, motion=Driven(angular_velocity=rate), **how.body_settings),
+        (middle, middle),
+        size=(SIZE * diameter + 1, SIZE * diameter + 1),
+        tau=3.0 * SPEED * diameter / REYNOLDS + 0.5,
+        speed=SPEED,
+        solve=ITERATIVE,
+        coupling=how,
+    )
+    return measure_wake(
+        solver,
+        diameter=diameter,
+        speed=SPEED,
+        travels=TRAVELS,
+        window=(left, right, low, high),
+        is_shedding=True,
+    )
+
+
+JOBS = [
+    Job(turn, {"diameter": n, "coupling": name}, cost=1.2 * SIZE**2 * sum(TRAVELS) * n**3 / SPEED)
+    for name in NAMES
+    for n in DIAMETERS
+]
+
+
+def judge(runs: Runs) -> Iterator[Check]:
+    """Compare both skins with the reference."""
+    for coupling, name in NAMES.items():
+        for key, symbol, reference in REFERENCES:
+            values = runs.read(key, "diameter", coupling=coupling)
+            yield check_refined("D", f"{symbol}, {name}", values, reference, KANG, TOLERANCE)
+
+
+def draw(figure: Figure, runs: Runs) -> None:
+    """Draw the wakes on the finer grid."""
+    for axes, (coupling, name) in zip(figure.subplots(1, 2), NAMES.items(), strict=True):
+        if run := runs.get(diameter=DIAMETERS[-1], coupling=coupling):
+            draw_vorticity(axes, run, VIEW_D, limit=3.0)
+            axes.set_title(f"{name}, D = {DIAMETERS[-1]} nodes")
+
+
+CASE = Case("rotating-cylinder", __doc__, KANG, JOBS, judge, draw, size=(9.6, 2.8))
