@@ -23,6 +23,10 @@ NAMES = {"implicit": "immersed boundary", "bounce-back": "bounce-back"}
 KANG = "Kang, Choi & Lee 1999, Phys. Fluids 11, 3312"
 REFERENCES = (("drag", "C_d", 1.104), ("lift", "C_l", -2.488), ("strouhal", "St", 0.1655))
 TOLERANCE = 0.02
+REASON = (
+    "both skins agree to half a percent at D = 24, and all three coefficients are too large: the "
+    "domain of 40 D is most likely too narrow."
+)
 VIEW_D = (-3.0, 15.0, -4.0, 4.0)  # left, right, low, high
 
 
@@ -62,7 +66,9 @@ def judge(runs: Runs) -> Iterator[Check]:
     for coupling, name in NAMES.items():
         for key, symbol, reference in REFERENCES:
             values = runs.read(key, "diameter", coupling=coupling)
-            yield check_refined("D", f"{symbol}, {name}", values, reference, KANG, TOLERANCE)
+            yield check_refined(
+                "D", f"{symbol}, {name}", values, reference, KANG, TOLERANCE, note=REASON
+            )
 
 
 def draw(figure: Figure, runs: Runs) -> None:

@@ -90,7 +90,8 @@ def draw(figure: Figure, runs: Runs) -> None:
             )
             speeds = [run["speed"][-1] for run in found.values()]
             axes.plot([1.0 / n for n in found], speeds, "o-", label=name)
-        axes.set(xlabel="1 / L", title=f"Re = {reynolds:g}", xlim=(0.0, None), ylim=(0.0, None))
+        axes.set(xlabel="1 / L", title=f"Re = {reynolds:g}", xlim=(0.0, None))
+    every[0].set_ylim(0.0, None)
     every[0].set_ylabel(f"speed over beat {NUM_BEATS}  U T / L")
     every[0].legend()
 
