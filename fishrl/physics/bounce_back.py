@@ -4,16 +4,16 @@ The immersed boundary spreads a force over three nodes, so that the water on bot
 fish feels each other's, and the boundary layer begins inside the kernel. Here the populations that
 meet the skin between two nodes return to the node they came from, with what the moving skin adds.
 With q the part of the link c_i from a node x outside to the skin, u_w the skin's velocity there and
-f' the populations after collision (Bouzidi, Firdaouss & Lallemand 2001, eqs. 5 and 11):
+f' the populations after collision (Bouzidi, Firdaouss & Lallemand 2001, eqs. 5 and 11)::
 
     f_-i(x, t+1) = 2 q f'_i(x) + (1 - 2 q) f'_i(x - c_i) - 6 w_i c_i . u_w             q < 1/2
     f_-i(x, t+1) = (f'_i(x) + (2 q - 1) f'_-i(x) - 6 w_i c_i . u_w) / (2 q)            q >= 1/2
 
-At each link the body feels c_i (f'_i + f_-i) - u_w (f'_i - f_-i) (Wen et al. 2014). But for the
-last u_w this is linear in the body's rates, so those that the flow determines follow from a system
-of at most three equations per body, stable for a body as light as water. A node that the skin has
-passed takes the skin's velocity, and density and stresses of the next node outside. Nodes inside a
-body collide and stream as all others, but nothing outside reads them.
+At each link the body feels ``c_i (f'_i + f_-i) - u_w (f'_i - f_-i)`` (Wen et al. 2014). But for
+the last u_w this is linear in the body's rates, so those that the flow determines follow from a
+system of at most three equations per body, stable for a body as light as water. A node that the
+skin has passed takes the skin's velocity, and density and stresses of the next node outside. Nodes
+inside a body collide and stream as all others, but nothing outside reads them.
 """
 
 from collections.abc import Sequence
