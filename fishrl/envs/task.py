@@ -57,7 +57,7 @@ class AbstractTask(Settings, ABC):
         reynolds: Re_f = L^2 / (T nu).
         max_wall_speed: largest speed of the beating tail, nodes per step; sets the period T.
         coupling: how fish and water act on each other: ``implicit``, the immersed boundary, or
-            ``bounce-back``, a sharp skin; see ``Coupling`` and the page on accuracy.
+            ``bounce-back``, a sharp skin; see ``Coupling`` and the page on resolution.
         domain_bl: width and height of the domain in body lengths.
         wall_margin_bl: smallest distance of a marker from the edge, in body lengths.
         num_stacked: stacked observations, the current one included.
@@ -82,10 +82,10 @@ class AbstractTask(Settings, ABC):
         stretches = make_schedule(
             self.n_substeps, checks=self.checks_per_action, samples=num_samples
         )
-        self.flow_config()  # raises if the domain is too small for the fish
+        config = self.flow_config()  # raises if the domain is too small for the fish
         # A marker must not leave the grid from the margin between two checks.
         travel = self.swimming_speed * max(s.num_steps for s in stretches)
-        least = 1.0 + travel
+        least = max(1.0, config.margin) + travel
         if self.wall_margin < least:
             raise ValueError(
                 f"wall_margin_bl = {self.wall_margin_bl} is {self.wall_margin:.1f} nodes, but "

@@ -20,7 +20,7 @@ from fishrl.physics.collision import Rates, compute_equilibrium
 from fishrl.physics.delta import Kernel, Roma3
 from fishrl.physics.immersed_boundary import ForceSolve, IterativeForcing
 from fishrl.physics.lattice import MAX_IMPOSED_SPEED, Q
-from fishrl.physics.links import MAX_SPACING
+from fishrl.physics.links import MARGIN, MAX_SPACING
 from fishrl.physics.storage import Storage
 from fishrl.physics.units import check_tau
 from fishrl.settings import Settings
@@ -128,17 +128,18 @@ class FlowConfig(Settings):
                 )
         for body in self.bodies:
             low, high = self.coupling.spacing_range
+            settings = self.coupling.body_settings
+            remedy = "".join(f", or give {name} = {value}" for name, value in settings.items())
             if not low <= body.spacing <= high:
                 raise ValueError(
                     f"{type(body).__name__} with num_markers = {body.num_markers}: they would lie "
                     f"{body.spacing:.2f} nodes apart, allowed is {low} to {high} with coupling = "
-                    f"{self.coupling.value!r}; give it **Coupling.{self.coupling.name}."
-                    "body_settings, or change the number of markers or the size"
+                    f"{self.coupling.value!r}; change the number of markers or the size{remedy}"
                 )
             if self.coupling is Coupling.BOUNCE_BACK and body.inset:
                 raise ValueError(
                     f"{type(body).__name__} with inset = {body.inset}: must be 0 with coupling = "
-                    f"{self.coupling.value!r}"
+                    f"{self.coupling.value!r}, whose skin lies at the markers"
                 )
             if body.size > min(self.width, self.height) - 4:
                 raise ValueError(
@@ -155,6 +156,11 @@ class FlowConfig(Settings):
     def num_bytes(self) -> int:
         """Size of the populations of one flow in bytes."""
         return Q * self.width * self.height * self.storage.dtype.itemsize
+
+    @property
+    def margin(self) -> float:
+        """Distance from the edge nodes, in nodes, that markers must keep."""
+        return MARGIN if self.coupling is Coupling.BOUNCE_BACK else self.kernel.margin
 
     @property
     def fish(self) -> Fish | None:

@@ -15,6 +15,9 @@ _FAMILIES = ((1, 3), (2, 4), (5, 7), (8, 6))
 _ALONG = ((1, 0), (0, 1), (1, 1), (1, -1))
 #: Longest segment, nodes: the diagonals lie 0.707 apart, and a gait stretches the outline.
 MAX_SPACING = 0.55
+#: Distance of an outline from the edge nodes at which all that is read around its links is on the
+#: grid: the node outside, the next one, and that one's neighbours.
+MARGIN = 3.0
 
 
 class Links(NamedTuple):

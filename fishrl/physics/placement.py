@@ -32,7 +32,7 @@ def check_placement(
     Raises:
         ValueError: naming the first flow and bodies that are misplaced.
     """
-    margin = config.kernel.margin
+    margin = config.margin
     names = [f"{index} ({type(body).__name__})" for index, body in enumerate(config.bodies)]
     chosen = rows.nonzero()[:, 0]
     params, states = pytree.tree_map(lambda t: t[chosen], (list(params), list(states)))
@@ -80,7 +80,7 @@ def spread_starts(
 
 def lies_inside(outline: Tensor, config: FlowConfig) -> Tensor:
     """Return ``[B]`` bool: whether the markers ``[B, N, 2]`` of a body reach the grid alone."""
-    low = config.kernel.margin
+    low = config.margin
     x, y = outline.unbind(-1)
     is_inside = (x > low) & (x < config.width - 1 - low) & (y > low) & (y < config.height - 1 - low)
     return is_inside.all(-1)

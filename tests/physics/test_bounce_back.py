@@ -7,15 +7,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from fishrl.physics import Cylinder, Fish, FlowConfig, FlowState, Scales
+from fishrl.physics import Cylinder, Fish, FlowConfig, FlowState
 from fishrl.physics.bodies.motion import Driven, Fixed, Free, Motion
 from fishrl.physics.bodies.state import BodyState, make_body
-from fishrl.physics.cases import PERIODIC, make_swimmer_config
+from fishrl.physics.cases import PERIODIC
 from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.flow import Coupling, make_params, make_rest, make_uniform
 from fishrl.physics.geometry import locate_markers
 from fishrl.physics.lattice import CX, CY
-from fishrl.physics.links import Links, find_links, to_links, to_markers
+from fishrl.physics.links import MARGIN, Links, find_links, to_links, to_markers
 from fishrl.physics.storage import Storage
 from tests.physics.flows import advance, start_solver
 
@@ -173,34 +173,6 @@ def test_a_turning_cylinder_drags_the_water_as_stokes_second_problem() -> None:
     assert got == pytest.approx(impulse(200.0) - impulse(40.0), rel=0.03)
 
 
-SCALES = Scales.from_budget(body_length=20, reynolds=500.0, max_wall_speed=0.1)
-
-
-def swim(phase: Tensor, speed: Tensor) -> Tensor:
-    """Return what a fish did in three steps, begun at a phase, in a stream of a speed."""
-    fish = Fish(body_length=20, motion=Free(), marker_spacing=0.5)
-    config = make_swimmer_config(SCALES, length_bl=3, height_bl=3, bodies=(fish,))
-    config = replace(config, coupling=Coupling.BOUNCE_BACK)
-    body = make_body(MIDDLE, math.pi * ONE, ONE / SCALES.period)
-    body = body._replace(phase=phase[None], beats=2 * ONE)
-    none = torch.zeros(1, config.height, config.width, dtype=torch.float64)
-    state = FlowState(make_uniform(none, none + speed, none), (body,))
-    state = advance(state, config, 3)
-    (body,) = state.bodies
-    return torch.stack((body.position[0, 1], body.work[0], state.f[0, 1, 30, 20]))
-
-
-def test_place_work_and_populations_can_be_differentiated() -> None:
-    at = torch.tensor([0.7, 0.02], dtype=torch.float64)
-    got = torch.autograd.functional.jacobian(lambda p: swim(*p), at)
-    assert isinstance(got, Tensor)
-    for k in range(2):
-        change = torch.zeros(2, dtype=torch.float64)
-        change[k] = 1e-6
-        expected = (swim(*(at + change)) - swim(*(at - change))) / 2e-6
-        torch.testing.assert_close(got[:, k], expected, rtol=1e-5, atol=1e-8)
-
-
 @pytest.mark.parametrize("storage", Storage)
 def test_two_bodies_in_a_stream_are_the_same_in_the_in_place_step(storage: Storage) -> None:
     """A still cylinder and one that the wake moves; half precision keeps three digits."""
@@ -222,7 +194,7 @@ def test_two_bodies_in_a_stream_are_the_same_in_the_in_place_step(storage: Stora
 
 
 def test_markers_too_far_apart_are_refused_with_the_remedy() -> None:
-    with pytest.raises(ValueError, match=r"lie 1.* with coupling = 'bounce-back'; give it"):
+    with pytest.raises(ValueError, match="or give marker_spacing = 0.5"):
         FlowConfig(
             width=64,
             height=64,
@@ -230,6 +202,34 @@ def test_markers_too_far_apart_are_refused_with_the_remedy() -> None:
             bodies=(Cylinder(diameter=16),),
             coupling=Coupling.BOUNCE_BACK,
         )
+
+
+@pytest.mark.parametrize("corner", [(MARGIN, MARGIN), (SIZE - 1 - MARGIN, SIZE - 1 - MARGIN)])
+def test_all_links_of_a_body_that_keeps_the_margin_are_on_the_grid(
+    corner: tuple[float, float],
+) -> None:
+    """Compared with a grid so large that no node is clamped."""
+    low = torch.tensor(corner, dtype=torch.float64) == MARGIN
+    for seed in range(12):
+        outline = draw_outline(seed)
+        edge = torch.where(low, outline.amin(1), outline.amax(1))
+        outline = outline - edge + torch.tensor(corner, dtype=torch.float64)
+        here, free = find_links(outline, SIZE, SIZE), find_links(outline + 100, 1000, 1000)
+        for node, shifted in ((here.x, free.x), (here.y, free.y)):
+            assert torch.equal(node[here.is_cut], shifted[free.is_cut] - 100)
+
+
+@pytest.mark.compile
+def test_a_compiled_still_cylinder_feels_the_same_as_in_the_readable_step() -> None:
+    config = make_cylinder(Fixed(), stream_speed=0.05)
+    solver = start_solver(config, MIDDLE, velocity=(1.0, 0.0), compile=True)
+    solver.advance_(40)
+    none = torch.zeros(1, SIZE, SIZE, dtype=torch.float64)
+    body = make_body(MIDDLE, 0 * ONE, 0 * ONE)
+    state = advance(FlowState(make_uniform(none, none + 0.05, none), (body,)), config, 40)
+    expected = state.bodies[0].impulse
+    assert float(expected[0, 0]) > 1.0
+    torch.testing.assert_close(solver.body.impulse, expected, rtol=1e-4, atol=1e-4)
 
 
 def test_links_of_a_body_beyond_the_grid_stay_within_it() -> None:

@@ -6,12 +6,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from fishrl.physics import Cylinder, FlowConfig, FlowState, Scales
+from fishrl.physics import Cylinder, Fish, FlowConfig, FlowState, Scales
 from fishrl.physics.bodies.motion import Driven, Free
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.cases import PERIODIC, make_swimmer_config
 from fishrl.physics.collision import compute_moments
-from fishrl.physics.flow import make_params, make_rest, make_uniform
+from fishrl.physics.flow import Coupling, make_params, make_rest, make_uniform
 from fishrl.physics.step import step
 from tests.physics.flows import advance, start_solver
 
@@ -62,23 +62,27 @@ def test_a_driven_body_moves_at_its_prescribed_velocity_from_any_state() -> None
 SCALES = Scales.from_budget(body_length=20, reynolds=500.0, max_wall_speed=0.1)
 
 
-def swim(phase: Tensor, speed: Tensor) -> Tensor:
+def swim(phase: Tensor, speed: Tensor, coupling: Coupling) -> Tensor:
     """Return what a fish did in three steps, begun at a phase, in a stream of a speed."""
-    config = make_swimmer_config(SCALES, length_bl=3, height_bl=3, motion=Free())
+    fish = Fish(body_length=20, motion=Free(), **coupling.body_settings)
+    config = make_swimmer_config(
+        SCALES, length_bl=3, height_bl=3, bodies=(fish,), coupling=coupling
+    )
     body = make_body(CENTRE, math.pi * ONE, ONE / SCALES.period)
     body = body._replace(phase=phase[None], beats=2 * ONE)
     none = torch.zeros(1, config.height, config.width, dtype=torch.float64)
     state = FlowState(make_uniform(none, none + speed, none), (body,))
     state = advance(state, config, 3)
     (body,) = state.bodies
-    return torch.stack((body.position[0, 1], body.work[0], state.f[0, 1, 30, 20]))
+    return torch.stack((body.position[0, 1], body.work[0], state.f[0, 1, 30, 22]))
 
 
-def test_place_work_and_populations_can_be_differentiated() -> None:
+@pytest.mark.parametrize("coupling", [Coupling.IMPLICIT, Coupling.BOUNCE_BACK])
+def test_place_work_and_populations_can_be_differentiated(coupling: Coupling) -> None:
     """By the phase of the beat and the stream's speed, against central differences."""
     at = torch.tensor([0.7, 0.02], dtype=torch.float64)
-    got = torch.autograd.functional.jacobian(lambda p: swim(*p), at)
+    got = torch.autograd.functional.jacobian(lambda p: swim(*p, coupling), at)
     for shift, column in zip(1e-5 * torch.eye(2, dtype=torch.float64), got.T, strict=True):
-        rise = (swim(*(at + shift)) - swim(*(at - shift))) / 2e-5
+        rise = (swim(*(at + shift), coupling) - swim(*(at - shift), coupling)) / 2e-5
         assert (rise.abs() > 1e-6).all()
         torch.testing.assert_close(column, rise, rtol=1e-5, atol=0)

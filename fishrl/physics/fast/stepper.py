@@ -72,10 +72,12 @@ class Stepper:
                 MoveBodies(config, geometry, buffers),
             ]
         elif config.bodies and is_sharp:
-            skins = keep_skin(config, sample), keep_skin(config, sample)
+            skin = keep_skin(config, sample)
+            skins = skin, skin if config.is_still else keep_skin(config, sample)
             self.locate = LocateSkin(config, layout, skins)
-            parts = BounceOffBodies(config, layout, skins), UncoverNodes(config, layout, skins)
-            self.parts += [parts[0], self.locate, parts[1]]
+            self.parts.append(BounceOffBodies(config, layout, skins))
+            if not config.is_still:
+                self.parts += [self.locate, UncoverNodes(config, layout, skins)]
         elif config.bodies:
             self.parts.append(CoupleBodies(config, layout, geometry, device))
         if config.boundaries.list_crossings(config.height, config.width):
