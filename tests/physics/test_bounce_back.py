@@ -194,7 +194,7 @@ def test_two_bodies_in_a_stream_are_the_same_in_the_in_place_step(storage: Stora
 
 
 def test_markers_too_far_apart_are_refused_with_the_remedy() -> None:
-    with pytest.raises(ValueError, match="or give marker_spacing = 0.5"):
+    with pytest.raises(ValueError, match=r"or give marker_spacing = 0\.5"):
         FlowConfig(
             width=64,
             height=64,
