@@ -82,10 +82,10 @@ class AbstractTask(Settings, ABC):
         stretches = make_schedule(
             self.n_substeps, checks=self.checks_per_action, samples=num_samples
         )
-        config = self.flow_config()  # raises if the domain is too small for the fish
+        self.flow_config()  # raises if the domain is too small for the fish
         # A marker must not leave the grid from the margin between two checks.
         travel = self.swimming_speed * max(s.num_steps for s in stretches)
-        least = max(1.0, config.margin) + travel
+        least = 1.0 + travel
         if self.wall_margin < least:
             raise ValueError(
                 f"wall_margin_bl = {self.wall_margin_bl} is {self.wall_margin:.1f} nodes, but "

@@ -17,7 +17,7 @@ _ALONG = ((1, 0), (0, 1), (1, 1), (1, -1))
 MAX_SPACING = 0.55
 #: Distance of an outline from the edge nodes at which all that is read around its links is on the
 #: grid: the node outside, the next one, and that one's neighbours.
-MARGIN = 3.0
+MARGIN = 2.0
 
 
 class Links(NamedTuple):
