@@ -2,10 +2,8 @@
 
 from fishrl.envs.episodes import run_episodes
 from fishrl.envs.extensions import (
-    HasFlowChanges,
     HasFlowLabels,
     HasHistory,
-    HasSafeSteps,
     HasScene,
 )
 from fishrl.envs.flow_env import FlowEnv
@@ -20,10 +18,8 @@ __all__ = [
     "Command",
     "FlowEnv",
     "Follower",
-    "HasFlowChanges",
     "HasFlowLabels",
     "HasHistory",
-    "HasSafeSteps",
     "HasScene",
     "KarmanGait",
     "OneHotAction",

@@ -9,7 +9,6 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from fishrl.envs.agents import shape_fish
-from fishrl.envs.extensions import HasSafeSteps, find_extension
 from fishrl.envs.task import AbstractTask, Command
 
 MAX_TURN = 2.0 * pi  # radians in one control interval
@@ -42,9 +41,7 @@ def check_answers(task: AbstractTask, now: TensorDictBase) -> None:
         expected = f"(least, largest) of {task.num_actions} numbers, as num_actions says"
         _require(task, "action_bounds", is_right, bounds, expected)
     check_rows(task, "is_terminated", task.is_terminated(now), rows, torch.bool)
-    check_rows(
-        task, "count_safe_steps", find_extension(task, HasSafeSteps).count_safe_steps(now), rows
-    )
+    check_rows(task, "count_safe_steps", task.count_safe_steps(now), rows)
     report, word = task.report(now), task.success
     _require(task, "report", isinstance(report, dict | TensorDictBase), report, "a dict")
     for name, value in report.items():

@@ -23,26 +23,18 @@ Values = Mapping[str, Tensor] | None
 
 @dataclass(frozen=True, kw_only=True)
 class Episodes:
-    """Outcome of E episodes, in the order of their starts; on the CPU.
+    """Outcome of E episodes, in the order of their starts; on the CPU."""
 
-    Args:
-        returns: ``[E]`` sum of rewards, averaged over several fish.
-        lengths: ``[E]`` number of decisions, int64.
-        succeeded: ``[E]`` bool, whether the task was accomplished, see ``has_succeeded``.
-        terminated: ``[E]`` bool, whether the task itself ended the episode.
-        diverged: ``[E]`` bool, whether the flow diverged; such an episode counts as no success.
-        interval_T: duration of a decision in T.
-        counted: ``[E]`` bool each, flags at the end by name, see ``name_counted``.
-        traces: what the callbacks of ``run_episodes`` returned.
-    """
-
-    returns: Tensor
-    lengths: Tensor
-    succeeded: Tensor
-    terminated: Tensor
+    returns: Tensor  #: ``[E]`` sum of rewards, averaged over several fish
+    lengths: Tensor  #: ``[E]`` number of decisions, int64
+    succeeded: Tensor  #: ``[E]`` bool, whether the task was accomplished, see ``has_succeeded``
+    terminated: Tensor  #: ``[E]`` bool, whether the task itself ended the episode
+    #: ``[E]`` bool, whether the flow diverged; such an episode counts as no success
     diverged: Tensor
-    interval_T: float
+    interval_T: float  #: duration of a decision in T
+    #: ``[E]`` bool each, flags at the end by name, see ``name_counted``
     counted: dict[str, Tensor] = field(default_factory=dict)
+    #: what the callbacks of ``run_episodes`` returned
     traces: Traces = field(default_factory=lambda: Traces(0))
 
     def metrics(self) -> dict[str, float]:

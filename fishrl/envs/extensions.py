@@ -1,4 +1,4 @@
-"""Optional bases of a task: history, changes of the flow, flow labels, what is drawn, safe steps.
+"""Optional bases of a task: history, flow labels, and what is drawn.
 
 A task inherits those that it needs, next to ``AbstractTask``. Their defaults add nothing, so that a
 plain instance of a base stands in for a task without it, see ``find_extension``.
@@ -7,7 +7,6 @@ plain instance of a base stands in for a task without it, see ``find_extension``
 from collections.abc import Mapping
 from typing import Any, Self, TypeVar
 
-import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
@@ -61,28 +60,6 @@ class HasHistory:
     def inputs(self) -> tuple[str, ...]:
         """Entries ``[B]`` that a transform writes and ``command`` reads."""
         return ()
-
-
-class HasFlowChanges:
-    """Base of tasks whose flow changes within an episode, for example its stream speed."""
-
-    def prepare_(self, solver: InPlaceSolver, starts: TensorDictBase) -> None:
-        """Change the flow before an action.
-
-        ``starts`` ``[B]`` belong to the episodes; ``solver.body.age`` counts the steps since.
-        """
-
-
-class HasSafeSteps:
-    """Base of tasks that bound how soon an episode can end, which saves checks for termination."""
-
-    def count_safe_steps(self, now: TensorDictBase) -> Tensor:
-        """Return a number of steps ``[B]`` in which an episode certainly does not terminate.
-
-        The environment skips the checks for termination within these steps. ``now`` is as in
-        ``is_terminated``. The default, 0, is always valid.
-        """
-        return torch.zeros(now.shape, device=now.device)
 
 
 class HasFlowLabels:

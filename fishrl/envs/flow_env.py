@@ -30,7 +30,7 @@ from fishrl.envs.checks import (
     scale_action,
 )
 from fishrl.envs.draws import draw_uniform
-from fishrl.envs.extensions import HasFlowChanges, HasHistory, HasSafeSteps, find_extension
+from fishrl.envs.extensions import HasHistory, find_extension
 from fishrl.envs.schedule import make_schedule
 from fishrl.envs.specs import make_action_spec, make_observation_spec, make_reward_spec
 from fishrl.envs.task import AbstractTask
@@ -211,7 +211,7 @@ class FlowEnv(EnvBase):
         before = self.now.copy().update(self._read_inputs(tensordict))
         command = self.task.command(action, before)
         check_command(self.task, command, self._shape)
-        find_extension(self.task, HasFlowChanges).prepare_(self.solver, self.start)
+        self.task.prepare_(self.solver, self.start)
         self.solver.command_(
             command.turn, self.task.n_substeps, command.frequency, command.amplitude
         )
@@ -277,7 +277,7 @@ class FlowEnv(EnvBase):
         """Return for how many steps no row ends; 0 on a GPU, where reading it would wait."""
         if has_ended.is_cuda:
             return 0.0
-        safe = find_extension(self.task, HasSafeSteps).count_safe_steps(now)
+        safe = self.task.count_safe_steps(now)
         return float(safe.masked_fill(has_ended, inf).min())
 
     def _count(self, diverged: Tensor) -> None:

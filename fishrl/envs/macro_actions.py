@@ -107,26 +107,12 @@ class FrequencyControl(Settings, ABC):
         """Initial gear."""
         return (self.num_gears - 1) // 2 if self.first_gear is None else self.first_gear
 
-    def select(self, gear: Tensor, flow: Tensor) -> Tensor:
-        """Return tail beats per T ``[B]``, float64, at gears ``[B]`` and flow labels ``[B]``.
-
-        A label between two whole numbers interpolates between the frequencies of their rows.
-        """
-        rows = torch.tensor(self.rows, dtype=torch.float64, device=gear.device)
-        if self.num_flows is None:
-            return rows[0, gear]
-        low = flow.floor()
-        below, above = (rows[each.long(), gear] for each in (low, flow.ceil()))
-        return below + (flow - low) * (above - below)
-
-    def choose(self, gear: Tensor, action: Tensor, flow: Tensor) -> tuple[Tensor, Tensor]:
-        """Return gear and tail beats per T ``[B]`` after legal actions, see ``select``."""
-        gear = self.shift(gear, action)
-        return gear, self.select(gear, flow)
-
     @abstractmethod
-    def shift(self, gear: Tensor, action: Tensor) -> Tensor:
-        """Return the gear ``[B]`` after legal actions ``[B]``, int64."""
+    def choose(self, gear: Tensor, action: Tensor, flow: Tensor) -> tuple[Tensor, Tensor]:
+        """Return gear ``[B]``, int64, and tail beats per T ``[B]``, float64, after legal actions.
+
+        Gears before them and flow labels are ``[B]``, actions too, ``[B, 1]`` if continuous.
+        """
 
     def mask(self, gear: Tensor) -> Tensor:
         """Return the legal actions ``[B, num_actions]``, bool; by default all."""
@@ -136,7 +122,8 @@ class FrequencyControl(Settings, ABC):
 class MacroActions(FrequencyControl):
     """Decelerate (0), cruise (1) or accelerate (2): shift by one gear in the row of the flow.
 
-    Decelerating is illegal in the first gear, accelerating in the last.
+    Decelerating is illegal in the first gear, accelerating in the last. A flow label between two
+    whole numbers interpolates between the frequencies of their rows.
 
     Args:
         bank: the frequencies.
@@ -156,9 +143,12 @@ class MacroActions(FrequencyControl):
         """Number of rows."""
         return len(self.rows)
 
-    def shift(self, gear: Tensor, action: Tensor) -> Tensor:
-        """Return the gear ``[B]`` after legal actions ``[B]``."""
-        return gear + action - 1
+    def choose(self, gear: Tensor, action: Tensor, flow: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the shifted gear, and its frequency in the row of the flow."""
+        gear, low = gear + action - 1, flow.floor()
+        rows = torch.tensor(self.rows, dtype=torch.float64, device=gear.device)
+        below, above = (rows[each.long(), gear] for each in (low, flow.ceil()))
+        return gear, below + (flow - low) * (above - below)
 
     def mask(self, gear: Tensor) -> Tensor:
         """Return ``[B, 3]`` bool."""
@@ -185,9 +175,10 @@ class DirectFrequencies(FrequencyControl):
         """The frequencies."""
         return tuple(f"{frequency:g} beats/T" for frequency in self.frequencies)
 
-    def shift(self, gear: Tensor, action: Tensor) -> Tensor:
-        """Return the action itself."""
-        return action
+    def choose(self, gear: Tensor, action: Tensor, flow: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the action itself as the gear, and its frequency."""
+        frequencies = torch.tensor(self.frequencies, dtype=torch.float64, device=action.device)
+        return action, frequencies[action]
 
 
 class ContinuousFrequency(FrequencyControl):
@@ -218,8 +209,4 @@ class ContinuousFrequency(FrequencyControl):
 
     def choose(self, gear: Tensor, action: Tensor, flow: Tensor) -> tuple[Tensor, Tensor]:
         """Return the gear as it is, and the action ``[B, 1]`` as the frequency ``[B]``."""
-        return self.shift(gear, action), action.squeeze(-1)
-
-    def shift(self, gear: Tensor, action: Tensor) -> Tensor:
-        """Return the gear as it is."""
-        return gear
+        return gear, action.squeeze(-1)

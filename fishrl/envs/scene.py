@@ -15,24 +15,15 @@ Colour = tuple[int, int, int]
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """A field over the whole grid, ``[Y, X]``.
+    """A field over the whole grid, ``[Y, X]``."""
 
-    Args:
-        key: key of its tensor in each frame.
-        name: name in the legend.
-        unit: unit of its values.
-        limit: value at which the colours saturate.
-        note: meaning of the sign.
-        is_signed: colours diverge around zero; otherwise they begin at zero.
-        saturated: share of the values beyond the limit that a film chooses; None for ``limit``.
-    """
-
-    key: str
-    name: str
-    unit: str
-    limit: float
-    note: str = ""
-    is_signed: bool = True
+    key: str  #: key of its tensor in each frame
+    name: str  #: name in the legend
+    unit: str  #: unit of its values
+    limit: float  #: value at which the colours saturate
+    note: str = ""  #: meaning of the sign
+    is_signed: bool = True  #: colours diverge around zero; otherwise they begin at zero
+    #: share of the values beyond the limit that a film chooses; None for ``limit``
     saturated: float | None = 0.0
 
     def __post_init__(self) -> None:
@@ -47,181 +38,110 @@ class Field:
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """A curve ``[N, 2]``: closed and filled, or an open line such as a midline.
+    """A curve ``[N, 2]``: closed and filled, or an open line such as a midline."""
 
-    Args:
-        key: key of its tensor.
-        colour: RGB colour of the line and the filling.
-        is_closed: whether the last point joins the first; a closed curve is filled.
-        order: curves of higher order lie above.
-    """
-
-    key: str
-    colour: Colour
-    is_closed: bool = True
-    order: float = 4.0
+    key: str  #: key of its tensor
+    colour: Colour  #: RGB colour of the line and the filling
+    is_closed: bool = True  #: whether the last point joins the first; a closed curve is filled
+    order: float = 4.0  #: curves of higher order lie above
 
 
 @dataclass(frozen=True, kw_only=True)
 class Marks:
-    """Points ``[P, 2]`` or one point ``[2]``, in one colour or coloured by a value each.
+    """Points ``[P, 2]`` or one point ``[2]``, in one colour or coloured by a value each."""
 
-    Args:
-        key: key of their tensor.
-        radius: radius of a point, nodes.
-        colour: RGB colour of points without values.
-        value: key of the values ``[P]``; they are drawn in diverging colours around zero.
-        name: name of the value in the legend.
-        unit: unit of the value.
-        limit: value at which the colours saturate.
-        reach: radius of a circle around each, nodes; 0 draws none.
-    """
-
-    key: str
-    radius: float
-    colour: Colour = (120, 120, 120)
+    key: str  #: key of their tensor
+    radius: float  #: radius of a point, nodes
+    colour: Colour = (120, 120, 120)  #: RGB colour of points without values
+    #: key of the values ``[P]``; they are drawn in diverging colours around zero
     value: str | None = None
-    name: str = ""
-    unit: str = ""
-    limit: float = 1.0
-    reach: float = 0.0
+    name: str = ""  #: name of the value in the legend
+    unit: str = ""  #: unit of the value
+    limit: float = 1.0  #: value at which the colours saturate
+    reach: float = 0.0  #: radius of a circle around each, nodes; 0 draws none
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arrow:
-    """A vector ``[2]`` drawn as an arrow, such as the force on a body.
+    """A vector ``[2]`` drawn as an arrow, such as the force on a body."""
 
-    Args:
-        key: key of the vector.
-        at: key of the point ``[2]`` where it begins.
-        scale: nodes per unit of the vector.
-        colour: RGB colour of the arrow.
-    """
-
-    key: str
-    at: str
-    scale: float
-    colour: Colour = (0, 158, 115)
+    key: str  #: key of the vector
+    at: str  #: key of the point ``[2]`` where it begins
+    scale: float  #: nodes per unit of the vector
+    colour: Colour = (0, 158, 115)  #: RGB colour of the arrow
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trail:
-    """The path of a point ``[2]`` since its episode began.
+    """The path of a point ``[2]`` since its episode began."""
 
-    Args:
-        key: key of the point.
-        colour: RGB colour of the line.
-        length_T: how far back it reaches.
-    """
-
-    key: str
-    colour: Colour = (90, 90, 90)
-    length_T: float = 30.0
+    key: str  #: key of the point
+    colour: Colour = (90, 90, 90)  #: RGB colour of the line
+    length_T: float = 30.0  #: how far back it reaches
 
 
 @dataclass(frozen=True, kw_only=True)
 class Area:
-    """A fixed rectangle that the fish must not leave.
+    """A fixed rectangle that the fish must not leave."""
 
-    Args:
-        key: its name.
-        low: corner (x, y) in nodes.
-        high: the opposite corner.
-        colour: RGB colour of its border and of the strokes outside.
-    """
-
-    key: str
-    low: tuple[float, float]
-    high: tuple[float, float]
-    colour: Colour = (200, 30, 40)
+    key: str  #: its name
+    low: tuple[float, float]  #: corner (x, y) in nodes
+    high: tuple[float, float]  #: the opposite corner
+    colour: Colour = (200, 30, 40)  #: RGB colour of its border and of the strokes outside
 
 
 @dataclass(frozen=True, kw_only=True)
 class Series:
-    """One line of a plot.
+    """One line of a plot."""
 
-    Args:
-        key: key of its tensor.
-        label: label in the legend.
-        column: index into the tensor; None if it is a single number.
-        is_rate: draw its change per T since the previous frame instead.
-        colour: RGB colour of the line; by default the viewer chooses.
-    """
-
-    key: str
-    label: str
-    column: int | None = None
-    is_rate: bool = False
-    colour: Colour | None = None
+    key: str  #: key of its tensor
+    label: str  #: label in the legend
+    column: int | None = None  #: index into the tensor; None if it is a single number
+    is_rate: bool = False  #: draw its change per T since the previous frame instead
+    colour: Colour | None = None  #: RGB colour of the line; by default the viewer chooses
 
 
 @dataclass(frozen=True, kw_only=True)
 class Panel:
-    """A plot over time. NaN, and what a frame does not hold, is left out.
+    """A plot over time. NaN, and what a frame does not hold, is left out."""
 
-    Args:
-        name: name of the plot, with its unit.
-        series: its lines.
-        span: range of the vertical axis; by default the range of the values.
-        is_step: values hold since the previous frame, rather than at an instant.
-        is_output: the keys are entries of the env's output rather than of ``views.read_scene``; the
-            plot is left out where the env has no such entry.
-        is_log: draw sign(x) log2(1 + abs(x)), in which 1 is 1 and small values show next to large
-            ones.
-    """
-
-    name: str
-    series: tuple[Series, ...]
+    name: str  #: name of the plot, with its unit
+    series: tuple[Series, ...]  #: its lines
+    #: range of the vertical axis; by default the range of the values
     span: tuple[float, float] | None = None
-    is_step: bool = False
+    is_step: bool = False  #: values hold since the previous frame, rather than at an instant
+    #: the keys are entries of the env's output rather than of ``views.read_scene``; the plot is
+    #: left out where the env has no such entry
     is_output: bool = False
+    #: draw sign(x) log2(1 + abs(x)), in which 1 is 1 and small values show next to large ones
     is_log: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """The plot of the action: a line for the chosen one, dots for those that were legal.
+    """The plot of the action: a line for the chosen one, dots for those that were legal."""
 
-    Args:
-        names: names of the actions, in order.
-        fish: index into both, where there is an action of each of several fish.
-        name: name of the plot.
-    """
-
-    names: tuple[str, ...]
-    fish: int | None = None
-    name: str = "action (line) among the legal ones (dots)"
+    names: tuple[str, ...]  #: names of the actions, in order
+    fish: int | None = None  #: index into both, where there is an action of each of several fish
+    name: str = "action (line) among the legal ones (dots)"  #: name of the plot
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """What is drawn of each flow of a task.
+    """What is drawn of each flow of a task."""
 
-    Args:
-        body_length: L, nodes.
-        width: nodes along x.
-        height: nodes along y.
-        fields: fields of the flow; the first one is drawn, the others can be chosen instead.
-        curves: bodies and lines, in drawing order.
-        marks: points; one with a ``reach`` is the goal.
-        arrows: forces, velocities.
-        trails: paths of points.
-        areas: rectangles.
-        panels: plots next to the flow.
-        note: further explanations, markdown.
-    """
-
-    body_length: float
-    width: int
-    height: int
+    body_length: float  #: L, nodes
+    width: int  #: nodes along x
+    height: int  #: nodes along y
+    #: fields of the flow; the first one is drawn, the others can be chosen instead
     fields: tuple[Field, ...]
-    curves: tuple[Curve, ...] = ()
-    marks: tuple[Marks, ...] = ()
-    arrows: tuple[Arrow, ...] = ()
-    trails: tuple[Trail, ...] = ()
-    areas: tuple[Area, ...] = ()
-    panels: tuple[Panel | Choice, ...] = ()
-    note: str = ""
+    curves: tuple[Curve, ...] = ()  #: bodies and lines, in drawing order
+    marks: tuple[Marks, ...] = ()  #: points; one with a ``reach`` is the goal
+    arrows: tuple[Arrow, ...] = ()  #: forces, velocities
+    trails: tuple[Trail, ...] = ()  #: paths of points
+    areas: tuple[Area, ...] = ()  #: rectangles
+    panels: tuple[Panel | Choice, ...] = ()  #: plots next to the flow
+    note: str = ""  #: further explanations, markdown
 
     @property
     def field(self) -> Field:
@@ -266,14 +186,9 @@ class Scene:
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """One moment of one flow.
+    """One moment of one flow."""
 
-    Args:
-        time: time in T; it never decreases from frame to frame.
-        values: tensors by the keys of the scene; those that are missing are not drawn.
-        begins: whether an episode begins here.
-    """
-
-    time: float
+    time: float  #: time in T; it never decreases from frame to frame
+    #: tensors by the keys of the scene; those that are missing are not drawn
     values: Mapping[str, Tensor]
-    begins: bool = False
+    begins: bool = False  #: whether an episode begins here

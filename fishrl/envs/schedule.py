@@ -5,21 +5,13 @@ from typing import NamedTuple
 
 
 class Stretch(NamedTuple):
-    """Steps up to the next event.
+    """Steps up to the next event."""
 
-    Attributes:
-        num_steps: number of steps, even.
-        is_check: check for termination after them.
-        is_frame: call ``on_frame`` after them.
-        is_sample: record sensor samples after them.
-        is_last: the action ends after them.
-    """
-
-    num_steps: int
-    is_check: bool
-    is_frame: bool
-    is_sample: bool
-    is_last: bool
+    num_steps: int  #: number of steps, even
+    is_check: bool  #: check for termination after them
+    is_frame: bool  #: call ``on_frame`` after them
+    is_sample: bool  #: record sensor samples after them
+    is_last: bool  #: the action ends after them
 
 
 def make_schedule(

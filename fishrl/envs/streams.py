@@ -14,15 +14,15 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from fishrl.envs.changes import StreamChanges
-from fishrl.envs.scene import Area, Panel, Series
+from fishrl.envs.scene import Area
+from fishrl.envs.starts import place_fish
 from fishrl.envs.task import AbstractTask
 from fishrl.envs.wakes import WakeBank, WakeRecipe, load_wakes
-from fishrl.physics.bodies.fish import Fish
 from fishrl.physics.bodies.outline import BodyParams, DCylinder
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge
 from fishrl.physics.fast.solver import InPlaceSolver
-from fishrl.physics.flow import Coupling, FlowConfig
-from fishrl.physics.units import MAX_WALL_SPEED, Scales
+from fishrl.physics.flow import FlowConfig
+from fishrl.physics.units import MAX_WALL_SPEED
 from fishrl.settings import Settings
 
 
@@ -87,80 +87,6 @@ class Stream(Settings):
             for speed, diameter in zip(self.speeds_bl, self.diameters_bl, strict=True)
         ]
 
-    def make_config(
-        self,
-        fish: Fish,
-        scales: Scales,
-        domain_bl: tuple[float, float],
-        coupling: Coupling = Coupling.IMPLICIT,
-    ) -> FlowConfig:
-        """Return the flow of the fastest stream with the fish and, if any, the largest disc."""
-        width, height = (round(size * scales.body_length) for size in domain_bl)
-        moving = NonEquilibrium(velocity=(1.0, 0.0))
-        diameter = max(self.diameters_bl) * scales.body_length
-        discs = _make_discs(self._measure_discs(scales), coupling) if self.has_disc else ()
-        largest = sorted(discs, key=lambda disc: disc.diameter)[-1:]
-        config = FlowConfig(
-            width=width,
-            height=height,
-            tau=scales.tau,
-            stream_speed=max(self.speeds_bl) * scales.reference_speed,
-            bodies=(fish, *largest),
-            boundaries=Boundaries(left=moving, right=OpenEdge(), bottom=moving, top=moving),
-            coupling=coupling,
-        )
-        for disc in discs:
-            replace(config, bodies=(disc,))  # raises if its markers lie too close
-        x, y = self.find_origin(config, scales)
-        if self.has_disc and not (min(x, y) - 0.5 * diameter >= 2.0 and x <= width - 3.0):
-            raise ValueError(
-                f"face_bl = {self.face_bl}, diameter_bl = {self.diameter_bl}: the half disc "
-                f"exceeds the domain of {domain_bl[0]:g} L x {domain_bl[1]:g} L; move it, "
-                "reduce it, or enlarge domain_bl"
-            )
-        if self.changes is not None:
-            speeds = torch.tensor(self.changes.range_bl, dtype=torch.float64)
-            _check_speeds(f"stream.changes = {self.changes}", speeds, scales)
-        return config
-
-    def find_origin(self, config: FlowConfig, scales: Scales) -> tuple[float, float]:
-        """Return the middle of the disc's flat side (x, y) in nodes."""
-        return self.face_bl * scales.body_length, 0.5 * (config.height - 1)
-
-    def find_discs(self, config: FlowConfig, scales: Scales) -> list[tuple[float, float]]:
-        """Return each half disc's centre of area, 2 D / (3 pi) upstream of its flat side."""
-        x, y = self.find_origin(config, scales)
-        return [(x - 2.0 * size / (3.0 * pi), y) for size in self._measure_discs(scales)]
-
-    def _measure_discs(self, scales: Scales) -> tuple[float, ...]:
-        """Return the diameter of each half disc in nodes."""
-        return tuple(diameter * scales.body_length for diameter in self.diameters_bl)
-
-    def load_wakes(self, config: FlowConfig, scales: Scales) -> WakeBank:
-        """Return the developed wakes of all flows, from the file of each diameter if it exists."""
-        discs = _make_discs(self._measure_discs(scales), config.coupling)
-        places = self.find_discs(config, scales)
-        wakes: dict[int, tuple[Tensor, Tensor]] = {}
-        for diameter in dict.fromkeys(self.diameters_bl):
-            own = [flow for flow, other in enumerate(self.diameters_bl) if other == diameter]
-            recipe = WakeRecipe(
-                config=replace(config, bodies=(discs[own[0]],)),
-                position=places[own[0]],
-                heading=pi,
-                speeds=tuple(scales.reference_speed * self.speeds_bl[flow] for flow in own),
-                num_phases=self.num_phases,
-                num_travels=self.num_travels,
-            )
-            bank = load_wakes(recipe, self.wake_folder)
-            if len(own) == len(self.speeds_bl):
-                return bank
-            each = zip(bank.populations, bank.shedding_frequencies, strict=True)
-            wakes |= zip(own, each, strict=True)
-        populations, frequencies = zip(*(wakes[flow] for flow in sorted(wakes)), strict=True)
-        return WakeBank(
-            populations=torch.stack(populations), shedding_frequencies=torch.stack(frequencies)
-        )
-
     def draw_changes(self, flow: Tensor, key: Tensor, *, duration_T: float) -> dict[str, Tensor]:
         """Return ``stream_speeds`` ``[E, K]``, L / T: what the K changes of an episode lead to.
 
@@ -172,87 +98,13 @@ class Stream(Settings):
         num = self.changes.count(duration_T)
         return {"stream_speeds": self.changes.draw_speeds(first, key, num)}
 
-    def check_starts(self, starts: TensorDictBase, scales: Scales) -> None:
-        """Raise ValueError for changes to speeds beyond the validated range."""
-        if self.changes is not None:
-            _check_speeds("starts['stream_speeds']", starts["stream_speeds"], scales)
-
-    def change_(
-        self, solver: InPlaceSolver, starts: TensorDictBase, *, scales: Scales, num_steps: int
-    ) -> None:
-        """Begin the changes that fell due within the last ``num_steps``."""
-        if self.changes is None or not starts["stream_speeds"].shape[1]:
-            return
-        speeds, age = starts["stream_speeds"], solver.body.age[:, None]
-        times = speeds.new_tensor(self.changes.list_times(speeds.shape[1])) * scales.period
-        num, num_before = ((times <= now + 1e-6).sum(1) for now in (age, age - num_steps))
-        target = speeds.gather(1, (num[:, None] - 1).clamp_min(0))[:, 0]
-        solver.set_stream_speed_(
-            scales.reference_speed * target,
-            num > num_before,
-            num_steps=round(self.changes.ramp_T * scales.period),
-        )
-
-    def measure(self, solver: InPlaceSolver, first: Tensor, scales: Scales) -> dict[str, Tensor]:
-        """Return ``flow_index`` ``[B]``, and ``stream_speed`` ``[B]`` in L / T if it changes.
-
-        ``flow_index`` is the flow behind the same disc whose speed is nearest at present; ``first``
-        ``[B]`` is the flow at the start.
-        """
-        if self.changes is None:
-            return {"flow_index": first.clone()}
-        speed = solver.stream_speed / scales.reference_speed
-        flows = (self.speeds_bl, self.diameters_bl)
-        known, sizes = torch.tensor(flows, dtype=speed.dtype, device=speed.device)
-        difference = (speed[:, None] - known).abs()
-        is_other = sizes != sizes[first][:, None]
-        return {
-            "flow_index": difference.masked_fill(is_other, inf).argmin(-1),
-            "stream_speed": speed,
-        }
-
-    def report(self, now: TensorDictBase) -> dict[str, Tensor]:
-        """Return the entries of ``measure`` that only a changing stream has."""
-        return {} if self.changes is None else {"stream_speed": now["stream_speed"]}
-
-    @property
-    def panels(self) -> tuple[Panel, ...]:
-        """A plot of the present speed, if it changes."""
-        series = (Series(key="stream_speed", label="speed"),)
-        return () if self.changes is None else (Panel(name="stream speed [L/T]", series=series),)
-
-    def begin_(
-        self,
-        solver: InPlaceSolver,
-        rows: Tensor,
-        starts: Mapping[str, Tensor],
-        place: tuple[Tensor, Tensor],
-        *,
-        scales: Scales,
-        wakes: WakeBank | None,
-    ) -> None:
-        """Reset stream speed, wake and bodies of the flows in ``rows`` ``[B]`` bool.
-
-        ``starts`` hold ``flow_index`` and ``wake_phase``, ``[B]`` each, ``place`` centre of mass
-        ``[B, 2]`` and heading ``[B]`` of the fish; without ``wakes`` the stream is undisturbed.
-        """
-        flow, (position, heading) = starts["flow_index"], place
-        speeds = torch.tensor(self.speeds_bl, dtype=torch.float64, device=rows.device)
-        solver.set_stream_speed_(scales.reference_speed * speeds[flow], rows)
-        if self.has_disc:
-            places = torch.tensor(self.find_discs(solver.config, scales)).to(position)
-            position = torch.stack((position, places[flow]), 1)
-            sizes, coupling = self._measure_discs(scales), solver.config.coupling
-            params = _draw_discs(sizes, coupling, rows.device)
-            solver.set_body_(1, pytree.tree_map(lambda each: each[flow], params), rows)
-            heading = torch.stack((heading, torch.full_like(heading, pi)), 1)
-        solver.reset_(rows, position, heading, velocity=(1.0, 0.0))
-        if wakes is not None:
-            solver.set_populations_(wakes.take(flow[rows], starts["wake_phase"][rows]), rows)
-
 
 class AbstractStreamTask(AbstractTask):
-    """Base of tasks in streams; places are (x, y) in L from the middle of the disc's flat side."""
+    """Base of tasks in streams; places are (x, y) in L from the middle of the disc's flat side.
+
+    Starts hold ``wake_phase`` ``[E]`` in [0, 1), ``flow_index`` ``[E]`` unless there is one stream,
+    and what ``Stream.draw_changes`` returns.
+    """
 
     @property
     @abstractmethod
@@ -264,21 +116,76 @@ class AbstractStreamTask(AbstractTask):
         """Fastest of the known streams."""
         return max(self.stream.speeds_bl)
 
-    def flow_config(self) -> FlowConfig:
-        """Return the flow with the fastest stream."""
-        return self.stream.make_config(self.fish, self.scales, self.domain_bl, self.coupling)
-
     @cached_property
     def origin(self) -> tuple[float, float]:
         """Middle of the disc's flat side, (x, y) in nodes."""
-        return self.stream.find_origin(self.flow_config(), self.scales)
+        return self.stream.face_bl * self.body_length, 0.5 * (super().flow_config().height - 1)
+
+    @cached_property
+    def discs(self) -> tuple[DCylinder, ...]:
+        """Half disc of each stream, all with the markers of the largest; empty without discs."""
+        if not self.stream.has_disc:
+            return ()
+        sizes = [diameter * self.body_length for diameter in self.stream.diameters_bl]
+        largest = DCylinder(diameter=max(sizes), **self.coupling.body_settings)
+        return tuple(replace(largest, diameter=size) for size in sizes)
+
+    @property
+    def disc_places(self) -> list[tuple[float, float]]:
+        """Centre of area of each half disc, 2 D / (3 pi) upstream of its flat side, in nodes."""
+        x, y = self.origin
+        return [(x - 2.0 * disc.diameter / (3.0 * pi), y) for disc in self.discs]
 
     @cached_property
     def wakes(self) -> WakeBank | None:
-        """Developed wakes in which episodes begin; None in free streams."""
-        if not self.stream.has_disc:
+        """Developed wakes in which episodes begin, a file for each diameter; None without discs."""
+        stream, scales, found = self.stream, self.scales, dict[int, tuple[Tensor, Tensor]]()
+        if not stream.has_disc:
             return None
-        return self.stream.load_wakes(self.flow_config(), self.scales)
+        for diameter in dict.fromkeys(stream.diameters_bl):
+            own = [flow for flow, other in enumerate(stream.diameters_bl) if other == diameter]
+            recipe = WakeRecipe(
+                config=replace(self.flow_config(), bodies=(self.discs[own[0]],)),
+                position=self.disc_places[own[0]],
+                heading=pi,
+                speeds=tuple(scales.reference_speed * stream.speeds_bl[flow] for flow in own),
+                num_phases=stream.num_phases,
+                num_travels=stream.num_travels,
+            )
+            bank = load_wakes(recipe, stream.wake_folder)
+            if len(own) == len(stream.speeds_bl):
+                return bank
+            each = zip(bank.populations, bank.shedding_frequencies, strict=True)
+            found |= zip(own, each, strict=True)
+        populations, frequencies = zip(*(found[flow] for flow in sorted(found)), strict=True)
+        return WakeBank(
+            populations=torch.stack(populations), shedding_frequencies=torch.stack(frequencies)
+        )
+
+    def flow_config(self) -> FlowConfig:
+        """Return the flow of the fastest stream with the fish and, if any, the largest disc."""
+        stream, moving = self.stream, NonEquilibrium(velocity=(1.0, 0.0))
+        largest = sorted(self.discs, key=lambda disc: disc.diameter)[-1:]
+        config = replace(
+            super().flow_config(),
+            stream_speed=self.scales.stream_speed,
+            bodies=(self.fish, *largest),
+            boundaries=Boundaries(left=moving, right=OpenEdge(), bottom=moving, top=moving),
+        )
+        for disc in self.discs:
+            replace(config, bodies=(disc,))  # raises if its markers lie too close
+            x, y = self.origin
+            if not (min(x, y) - 0.5 * disc.diameter >= 2.0 and x <= config.width - 3.0):
+                width, height = self.domain_bl
+                raise ValueError(
+                    f"face_bl = {stream.face_bl}, diameter_bl = {stream.diameter_bl}: the half "
+                    f"disc exceeds the domain of {width:g} L x {height:g} L; move it, reduce it, "
+                    "or enlarge domain_bl"
+                )
+        if stream.changes is not None:
+            speeds = torch.tensor(stream.changes.range_bl, dtype=torch.float64)
+            self._check_speeds(f"stream.changes = {stream.changes}", speeds)
+        return config
 
     def locate(self, position: Tensor) -> Tensor:
         """Return the places of positions ``[..., 2]`` in nodes."""
@@ -292,35 +199,91 @@ class AbstractStreamTask(AbstractTask):
         return Area(key=key, low=(near, y - aside), high=(far, y + aside))
 
     def check_starts(self, starts: TensorDictBase) -> None:
-        """Also check the wake phases."""
+        """Also check the wake phases, and changes for speeds beyond the validated range."""
         super().check_starts(starts)
         phase = starts["wake_phase"]
         if not ((phase >= 0.0) & (phase < 1.0)).all():
             raise ValueError(f"starts['wake_phase'] = {phase.tolist()}: allowed is [0, 1)")
+        if self.stream.changes is not None:
+            self._check_speeds("starts['stream_speeds']", starts["stream_speeds"])
+
+    def place_(self, solver: InPlaceSolver, rows: Tensor, starts: TensorDictBase) -> None:
+        """Set the stream, wake and bodies of each row."""
+        self.begin_(solver, rows, starts, place_fish(starts, self.fish))
+
+    def begin_(
+        self,
+        solver: InPlaceSolver,
+        rows: Tensor,
+        starts: Mapping[str, Tensor],
+        place: tuple[Tensor, Tensor],
+    ) -> None:
+        """Reset stream speed, wake and bodies of the flows in ``rows`` ``[B]`` bool.
+
+        ``starts`` hold ``flow_index`` and ``wake_phase``, ``[B]`` each, ``place`` centre of mass
+        ``[B, 2]`` and heading ``[B]`` of the fish.
+        """
+        flow, (position, heading) = starts["flow_index"], place
+        speeds = torch.tensor(self.stream.speeds_bl, dtype=torch.float64, device=rows.device)
+        solver.set_stream_speed_(self.scales.reference_speed * speeds[flow], rows)
+        if self.discs:
+            places = torch.tensor(self.disc_places).to(position)
+            position = torch.stack((position, places[flow]), 1)
+            params = _make_params(self.discs, rows.device)
+            solver.set_body_(1, pytree.tree_map(lambda each: each[flow], params), rows)
+            heading = torch.stack((heading, torch.full_like(heading, pi)), 1)
+        solver.reset_(rows, position, heading, velocity=(1.0, 0.0))
+        if self.wakes is not None:
+            solver.set_populations_(self.wakes.take(flow[rows], starts["wake_phase"][rows]), rows)
+
+    def prepare_(self, solver: InPlaceSolver, starts: TensorDictBase) -> None:
+        """Begin the changes of the stream that fell due within the last action."""
+        changes = self.stream.changes
+        if changes is None or not starts["stream_speeds"].shape[1]:
+            return
+        speeds, age = starts["stream_speeds"], solver.body.age[:, None]
+        times = speeds.new_tensor(changes.list_times(speeds.shape[1])) * self.scales.period
+        num, num_before = ((times <= now + 1e-6).sum(1) for now in (age, age - self.n_substeps))
+        target = speeds.gather(1, (num[:, None] - 1).clamp_min(0))[:, 0]
+        solver.set_stream_speed_(
+            self.scales.reference_speed * target,
+            num > num_before,
+            num_steps=round(changes.ramp_T * self.scales.period),
+        )
+
+    def measure_stream(self, solver: InPlaceSolver, first: Tensor) -> dict[str, Tensor]:
+        """Return ``flow_index`` ``[B]``, and ``stream_speed`` ``[B]`` in L / T if it changes.
+
+        ``flow_index`` is the flow behind the same disc whose speed is nearest at present; ``first``
+        ``[B]`` is the flow at the start.
+        """
+        if self.stream.changes is None:
+            return {"flow_index": first.clone()}
+        speed = solver.stream_speed / self.scales.reference_speed
+        flows = (self.stream.speeds_bl, self.stream.diameters_bl)
+        known, sizes = torch.tensor(flows, dtype=speed.dtype, device=speed.device)
+        difference = (speed[:, None] - known).abs()
+        is_other = sizes != sizes[first][:, None]
+        return {
+            "flow_index": difference.masked_fill(is_other, inf).argmin(-1),
+            "stream_speed": speed,
+        }
+
+    def _check_speeds(self, name: str, speeds: Tensor) -> None:
+        """Raise ValueError unless speeds (L / T) are positive and of a validated Mach number."""
+        fastest = MAX_WALL_SPEED / self.scales.reference_speed
+        if not ((speeds > 0.0) & (speeds <= fastest * (1.0 + 1e-9))).all():
+            low, high = speeds.min().item(), speeds.max().item()
+            raise ValueError(
+                f"{name} reaches from {low:g} to {high:g} L/T: allowed are speeds above 0 and up "
+                f"to {floor(1e3 * fastest) / 1e3:g} L/T, which is {MAX_WALL_SPEED} nodes per step "
+                f"(Mach {MAX_WALL_SPEED * 3**0.5:.2f}); lower the speeds, or max_wall_speed"
+            )
 
 
 @cache
-def _make_discs(sizes: tuple[float, ...], coupling: Coupling) -> tuple[DCylinder, ...]:
-    """Return half discs of these diameters in nodes, all with the markers of the largest."""
-    largest = DCylinder(diameter=max(sizes), **coupling.body_settings)
-    return tuple(replace(largest, diameter=size) for size in sizes)
-
-
-@cache
-def _draw_discs(sizes: tuple[float, ...], coupling: Coupling, device: torch.device) -> BodyParams:
-    """Return the parameters ``[n, ...]`` of these half discs."""
-    params = [disc.make_params(device) for disc in _make_discs(sizes, coupling)]
+def _make_params(discs: tuple[DCylinder, ...], device: torch.device) -> BodyParams:
+    """Return the parameters ``[n, ...]`` of half discs."""
+    params = [disc.make_params(device) for disc in discs]
     joined: BodyParams = pytree.tree_map(lambda *each: torch.cat(each), *params)
     return joined
-
-
-def _check_speeds(name: str, speeds: Tensor, scales: Scales) -> None:
-    """Raise ValueError unless speeds (L / T) are positive and within the validated Mach number."""
-    fastest = MAX_WALL_SPEED / scales.reference_speed
-    if not ((speeds > 0.0) & (speeds <= fastest * (1.0 + 1e-9))).all():
-        low, high = speeds.min().item(), speeds.max().item()
-        raise ValueError(
-            f"{name} reaches from {low:g} to {high:g} L/T: allowed are speeds above 0 and up to "
-            f"{floor(1e3 * fastest) / 1e3:g} L/T, which is {MAX_WALL_SPEED} nodes per step (Mach "
-            f"{MAX_WALL_SPEED * 3**0.5:.2f}); lower the speeds, or max_wall_speed"
-        )

@@ -34,16 +34,12 @@ _Size = Annotated[float, Field(gt=0, le=1e6)]
 class Command(NamedTuple):
     """Command to the body for one control interval.
 
-    Attributes:
-        turn: ``[B]`` change of heading in radians, spread smoothly over the interval.
-        frequency: ``[B]`` tail beats per step, or None to keep it.
-        amplitude: ``[B]`` share of the gait's amplitude, 0 to 1, or None to keep it.
-
     Commands to M fish are ``[B, M]``.
     """
 
-    turn: Tensor
-    frequency: Tensor | None = None
+    turn: Tensor  #: ``[B]`` change of heading in radians, spread smoothly over the interval
+    frequency: Tensor | None = None  #: ``[B]`` tail beats per step, or None to keep it
+    #: ``[B]`` share of the gait's amplitude, 0 to 1, or None to keep it
     amplitude: Tensor | None = None
 
 
@@ -232,6 +228,13 @@ class AbstractTask(Settings, ABC):
         position, heading = place_fish(starts, self.fish)
         solver.reset_(rows, position, heading)
 
+    def prepare_(self, solver: InPlaceSolver, starts: TensorDictBase) -> None:
+        """Change the flow, such as its stream speed, before an action; by default nothing changes.
+
+        ``starts`` ``[B]`` belong to the episodes; ``solver.body.age`` counts the steps since.
+        """
+        return
+
     @abstractmethod
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
         """Map legal actions ``[B]`` (int64, in [0, num_actions)) to commands to the body.
@@ -263,6 +266,14 @@ class AbstractTask(Settings, ABC):
 
         Also called within actions, with the entries of ``measure`` only.
         """
+
+    def count_safe_steps(self, now: TensorDictBase) -> Tensor:
+        """Return a number of steps ``[B]`` in which an episode certainly does not terminate.
+
+        The environment skips the checks for termination within these steps. ``now`` is as in
+        ``is_terminated``. The default, 0, is always valid.
+        """
+        return torch.zeros(now.shape, device=now.device)
 
     def action_mask(self, now: TensorDictBase) -> Tensor:
         """Return ``[B, num_actions]`` bool: legal discrete actions, at least one per row."""

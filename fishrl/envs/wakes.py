@@ -10,12 +10,12 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import torch
 from pydantic import Field, PositiveFloat, PositiveInt
 from torch import Tensor
-from tqdm import tqdm
+from tqdm import trange
 
 from fishrl.files import load_tensors, staged
 from fishrl.memory import check_memory
@@ -28,8 +28,6 @@ from fishrl.settings import Settings
 
 logger = logging.getLogger(__name__)
 
-_FORMAT = "fishrl wakes, 1"
-_BAR = "{desc} {percentage:3.0f}%|{bar:20}| {n:.0f}/{total:.0f}{unit} [{elapsed}<{remaining}]"
 _SAMPLES_PER_TRAVEL = 16  # of the lift; a shedding period is about five travels
 
 
@@ -60,15 +58,10 @@ class WakeRecipe(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class WakeBank:
-    """Developed wakes of n flows at K phases.
+    """Developed wakes of n flows at K phases."""
 
-    Args:
-        populations: ``[n, K, Q, Y, X]`` shifted by the weights, float32.
-        shedding_frequencies: ``[n]`` per step, from the zero crossings of the lift, float64.
-    """
-
-    populations: Tensor
-    shedding_frequencies: Tensor
+    populations: Tensor  #: ``[n, K, Q, Y, X]`` shifted by the weights, float32
+    shedding_frequencies: Tensor  #: ``[n]`` per step, from the zero crossings of the lift, float64
     _copies: dict[torch.device, Tensor] = field(default_factory=dict, init=False, repr=False)
 
     def take(self, flow: Tensor, phase: Tensor) -> Tensor:
@@ -82,32 +75,18 @@ class WakeBank:
         return bank[flow, (phase * bank.shape[1]).long()]
 
 
-def load_wakes(recipe: WakeRecipe, folder: str | Path, *, compile: bool = True) -> WakeBank:
+def load_wakes(recipe: WakeRecipe, folder: str | Path) -> WakeBank:
     """Read the bank of a recipe from its file in ``folder``, or compute and store it."""
     path = Path(folder).expanduser() / f"wakes-{recipe.key}.pt"
-    if not path.is_file():
-        logger.info("developing %d wakes; they will be stored in %s", len(recipe.speeds), path)
-        bank = develop_wakes(recipe, compile=compile)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with staged(path) as stage:
-            content = {
-                "populations": bank.populations,
-                "shedding_frequencies": bank.shedding_frequencies,
-            }
-            torch.save({"format": _FORMAT, "key": recipe.key, **content}, stage)
-        return bank
-    entries = ("format", "key", "populations", "shedding_frequencies")
-    content = load_tensors(path, what="wakes", remedy="delete the file", entries=entries)
-    if content.pop("format") != _FORMAT:
-        raise ValueError(f"wakes {path}: there are no wakes in it; delete the file")
-    config, key = recipe.config, content.pop("key")
-    shape = (len(recipe.speeds), recipe.num_phases, 9, config.height, config.width)
-    bank = WakeBank(**content)
-    if key != recipe.key or tuple(bank.populations.shape) != shape:
-        raise ValueError(
-            f"wakes {path}: the file is of recipe {key} with shape "
-            f"{tuple(bank.populations.shape)}, expected {recipe.key} with {shape}; delete the file"
-        )
+    names = ("populations", "shedding_frequencies")
+    if path.is_file():
+        content = load_tensors(path, what="wakes", remedy="delete the file", entries=names)
+        return WakeBank(**content)
+    logger.info("developing %d wakes; they will be stored in %s", len(recipe.speeds), path)
+    bank = develop_wakes(recipe)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with staged(path) as stage:
+        torch.save({name: getattr(bank, name) for name in names}, stage)
     return bank
 
 
@@ -125,15 +104,11 @@ def develop_wakes(recipe: WakeRecipe, *, compile: bool = True) -> WakeBank:
     solver = InPlaceSolver(config=config, num_envs=1, compile=compile, num_workers=0)
     wakes: list[Tensor] = []
     frequencies: list[float] = []
-    total = recipe.num_travels * len(recipe.speeds)
-    with tqdm(
-        total=total, desc="wakes", unit=" D/U", bar_format=_BAR, leave=False, disable=None
-    ) as bar:
-        for speed in recipe.speeds:
-            snapshots, frequency = _develop(solver, recipe, speed, bar)
-            logger.info("wake %d: Strouhal %.4f", len(wakes) + 1, frequency * size / speed)
-            wakes.append(snapshots)
-            frequencies.append(frequency)
+    for speed in recipe.speeds:
+        snapshots, frequency = _develop(solver, recipe, speed)
+        wakes.append(snapshots)
+        frequencies.append(frequency)
+        logger.info("wake %d: Strouhal %.4f", len(wakes), frequency * size / speed)
     solver.close()
     return WakeBank(
         populations=torch.stack(wakes),
@@ -141,9 +116,7 @@ def develop_wakes(recipe: WakeRecipe, *, compile: bool = True) -> WakeBank:
     )
 
 
-def _develop(
-    solver: InPlaceSolver, recipe: WakeRecipe, speed: float, bar: "tqdm[NoReturn]"
-) -> tuple[Tensor, float]:
+def _develop(solver: InPlaceSolver, recipe: WakeRecipe, speed: float) -> tuple[Tensor, float]:
     """Return the snapshots ``[K, Q, Y, X]`` of one flow and its frequency per step."""
     travel = solver.config.bodies[0].size / speed
     solver.set_stream_speed_(torch.tensor([speed], dtype=torch.float64))
@@ -156,10 +129,9 @@ def _develop(
     interval = 2 * max(1, round(0.5 * travel / _SAMPLES_PER_TRAVEL))
     num = round(0.5 * recipe.num_travels * travel / interval)
     impulses: list[Sequence[float]] = [solver.body.impulse[0].tolist()]
-    for _ in range(2 * num):
+    for _ in trange(2 * num, desc=f"wake at {speed:.4f}", leave=False, disable=None):
         solver.advance_(interval)
         impulses.append(solver.body.impulse[0].tolist())
-        bar.update(interval / travel)
     lift = torch.tensor(impulses, dtype=torch.float64)[:, 1].diff()[num:] / interval
     if solver.is_diverged().any():
         raise ValueError(

@@ -58,16 +58,11 @@ class Curves:
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """How well a classifier does on some data.
+    """How well a classifier does on some data."""
 
-    Attributes:
-        accuracy: share of samples that are classified correctly.
-        loss: mean cross-entropy, in nats.
-        confusion: ``[n, n]`` int64, samples of each true class (row) by predicted class (column).
-    """
-
-    accuracy: float
-    loss: float
+    accuracy: float  #: share of samples that are classified correctly
+    loss: float  #: mean cross-entropy, in nats
+    #: ``[n, n]`` int64, samples of each true class (row) by predicted class (column)
     confusion: Tensor
 
 

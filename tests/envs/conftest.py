@@ -8,9 +8,9 @@ import torch
 from tensordict import TensorDict
 
 import fishrl.envs.flow_env
+import fishrl.envs.streams
 from fishrl.envs import AbstractTask, FlowEnv, Predation
-from fishrl.envs.streams import Stream
-from fishrl.envs.wakes import WakeBank
+from fishrl.envs.wakes import WakeBank, WakeRecipe
 from tests.envs.kinematic_solver import KinematicSolver
 
 #: Smallest scales that the units and the wall margin allow: fast, not accurate.
@@ -26,12 +26,12 @@ def move_kinematically(patch: pytest.MonkeyPatch) -> None:
     """Replace flows by fish that move at constant speed, and developed wakes by nothing."""
     patch.setattr(fishrl.envs.flow_env, "InPlaceSolver", KinematicSolver)
 
-    def make_bank(stream: Stream, *_: object) -> WakeBank:
-        num = len(stream.speeds_bl)
+    def make_bank(recipe: WakeRecipe, _: object) -> WakeBank:
+        num = len(recipe.speeds)
         still = torch.zeros(num, 1, 1, 1, 1)
         return WakeBank(populations=still, shedding_frequencies=torch.ones(num))
 
-    patch.setattr(Stream, "load_wakes", make_bank)
+    patch.setattr(fishrl.envs.streams, "load_wakes", make_bank)
 
 
 @pytest.fixture

@@ -18,13 +18,15 @@ DIRECT = DirectFrequencies(frequencies=(0.0, 1.0, 2.5))
 
 
 def test_frequency_is_interpolated_between_rows() -> None:
-    gear, flow = torch.tensor([0, 2, 3]), torch.tensor([0.0, 0.5, 1.75])
-    assert MACRO.select(gear, flow).tolist() == [0.5, 1.625, 2.8125]
+    gear, flow = torch.tensor([1, 2, 2]), torch.tensor([0.0, 0.5, 1.75])
+    after, frequency = MACRO.choose(gear, torch.tensor([0, 1, 2]), flow)
+    assert after.tolist() == [0, 2, 3] and frequency.tolist() == [0.5, 1.625, 2.8125]
 
 
 def test_direct_frequencies_are_all_legal_in_every_flow() -> None:
-    gear = DIRECT.shift(torch.tensor([0, 0, 2]), torch.tensor([2, 0, 1]))
-    assert DIRECT.select(gear, torch.tensor([0, 1, 2])).tolist() == [2.5, 0.0, 1.0]
+    flow = torch.tensor([0, 1, 2])
+    gear, frequency = DIRECT.choose(torch.tensor([0, 0, 2]), torch.tensor([2, 0, 1]), flow)
+    assert gear.tolist() == [2, 0, 1] and frequency.tolist() == [2.5, 0.0, 1.0]
     assert DIRECT.mask(gear).all() and DIRECT.mask(gear).shape == (3, 3)
     assert DIRECT.num_flows is None and DIRECT.num_actions == 3
     assert DIRECT.start_gear == MACRO.start_gear == 1  # the middle, by default

@@ -6,8 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from fishrl.envs import FlowEnv, Predation
-from fishrl.envs.extensions import HasSafeSteps
+from fishrl.envs import AbstractTask, FlowEnv, Predation
 from tests.envs.conftest import SMALL, make_flows, move_kinematically
 from tests.envs.test_real_flow import TINY
 
@@ -35,7 +34,7 @@ def test_skipped_checks_change_no_episode(monkeypatch: pytest.MonkeyPatch) -> No
     move_kinematically(monkeypatch)
     task = Predation(**SMALL, turn_degrees=40.0, food_direction="random")
     some, num_some = run(task, 60)
-    monkeypatch.setattr(Predation, "count_safe_steps", HasSafeSteps.count_safe_steps)
+    monkeypatch.setattr(Predation, "count_safe_steps", AbstractTask.count_safe_steps)
     every, num_every = run(task, 60)
     for one, other in zip(some, every, strict=True):
         assert (one == other).all()

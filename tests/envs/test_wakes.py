@@ -104,19 +104,6 @@ def test_key_covers_all_that_shapes_the_wakes_and_nothing_else() -> None:
     assert len({RECIPE.key, *(other.key for other in others)}) == 5
 
 
-def test_file_of_another_recipe_is_refused(bank: WakeBank, tmp_path: Path) -> None:
-    """What damaged files say is tested in ``tests/test_files.py``."""
-    names = ("populations", "shedding_frequencies")
-    content = {
-        "format": "fishrl wakes, 1",
-        "key": "another",
-        **{n: getattr(bank, n) for n in names},
-    }
-    torch.save(content, tmp_path / f"wakes-{RECIPE.key}.pt")
-    with pytest.raises(ValueError, match=f"is of recipe another .* expected {RECIPE.key}"):
-        load_wakes(RECIPE, tmp_path)
-
-
 def test_diverged_wake_is_refused_with_a_remedy() -> None:
     config = replace(RECIPE.config, tau=0.501)
     thin = replace(RECIPE, config=config, speeds=(0.3,), num_travels=10.0)

@@ -1,6 +1,9 @@
 """The hand-crafted controllers: bearing, interception, seeds and masks."""
 
 import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import pytest
 import torch
@@ -37,6 +40,12 @@ def seen(
     )
 
 
+def intercept(**changes: Any) -> InterceptPolicy:
+    """Return interception of food that moves up from 2.5 L after 5 T, on a route without ends."""
+    route = {"food_limits_bl": (-50.0, 50.0), "food_start_bl": 2.5, "food_still_T": 5.0}
+    return InterceptPolicy(**{"food_speed_bl": 0.3, "food_direction": 1} | route | changes)
+
+
 def test_random_actions_are_uniform_over_legal_ones_and_repeat_with_the_seed() -> None:
     mask = torch.tensor([[True, False, True]]).expand(9000, 3)
     td = TensorDict({"action_mask": mask, "observation": torch.zeros(9000, 4)}, [9000])
@@ -55,11 +64,11 @@ def test_random_actions_are_uniform_over_legal_ones_and_repeat_with_the_seed() -
     assert numbers.abs().max() <= 1.0 and (numbers.mean(0).abs() < 0.027).all()
 
 
-@pytest.mark.parametrize("kind", [PursuitPolicy, InterceptPolicy])
+@pytest.mark.parametrize("kind", [PursuitPolicy, partial(intercept, food_speed_bl=0.0)])
 @pytest.mark.parametrize("heading", [math.pi, 0.0, 2.0, -2.5])
 @pytest.mark.parametrize("error", [0.4 * TURN, 0.6 * TURN, 3.0, -0.4 * TURN, -0.6 * TURN, -3.0])
 def test_still_food_more_than_half_a_turn_off_is_turned_towards_at_any_heading(
-    error: float, heading: float, kind: type
+    error: float, heading: float, kind: Callable[..., PursuitPolicy | InterceptPolicy]
 ) -> None:
     """Continuous pursuit turns by the error, at full speed; interception aims off a little."""
     place = 5 * math.cos(heading + error), 5 * math.sin(heading + error)
@@ -77,28 +86,26 @@ def test_still_food_more_than_half_a_turn_off_is_turned_towards_at_any_heading(
 
 
 def test_intercept_leads_moving_food_unlike_pursuit() -> None:
-    for velocity, action in ((0.3, CLOCKWISE), (-0.3, COUNTER_CLOCKWISE)):
+    for way, action in ((1, CLOCKWISE), (-1, COUNTER_CLOCKWISE)):
         # Food dead ahead of a fish that faces -x; upwards is to its right.
-        td = seen(food=(-3.0, 0.0), heading=math.pi, food_velocity=velocity)
+        td = seen(food=(-3.0, 0.0), heading=math.pi, food_velocity=0.3 * way)
         assert PursuitPolicy()(td.clone())["action"].tolist() == [KEEP]
-        assert InterceptPolicy()(td)["action"].tolist() == [action]
+        assert intercept(food_direction=way)(td)["action"].tolist() == [action]
 
 
-def test_intercept_predicts_reversals_on_a_known_route() -> None:
+def test_intercept_predicts_reversals() -> None:
     # Food at y = 3.4 on its way up to 3.5, the fish 4 L away at the same height: when it arrives,
     # the food is on its way down again.
-    informed = InterceptPolicy(food_limits_bl=(1.5, 3.5), food_start_bl=2.5, food_still_T=5.0)
     time = 5.0 + 0.9 / 0.3
     td = seen(food=(-4.0, 0.0), heading=math.pi, food_velocity=0.3, time=time)
-    assert InterceptPolicy()(td.clone())["action"].tolist() == [CLOCKWISE]  # leads it upwards
-    assert informed(td)["action"].tolist() == [COUNTER_CLOCKWISE]
+    assert intercept()(td.clone())["action"].tolist() == [CLOCKWISE]  # leads it upwards
+    assert intercept(food_limits_bl=(1.5, 3.5))(td)["action"].tolist() == [COUNTER_CLOCKWISE]
 
 
 def test_intercept_estimates_an_unknown_first_direction() -> None:
     for way in (1, -1):
         informed, estimating = (
-            InterceptPolicy(food_limits_bl=(1.5, 3.5), food_start_bl=2.5, food_direction=direction)
-            for direction in (way, 0)
+            intercept(food_limits_bl=(1.5, 3.5), food_direction=each) for each in (way, 0)
         )
         # After 1 T on its way, and after it has turned back once.
         for time, velocity in ((6.0, 0.3 * way), (5.0 + 1.6 / 0.3, -0.3 * way)):
@@ -110,4 +117,4 @@ def test_intercept_does_not_circle_food_inside_its_turning_circle() -> None:
     """Food abeam at less than the turning diameter: turning towards it would circle it for ever."""
     td = seen(food=(0.0, 1.5), heading=0.0)
     assert PursuitPolicy()(td.clone())["action"].tolist() == [COUNTER_CLOCKWISE]
-    assert InterceptPolicy()(td)["action"].tolist() != [COUNTER_CLOCKWISE]
+    assert intercept(food_speed_bl=0.0)(td)["action"].tolist() != [COUNTER_CLOCKWISE]

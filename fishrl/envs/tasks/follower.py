@@ -225,9 +225,7 @@ class Follower(AbstractStreamTask, HasHistory, HasScene):
             position = torch.stack((position, centre.expand_as(position)), 1)
             heading = torch.stack((heading, angle.expand_as(heading)), 1)
         draws = {"flow_index": rows.long() * 0, "wake_phase": starts["wake_phase"]}
-        self.stream.begin_(
-            solver, rows, draws, (position, heading), scales=self.scales, wakes=self.wakes
-        )
+        self.begin_(solver, rows, draws, (position, heading))
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
         """Map the action to bend, tail-beat frequency and amplitude."""

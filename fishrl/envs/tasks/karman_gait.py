@@ -9,12 +9,11 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.envs.extensions import HasFlowChanges, HasFlowLabels, HasHistory, HasScene
+from fishrl.envs.extensions import HasFlowLabels, HasHistory, HasScene
 from fishrl.envs.lateral_line import LateralLine
 from fishrl.envs.macro_actions import FrequencyControl, MacroActions
 from fishrl.envs.scene import Panel, Scene, Series
 from fishrl.envs.sensors import compute_clearance, wrap_angle
-from fishrl.envs.starts import place_fish
 from fishrl.envs.stations import SafeArea, StationReward
 from fishrl.envs.steering import PIDSteering, Steering
 from fishrl.envs.streams import AbstractStreamTask, Stream
@@ -24,7 +23,7 @@ from fishrl.physics.fast.solver import InPlaceSolver
 
 
 @final
-class KarmanGait(AbstractStreamTask, HasFlowChanges, HasFlowLabels, HasHistory, HasScene):
+class KarmanGait(AbstractStreamTask, HasFlowLabels, HasHistory, HasScene):
     """Hold station behind a half disc, or in a free stream, by choosing the tail-beat frequency.
 
     Positions are of the nose relative to the middle of the disc's flat side, x downstream, in body
@@ -176,22 +175,12 @@ class KarmanGait(AbstractStreamTask, HasFlowChanges, HasFlowLabels, HasHistory, 
         return TensorDict(starts, uniform.shape[:1], device=uniform.device)
 
     def check_starts(self, starts: TensorDictBase) -> None:
-        """Also check flow indices, streams, and that no nose is in the danger area."""
+        """Also check flow indices, and that no nose is in the danger area."""
         super().check_starts(starts)
-        self.stream.check_starts(starts, self.scales)
         flow, num = starts["flow_index"], len(self.stream.speeds_bl)
         if not ((flow >= 0) & (flow < num)).all():
             raise ValueError(f"starts['flow_index'] = {flow.tolist()}: allowed is 0 to {num - 1}")
         self.safe_area.check_starts(self.locate(starts["head"]))
-
-    def place_(self, solver: InPlaceSolver, rows: Tensor, starts: TensorDictBase) -> None:
-        """Set the stream, wake and fish of each row."""
-        place = place_fish(starts, self.fish)
-        self.stream.begin_(solver, rows, starts, place, scales=self.scales, wakes=self.wakes)
-
-    def prepare_(self, solver: InPlaceSolver, starts: TensorDictBase) -> None:
-        """Begin the changes of the stream that are due."""
-        self.stream.change_(solver, starts, scales=self.scales, num_steps=self.n_substeps)
 
     def command(self, action: Tensor, before: TensorDictBase) -> Command:
         """Choose the frequency and turn as ``steering`` commands."""
@@ -214,7 +203,7 @@ class KarmanGait(AbstractStreamTask, HasFlowChanges, HasFlowLabels, HasHistory, 
             "work": body.work / unit,
             "positive_work": body.positive_work / unit,
             "lateral_work": body.lateral_work / unit,
-            **self.stream.measure(solver, starts["flow_index"], self.scales),
+            **self.measure_stream(solver, starts["flow_index"]),
         }
         return TensorDict(now, starts.batch_size, device=starts.device)
 
@@ -285,12 +274,12 @@ class KarmanGait(AbstractStreamTask, HasFlowChanges, HasFlowLabels, HasHistory, 
 
     def report(self, now: TensorDictBase) -> dict[str, Tensor]:
         """Return lateral line, true flow and diagnostics."""
-        names = ("flow_index", "gear", "frequency", "heading", "work", "positive_work")
-        return {
-            **{name: now[name] for name in (*names, "lateral_work", "lateral_line")},
-            **self.stream.report(now),
-            "angle_of_attack": wrap_angle(now["heading"] - pi),
-        }
+        names = ["flow_index", "gear", "frequency", "heading", "work", "positive_work"]
+        names += ["lateral_work", "lateral_line"]
+        if self.stream.changes is not None:
+            names.append("stream_speed")
+        reported: dict[str, Tensor] = {name: now[name] for name in names}
+        return reported | {"angle_of_attack": wrap_angle(now["heading"] - pi)}
 
     @property
     def action_names(self) -> tuple[str, ...]:
@@ -306,11 +295,14 @@ class KarmanGait(AbstractStreamTask, HasFlowChanges, HasFlowLabels, HasHistory, 
             Series(key="place", column=1, label="y"),
         )
         neuromasts, signals = describe_lateral_line(self.lateral_line, body_length=self.body_length)
+        speed = Panel(
+            name="stream speed [L/T]", series=(Series(key="stream_speed", label="speed"),)
+        )
         return scene.extend(
             areas=(self.frame("danger_area", x_bl=x_bl, aside_bl=area.aside_bl),),
             marks=(neuromasts,),
             panels=(
-                *self.stream.panels,
+                *([speed] if self.stream.changes else []),
                 describe_flow_label([label["name"] for label in self.flow_labels]),
                 Panel(name="nose from the flat side [L]", series=place),
                 signals,

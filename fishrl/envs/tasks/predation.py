@@ -9,7 +9,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from fishrl.envs.extensions import HasSafeSteps, HasScene
+from fishrl.envs.extensions import HasScene
 from fishrl.envs.macro_actions import Rising
 from fishrl.envs.scene import Marks, Panel, Scene, Series
 from fishrl.envs.sensors import compute_clearance, sense_target
@@ -21,7 +21,7 @@ CHANCE_UP = {"up": 1.0, "down": 0.0, "random": 0.5}
 _Frequency = Annotated[float, Field(ge=0, le=10)]
 
 
-class AbstractPredation(AbstractTask, HasSafeSteps, HasScene):
+class AbstractPredation(AbstractTask, HasScene):
     """Base of tasks with food that rests at first and then moves up and down between two limits.
 
     Actions: 0 turn clockwise, 1 keep the heading, 2 turn counter-clockwise; or two numbers, the

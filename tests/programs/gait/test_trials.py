@@ -112,7 +112,7 @@ def test_baselines_of_constant_frequency_beat_at_it(
 ) -> None:
     rates = torch.tensor([0.001, 0.0012, 0.0014], dtype=torch.float64)
     bank = WakeBank(populations=torch.zeros(3, 1, 1, 1, 1), shedding_frequencies=rates)
-    monkeypatch.setattr(Stream, "load_wakes", lambda *_: bank)
+    monkeypatch.setattr("fishrl.envs.streams.load_wakes", lambda *_: bank)
     task = make_task()
     shed = (rates * task.scales.period).tolist()
     for name, expected in (("passive", [0.0] * 3), ("shedding", shed), ("fixed-0.6", [0.6] * 3)):
