@@ -17,8 +17,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.validation.case import Case, Check, Job, Result, Runs, check_refined
-from experiments.validation.plots import GREY, draw_reference, find_extreme
+from experiments.validation.plots import GREY, draw_reference
 from fishrl.physics import Boundaries, FlowConfig, InPlaceSolver, NonEquilibrium, NoSlip
+from fishrl.physics.diagnostics import find_peak
 
 LID_SPEED = 0.1
 SIZES = (64, 128, 256)
@@ -69,17 +70,17 @@ def drive_cavity(*, size: int, reynolds: float, is_half_way: bool) -> Result:
         u = solver.macroscopic()[1]
         travels, change = travels + 1, float((u - before).abs().max())
     middle = [size // 2 - 1, size // 2] if is_half_way else [size // 2]
-    u_line = (u[0, 0, :, middle].double().mean(-1) / LID_SPEED).tolist()
-    v_line = (u[0, 1, middle, :].double().mean(0) / LID_SPEED).tolist()
+    u_line = u[0, 0, :, middle].double().mean(-1) / LID_SPEED
+    v_line = u[0, 1, middle, :].double().mean(0) / LID_SPEED
     offset = 0.5 if is_half_way else 0.0
     return {
         "position": [(i + offset) / size for i in range(num_nodes)],
-        "u": u_line,
-        "v": v_line,
-        "u_min": find_extreme(u_line, sign=-1),
-        "v_max": find_extreme(v_line, sign=1),
-        "v_min": find_extreme(v_line, sign=-1),
-        "flow": sum(u_line) - (0.0 if is_half_way else 0.5 * u_line[-1]),
+        "u": u_line.tolist(),
+        "v": v_line.tolist(),
+        "u_min": -find_peak(-u_line),
+        "v_max": find_peak(v_line),
+        "v_min": -find_peak(-v_line),
+        "flow": sum(u_line.tolist()) - (0.0 if is_half_way else 0.5 * float(u_line[-1])),
     }
 
 

@@ -1,4 +1,4 @@
-"""What figures of several cases share; order and extreme of a curve."""
+"""What figures of several cases share, and the order of convergence."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from math import log
@@ -38,17 +38,3 @@ def name_ticks(axes: Axes, values: Sequence[float]) -> None:
 def fit_order(errors: Mapping[int, float]) -> float:
     """Return p of the least-squares fit error = a n^-p over two or more resolutions n."""
     return -linear_regression([log(n) for n in errors], [log(e) for e in errors.values()]).slope
-
-
-def find_extreme(values: Sequence[float], *, sign: int) -> float:
-    """Return the maximum (``sign`` 1) or minimum (-1) of a curve of evenly spaced points.
-
-    It is that of the parabola through the extreme point and its two neighbours; at an end of the
-    curve, the value there.
-    """
-    at = max(range(len(values)), key=lambda i: sign * values[i])
-    if at in (0, len(values) - 1):
-        return values[at]
-    before, here, after = values[at - 1], values[at], values[at + 1]
-    bend = before - 2.0 * here + after
-    return here if bend == 0.0 else here - (after - before) ** 2 / (8.0 * bend)

@@ -102,7 +102,7 @@ def measure_cycles(signal: Tensor, interval: float, *, clock: Tensor | None = No
     square = _integrate((values - mean) ** 2, first, last) / (last - first)
     ends = [int(x) for x in at.round().tolist()]
     parts = [values[max(a - 1, 0) : b + 2] for a, b in pairwise(ends)]
-    highs, lows = [_find_peak(part) for part in parts], [-_find_peak(-part) for part in parts]
+    highs, lows = [find_peak(part) for part in parts], [-find_peak(-part) for part in parts]
     return Cycles(
         frequency=float(num / ((last - first) * interval)),
         num_cycles=num,
@@ -176,8 +176,8 @@ def _integrate(values: Tensor, start: Tensor, end: Tensor) -> Tensor:
     return until(end) - until(start)
 
 
-def _find_peak(values: Tensor) -> float:
-    """Return the largest value, between samples if it is not the first or last."""
+def find_peak(values: Tensor) -> float:
+    """Return the largest of even samples ``[n]``, by a parabola if it is not the first or last."""
     at = int(values.argmax())
     return float(values[at]) if at in (0, len(values) - 1) else _fit_peak(values, at)[1]
 

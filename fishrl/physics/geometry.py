@@ -7,8 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fishrl.physics.bodies.gait import Beat, Deformation
-from fishrl.physics.bodies.motion import compute_amplitude_rate
+from fishrl.physics.bodies.gait import Deformation
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.flow import FlowConfig
@@ -84,15 +83,12 @@ def locate_outlines(
 
 def deform_body(config: BodyConfig, params: BodyParams, state: BodyState) -> Deformation:
     """Return the outline of a body in its own frame and its velocity there."""
-    rates = config.motion.compute_bend_rate(state), compute_amplitude_rate(state)
-    return params.deform(_read_beat(state, *rates))
+    return params.deform(state, config.motion.compute_bend_rate(state))
 
 
 def locate_markers(params: BodyParams, state: BodyState) -> Tensor:
     """Return the positions of ``place_markers`` alone, ``[B, N, 2]`` in nodes."""
-    still = torch.zeros_like(state.phase)
-    axial, lateral = params.draw(_read_beat(state, still, still))
-    return state.position[:, None] + rotate(state, axial, lateral)
+    return state.position[:, None] + rotate(state, *params.draw(state))
 
 
 def place_markers(state: BodyState, deformation: Deformation) -> Markers:
@@ -116,15 +112,3 @@ def compute_axis(state: BodyState) -> tuple[Tensor, Tensor]:
     """Return the direction (cos, sin) ``[B]`` of the body's axis, from nose to tail."""
     angle = state.heading + pi + state.internal_angle
     return torch.cos(angle), torch.sin(angle)
-
-
-def _read_beat(state: BodyState, bend_rate: Tensor, amplitude_rate: Tensor) -> Beat:
-    return Beat(
-        phase=state.phase,
-        frequency=state.frequency,
-        beats=state.beats,
-        bend=state.bend,
-        bend_rate=bend_rate,
-        amplitude=state.amplitude,
-        amplitude_rate=amplitude_rate,
-    )

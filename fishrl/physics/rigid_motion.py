@@ -6,8 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fishrl.physics.bodies.gait import Deformation, advance_phase
-from fishrl.physics.bodies.motion import compute_amplitude_rate
+from fishrl.physics.bodies.gait import Deformation, advance_phase, compute_amplitude_rate
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.flow import FlowConfig

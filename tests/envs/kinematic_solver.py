@@ -41,7 +41,7 @@ class KinematicSolver:
     def bodies(self) -> list:
         return self._fish
 
-    def compile(self, *, wait: bool = True) -> None:
+    def compile(self) -> None:
         """There is nothing to compile."""
 
     def close(self) -> None:

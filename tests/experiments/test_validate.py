@@ -13,7 +13,7 @@ from experiments import validate as program
 from experiments.validate import CASES
 from experiments.validation import cavity, channel_cylinder, poiseuille, runner, wake
 from experiments.validation.case import Case, Check, Job, Runs
-from experiments.validation.plots import find_extreme, fit_order
+from experiments.validation.plots import fit_order
 from experiments.validation.runner import Outcome, fingerprint, run_cases
 from tests.experiments import toy_cases
 from tests.experiments.toy_cases import make_squares
@@ -197,8 +197,5 @@ def test_committed_pages_are_those_that_the_program_writes() -> None:
         assert f"| [{case.title}](validation/{case.name}.md) | " in listed
 
 
-def test_order_and_extreme_of_known_curves() -> None:
+def test_order_of_a_known_curve() -> None:
     assert fit_order({n: 3.0 * n**-2.0 for n in (8, 16, 64)}) == pytest.approx(2.0)
-    x = [0.1 * i for i in range(10)]
-    assert find_extreme([(p - 0.43) ** 2 - 2.0 for p in x], sign=-1) == pytest.approx(-2.0)
-    assert find_extreme(x, sign=1) == x[-1]

@@ -1,4 +1,4 @@
-"""Gaits: how a fish's midline beats, and the instant that sets its shape.
+"""Gaits: how a fish's midline beats, and the deformation that follows.
 
 The travelling wave
 
@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from fishrl.physics.bodies.state import BodyState
 from fishrl.settings import Settings
 
 
@@ -117,44 +118,28 @@ class Deformation(NamedTuple):
     inertia_rate: Tensor
 
 
-class Beat(NamedTuple):
-    """What sets a fish's shape at one instant; every field ``[B]``.
+def compute_amplitude_rate(body: BodyState) -> Tensor:
+    """Return the change per step of a fish's amplitude ``[B]``.
 
-    Attributes:
-        phase: radians.
-        frequency: tail beats per step.
-        beats: tail beats since the fish began to swim.
-        bend: kappa, of the bend kappa L x^2.
-        bend_rate: its change per step.
-        amplitude: share of the gait's amplitude.
-        amplitude_rate: its change per step.
+    The amplitude relaxes to the commanded one with two time constants in the length of a command.
     """
-
-    phase: Tensor
-    frequency: Tensor
-    beats: Tensor
-    bend: Tensor
-    bend_rate: Tensor
-    amplitude: Tensor
-    amplitude_rate: Tensor
+    return (body.amplitude_goal - body.amplitude) * 2.0 / body.turn_steps.clamp_min(2.0)
 
 
-def compute_amplitudes(beat: Beat) -> list[Tensor]:
+def compute_amplitudes(body: BodyState) -> list[Tensor]:
     """Return the amplitudes ``[B]`` of the modes: sine, cosine, bend."""
-    swing = beat.amplitude * compute_ramp(beat.beats)
-    return [swing * torch.cos(beat.phase), -swing * torch.sin(beat.phase), beat.bend]
+    swing = body.amplitude * compute_ramp(body.beats)
+    return [swing * torch.cos(body.phase), -swing * torch.sin(body.phase), body.bend]
 
 
-def compute_amplitude_rates(beat: Beat) -> list[Tensor]:
-    """Return the change per step of ``compute_amplitudes``."""
-    ramp, ramp_rate = compute_ramp(beat.beats), compute_ramp_rate(beat.beats, beat.frequency)
-    swing, swing_rate = (
-        beat.amplitude * ramp,
-        beat.amplitude * ramp_rate + beat.amplitude_rate * ramp,
-    )
-    cos, sin, rate = torch.cos(beat.phase), torch.sin(beat.phase), 2.0 * pi * beat.frequency
+def compute_amplitude_rates(body: BodyState, bend_rate: Tensor) -> list[Tensor]:
+    """Return the change per step of ``compute_amplitudes``; ``bend_rate`` ``[B]`` is the bend's."""
+    ramp, ramp_rate = compute_ramp(body.beats), compute_ramp_rate(body.beats, body.frequency)
+    swing = body.amplitude * ramp
+    swing_rate = body.amplitude * ramp_rate + compute_amplitude_rate(body) * ramp
+    cos, sin, rate = torch.cos(body.phase), torch.sin(body.phase), 2.0 * pi * body.frequency
     return [
         swing_rate * cos - swing * rate * sin,
         -swing_rate * sin - swing * rate * cos,
-        beat.bend_rate,
+        bend_rate,
     ]

@@ -15,12 +15,8 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from fishrl.physics.bodies.gait import (
-    Beat,
-    Deformation,
-    compute_amplitude_rates,
-    compute_amplitudes,
-)
+from fishrl.physics.bodies.gait import Deformation, compute_amplitude_rates, compute_amplitudes
+from fishrl.physics.bodies.state import BodyState
 
 _Pair = tuple[Tensor, Tensor]
 
@@ -48,8 +44,12 @@ class Midline(NamedTuple):
 class Curve(Protocol):
     """What sets a midline at one instant."""
 
-    def draw(self, beat: Beat, step: Tensor) -> Midline:
-        """Return the midline; ``step`` ``[B, S]`` is the arc length from the point before."""
+    def draw(self, body: BodyState, bend_rate: Tensor, step: Tensor) -> Midline:
+        """Return the midline.
+
+        ``bend_rate`` ``[B]`` is the change per step of the bend, ``step`` ``[B, S]`` the arc length
+        from the point before.
+        """
 
 
 class Slope(NamedTuple):
@@ -62,9 +62,9 @@ class Slope(NamedTuple):
 
     modes: Tensor
 
-    def draw(self, beat: Beat, step: Tensor) -> Midline:
+    def draw(self, body: BodyState, bend_rate: Tensor, step: Tensor) -> Midline:
         """Return the midline; see ``Curve``."""
-        e, e_t = compute_amplitudes(beat), compute_amplitude_rates(beat)
+        e, e_t = compute_amplitudes(body), compute_amplitude_rates(body, bend_rate)
 
         def combine(order: int, amplitudes: list[Tensor]) -> Tensor:
             parts = [self.modes[:, k, order] * a[:, None] for k, a in enumerate(amplitudes)]
@@ -114,19 +114,19 @@ class MidlineParams(NamedTuple):
     area: Tensor
     density_ratio: Tensor
 
-    def draw(self, beat: Beat) -> tuple[Tensor, Tensor]:
+    def draw(self, body: BodyState) -> tuple[Tensor, Tensor]:
         """Return the markers along and across the axis ``[B, N]``, without their velocity."""
-        deformation = self.deform(beat)
+        deformation = self.deform(body, torch.zeros_like(body.bend))
         return deformation.axial, deformation.lateral
 
-    def deform(self, beat: Beat) -> Deformation:
+    def deform(self, body: BodyState, bend_rate: Tensor) -> Deformation:
         """Return the outline and its velocity in the momentum-free frame.
 
         The frame keeps the centre of area in place and has no angular momentum. The linear momentum
         (the integral of the deformation velocity over the area) vanishes in vertical shear but not
         here, as the sections rotate: it is 1 to 2 % of the integral of that velocity's magnitude.
         """
-        line = self.curve.draw(beat, self.step)
+        line = self.curve.draw(body, bend_rate, self.step)
         mass, second = 2.0 * self.half * self.weight, 2.0 / 3.0 * self.half**3 * self.weight
         first, first_t = line.curvature * second, line.curvature_rate * second
         normal, normal_t = _turn(line.tangent), _turn(line.tangent_rate)

@@ -19,14 +19,6 @@ def compute_turn_rate(body: BodyState) -> Tensor:
     return torch.where(body.turn_clock < body.turn_steps, rate, torch.zeros_like(rate))
 
 
-def compute_amplitude_rate(body: BodyState) -> Tensor:
-    """Return the change per step of a fish's amplitude ``[B]``.
-
-    The amplitude relaxes to the commanded one with two time constants in the length of a command.
-    """
-    return (body.amplitude_goal - body.amplitude) * 2.0 / body.turn_steps.clamp_min(2.0)
-
-
 class Motion(Settings):
     """What moves a body.
 

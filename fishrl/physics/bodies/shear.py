@@ -11,12 +11,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from fishrl.physics.bodies.gait import (
-    Beat,
-    Deformation,
-    compute_amplitude_rates,
-    compute_amplitudes,
-)
+from fishrl.physics.bodies.gait import Deformation, compute_amplitude_rates, compute_amplitudes
+from fishrl.physics.bodies.state import BodyState
 
 
 class ShearParams(NamedTuple):
@@ -49,16 +45,16 @@ class ShearParams(NamedTuple):
     inertia: Tensor
     density_ratio: Tensor
 
-    def draw(self, beat: Beat) -> tuple[Tensor, Tensor]:
+    def draw(self, body: BodyState) -> tuple[Tensor, Tensor]:
         """Return the markers along and across the axis ``[B, N]``, without their velocity."""
-        return self.axial, self._sum_modes(compute_amplitudes(beat))
+        return self.axial, self._sum_modes(compute_amplitudes(body))
 
-    def deform(self, beat: Beat) -> Deformation:
-        """Return the outline and its velocity at one instant."""
-        e, e_t = compute_amplitudes(beat), compute_amplitude_rates(beat)
+    def deform(self, body: BodyState, bend_rate: Tensor) -> Deformation:
+        """Return the outline and its velocity; ``bend_rate`` ``[B]`` is the bend's per step."""
+        e, e_t = compute_amplitudes(body), compute_amplitude_rates(body, bend_rate)
         lateral, velocity = self._sum_modes(e), torch.zeros_like(self.lateral)
-        inertia, inertia_rate = self.inertia, torch.zeros_like(beat.phase)
-        momentum = torch.zeros_like(beat.phase)
+        inertia, inertia_rate = self.inertia, torch.zeros_like(body.phase)
+        momentum = torch.zeros_like(body.phase)
         for j in range(self.modes.shape[1]):
             velocity = velocity + self.modes[:, j] * e_t[j][:, None]
             momentum = momentum + self.moments[:, j] * e_t[j]

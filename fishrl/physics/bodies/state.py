@@ -20,7 +20,7 @@ class BodyState(NamedTuple):
         beats: tail beats or oscillations since reset.
         age: steps since reset.
         bend: kappa of the midline's bend kappa L x^2; see ``Bending``.
-        amplitude: share of the gait's amplitude; see ``motion.compute_amplitude_rate``.
+        amplitude: share of the gait's amplitude; see ``gait.compute_amplitude_rate``.
         amplitude_goal: commanded share.
         turn: commanded change of heading, radians.
         turn_steps: steps over which the turn is spread.

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat
 from torch import Tensor
 
-from fishrl.physics.bodies.gait import Beat
 from fishrl.physics.bodies.midline import Midline, accumulate
 from fishrl.physics.bodies.outline import to_tensors
+from fishrl.physics.bodies.state import BodyState
 from fishrl.settings import Settings
 
 _Values = NDArray[np.float64]
@@ -103,9 +103,9 @@ class Curvature(NamedTuple):
     change: Tensor
     phase: Tensor
 
-    def draw(self, beat: Beat, step: Tensor) -> Midline:
-        """Return the midline; see ``midline.Curve``. ``beat.beats`` is t / T."""
-        time, frequency = beat.beats[:, None], beat.frequency.abs()[:, None]
+    def draw(self, body: BodyState, bend_rate: Tensor, step: Tensor) -> Midline:
+        """Return the midline; see ``midline.Curve``. ``body.beats`` is t / T."""
+        time, frequency = body.beats[:, None], body.frequency.abs()[:, None]
         part = ((time - self.start) / self.duration).clamp(0.0, 1.0)
         rise = 6.0 * part * (1.0 - part) / self.duration * frequency
         values = (self.change * (part * part * (3.0 - 2.0 * part))[..., None]).sum(1)

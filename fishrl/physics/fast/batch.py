@@ -8,13 +8,12 @@ from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from fishrl.physics.bodies.state import make_body
+from fishrl.physics.collision import compute_macroscopic
 from fishrl.physics.fast.checks import check_tensor
-from fishrl.physics.fast.flow_memory import FlowData, FlowMemory, GroupMemory
+from fishrl.physics.fast.flow_memory import FlowData, GroupMemory, carve_memory
 from fishrl.physics.fast.gpu_body_parts import can_use_triton
-from fishrl.physics.fast.group import FlowGroup
 from fishrl.physics.fast.layout import InPlaceLayout
-from fishrl.physics.fast.part import copy_tree
-from fishrl.physics.fast.sampling import sample_points
+from fishrl.physics.fast.part import FlowGroup, copy_tree
 from fishrl.physics.fast.stepper import Stepper
 from fishrl.physics.flow import FlowConfig, make_params
 
@@ -50,14 +49,13 @@ class FlowBatch:
         self._size = group_size
         self.layout = InPlaceLayout(num_envs=group_size, height=config.height, width=config.width)
         self._fresh = _make_fresh(configs, device)
-        memory = FlowMemory(
+        self.flow, self._omega, self._populations = carve_memory(
             self._fresh,
             self.layout,
             dtype=config.storage.dtype,
             has_omega_field=bool(config.sponges),
+            allocate=allocate,
         )
-        self.num_bytes = memory.count_bytes()
-        self.flow, self._omega, self._populations = memory.carve(allocate(self.num_bytes))
         self.stepper = Stepper(
             config,
             self.layout,
@@ -107,8 +105,32 @@ class FlowBatch:
         return torch.cat([~group.nodes[0][:, y, x].isfinite() for group in self.groups.values()])
 
     def sample(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Return density and velocity at ``points`` ``[B, P, 2]``; see ``sample_points``."""
-        return sample_points(points, self._populations, self.layout, self._config.storage)
+        """Read density ``[B, P]`` and velocity ``[B, P, 2]`` between the nodes, bilinearly.
+
+        ``points`` ``[B, P, 2]`` (x, y) in nodes, before an even step: those outside the grid are
+        moved to its edge, and where one is NaN, so is the result.
+        """
+        layout, device = self.layout, points.device
+        last = torch.tensor([layout.width - 1.0, layout.height - 1.0], device=device).to(points)
+        place = torch.minimum(points.nan_to_num().clamp_min(0.0), last)
+        first = torch.minimum(place.floor(), last - 1.0)
+        right, up = (place - first).float().unbind(-1)
+        x, y = first.long().unbind(-1)
+        node = y * layout.row_length + x
+        above = node + layout.row_length
+        corners = torch.stack((node, node + 1, above, above + 1), 1)
+        weights = torch.stack(
+            ((1 - up) * (1 - right), (1 - up) * right, up * (1 - right), up * right), 1
+        )
+        flow = torch.arange(len(points), device=device)[:, None, None]
+        group, own = flow // layout.num_envs, flow % layout.num_envs
+        cells = corners + own * layout.flow_length + layout.first_cell
+        stored = [self._populations[group, cells + offset] for offset in layout.offsets(0, False)]
+        fluid = compute_macroscopic([self._config.storage.decode(f) for f in stored])
+        values = torch.stack((fluid.rho, fluid.ux, fluid.uy), -1)
+        mean = (weights[..., None] * values).sum(1)
+        mean = mean.masked_fill(points.isnan().any(-1, keepdim=True), torch.nan)
+        return mean[..., 0], mean[..., 1:]
 
     def name_state(self) -> dict[str, list[Tensor]]:
         """Return everything that the future depends on, by name, each in groups of flows.

@@ -1,7 +1,7 @@
 """The bodies' parts of the fast step, as tensor operations on any device."""
 
-from collections.abc import Sequence
-from typing import NamedTuple, TypeVar
+from collections.abc import Callable
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -27,6 +27,10 @@ from fishrl.physics.lattice import Q
 from fishrl.physics.step import couple_bodies
 
 Tree = TypeVar("Tree", bound=tuple[object, ...])
+Bodies = tuple[tuple[BodyParams, ...], tuple[BodyState, ...]]
+#: Populations of a group as stored, ``[Q]`` int64 offsets of the slots of each outgoing population,
+#: and ``[B]`` int64 cells of each flow's node (0, 0).
+Places = tuple[Tensor, Tensor, Tensor]
 
 BODY_TITLE = "bodies: markers, force, motion, spreading"
 BODY_SETTINGS: dict[str, dict[str, object]] = {
@@ -38,222 +42,138 @@ BODY_SETTINGS: dict[str, dict[str, object]] = {
 }
 
 
-class MarkerCells:
-    """Where the outgoing populations around the markers lie.
-
-    Attributes:
-        first_cell: ``[B]`` int64, cell of each flow's node (0, 0).
-        offsets: by parity ``[Q]`` int64, of each outgoing population's slots.
-    """
-
-    def __init__(self, layout: InPlaceLayout, device: torch.device) -> None:
-        flows = torch.arange(layout.num_envs, device=device)
-        self.first_cell = flows * layout.flow_length + layout.first_cell
-        self.offsets = [torch.tensor(layout.offsets(p, True), device=device) for p in (0, 1)]
+def get_bodies(memory: GroupMemory) -> Bodies:
+    """Return parameters and states of a group's bodies."""
+    return memory.flow.params.bodies, memory.flow.bodies
 
 
-def keep_geometry(config: FlowConfig, sample: FlowData) -> BodyGeometry:
-    """Return memory for a geometry of the bodies, with the ``sample``'s content."""
-    return _keep(locate_bodies(config, sample.params.bodies, sample.bodies, torch.float32))
+def find_places(
+    layout: InPlaceLayout, device: torch.device
+) -> Callable[[GroupMemory, int], Places]:
+    """Return what finds the outgoing populations of a group, at even or odd steps."""
+    flows = torch.arange(layout.num_envs, device=device)
+    first_cell = flows * layout.flow_length + layout.first_cell
+    offsets = [torch.tensor(layout.offsets(parity, True), device=device) for parity in (0, 1)]
+    return lambda memory, parity: (memory.populations, offsets[parity], first_cell)
 
 
-def _keep(tree: Tree) -> Tree:
+def keep(tree: Tree) -> Tree:
+    """Return memory for tensors like those of a tree, with their content."""
     kept: Tree = pytree.tree_map(lambda t: t.clone(memory_format=torch.contiguous_format), tree)
     return kept
 
 
-class LocateTensors(NamedTuple):
-    """The bodies, and the geometry that follows from them."""
-
-    params: tuple[BodyParams, ...]
-    bodies: tuple[BodyState, ...]
-    geometry: BodyGeometry
+def keep_geometry(config: FlowConfig, sample: FlowData) -> BodyGeometry:
+    """Return memory for a geometry of the bodies, with the ``sample``'s content."""
+    return keep(locate_bodies(config, sample.params.bodies, sample.bodies, torch.float32))
 
 
-class LocateStill(Part[LocateTensors]):
-    """Find the geometry of bodies that never move, once before many steps."""
+def make_location(config: FlowConfig, geometry: BodyGeometry) -> Part:
+    """Return the part that locates bodies that never move, once before many steps."""
 
-    title = BODY_TITLE
-    settings = BODY_SETTINGS
+    def collect(memory: GroupMemory, parity: int) -> tuple[Bodies, BodyGeometry]:
+        return get_bodies(memory), geometry
 
-    def __init__(self, config: FlowConfig, geometry: BodyGeometry) -> None:
-        super().__init__()
-        self._config, self._geometry = config, geometry
+    def act(bodies: Bodies, geometry: BodyGeometry) -> None:
+        copy_tree(geometry, locate_bodies(config, *bodies, torch.float32))
 
-    def collect(self, memory: GroupMemory, parity: int) -> LocateTensors:
-        """Return the same at even and odd steps."""
-        return LocateTensors(memory.flow.params.bodies, memory.flow.bodies, self._geometry)
-
-    def act(self, tensors: LocateTensors) -> None:
-        """Write the geometry."""
-        params, bodies, geometry = tensors
-        copy_tree(geometry, locate_bodies(self._config, params, bodies, torch.float32))
+    return Part("location", BODY_TITLE, collect, act, BODY_SETTINGS)
 
 
-class CoupleTensors(NamedTuple):
-    """What ``CoupleBodies`` reads and writes.
+def make_coupling(
+    config: FlowConfig, layout: InPlaceLayout, geometry: BodyGeometry | None, device: torch.device
+) -> Part:
+    """Return the part that lets bodies read the fluid, move, and put their force into it.
 
-    Attributes:
-        data: populations of the group, as stored.
-        offsets: ``[Q]`` int64, see ``MarkerCells``.
-        first_cell: ``[B]`` int64.
-        omega: ``[B, 1]`` or ``[B, cells]``.
-        force: (x, y) ``[cells]``, zero between steps.
-        params: parameters of each body.
-        bodies: state of each body.
-        geometry: geometry of bodies that stay still; empty for others.
+    Its tensors are the populations; omega ``[B, 1]`` or ``[B, cells]``; the force (x, y)
+    ``[cells]``, zero between steps, which all groups share; the bodies; and their ``geometry`` if
+    they stay still. Others are located in each step.
     """
+    places = find_places(layout, device)
+    force = [torch.zeros(layout.num_cells, device=device) for _ in range(2)]
 
-    data: Tensor
-    offsets: Tensor
-    first_cell: Tensor
-    omega: Tensor
-    force: tuple[Tensor, Tensor]
-    params: tuple[BodyParams, ...]
-    bodies: tuple[BodyState, ...]
-    geometry: BodyGeometry | tuple[()]
+    def collect(
+        memory: GroupMemory, parity: int
+    ) -> tuple[Places, Tensor, list[Tensor], Bodies, BodyGeometry | tuple[()]]:
+        return places(memory, parity), memory.omega, force, get_bodies(memory), geometry or ()
 
-
-class CoupleBodies(Part[CoupleTensors]):
-    """Let the bodies read the fluid, move, and put their force into the populations.
-
-    ``geometry`` belongs to bodies that stay still; others are located in each step.
-    """
-
-    title = BODY_TITLE
-    settings = BODY_SETTINGS
-
-    def __init__(
-        self,
-        config: FlowConfig,
-        layout: InPlaceLayout,
-        geometry: BodyGeometry | None,
-        device: torch.device,
+    def act(
+        places: Places,
+        omega: Tensor,
+        force: list[Tensor],
+        bodies: Bodies,
+        geometry: BodyGeometry | tuple[()],
     ) -> None:
-        super().__init__()
-        self._config, self._layout, self._geometry = config, layout, geometry or ()
-        self._cells = MarkerCells(layout, device)
-        self.force = tuple(torch.zeros(layout.num_cells, device=device) for _ in range(2))
-
-    def collect(self, memory: GroupMemory, parity: int) -> CoupleTensors:
-        """Return populations and bodies of the group, and the memory that groups share."""
-        force_x, force_y = self.force
-        return CoupleTensors(
-            data=memory.populations,
-            offsets=self._cells.offsets[parity],
-            first_cell=self._cells.first_cell,
-            omega=memory.omega,
-            force=(force_x, force_y),
-            params=memory.flow.params.bodies,
-            bodies=memory.flow.bodies,
-            geometry=self._geometry,
-        )
-
-    def act(self, tensors: CoupleTensors) -> None:
         """Couple as in ``step.couple_bodies``, at the marker nodes alone."""
-        config, layout = self._config, self._layout
-        data, offsets, first_cell, omega, (force_x, force_y), params, bodies, geometry = tensors
-        geometry = geometry or locate_bodies(config, params, bodies, torch.float32)
+        data, offsets, first_cell = places
+        geometry = geometry or locate_bodies(config, *bodies, torch.float32)
         nodes = geometry.stencil.index_nodes(layout.row_length) + first_cell[:, None, None]
         slots = [nodes + offsets[q] for q in range(Q)]
         fluid = compute_macroscopic([config.storage.decode(data[slot]) for slot in slots])
-        moved, share_x, share_y = couple_bodies(config, params, bodies, geometry, fluid)
-        force_x.index_put_((nodes,), share_x, accumulate=True)
-        force_y.index_put_((nodes,), share_y, accumulate=True)
+        moved, *shares = couple_bodies(config, *bodies, geometry, fluid)
+        for total, share in zip(force, shares, strict=True):
+            total.index_put_((nodes,), share, accumulate=True)
         if config.sponges:  # each node has its own
             own = geometry.stencil.index_nodes(config.width)
             rates = layout.strip_rings(omega).flatten(1).gather(1, own.flatten(1)).view_as(own)
         else:
             rates = omega[..., None]
-        increment = compute_force_increment(
-            fluid, (force_x[nodes], force_y[nodes]), rates, config.rates, share=(share_x, share_y)
-        )
+        whole, part = (force[0][nodes], force[1][nodes]), (shares[0], shares[1])
+        increment = compute_force_increment(fluid, whole, rates, config.rates, share=part)
         for slot, values in zip(slots, increment, strict=True):
             data.index_put_((slot,), config.storage.encode(values), accumulate=True)
-        for total in (force_x, force_y):
+        for total in force:
             total.index_put_((nodes,), torch.zeros_like(fluid.drho))
-        copy_tree(bodies, moved)
+        copy_tree(bodies[1], moved)
+
+    return Part("coupling", BODY_TITLE, collect, act, BODY_SETTINGS)
 
 
-def keep_skin(config: FlowConfig, sample: FlowData) -> Skin:
-    """Return memory for the skins of the bodies, with the ``sample``'s content."""
-    return _keep(locate_skin(config, sample.params.bodies, sample.bodies))
+def make_skin_parts(
+    config: FlowConfig, layout: InPlaceLayout, sample: FlowData
+) -> tuple[Part, Part, Part]:
+    """Return the parts of bodies with sharp skins, with the ``sample``'s sizes.
 
+    The first finds the skins after the bodies have moved, the second reflects populations at them
+    and moves the bodies, the third fills the nodes that they have passed. Their tensors are the
+    populations, the lattice as ``Slots`` holds it, the bodies, their skins before and after a step.
+    """
+    device = sample.clock.device
+    places, lattice = find_places(layout, device), make_lattice(device)
+    # before even and before odd steps
+    skins = [keep(locate_skin(config, sample.params.bodies, sample.bodies)) for _ in range(2)]
+    if config.is_still:
+        skins[1] = skins[0]
 
-class SkinTensors(NamedTuple):
-    """Populations as ``Slots`` holds them, the bodies, and their skins before and after a step."""
+    def collect(memory: GroupMemory, parity: int) -> tuple[Places, Tensor, Bodies, Skin, Skin]:
+        before, after = skins[parity], skins[1 - parity]
+        return places(memory, parity), lattice, get_bodies(memory), before, after
 
-    data: Tensor
-    offsets: Tensor
-    first_cell: Tensor
-    lattice: Tensor
-    params: tuple[BodyParams, ...]
-    bodies: tuple[BodyState, ...]
-    before: Skin
-    after: Skin
-
-
-class _SkinPart(Part[SkinTensors]):
-    """A part that acts at the skins; ``skins`` holds them before even and before odd steps."""
-
-    title = BODY_TITLE
-    settings = BODY_SETTINGS
-
-    def __init__(self, config: FlowConfig, layout: InPlaceLayout, skins: Sequence[Skin]) -> None:
-        super().__init__()
-        self._config, self._layout, self._skins = config, layout, skins
-        device = skins[0].links[0].x.device
-        self._cells, self._lattice = MarkerCells(layout, device), make_lattice(device)
-
-    def collect(self, memory: GroupMemory, parity: int) -> SkinTensors:
-        """Return populations and bodies of the group, and the memory that groups share."""
-        return SkinTensors(
-            data=memory.populations,
-            offsets=self._cells.offsets[parity],
-            first_cell=self._cells.first_cell,
-            lattice=self._lattice,
-            params=memory.flow.params.bodies,
-            bodies=memory.flow.bodies,
-            before=self._skins[parity],
-            after=self._skins[1 - parity],
-        )
-
-    def _make_slots(self, tensors: SkinTensors) -> Slots:
+    def list_slots(places: Places, lattice: Tensor) -> Slots:
         """Return the outgoing populations; the corner of a flow's ring is scrap."""
+        data, offsets, first_cell = places
         return Slots(
-            data=tensors.data,
-            offsets=tensors.offsets,
-            first=tensors.first_cell,
-            row_length=self._layout.row_length,
-            scrap=tensors.first_cell - self._layout.first_cell + tensors.offsets[0],
-            lattice=tensors.lattice,
-            storage=self._config.storage,
+            data=data,
+            offsets=offsets,
+            first=first_cell,
+            row_length=layout.row_length,
+            scrap=first_cell - layout.first_cell + offsets[0],
+            lattice=lattice,
+            storage=config.storage,
         )
 
+    def locate(places: Places, lattice: Tensor, bodies: Bodies, before: Skin, after: Skin) -> None:
+        copy_tree(after, locate_skin(config, *bodies))
 
-class LocateSkin(_SkinPart):
-    """Find where the skins are after the bodies have moved."""
+    def reflect(places: Places, lattice: Tensor, bodies: Bodies, before: Skin, after: Skin) -> None:
+        slots = list_slots(places, lattice)
+        copy_tree(bodies[1], bounce_off_bodies_(config, *bodies, before, slots, torch.float32))
 
-    def act(self, tensors: SkinTensors) -> None:
-        """Write them."""
-        copy_tree(tensors.after, locate_skin(self._config, tensors.params, tensors.bodies))
+    def uncover(places: Places, lattice: Tensor, bodies: Bodies, before: Skin, after: Skin) -> None:
+        uncover_nodes_(config, bodies[1], before, after, list_slots(places, lattice))
 
-
-class BounceOffBodies(_SkinPart):
-    """Reflect populations at the skins, and move the bodies."""
-
-    def act(self, tensors: SkinTensors) -> None:
-        """Act as the readable step does."""
-        slots, params, bodies = self._make_slots(tensors), tensors.params, tensors.bodies
-        skin = tensors.before
-        moved = bounce_off_bodies_(self._config, params, bodies, skin, slots, torch.float32)
-        copy_tree(bodies, moved)
-
-
-class UncoverNodes(_SkinPart):
-    """Fill the nodes that the skins have passed."""
-
-    def act(self, tensors: SkinTensors) -> None:
-        """Act as the readable step does."""
-        slots = self._make_slots(tensors)
-        uncover_nodes_(self._config, tensors.bodies, tensors.before, tensors.after, slots)
+    return (
+        Part("skin", BODY_TITLE, collect, locate, BODY_SETTINGS),
+        Part("reflection", BODY_TITLE, collect, reflect, BODY_SETTINGS),
+        Part("uncovering", BODY_TITLE, collect, uncover, BODY_SETTINGS),
+    )

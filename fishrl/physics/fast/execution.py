@@ -55,7 +55,6 @@ class Execution:
         self._configs, self._device, self._wants_compile = configs, device, compile
         self._shared: IO[bytes] | None = None
         self._is_closed = self._is_ready = False
-        self._began: float | None = None  # to compile
         self.batch = FlowBatch(
             configs,
             group_size=self.group_size,
@@ -70,42 +69,34 @@ class Execution:
         self._shared = open_shared(num_bytes)
         return map_shared(self._shared.fileno(), num_bytes)
 
-    def compile(self, *, wait: bool = True) -> None:
-        """Compile the step and start the workers, once; see ``InPlaceSolver.compile``."""
+    def compile(self) -> None:
+        """Compile the step and start the workers, once."""
         if self._is_ready or not (self.num_workers or self._wants_compile):
             return
-        stepper, first = self.batch.stepper, self.batch.first
-        if self._began is None:
-            start = time.perf_counter()
-            logger.info("compiling the flow step (up to a minute when new) ...")
-            if self._shared is not None:
-                self.workers = Workers(
-                    self._configs,
-                    group_size=self.group_size,
-                    file=self._shared.fileno(),
-                    count=self.num_workers,
-                    compile=self._wants_compile,
-                )
-                self._shared.close()
-            else:
-                stepper.compile(first)
-            self._began = start
-        if not wait:
-            return
+        stepper, first, began = self.batch.stepper, self.batch.first, time.perf_counter()
+        logger.info("compiling the flow step (up to a minute when new) ...")
+        if self._shared is None:
+            stepper.compile(first)
+        elif self.workers is None:
+            self.workers = Workers(
+                self._configs,
+                group_size=self.group_size,
+                file=self._shared.fileno(),
+                count=self.num_workers,
+                compile=self._wants_compile,
+            )
+            self._shared.close()
         if self.workers is not None:
             self.workers.wait()
         if self._wants_compile:  # only now: killed meanwhile, this process would leave its compiler
             stepper.compile_check(first)
         self._is_ready = True
-        logger.info("flow step ready after %.1f s", time.perf_counter() - self._began)
-
-    def require_open(self) -> None:
-        """Raise RuntimeError after ``close``."""
-        if self._is_closed:
-            raise RuntimeError("this solver is closed and cannot advance: make a new one")
+        logger.info("flow step ready after %.1f s", time.perf_counter() - began)
 
     def advance_(self, num_steps: int, groups: Collection[int]) -> None:
-        """Advance some groups by an even number of steps, and wait for them."""
+        """Advance some groups by an even number of steps, and wait; RuntimeError once closed."""
+        if self._is_closed:
+            raise RuntimeError("this solver is closed and cannot advance: make a new one")
         self.compile()
         if self.workers is not None:
             self.workers.advance_(num_steps, groups)

@@ -1,5 +1,6 @@
 """The memory of a batch of flows: one block, which processes can share, and its parts."""
 
+from collections.abc import Callable
 from math import prod
 from typing import NamedTuple
 
@@ -51,50 +52,31 @@ class GroupMemory(NamedTuple):
         return self.layout.nodes(self.populations, parity, True)
 
 
-class FlowMemory:
-    """The layout of one block of memory that processes can share: numbers, omega, populations.
+def carve_memory(
+    sample: FlowData,
+    layout: InPlaceLayout,
+    *,
+    dtype: torch.dtype,
+    has_omega_field: bool,
+    allocate: Callable[[int], Tensor],
+) -> tuple[FlowData, Tensor, Tensor]:
+    """Return numbers, omega ``[B, n]`` and populations ``[groups, num_slots]`` in one block.
 
     Args:
         sample: numbers of all flows, for their shapes.
         layout: layout of one group's populations.
         dtype: type of stored populations.
         has_omega_field: whether the relaxation rate differs from node to node.
+        allocate: makes the block, from its size in bytes; processes can share it.
     """
-
-    def __init__(
-        self,
-        sample: FlowData,
-        layout: InPlaceLayout,
-        *,
-        dtype: torch.dtype,
-        has_omega_field: bool,
-    ) -> None:
-        leaves, self._form = pytree.tree_flatten(sample)
-        self._shapes = [leaf.shape for leaf in leaves]
-        self._num_envs, self._dtype = len(sample.clock), dtype
-        self._omega_length = layout.flow_length if has_omega_field else 1
-        self._slots = self._num_envs // layout.num_envs, layout.num_slots
-        self._num_doubles: int = sum(prod(shape) for shape in self._shapes)
-        self._num_omegas = round_up(self._num_envs * self._omega_length)
-
-    def count_bytes(self) -> int:
-        """Return the size of the block."""
-        return self._first_slot + self._dtype.itemsize * self._slots[0] * self._slots[1]
-
-    @property
-    def _first_slot(self) -> int:
-        return 8 * self._num_doubles + 4 * self._num_omegas
-
-    def carve(self, memory: Tensor) -> tuple[FlowData, Tensor, Tensor]:
-        """Return views of the block ``[bytes]``: numbers, omega ``[B, n]``, populations."""
-        doubles = memory[: 8 * self._num_doubles].view(torch.float64)
-        sizes = [prod(shape) for shape in self._shapes]
-        parts = [
-            part.view(shape)
-            for part, shape in zip(torch.split(doubles, sizes), self._shapes, strict=True)
-        ]
-        singles = memory[8 * self._num_doubles : self._first_slot].view(torch.float32)
-        omega = singles[: self._num_envs * self._omega_length].view(self._num_envs, -1)
-        populations = memory[self._first_slot :].view(self._dtype).view(self._slots)
-        flow: FlowData = pytree.tree_unflatten(parts, self._form)
-        return flow, omega, populations
+    leaves, form = pytree.tree_flatten(sample)
+    num_envs, counts = len(sample.clock), [leaf.numel() for leaf in leaves]
+    num_omegas = num_envs * (layout.flow_length if has_omega_field else 1)
+    slots = num_envs // layout.num_envs, layout.num_slots
+    sizes = [8 * sum(counts), 4 * round_up(num_omegas), dtype.itemsize * prod(slots)]
+    doubles, singles, stored = torch.split(allocate(sum(sizes)), sizes)
+    parts = torch.split(doubles.view(torch.float64), counts)
+    shaped = [part.view(leaf.shape) for part, leaf in zip(parts, leaves, strict=True)]
+    flow: FlowData = pytree.tree_unflatten(shaped, form)
+    omega = singles.view(torch.float32)[:num_omegas].view(num_envs, -1)
+    return flow, omega, stored.view(dtype).view(slots)

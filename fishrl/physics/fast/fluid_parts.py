@@ -18,66 +18,44 @@ from fishrl.physics.lattice import OPPOSITE
 MAX_SPEED = 0.5
 
 
-class CollideTensors(NamedTuple):
-    """``clock`` ``[B]``, ``omega`` ``[B, 1]`` or ``[B, cells]``, incoming ``f`` ``[B, cells]``."""
+def make_collision(config: FlowConfig) -> Part:
+    """Return the part that collides all nodes without force; on the incoming views it streams too.
 
-    clock: Tensor
-    omega: Tensor
-    f: list[Tensor]
+    Its tensors are the clock ``[B]``, omega ``[B, 1]`` or ``[B, cells]``, and all cells, rings
+    included: one loop over contiguous memory.
+    """
+    storage = config.storage
 
+    def collect(memory: GroupMemory, parity: int) -> tuple[Tensor, Tensor, list[Tensor]]:
+        return memory.flow.clock, memory.omega, memory.cells(parity)
 
-class Collide(Part[CollideTensors]):
-    """Collide all nodes without force; on the incoming views this streams as well."""
-
-    title = "collision"
-
-    def __init__(self, config: FlowConfig) -> None:
-        super().__init__()
-        self._storage, self._rates = config.storage, config.rates
-
-    def collect(self, memory: GroupMemory, parity: int) -> CollideTensors:
-        """Return all cells, rings included: one loop over contiguous memory."""
-        return CollideTensors(memory.flow.clock, memory.omega, memory.cells(parity))
-
-    def act(self, tensors: CollideTensors) -> None:
+    def act(clock: Tensor, omega: Tensor, f: list[Tensor]) -> None:
         """Count the step and write each population to the opposite one's slot."""
-        tensors.clock.add_(1.0)
-        decoded = [self._storage.decode(g) for g in tensors.f]
-        for q, g in enumerate(collide_mrt(decoded, tensors.omega, self._rates)):
-            tensors.f[OPPOSITE[q]].copy_(self._storage.encode(g))
+        clock.add_(1.0)
+        collided = collide_mrt([storage.decode(g) for g in f], omega, config.rates)
+        for q, g in enumerate(collided):
+            f[OPPOSITE[q]].copy_(storage.encode(g))
+
+    return Part("collision", "collision", collect, act, {})
 
 
-class CrossTensors(NamedTuple):
-    """Views of what enters over periodic edges, and of what left on the other side."""
+def make_crossing(config: FlowConfig) -> Part:
+    """Return the part that carries what leaves over a periodic edge to the other side.
 
-    entering: list[Tensor]
-    leaving: list[Tensor]
+    It stays eager: its copies need no code of their own.
+    """
+    crossings = config.boundaries.list_crossings(config.height, config.width)
 
-
-class CrossPeriodic(Part[CrossTensors]):
-    """Carry the populations that leave over a periodic edge to the other side; never compiled."""
-
-    title = "edges"
-
-    def __init__(self, config: FlowConfig) -> None:
-        super().__init__()
-        self._crossings = config.boundaries.list_crossings(config.height, config.width)
-
-    def collect(self, memory: GroupMemory, parity: int) -> CrossTensors:
-        """Return the views of all directions."""
+    def collect(memory: GroupMemory, parity: int) -> tuple[list[Tensor], list[Tensor]]:
         incoming, outgoing = memory.incoming(1 - parity), memory.outgoing(parity)
-        return CrossTensors(
-            entering=[incoming[q][to] for q, to, _ in self._crossings],
-            leaving=[outgoing[q][at] for q, _, at in self._crossings],
-        )
+        entering = [incoming[q][to] for q, to, _ in crossings]
+        return entering, [outgoing[q][at] for q, _, at in crossings]
 
-    def act(self, tensors: CrossTensors) -> None:
-        """Copy."""
-        for to, origin in zip(*tensors, strict=True):
+    def act(entering: list[Tensor], leaving: list[Tensor]) -> None:
+        for to, origin in zip(entering, leaving, strict=True):
             to.copy_(origin)
 
-    def compile(self, example: Sequence[Tensor], key: str | None) -> None:
-        """Leave it eager: its copies need no code of their own."""
+    return Part("crossing", "edges", collect, act, None)
 
 
 class EdgeViews(NamedTuple):
@@ -93,35 +71,17 @@ class EdgeViews(NamedTuple):
     profile: Tensor
 
 
-class EdgeTensors(NamedTuple):
-    """What sets the stream's speed, and the edges."""
+def make_edges(
+    config: FlowConfig, sides: Sequence[tuple[Side, Boundary]], device: torch.device
+) -> Part:
+    """Return the part that sets the edges ``sides``, which do not depend on each other."""
+    storage, profiles = config.storage, []
+    for side, _ in sides:
+        num_nodes = config.height if side.value[0] else config.width
+        profile = config.boundaries.evaluate_profile(side, num_nodes)
+        profiles.append(profile[None].to(device, torch.float32))
 
-    clock: Tensor
-    params: FlowParams
-    edges: list[EdgeViews]
-
-
-class SetEdges(Part[EdgeTensors]):
-    """Set the edges ``sides``, which do not depend on each other."""
-
-    title = "edges"
-    # on a GPU the stream's speed is not worth a kernel of its own
-    settings = {"cuda": {"realize_reads_threshold": 16, "realize_opcount_threshold": 1000}}
-
-    def __init__(
-        self, config: FlowConfig, sides: Sequence[tuple[Side, Boundary]], device: torch.device
-    ) -> None:
-        super().__init__()
-        self._storage, self._sides = config.storage, sides
-        self._profiles = [_make_profile(config, side).to(device) for side, _ in sides]
-
-    @property
-    def name(self) -> str:
-        """Key among the parts of one step."""
-        return f"{super().name} {[side.name for side, _ in self._sides]}"
-
-    def collect(self, memory: GroupMemory, parity: int) -> EdgeTensors:
-        """Return the views of the edges."""
+    def collect(memory: GroupMemory, parity: int) -> tuple[Tensor, FlowParams, list[EdgeViews]]:
         incoming, outgoing = memory.incoming(1 - parity), memory.outgoing(parity)
         edges = [
             EdgeViews(
@@ -130,53 +90,41 @@ class SetEdges(Part[EdgeTensors]):
                 outgoing=[f[side.edge] for f in outgoing],
                 profile=profile,
             )
-            for (side, _), profile in zip(self._sides, self._profiles, strict=True)
+            for (side, _), profile in zip(sides, profiles, strict=True)
         ]
-        return EdgeTensors(memory.flow.clock, memory.flow.params._replace(bodies=()), edges)
+        return memory.flow.clock, memory.flow.params._replace(bodies=()), edges
 
-    def act(self, tensors: EdgeTensors) -> None:
-        """Set the populations that enter at each edge."""
-        speed = compute_stream_speed(tensors.params, tensors.clock).float()[:, None]
-        decode, encode = self._storage.decode, self._storage.encode
-        for (side, boundary), views in zip(self._sides, tensors.edges, strict=True):
-            neighbour, outgoing = map(decode, views.neighbour), map(decode, views.outgoing)
-            own_speed = speed * views.profile
-            entering = boundary.compute_edge(side, [*neighbour], [*outgoing], own_speed)
+    def act(clock: Tensor, params: FlowParams, edges: list[EdgeViews]) -> None:
+        """Set the populations that enter at each edge, at the present speed of the stream."""
+        speed = compute_stream_speed(params, clock).float()[:, None]
+        for (side, boundary), views in zip(sides, edges, strict=True):
+            neighbour, outgoing = (
+                [storage.decode(f) for f in each] for each in (views.neighbour, views.outgoing)
+            )
+            entering = boundary.compute_edge(side, neighbour, outgoing, speed * views.profile)
             for q, values in entering.items():
-                views.edge[q].copy_(encode(values))
+                views.edge[q].copy_(storage.encode(values))
+
+    # on a GPU the stream's speed is not worth a kernel of its own
+    settings = {"cuda": {"realize_reads_threshold": 16, "realize_opcount_threshold": 1000}}
+    name = f"edges {[side.name for side, _ in sides]}"
+    return Part(name, "edges", collect, act, settings)
 
 
-def _make_profile(config: FlowConfig, side: Side) -> Tensor:
-    """Return how the velocity varies along an edge, ``[1, n + 2]``, float32."""
-    num_nodes = config.height if side.value[0] else config.width
-    return config.boundaries.evaluate_profile(side, num_nodes)[None].to(torch.float32)
+def make_check(config: FlowConfig, is_fine: Tensor) -> Part:
+    """Return the part that writes to ``is_fine`` ``[B]`` bool which flows have not diverged.
 
+    Those whose density or speed is out of range or not finite at a node have.
+    """
 
-class CheckTensors(NamedTuple):
-    """The result ``[B]`` bool, and incoming populations ``[B, Y, X]``."""
+    def collect(memory: GroupMemory, parity: int) -> tuple[Tensor, list[Tensor]]:
+        return is_fine, memory.incoming(parity)
 
-    is_fine: Tensor
-    f: list[Tensor]
-
-
-class Check(Part[CheckTensors]):
-    """Flag the flows whose density or speed is out of range, or not finite."""
-
-    title = "check"
-
-    def __init__(self, config: FlowConfig, num_envs: int, device: torch.device) -> None:
-        super().__init__()
-        self._storage = config.storage
-        self.is_fine = torch.zeros(num_envs, dtype=torch.bool, device=device)
-
-    def collect(self, memory: GroupMemory, parity: int) -> CheckTensors:
-        """Return all nodes."""
-        return CheckTensors(self.is_fine, memory.incoming(parity))
-
-    def act(self, tensors: CheckTensors) -> None:
-        """Look at every node."""
-        drho, jx, jy = compute_moments([self._storage.decode(g) for g in tensors.f])
+    def act(is_fine: Tensor, f: list[Tensor]) -> None:
+        drho, jx, jy = compute_moments([config.storage.decode(g) for g in f])
         limit = MAX_SPEED * (drho + 1.0)
         # comparisons with NaN are false, so a broken flow is never fine
         is_node_fine = (jx * jx + jy * jy < limit * limit) & (drho.abs() < 1.0)
-        tensors.is_fine.copy_(is_node_fine.flatten(1).all(-1))
+        is_fine.copy_(is_node_fine.flatten(1).all(-1))
+
+    return Part("check", "check", collect, act, {})

@@ -6,16 +6,20 @@ Placing and moving are the functions that the readable step calls, compiled; the
 """
 
 import logging
-from collections.abc import Sequence
 from importlib.util import find_spec
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from fishrl.physics.bodies.outline import BodyParams
-from fishrl.physics.bodies.state import BodyState
-from fishrl.physics.fast.body_parts import BODY_SETTINGS, BODY_TITLE, MarkerCells
+from fishrl.physics.fast.body_parts import (
+    BODY_SETTINGS,
+    BODY_TITLE,
+    Bodies,
+    Places,
+    find_places,
+    get_bodies,
+)
 from fishrl.physics.fast.flow_memory import GroupMemory
 from fishrl.physics.fast.layout import InPlaceLayout
 from fishrl.physics.fast.part import Part, copy_tree
@@ -23,7 +27,7 @@ from fishrl.physics.flow import Coupling, FlowConfig
 from fishrl.physics.geometry import BodyGeometry, locate_bodies
 from fishrl.physics.immersed_boundary import IterativeForcing
 from fishrl.physics.rigid_motion import move_body, report_bodies
-from fishrl.physics.surface import Surface, prescribe_surface
+from fishrl.physics.surface import prescribe_surface
 
 logger = logging.getLogger(__name__)
 
@@ -78,172 +82,94 @@ class CouplingBuffers(NamedTuple):
     change: Tensor
     steps: Tensor
 
-    @classmethod
-    def make(cls, config: FlowConfig, geometry: BodyGeometry) -> "CouplingBuffers":
-        """Return zeros of the shapes that flows and bodies need."""
-        spacing, num_rows = geometry.spacing, _count_rows(config)
-        num_flows, num_markers = spacing.shape
 
-        def per_marker(*shape: int) -> Tensor:
-            return spacing.new_zeros(num_flows, *shape, num_markers)
-
-        def per_row() -> Tensor:
-            return spacing.new_zeros(num_flows, num_rows, dtype=torch.float64)
-
-        return cls(
-            surface=per_marker(num_rows, 2),
-            inertia=per_row(),
-            push=per_row(),
-            g=per_marker(2),
-            slip=per_marker(2),
-            mass=per_marker(),
-            change=per_row(),
-            steps=per_marker(num_rows, 2),
-        )
-
-
-class MotionTensors(NamedTuple):
-    """The bodies, and memory that all groups share."""
-
-    params: tuple[BodyParams, ...]
-    bodies: tuple[BodyState, ...]
-    geometry: BodyGeometry
-    buffers: CouplingBuffers
-
-
-class _MotionPart(Part[MotionTensors]):
-    """A part that reads or writes the bodies; ``geometry`` and ``buffers`` are the parts' own."""
-
-    title = BODY_TITLE
-    settings = BODY_SETTINGS
-
-    def __init__(
-        self, config: FlowConfig, geometry: BodyGeometry, buffers: CouplingBuffers
-    ) -> None:
-        super().__init__()
-        self._config, self._geometry, self._buffers = config, geometry, buffers
-
-    def collect(self, memory: GroupMemory, parity: int) -> MotionTensors:
-        """Return the same at even and odd steps."""
-        flow = memory.flow
-        return MotionTensors(flow.params.bodies, flow.bodies, self._geometry, self._buffers)
-
-
-class PlaceMarkers(_MotionPart):
-    """Place the markers, and find how they move and how each degree of freedom would move them.
-
-    Bodies that stay still are located beforehand, by ``LocateStill``.
-    """
-
-    def act(self, tensors: MotionTensors) -> None:
-        """Write the geometry and the kernels' right-hand sides."""
-        params, bodies, geometry, buffers = tensors
-        if not self._config.is_still:
-            geometry = locate_bodies(self._config, params, bodies, torch.float32)
-            copy_tree(tensors.geometry, geometry)
-        surface = prescribe_surface(self._config, params, bodies, geometry.outlines, torch.float32)
-        one, freedoms = torch.ones_like(buffers.push[:, 0]), surface.freedoms
-        buffers.surface.copy_(_stack_rows(surface))
-        buffers.inertia.copy_(torch.stack([one, *(each.inertia for each in freedoms)], -1))
-        buffers.push.copy_(torch.stack([one, *(each.push for each in freedoms)], -1))
-
-
-def _stack_rows(surface: Surface) -> Tensor:
-    """Return the velocity of the markers and what each freedom adds to it, ``[B, R, 2, N]``."""
-    zero = torch.zeros_like(surface.velocity[:, 0])
-    units = (
-        torch.stack([zero if unit is None else unit for unit in each.unit], 1)
-        for each in surface.freedoms
+def make_buffers(spacing: Tensor, num_rows: int) -> CouplingBuffers:
+    """Return zeros for markers of ``spacing`` ``[B, N]`` and ``num_rows`` right-hand sides R."""
+    num_flows, num_markers = spacing.shape
+    surface, steps = (spacing.new_zeros(num_flows, num_rows, 2, num_markers) for _ in range(2))
+    g, slip = (spacing.new_zeros(num_flows, 2, num_markers) for _ in range(2))
+    inertia, push, change = (
+        spacing.new_zeros(num_flows, num_rows, dtype=torch.float64) for _ in range(3)
     )
-    return torch.stack([surface.velocity, *units], 1)
+    mass = torch.zeros_like(spacing)
+    return CouplingBuffers(surface, inertia, push, g, slip, mass, change, steps)
 
 
-class TritonTensors(NamedTuple):
-    """What the kernels read and write; see ``body_parts.CoupleTensors``."""
+def make_triton_parts(
+    config: FlowConfig, layout: InPlaceLayout, geometry: BodyGeometry
+) -> list[Part]:
+    """Return the parts that place the markers, launch the kernels, and move the bodies.
 
-    data: Tensor
-    offsets: Tensor
-    first_cell: Tensor
-    omega: Tensor
-    geometry: BodyGeometry
-    buffers: CouplingBuffers
+    All groups share the memory of the ``geometry``. Bodies that stay still are located beforehand.
+    """
+    from fishrl.physics.fast.triton_coupling import couple_bodies_  # needs Triton
 
+    solve, buffers = config.force_solve, make_buffers(geometry.spacing, _count_rows(config))
+    places = find_places(layout, geometry.spacing.device)
+    assert isinstance(solve, IterativeForcing)
 
-class CoupleByTriton(Part[TritonTensors]):
-    """Couple fluid and bodies by kernels that Triton compiles."""
+    def collect(memory: GroupMemory, parity: int) -> tuple[Bodies, BodyGeometry, CouplingBuffers]:
+        return get_bodies(memory), geometry, buffers
 
-    title = BODY_TITLE
-
-    def __init__(
-        self,
-        config: FlowConfig,
-        layout: InPlaceLayout,
-        geometry: BodyGeometry,
-        buffers: CouplingBuffers,
-    ) -> None:
-        from fishrl.physics.fast.triton_coupling import couple_bodies_  # needs Triton
-
-        super().__init__()
-        self._couple_bodies_ = couple_bodies_
-        self._config, self._row_length = config, layout.row_length
-        self._geometry, self.buffers = geometry, buffers
-        self._cells = MarkerCells(layout, geometry.spacing.device)
-
-    def collect(self, memory: GroupMemory, parity: int) -> TritonTensors:
-        """Return the populations of the group, and the memory that groups share."""
-        return TritonTensors(
-            data=memory.populations,
-            offsets=self._cells.offsets[parity],
-            first_cell=self._cells.first_cell,
-            omega=memory.omega,
-            geometry=self._geometry,
-            buffers=self.buffers,
+    def place(bodies: Bodies, geometry: BodyGeometry, buffers: CouplingBuffers) -> None:
+        """Write the geometry and the kernels' right-hand sides."""
+        kept = geometry
+        if not config.is_still:
+            geometry = locate_bodies(config, *bodies, torch.float32)
+            copy_tree(kept, geometry)
+        surface = prescribe_surface(config, *bodies, geometry.outlines, torch.float32)
+        zero, one = torch.zeros_like(surface.velocity[:, 0]), torch.ones_like(buffers.push[:, 0])
+        units = (
+            torch.stack([zero if unit is None else unit for unit in each.unit], 1)
+            for each in surface.freedoms
         )
+        buffers.surface.copy_(torch.stack([surface.velocity, *units], 1))
+        buffers.inertia.copy_(torch.stack([one, *(each.inertia for each in surface.freedoms)], -1))
+        buffers.push.copy_(torch.stack([one, *(each.push for each in surface.freedoms)], -1))
 
-    def act(self, tensors: TritonTensors) -> None:
-        """Launch the kernels."""
-        data, offsets, first_cell, omega, geometry, buffers = tensors
-        solve = self._config.force_solve
-        assert isinstance(solve, IterativeForcing)
+    def collect_all(
+        memory: GroupMemory, parity: int
+    ) -> tuple[Places, Tensor, BodyGeometry, CouplingBuffers]:
+        return places(memory, parity), memory.omega, geometry, buffers
+
+    def couple(
+        places: Places, omega: Tensor, geometry: BodyGeometry, buffers: CouplingBuffers
+    ) -> None:
         # Triton launches on the current device
-        with torch.cuda.device_of(data):
-            self._couple_bodies_(
-                data,
-                offsets,
-                first_cell,
+        with torch.cuda.device_of(omega):
+            couple_bodies_(
+                *places,
                 omega,
                 *geometry.stencil,
                 geometry.spacing,
                 geometry.operator[0],
                 *buffers,
-                row_length=self._row_length,
+                row_length=layout.row_length,
                 num_iterations=solve.num_iterations,
                 relaxation=solve.relaxation,
-                energy=self._config.rates.energy,
-                scale=self._config.storage.scale,
+                energy=config.rates.energy,
+                scale=config.storage.scale,
             )
 
-    def compile(self, example: Sequence[Tensor], key: str | None) -> None:
-        """Leave it to Triton, at the first launch."""
-
-
-class MoveBodies(_MotionPart):
-    """Move the bodies by the kernels' results, and add to their totals."""
-
-    def act(self, tensors: MotionTensors) -> None:
-        """Write the bodies' states."""
-        config, (params, bodies, geometry, buffers) = self._config, tensors
-        outlines = geometry.outlines
+    def move(bodies: Bodies, geometry: BodyGeometry, buffers: CouplingBuffers) -> None:
+        """Move the bodies by the kernels' results, and add to their totals."""
+        (params, states), outlines = bodies, geometry.outlines
         force_x, force_y = (buffers.mass * g for g in buffers.g.unbind(1))
         slip_x, slip_y = buffers.slip.unbind(1)
         updates = report_bodies(
             config,
-            bodies,
+            states,
             outlines,
-            prescribe_surface(config, params, bodies, outlines, torch.float32),
+            prescribe_surface(config, *bodies, outlines, torch.float32),
             changes=buffers.change[:, 1:].unbind(-1),
             force=(force_x, force_y),
             slip=(slip_x, slip_y),
         )
-        each = zip(config.bodies, params, bodies, outlines.deformations, updates, strict=True)
-        copy_tree(bodies, tuple(move_body(*body) for body in each))
+        each = zip(config.bodies, params, states, outlines.deformations, updates, strict=True)
+        copy_tree(states, tuple(move_body(*body) for body in each))
+
+    return [
+        Part("placement", BODY_TITLE, collect, place, BODY_SETTINGS),
+        Part("kernels", BODY_TITLE, collect_all, couple, None),  # compiled at the first launch
+        Part("motion", BODY_TITLE, collect, move, BODY_SETTINGS),
+    ]

@@ -1,48 +1,47 @@
-"""A part of the fast step: a function of tensors that it changes in place."""
+"""Parts of the fast step, functions of tensors that they change in place, and groups of flows."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Generic, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, TypeVarTuple
 
+import torch
 from torch import Tensor
 from torch.utils import _pytree as pytree
 
 from fishrl.physics.fast.compiled import InPlaceFunction, compile_inplace
 from fishrl.physics.fast.flow_memory import GroupMemory
+from fishrl.physics.storage import Storage
 
-Tensors = TypeVar("Tensors", bound=tuple[Any, ...])
+Trees = TypeVarTuple("Trees")
 
 
-class Part(ABC, Generic[Tensors]):
+class Part:
     """One part of the step, for all groups of flows, at even and odd steps.
 
-    ``Tensors`` is the named tuple of what it reads and writes.
+    Args:
+        name: key among the parts of one step.
+        title: name in profiles.
+        collect: returns the arguments of ``act`` for a group, trees of tensors, at even (0) or odd
+            (1) steps.
+        act: what the part does, eagerly or traced by the compiler.
+        settings: Inductor's settings, by type of device; None leaves the part eager.
 
     Attributes:
-        title: name in profiles.
-        settings: Inductor's settings, by type of device.
-        run: the part as a function of the tensors that ``bind`` returns.
+        run: ``act`` as a function of the tensors that ``bind`` returns.
     """
 
-    title: ClassVar[str]
-    settings: ClassVar[Mapping[str, Mapping[str, object]]] = {}
-
-    def __init__(self) -> None:
+    def __init__(
+        self,
+        name: str,
+        title: str,
+        collect: Callable[[GroupMemory, int], tuple[*Trees]],
+        act: Callable[[*Trees], None],
+        settings: Mapping[str, Mapping[str, object]] | None,
+    ) -> None:
+        self.name, self.title, self._settings = name, title, settings
+        self.collect: Callable[[GroupMemory, int], tuple[Any, ...]] = collect
+        self._act: Callable[..., None] = act
         self._form: pytree.TreeSpec | None = None
         self.run: InPlaceFunction = self._act_on
-
-    @abstractmethod
-    def collect(self, memory: GroupMemory, parity: int) -> Tensors:
-        """Return the tensors of a group at even (0) or odd (1) steps."""
-
-    @abstractmethod
-    def act(self, tensors: Tensors) -> None:
-        """Run the part, eagerly or traced by the compiler."""
-
-    @property
-    def name(self) -> str:
-        """Key among the parts of one step."""
-        return type(self).__name__
 
     def bind(self, memory: GroupMemory) -> tuple[Sequence[Tensor], Sequence[Tensor]]:
         """Return the arguments of ``run`` for a group, at even and at odd steps."""
@@ -52,13 +51,44 @@ class Part(ABC, Generic[Tensors]):
 
     def compile(self, example: Sequence[Tensor], key: str | None) -> None:
         """Compile ``run``; ``key`` determines the flow, None stores nothing on disk."""
-        settings = self.settings.get(example[0].device.type, {})
-        name = None if key is None else f"{self.name} {key}"
-        self.run = compile_inplace(self._act_on, example, name=name, **settings)
+        if self._settings is not None:
+            settings = self._settings.get(example[0].device.type, {})
+            name = None if key is None else f"{self.name} {key}"
+            self.run = compile_inplace(self._act_on, example, name=name, **settings)
 
     def _act_on(self, *leaves: Tensor) -> None:
         assert self._form is not None
-        self.act(pytree.tree_unflatten(leaves, self._form))
+        self._act(*pytree.tree_unflatten(leaves, self._form))
+
+
+class FlowGroup:
+    """The populations of flows that advance together, and the arguments of the parts of their step.
+
+    Attributes:
+        nodes: the nine stored populations ``[B, Y, X]`` before an even step.
+        arguments: arguments of each part, at even and odd steps.
+        graphs: CUDA graphs by number of pairs of steps.
+    """
+
+    def __init__(self, memory: GroupMemory, storage: Storage, parts: Iterable[Part]) -> None:
+        self._storage, self._cells = storage, memory.cells(0)
+        self.nodes = memory.incoming(0)
+        self.arguments = {part: part.bind(memory) for part in parts}
+        self.graphs: dict[int, torch.cuda.CUDAGraph] = {}
+
+    def read(self) -> list[Tensor]:
+        """Return the nine incoming populations ``[B, Y, X]``, before an even step."""
+        return [self._storage.decode(f) for f in self.nodes]
+
+    def write_(self, rows: Tensor, f: Tensor) -> None:
+        """Set the incoming populations ``[N, Q, Y, X]`` of the flows ``rows`` ``[N]``, indices."""
+        for view, values in zip(self.nodes, f.unbind(1), strict=True):
+            view[rows] = self._storage.encode(values)
+
+    def fill_(self, rows: Tensor, f: Sequence[Tensor]) -> None:
+        """Set all cells of the flows in ``rows`` ``[B]`` bool to the populations ``[B]``."""
+        for view, value in zip(self._cells, f, strict=True):
+            view.copy_(torch.where(rows[:, None], self._storage.encode(value[:, None]), view))
 
 
 def copy_tree(old: object, new: object) -> None:

@@ -4,7 +4,6 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import hypot
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -93,12 +92,9 @@ class InPlaceSolver:
             raise ValueError("this flow has no body: give FlowConfig(bodies=...)")
         return self.bodies[0]
 
-    def compile(self, *, wait: bool = True) -> None:
-        """Compile the step and start the workers; the first ``advance_`` does it otherwise.
-
-        Without ``wait`` the workers compile in the background, until the next call.
-        """
-        self._execution.compile(wait=wait)
+    def compile(self) -> None:
+        """Compile the step and start the workers; the first ``advance_`` does it otherwise."""
+        self._execution.compile()
 
     def close(self) -> None:
         """End the workers, if any; the flows can still be read."""
@@ -120,7 +116,6 @@ class InPlaceSolver:
         """
         if num_steps < 0 or num_steps % 2:
             raise ValueError(f"num_steps = {num_steps}: must be even and not negative")
-        self._execution.require_open()
         is_one_launch = self.device.type == "cuda" and self._group_size == self.num_envs
         chosen = self._choose(rows).view(-1, self._group_size).any(-1)
         groups = [0] if is_one_launch else chosen.nonzero()[:, 0].tolist()
@@ -333,7 +328,7 @@ class InPlaceSolver:
         self._unplaced = None
         self._is_lost.zero_()
 
-    def list_calls(self) -> list[tuple[Part[Any], tuple[Sequence[Tensor], Sequence[Tensor]]]]:
+    def list_calls(self) -> list[tuple[Part, tuple[Sequence[Tensor], Sequence[Tensor]]]]:
         """Return the parts of a step in order, for measuring them in this process.
 
         Each comes with the first group's arguments of ``run`` at even and at odd steps; the first

@@ -8,32 +8,21 @@ and odd steps are the same code on other views (see ``layout.py``); states are r
 even parity only.
 """
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
 from fishrl.physics.fast.body_parts import (
-    BounceOffBodies,
-    CoupleBodies,
-    LocateSkin,
-    LocateStill,
-    UncoverNodes,
     keep_geometry,
-    keep_skin,
+    make_coupling,
+    make_location,
+    make_skin_parts,
 )
 from fishrl.physics.fast.compiled import is_own
 from fishrl.physics.fast.flow_memory import FlowData
-from fishrl.physics.fast.fluid_parts import Check, Collide, CrossPeriodic, SetEdges
-from fishrl.physics.fast.gpu_body_parts import (
-    CoupleByTriton,
-    CouplingBuffers,
-    MoveBodies,
-    PlaceMarkers,
-)
-from fishrl.physics.fast.group import FlowGroup
+from fishrl.physics.fast.fluid_parts import make_check, make_collision, make_crossing, make_edges
+from fishrl.physics.fast.gpu_body_parts import make_triton_parts
 from fishrl.physics.fast.layout import InPlaceLayout
-from fishrl.physics.fast.part import Part
+from fishrl.physics.fast.part import FlowGroup, Part
 from fishrl.physics.flow import Coupling, FlowConfig
 
 _GRAPH_PAIRS = 50  # most pairs of steps in one CUDA graph
@@ -57,35 +46,28 @@ class Stepper:
         structure, device = config.get_structure(), sample.clock.device
         self._key = repr(structure) if is_own(structure) else None
         self._device = device
-        is_sharp = config.coupling is Coupling.BOUNCE_BACK
-        is_kept = bool(config.bodies) and not is_sharp and (config.is_still or uses_triton)
-        geometry = keep_geometry(config, sample) if is_kept else None
-        self.locate: Part[Any] | None = None
-        if geometry and config.is_still:
-            self.locate = LocateStill(config, geometry)
-        self.parts: list[Part[Any]] = [Collide(config)]
-        if geometry and uses_triton:
-            buffers = CouplingBuffers.make(config, geometry)
-            self.parts += [
-                PlaceMarkers(config, geometry, buffers),
-                CoupleByTriton(config, layout, geometry, buffers),
-                MoveBodies(config, geometry, buffers),
-            ]
-        elif config.bodies and is_sharp:
-            skin = keep_skin(config, sample)
-            skins = skin, skin if config.is_still else keep_skin(config, sample)
-            self.locate = LocateSkin(config, layout, skins)
-            self.parts.append(BounceOffBodies(config, layout, skins))
-            if not config.is_still:
-                self.parts += [self.locate, UncoverNodes(config, layout, skins)]
+        self.locate: Part | None = None
+        self.parts: list[Part] = [make_collision(config)]
+        if config.bodies and config.coupling is Coupling.BOUNCE_BACK:
+            locate, reflect, uncover = make_skin_parts(config, layout, sample)
+            self.locate = locate
+            self.parts += [reflect] if config.is_still else [reflect, locate, uncover]
         elif config.bodies:
-            self.parts.append(CoupleBodies(config, layout, geometry, device))
+            is_kept = config.is_still or uses_triton
+            geometry = keep_geometry(config, sample) if is_kept else None
+            if geometry and config.is_still:
+                self.locate = make_location(config, geometry)
+            if geometry and uses_triton:
+                self.parts += make_triton_parts(config, layout, geometry)
+            else:
+                self.parts.append(make_coupling(config, layout, geometry, device))
         if config.boundaries.list_crossings(config.height, config.width):
-            self.parts.append(CrossPeriodic(config))
-        self.parts += [SetEdges(config, sides, device) for sides in config.boundaries.in_order()]
-        self.check = Check(config, layout.num_envs, device)
+            self.parts.append(make_crossing(config))
+        self.parts += [make_edges(config, sides, device) for sides in config.boundaries.in_order()]
+        self._is_fine = torch.zeros(layout.num_envs, dtype=torch.bool, device=device)
+        self.check = make_check(config, self._is_fine)
 
-    def list_all(self) -> list[Part[Any]]:
+    def list_all(self) -> list[Part]:
         """Return all parts: those of a step, the check, and the one that locates still bodies."""
         located = [self.locate] if self.locate and self.locate not in self.parts else []
         return [*self.parts, self.check, *located]
@@ -103,7 +85,7 @@ class Stepper:
     def is_fine(self, group: FlowGroup) -> Tensor:
         """Return ``[B]``: whether density and speed are within the method, before an even step."""
         self.check.run(*group.arguments[self.check][0])
-        return self.check.is_fine.clone()
+        return self._is_fine.clone()
 
     def advance_(self, group: FlowGroup, num_steps: int) -> None:
         """Advance one group by an even number of steps."""

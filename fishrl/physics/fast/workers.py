@@ -17,7 +17,7 @@ import sys
 import tempfile
 from collections.abc import Collection, Sequence
 from functools import partial
-from typing import IO, NamedTuple
+from typing import IO
 
 import torch
 from torch import Tensor
@@ -25,8 +25,6 @@ from torch import Tensor
 from fishrl.children import start_child
 from fishrl.physics.fast.batch import FlowBatch
 from fishrl.physics.flow import FlowConfig
-
-logger = logging.getLogger(__name__)
 
 
 def open_shared(num_bytes: int) -> IO[bytes]:
@@ -58,24 +56,6 @@ def can_send(configs: Sequence[FlowConfig]) -> bool:
         return False
 
 
-class Job(NamedTuple):
-    """What a worker is sent.
-
-    Attributes:
-        configs: configuration of each flow.
-        group_size: flows per group.
-        file: descriptor of the shared memory.
-        groups: groups that this worker advances.
-        compile: whether to compile the step.
-    """
-
-    configs: Sequence[FlowConfig]
-    group_size: int
-    file: int
-    groups: range
-    compile: bool
-
-
 class Workers:
     """Subprocesses that advance their share of the flows; ``wait`` until they can.
 
@@ -96,22 +76,18 @@ class Workers:
         count: int,
         compile: bool,
     ) -> None:
-        num_groups = len(configs) // group_size
-        jobs = [
-            Job(configs, group_size, file, range(first, num_groups, count), compile)
-            for first in range(count)
-        ]
         self._processes = [
             start_child(
                 "from fishrl.physics.fast.workers import serve; serve()",
                 env=os.environ | {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
                 stdout=subprocess.PIPE,
-                pass_fds=[job.file],
+                pass_fds=[file],
             )
-            for job in jobs
+            for _ in range(count)
         ]
-        for process, job in zip(self._processes, jobs, strict=True):
-            _send(process.stdin, job)
+        for first, process in enumerate(self._processes):
+            groups = range(first, len(configs) // group_size, count)
+            _send(process.stdin, (configs, group_size, groups, file, compile))
 
     def advance_(self, num_steps: int, groups: Collection[int]) -> None:
         """Advance the flows of ``groups``, and wait for the workers."""
@@ -169,17 +145,17 @@ def serve() -> None:
     os.dup2(2, 1)  # nothing but answers may go to the pipe
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)
-    job: Job = pickle.load(requests)
+    configs, group_size, groups, file, compile = pickle.load(requests)
     logging.basicConfig(level=logging.WARNING)
     batch = FlowBatch(
-        job.configs,
-        group_size=job.group_size,
+        configs,
+        group_size=group_size,
         device=torch.device("cpu"),
-        allocate=partial(map_shared, job.file),
-        groups=job.groups,
+        allocate=partial(map_shared, file),
+        groups=groups,
     )
     try:
-        if job.compile:
+        if compile:
             batch.stepper.compile(batch.first)
     except OSError as error:  # of the compiler
         _send(answers, str(error))
@@ -187,8 +163,8 @@ def serve() -> None:
     _send(answers, None)
     while True:
         try:
-            num_steps, groups = pickle.load(requests)
+            num_steps, wanted = pickle.load(requests)
         except EOFError:
             return
-        batch.advance_(num_steps, groups)
+        batch.advance_(num_steps, wanted)
         _send(answers, None)

@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from fishrl.physics.bodies.fish import Fish
-from fishrl.physics.bodies.gait import Beat
 from fishrl.physics.bodies.motion import Free
 from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.state import BodyState
@@ -35,15 +34,10 @@ def at(time: float) -> BodyState:
     return body._replace(beats=body.beats + time)
 
 
-def read_beat(body: BodyState) -> Beat:
-    zero = 0.0 * body.bend
-    return Beat(body.phase, body.frequency, body.beats, body.bend, zero, zero + 1.0, zero)
-
-
 def test_a_fish_begins_straight() -> None:
     straight = replace(LARVA, strokes=None).make_params()
     body = make_fish_body()
-    straight_places = place_markers(body, straight.deform(Beat(*7 * (0.0 * body.phase,))))
+    straight_places = place_markers(body, straight.deform(body, 0.0 * body.bend))
     places = place_markers(body, deform_body(LARVA, LARVA.make_params(), body))
     torch.testing.assert_close(places.position, straight_places.position, rtol=0, atol=0.01)
     assert float(places.deformation_velocity.abs().max()) == 0.0
@@ -54,7 +48,8 @@ def test_curvatures_at_the_control_points_are_those_given() -> None:
     x = np.array([0.0, 0.2, 0.5, 0.75, 0.95, 1.0])
     first, curve = C_START.sequence[0], C_START.make_curve(x, 10.0, "cpu")
     step = torch.zeros(1, len(x), dtype=torch.float64)
-    curvature = curve.draw(read_beat(at(0.7)), step).curvature[0]
+    body = at(0.7)
+    curvature = curve.draw(body, body.bend, step).curvature[0]
     wave = np.sin(2.0 * math.pi * (0.7 - first.lag * x[2:5]) + C_START.phase)
     expected = (np.array(first.bend) + np.array(first.wave) * wave) / 10.0
     np.testing.assert_allclose(curvature[2:5], expected, atol=1e-12)
@@ -90,9 +85,10 @@ def test_fish_of_one_batch_may_follow_strokes_of_their_own() -> None:
     configs = [make_swimmer_config(SCALES, length_bl=6, height_bl=6, bodies=(f,)) for f in fish]
     both = make_params(configs).bodies[0]
     body = at(0.9)
-    together = both.deform(Beat(*(torch.cat((v, v)) for v in read_beat(body))))
+    twice = BodyState(*(torch.cat((value, value)) for value in body))
+    together = both.deform(twice, twice.bend)
     for row, own in enumerate(fish):
-        alone = own.make_params().deform(read_beat(body))
+        alone = own.make_params().deform(body, body.bend)
         for one, each in zip(alone, together, strict=True):
             torch.testing.assert_close(each[row], one[0], rtol=1e-12, atol=1e-12)
     single = replace(LARVA, strokes=Strokes(sequence=(small,)))

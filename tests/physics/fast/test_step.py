@@ -11,7 +11,6 @@ from torch._inductor.graph import GraphLowering
 
 from fishrl.physics import Fish, FlowConfig, InPlaceSolver, Storage
 from fishrl.physics.boundaries import Boundaries, NoSlip
-from fishrl.physics.fast.body_parts import CoupleBodies
 from fishrl.physics.fast.compiled import compile_inplace, is_own
 from fishrl.physics.lattice import Q
 from tests.physics.fast.test_solver import CHANGES, TANK, make_solver, make_tank
@@ -63,9 +62,9 @@ def test_memory_per_node_and_flow_is_within_45_bytes() -> None:
         num_envs=1,
         compile=False,
     )
-    (bodies,) = (part for part, _ in solver.list_calls() if isinstance(part, CoupleBodies))
-    force = sum(component.nbytes for component in bodies.force)
-    assert (solver._batch.num_bytes + force) / (1000 * 500) < 45.5
+    tensors = [t for _, (even, _) in solver.list_calls() for t in even]
+    storages = {t.untyped_storage().data_ptr(): t.untyped_storage().nbytes() for t in tensors}
+    assert sum(storages.values()) / (1000 * 500) < 45.5
 
 
 def count_python_calls(function: Callable[..., object], *arguments: object) -> int:

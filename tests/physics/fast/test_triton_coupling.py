@@ -24,7 +24,8 @@ from fishrl.physics.boundaries import Boundaries, NonEquilibrium, OpenEdge, Peri
 from fishrl.physics.collision import compute_equilibrium
 from fishrl.physics.delta import Hat, Peskin4
 from fishrl.physics.fast import batch as batches
-from fishrl.physics.fast.gpu_body_parts import CoupleByTriton, can_use_triton
+from fishrl.physics.fast.gpu_body_parts import can_use_triton
+from fishrl.physics.fast.part import Part
 from fishrl.physics.immersed_boundary import DirectSolve, IterativeForcing
 
 IS_REAL = torch.cuda.is_available() and "device" not in sys.modules
@@ -77,8 +78,10 @@ def make_batch(config: FlowConfig, device: str, *, kernel: bool) -> batches.Flow
             compile=kernel,
         )
     batch.initialise_()
-    for buffer in find_coupling(batch).buffers if kernel else ():
-        buffer.fill_(torch.nan)  # nothing is read before it is written
+    if kernel:
+        *_, buffers = find_coupling(batch).collect(batch.memory_of(0), 0)
+        for buffer in buffers:
+            buffer.fill_(torch.nan)  # nothing is read before it is written
     start = torch.tensor([[16.3, 12.2], [38.0, 15.7]])
     for index, body in enumerate(batch.flow.bodies):
         body.position.copy_(start + index * torch.tensor([1.0, 5.5]))
@@ -94,8 +97,9 @@ def make_batch(config: FlowConfig, device: str, *, kernel: bool) -> batches.Flow
     return batch
 
 
-def find_coupling(batch: batches.FlowBatch) -> CoupleByTriton:
-    (found,) = (part for part in batch.stepper.parts if isinstance(part, CoupleByTriton))
+def find_coupling(batch: batches.FlowBatch) -> Part:
+    """Return the part that launches the kernels."""
+    (found,) = (part for part in batch.stepper.parts if part.name == "kernels")
     return found
 
 
