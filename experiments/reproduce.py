@@ -30,7 +30,7 @@ from fishrl.programs.program import program, show_command
 from fishrl.programs.sweeps.jobs import find_runs
 from fishrl.programs.sweeps.runs import read_run
 from fishrl.programs.train_lateral_line import main as train_lateral_line
-from fishrl.programs.train_settings import TRAINING, make_plan
+from fishrl.programs.train_settings import TRAINING
 from fishrl.settings import Settings
 from fishrl.training import DiscreteSAC
 from fishrl.training.baselines import choose_baselines
@@ -124,18 +124,18 @@ def count_updates(task: AbstractTask, periods: float) -> float:
 
 def plan_training(name: str, settings: Sequence[str], scale: Scale, folder: Path) -> Job:
     """Return the job that trains a policy with each seed; ValueError for wrong settings."""
-    plan = make_plan(TRAINING.read(settings))
-    run, task = plan.run, plan.task
-    tests = run.total_frames // run.eval_frames * run.eval_episodes
-    baselines = choose_baselines(run.baselines, task)
-    tests += run.final_episodes * (1 + len(baselines))
-    decisions = run.total_frames + tests * task.time_limit
+    plan = TRAINING.read(settings)
+    task = plan.task
+    tests = plan.total_frames // plan.eval_frames * plan.eval_episodes
+    baselines = choose_baselines(plan.baselines, task)
+    tests += plan.final_episodes * (1 + len(baselines))
+    decisions = plan.total_frames + tests * task.time_limit
     seeds = f"seed={','.join(map(str, scale.seeds))}"
     return Job(
         name=name,
         words=("train", "--multirun", *settings, seeds, f"folder={folder / name}"),
         updates=len(scale.seeds) * count_updates(task, decisions * task.interval_T),
-        gradient_steps=len(scale.seeds) * run.total_frames * plan.learning.updates_per_frame,
+        gradient_steps=len(scale.seeds) * plan.total_frames * plan.updates_per_frame,
         num_runs=len(scale.seeds),
     )
 
@@ -249,10 +249,10 @@ def measure_speed(plan: Plan) -> tuple[float, float]:
     """Return node updates and gradient steps (of discrete SAC) per second, on this machine."""
     gait: Any = plan.task
     task = replace(gait, stream=replace(gait.stream, has_disc=False))  # needs no wake
-    num_envs, num = plan.learning.num_envs, 4
-    env = make_env(task=task, num_envs=num_envs, device=plan.run.device, compile=plan.run.compile)
-    device = plan.run.policy_device
-    learner = DiscreteSAC().make_learner(PolicySpec.for_task(task), plan.learning, device=device)
+    num_envs, num = plan.num_envs, 4
+    env = make_env(task=task, num_envs=num_envs, device=plan.device, compile=plan.compile)
+    device = plan.policy_device
+    learner = DiscreteSAC().make_learner(PolicySpec.for_task(task), plan, device=device)
     env.rollout(1)
     began = time.perf_counter()
     steps = env.rollout(num, break_when_any_done=False)
@@ -277,7 +277,7 @@ def main(settings: ReproduceSettings) -> None:
         record = Record(folder)
         left = [job for job in list_jobs(scale, folder) if not record.is_finished(job)]
         if left:
-            flow, learning = measure_speed(make_plan(TRAINING.read(scale.gait)))
+            flow, learning = measure_speed(TRAINING.read(scale.gait))
             print(f"{flow / 1e6:.0f} million node updates and {learning:.0f} gradient steps per s")
             print("left, about:")
         for job in left:

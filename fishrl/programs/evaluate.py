@@ -13,6 +13,7 @@ from fishrl.programs.policy_settings import PolicySettings, read_task
 from fishrl.programs.program import program
 from fishrl.settings import describe
 from fishrl.training import evaluate as run_evaluation
+from fishrl.training.callback import SILENT, Callback
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
 from fishrl.viewer import ViewerSettings, check_folder
@@ -33,12 +34,11 @@ class EvaluateConfig(PolicySettings, ViewerSettings):
     save: str | None = None
 
 
-def evaluate(config: EvaluateConfig, *, progress: Progress | None = None) -> dict[str, Any]:
+def evaluate(config: EvaluateConfig, *, progress: Callback = SILENT) -> dict[str, Any]:
     """Run one episode from each of the fixed starts, and return the result with its policy."""
     live = LiveCallback(config, num_flows=min(config.num_envs, config.episodes))
-    source = str(config.policy) if config.learned is None else Path(config.learned)
     result = run_evaluation(
-        source,
+        config.source,
         task=config.task,
         recognition=config.recognition,
         episodes=config.episodes,
@@ -46,7 +46,7 @@ def evaluate(config: EvaluateConfig, *, progress: Progress | None = None) -> dic
         seed=config.seed,
         device=config.device,
         compile=config.compile,
-        callbacks=[live] if progress is None else [progress, live],
+        callbacks=[progress, live],
     )
     about = {"policy": config.checkpoint or config.policy, "task": type(config.task).__name__}
     return {**about, "preset": config.preset, "seed": config.seed, **result}

@@ -19,6 +19,7 @@ from fishrl.envs.episodes import count_decisions, run_episodes
 from fishrl.extras import show_install
 from fishrl.programs.policy_settings import PolicySettings, read_task
 from fishrl.programs.program import program
+from fishrl.training.callback import SILENT, Callback
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
 from fishrl.viewer import check_folder
@@ -48,7 +49,7 @@ class ExportSettings(PolicySettings):
             raise ValueError(f"save = {self.save}: must end in one of {', '.join(WRITERS)}")
 
 
-def simulate(settings: ExportSettings, *, progress: Progress) -> "xr.Dataset":
+def simulate(settings: ExportSettings, *, progress: Callback = SILENT) -> "xr.Dataset":
     """Run one episode and return its fields ``(time, y, x)`` and outlines ``(time, marker)``."""
     task, recognition, policy = settings.make_policy()
     max_decisions = min(task.time_limit, count_decisions(task, settings.periods))
@@ -60,11 +61,11 @@ def simulate(settings: ExportSettings, *, progress: Progress) -> "xr.Dataset":
         return read_fields(env.base_env.solver, task.scales)
 
     def end(start_of: Tensor, step: TensorDictBase) -> dict[str, Tensor]:
-        progress.advance(1)
+        progress.on_progress(1)
         return read(start_of, step) if step["next", "done"].all() else {}
 
     with closing(env):
-        progress.start("episode", total=max_decisions)
+        progress.on_phase("episode", total=max_decisions)
         episodes = run_episodes(
             env,
             policy,

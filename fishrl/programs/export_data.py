@@ -15,6 +15,7 @@ from pydantic import PositiveInt
 
 from fishrl.programs.policy_settings import PolicySettings, read_task
 from fishrl.programs.program import program
+from fishrl.training.callback import SILENT, Callback
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
 
@@ -40,7 +41,7 @@ class ExportDataSettings(PolicySettings):
     samples_actions: bool = False
 
 
-def record(settings: ExportDataSettings, *, progress: Progress) -> "MinariDataset":
+def record(settings: ExportDataSettings, *, progress: Callback = SILENT) -> "MinariDataset":
     """Run the episodes and write them."""
     from fishrl.wrappers.minari import find_dataset, write_dataset
 
@@ -50,7 +51,7 @@ def record(settings: ExportDataSettings, *, progress: Progress) -> "MinariDatase
     env = settings.make_env(task, recognition, num_envs=num_envs, progress=progress)
     torch.manual_seed(settings.seed)  # of sampled actions
     with closing(env):
-        progress.start("episodes", total=settings.episodes)
+        progress.on_phase("episodes", total=settings.episodes)
         return write_dataset(
             env,
             policy,
@@ -60,7 +61,7 @@ def record(settings: ExportDataSettings, *, progress: Progress) -> "MinariDatase
             seed=settings.seed,
             samples_actions=settings.samples_actions,
             algorithm=settings.learned or settings.policy,
-            on_episodes=progress.advance,
+            on_episodes=progress.on_progress,
         )
 
 

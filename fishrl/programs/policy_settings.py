@@ -1,5 +1,6 @@
 """Settings of the programs that run a policy."""
 
+from pathlib import Path
 from typing import Any
 
 from pydantic import NonNegativeInt
@@ -7,16 +8,13 @@ from torchrl.envs import TransformedEnv
 
 from fishrl.envs import AbstractTask, make_env
 from fishrl.envs.episodes import Policy
-from fishrl.envs.transforms import equip
 from fishrl.programs.configuration import Node
 from fishrl.programs.program import TaskSettings
-from fishrl.training.baselines import make_baseline
+from fishrl.training.callback import Callback
 from fishrl.training.checkpoint import read_metadata
-from fishrl.training.classifier import Recognition, find_classifier, load_recognition
-from fishrl.training.policies import load_policy
+from fishrl.training.classifier import Recognition, find_classifier
+from fishrl.training.policies import prepare
 from fishrl.training.policy_zoo import PREFIX
-from fishrl.training.progress import Progress
-from fishrl.training.settings import check_device
 
 
 class PolicySettings(TaskSettings):
@@ -61,19 +59,23 @@ class PolicySettings(TaskSettings):
         is_in_zoo = self.policy is not None and self.policy.startswith(PREFIX)
         return self.policy if is_in_zoo else self.checkpoint
 
+    @property
+    def source(self) -> str | Path:
+        """The policy, as ``evaluate`` takes it."""
+        return str(self.policy) if self.learned is None else Path(self.learned)
+
     def make_policy(self) -> tuple[AbstractTask, Recognition, Policy]:
-        """Return the task, equipped with the source of its flow labels, and the policy."""
-        check_device(self.device)
-        recognition = load_recognition(self.recognition)
-        task = equip(self.task, recognition)
-        if self.learned is None:
-            return task, recognition, make_baseline(str(self.policy), task=task, seed=self.seed)
-        has_labels = recognition is not None
-        policy = load_policy(self.learned, task=task, has_labels=has_labels, device=self.device)
-        return task, recognition, policy
+        """Return the task, the source of its flow labels and the policy; see ``prepare``."""
+        return prepare(
+            self.source,
+            task=self.task,
+            recognition=self.recognition,
+            seed=self.seed,
+            device=self.device,
+        )
 
     def make_env(
-        self, task: AbstractTask, recognition: Recognition, *, num_envs: int, progress: Progress
+        self, task: AbstractTask, recognition: Recognition, *, num_envs: int, progress: Callback
     ) -> TransformedEnv:
         """Return flows of ``make_policy``'s task, for whoever reads them at every check."""
         progress.on_phase("compilation" if self.compile else "set-up")

@@ -19,8 +19,10 @@ from fishrl.programs.live import LiveCallback
 from fishrl.programs.program import program, show_command
 from fishrl.programs.sweeps.jobs import sweep
 from fishrl.programs.sweeps.runs import show_modules, show_resume
-from fishrl.programs.train_settings import TRAINING, TrainConfig, is_finished, make_plan
+from fishrl.programs.train_settings import TRAINING, TrainConfig
+from fishrl.training.callback import SILENT, Callback
 from fishrl.training.checkpoint import read_metadata
+from fishrl.training.continuation import find_result
 from fishrl.training.evaluation import FINAL_SEED, fixed_starts
 from fishrl.training.interruption import Interrupted, exit_status
 from fishrl.training.loop import Training
@@ -31,7 +33,7 @@ from fishrl.training.runs import begin, complete
 class RunCallback(LiveCallback):
     """The live view of a run, and its pictures at the end."""
 
-    def __init__(self, config: TrainConfig, progress: Progress) -> None:
+    def __init__(self, config: TrainConfig, progress: Callback) -> None:
         super().__init__(config, num_flows=config.num_envs)
         self.config, self.progress = config, progress
 
@@ -43,7 +45,7 @@ class RunCallback(LiveCallback):
             return
         starts = fixed_starts(env.base_env.task, self.config.final_episodes, seed=FINAL_SEED)
         starts = starts[: self.config.picture_episodes]
-        self.progress.start("pictures", total=starts.shape[0])
+        self.progress.on_phase("pictures", total=starts.shape[0])
         record_run(
             folder,
             env,
@@ -51,35 +53,13 @@ class RunCallback(LiveCallback):
             starts,
             settings=self.config,
             baselines={name: summary[f"{name}_success_rate"] for name in summary["baselines"]},
-            on_episodes=self.progress.advance,
+            on_episodes=self.progress.on_progress,
         )
 
 
-def set_up(config: TrainConfig, progress: Progress | None = None) -> Training:
-    """Begin the run of these settings, or continue the one in its folder.
-
-    Raises:
-        ValueError: for invalid settings, or settings that differ from the run's own.
-    """
-    progress = progress or Progress(is_shown=False)
-    callbacks = [progress, RunCallback(config, progress)]
-    return begin(
-        make_plan(config),
-        folder=config.path,
-        recognition=config.recognition,
-        callbacks=callbacks,
-    )
-
-
-def finish(
-    training: Training, progress: Progress | None = None, modules: Sequence[str] = ()
-) -> dict[str, Any]:
-    """Run a training to its end, draw its pictures, print the table, and return the summary."""
-    summary = complete(training)
-    if progress is not None:
-        progress.close()  # the table appears below it
-    report(summary, folder=training.folder.path, modules=show_modules(modules))
-    return summary
+def set_up(config: TrainConfig, progress: Callback = SILENT) -> Training:
+    """Begin the run of these settings, or continue the one in its folder; see ``begin``."""
+    return begin(config, callbacks=[progress, RunCallback(config, progress)])
 
 
 def report(summary: dict[str, Any], *, folder: Path, modules: Sequence[str]) -> None:
@@ -110,16 +90,17 @@ def report(summary: dict[str, Any], *, folder: Path, modules: Sequence[str]) -> 
 @program(TRAINING, sweep=sweep)
 def main(settings: TrainConfig) -> None:
     """Begin or continue a run; print the command to resume it if it is interrupted."""
-    if is_finished(settings):
+    if find_result(settings) is not None:
         print(f"{settings.path}: already finished; total_frames=... extends it")
         return
     with Progress() as progress:
         training = set_up(settings, progress)
-        hint = f"resume with: {show_resume(training.folder.path, settings.modules)}"
+        folder = training.folder.path
+        hint = f"resume with: {show_resume(folder, settings.modules)}"
         try:
-            finish(training, progress, settings.modules)
+            summary = complete(training)
         except Interrupted as end:
-            frames = read_metadata(training.folder.path, which="last")[1]["frames"]
+            frames = read_metadata(folder, which="last")[1]["frames"]
             print(f"{end}: saved at frame {frames}; {hint}", file=sys.stderr)
             sys.exit(128 + end.number)
         except KeyboardInterrupt as end:
@@ -127,3 +108,4 @@ def main(settings: TrainConfig) -> None:
             sys.exit(exit_status(end))
         except OSError as error:
             sys.exit(f"error: {error}\n{hint}")
+    report(summary, folder=folder, modules=show_modules(settings.modules))

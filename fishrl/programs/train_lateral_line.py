@@ -17,6 +17,7 @@ from fishrl.programs.lateral_line.fitting import Fit, LateralLineSettings, fit
 from fishrl.programs.lateral_line.report import describe, tabulate, write_figures
 from fishrl.programs.program import program
 from fishrl.settings import describe as describe_settings
+from fishrl.training.callback import SILENT, Callback
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder, write_json, write_yaml
 
@@ -24,19 +25,19 @@ logger = logging.getLogger(__name__)
 
 
 def train_lateral_line(
-    settings: LateralLineSettings, episodes: TensorDict, folder: Path, progress: Progress
+    settings: LateralLineSettings, episodes: TensorDict, folder: Path, progress: Callback = SILENT
 ) -> dict[str, Fit]:
     """Fit the classifier to episodes as ``collect`` returns, and perhaps the paper's.
 
     Writes classifier, results and figures to the folder; returns the fits by name.
     """
-    progress.start("fits", total=1 + (settings.paper_epochs > 0))
+    progress.on_phase("fits", total=1 + (settings.paper_epochs > 0))
     fits = {"classifier": fit(settings, episodes)}
     fits["classifier"].classifier.save(folder / "machine.pt")
-    progress.advance(1)
+    progress.on_progress(1)
     if settings.paper_epochs:
         fits["paper"] = fit(settings.as_in_the_paper(), episodes)
-        progress.advance(1)
+        progress.on_progress(1)
     write_json(folder / "lateral_line.json", describe(episodes, fits))
     write_figures(fits, folder)
     return fits

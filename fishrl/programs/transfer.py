@@ -18,6 +18,7 @@ from fishrl.programs.gait.diagnostics import combine_seeds, diagnose, trace_work
 from fishrl.programs.gait.free_stream import hold_in_free_stream
 from fishrl.programs.gait.tables import write_free_stream, write_results
 from fishrl.programs.program import TaskSettings, program
+from fishrl.training.callback import SILENT, Callback
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import write_json
 
@@ -51,7 +52,7 @@ class TransferSettings(TaskSettings):
 
 
 def transfer(
-    tried: Sequence[trials.Trial], settings: TransferSettings, progress: Progress | None = None
+    tried: Sequence[trials.Trial], settings: TransferSettings, progress: Callback = SILENT
 ) -> dict[str, Any]:
     """Run all trials, write tables and figures, and return the results.
 

@@ -15,6 +15,7 @@ from fishrl.envs.episodes import count_decisions
 from fishrl.envs.scene import Frame
 from fishrl.programs.policy_settings import PolicySettings, read_task
 from fishrl.programs.program import program
+from fishrl.training.callback import SILENT, Callback
 from fishrl.training.evaluation import fixed_starts
 from fishrl.training.progress import Progress
 from fishrl.viewer import (
@@ -92,13 +93,12 @@ class ViewConfig(PolicySettings, ViewerSettings):
 
 
 def record(
-    settings: ViewConfig, *, save: Path, url: str | None = None, progress: Progress | None = None
+    settings: ViewConfig, *, save: Path, url: str | None = None, progress: Callback = SILENT
 ) -> str:
     """Run a policy from fixed starts, draw its flows, and return the size of the recording.
 
     The flows go to the file ``save`` and to the viewer's server at ``url``.
     """
-    progress = progress or Progress(is_shown=False)
     check_folder(save)
     flows = settings.shown
     task, recognition, policy = settings.make_policy()
@@ -125,7 +125,7 @@ def record(
             else:
                 drawing.draw(flows[start], frame)
 
-        progress.start("recording", total=max_decisions)
+        progress.on_phase("recording", total=max_decisions)
         record_episodes(
             env,
             policy,
@@ -134,7 +134,7 @@ def record(
             give=draw,
             frames_per_T=settings.frames_per_T,
             max_decisions=max_decisions,
-            on_step=lambda running, step: progress.advance(1),
+            on_step=lambda running, step: progress.on_progress(1),
         )
     if settings.is_film:
         FILMS[save.suffix](film, save)

@@ -22,7 +22,7 @@ from fishrl.training.algorithms import Algorithm
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
 from fishrl.training.baselines import baseline, find_baselines
 from fishrl.training.callback import Callback
-from fishrl.training.continuation import find_changes, find_summary
+from fishrl.training.continuation import find_result
 from fishrl.training.interruption import Interrupted
 from fishrl.training.plan import Plan
 from fishrl.training.policies import evaluate, load_plan, load_policy
@@ -44,8 +44,7 @@ __all__ = [
     "complete",
     "evaluate",
     "find_baselines",
-    "find_changes",
-    "find_summary",
+    "find_result",
     "load_plan",
     "load_policy",
     "make_folder",

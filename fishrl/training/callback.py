@@ -51,6 +51,10 @@ class Callback:
         """Release resources; only ``on_begin`` may follow, when a run continues after an error."""
 
 
+#: Does nothing.
+SILENT = Callback()
+
+
 def join(callbacks: Iterable[Callback]) -> Callback:
     """Return several callbacks as one, which calls them in their order."""
     joined, parts = Callback(), tuple(callbacks)

@@ -25,9 +25,9 @@ def load_recognition(choice: Recognition, folder: Path = Path()) -> Recognition:
     return LateralLineClassifier.load(Path(str(find_classifier(choice, folder))).expanduser())
 
 
-def find_classifier(choice: str | None, folder: Path) -> str | None:
+def find_classifier(choice: Recognition, folder: Path) -> Recognition:
     """Return the setting of a run with a classifier as a path, wherever the run lies now."""
-    if choice is not None and choice.startswith(PREFIX):
+    if isinstance(choice, str) and choice.startswith(PREFIX):
         return str(find_policy(choice) / OWN)
     if choice != OWN:
         return choice
@@ -49,15 +49,17 @@ def keep_recognition(choice: Recognition, folder: Path) -> str | None:
     return OWN
 
 
-def name_recognition(choice: Recognition, folder: Path) -> Recognition:
+def name_recognition(choice: Recognition, folder: Path) -> str | None:
     """Return a source of flow labels as the run in ``folder`` names it, if it has the same."""
     own = folder / OWN
+    if choice is None:
+        return None
     if isinstance(choice, str):
         file = Path(str(find_classifier(choice, folder))).expanduser()
         is_same = own.is_file() and file.is_file() and filecmp.cmp(own, file, shallow=False)
         return OWN if is_same else str(file) if file.is_file() else choice
-    if choice is not None and own.is_file():
+    if own.is_file():
         kept, given = LateralLineClassifier.load(own).state_dict(), choice.state_dict()
         if kept.keys() == given.keys() and all(kept[n].equal(given[n].cpu()) for n in kept):
             return OWN
-    return choice
+    return "another classifier"

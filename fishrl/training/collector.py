@@ -1,7 +1,7 @@
 """The collector of a run: in this process, or in those of a cluster."""
 
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
 from functools import partial
@@ -12,7 +12,7 @@ from tensordict import TensorDict
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.collectors import Collector
 from torchrl.data import Composite
-from torchrl.envs import ActionMask, EnvBase
+from torchrl.envs import ActionMask, EnvBase, Transform, TransformedEnv
 
 from fishrl.envs.agents import EachFish
 from fishrl.training.learner import Learner
@@ -87,31 +87,40 @@ def make_collector(resolved: ResolvedRun, learner: Learner, *, seed: int) -> Any
     explorer, plan = learner.explorer, resolved.plan
     if resolved.task.num_fish > 1:
         explorer = EachFish(explorer, explorer.out_keys)
-    settings, run = plan.learning, plan.run
-    make_env = partial(resolved.make_flows, transforms=learner.transforms)
-    env = make_env(num_envs=settings.num_envs, seed=seed)
-    policy_device = run.learner_device and next(learner.actor.parameters()).device
-    if not settings.ray_collectors:
+    make_flows = partial(_make_flows, resolved.make_flows, learner.transforms)
+    env = make_flows(num_envs=plan.num_envs, seed=seed)
+    policy_device = plan.learner_device and next(learner.actor.parameters()).device
+    if not plan.ray_collectors:
         return ResumableCollector(
             env,
             explorer,
-            frames_per_batch=settings.num_envs,
+            frames_per_batch=plan.num_envs,
             total_frames=-1,
-            init_random_frames=settings.warmup_frames,
+            init_random_frames=plan.warmup_frames,
             policy_device=policy_device,
-            storing_device=run.policy_device,  # trajectory ids too, which the sampler of DRQN reads
+            storing_device=plan.policy_device,  # trajectory ids too, which DRQN's sampler reads
         )
     from fishrl.training.cluster import ClusterCollector
 
     return ClusterCollector(
         RemoteCollector,
         env=env,
-        make_env=make_env,
+        make_env=make_flows,
         explorer=explorer,
-        settings=settings,
+        settings=plan,
         seed=seed,
-        device=run.device,
+        device=plan.device,
     )
+
+
+def _make_flows(
+    make_env: Callable[..., TransformedEnv], transforms: Iterable[Transform], **given: Any
+) -> TransformedEnv:
+    """Make flows with copies of further transforms."""
+    env = make_env(**given)
+    for transform in transforms:
+        env.append_transform(transform.clone())
+    return env
 
 
 class RNGState(GlobalRNGState):

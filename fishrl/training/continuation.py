@@ -1,70 +1,69 @@
 """What may change when a run continues, and what fixes its result."""
 
-from pathlib import Path
-from typing import Any
+from dataclasses import replace
+from typing import Any, TypeVar
 
-from fishrl.settings import Role, flatten, list_fields
-from fishrl.training.classifier import Recognition, name_recognition
-from fishrl.training.plan import LEARNING, Plan
+from fishrl.settings import Role, flatten, list_fields, to_plain
+from fishrl.training.classifier import name_recognition
+from fishrl.training.plan import FIXED, Plan
 from fishrl.training.run_folder import RunFolder, read_config, read_summary
-from fishrl.training.settings import RunSettings
 
-#: Settings that determine the result of a run, by their roles.
-FIXED = (
-    *LEARNING,
-    *(
-        entry.name
-        for entry in list_fields(Plan)
-        if entry.role is Role.RESULT and entry.name not in ("learning", "run", "extra")
-    ),
-)
-#: Settings of a run that only its final evaluation depends on.
-FINAL = [entry.name for entry in list_fields(RunSettings) if entry.role is Role.EVALUATION]
+P = TypeVar("P", bound=Plan)
 
 
-def read_plan(folder: RunFolder) -> Plan:
-    """Return the settings of a run; errors are those of ``Plan.from_config``."""
-    return Plan.from_config(read_config(folder.config))
+def find_run(plan: Plan) -> RunFolder | None:
+    """Return the folder that a plan names if it holds a run."""
+    folder = None if plan.path is None else RunFolder(plan.path)
+    return folder if folder is not None and folder.config.is_file() else None
 
 
-def find_changes(
-    folder: str | Path,
-    plan: Plan,
-    *,
-    recognition: Recognition = None,
-) -> dict[str, Any]:
-    """Return the settings of a plan that differ from those of a run, as ``reopen`` takes them.
-
-    The run keeps its logger, folder and name.
+def continue_as(folder: RunFolder, plan: P) -> P:
+    """Return a plan as the run in a folder continues with it: with its own logger, folder and name.
 
     Raises:
-        ValueError: naming each setting that fixes the result and differs.
+        ValueError: naming each setting that fixes the result and differs from the run's.
     """
-    run = RunFolder.of_existing(folder)
-    stored, wanted = read_plan(run).to_config(), plan.to_config()
-    wanted["recognition"] = name_recognition(recognition, run.path)
-    before, now = ({name: config[name] for name in FIXED} for config in (stored, wanted))
-    flat, other = flatten(before), flatten(now)
+    stored = type(plan).from_config(read_config(folder.config))
+    plan = replace(
+        plan,
+        recognition=name_recognition(plan.recognition, folder.path),
+        logger=stored.logger,
+        folder=stored.folder,
+        name=stored.name,
+    )
+    flat, other = (
+        flatten({name: to_plain(getattr(each, name)) for name in FIXED}) for each in (stored, plan)
+    )
     different = [key for key in {**other, **flat} if flat.get(key) != other.get(key)]
     if different:
-        lines = [f"{key} = {other.get(key)}: is {flat.get(key)} in {run.path}" for key in different]
+        lines = [
+            f"{key} = {other.get(key)}: is {flat.get(key)} in {folder.path}" for key in different
+        ]
         raise ValueError("\n".join(lines) + "; take another folder or name for a new run")
-    kept = {*FIXED, "logger", "folder", "name"}
-    names = [name for name in wanted if name not in kept]
-    return {name: wanted[name] for name in names if wanted[name] != stored.get(name)}
+    return plan
 
 
-def find_summary(folder: str | Path, /, **changes: Any) -> dict[str, Any] | None:
-    """Return the summary of a run that is finished, also under some changes, or None.
+def read_result(folder: RunFolder, plan: Plan) -> dict[str, Any] | None:
+    """Return the summary of a run that is finished, also with the settings of a plan, or None.
 
-    More frames or another final evaluation make it unfinished; arguments see ``resume``.
+    More frames or another final evaluation make it unfinished.
     """
-    run = RunFolder.of_existing(folder)
-    if not run.summary.is_file() or run.failure.is_file():
+    if not folder.summary.is_file() or folder.failure.is_file():
         return None
-    summary, stored = read_summary(run.summary), read_plan(run)
-    plan = stored.change(**changes)
-    is_same = plan.extra == stored.extra and all(
-        getattr(plan.run, name) == getattr(stored.run, name) for name in FINAL
+    summary, stored = (
+        read_summary(folder.summary),
+        type(plan).from_config(read_config(folder.config)),
     )
-    return summary if is_same and plan.run.total_frames <= summary.get("frames", 0) else None
+    late = [entry.name for entry in list_fields(type(plan)) if entry.role is Role.EVALUATION]
+    is_same = all(getattr(plan, name) == getattr(stored, name) for name in late)
+    return summary if is_same and plan.total_frames <= summary.get("frames", 0) else None
+
+
+def find_result(plan: Plan) -> dict[str, Any] | None:
+    """Return the summary of the run that a plan names, see ``read_result``, or None.
+
+    Raises:
+        ValueError: see ``continue_as``.
+    """
+    folder = find_run(plan)
+    return None if folder is None else read_result(folder, continue_as(folder, plan))

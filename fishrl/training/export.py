@@ -82,14 +82,13 @@ def _write_card(
     """Return the model card of a policy that was saved after ``frames``, as Markdown."""
     header = {"library_name": "fishrl", "license": "mit", "tags": ["reinforcement-learning"]}
     task = type(plan.task).__name__
-    recognition = {None: "none", "oracle": "true flow labels"}.get(
-        plan.recognition, "lateral-line classifier"
-    )
+    sources: dict[Any, str] = {None: "none", "oracle": "true flow labels"}
+    recognition = sources.get(plan.recognition, "lateral-line classifier")
     about = {
         "task": task,
         "algorithm": type(plan.algorithm).__name__,
-        "seed": plan.learning.seed,
-        "env frames": f"{frames:,} of {plan.run.total_frames:,}",
+        "seed": plan.seed,
+        "env frames": f"{frames:,} of {plan.total_frames:,}",
         "recognition of the flow": recognition,
         "exported with fishrl": " ".join(filter(None, (__version__, revision))),
     }

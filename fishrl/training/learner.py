@@ -29,6 +29,7 @@ class Networks(NamedTuple):
         sampler: draws batches from the buffer; by default uniformly.
         keys: entries of a transition to store in addition to those that the loss reads.
         is_traced: see ``Algorithm``.
+        num_fish: fish in a flow; the buffer holds the decisions of each.
     """
 
     actor: TensorDictModuleBase
@@ -38,6 +39,7 @@ class Networks(NamedTuple):
     sampler: Sampler | None = None
     keys: Sequence[Any] = ()
     is_traced: bool = False
+    num_fish: int = 1
 
 
 class Learner(ABC):
@@ -60,7 +62,7 @@ class Learner(ABC):
         self.optimiser.register_load_state_dict_post_hook(self._renew_step)
         device = next(self.actor.parameters()).device
         self.buffer = TensorDictReplayBuffer(
-            storage=_ZeroedStorage(settings.buffer_size, device=device),
+            storage=_ZeroedStorage(settings.buffer_size * networks.num_fish, device=device),
             sampler=networks.sampler,
             batch_size=settings.batch_size,
             prefetch=0,  # threads would draw batches in an order that no seed fixes

@@ -53,14 +53,14 @@ class Training:
         self.resolved, self.folder, self.plan = resolved, folder, resolved.plan
         self.task, self.callbacks = resolved.task, join(callbacks)
         self.counters, self.interruption = Counters(), interruption or Interruption()
-        seed, run = self.plan.learning.seed, self.plan.run
+        seed = self.plan.seed
         random.seed(seed)
         np.random.seed(seed)  # noqa: NPY002 - for libraries that use the global generator
         torch.manual_seed(seed)
         self.learner = self.plan.algorithm.make_learner(
-            resolved.spec, self.plan.learning, device=run.policy_device
+            resolved.spec, self.plan, device=self.plan.policy_device
         )
-        self.callbacks.on_phase("compilation" if run.compile else "set-up")
+        self.callbacks.on_phase("compilation" if self.plan.compile else "set-up")
         with ignore_signals_in_children():  # a checkpoint needs the flows in these processes
             self.collector = make_collector(resolved, self.learner, seed=TRAIN_SEED + seed)
         self.callbacks.on_begin(self.collector.env)
@@ -87,7 +87,7 @@ class Training:
 
     def _learn(self) -> None:
         """Collect, store and update until ``total_frames``; evaluate, log and save when due."""
-        counters, total = self.counters, self.plan.run.total_frames
+        counters, total = self.counters, self.plan.total_frames
         self.callbacks.on_phase(self._phase(), total=total, done=counters.frames)
         batches = iter(self.collector)
         while counters.pending or counters.frames < total:
@@ -103,7 +103,7 @@ class Training:
                 "no gradient step in %d frames: learning begins after warmup_frames = %d, with PPO "
                 "after the first whole rollout; raise total_frames",
                 counters.frames,
-                self.plan.learning.warmup_frames,
+                self.plan.warmup_frames,
             )
 
     def _collect(self, batches: Iterator[TensorDictBase]) -> tuple[TensorDictBase, float]:
@@ -119,9 +119,9 @@ class Training:
 
     def _update(self) -> None:
         """Take the gradient steps that are due."""
-        learning, counters = self.plan.learning, self.counters
-        per_frame = learning.updates_per_frame * self.task.num_fish
-        due = math.floor(per_frame * (counters.frames - learning.warmup_frames)) - counters.updates
+        plan, counters = self.plan, self.counters
+        per_frame = plan.updates_per_frame * self.task.num_fish
+        due = math.floor(per_frame * (counters.frames - plan.warmup_frames)) - counters.updates
         if due <= 0 or not self.learner.is_ready:
             return
         with one_thread():
@@ -141,7 +141,7 @@ class Training:
 
     def _conclude(self, metrics: dict[str, float]) -> None:
         """Evaluate, log and save if due after a round with these metrics."""
-        run, counters = self.plan.run, self.counters
+        run, counters = self.plan, self.counters
         is_over = counters.frames >= run.total_frames
         is_evaluated = is_over or self._has_crossed(run.eval_frames)
         if is_evaluated:
@@ -160,12 +160,12 @@ class Training:
             self.resolved.success: metrics["train/success_rate"],
         }
         self.callbacks.on_phase(self._phase())
-        self.callbacks.on_progress(self.plan.learning.num_envs, shown)
+        self.callbacks.on_progress(self.plan.num_envs, shown)
 
     def _select(self) -> dict[str, float]:
         """Evaluate the greedy policy and keep it if it is the best so far."""
         self.callbacks.on_phase("evaluation")
-        actor, num, before = self.learner.actor, self.plan.run.eval_episodes, self.counters.best
+        actor, num, before = self.learner.actor, self.plan.eval_episodes, self.counters.best
         metrics = self.evaluate(actor, num, seed=SELECTION_SEED, is_counted=False).metrics()
         score = [metrics["success_rate"], metrics["mean_return"]]
         if score >= before:
@@ -184,7 +184,7 @@ class Training:
             "baselines": list(resolved.baselines),
             "preset": self.plan.preset,
             "algorithm": describe(self.plan.algorithm),
-            "seed": self.plan.learning.seed,
+            "seed": self.plan.seed,
             "frames": counters.frames,
             "best_checkpoint_frames": best["frames"],
             "updates": counters.updates,
@@ -207,7 +207,7 @@ class Training:
 
     def _compare(self) -> dict[str, Any]:
         """Return the final metrics of the learned policy, and ``<name>_...`` of each baseline."""
-        names, num = self.resolved.baselines, self.plan.run.final_episodes
+        names, num = self.resolved.baselines, self.plan.final_episodes
         metrics: dict[str, Any] = {}
         self.callbacks.on_phase("evaluation", total=num * (1 + len(names)))
         for name in ("", *names):
@@ -233,7 +233,7 @@ class Training:
 
         def act(state: TensorDictBase) -> TensorDictBase:
             self.interruption.check()
-            return state.update(policy(state.to(self.plan.run.policy_device)))
+            return state.update(policy(state.to(self.plan.policy_device)))
 
         return act
 
@@ -250,7 +250,7 @@ class Training:
 
     def _load(self, components: dict[str, Any], *, which: str) -> dict[str, Any]:
         """Load components from the ``best`` or ``last`` checkpoint and return its metadata."""
-        path, spec, device = self.folder.path, self.resolved.spec, self.plan.run.policy_device
+        path, spec, device = self.folder.path, self.resolved.spec, self.plan.policy_device
         return load_checkpoint(path, components, spec=spec, device=device, which=which)
 
     def _save(self, path: Path, *, is_needed: bool = True) -> bool:
@@ -266,7 +266,7 @@ class Training:
                 spec=self.resolved.spec,
                 frames=self.counters.frames,
                 config=self.plan.to_config(),
-                keep=self.plan.run.keep_checkpoints if is_last else 1,
+                keep=self.plan.keep_checkpoints if is_last else 1,
             )
         except CheckpointNotWritten as error:
             if is_needed:
@@ -289,8 +289,8 @@ class Training:
     def _has_crossed(self, interval: int) -> bool:
         """Tell whether the newest frames passed a multiple of ``interval``."""
         after = self.counters.frames
-        return after // interval > (after - self.plan.learning.num_envs) // interval
+        return after // interval > (after - self.plan.num_envs) // interval
 
     def _phase(self) -> str:
-        is_warm = self.counters.frames >= self.plan.learning.warmup_frames
+        is_warm = self.counters.frames >= self.plan.warmup_frames
         return "training" if is_warm else "warm-up"

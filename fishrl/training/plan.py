@@ -1,106 +1,83 @@
-"""The complete settings of a run, as objects and as the ``config.yaml`` in its folder."""
+"""The complete settings of a run, as an object and as the ``config.yaml`` in its folder."""
 
 from collections.abc import Mapping
 from dataclasses import field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from fishrl.envs import AbstractTask
-from fishrl.settings import TARGET, Role, Settings, build, describe, list_fields, suggest, to_plain
+from fishrl.settings import TARGET, Role, build, describe, list_fields
 from fishrl.training.algorithms import Algorithm
 from fishrl.training.algorithms.discrete_sac import DiscreteSAC
+from fishrl.training.classifier import Recognition
 from fishrl.training.logger import CsvLogger
 from fishrl.training.settings import LearningSettings, RunSettings
 
 
-class Plan(Settings):
+class Plan(RunSettings, LearningSettings):
     """The complete settings of a run.
 
     Args:
         task: the task.
         algorithm: the learning algorithm.
-        learning: settings that determine the result.
-        run: where the run is written, and how often it evaluates, logs and saves.
         logger: writes the metrics.
-        preset: name of the preset, for the files of the run.
-        recognition: source of flow labels: None, ``oracle``, or the file of a classifier.
-        extra: further settings of the caller, of other names, kept in ``config.yaml``.
+        preset: name of the preset.
+        recognition: source of flow labels: ``oracle``, a lateral-line classifier, its file,
+            ``zoo/<name>`` for a policy's classifier, or nothing.
     """
 
     task: AbstractTask
     algorithm: Algorithm = DiscreteSAC()
-    learning: LearningSettings = LearningSettings()
-    run: RunSettings = RunSettings()
     logger: Annotated[CsvLogger, Role.HARMLESS] = field(default_factory=CsvLogger)
     preset: str | None = None
-    recognition: str | None = None
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    recognition: Recognition = None
 
     def __post_init__(self) -> None:
-        """Check algorithm and ``extra``, and adapt the settings to the algorithm."""
+        """Check the algorithm, and take over the settings that follow from its own."""
         self.algorithm.check(self.task)
-        for name in self.extra:
-            if name in (*PARTS, *LEARNING, *RUN):
-                raise ValueError(f"extra: {name} is a setting of the run itself; take another name")
-        object.__setattr__(self, "learning", self.algorithm.adapt(self.learning))
+        for name, value in self.algorithm.adapt(self).items():
+            object.__setattr__(self, name, value)
+        super().__post_init__()
 
     @property
-    def name(self) -> str:
+    def folder_name(self) -> str:
         """Name of the run folder."""
-        words = (
-            type(self.task).__name__.lower(),
-            self.preset,
-            self.algorithm.label,
-            f"seed{self.learning.seed}",
-        )
-        return self.run.name or "-".join(word for word in words if word)
+        task, label = type(self.task).__name__.lower(), self.algorithm.label
+        words = (task, self.preset, label, f"seed{self.seed}")
+        return self.name or "-".join(word for word in words if word)
 
     @property
     def path(self) -> Path | None:
-        """The run folder that ``run.name`` names; None for a new one."""
-        folder, name = self.run.folder, self.run.name
-        return None if name is None else Path(folder).expanduser() / name
+        """The run folder, unless a free one is to be taken."""
+        return None if self.name is None else Path(self.folder).expanduser() / self.name
 
     def to_config(self) -> dict[str, Any]:
-        """Return the plan as plain data: ``PARTS`` nested, other settings at the top level."""
-        parts = {name: to_plain(getattr(self, name)) for name in PARTS}
-        flat = describe(self.learning) | describe(self.run)
-        del flat[TARGET]
-        return {**parts, **flat, **to_plain(self.extra)}
+        """Return the plan as plain data."""
+        return {name: value for name, value in describe(self).items() if name != TARGET}
 
     @classmethod
-    def from_config(cls, config: Mapping[str, Any]) -> "Plan":
+    def from_config(cls, config: Mapping[str, Any]) -> Self:
         """Make a plan from ``config.yaml`` or the metadata of a checkpoint; see ``to_config``.
 
-        Missing entries keep their defaults. Modules outside fishrl that it names must have been
-        imported, since a file cannot choose other code; errors are those of ``settings.build``.
+        Missing entries keep their defaults, and those that a plan does not have are left out.
+        Modules outside fishrl that it names must have been imported, since a file cannot choose
+        other code; errors are those of ``settings.build``.
         """
-        node: dict[str, Any] = {name: config[name] for name in PARTS if name in config}
-        for name, kind, known in (
-            ("learning", LearningSettings, LEARNING),
-            ("run", RunSettings, RUN),
-        ):
-            node[name] = build(kind, {key: config[key] for key in known if key in config})
-        own = (*PARTS, *LEARNING, *RUN)
-        node["extra"] = {name: value for name, value in config.items() if name not in own}
-        return build(cls, node)
+        known = [entry.name for entry in list_fields(cls)]
+        return build(cls, {name: config[name] for name in known if name in config})
 
-    def change(self, **changes: Any) -> "Plan":
-        """Return the plan with other settings of ``RunSettings`` or ``extra``, which may change."""
+    def change(self, **changes: Any) -> Self:
+        """Return the plan with other settings, of those that may change once a run has begun."""
         for name in changes:
-            if name in (*LEARNING, *PARTS):
+            if name in FIXED:
                 raise ValueError(f"{name}: is fixed in a run that has begun; start a new run")
-            if name not in RUN and name not in self.extra:
-                raise ValueError(f"{name}: no such setting{suggest(name, (*RUN, *self.extra))}")
-        of_run = {name: value for name, value in changes.items() if name in RUN}
-        extra = {name: value for name, value in changes.items() if name not in RUN}
-        return replace(self, run=replace(self.run, **of_run), extra={**self.extra, **extra})
+        return replace(self, **changes)
 
 
-#: Names of the settings of learning, of the run, and of the other parts of a plan; those of
-#: ``LEARNING`` and ``PARTS`` are fixed once a run has begun.
-LEARNING = tuple(entry.name for entry in list_fields(LearningSettings))
-RUN = tuple(entry.name for entry in list_fields(RunSettings))
-PARTS = tuple(
-    entry.name for entry in list_fields(Plan) if entry.name not in ("learning", "run", "extra")
+_OF_RUN = [entry.name for entry in list_fields(RunSettings)]
+#: Settings that determine the result of a run, which are fixed once it has begun.
+FIXED = tuple(
+    entry.name
+    for entry in list_fields(Plan)
+    if entry.role is Role.RESULT and entry.name not in _OF_RUN
 )

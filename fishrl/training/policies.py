@@ -9,7 +9,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from fishrl.envs import AbstractTask, make_env
 from fishrl.envs.episodes import Policy
-from fishrl.envs.transforms import equip, make_labelling
+from fishrl.envs.transforms import equip
 from fishrl.training.baselines import make_baseline
 from fishrl.training.callback import Callback, join
 from fishrl.training.checkpoint import load_checkpoint, read_metadata
@@ -17,7 +17,6 @@ from fishrl.training.classifier import Recognition, find_classifier, load_recogn
 from fishrl.training.evaluation import evaluate_in
 from fishrl.training.plan import Plan
 from fishrl.training.policy_spec import PolicySpec
-from fishrl.training.resolve import MakeEnv
 from fishrl.training.settings import check_device
 
 
@@ -50,11 +49,41 @@ def load_policy(
     path, plan = load_plan(checkpoint)
     if has_labels is None:
         has_labels = plan.recognition is not None
-    hidden = plan.learning.hidden
-    spec = PolicySpec.for_task(task or plan.task, hidden=hidden, has_labels=has_labels)
+    spec = PolicySpec.for_task(task or plan.task, hidden=plan.hidden, has_labels=has_labels)
     actor = plan.algorithm.make_policy(spec).to(device)
     load_checkpoint(path, {"actor": actor}, spec=spec, device=device)
     return actor
+
+
+def prepare(
+    policy: str | Path | Policy,
+    *,
+    task: AbstractTask | None = None,
+    recognition: Recognition | EllipsisType = ...,
+    seed: int = 0,
+    device: str = "cpu",
+) -> tuple[AbstractTask, Recognition, Policy]:
+    """Return what a policy acts in and with; arguments and errors are those of ``evaluate``.
+
+    Returns:
+        The task, which reads the flow labels if there are any; their source, for
+        ``make_env(recognition=...)``; and the policy.
+    """
+    check_device(device)
+    if isinstance(policy, Path):
+        path, plan = load_plan(policy)
+        task = task or plan.task
+        if recognition is ...:
+            recognition = find_classifier(plan.recognition, path)
+    if task is None:
+        raise ValueError("evaluate: give a task, or the Path of a checkpoint, which brings its own")
+    labels = load_recognition(None if recognition is ... else recognition)
+    task = equip(task, labels)
+    if isinstance(policy, str):
+        return task, labels, make_baseline(policy, task=task, seed=seed)
+    if isinstance(policy, Path):
+        policy = load_policy(policy, task=task, has_labels=labels is not None, device=device)
+    return task, labels, policy
 
 
 def evaluate(
@@ -68,7 +97,6 @@ def evaluate(
     device: str = "cpu",
     compile: bool = True,
     callbacks: Iterable[Callback] = (),
-    make_env: MakeEnv = make_env,
 ) -> dict[str, Any]:
     """Run one episode from each of the fixed starts.
 
@@ -85,7 +113,6 @@ def evaluate(
         device: cpu or cuda.
         compile: compile the flow step.
         callbacks: called during the evaluation, such as ``Progress()``.
-        make_env: makes the flows, with the arguments of ``fishrl.envs.make_env``.
 
     Returns:
         The numbers of ``Episodes.metrics``.
@@ -93,25 +120,10 @@ def evaluate(
     Raises:
         ValueError: for invalid settings, and checkpoints that do not fit the task.
     """
-    check_device(device)
     called = join(callbacks)
-    if isinstance(policy, Path):
-        path, plan = load_plan(policy)
-        task = task or plan.task
-        if recognition is ...:
-            recognition = find_classifier(plan.recognition, path)
-    if task is None:
-        raise ValueError("evaluate: give a task, or the Path of a checkpoint, which brings its own")
-    labels = load_recognition(None if recognition is ... else recognition)
-    task = equip(task, labels)
-    has_labels = labels is not None
-    act: Policy
-    if isinstance(policy, Path):
-        act = load_policy(policy, task=task, has_labels=has_labels, device=device)
-    elif isinstance(policy, str):
-        act = make_baseline(policy, task=task, seed=seed)
-    else:
-        act = policy
+    task, labels, act = prepare(
+        policy, task=task, recognition=recognition, seed=seed, device=device
+    )
     called.on_phase("compilation" if compile else "set-up")
     env = make_env(
         task=task,
@@ -120,7 +132,7 @@ def evaluate(
         device=device,
         compile=compile,
         frames_per_action=task.checks_per_action,  # callbacks may read each
-        transforms=make_labelling(task, labels),
+        recognition=labels,
     )
     try:
         called.on_begin(env)

@@ -32,17 +32,15 @@ class Progress(Callback):
     Args:
         stream: where the bar is drawn. Anything but a terminal gets a line at the end of a phase
             and every minute.
-        is_shown: draw at all.
     """
 
-    def __init__(self, *, stream: TextIO | None = None, is_shown: bool = True) -> None:
+    def __init__(self, *, stream: TextIO | None = None) -> None:
         stream = stream or sys.stderr
         self._is_terminal = stream.isatty()
         self._bar = tqdm(
             total=1,
             desc=f"{'set-up':<12}",
             file=stream if self._is_terminal else _Lines(stream),
-            disable=not is_shown,
             mininterval=0.2 if self._is_terminal else 60.0,
             bar_format=_BAR if self._is_terminal else _LINE,
             leave=True,
@@ -74,18 +72,10 @@ class Progress(Callback):
             self._bar.refresh()
 
     def on_progress(self, amount: int, shown: Mapping[str, float] = NOTHING) -> None:
-        """Advance the bar."""
-        self.advance(amount, **shown)
-
-    def start(self, phase: str, *, total: int, done: int = 0) -> None:
-        """Begin a bar of ``total`` frames or episodes, ``done`` of which are already over."""
-        self.on_phase(phase, total=total, done=done)
-
-    def advance(self, amount: int, **shown: float) -> None:
-        """Count ``amount`` more and show some numbers next to the bar."""
+        """Advance the bar and show some numbers next to it."""
         if shown:
             # a dash where there is no number yet, as before the first episode ends
-            words = {n.replace("_", " "): "-" if v != v else f"{v:.3g}" for n, v in shown.items()}
+            words = {name: "-" if v != v else f"{v:.3g}" for name, v in shown.items()}
             text = ", ".join(f"{name} {value}" for name, value in words.items())
             self._bar.set_postfix_str(text, refresh=False)
         self._bar.update(amount)

@@ -5,7 +5,6 @@ import re
 import shlex
 import tomllib
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import pytest
 from fishrl.__main__ import list_programs
 from fishrl.programs.program import Program
 from fishrl.programs.sweeps.jobs import plan_jobs
-from fishrl.programs.train_settings import TRAINING, make_plan
+from fishrl.programs.train_settings import TRAINING
 from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import RunFolder, write_yaml
@@ -85,8 +84,7 @@ def _write_runs() -> None:
     for name, settings in RUNS.items():
         run = RunFolder(Path(name))
         run.best.parent.mkdir(parents=True)
-        config = TRAINING.read(settings)
-        plan = replace(make_plan(config), recognition=config.recognition)
+        plan = TRAINING.read(settings)
         write_yaml(run.config, plan.to_config())
         spec = PolicySpec.for_task(plan.task)
         save_checkpoint(run.best, {}, spec=spec, frames=0, config=plan.to_config())

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from fishrl.programs.sweeps.jobs import plan_jobs
-from fishrl.programs.train_settings import make_plan
 
 CONF = Path(__file__).parents[2] / "experiments" / "conf"
 NAMES = sorted(path.stem for path in (CONF / "experiment").glob("*.yaml"))
@@ -20,7 +19,7 @@ def test_each_experiment_is_a_sweep_of_runs_that_can_be_set_up(name: str) -> Non
     assert len(jobs) > 2 and len({job.path for job in jobs}) == len(jobs)
     assert len(folders) == 1 and folders != {Path("runs")}
     for settings in {str(job.settings.algorithm): job.settings for job in jobs}.values():
-        make_plan(settings).task.flow_config()  # refuses what cannot be simulated
+        settings.task.flow_config()  # refuses what cannot be simulated
 
 
 def test_experiments_write_into_different_folders() -> None:

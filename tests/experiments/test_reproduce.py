@@ -14,7 +14,6 @@ from experiments import paper, reproduce
 from experiments.reproduce import Job, Record, list_jobs, run_job
 from fishrl.__main__ import list_programs
 from fishrl.programs.sweeps.jobs import find_runs, plan_jobs
-from fishrl.programs.train_settings import make_plan
 from fishrl.training.run_folder import write_json
 from fishrl.training.runs import make_folder
 
@@ -53,7 +52,7 @@ def test_runs_that_have_begun_are_evaluated(tmp_path: Path) -> None:
 def begin(words: Sequence[str]) -> Path:
     """Write the folder of the only run of a sweep, and return it."""
     (job,) = plan_jobs(words)
-    return make_folder(make_plan(job.settings))[0].path
+    return make_folder(job.settings)[0].path
 
 
 def test_the_newest_classifier_with_results_is_used(tmp_path: Path) -> None:

@@ -2,13 +2,12 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
 
 from fishrl.envs import Predation
-from fishrl.training import LearningSettings, Plan, RunSettings, begin, complete, reopen
+from fishrl.training import Plan, begin, complete, reopen
 from tests.envs.test_real_flow import TINY
 from tests.training.conftest import read_rows
 
@@ -28,16 +27,12 @@ def cluster() -> Iterator[None]:
 
 
 def make_plan(folder: Path, *, name: str, num_frames: int, ray_collectors: int = 2) -> Plan:
-    learning: dict[str, Any] = {"num_envs": ray_collectors, "ray_collectors": ray_collectors}
     return Plan(
         task=Predation(**TINY | {"time_limit": 3}),
-        learning=LearningSettings(
-            **learning, warmup_frames=0, updates_per_frame=1.0, batch_size=2, hidden=(8,)
-        ),
-        run=RunSettings(
-            total_frames=num_frames, log_frames=1, compile=False, device="cuda", folder=str(folder),
-            name=name, eval_episodes=1, final_episodes=1, baselines=(),
-        ),
+        num_envs=ray_collectors, ray_collectors=ray_collectors, warmup_frames=0,
+        updates_per_frame=1.0, batch_size=2, hidden=(8,),
+        total_frames=num_frames, log_frames=1, compile=False, device="cuda", folder=str(folder),
+        name=name, eval_episodes=1, final_episodes=1, baselines=(),
     )  # fmt: skip
 
 

@@ -60,14 +60,14 @@ def test_flows_and_networks_have_devices_of_their_own(
     move_kinematically(monkeypatch)
 
     def start(name: str, total_frames: int) -> Training:
-        run = RunSettings(
+        plan = Plan(
+            task=Predation(**TINY | {"time_limit": 5}), algorithm=algorithm,
+            num_envs=2, warmup_frames=8, batch_size=8, hidden=(8,),
             total_frames=total_frames, compile=False, device=device, learner_device=learner_device,
             folder=str(tmp_path), name=name, eval_frames=16, eval_episodes=1, final_episodes=1,
             baselines=(),
         )  # fmt: skip
-        learning = LearningSettings(num_envs=2, warmup_frames=8, batch_size=8, hidden=(8,))
-        task = Predation(**TINY | {"time_limit": 5})
-        return begin(Plan(task=task, algorithm=algorithm, learning=learning, run=run))
+        return begin(plan)
 
     whole = start("whole", 32)
     whole.run()

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from fishrl.programs import evaluate, view
-from fishrl.programs.train_settings import TRAINING, make_plan
+from fishrl.programs.train_settings import TRAINING
 from fishrl.settings import describe
 from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.policy_spec import PolicySpec
@@ -22,7 +22,7 @@ OWN = [*SETTINGS, "task.stream.speeds_bl=[1.0,1.2,1.4]", "task.observes_flow=tru
 
 def store(folder: Path) -> str:
     """Write the checkpoint of an untrained policy of the gait."""
-    plan = make_plan(TRAINING.read(OWN))
+    plan = TRAINING.read(OWN)
     save_checkpoint(
         folder / "checkpoints" / "last",
         {"net": torch.nn.Linear(1, 1)},

@@ -10,7 +10,6 @@ import pytest
 from fishrl.envs import KarmanGait
 from fishrl.programs import evaluate, train, train_lateral_line
 from fishrl.programs.configuration import parse, quote
-from fishrl.programs.train_settings import make_plan
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.run_folder import write_yaml
 
@@ -113,7 +112,7 @@ def test_programs_that_train_nothing_take_only_the_task_of_a_preset() -> None:
 
 
 def stored_run(folder: Path) -> Path:
-    write_yaml(folder / "config.yaml", make_plan(read(["num_envs=5", "seed=3"])).to_config())
+    write_yaml(folder / "config.yaml", read(["num_envs=5", "seed=3"]).to_config())
     return folder
 
 

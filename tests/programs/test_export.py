@@ -11,7 +11,6 @@ import xarray as xr
 
 from fishrl.programs import export, export_data
 from fishrl.programs.export_policy import upload
-from fishrl.training.progress import Progress
 from fishrl.viewer.fields import write_netcdf, write_vtk, write_zarr
 from fishrl.zoo import find_policy
 
@@ -26,7 +25,7 @@ TINY = [
 @pytest.fixture(scope="module")
 def flow() -> xr.Dataset:
     settings = export.main.read([*TINY, "save=x.nc"])
-    return export.simulate(settings, progress=Progress(is_shown=False))
+    return export.simulate(settings)
 
 
 def test_fields_are_in_body_lengths_and_periods(flow: xr.Dataset) -> None:
@@ -71,9 +70,9 @@ def test_minari_reads_the_transitions(tmp_path: Path, monkeypatch: pytest.Monkey
         [*tiny, "name=fishrl/pursuit-v0", "episodes=3", "num_envs=2", f"folder={tmp_path}",
          "task.time_limit=4"]
     )  # fmt: skip
-    export_data.record(settings, progress=Progress(is_shown=False))
+    export_data.record(settings)
     with pytest.raises(ValueError, match="exists: take the next version"):
-        export_data.record(settings, progress=Progress(is_shown=False))
+        export_data.record(settings)
     data = minari.load_dataset("fishrl/pursuit-v0")
     episodes = list(data.iterate_episodes())
     assert len(episodes) == 3
@@ -98,7 +97,7 @@ def test_a_seed_repeats_the_sampled_actions(
             [f"name={name}", f"folder={tmp_path}", "policy=zoo/predation_small", "episodes=2",
              "samples_actions=true", "compile=false", "task.time_limit=12"]
         )  # fmt: skip
-        data = export_data.record(settings, progress=Progress(is_shown=False))
+        data = export_data.record(settings)
         sampled.append([episode.actions.tolist() for episode in data.iterate_episodes()])
     assert sampled[0] == sampled[1]
 

@@ -18,8 +18,9 @@ from fishrl.envs.steering import PolicySteering
 from fishrl.modules import LateralLineClassifier
 from fishrl.programs import transfer
 from fishrl.programs.gait.trials import load_trial, make_trial, name_arm
-from fishrl.programs.train import finish, set_up
+from fishrl.programs.train import set_up
 from fishrl.programs.train_settings import TRAINING
+from fishrl.training import complete
 from tests.envs.conftest import move_kinematically
 from tests.programs.gait.tasks import BRIEF, OVERRIDES, make_task
 from tests.training.conftest import read_rows
@@ -46,7 +47,7 @@ def make_machine(path: Path, task: KarmanGait | None = None) -> str:
 
 def run(folder: Path, *overrides: str, **settings: object) -> dict[str, Any]:
     config = TRAINING.read([*SETTINGS, f"folder={folder}", *overrides])
-    return finish(set_up(replace(config, **settings)))
+    return complete(set_up(replace(config, **settings)))
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +103,7 @@ def test_a_run_with_a_lateral_line_goes_on_exactly(trained: Path, tmp_path: Path
     (tmp_path / "part").rename(tmp_path / "moved")
     config = TRAINING.read([*SETTINGS, f"folder={tmp_path}"])
     config = replace(config, recognition="machine.pt", resume=str(tmp_path / "moved"))
-    resumed = finish(set_up(config))
+    resumed = complete(set_up(config))
     # the shorter run was evaluated at its end too, and the best of all evaluations is what counts
     whole = json.loads((trained / "machine" / "summary.json").read_text())
     assert resumed["updates"] == whole["updates"] > 0

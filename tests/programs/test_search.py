@@ -18,7 +18,7 @@ from fishrl.programs import search, train
 from fishrl.programs.search import SearchSettings
 from fishrl.programs.sweeps import jobs
 from fishrl.programs.sweeps.runs import Run, is_held, read_run, read_runs
-from fishrl.programs.train_settings import TRAINING, make_plan
+from fishrl.programs.train_settings import TRAINING
 from fishrl.training.checkpoint import read_metadata
 from fishrl.training.runs import make_folder
 from tests.programs.test_summarize import hold_elsewhere
@@ -75,7 +75,7 @@ def test_a_trial_that_was_cut_off_is_finished_before_new_ones(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def run_here(job: jobs.Job) -> Run:
-        if not job.settings.has_begun:
+        if not job.path.exists():
             train.main(job.words)
         return read_run(job.path)
 
@@ -126,7 +126,7 @@ def test_a_run_that_outlived_its_search_is_waited_for(
 ) -> None:
     plan = plan_of(tmp_path, "gamma=interval(0.9,1)")
     words = ["gamma=0.95", "seed=0", f"folder={tmp_path}", "name=trial_0000-seed_0"]
-    place, _ = make_folder(make_plan(TRAINING.read(words)))
+    place, _ = make_folder(TRAINING.read(words))
     result = tmp_path / "result"
     result.write_text('{"mean_return": 2.5, "frames": 2800}')
     then = f"sys.stdin.readline(); import os; os.rename({str(result)!r}, {str(place.summary)!r})"

@@ -15,7 +15,7 @@ from experiments import export_steering
 from fishrl.programs import evaluate, export, export_data, export_policy, train, transfer, view
 from fishrl.programs.program import Program
 from fishrl.programs.summarize import summarize
-from fishrl.programs.train_settings import TRAINING, make_plan
+from fishrl.programs.train_settings import TRAINING
 from fishrl.training.checkpoint import save_checkpoint
 from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import RunFolder, write_yaml
@@ -56,7 +56,7 @@ def mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @cache
 def compose() -> Any:
     """Return the plan of a run that names our own classes alone."""
-    return make_plan(TRAINING.read(["task=karman_gait"]))
+    return TRAINING.read(["task=karman_gait"])
 
 
 def store(folder: Path, mark: Path, kind: str) -> Path:

@@ -13,8 +13,9 @@ import pytest
 
 from fishrl.envs.scene import Frame
 from fishrl.programs import view
-from fishrl.programs.train import finish, set_up
-from fishrl.programs.train_settings import TRAINING, make_plan
+from fishrl.programs.train import set_up
+from fishrl.programs.train_settings import TRAINING
+from fishrl.training import complete
 from fishrl.training.run_folder import write_yaml
 from fishrl.viewer import Drawing, Server
 from fishrl.viewer.process import HOST
@@ -64,7 +65,7 @@ def test_a_flow_is_filmed(ending: str, tmp_path: Path, capsys: pytest.CaptureFix
 
 def test_the_learned_fish_of_a_run_is_shown_in_its_own_task(tmp_path: Path) -> None:
     few = ["recognition=oracle", "baselines=[]", "picture_episodes=2", "total_frames=16"]
-    finish(set_up(TRAINING.read([*SETTINGS, *few, f"folder={tmp_path}", "name=run"])))
+    complete(set_up(TRAINING.read([*SETTINGS, *few, f"folder={tmp_path}", "name=run"])))
     assert "/flow_0/plots/class_probabilities" in list_entities(tmp_path / "run" / "capture.rrd")
     settings = view.main.read([f"run={tmp_path / 'run'}", "task.stream.speeds_bl=[1.0,1.2,1.4]"])
     assert (settings.recognition, settings.preset) == ("oracle", "gait_small")
@@ -139,7 +140,7 @@ def test_a_training_with_a_live_view_learns_the_same(
     settings = [*SETTINGS, "recognition=oracle", f"folder={tmp_path}", "picture_episodes=0"]
     settings += ["total_frames=32", "warmup_frames=8", "eval_frames=16", "eval_episodes=2"]
     settings += ["final_episodes=1", "baselines=[]", "task.time_limit=4"]
-    finish(set_up(TRAINING.read([*settings, "name=alone"])))
+    complete(set_up(TRAINING.read([*settings, "name=alone"])))
     drawn: list[tuple[int, float]] = []
     draw = Drawing.draw
 
@@ -150,7 +151,7 @@ def test_a_training_with_a_live_view_learns_the_same(
 
     monkeypatch.setattr(Drawing, "draw", note)
     seen = ["name=seen", "live=true", "flows=[1,2]", "port=29620", "live_share=1.0"]
-    finish(set_up(TRAINING.read([*settings, *seen])))
+    complete(set_up(TRAINING.read([*settings, *seen])))
     assert read_rows(tmp_path / "seen") == read_rows(tmp_path / "alone")
     assert {flow for flow, _ in drawn} == {1, 2}
     for flow in (1, 2):
@@ -162,6 +163,6 @@ def test_a_training_with_a_live_view_learns_the_same(
 
 def test_a_resumed_run_is_live_only_on_request(tmp_path: Path) -> None:
     config = TRAINING.read(["live=true"])
-    write_yaml(tmp_path / "config.yaml", make_plan(config).to_config())
+    write_yaml(tmp_path / "config.yaml", config.to_config())
     assert not TRAINING.read([f"resume='{tmp_path}'"]).live
     assert TRAINING.read([f"resume='{tmp_path}'", "live=true"]).live

@@ -13,10 +13,9 @@ from typing import Any
 import pytest
 import torch
 
-from fishrl.training import Callback, LearningSettings, Plan, RunSettings, begin, reopen
+from fishrl.training import Callback, Plan, begin, reopen
 from fishrl.training.loop import Training
-from fishrl.training.plan import LEARNING
-from tests.training.toy_fish import ToyPredation, make_toy_env
+from tests.training.toy_fish import ToyPredation, make_any_env
 
 DEFAULTS: dict[str, Any] = {
     "compile": False,
@@ -37,17 +36,18 @@ QUICK: dict[str, Any] = {"baselines": (), "eval_episodes": 2, "final_episodes": 
 
 
 def make_toy_plan(folder: Path, *, task: dict[str, Any] | None = None, **settings: Any) -> Plan:
-    """Make a plan from settings and parts of ``Plan``; ``folder`` is where run folders lie."""
-    values = {**DEFAULTS, "folder": str(folder), **settings}
-    parts = {n: values.pop(n) for n in ("algorithm", "logger", "extra") if n in values}
-    learning = {name: values.pop(name) for name in LEARNING if name in values}
-    return Plan(
-        task=ToyPredation(**task or {}),  # type: ignore[arg-type]
-        learning=LearningSettings(**learning),
-        run=RunSettings(**values),
-        preset="toy",
-        **parts,
-    )
+    """Make a plan from its settings; ``folder`` is where run folders lie."""
+    values: dict[str, Any] = {**DEFAULTS, "folder": str(folder), "preset": "toy", **settings}
+    return Plan(task=ToyPredation(**task or {}), **values)  # type: ignore[arg-type]
+
+
+@pytest.fixture(autouse=True, scope="session")
+def toy_flows() -> Iterator[None]:
+    """Make the flows of the point fish where those of other tasks are made."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in ("policies", "resolve"):
+            patch.setattr(f"fishrl.training.{module}.make_env", make_any_env)
+        yield
 
 
 class Toy:
@@ -57,23 +57,15 @@ class Toy:
         self.folder = folder
         self.trainings: list[Training] = []
 
-    def begin(
-        self,
-        *,
-        recognition: Any = None,
-        callbacks: Sequence[Callback] = (),
-        **settings: Any,
-    ) -> Training:
+    def begin(self, *, callbacks: Sequence[Callback] = (), **settings: Any) -> Training:
         plan = make_toy_plan(self.folder, **settings)
-        self.trainings.append(
-            begin(plan, recognition=recognition, callbacks=callbacks, make_env=make_toy_env)
-        )
+        self.trainings.append(begin(plan, callbacks=callbacks))
         return self.trainings[-1]
 
     def reopen(self, name: str, **changes: Any) -> Training:
         for training in self.trainings:
             training._lock.close()
-        self.trainings.append(reopen(self.folder / name, make_env=make_toy_env, **changes))
+        self.trainings.append(reopen(self.folder / name, **changes))
         return self.trainings[-1]
 
     def rows(self, name: str) -> list[dict[str, str]]:

@@ -108,11 +108,14 @@ def make_gliding_env(**arguments: Any) -> Any:
 
 @pytest.mark.cluster
 @pytest.mark.usefixtures("cluster")
-def test_epsilon_decays_with_env_frames_independent_of_the_number_of_fish(toy: Toy) -> None:
+def test_epsilon_decays_with_env_frames_independent_of_the_number_of_fish(
+    toy: Toy, monkeypatch: pytest.MonkeyPatch
+) -> None:
     few = {"ray_collectors": 2, "num_envs": 2, "warmup_frames": 2}
     plan = make_toy_plan(toy.folder, algorithm=DQN(epsilon_end=0.0, epsilon_frames=8), **few)
     pair = PredationPair(**SMALL, control_interval_T=0.25, checks_per_action=6)
-    training = begin(replace(plan, task=pair), make_env=make_gliding_env)
+    monkeypatch.setattr("fishrl.training.resolve.make_env", make_gliding_env)
+    training = begin(replace(plan, task=pair))
     for _, _ in zip(range(3), training.collector, strict=False):
         pass
     chance: Any = training.learner.explorer[-1]  # type: ignore[index]

@@ -50,7 +50,7 @@ def test_memory_does_not_grow_with_frames(toy: Toy, algorithm: DiscreteSAC | DRQ
     )
     training.run()
     tensors, megabytes = count_tensors(), measure_own_memory_mb()
-    training.plan = replace(training.plan, run=replace(training.plan.run, total_frames=400))
+    training.plan = replace(training.plan, total_frames=400)
     training.run()
     assert count_tensors() <= tensors + 5
     assert measure_own_memory_mb() < megabytes + 10.0  # allocators keep some; a frame is 5 kB

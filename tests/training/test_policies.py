@@ -7,14 +7,14 @@ from typing import Any
 
 import pytest
 
-from fishrl.envs import PredictedFlowLabel, TrueFlowLabel, make_env
-from fishrl.training import Algorithm, DiscreteSAC, evaluate, load_plan, load_policy
+from fishrl.envs import PredictedFlowLabel, TrueFlowLabel
+from fishrl.training import Algorithm, Callback, DiscreteSAC, evaluate, load_plan, load_policy
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
 from fishrl.training.loop import Training
 from fishrl.zoo import find_policy
 from tests.training.conftest import QUICK, Toy
-from tests.training.toy_fish import ToyPredation, make_toy_env
+from tests.training.toy_fish import ToyPredation
 
 
 class OtherTask(ToyPredation):
@@ -28,7 +28,7 @@ def test_evaluate_reproduces_the_final_evaluation_of_a_run(toy: Toy, algorithm: 
     task = {"is_continuous": algorithm.takes_continuous}
     few = QUICK | {"final_episodes": 10}
     summary = toy.begin(name="run", algorithm=algorithm, task=task, **few).run()
-    result = evaluate(toy.folder / "run", episodes=10, compile=False, make_env=make_toy_env)
+    result = evaluate(toy.folder / "run", episodes=10, compile=False)
     assert result == {name: summary[name] for name in result}
 
 
@@ -37,21 +37,21 @@ def test_evaluate_reproduces_the_final_evaluation_of_a_run(toy: Toy, algorithm: 
 def test_flows_are_labelled_as_in_the_run_unless_another_source_is_named(
     is_task_given: bool,
 ) -> None:
-    run, labelled_by = find_policy("gait_small"), list[list[type]]()
+    run, labelled_by = find_policy("gait_small"), list[set[type]]()
 
-    def make(**arguments: Any) -> Any:
-        labelled_by.append([type(transform) for transform in arguments["transforms"]])
-        return make_env(**arguments)
+    class Labels(Callback):
+        def on_begin(self, env: Any) -> None:
+            types = {type(transform) for transform in env.transform}
+            labelled_by.append(types & {PredictedFlowLabel, TrueFlowLabel})
 
     given = {"task": replace(load_plan(run)[1].task, time_limit=2)} if is_task_given else {}
     for source in ({}, {"recognition": "oracle"}, {"recognition": None}):
-        evaluate(run, **given, **source, episodes=1, compile=False, make_env=make)
-    assert labelled_by[0][-1] is PredictedFlowLabel
-    assert labelled_by[1:] == [[TrueFlowLabel], []]
+        evaluate(run, **given, **source, episodes=1, compile=False, callbacks=[Labels()])
+    assert labelled_by == [{PredictedFlowLabel}, {TrueFlowLabel}, set()]
 
 
 def test_baselines_are_evaluated_by_name_and_any_policy_as_it_is() -> None:
-    given: dict[str, Any] = {"task": ToyPredation(), "make_env": make_toy_env, "compile": False}
+    given: dict[str, Any] = {"task": ToyPredation(), "compile": False}
     rates = [evaluate(name, episodes=16, **given) for name in ("random", "pursuit")]
     assert rates[0]["success_rate"] < rates[1]["success_rate"]
     still = evaluate(lambda td: td.set("action", td["start_index"] * 0 + 1), episodes=4, **given)
@@ -59,7 +59,7 @@ def test_baselines_are_evaluated_by_name_and_any_policy_as_it_is() -> None:
     with pytest.raises(ValueError, match="did you mean 'pursuit'"):
         evaluate("pursiut", **given)
     with pytest.raises(ValueError, match="give a task"):
-        evaluate("pursuit", make_env=make_toy_env)
+        evaluate("pursuit")
 
 
 @pytest.mark.parametrize(

@@ -14,13 +14,13 @@ def run(progress: Progress) -> None:
     """Go through the phases of a training with one evaluation."""
     with progress:
         progress.on_phase("compilation")
-        progress.start("training", total=200)
+        progress.on_phase("training", total=200)
         for _ in range(100):
-            progress.advance(1, speed=3.0)
+            progress.on_progress(1, {"speed": 3.0})
         progress.on_phase("evaluation")
         progress.on_phase("training")
         for _ in range(100):
-            progress.advance(1, speed=4.0)
+            progress.on_progress(1, {"speed": 4.0})
 
 
 def test_a_log_gets_one_line_per_phase_and_no_bar() -> None:
@@ -41,13 +41,7 @@ def test_a_terminal_gets_a_bar_in_place_with_phase_counts_and_numbers() -> None:
     assert terminal.getvalue().count("\r") >= 5 and terminal.getvalue().count("\n") == 1
     with Progress(stream=(terminal := Terminal())) as progress:
         assert "set-up" in terminal.getvalue()  # at once
-        progress.start("training", total=100, done=40)
-        progress.advance(60, frames_per_s=12.5, captured=0.75)
+        progress.on_phase("training", total=100, done=40)
+        progress.on_progress(60, {"frames per s": 12.5, "captured": 0.75})
     for shown in ("training", "100/100", "frames per s 12.5", "captured 0.75"):
         assert shown in terminal.getvalue()
-
-
-def test_nothing_is_shown_unless_asked_for() -> None:
-    log = io.StringIO()
-    run(Progress(stream=log, is_shown=False))
-    assert log.getvalue() == ""

@@ -10,7 +10,7 @@ import pytest
 from fishrl.envs import KarmanGait, Predation, make_env
 from fishrl.envs.streams import Stream
 from fishrl.physics import InPlaceSolver
-from fishrl.training import Plan, RunSettings
+from fishrl.training import Plan
 from fishrl.training.resolve import resolve
 from tests.envs.conftest import SMALL
 from tests.training.conftest import Toy
@@ -18,8 +18,7 @@ from tests.training.conftest import Toy
 
 def test_a_baseline_with_wakes_is_checked_without_developing_them(tmp_path: Path) -> None:
     task = KarmanGait(stream=Stream(wake_folder=str(tmp_path / "wakes")))
-    plan = Plan(task=task, run=RunSettings(baselines=("shedding",)))
-    resolved = resolve(plan, recognition="oracle")
+    resolved = resolve(Plan(task=task, baselines=("shedding",), recognition="oracle"))
     assert resolved.baselines == ("shedding",)
     assert resolved.task == task.read_flow_labels() and resolved.task != task
     assert not list(tmp_path.iterdir())
@@ -54,7 +53,9 @@ def test_a_run_with_invalid_settings_leaves_no_folder(
 
 
 def test_labels_lengthen_the_observation_of_the_policy() -> None:
-    plan = Plan(task=KarmanGait(observes_flow=True))
-    without, with_labels = resolve(plan), resolve(plan, recognition="oracle")
-    num_flows = len(plan.task.flow_labels)
+    task = KarmanGait(observes_flow=True)
+    without, with_labels = (
+        resolve(Plan(task=task, recognition=choice)) for choice in (None, "oracle")
+    )
+    num_flows = len(task.flow_labels)
     assert with_labels.spec.num_observed == without.spec.num_observed + num_flows

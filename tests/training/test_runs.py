@@ -18,8 +18,6 @@ from fishrl.training import (
     RunSettings,
     complete,
     evaluate,
-    find_changes,
-    find_summary,
     resume,
     train,
 )
@@ -27,13 +25,14 @@ from fishrl.training.algorithms.dqn import DQN
 from fishrl.training.algorithms.drqn import DRQN
 from fishrl.training.algorithms.ppo import PPO
 from fishrl.training.algorithms.sac import SAC
+from fishrl.training.continuation import continue_as, read_result
 from fishrl.training.logger import CsvLogger
 from fishrl.training.loop import Training
-from fishrl.training.run_folder import read_config
+from fishrl.training.run_folder import RunFolder, read_config, write_yaml
 from tests.envs.conftest import SMALL
 from tests.training.conftest import QUICK, Toy, assert_equal_weights, make_toy_plan, read_rows
 from tests.training.stops import run_and_kill, run_and_stop
-from tests.training.toy_fish import ToyFishEnv, make_toy_env
+from tests.training.toy_fish import ToyFishEnv, ToyPredation
 
 
 @pytest.mark.usefixtures("kinematic")
@@ -129,35 +128,30 @@ def test_every_algorithm_resumes_exactly_with_the_expected_updates_and_legal_act
     assert all(torch.equal(value, other[key]) for key, value in mine.items())
 
 
-def test_changes_of_a_resume_are_stored_and_fixed_settings_refused(toy: Toy) -> None:
-    folder = toy.folder / "run"
-    toy.begin(name="run", total_frames=80, extra={"pictures": 6}, **QUICK).run()
-    run_and_stop(toy.reopen("run", total_frames=160, pictures=2), ToyFishEnv, step=3)
-    config = read_config(folder / "config.yaml")
-    assert (config["total_frames"], config["pictures"], config["num_envs"]) == (160, 2, 8)
+def test_changes_of_a_resume_are_stored_with_the_entries_of_programs(toy: Toy) -> None:
+    config = toy.folder / "run" / "config.yaml"
+    toy.begin(name="run", total_frames=80, **QUICK).run()
+    write_yaml(config, read_config(config) | {"picture_episodes": 6})
+    run_and_stop(toy.reopen("run", total_frames=160), ToyFishEnv, step=3)
+    stored = read_config(config)
+    assert (stored["total_frames"], stored["picture_episodes"], stored["num_envs"]) == (160, 6, 8)
     assert toy.reopen("run").run()["frames"] == 160
     for wrong in ({"gamma": 0.9}, {"task": None}, {"total_frame": 200}):
         with pytest.raises(ValueError, match=r"is fixed in a run|did you mean 'total_frames'"):
             toy.reopen("run", **wrong)
 
 
-@pytest.mark.parametrize("name", ["gamma", "total_frames", "task"])
-def test_extra_setting_with_a_reserved_name_is_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(ValueError, match=f"extra: {name} is"):
-        make_toy_plan(tmp_path, extra={"pictures": 6, name: 0.5})
-
-
 def test_resume_leaves_a_finished_run_unchanged_unless_extended(toy: Toy) -> None:
     toy.begin(name="run", total_frames=16, **QUICK).run()
     toy.trainings[-1].close()
-    run = toy.folder / "run"
+    run, plan = toy.folder / "run", toy.trainings[-1].plan
     before = {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()}
     for harmless in ({}, {"log_frames": 10}, {"total_frames": 8}):
-        assert resume(run, make_env=make_toy_env, **harmless)["frames"] == 16
+        assert resume(run, **harmless)["frames"] == 16
     assert before == {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()}
     for more in ({"total_frames": 48}, {"final_episodes": 4}, {"baselines": ("random",)}):
-        assert find_summary(run, **more) is None
-    assert resume(run, make_env=make_toy_env, final_episodes=4)["episodes"] == 4
+        assert read_result(RunFolder(run), plan.change(**more)) is None
+    assert resume(run, final_episodes=4)["episodes"] == 4
 
 
 class Spare(CsvLogger):
@@ -172,18 +166,23 @@ def test_training_a_named_run_again_continues_it_or_returns_its_summary(toy: Toy
             phases.append(phase)
 
     def run(total_frames: int) -> dict[str, Any]:
-        plan = make_toy_plan(toy.folder, name="run", total_frames=total_frames, **QUICK)
         phases.clear()
-        given: Any = {"task": plan.task, "learning": plan.learning, "run": plan.run}
-        return train(**given, preset="toy", callbacks=[Phases()], make_env=make_toy_env)
+        few: dict[str, Any] = QUICK | {"folder": str(toy.folder), "compile": False}
+        return train(
+            task=ToyPredation(),  # type: ignore[arg-type]
+            learning=LearningSettings(num_envs=8, warmup_frames=80, updates_per_frame=0.1),
+            run=RunSettings(name="run", total_frames=total_frames, **few),
+            callbacks=[Phases()],
+        )
 
     first, again = run(160), run(160)
     assert again["frames"] == 160 and again["mean_return"] == first["mean_return"]
     assert phases == []
     assert run(240)["frames"] == 240 and "warm-up" not in phases  # continued, not begun
     assert [path.name for path in toy.folder.iterdir()] == ["run"]
-    moved = make_toy_plan(toy.folder / "elsewhere", total_frames=240, logger=Spare(), **QUICK)
-    assert find_changes(toy.folder / "run", moved) == {}  # it keeps its folder, name and logger
+    other = toy.begin(name="other", **QUICK)
+    moved = make_toy_plan(toy.folder / "elsewhere", logger=Spare(), **QUICK)
+    assert continue_as(other.folder, moved) == other.plan  # it keeps its folder, name and logger
 
 
 def test_a_run_without_its_checkpoint_is_not_resumed(toy: Toy) -> None:
@@ -238,7 +237,7 @@ def test_run_continues_exactly_after_a_lost_worker_but_not_twice_from_one_checkp
             complete(training)
         assert (toy.folder / "run" / "failure.txt").is_file()
         monkeypatch.undo()
-        resume(toy.folder / "run", make_env=make_toy_env)
+        resume(toy.folder / "run")
     assert not left
     assert toy.rows("run") == read_rows(whole.folder.path)
     assert len(handlers) == 1 and before not in handlers  # a signal waits for the next step

@@ -28,7 +28,7 @@ from torchrl.envs import (
     TransformedEnv,
 )
 
-from fishrl.envs import AbstractTask, Predation
+from fishrl.envs import AbstractTask, Predation, make_env
 
 STATE = ("position", "heading", "food", "direction", "age", "distance", "error", "start_index")
 
@@ -205,6 +205,7 @@ def make_toy_env(
     compile: bool = False,
     starts: TensorDict | None = None,
     frames_per_action: int = 1,
+    recognition: None = None,
     transforms: Sequence[Transform] = (),
 ) -> TransformedEnv:
     """Stand in for ``fishrl.envs.making.make_env``."""
@@ -221,3 +222,9 @@ def make_toy_env(
     ):
         env.append_transform(transform)
     return env
+
+
+def make_any_env(*, task: Any, **given: Any) -> TransformedEnv:
+    """Make flows of a task, also of the point fish."""
+    make = make_toy_env if isinstance(task, ToyPredation) else make_env
+    return make(task=task, **given)

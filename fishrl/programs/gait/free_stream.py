@@ -17,7 +17,7 @@ from fishrl.programs.gait.diagnostics import trace_work
 from fishrl.programs.gait.trials import WORKS, Histories, Trial, pick, prolong, run_trial
 from fishrl.programs.statistics import half_width
 from fishrl.training.baselines import make_gait_policy
-from fishrl.training.progress import Progress
+from fishrl.training.callback import Callback
 
 #: Longest duration of an episode, T; the work per T is that of its second half.
 MAX_PERIODS = 30.0
@@ -60,7 +60,7 @@ def make_free_trial(task: KarmanGait, *, periods: float) -> Trial:
 
 
 def hold_in_free_stream(
-    task: KarmanGait, *, episodes: int, periods: float, folder: Path, progress: Progress | None
+    task: KarmanGait, *, episodes: int, periods: float, folder: Path, progress: Callback
 ) -> dict[str, Any]:
     """Return the results of free streams: ``flows``, ``work`` as it adds up, and their scales.
 

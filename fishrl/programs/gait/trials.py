@@ -23,9 +23,9 @@ from fishrl.files import load_tensors, staged
 from fishrl.modules import FixedFrequency, LateralLineClassifier
 from fishrl.physics.cache_key import hash_sources, make_key
 from fishrl.training.baselines import make_baseline, make_gait_policy
+from fishrl.training.callback import SILENT, Callback
 from fishrl.training.classifier import find_classifier, load_recognition
 from fishrl.training.policies import load_plan, load_policy
-from fishrl.training.progress import Progress
 
 #: Duration of a trial in T, regardless of the length of training episodes.
 PERIODS = 100.0
@@ -136,7 +136,7 @@ def load_trial(run: Path, *, periods: float = PERIODS, recognition: str | None =
     )
 
 
-def name_arm(task: KarmanGait, recognition: str | None) -> str:
+def name_arm(task: KarmanGait, recognition: Any) -> str:
     """Name the kind of a learned policy."""
     if isinstance(task.control, ContinuousFrequency):
         return "continuous frequency"
@@ -192,7 +192,7 @@ def run_trial(
     episodes: int,
     folder: Path,
     samples_actions: bool = False,
-    progress: Progress | None = None,
+    progress: Callback = SILENT,
 ) -> list[Histories]:
     """Run ``episodes`` from fixed starts in each flow, or read them from the folder if it can."""
     task, flows = trial.task, len(trial.task.stream.speeds_bl)
@@ -221,7 +221,7 @@ def record(
     starts: TensorDictBase,
     *,
     samples_actions: bool = False,
-    progress: Progress | None = None,
+    progress: Callback = SILENT,
 ) -> Histories:
     """Run one episode from each start ``[E]``, all side by side."""
     task = trial.task
@@ -233,8 +233,7 @@ def record(
     )
     base = env.base_env
     torch.manual_seed(0)  # of sampled actions
-    progress = progress or Progress(is_shown=False)
-    progress.start(trial.name, total=task.time_limit)
+    progress.on_phase(trial.name, total=task.time_limit)
 
     def read_place() -> dict[str, Tensor]:
         return {name: base.now[name] for name in ("place", *WORKS)}
@@ -245,7 +244,7 @@ def record(
         return {"beat": fish.phase, "age": fish.age, "impulse": impulse}
 
     def read_decision(start_of: Tensor, step: TensorDictBase) -> dict[str, Tensor]:
-        progress.advance(1)
+        progress.on_progress(1)
         unnamed = torch.full(step.shape, torch.nan)
         return {
             **read_place(),

@@ -25,11 +25,11 @@ from fishrl.files import load_tensors, staged
 from fishrl.physics.cache_key import hash_sources, make_key
 from fishrl.programs.program import TaskSettings
 from fishrl.training.baselines import make_pid
-from fishrl.training.progress import Progress
+from fishrl.training.callback import SILENT, Callback
 
 #: Share of random actions.
 RANDOM_SHARE = 0.5
-_ENTRIES = ("lateral_line", "frequency", "is_decision", "flow_index", "named_flow")
+_ENTRIES = ("lateral_line", "is_decision", "flow_index")
 _SOURCES = ("fishrl.envs", "fishrl.modules", "fishrl.training.baselines", __name__)
 
 
@@ -82,22 +82,20 @@ class CollectionSettings(TaskSettings):
         return Path(self.data_folder).expanduser() / key
 
 
-def collect(settings: CollectionSettings, progress: Progress | None = None) -> TensorDict:
+def collect(settings: CollectionSettings, progress: Callback = SILENT) -> TensorDict:
     """Collect episodes until they hold ``num_samples`` decisions, or read those of before.
 
     Returns:
         TensorDict ``[E, D]`` of E episodes and at most D decisions: ``lateral_line``
         ``[E, D, W, P, F]`` with F features as in ``KNOWN``, sensed in the interval before each
         decision; ``is_decision`` bool, false after the end; ``flow_index`` (of a changing stream,
-        the flow nearest to it at the decision), ``named_flow`` (the row of frequencies in use) and
-        ``episode`` int64; ``frequency`` in beats per T.
+        the flow nearest to it at the decision) and ``episode`` int64.
     """
-    s, progress = settings, progress or Progress(is_shown=False)
-    task, place = s.recorded_task, s.place
+    s, task, place = settings, settings.recorded_task, settings.place
     place.mkdir(parents=True, exist_ok=True)
     pieces: list[TensorDict] = []
     num_done, env = 0, None
-    progress.start("collection", total=s.num_samples)
+    progress.on_phase("collection", total=s.num_samples)
     while num_done < s.num_samples:
         path = place / f"piece-{len(pieces):04d}.pt"
         if not path.is_file():
@@ -109,7 +107,8 @@ def collect(settings: CollectionSettings, progress: Progress | None = None) -> T
         content = load_tensors(path, what="data", remedy="delete the file", entries=_ENTRIES)
         pieces.append(TensorDict(content, content["is_decision"].shape))
         num_new = int(pieces[-1]["is_decision"].sum())
-        progress.advance(min(num_new, s.num_samples - num_done), episodes=sum(map(len, pieces)))
+        shown = {"episodes": sum(map(len, pieces))}
+        progress.on_progress(min(num_new, s.num_samples - num_done), shown)
         num_done += num_new
     if env is not None:
         env.close()
@@ -146,12 +145,10 @@ def record_piece(env: TransformedEnv, number: int, *, seed: int) -> TensorDict:
     def read(start_of: Tensor, step: TensorDictBase) -> dict[str, Tensor]:
         return {
             "lateral_line": step["lateral_line"],
-            "frequency": step["frequency"].squeeze(-1).float(),
             "is_decision": torch.ones_like(start_of, dtype=torch.bool),
             "flow_index": step["flow_index"].squeeze(-1),
         }
 
     traces = run_episodes(env, act, starts, on_step=read).traces
     read_off = {name: traces.pad(name, value=0, length=task.time_limit) for name in traces}
-    shape = read_off["is_decision"].shape
-    return TensorDict({**read_off, "named_flow": row[:, None].expand(shape)}, shape)
+    return TensorDict(read_off, read_off["is_decision"].shape)

@@ -28,7 +28,8 @@ from fishrl.programs.configuration import parse, run_hydra, split_options
 from fishrl.programs.program import set_up_logging, show_command
 from fishrl.programs.sweeps.ending import ending_runs, leave_ending_to_sweep
 from fishrl.programs.sweeps.runs import Run, advise, count_frames, read_run
-from fishrl.programs.train_settings import TRAINING, TrainConfig, is_finished
+from fishrl.programs.train_settings import TRAINING, TrainConfig
+from fishrl.training.continuation import find_result, find_run
 from fishrl.training.interruption import SIGNALS
 from fishrl.training.progress import Progress
 from fishrl.training.run_folder import RunFolder
@@ -87,7 +88,7 @@ def sweep(arguments: Sequence[str]) -> None:
         arguments = [*arguments, f"folder=runs/sweep-{time.strftime('%Y%m%d-%H%M%S')}"]
         launch, jobs = _plan(arguments)
     for job in jobs:
-        is_finished(job.settings)  # refuses settings that its run does not have
+        find_result(job.settings)  # refuses settings that its run does not have
     folder = Path(jobs[0].settings.folder).expanduser()
     folder.mkdir(parents=True, exist_ok=True)
     command = f"{show_command('train', *arguments)}\n"
@@ -112,7 +113,7 @@ def plan_jobs(arguments: Sequence[str]) -> list[Job]:
 
 def find_runs(arguments: Sequence[str]) -> list[Path]:
     """Return the folders of those runs of a sweep that have begun."""
-    return sorted(job.path for job in plan_jobs(arguments) if job.settings.has_begun)
+    return sorted(job.path for job in plan_jobs(arguments) if find_run(job.settings))
 
 
 def _plan(arguments: Sequence[str]) -> tuple[Launch, list[Job]]:
@@ -164,7 +165,7 @@ def run_job(job: Job) -> Run:
     """
     path = job.path
     run = read_run(path)
-    if run.status == "running" or is_finished(job.settings):
+    if run.status == "running" or find_result(job.settings):
         return run
     path.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "fishrl", "train", *job.words]
@@ -174,13 +175,13 @@ def run_job(job: Job) -> Run:
         subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT) as child,
     ):
         done = run.frames
-        bar.start(path.name, total=job.settings.total_frames, done=done)
+        bar.on_phase(path.name, total=job.settings.total_frames, done=done)
         is_over = False
         while not is_over:
             time.sleep(LOOK_SECONDS)
             is_over = child.poll() is not None
             before, done = done, max(done, count_frames(path))
-            bar.advance(done - before)
+            bar.on_progress(done - before)
     code, folder = child.returncode, RunFolder(path)
     if code and code not in [128 + number for number in SIGNALS] and not folder.failure.is_file():
         reason = f"exit code {code}; see output.log"

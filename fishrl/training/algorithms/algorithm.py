@@ -2,7 +2,6 @@
 
 import pkgutil
 from abc import ABC, abstractmethod
-from dataclasses import replace
 from importlib import import_module
 from inspect import isabstract
 from pathlib import Path
@@ -59,9 +58,9 @@ class Algorithm(Settings, ABC):
                 f"{type(task).__name__} with these settings; take one of {', '.join(fitting)}"
             )
 
-    def adapt(self, settings: LearningSettings) -> LearningSettings:
-        """Return the common settings with those that follow from this algorithm's own."""
-        return settings
+    def adapt(self, settings: LearningSettings) -> dict[str, Any]:
+        """Return those of the common settings that follow from this algorithm's own."""
+        return {}
 
     @abstractmethod
     def make_policy(self, spec: PolicySpec, generator: torch.Generator | None = None) -> Any:
@@ -88,17 +87,14 @@ class Algorithm(Settings, ABC):
     def make_learner(
         self, spec: PolicySpec, settings: LearningSettings, *, device: str = "cpu"
     ) -> Learner:
-        """Make a new policy and its learner; ``settings.seed`` fixes the initial weights.
-
-        With several fish, the buffer holds the decisions of each.
-        """
+        """Make a new policy and its learner; ``settings.seed`` fixes the initial weights."""
         generator = torch.Generator().manual_seed(settings.seed)
         policy = self.make_policy(spec, generator).to(device)
         loss = self.make_loss(policy, spec, generator)
         explorer = self.make_explorer(policy, spec)
-        networks = Networks(policy, explorer, loss, is_traced=self.is_traced)
-        per_fish = replace(settings, buffer_size=settings.buffer_size * spec.num_fish)
-        return self.assemble(networks, per_fish)
+        traced, num_fish = self.is_traced, spec.num_fish
+        networks = Networks(policy, explorer, loss, is_traced=traced, num_fish=num_fish)
+        return self.assemble(networks, settings)
 
 
 def find_algorithms() -> dict[str, type[Algorithm]]:

@@ -41,7 +41,7 @@ class DRQN(DQN):
         sizes = spec.sizes | {"num_inputs": spec.num_observed}
         return RecurrentPolicy(make_recurrent_value_actor(**sizes, generator=generator))
 
-    def adapt(self, settings: LearningSettings) -> LearningSettings:
+    def adapt(self, settings: LearningSettings) -> dict[str, Any]:
         """Check that a batch is a whole number of sequences, and that there is a layer to recur."""
         if settings.batch_size % self.sequence_length:
             raise ValueError(
@@ -50,7 +50,7 @@ class DRQN(DQN):
             )
         if not settings.hidden:
             raise ValueError("hidden = (): DRQN needs a hidden layer, the last of which recurs")
-        return settings
+        return {}
 
     def make_loss(
         self, policy: Any, spec: PolicySpec, generator: torch.Generator

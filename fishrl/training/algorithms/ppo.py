@@ -1,7 +1,6 @@
 """Proximal policy optimisation, for discrete and continuous actions."""
 
-from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Any
 
 import torch
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
@@ -42,7 +41,7 @@ class PPO(Algorithm):
     entropy_weight: NonNegativeFloat = 0.01
     value_weight: PositiveFloat = 0.5
 
-    def adapt(self, settings: LearningSettings) -> LearningSettings:
+    def adapt(self, settings: LearningSettings) -> dict[str, Any]:
         """Return the settings that give ``num_epochs`` over each rollout."""
         num_frames = settings.num_envs * self.rollout_length
         if num_frames % settings.batch_size:
@@ -50,12 +49,12 @@ class PPO(Algorithm):
                 f"batch_size = {settings.batch_size}: must divide num_envs * "
                 f"algorithm.rollout_length = {num_frames}"
             )
-        return replace(
-            settings,
-            warmup_frames=0,
-            updates_per_frame=self.num_epochs / settings.batch_size,
-            buffer_size=num_frames,
-        )
+        updates_per_frame = self.num_epochs / settings.batch_size
+        return {
+            "warmup_frames": 0,
+            "updates_per_frame": updates_per_frame,
+            "buffer_size": num_frames,
+        }
 
     def make_policy(
         self, spec: PolicySpec, generator: torch.Generator | None = None

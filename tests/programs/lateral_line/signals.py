@@ -46,7 +46,6 @@ def make_episodes(num: int = 40, length: int = 5) -> TensorDict:
     signal[..., KNOWN.index("ahead")] = 1.0 + 0.5 * flow.view(-1, 1, 1, 1) + 0.2 * sine
     here = {
         "flow_index": flow,
-        "named_flow": torch.randint(2, (num,), generator=generator),
         "episode": torch.arange(num),
     }
     is_decision = torch.arange(length) < torch.randint(2, length + 1, (num, 1), generator=generator)

@@ -16,10 +16,7 @@ from fishrl.physics.flow import make_uniform
 from fishrl.programs.lateral_line.fitting import cut_samples, cut_windows, fit, mirror
 from fishrl.programs.lateral_line.report import tabulate
 from fishrl.programs.train_lateral_line import train_lateral_line
-from fishrl.training.progress import Progress
 from tests.programs.lateral_line.signals import INTERVAL, make_episodes, make_settings, make_task
-
-QUIET = Progress(is_shown=False)
 
 #: Two episodes of at most three decisions with four samples each, numbered; one neuromast.
 SIGNAL = torch.arange(24.0).view(2, 3, 4, 1, 1)
@@ -108,7 +105,7 @@ def test_program_writes_numbers_figures_and_a_classifier_that_the_task_takes(
     tmp_path: Path,
 ) -> None:
     settings, task = make_settings(num_epochs=10, paper_epochs=3), make_task()
-    fits = train_lateral_line(settings, make_episodes(), tmp_path, QUIET)
+    fits = train_lateral_line(settings, make_episodes(), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {
         *("lateral_line.json", "machine.pt", "curves.png", "confusion.png")
     }

@@ -49,6 +49,6 @@ def test_settings_that_do_not_fit_the_algorithm_are_refused(toy: Toy) -> None:
 
 
 def test_ppo_derives_the_settings_that_follow_from_its_rollout(toy: Toy) -> None:
-    learning = toy.begin(algorithm=PPO(rollout_length=8), batch_size=32).plan.learning
+    learning = toy.begin(algorithm=PPO(rollout_length=8), batch_size=32).plan
     assert (learning.warmup_frames, learning.buffer_size) == (0, 64)
     assert learning.updates_per_frame == 10 / 32
