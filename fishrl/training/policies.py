@@ -82,7 +82,8 @@ def prepare(
     if isinstance(policy, str):
         return task, labels, make_baseline(policy, task=task, seed=seed)
     if isinstance(policy, Path):
-        policy = load_policy(policy, task=task, has_labels=labels is not None, device=device)
+        has_labels = labels is not None
+        return task, labels, load_policy(policy, task=task, has_labels=has_labels, device=device)
     return task, labels, policy
 
 
