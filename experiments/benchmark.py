@@ -32,7 +32,6 @@ GROUPS = {
     "gpu": flows.make_gpu,
     "env": environment.make_overhead,
     "train": environment.make_training,
-    "profile": environment.make_profile,
     "compile": flows.make_compilation,
 }
 

@@ -2,9 +2,8 @@
 
 ``scale=half`` and ``scale=paper`` do the same on finer grids. Each job is another program, run by
 the command that is printed. The same command continues after an interruption, also ``kill -9``;
-finished jobs are not repeated unless their settings change. ``plan=true`` only lists what is left
-and how long it takes on this machine. Tables and figures are written to ``reproduction.md`` and
-``reproduction.html`` in the folder.
+finished jobs are not repeated unless their settings change. ``plan=true`` only lists what is left.
+Tables and figures are written to ``reproduction.md`` and ``reproduction.html`` in the folder.
 """
 
 import fcntl
@@ -14,29 +13,20 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
 from experiments.benchmarks.machine import describe_machine
-from experiments.paper import ARMS, find_fitted, write_page
-from experiments.validation.swimmer import CASE
+from experiments.paper import find_fitted, write_page
 from fishrl.__main__ import list_programs
-from fishrl.envs import AbstractTask, make_env
-from fishrl.programs.gait.free_stream import MAX_PERIODS
 from fishrl.programs.program import program, show_command
 from fishrl.programs.sweeps.jobs import find_runs
 from fishrl.programs.sweeps.runs import read_run
-from fishrl.programs.train_lateral_line import main as train_lateral_line
 from fishrl.programs.train_settings import TRAINING
 from fishrl.settings import Settings
-from fishrl.training import DiscreteSAC
-from fishrl.training.baselines import choose_baselines
-from fishrl.training.learner import one_thread
-from fishrl.training.plan import Plan
-from fishrl.training.policy_spec import PolicySpec
 from fishrl.training.run_folder import write_json
 
 #: Settings of the trainings of each arm, besides those of the scale. Without rows of frequencies a
@@ -104,40 +94,20 @@ class Job:
     Args:
         name: of the job.
         words: program and settings.
-        updates: of nodes, about, by all flows.
-        gradient_steps: of all seeds.
         num_runs: of a training, one per seed.
     """
 
     name: str
     words: tuple[str, ...]
-    updates: float = 0.0
-    gradient_steps: float = 0.0
     num_runs: int = 0
-
-
-def count_updates(task: AbstractTask, periods: float) -> float:
-    """Return the node updates of a flow in some T."""
-    flow = task.flow_config()
-    return periods * task.scales.period * flow.width * flow.height
 
 
 def plan_training(name: str, settings: Sequence[str], scale: Scale, folder: Path) -> Job:
     """Return the job that trains a policy with each seed; ValueError for wrong settings."""
-    plan = TRAINING.read(settings)
-    task = plan.task
-    tests = plan.total_frames // plan.eval_frames * plan.eval_episodes
-    baselines = choose_baselines(plan.baselines, task)
-    tests += plan.final_episodes * (1 + len(baselines))
-    decisions = plan.total_frames + tests * task.time_limit
+    TRAINING.read(settings)
     seeds = f"seed={','.join(map(str, scale.seeds))}"
-    return Job(
-        name=name,
-        words=("train", "--multirun", *settings, seeds, f"folder={folder / name}"),
-        updates=len(scale.seeds) * count_updates(task, decisions * task.interval_T),
-        gradient_steps=len(scale.seeds) * plan.total_frames * plan.updates_per_frame,
-        num_runs=len(scale.seeds),
-    )
+    words = ("train", "--multirun", *settings, seeds, f"folder={folder / name}")
+    return Job(name=name, words=words, num_runs=len(scale.seeds))
 
 
 def list_jobs(scale: Scale, folder: Path) -> Iterator[Job]:
@@ -145,34 +115,24 @@ def list_jobs(scale: Scale, folder: Path) -> Iterator[Job]:
 
     ValueError for wrong settings of a training.
     """
-    swims = [job.cost for job in CASE.jobs if job.is_quick or "quick=true" not in scale.swimmer]
-    yield Job(
-        name="swimmer",
-        words=("validate", "cases=[swimmer]", *scale.swimmer, f"folder={folder / 'swimmer'}"),
-        updates=sum(swims),
-    )
+    words = ("validate", "cases=[swimmer]", *scale.swimmer, f"folder={folder / 'swimmer'}")
+    yield Job(name="swimmer", words=words)
     yield plan_training("predation", scale.predation, scale, folder)
-    task = TRAINING.read(scale.gait).task
-    num_samples = train_lateral_line.read(scale.lateral_line).num_samples
     yield Job(
         name="classifier",
         words=(
             *("train-lateral-line", "paper_epochs=1000", *scale.lateral_line),
             *(f"folder={folder}", "name=classifier"),
         ),
-        updates=count_updates(task, num_samples * task.interval_T),
     )
     fitted = find_fitted(folder)
     classifier = fitted / "machine.pt" if fitted else "oracle"  # settings are read before, too
     trained: list[Path] = []
     for arm, settings in ARM_SETTINGS.items():
-        words = (word.format(classifier=classifier) for word in settings)
+        words = tuple(word.format(classifier=classifier) for word in settings)
         job = plan_training(arm, [*scale.gait, *words], scale, folder)
         yield job
         trained += find_runs(job.words[2:]) if (folder / arm).is_dir() else []
-    trials = 3 * scale.episodes * (len(ARMS) * len(scale.seeds) + 2)
-    # in a free stream the tail beats six times faster, and needs as many more steps
-    free = 3 * scale.free_episodes * 6 * min(scale.periods, MAX_PERIODS)
     yield Job(
         name="transfer",
         words=(
@@ -180,7 +140,6 @@ def list_jobs(scale: Scale, folder: Path) -> Iterator[Job]:
             *(f"episodes={scale.episodes}", f"periods={scale.periods:g}"),
             *(f"free_episodes={scale.free_episodes}", f"folder={folder / 'transfer'}"),
         ),
-        updates=count_updates(task, trials * scale.periods + free),
     )
 
 
@@ -245,29 +204,6 @@ def run_job(job: Job, record: Record, lock: int) -> None:
         raise ValueError(f"{job.name} ended with status {child.returncode}; repeat the command")
 
 
-def measure_speed(plan: Plan) -> tuple[float, float]:
-    """Return node updates and gradient steps (of discrete SAC) per second, on this machine."""
-    gait: Any = plan.task
-    task = replace(gait, stream=replace(gait.stream, has_disc=False))  # needs no wake
-    num_envs, num = plan.num_envs, 4
-    env = make_env(task=task, num_envs=num_envs, device=plan.device, compile=plan.compile)
-    device = plan.policy_device
-    learner = DiscreteSAC().make_learner(PolicySpec.for_task(task), plan, device=device)
-    env.rollout(1)
-    began = time.perf_counter()
-    steps = env.rollout(num, break_when_any_done=False)
-    seconds = time.perf_counter() - began
-    env.close()
-    learner.store(steps.reshape(-1).to(device))
-    with one_thread():
-        learner.update()  # traces the step
-        began = time.perf_counter()
-        for _ in range(steps.numel()):
-            learner.update()
-    updates = num_envs * count_updates(task, num * task.interval_T)
-    return updates / seconds, steps.numel() / (time.perf_counter() - began)
-
-
 @program(ReproduceSettings, groups={"scale": "small"}, conf=Path(__file__).parent / "conf")
 def main(settings: ReproduceSettings) -> None:
     """Run what is left, and write the page."""
@@ -275,15 +211,8 @@ def main(settings: ReproduceSettings) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with alone(folder) as lock:
         record = Record(folder)
-        left = [job for job in list_jobs(scale, folder) if not record.is_finished(job)]
-        if left:
-            flow, learning = measure_speed(TRAINING.read(scale.gait))
-            print(f"{flow / 1e6:.0f} million node updates and {learning:.0f} gradient steps per s")
-            print("left, about:")
-        for job in left:
-            hours = (job.updates / flow + job.gradient_steps / learning) / 3600.0
-            steps = f"{job.updates:.1e} node updates, {job.gradient_steps:.0f} gradient steps"
-            print(f"  {hours:7.2f} h  {job.name}: {steps}")
+        left = [job.name for job in list_jobs(scale, folder) if not record.is_finished(job)]
+        print(f"left: {', '.join(left) or 'nothing'}")
         if settings.plan:
             return
         for job in list_jobs(scale, folder):

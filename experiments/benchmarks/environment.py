@@ -1,24 +1,21 @@
-"""Cases beyond the flow: the environment, a training run, and a profile.
+"""Cases beyond the flow: the environment, and a training run.
 
 One action lasts a tail beat, by the environment alone and with its transforms, resets and a policy.
 No episode ends meanwhile. Tests give another task and other ``options`` of ``make_env``.
 """
 
 import time
-from collections import defaultdict
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from torch.profiler import ProfilerActivity, profile, record_function
 from torchrl.envs import ExplorationType, set_exploration_type
 
 from experiments.benchmarks.measuring import BenchmarkSettings, Case
 from fishrl.envs import Predation, make_env
 from fishrl.modules import make_actor
-from fishrl.physics import InPlaceSolver
 from fishrl.training import DiscreteSAC
 from fishrl.training.collector import ResumableCollector
 from fishrl.training.learner import one_thread
@@ -136,57 +133,3 @@ def make_training(
     what = f"frame of all flows, {num_updates} gradient steps"
     gradient = Case(label="train/gradient", name=name, advance=learn)
     return [gradient, make_case(env.base_env, "train/frame", what, run)]
-
-
-def make_profile(
-    settings: BenchmarkSettings, *, task: Any = None, num_actions: int = 3, compile: bool = True
-) -> list[Case]:
-    """Profile the parts of an environment step of four flows on one core, in this process."""
-    task, num_envs, num_threads = task or make_task(settings), 4, torch.get_num_threads()
-    torch.set_num_threads(1)
-    stage = Stage(task, num_envs, compile=False)
-    solver: Any = InPlaceSolver(
-        config=task.flow_config(), num_envs=num_envs, frequency=1.0 / task.scales.period,
-        num_workers=0, compile=compile,
-    )  # fmt: skip
-    solver.compile()
-    stage.base.solver = solver
-    stage.prepare()
-    places: dict[str, str] = {}  # of each part
-
-    def name(place: str, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        places[part] = place
-        return record_function(part)(function)
-
-    for step_part, _ in solver.list_calls():
-        step_part.run = name("flow", step_part.title, step_part.run)
-    for owner, attribute, place, part in (
-        (solver, "advance_", "flow", "calls and remainder"),
-        (solver, "is_diverged", "environment", "check for divergence"),
-        (stage.base, "measure", "environment", "sensors and measurement"),
-        (stage.base, "_step", "environment", "reward, observation, ends"),
-        (stage.env, "step_and_maybe_reset", "TorchRL and policy", "transforms, specs, resets"),
-        (stage, "policy", "TorchRL and policy", "policy"),
-    ):
-        setattr(owner, attribute, name(place, part, getattr(owner, attribute)))
-    stage.act()
-    with profile(activities=[ProfilerActivity.CPU], acc_events=True) as profiler:
-        for _ in range(num_actions):
-            stage.act()
-    torch.set_num_threads(num_threads)
-    seconds: dict[str, float] = defaultdict(float)
-    for event in profiler.events():
-        owner = event
-        while owner is not None and owner.name not in places:
-            owner = owner.cpu_parent
-        if owner is not None:
-            seconds[owner.name] += 1e-6 * event.self_cpu_time_total / num_actions
-    size = f"{num_envs} × {solver.config.width} × {solver.config.height}, {task.n_substeps} steps"
-    return [
-        Case(
-            label=f"profile/{part}", name=part, num_steps=0,
-            facts={"place": places[part], "size": size},
-            measured={"seconds": [s], "share": [s / sum(seconds.values())]},
-        )
-        for part, s in sorted(seconds.items(), key=lambda item: -item[1])
-    ]  # fmt: skip

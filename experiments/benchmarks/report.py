@@ -100,9 +100,7 @@ def _price(case: Case, results: Results) -> str:
 #: What each column shows of a case; nothing is shown as a dash.
 COLUMNS: dict[str, Cell] = {
     "case": lambda case, _: case.name,
-    "part": lambda case, _: case.name,
     "what": lambda case, _: case.scope,
-    "of": lambda case, _: case.facts["place"],
     "MLUPS": lambda case, _: measure_speed(case).show(0),
     "/ copy": partial(_over, "probe/copy"),
     "/ copy on the GPU": partial(_over, "gpu/copy"),
@@ -115,16 +113,13 @@ COLUMNS: dict[str, Cell] = {
     "ms": _number("seconds", 2, 1e3),
     "share outside the flow, %": _number("outside_flow", 2, 100.0),
     "share of learning, %": _number("learning", 1, 100.0),
-    "ms / action": _number("seconds", 1, 1e3),
-    "share, %": _number("share", 2, 100.0),
     "seconds": _number("seconds", 1),
 }
 SPEED = ("case", "what", "MLUPS", "/ copy", "/ in-place probe", "B / update", "MB")
 GPU_SPEED = ("case", "what", "MLUPS", "/ copy on the GPU", "B / update", "MB")
 MEMORY, PRICE = "memory, B / node", ("µs / step", "s / T and flow")
 OUTSIDE = ("case", "ms", "share outside the flow, %")
-PARTS = ("part", "of", "ms / action", "share, %")
-#: Group, heading, line above the table (with facts of its first case), columns.
+#: Group, heading, line above the table, columns.
 TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("probe", "Memory bandwidth", "", SPEED),
     ("solver", "Flow without bodies", "", (*SPEED, MEMORY)),
@@ -132,7 +127,6 @@ TABLES: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("gpu", "GPU", "", GPU_SPEED),
     ("env", "Environment", "Bursts of one action, which lasts a tail beat T.", OUTSIDE),
     ("train", "Training", "", ("case", "ms", "share of learning, %")),
-    ("profile", "Profile of an environment step", "{size}, one core.", PARTS),
     ("compile", "Compilation", "Time until the first step with a fish.", ("case", "seconds")),
 )
 
@@ -144,7 +138,7 @@ def render(results: Results) -> str:
     for group, title, note, columns in TABLES:
         if cases := results.of_group(group):
             cells = [[COLUMNS[c](case, results) or "–" for c in columns] for case in cases]
-            parts = [f"### {title}", note.format(**cases[0].facts), write_table(columns, cells)]
+            parts = [f"### {title}", note, write_table(columns, cells)]
             tables.append("\n\n".join(filter(None, parts)))
     return "\n\n".join(table.strip() for table in (describe_run(results), *tables))
 

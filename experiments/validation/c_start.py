@@ -8,8 +8,7 @@ turns the fish. The distance is that of the centre of mass from its start after 
 that of the muscles, gains of energy from the flow subtracted.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator
 from math import pi
 from typing import Any
 
@@ -27,7 +26,6 @@ from fishrl.physics import (
     InPlaceSolver,
     NoSlip,
     Section,
-    Strokes,
     compute_vorticity,
 )
 
@@ -47,82 +45,55 @@ VARIANTS: dict[str, tuple[dict[str, float], float | None]] = {
 }
 
 
-def run_strokes(
-    strokes: Sequence[Strokes],
-    *,
-    body_length: int,
-    tank_bl: float = 6.0,
-    steps: float = STEPS,
-    inset: float = 0.0,
-    num_workers: int | None = 0,
-    compile: bool = True,
-) -> tuple[list[Result], InPlaceSolver]:
-    """Let a larva follow each of several sequences of strokes, in one batch, for 2.7 T.
+def escape(
+    *, body_length: int, tank_bl: float = 6.0, steps: float = STEPS, inset: float = 0.0
+) -> Result:
+    """Let a larva follow the published strokes for 2.7 T, in a tank ``tank_bl`` L wide.
 
-    A period takes ``steps * body_length`` steps; see ``escape`` for the rest. Returns of each
-    sequence the ``path`` from the start (x, y; L) and ``work`` of the muscles (rho L^4 / T^2) every
-    T / 10, the final ``distance`` (L) and whether the flow is ``fine``; and the solver at the end.
+    A period takes ``steps * body_length`` steps, and the markers lie ``inset`` nodes inside the
+    outline. Returns the ``path`` from the start (x, y; L) and ``work`` of the muscles (rho L^4 /
+    T^2) every T / 10, the final ``distance`` (L), and at the end the ``vorticity`` / (1 / T) within
+    ``WINDOW`` and the ``outline`` (L).
     """
     part = 2 * round(steps * body_length / 20.0)
     period = 10 * part
     side, wall = round(tank_bl * body_length), NoSlip()
     larva = Fish(
-        body_length=body_length, section=Section.LARVA, thickness=0.127, inset=inset, motion=Free()
+        body_length=body_length,
+        section=Section.LARVA,
+        thickness=0.127,
+        strokes=C_START,
+        inset=inset,
+        motion=Free(),
     )
-    tank = FlowConfig(
+    config = FlowConfig(
         width=side,
         height=side,
         tau=3.0 * body_length**2 / (REYNOLDS * period) + 0.5,
+        bodies=(larva,),
         boundaries=Boundaries(left=wall, right=wall, bottom=wall, top=wall),
     )
-    configs = [replace(tank, bodies=(replace(larva, strokes=each),)) for each in strokes]
-    solver = InPlaceSolver(
-        config=configs, frequency=1.0 / period, num_workers=num_workers, compile=compile
-    )
-    middle = torch.full((len(configs), 2), 0.5 * (side - 1), dtype=torch.float64)
-    heading = torch.full((len(configs),), pi, dtype=torch.float64)
-    solver.reset_(torch.ones(len(configs), dtype=torch.bool), middle, heading)
-    path, work = [torch.zeros_like(middle)], [torch.zeros_like(heading)]
+    solver = InPlaceSolver(config=config, frequency=1.0 / period, num_workers=0)
+    middle = torch.full((1, 2), 0.5 * (side - 1), dtype=torch.float64)
+    heading = torch.full((1,), pi, dtype=torch.float64)
+    solver.reset_(torch.ones(1, dtype=torch.bool), middle, heading)
+    body, path, work = solver.body, [torch.zeros_like(middle)], [0.0]
     for _ in range(PARTS):
         solver.advance_(part)
-        path.append((solver.body.position - middle) / body_length)
-        work.append(solver.body.work * (period**2 / body_length**4))
-    is_fine = ~solver.is_diverged()
-    solver.close()
-    columns = (torch.stack(path, 1), torch.stack(work, 1), path[-1].norm(dim=-1), is_fine)
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    names = ("path", "work", "distance", "fine")
-    return [dict(zip(names, row, strict=True)) for row in rows], solver
-
-
-def take_picture(solver: InPlaceSolver, row: int, body_length: int) -> Result:
-    """Return ``vorticity`` in units of 1 / T of a flow within ``WINDOW``, and the ``outline``."""
-    _, u = solver.macroscopic()
-    body = solver.body
-    period = 1.0 / float(body.frequency[row])
-    half, middle = round(WINDOW * body_length), u.shape[-1] // 2
-    inside = slice(middle - half, middle + half, max(1, body_length // 48))
-    field = compute_vorticity(u[row : row + 1])[0, inside, inside] * period
-    outline = (solver.markers()[row] - 0.5 * (u.shape[-1] - 1)) / body_length
-    return {
-        "vorticity": [[round(value, 2) for value in line] for line in field.double().tolist()],
-        "outline": outline.tolist(),
-    }
-
-
-def escape(
-    *, body_length: int, tank_bl: float = 6.0, steps: float = STEPS, inset: float = 0.0
-) -> Result:
-    """Return the published C-start, see ``run_strokes``, with its ``take_picture``.
-
-    The tank is ``tank_bl`` L wide, and the markers lie ``inset`` nodes inside the outline.
-    """
-    (result,), solver = run_strokes(
-        [C_START], body_length=body_length, tank_bl=tank_bl, steps=steps, inset=inset
-    )
-    if not result["fine"]:
+        path.append((body.position - middle) / body_length)
+        work.append(float(body.work * (period**2 / body_length**4)))
+    if solver.is_diverged().any():
         raise RuntimeError(f"the flow diverged at L = {body_length}: give more steps")
-    return result | take_picture(solver, 0, body_length)
+    half, centre = round(WINDOW * body_length), side // 2
+    inside = slice(centre - half, centre + half, max(1, body_length // 48))
+    field = compute_vorticity(solver.macroscopic()[1])[0, inside, inside] * period
+    return {
+        "path": torch.cat(path).tolist(),
+        "work": work,
+        "distance": float(path[-1].norm(dim=-1)),
+        "vorticity": [[round(value, 2) for value in line] for line in field.double().tolist()],
+        "outline": ((solver.markers()[0] - middle) / body_length).tolist(),
+    }
 
 
 RUNS: list[dict[str, Any]] = [

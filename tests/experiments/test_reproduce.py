@@ -32,7 +32,6 @@ def test_every_job_of_a_scale_is_a_command_that_its_program_takes(
         else:
             package = "fishrl.programs" if program in list_programs() else "experiments"
             import_module(f"{package}.{program.replace('-', '_')}").main.read(words)
-        assert job.updates > 0
 
 
 def list_by_name(folder: Path, *settings: str) -> dict[str, Job]:

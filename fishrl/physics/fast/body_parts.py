@@ -32,7 +32,6 @@ Bodies = tuple[tuple[BodyParams, ...], tuple[BodyState, ...]]
 #: and ``[B]`` int64 cells of each flow's node (0, 0).
 Places = tuple[Tensor, Tensor, Tensor]
 
-BODY_TITLE = "bodies: markers, force, motion, spreading"
 BODY_SETTINGS: dict[str, dict[str, object]] = {
     # The part is small and scatters: one thread, and weights are kept, not computed again for every
     # pair of markers (six times slower at L = 100).
@@ -77,7 +76,7 @@ def make_location(config: FlowConfig, geometry: BodyGeometry) -> Part:
     def act(bodies: Bodies, geometry: BodyGeometry) -> None:
         copy_tree(geometry, locate_bodies(config, *bodies, torch.float32))
 
-    return Part("location", BODY_TITLE, collect, act, BODY_SETTINGS)
+    return Part("location", collect, act, BODY_SETTINGS)
 
 
 def make_coupling(
@@ -126,7 +125,7 @@ def make_coupling(
             total.index_put_((nodes,), torch.zeros_like(fluid.drho))
         copy_tree(bodies[1], moved)
 
-    return Part("coupling", BODY_TITLE, collect, act, BODY_SETTINGS)
+    return Part("coupling", collect, act, BODY_SETTINGS)
 
 
 def make_skin_parts(
@@ -173,7 +172,7 @@ def make_skin_parts(
         uncover_nodes_(config, bodies[1], before, after, list_slots(places, lattice))
 
     return (
-        Part("skin", BODY_TITLE, collect, locate, BODY_SETTINGS),
-        Part("reflection", BODY_TITLE, collect, reflect, BODY_SETTINGS),
-        Part("uncovering", BODY_TITLE, collect, uncover, BODY_SETTINGS),
+        Part("skin", collect, locate, BODY_SETTINGS),
+        Part("reflection", collect, reflect, BODY_SETTINGS),
+        Part("uncovering", collect, uncover, BODY_SETTINGS),
     )

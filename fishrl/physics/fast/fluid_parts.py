@@ -36,7 +36,7 @@ def make_collision(config: FlowConfig) -> Part:
         for q, g in enumerate(collided):
             f[OPPOSITE[q]].copy_(storage.encode(g))
 
-    return Part("collision", "collision", collect, act, {})
+    return Part("collision", collect, act, {})
 
 
 def make_crossing(config: FlowConfig) -> Part:
@@ -55,7 +55,7 @@ def make_crossing(config: FlowConfig) -> Part:
         for to, origin in zip(entering, leaving, strict=True):
             to.copy_(origin)
 
-    return Part("crossing", "edges", collect, act, None)
+    return Part("crossing", collect, act, None)
 
 
 class EdgeViews(NamedTuple):
@@ -108,7 +108,7 @@ def make_edges(
     # on a GPU the stream's speed is not worth a kernel of its own
     settings = {"cuda": {"realize_reads_threshold": 16, "realize_opcount_threshold": 1000}}
     name = f"edges {[side.name for side, _ in sides]}"
-    return Part(name, "edges", collect, act, settings)
+    return Part(name, collect, act, settings)
 
 
 def make_check(config: FlowConfig, is_fine: Tensor) -> Part:
@@ -127,4 +127,4 @@ def make_check(config: FlowConfig, is_fine: Tensor) -> Part:
         is_node_fine = (jx * jx + jy * jy < limit * limit) & (drho.abs() < 1.0)
         is_fine.copy_(is_node_fine.flatten(1).all(-1))
 
-    return Part("check", "check", collect, act, {})
+    return Part("check", collect, act, {})

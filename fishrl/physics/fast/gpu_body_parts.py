@@ -14,7 +14,6 @@ from torch import Tensor
 
 from fishrl.physics.fast.body_parts import (
     BODY_SETTINGS,
-    BODY_TITLE,
     Bodies,
     Places,
     find_places,
@@ -169,7 +168,7 @@ def make_triton_parts(
         copy_tree(states, tuple(move_body(*body) for body in each))
 
     return [
-        Part("placement", BODY_TITLE, collect, place, BODY_SETTINGS),
-        Part("kernels", BODY_TITLE, collect_all, couple, None),  # compiled at the first launch
-        Part("motion", BODY_TITLE, collect, move, BODY_SETTINGS),
+        Part("placement", collect, place, BODY_SETTINGS),
+        Part("kernels", collect_all, couple, None),  # compiled at the first launch
+        Part("motion", collect, move, BODY_SETTINGS),
     ]

@@ -19,7 +19,6 @@ class Part:
 
     Args:
         name: key among the parts of one step.
-        title: name in profiles.
         collect: returns the arguments of ``act`` for a group, trees of tensors, at even (0) or odd
             (1) steps.
         act: what the part does, eagerly or traced by the compiler.
@@ -32,12 +31,11 @@ class Part:
     def __init__(
         self,
         name: str,
-        title: str,
         collect: Callable[[GroupMemory, int], tuple[*Trees]],
         act: Callable[[*Trees], None],
         settings: Mapping[str, Mapping[str, object]] | None,
     ) -> None:
-        self.name, self.title, self._settings = name, title, settings
+        self.name, self._settings = name, settings
         self.collect: Callable[[GroupMemory, int], tuple[Any, ...]] = collect
         self._act: Callable[..., None] = act
         self._form: pytree.TreeSpec | None = None

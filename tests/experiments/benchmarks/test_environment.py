@@ -1,10 +1,6 @@
-"""What the benchmark times around the flow: environment, training, profile."""
+"""What the benchmark times around the flow: environment and training."""
 
-import time
-
-import pytest
-
-from experiments.benchmarks.environment import make_overhead, make_profile, make_training
+from experiments.benchmarks.environment import make_overhead, make_training
 from experiments.benchmarks.measuring import BenchmarkSettings
 from fishrl.envs import Predation
 from fishrl.training.settings import LearningSettings
@@ -26,17 +22,3 @@ def test_a_training_loop_collects_and_learns() -> None:
     gradient, frame = make_training(SETTINGS, task=TASK, learning=learning, compile=False)
     assert gradient.advance(2) is None
     assert 0.0 < frame.advance(1)["learning"] < 1.0
-
-
-def test_a_profile_has_the_parts_of_the_flow_and_of_the_environment() -> None:
-    began = time.perf_counter()
-    parts = make_profile(SETTINGS, task=TASK, num_actions=1, compile=False)
-    passed = time.perf_counter() - began
-    places = {case.name: case.facts["place"] for case in parts}
-    assert places["collision"] == places["edges"] == "flow"
-    assert places["sensors and measurement"] == "environment"
-    assert places["policy"] == "TorchRL and policy"
-    seconds = [case.measured["seconds"][0] for case in parts]
-    assert min(seconds) > 0.0
-    assert sum(seconds) < passed  # the parts exclude each other
-    assert sum(case.measured["share"][0] for case in parts) == pytest.approx(1.0)

@@ -53,7 +53,6 @@ def results() -> Results:
         make_case("train/gradient", [200] * 3, group="train", num_nodes=0),
         make_number("compile/cold", "compile", {"seconds": 30.0}),
         make_number("compile/warm", "compile", {"seconds": 0.5}),
-        make_number("edges", "profile", {"seconds": 0.6, "share": 0.6}, place="flow", size="4 × 9"),
     ]
     return Results(
         machine={
