@@ -57,7 +57,7 @@ LAYERS: tuple[tuple[str | tuple[str, ...], set[str]], ...] = (
     ("fishrl/envs/", TENSORS | TASK_SIDE),
     ("fishrl/modules/", TENSORS | {"torchrl", "fishrl.modules"}),
     ("fishrl/objectives/", TENSORS | {"torchrl", "fishrl.objectives"}),
-    ("fishrl/training/", TENSORS | {"torchrl", "tqdm", "yaml", "wandb", "ray", "fishrl"}),
+    ("fishrl/training/", TENSORS | {"torchrl", "tqdm", "yaml", "psutil", "wandb", "ray", "fishrl"}),
     ("fishrl/zoo/", TENSORS | {"fishrl"}),
     ("fishrl/__main__.py", {"fishrl.programs"}),
     ("fishrl/programs/", PROGRAMS),

@@ -32,7 +32,7 @@ from fishrl.viewer import (
     start_drawing,
     write_screenshot,
 )
-from fishrl.viewer.film import FILMS
+from fishrl.viewer.film import FILMS, write_film
 
 
 class ViewConfig(PolicySettings, ViewerSettings):
@@ -137,7 +137,7 @@ def record(
             on_step=lambda running, step: progress.on_progress(1),
         )
     if settings.is_film:
-        FILMS[save.suffix](film, save)
+        write_film(film, save)
     periods = sum(max(flow, default=0.0) for flow in times.values())
     rate = sum(map(len, times.values())) / max(periods, 1e-9)
     written = save.suffix[1:] if settings.is_film else settings.field_format

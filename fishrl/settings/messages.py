@@ -15,37 +15,22 @@ def explain(name: str, errors: list[Any], *, value: Any, known: Iterable[str]) -
     entries = [e["loc"][1] for e in errors if e["type"] == "missing"]
     if entries:  # of a tuple
         return f"{name} = {_show(value)}: must be a list of {max(entries) + 1}"
-    reasons = dict.fromkeys(_say(error) for error in errors)
-    is_choice = all(isinstance(part, str) for error in errors for part in error["loc"])
-    return f"{name} = {_show(value)}: must be {' or '.join([*reasons][: None if is_choice else 1])}"
+    first, *others = dict.fromkeys(_say(error) for error in errors)
+    if all(isinstance(part, str) for error in errors for part in error["loc"]):  # of a union
+        first = " or ".join([first, *(reason.removeprefix("be ") for reason in others)])
+    return f"{name} = {_show(value)}: must {first}"
 
 
 def _say(error: Any) -> str:
-    """Return what a value should be, for an error of pydantic."""
-    kind, ctx = error["type"], error.get("ctx", {})
-    words = {
-        "int_type": "a whole number",
-        "float_type": "a number",
-        "bool_type": "true or false",
-        "string_type": "a word",
-        "tuple_type": "a list",
-        "none_required": "null",
-        "literal_error": "{expected}",
-        "is_instance_of": "of type {class}",
-        "dataclass_type": "of type {class_name}",
-        "greater_than": "greater than {gt:g}",
-        "greater_than_equal": "at least {ge:g}",
-        "less_than": "less than {lt:g}",
-        "less_than_equal": "at most {le:g}",
-        "too_short": "a list of at least {min_length}",
-        "too_long": "a list of at most {max_length}",
-    }
-    if kind == "literal_error":
-        choices = str(ctx["expected"]).replace(" or ", ", ").replace("'", "").split(", ")
-        return f"{ctx['expected']}{suggest(str(error['input']), choices)}"
-    if kind == "value_error":  # of a validator, which completes "must be ..."
-        return str(ctx["error"])
-    return words[kind].format(**ctx) if kind in words else str(error["msg"])
+    """Return what a value should do, for an error of pydantic: ``be greater than 0``."""
+    if error["type"] == "value_error":  # of a validator, which completes "must be ..."
+        return f"be {error['ctx']['error']}"
+    said = str(error["msg"]).partition(" should ")[2]
+    said = said.replace("a valid tuple", "a list").replace(" after validation", "")
+    if error["type"] == "literal_error":
+        choices = str(error["ctx"]["expected"]).replace(" or ", ", ").replace("'", "").split(", ")
+        said += suggest(str(error["input"]), choices)
+    return said
 
 
 def _show(value: Any) -> str:

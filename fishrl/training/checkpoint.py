@@ -161,25 +161,23 @@ def _sum(file: Path) -> str:
 
 def _put_in_place(fresh: Path, path: Path, *, keep: int) -> None:
     """Rename a complete checkpoint to ``path``; a complete one can be found at any moment."""
-    older, existed = path.with_name(f".{path.name}.backup"), path.exists()
-    if existed:
-        frames = _read_frames(path)
+    if path.exists():
+        frames, older = _read_frames(path), path.with_name(f"..{path.name}.old")
         if keep > 1 and frames is not None and frames != _read_frames(fresh):
             older = path.with_name(f"{path.name}-{frames:09d}")
-        if older.exists():
-            shutil.rmtree(older)
+            shutil.rmtree(older, ignore_errors=True)
         os.replace(path, older)
+        for former in _list_older(path)[keep - 1 :]:
+            shutil.rmtree(former, ignore_errors=True)
     os.replace(fresh, path)
     _flush(path.parent)
-    for former in _list_older(path)[keep - 1 :] if existed else ():
-        shutil.rmtree(former, ignore_errors=True)
     _clear(path)
 
 
 def _clear(path: Path) -> None:
-    """Remove leftovers of writing: ``..<name>.*`` is never complete, others are superseded."""
-    unneeded = ("new", "backup*", "stage-*") if path.exists() else ()
-    for pattern in (f"..{path.name}.*", *(f".{path.name}.{kind}" for kind in unneeded)):
+    """Remove leftovers of writing: ``..<name>.*`` is never needed, nor ``new`` if there is one."""
+    unneeded = [f".{path.name}.new"] if path.exists() else []
+    for pattern in (f"..{path.name}.*", *unneeded):
         for debris in path.parent.glob(pattern):
             shutil.rmtree(debris, ignore_errors=True)
 
@@ -189,8 +187,8 @@ def _list_complete(path: Path) -> list[Path]:
 
     The others matter after a kill between two renames, or if the newest checkpoint was deleted.
     """
-    fresh, backups = path.with_name(f".{path.name}.new"), path.parent.glob(f".{path.name}.backup*")
-    return [p for p in (path, fresh, *sorted(backups), *_list_older(path)) if p.exists()]
+    fresh = path.with_name(f".{path.name}.new")
+    return [place for place in (path, fresh, *_list_older(path)) if place.exists()]
 
 
 def _list_older(path: Path) -> list[Path]:

@@ -2,12 +2,11 @@
 
 from collections import deque
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 from tensordict import TensorDictBase
 
 from fishrl.envs.agents import average_fish
@@ -87,21 +86,5 @@ class Counters:
 
 
 def measure_memory_mb() -> float:
-    """Return the memory of this process and its children in MB; NaN where /proc does not show it.
-
-    Memory that they share counts once (proportional set size); pages of files, such as libraries,
-    do not count, since their share depends on other programs.
-    """
-    total_kb, pids = 0.0, ["self"]
-    try:
-        for task in Path("/proc/self/task").iterdir():
-            with suppress(FileNotFoundError, ProcessLookupError):  # it has just ended
-                pids += (task / "children").read_text().split()
-        for pid in pids:
-            with suppress(FileNotFoundError, ProcessLookupError):
-                text = Path(f"/proc/{pid}/smaps_rollup").read_text()
-                for kind in ("Pss_Anon", "Pss_Shmem"):
-                    total_kb += float(text.partition(f"\n{kind}:")[2].split()[0])
-    except OSError:
-        return float("nan")
-    return total_kb / 1e3
+    """Return the memory of this process that no other one shares, in MB."""
+    return float(psutil.Process().memory_full_info().uss) / 1e6

@@ -1,7 +1,6 @@
 """Pictures and films of a recorded flow: field, bodies, goal and path (matplotlib)."""
 
-import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -13,11 +12,10 @@ import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import LinearSegmentedColormap, to_rgb
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from numpy.typing import NDArray
-from PIL import Image
 
 from fishrl.envs.scene import Field, Frame, Scene
 from fishrl.viewer.colours import RED_BLUE, WHITE_BLUE, round_up, space_ticks
@@ -38,9 +36,15 @@ FISH = "#20252b"
 FOOD = "#f2b134"
 
 _NUM_SNAPSHOTS = 6
-_GIF_LEVELS = 49
-_FRAME_MS = 71  # 14 frames per second
-_GIF_WIDTH_INCHES = 8.0
+_FRAMES_PER_SECOND = 14
+_PALETTE = "split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=none"
+_WIDTH_INCHES = 8.0
+#: Dots per inch and ffmpeg's options of a film, by file suffix. A GIF has one palette and no
+#: dithering, so that parts at rest cost nothing.
+FILMS: Mapping[str, tuple[float, Mapping[str, Any]]] = {
+    ".mp4": (100.0, {"quality": 7}),
+    ".gif": (60.0, {"codec": "gif", "pix_fmt_out": "pal8", "output_params": ["-vf", _PALETTE]}),
+}
 
 
 def label_axes(axes: Axes, *, x: bool = True, y: bool = True) -> None:
@@ -74,10 +78,10 @@ def fit_colours(recording: Recording) -> Scene:
     return scene.choose_field(scene.field.key, limit=choose_limit(recording))
 
 
-def make_colours(field: Field, num_levels: int = 256) -> LinearSegmentedColormap:
+def make_colours(field: Field) -> LinearSegmentedColormap:
     """Return the colours of a field."""
     table = np.array(RED_BLUE if field.is_signed else WHITE_BLUE) / 255.0
-    return LinearSegmentedColormap.from_list(field.key, table, N=num_levels)
+    return LinearSegmentedColormap.from_list(field.key, table)
 
 
 class FlowAxes:
@@ -86,17 +90,16 @@ class FlowAxes:
     Args:
         axes: to draw on.
         scene: what to draw.
-        num_levels: number of colours of the field.
     """
 
-    def __init__(self, axes: Axes, scene: Scene, *, num_levels: int = 256) -> None:
+    def __init__(self, axes: Axes, scene: Scene) -> None:
         self.scene = scene
         length, x, y = scene.body_length, scene.width, scene.height
         edges = (-0.5 / length, (x - 0.5) / length, -0.5 / length, (y - 0.5) / length)
         self.image = axes.imshow(
             np.zeros((y, x)), extent=edges, origin="lower",
-            cmap=make_colours(scene.field, num_levels),
-            vmin=scene.field.low, vmax=scene.field.limit, interpolation="bilinear",
+            cmap=make_colours(scene.field), vmin=scene.field.low, vmax=scene.field.limit,
+            interpolation="bilinear",
         )  # fmt: skip
         self.paths = {
             trail.key: axes.plot([], [], color=FISH, linewidth=0.9, linestyle=(0, (4, 2)))[0]
@@ -160,14 +163,13 @@ class FramePainter:
     Args:
         scene: what to draw.
         dpi: dots per inch; a picture is 8 inches wide.
-        num_levels: number of colours of the field.
     """
 
-    def __init__(self, scene: Scene, *, dpi: float = 100.0, num_levels: int = 256) -> None:
+    def __init__(self, scene: Scene, *, dpi: float) -> None:
         self._trails = [trail.key for trail in scene.trails]
         self._path: list[Frame] = []  # without fields, which are large
         with mpl.rc_context(STYLE):
-            figure, self._flow = make_single(scene, num_levels=num_levels)
+            figure, self._flow = make_single(scene)
             figure.set_dpi(dpi)
             self._canvas = FigureCanvasAgg(figure)
             self._canvas.draw()
@@ -218,110 +220,39 @@ def write_flow(recording: Recording, path: str | PathLike[str]) -> None:
         figure.savefig(path)
 
 
-def write_film(
-    recording: Recording,
-    path: str | PathLike[str],
-    *,
-    dpi: float = 100.0,
-    pictures: Sequence[NDArray[np.uint8]] | None = None,
-) -> None:
-    """Write the episode as an MP4 (H.264), with the ffmpeg that imageio-ffmpeg brings.
-
-    Args:
-        recording: the episode.
-        path: file to write.
-        dpi: dots per inch; a picture is 8 inches wide.
-        pictures: its frames, if they are painted already; see ``render_frames``.
+def write_film(recording: Recording, path: str | PathLike[str]) -> None:
+    """Write the episode as an MP4 (H.264) or a GIF, with the ffmpeg that imageio-ffmpeg brings.
 
     Raises:
+        ValueError: for a suffix that is not in ``FILMS``.
         OSError: if it cannot be written.
     """
-    pictures = pictures or render_frames(recording, dpi)
-    height, width = (2 * (side // 2) for side in pictures[0].shape[:2])  # H.264 wants even sides
+    suffix = Path(path).suffix
+    if suffix not in FILMS:
+        raise ValueError(f"{path}: must end in one of {', '.join(FILMS)}")
+    dpi, options = FILMS[suffix]
+    painter = FramePainter(fit_colours(recording), dpi=dpi)
+    first, *rest = recording.frames
+    picture = painter.paint(first)
+    height, width = (2 * (side // 2) for side in picture.shape[:2])  # H.264 wants even sides
     writer = imageio_ffmpeg.write_frames(
-        str(path), (width, height), fps=1000.0 / _FRAME_MS, macro_block_size=2, quality=7
+        str(path), (width, height), fps=_FRAMES_PER_SECOND, macro_block_size=2, **options
     )
     writer.send(None)
     try:
-        for picture in pictures:
-            writer.send(np.ascontiguousarray(picture[:height, :width]))
+        writer.send(np.ascontiguousarray(picture[:height, :width]))
+        for frame in rest:
+            writer.send(np.ascontiguousarray(painter.paint(frame)[:height, :width]))
     finally:
         writer.close()
 
 
-def write_animation(
-    recording: Recording,
-    path: str | PathLike[str],
-    *,
-    max_bytes: int = 6_000_000,
-    pictures: Sequence[NDArray[np.uint8]] | None = None,
-) -> None:
-    """Write the episode as a GIF of at most ``max_bytes``, by lowering its resolution.
-
-    ``pictures`` are its frames, if they are painted already; see ``render_frames``.
-
-    Raises:
-        ValueError: if it does not fit at the lowest one.
-    """
-    dpi = 100.0
-    while True:
-        pictures = pictures or render_frames(recording, dpi, num_levels=_GIF_LEVELS)
-        data = _encode_gif(recording.scene.field, [Image.fromarray(one) for one in pictures])
-        if len(data) <= max_bytes:
-            Path(path).write_bytes(data)
-            return
-        if dpi < 30:
-            raise ValueError(
-                f"max_bytes = {max_bytes}: {len(recording.frames)} frames take {len(data)} bytes "
-                "at the lowest resolution; raise it, or record fewer frames per period"
-            )
-        dpi, pictures = dpi * min(0.9, max(0.5, 0.95 * (max_bytes / len(data)) ** 0.5)), None
-
-
-#: The writer of a film, by file suffix.
-FILMS: Mapping[str, Callable[..., None]] = {".mp4": write_film, ".gif": write_animation}
-
-
-def make_single(scene: Scene, *, num_levels: int = 256) -> tuple[Figure, FlowAxes]:
+def make_single(scene: Scene) -> tuple[Figure, FlowAxes]:
     """Return a figure with one set of axes, see ``FlowAxes``."""
-    width = _GIF_WIDTH_INCHES
-    size = (width, 0.86 * width * scene.height / scene.width + 0.6)
+    size = (_WIDTH_INCHES, 0.86 * _WIDTH_INCHES * scene.height / scene.width + 0.6)
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots()
-    flow = FlowAxes(axes, scene, num_levels=num_levels)
+    flow = FlowAxes(axes, scene)
     label_axes(axes)
     flow.add_colourbar(figure, axes)
     return figure, flow
-
-
-def render_frames(
-    recording: Recording, dpi: float = 100.0, *, num_levels: int = 256
-) -> list[NDArray[np.uint8]]:
-    """Return a picture ``[height, width, 3]`` of every frame, see ``FramePainter``."""
-    painter = FramePainter(fit_colours(recording), dpi=dpi, num_levels=num_levels)
-    return [painter.paint(frame) for frame in recording.frames]
-
-
-def _encode_gif(field: Field, pictures: list[Image.Image]) -> bytes:
-    """Encode all frames with one palette and no dithering, so that parts at rest cost nothing."""
-    palette = _make_palette(field)
-    first, *rest = (p.quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures)
-    buffer = io.BytesIO()
-    first.save(
-        buffer, format="GIF", save_all=True, append_images=rest, loop=0,
-        duration=[_FRAME_MS] * len(rest) + [1500],
-    )  # fmt: skip
-    return buffer.getvalue()
-
-
-def _make_palette(field: Field) -> Image.Image:
-    """Return the field's colours, greys, and the food's from dark to white."""
-    shades = make_colours(field, _GIF_LEVELS)(np.arange(_GIF_LEVELS))[:, :3]
-    greys = np.linspace(to_rgb(FISH), (1.0, 1.0, 1.0), 48)
-    food = [np.linspace(to_rgb(end), to_rgb(FOOD), 8) for end in (FISH, "white")]
-    colours = np.concatenate(
-        (shades, np.linspace(0.0, 1.0, 32)[:, None] * np.ones(3), greys, *food)
-    )
-    palette = Image.new("P", (1, 1))
-    palette.putpalette((255 * colours).round().astype(np.uint8).tobytes())
-    return palette

@@ -59,7 +59,7 @@ def test_every_error_has_a_line() -> None:
         "mode = 'burs': must be 'burst' or 'cruise'; did you mean 'burst'?",
         "free = nan: must be finite",
         "nme: there is no such setting; did you mean 'name'?",
-        "part = None: must be of type Part",
+        "part = None: must be an instance of Part",
     }
 
 
@@ -91,7 +91,7 @@ class Narrowed(Derived):
 def test_a_subclass_that_changes_a_default_keeps_bounds_and_role() -> None:
     assert Derived(given=3).rate == 2.0 and Derived(given=3).part == Part(size=7)
     for kind, wrong in ((Derived, -1.0), (Narrowed, -1.0), (Narrowed, 1.0)):
-        with pytest.raises(ValueError, match=r"^rate = .*: must be at least"):
+        with pytest.raises(ValueError, match=r"^rate = .*: must be greater than or equal to"):
             kind(given=3, rate=wrong)
     rate, part, given = list_fields(Narrowed)
     assert rate == ("rate", float, 2.0, Role.EVALUATION)

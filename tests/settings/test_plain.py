@@ -84,8 +84,8 @@ def test_errors_have_a_line_each_with_dotted_keys() -> None:
     assert errors_of(node) == [
         "there is no 'task.line.featurs'; did you mean 'task.line.features'?",
         "task.line.size = 0: must be greater than 0",
-        "task.gap_bl = 'x': must be a number",
-        "seed = 1.5: must be a whole number",
+        "task.gap_bl = 'x': must be a valid number",
+        "seed = 1.5: must be a valid integer",
     ]
 
 
@@ -96,13 +96,13 @@ def test_errors_have_a_line_each_with_dotted_keys() -> None:
         ({"task": {}, "siz": 1}, "there is no 'siz'; did you mean 'task.line.size'?"),
         ({"task": {}, "xyz": 1}, "there is no 'xyz'. There is: task, logger, seed"),
         ({}, "task: has no default, so it must be given"),
-        ({"task": None}, "task = None: must be of type Task"),
+        ({"task": None}, "task = None: must be an instance of Task"),
         ({"task": {"gait": {"speed": 10}}}, "task.gait.speed = 10.0: must be that of a fish"),
         (
             {"task": {"line": {"colour": "BLUE"}}},
             "task.line.colour = 'BLUE': must be one of RED, DARK_RED",
         ),
-        ({"task": {}, "logger": {"size": "3"}}, "logger.size = '3': must be a whole number"),
+        ({"task": {}, "logger": {"size": "3"}}, "logger.size = '3': must be a valid integer"),
         ({"task": {}, "logger": {"sice": 3}}, "logger.size: has no default, so it must be given"),
         ("Training", "give a _target_ and its arguments; got 'Training'"),
     ],

@@ -24,7 +24,7 @@ def test_invalid_numbers_of_collectors_are_refused(
     monkeypatch.setattr("fishrl.training.resolve.find_spec", lambda name: None)
     for wrong, said in (
         ({"ray_collectors": 3}, "num_envs = 8: must be a multiple of"),
-        ({"ray_collectors": -1}, "ray_collectors = -1: must be at least 0"),
+        ({"ray_collectors": -1}, "ray_collectors = -1: must be greater than or equal to 0"),
         ({"ray_collectors": 2}, "needs Ray: pip install 'ray"),
     ):
         with pytest.raises(ValueError, match=said):

@@ -20,7 +20,7 @@ from fishrl.viewer import (
     record_episodes,
     start_drawing,
 )
-from fishrl.viewer.film import FOOD, label_axes, write_animation, write_flow, write_snapshots
+from fishrl.viewer.film import FOOD, label_axes, write_film, write_flow, write_snapshots
 
 #: Number of flows kept in ``capture.rrd``.
 _MAX_FLOWS = 3
@@ -94,7 +94,7 @@ def write_run_pictures(
         field = shown.scene.field.key
         write_snapshots(shown, folder / f"{field}_sequence.png")
         write_flow(shown, folder / f"{field}_last.png")
-        write_animation(shown, folder / "capture.gif")
+        write_film(shown, folder / "capture.gif")
 
 
 def write_trajectories(recordings: Sequence[Recording], path: Path) -> None:

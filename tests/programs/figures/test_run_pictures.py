@@ -77,16 +77,6 @@ def test_a_task_with_a_goal_gets_every_picture_others_the_learning_curve(tmp_pat
     assert [path.name for path in tmp_path.glob("*.[pg]*")] == ["learning_curve.png"]
 
 
-def test_the_animation_shrinks_until_it_fits(tmp_path: Path) -> None:
-    recording = make_recording(num_frames=5)
-    film.write_animation(recording, tmp_path / "large.gif")
-    limit = (tmp_path / "large.gif").stat().st_size // 2
-    film.write_animation(recording, tmp_path / "small.gif", max_bytes=limit)
-    assert (tmp_path / "small.gif").stat().st_size <= limit
-    with pytest.raises(ValueError, match="max_bytes = 10: "):
-        film.write_animation(recording, tmp_path / "x.gif", max_bytes=10)
-
-
 def test_colours_are_symmetric_about_zero_and_saturate_at_a_round_number() -> None:
     recording = make_recording()
     limit = film.choose_limit(recording)
