@@ -191,9 +191,8 @@ def read_scene(
     """Return ``[B, ...]`` tensors by the keys of ``make_scene``; numbers of M fish ``[B, M]``."""
     extension = find_extension(task, HasScene)
     scales, num_fish = task.scales, task.num_fish
-    names = ("fish", *_name_obstacles(solver.config))[: len(solver.bodies)]
     values = compute_fields(solver, scales)
-    for index, name in enumerate(names):
+    for index, name in enumerate(("fish", *_name_obstacles(solver.config))):
         values |= _read_body(solver, index, name, scales)
     every = [_read_fish(solver, index, scales) for index in range(num_fish)]
     for index, own in enumerate(every):

@@ -11,6 +11,7 @@ import fishrl.envs.flow_env
 import fishrl.envs.streams
 from fishrl.envs import AbstractTask, FlowEnv, Predation
 from fishrl.envs.wakes import WakeBank, WakeRecipe
+from fishrl.physics.collision import compute_equilibrium
 from tests.envs.kinematic_solver import KinematicSolver
 
 #: Smallest scales that the units and the wall margin allow: fast, not accurate.
@@ -23,13 +24,14 @@ SMALL: dict[str, Any] = {
 
 
 def move_kinematically(patch: pytest.MonkeyPatch) -> None:
-    """Replace flows by fish that move at constant speed, and developed wakes by nothing."""
+    """Replace flows by fish that move at constant speed, and wakes by undisturbed streams."""
     patch.setattr(fishrl.envs.flow_env, "InPlaceSolver", KinematicSolver)
 
     def make_bank(recipe: WakeRecipe, _: object) -> WakeBank:
-        num = len(recipe.speeds)
-        still = torch.zeros(num, 1, 1, 1, 1)
-        return WakeBank(populations=still, shedding_frequencies=torch.ones(num))
+        speed = torch.tensor(recipe.speeds).view(-1, 1, 1, 1)
+        ux = speed.expand(-1, 1, recipe.config.height, recipe.config.width)
+        stream = torch.stack(compute_equilibrium(torch.zeros_like(ux), ux, torch.zeros_like(ux)), 2)
+        return WakeBank(populations=stream, shedding_frequencies=torch.ones(len(speed)))
 
     patch.setattr(fishrl.envs.streams, "load_wakes", make_bank)
 

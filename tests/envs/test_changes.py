@@ -78,7 +78,7 @@ def test_changes_affect_neither_other_starts_nor_units() -> None:
 
 @pytest.mark.usefixtures("kinematic")
 def test_each_row_follows_its_own_changes() -> None:
-    changes = StreamSteps(times_T=(0.4, 1.6), speeds_bl=(1.5, 1.0))
+    changes = StreamSteps(times_T=(0.4, 1.6), speeds_bl=(1.5, 1.0), ramp_T=0.4)
     stepping = make_task(changes, control_interval_T=0.5, checks_per_action=13)
     starts = stepping.sample_starts(2, torch.Generator().manual_seed(0))
     starts["flow_index"] = torch.tensor([0, 1])
@@ -90,7 +90,7 @@ def test_each_row_follows_its_own_changes() -> None:
         after = act(env, 1, 1)
         speeds.append(after["stream_speed"].squeeze(-1))
         names.append(after["flow_index"].squeeze(-1).tolist())
-    # kinematic streams change at once, with the first decision at or after 0.4 and 1.6 T
+    # they change within the first decision at or after 0.4 and 1.6 T
     expected = [[1.0, 1.25], [1.5, 1.1], [1.5, 1.1], [1.5, 1.1], [1.0, 1.6]]
     torch.testing.assert_close(torch.stack(speeds), torch.tensor(expected).double())
     assert names == [[0, 1], [2, 0], [2, 0], [2, 0], [0, 2]]

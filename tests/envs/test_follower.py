@@ -93,4 +93,4 @@ def test_baseline_keeps_the_largest_amplitude() -> None:
     state = make_baseline("keep_place", task=task, seed=0)(env.reset())
     assert state["action"].shape == (2, 3) and (state["action"][:, 2] == 1.0).all()
     env.step(state)
-    assert env.base_env.solver.body.amplitude.tolist() == pytest.approx([0.9, 0.9])
+    assert env.base_env.solver.body.amplitude_goal.tolist() == pytest.approx([0.9, 0.9])

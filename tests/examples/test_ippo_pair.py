@@ -16,12 +16,12 @@ BRIEF: dict[str, Any] = {**SMALL, "control_interval_T": 0.1, "checks_per_action"
 
 @pytest.mark.parametrize("is_central", [False, True])
 def test_torchrls_multi_agent_modules_train_fish_as_they_are(is_central: bool) -> None:
-    env = make_env(task=PredationPair(**BRIEF, time_limit=3), num_envs=4, compile=False)
+    task = PredationPair(**BRIEF, time_limit=3)
     settings = Settings(
         frames=32, frames_per_batch=16, num_epochs=2, batch_size=8, is_central=is_central
     )
-    policy, returns = train(env, settings)
+    policy, returns = train(make_env(task=task, num_envs=4, compile=False), settings)
     assert len(returns) >= 2 * 4 * 2  # two fish in four flows, at least twice
     assert all(p.isfinite().all() for p in policy.parameters())
-    rollout = env.rollout(3, policy)
+    rollout = make_env(task=task, num_envs=1, compile=False).rollout(3, policy)
     assert rollout["agents", "action"].shape[2:] == (2,)

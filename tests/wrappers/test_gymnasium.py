@@ -48,7 +48,8 @@ def test_observations_and_actions_belong_to_their_spaces() -> None:
     assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     for _ in range(2):
         envs.close()
-    assert envs.flows.solver.is_closed
+    with pytest.raises(RuntimeError, match="closed"):
+        envs.flows.solver.advance_(2)
 
 
 def test_steps_equal_those_of_the_torchrl_environment() -> None:

@@ -53,7 +53,8 @@ def test_attributes_and_methods_are_returned_per_row() -> None:
     with pytest.raises(ValueError, match="rows share one environment"):
         envs.set_attr("task", None)
     envs.close()
-    assert envs.vector.flows.solver.is_closed
+    with pytest.raises(RuntimeError, match="closed"):
+        envs.vector.flows.solver.advance_(2)
 
 
 @pytest.mark.learning

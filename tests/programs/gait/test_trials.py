@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -13,7 +12,6 @@ import torch
 import fishrl.envs.flow_env
 from fishrl.envs.changes import StreamSwitches
 from fishrl.envs.streams import Stream
-from fishrl.envs.wakes import WakeBank
 from fishrl.programs.gait import trials
 from fishrl.programs.gait.trials import Histories, Trial, make_trial, record, run_trial
 from tests.envs.kinematic_solver import KinematicSolver
@@ -25,13 +23,13 @@ LIFT = 0.003  # rho (nodes / step)^2 nodes, on the obstacle of each row times it
 
 
 class LiftedSolver(KinematicSolver):
-    """An obstacle next to the fish, on which the flow pushes with a constant lift."""
+    """Flows that push on the obstacle with a constant lift."""
 
-    @property
-    def bodies(self) -> list:
+    def advance_(self, num_steps: int, rows: torch.Tensor | None = None) -> None:
+        super().advance_(num_steps, rows)
+        fish, disc = self.bodies
         lift = LIFT * torch.arange(1.0, self.num_envs + 1.0).double()
-        impulse = torch.stack((0.5 * self.body.age, lift * self.body.age), -1)
-        return [self.body, SimpleNamespace(impulse=impulse)]
+        disc.impulse.copy_(torch.stack((0.5 * fish.age, lift * fish.age), -1))
 
 
 def test_lift_is_the_impulse_on_the_obstacle_per_time_in_rho_L_and_T(
@@ -111,7 +109,9 @@ def test_baselines_of_constant_frequency_beat_at_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rates = torch.tensor([0.001, 0.0012, 0.0014], dtype=torch.float64)
-    bank = WakeBank(populations=torch.zeros(3, 1, 1, 1, 1), shedding_frequencies=rates)
+    task = make_task()
+    assert task.wakes is not None
+    bank = replace(task.wakes, shedding_frequencies=rates)
     monkeypatch.setattr("fishrl.envs.streams.load_wakes", lambda *_: bank)
     task = make_task()
     shed = (rates * task.scales.period).tolist()
