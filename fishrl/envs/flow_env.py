@@ -68,6 +68,7 @@ class FlowEnv(EnvBase):
         solver: the flows.
         start: ``[B]`` TensorDict, the start of each row's episode.
         now: ``[B]`` TensorDict, the measurement behind the last observation.
+        num_diverged: number of rows that have diverged so far.
         is_resting: ``[B]`` bool, rows that are not advanced and whose output is undefined;
             ``run_episodes`` sets it for rows without a start.
         is_moving: ``[B]`` bool, for ``on_frame``: rows whose episode lasted up to this moment.
@@ -114,7 +115,7 @@ class FlowEnv(EnvBase):
         self._seed, self._next_start = seed, 0
         self._episode = torch.zeros_like(self._rows)
         self._start_index = torch.full_like(self._rows, -1)
-        self._num_diverged = torch.zeros((), dtype=torch.int64, device=self.device)
+        self.num_diverged = 0
         self.is_resting = torch.zeros_like(self._rows, dtype=torch.bool)
         self.is_moving, self.is_ending = ~self.is_resting, self.is_resting
         self.solver = InPlaceSolver(
@@ -130,11 +131,6 @@ class FlowEnv(EnvBase):
         self.now = self._begin()
         self._make_specs()  # reports an invalid task before the compilation
         self.solver.compile()
-
-    @property
-    def num_diverged(self) -> int:
-        """Number of rows that have diverged so far."""
-        return int(self._num_diverged)
 
     def measure(self) -> TensorDict:
         """Measure the current flows; also valid within an action."""
@@ -218,7 +214,12 @@ class FlowEnv(EnvBase):
         now, diverged = self._advance(before)
         now.update(self._history.remember(before, action, now))
         self.now = _merge(~diverged, now, self.now)
-        self._count(diverged)
+        if diverged.any():
+            rows = diverged.nonzero().squeeze(-1).tolist()
+            self.num_diverged += len(rows)
+            logger.warning(
+                "flows %s diverged and were truncated; %d so far", rows, self.num_diverged
+            )
         terminated = self.task.is_terminated(self.now) & ~diverged
         reward = self.task.reward(before, self.now)
         reward = check_rows(self.task, "reward", reward, self._shape).float()
@@ -280,14 +281,6 @@ class FlowEnv(EnvBase):
         safe = self.task.count_safe_steps(now)
         return float(safe.masked_fill(has_ended, inf).min())
 
-    def _count(self, diverged: Tensor) -> None:
-        if diverged.any():
-            self._num_diverged += diverged.sum()
-            rows = diverged.nonzero().squeeze(-1).tolist()
-            logger.warning(
-                "flows %s diverged and were truncated; %d so far", rows, self.num_diverged
-            )
-
     def _read_action(self, action: Tensor) -> Tensor:
         """Return legal actions in the form that the task expects."""
         bounds = self.task.action_bounds
@@ -336,7 +329,7 @@ class FlowEnv(EnvBase):
             "now": self.now.clone().to_dict(),
             "start_index": self._start_index.clone(),
             "episode": self._episode.clone(),
-            "num_diverged": self._num_diverged.clone(),
+            "num_diverged": torch.tensor(self.num_diverged),
             "seed": torch.tensor(self._seed),
             "next_start": torch.tensor(self._next_start),
         }
@@ -347,9 +340,10 @@ class FlowEnv(EnvBase):
         for name in ("start", "now"):
             restored = TensorDict(state[name], self.batch_size, device=self.device)
             setattr(self, name, restored.clone())
-        for name in ("start_index", "episode", "num_diverged"):
+        for name in ("start_index", "episode"):
             setattr(self, f"_{name}", state[name].to(self.device).clone())
         self._seed, self._next_start = int(state["seed"]), int(state["next_start"])
+        self.num_diverged = int(state["num_diverged"])
 
     def to(self, device: torch.device | str) -> "FlowEnv":
         """Return the environment; ValueError for another kind of device: flows cannot move."""

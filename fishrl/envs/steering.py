@@ -9,7 +9,6 @@ import hashlib
 from abc import ABC, abstractmethod
 from dataclasses import field
 from functools import cached_property
-from itertools import pairwise
 from math import pi, radians
 from pathlib import Path
 from typing import Annotated
@@ -118,12 +117,7 @@ class PolicySteering(Settings, Steering):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        widths = [self.layers[0][0].shape[1], *(len(bias) for _, bias in self.layers)]
-        if widths[0] != 16 or widths[-1] != 3:
-            raise ValueError(
-                f"steering weights {self.path}: layers of widths {widths}, expected 16 inputs and "
-                "3 actions, as of a policy trained on Predation"
-            )
+        _ = self.layers  # raises if the file holds something else
         content = Path(self.path).expanduser().read_bytes()
         object.__setattr__(self, "weights", hashlib.sha256(content).hexdigest())
 
@@ -157,14 +151,19 @@ def save_weights(layers: list[tuple[Tensor, Tensor]], path: str | Path) -> None:
 
 
 def load_weights(path: str | Path) -> list[tuple[Tensor, Tensor]]:
-    """Read what ``save_weights`` wrote; raise ValueError if the file holds something else."""
+    """Read what ``save_weights`` wrote of a policy trained on ``Predation``.
+
+    Raises:
+        ValueError: if the file holds no network with 16 inputs and 3 actions.
+    """
     what, remedy = "steering weights", "write the file with experiments.export_steering"
     layers = load_tensors(path, what=what, remedy=remedy)
     try:
-        follows = all(a.shape[0] == b.shape[1] for (a, _), (b, _) in pairwise(layers))
-        is_valid = follows and all(weight.shape[:1] == bias.shape for weight, bias in layers)
-    except (TypeError, ValueError, AttributeError, IndexError):
+        sizes = [16, *(len(bias) for _, bias in layers)]
+        shapes = [tuple(weight.shape) for weight, _ in layers]
+        is_valid = sizes[-1] == 3 and shapes == list(zip(sizes[1:], sizes[:-1], strict=True))
+    except (TypeError, ValueError, AttributeError):
         is_valid = False
-    if not layers or not is_valid:
-        raise ValueError(f"{what} {path}: no consecutive layers in it; {remedy}")
+    if not is_valid:
+        raise ValueError(f"{what} {path}: no layers from 16 inputs to 3 actions in it; {remedy}")
     return [(weight, bias) for weight, bias in layers]

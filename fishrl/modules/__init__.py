@@ -10,7 +10,7 @@ from fishrl.modules.actors import (
 )
 from fishrl.modules.controllers import InterceptPolicy, PursuitPolicy, RandomPolicy
 from fishrl.modules.follower_controllers import KeepPlace
-from fishrl.modules.gait_controllers import PID, BangBang, FixedFrequency, GaitPolicy
+from fishrl.modules.gait_controllers import PID, FixedFrequency, GaitPolicy, bang_bang
 from fishrl.modules.lateral_line import LateralLineClassifier
 from fishrl.modules.value_actors import (
     EpsilonGreedy,
@@ -21,7 +21,6 @@ from fishrl.modules.value_actors import (
 
 __all__ = [
     "PID",
-    "BangBang",
     "EpsilonGreedy",
     "FixedFrequency",
     "GaitPolicy",
@@ -31,6 +30,7 @@ __all__ = [
     "PursuitPolicy",
     "RandomPolicy",
     "RecurrentPolicy",
+    "bang_bang",
     "make_actor",
     "make_continuous_actor",
     "make_mlp",

@@ -16,6 +16,7 @@ from torch import Tensor
 #: Maps what a policy reads, ``[B]``, and the flow label ``[B]``, an index, to the commanded
 #: frequency ``[B]`` in beats per T, float64; may be infinite.
 FrequencyController = Callable[[TensorDictBase, Tensor], Tensor]
+STATION_BL = 2.1  # x to keep, body lengths
 
 
 class FixedFrequency:
@@ -34,20 +35,10 @@ class FixedFrequency:
         return frequency[flow] if frequency.dim() else frequency.expand(flow.shape)
 
 
-class BangBang:
-    """Command the highest frequency downstream of the station and the lowest upstream of it.
-
-    Args:
-        station_bl: setpoint of x, body lengths.
-    """
-
-    def __init__(self, *, station_bl: float = 2.1) -> None:
-        self.station_bl = station_bl
-
-    def __call__(self, tensordict: TensorDictBase, flow: Tensor) -> Tensor:
-        """Return infinity or 0."""
-        is_behind = tensordict["observation"][..., 0] > self.station_bl
-        return torch.where(is_behind, torch.inf, 0.0).double()
+def bang_bang(tensordict: TensorDictBase, flow: Tensor) -> Tensor:
+    """Command infinity downstream of the station, x > ``STATION_BL``, and 0 upstream of it."""
+    is_behind = tensordict["observation"][..., 0] > STATION_BL
+    return torch.where(is_behind, torch.inf, 0.0).double()
 
 
 class PID:
@@ -65,7 +56,7 @@ class PID:
     def __init__(
         self,
         *,
-        station_bl: float | Tensor = 2.1,
+        station_bl: float | Tensor = STATION_BL,
         frequency: float | Sequence[float] = 1.0,
         gain: float = 2.0,
         integral_gain: float = 0.0,

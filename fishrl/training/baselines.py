@@ -17,13 +17,13 @@ from torch import Tensor
 from fishrl.envs import Follower, KarmanGait, Predation, PredationPair
 from fishrl.modules import (
     PID,
-    BangBang,
     FixedFrequency,
     GaitPolicy,
     InterceptPolicy,
     KeepPlace,
     PursuitPolicy,
     RandomPolicy,
+    bang_bang,
 )
 from fishrl.modules.gait_controllers import FrequencyController
 from fishrl.settings import suggest
@@ -155,7 +155,7 @@ def make_shedding(task: Any, seed: int) -> GaitPolicy:
 @baseline("bang_bang", KarmanGait, is_default=False)
 def make_bang_bang(task: KarmanGait, seed: int) -> GaitPolicy:
     """Make the controller that beats as fast as possible or not at all."""
-    return make_gait_policy(BangBang(), task)
+    return make_gait_policy(bang_bang, task)
 
 
 @baseline("passive", KarmanGait, is_default=False)

@@ -93,12 +93,12 @@ def test_keys_depend_on_the_weights_and_not_on_their_path(tmp_path: Path) -> Non
 def test_invalid_weights_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "weights.pt"
     save_weights(linear_layers(make_mlp((8, 4, 3))), path)
-    with pytest.raises(ValueError, match=r"layers of widths \[8, 4, 3\], expected 16"):
+    with pytest.raises(ValueError, match="no layers from 16 inputs to 3 actions"):
         PolicySteering(path=str(path))
     loose = [(torch.zeros(4, 16), torch.zeros(4)), (torch.zeros(3, 5), torch.zeros(3))]
     for content in (loose, {"a": 1}):
         torch.save(content, path)
-        with pytest.raises(ValueError, match="no consecutive layers"):
+        with pytest.raises(ValueError, match="no layers"):
             load_weights(path)
     path.write_bytes(b"no weights")
     with pytest.raises(ValueError, match="cannot be read"):

@@ -4,7 +4,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from fishrl.modules import PID, BangBang, FixedFrequency, GaitPolicy
+from fishrl.modules import PID, FixedFrequency, GaitPolicy, bang_bang
 
 ROWS = ((0.5, 1.0, 1.5), (0.6, 1.2, 1.8))
 
@@ -52,8 +52,8 @@ def test_direct_and_continuous_actions_are_the_nearest_and_the_clamped_frequency
 
 
 def test_bang_bang_accelerates_behind_the_station_and_decelerates_ahead() -> None:
-    policy = GaitPolicy(controller=BangBang(station_bl=2.0), rows=ROWS)
-    assert act(policy, see([1.9, 2.1])) == [0, 2]
+    policy = GaitPolicy(controller=bang_bang, rows=ROWS)
+    assert act(policy, see([2.0, 2.2])) == [0, 2]
     assert act(policy, see([1.9], gear=0)) == [1]
 
 
