@@ -22,7 +22,7 @@ class KinematicSolver(InPlaceSolver):
 
     def advance_(self, num_steps: int, rows: Tensor | None = None) -> None:
         assert num_steps >= 0 and num_steps % 2 == 0
-        self._execution.require_open()
+        super().advance_(0, rows)
         moves = self._choose(rows).double()
         self._batch.flow.clock.add_(num_steps * moves)
         for config, body in zip(self.config.bodies, self.bodies, strict=True):

@@ -121,13 +121,6 @@ def test_invalid_continuous_action_is_refused(action: list, message: str) -> Non
         env.step(TensorDict({"action": torch.tensor(action)}, [2]))
 
 
-def test_reward_is_1_for_approach_and_minus_1_otherwise(small_task: Predation) -> None:
-    starts = torch.cat([starts_at((6.5, 2.5)), starts_at(*[(6.5, 2.5)] * 2, heading=0.0)])
-    env = begin(small_task, starts)
-    # ahead of the food; away from it; away from it but turning towards it
-    assert act(env, 1, 1, 2)["reward"].squeeze(-1).tolist() == [1.0, -1.0, 1.0]
-
-
 def test_capture_adds_20_and_terminates(small_task: Predation) -> None:
     env = begin(small_task, starts_at((3.1, 2.5), (5.0, 2.5)))
     after = act(env, KEEP, KEEP)

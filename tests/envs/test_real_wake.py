@@ -70,34 +70,6 @@ def test_row_equals_a_single_flow_and_resets_touch_no_other(task: KarmanGait) ->
         assert torch.equal(value[0], read_flows(env)[name][1]), name
 
 
-def test_reset_erases_the_history_of_a_flow(task: KarmanGait) -> None:
-    starts = task.sample_starts(2, torch.Generator().manual_seed(1))
-    new, used = make_flows(task, 2), make_flows(task, 2, seed=7)
-    used.reset()
-    act(used, 0, 2)
-    for env in (new, used):
-        with env.set_starts(starts):
-            env.reset()
-    assert (act(new, 1, 2) == act(used, 1, 2)).all()
-    for name, value in read_flows(new).items():
-        assert torch.equal(read_flows(used)[name], value), name
-
-
-def test_saved_environment_continues_and_resets_exactly(task: KarmanGait) -> None:
-    env, other = make_flows(task, 2, seed=1), make_flows(task, 2, seed=2)
-    env.reset()
-    other.reset()
-    act(env, 2, 0)
-    other.load_state_dict(env.state_dict())
-    assert (act(env, 1, 1) == act(other, 1, 1)).all()
-    for each in (env, other):
-        reset_rows(each, True, False)
-    assert (act(env, 0, 2) == act(other, 0, 2)).all()
-    for name, value in read_flows(env).items():
-        assert torch.equal(read_flows(other)[name], value), name
-    assert torch.equal(other.solver.markers(1), env.solver.markers(1))
-
-
 def test_episode_begins_behind_its_disc_and_in_its_wake(task: KarmanGait) -> None:
     starts = task.sample_starts(2, torch.Generator().manual_seed(5))
     starts["flow_index"] = torch.tensor([2, 0])
