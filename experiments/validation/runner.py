@@ -1,5 +1,6 @@
 """Run the jobs of cases whose results are not cached, and check all results."""
 
+import ast
 import inspect
 import json
 import logging
@@ -8,15 +9,13 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import product
+from functools import cache
 from pathlib import Path
-from textwrap import dedent
-from types import CodeType, FunctionType
 from typing import Any
 
 import matplotlib as mpl
@@ -26,6 +25,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from experiments.benchmarks.machine import describe_machine
+from experiments.validation import wake
 from experiments.validation.case import Case, Check, Job, Runs
 from fishrl.files import staged
 from fishrl.physics.cache_key import hash_sources, make_key, strip_code
@@ -191,54 +191,20 @@ def _call(job: Job) -> tuple[str, float]:
 def fingerprint(job: Job) -> str:
     """Return a key that changes with everything that may change the job's result.
 
-    It covers the arguments, the function with all it calls and the constants it reads in this
-    package (not the rest of its file: a new tolerance or figure runs nothing again), every source
-    file of ``fishrl.physics`` and the version of torch. Comments, docstrings and layout do not
-    count. Imports inside functions are not seen.
+    It covers the arguments, the module of the function but its ``judge`` and ``draw``, what cases
+    share in ``wake.py``, every source file of ``fishrl.physics`` and the version of torch.
+    Comments, docstrings and layout do not count.
     """
     name = f"{job.function.__module__}.{job.function.__qualname__}"
     arguments = json.dumps(job.arguments, sort_keys=True)
-    sources: set[str] = set()
-    _read_sources(name, job.function, sources)
-    return make_key(name, arguments, sorted(sources), hash_sources(), torch.__version__)
+    modules = sys.modules[job.function.__module__], wake
+    sources = [strip_readers(inspect.getsource(module)) for module in modules]
+    return make_key(name, arguments, sources, hash_sources(), torch.__version__)
 
 
-def _read_sources(name: str, thing: Any, seen: set[str]) -> None:
-    """Add the value of a constant, or the source of a function or type and of all it uses."""
-    if isinstance(thing, Mapping | tuple | list):
-        items = thing.items() if isinstance(thing, Mapping) else enumerate(thing)
-        for key, value in items:
-            _read_sources(f"{name}[{key!r}]", value, seen)
-    elif isinstance(thing, FunctionType | type):
-        own = thing.__module__.startswith(("experiments.", "tests."))
-        if not own or (source := _read_source(thing)) in seen:
-            return
-        seen.add(source)
-        if isinstance(thing, FunctionType):
-            words = set(_find_names(thing.__code__))  # attributes among them
-            reached = [value for word, value in thing.__globals__.items() if word in words]
-            scopes = [thing.__globals__, *map(vars, filter(_is_own_module, reached))]
-            for word, scope in product(sorted(words), scopes):
-                if word in scope:
-                    _read_sources(word, scope[word], seen)
-            defaults = dict(enumerate(thing.__defaults__ or ())) | (thing.__kwdefaults__ or {})
-            for argument, default in defaults.items():
-                _read_sources(f"{thing.__qualname__}({argument})", default, seen)
-    elif not callable(thing) and not inspect.ismodule(thing):
-        seen.add(f"{name} = {thing!r}")
-
-
-def _read_source(thing: FunctionType | type) -> str:
-    source = inspect.getsource(thing)  # of a lambda, lines that may not parse alone
-    return source if thing.__name__ == "<lambda>" else strip_code(dedent(source))
-
-
-def _is_own_module(thing: Any) -> bool:
-    return inspect.ismodule(thing) and thing.__name__.startswith(("experiments.", "tests."))
-
-
-def _find_names(code: CodeType) -> Iterator[str]:
-    yield from code.co_names
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            yield from _find_names(constant)
+@cache
+def strip_readers(source: str) -> str:
+    """Return the code of a case without the functions that only read results."""
+    tree = ast.parse(source)
+    tree.body = [node for node in tree.body if getattr(node, "name", "") not in {"judge", "draw"}]
+    return strip_code(ast.unparse(tree))

@@ -9,7 +9,6 @@ coupling, as the paper writes it, is unstable there (added mass).
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -20,27 +19,6 @@ from fishrl.physics.flow import Coupling, FlowConfig
 from fishrl.physics.geometry import BodyGeometry
 from fishrl.physics.rigid_motion import RigidUpdate, report_bodies
 from fishrl.physics.surface import Freedom, Pair, prescribe_surface, slice_markers
-
-
-class _MarkerMass(NamedTuple):
-    """Fluid mass that the force acts on: F = mass g at each marker.
-
-    Attributes:
-        mass: ``[B, N]``, 2 rho ds.
-        own: slice of each body's markers.
-    """
-
-    mass: Tensor
-    own: list[slice]
-
-    def project(self, freedom: Freedom, g: Pair) -> Tensor | float:
-        """Return the force or torque ``[B]`` along a degree of freedom that g puts on the fluid."""
-        pairs = zip(freedom.unit, g, strict=True)
-        parts = [unit * value for unit, value in pairs if unit is not None and value is not None]
-        if not parts:
-            return 0.0
-        work = self.mass * sum(parts[1:], parts[0])
-        return work[:, self.own[freedom.body]].sum(-1).double()
 
 
 def solve_body_force(
@@ -65,13 +43,36 @@ def solve_body_force(
     Returns:
         g ``[B, 2, N]``, with F = 2 rho g per unit length, and an update per body.
     """
-    markers = _MarkerMass(2.0 * rho * geometry.spacing, slice_markers(config.bodies))
+    mass = 2.0 * rho * geometry.spacing  # of the fluid that the force acts on: F = mass g
     surface = prescribe_surface(config, params, states, geometry.outlines, velocity.dtype)
     residual = surface.velocity - velocity
     right = torch.stack([*residual.unbind(1), *surface.units], 1)
     solution, rest = config.force_solve(geometry.operator, right)
     is_implicit = config.coupling is Coupling.IMPLICIT
-    changes = _solve_rigid_motion(surface.freedoms, markers, solution, is_implicit)
+    own = slice_markers(config.bodies)
+
+    def project(freedom: Freedom, g: Pair) -> Tensor | float:
+        """Return the force or torque ``[B]`` along a degree of freedom that g puts on the fluid."""
+        pairs = zip(freedom.unit, g, strict=True)
+        parts = [unit * value for unit, value in pairs if unit is not None and value is not None]
+        if not parts:
+            return 0.0
+        work = mass * sum(parts[1:], parts[0])
+        return work[:, own[freedom.body]].sum(-1).double()
+
+    # Newton's second law: (inertia + added mass) dU = -F + push. The added mass is the force that
+    # dU itself causes, the projection of the other rows of the force solve; explicit: without it.
+    matrix = [
+        [
+            (project(i, j.respond(solution)) if is_implicit else 0.0)
+            + (i.inertia if i is j else 0.0)
+            for j in surface.freedoms
+        ]
+        for i in surface.freedoms
+    ]
+    slip_force = solution[:, 0], solution[:, 1]
+    drive = [-project(free, slip_force) + free.push for free in surface.freedoms]
+    changes = eliminate(matrix, drive)
     g, slip = list(solution[:, :2].unbind(1)), list(rest[:, :2].unbind(1))
     if is_implicit:
         for freedom, change in zip(surface.freedoms, changes, strict=True):
@@ -86,31 +87,10 @@ def solve_body_force(
         geometry.outlines,
         surface,
         changes=changes,
-        force=(markers.mass * g[0], markers.mass * g[1]),
+        force=(mass * g[0], mass * g[1]),
         slip=(slip[0], slip[1]),
     )
     return torch.stack(g, 1), updates
-
-
-def _solve_rigid_motion(
-    freedoms: Sequence[Freedom], markers: _MarkerMass, solution: Tensor, is_implicit: bool
-) -> list[Tensor]:
-    """Return the change ``[B]`` of each rate that the flow determines, by Newton's second law.
-
-    Implicit: (inertia + added mass) dU = -F + push. The added mass is the force that dU itself
-    causes, the projection of the other rows of the force solve. Explicit: without it.
-    """
-    slip_force = solution[:, 0], solution[:, 1]
-    matrix, drive = [], []
-    for i in freedoms:
-        row = [
-            (markers.project(i, j.respond(solution)) if is_implicit else 0.0)
-            + (i.inertia if i is j else 0.0)
-            for j in freedoms
-        ]
-        matrix.append(row)
-        drive.append(-markers.project(i, slip_force) + i.push)
-    return eliminate(matrix, drive)
 
 
 def eliminate(matrix: Sequence[Sequence[Tensor | float]], right: Sequence[Tensor]) -> list[Tensor]:

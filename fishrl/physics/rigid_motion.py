@@ -10,7 +10,7 @@ from fishrl.physics.bodies.gait import Deformation, advance_phase, compute_ampli
 from fishrl.physics.bodies.outline import BodyConfig, BodyParams
 from fishrl.physics.bodies.state import BodyState
 from fishrl.physics.flow import FlowConfig
-from fishrl.physics.geometry import Markers, Outlines, compute_axis
+from fishrl.physics.geometry import Outlines, compute_axis
 from fishrl.physics.surface import Surface, slice_markers
 
 Pair = tuple[Tensor, Tensor]
@@ -65,51 +65,28 @@ def report_bodies(
     for freedom, change in zip(surface.freedoms, changes, strict=True):
         own_rates = rates[freedom.body]
         own_rates[freedom.axis] = own_rates[freedom.axis] + change
-    square = torch.zeros_like(force[0]) if slip is None else slip[0] * slip[0] + slip[1] * slip[1]
-    return [
-        _report(
-            states[m],
-            outlines.markers[m],
-            rates=rates[m],
-            lateral_velocity=outlines.deformations[m].lateral_velocity,
-            force=(force[0][:, own], force[1][:, own]),
-            square=square[:, own],
-        )
-        for m, own in enumerate(slice_markers(config.bodies))
-    ]
-
-
-def _report(
-    state: BodyState,
-    markers: Markers,
-    *,
-    rates: Sequence[Tensor],
-    lateral_velocity: Tensor,
-    force: Pair,
-    square: Tensor,
-) -> RigidUpdate:
-    """Sum force, torque and power over the markers of one body.
-
-    ``rates`` are its new (U_x, U_y, Omega). ``[B, N]`` each at its markers: ``lateral_velocity`` of
-    its deformation in its own frame, ``force`` on the fluid and the remaining slip's ``square``.
-    """
-    dtype = square.dtype
-    rx, ry = (arm.to(dtype) for arm in markers.arm.unbind(-1))
-    ux, uy = markers.deformation_velocity.to(dtype).unbind(-1)
-    cos, sin = (part.to(dtype)[:, None] for part in compute_axis(state))
-    across = lateral_velocity.to(dtype)
     fx, fy = force
-    power = fx * ux + fy * uy
-    return RigidUpdate(
-        velocity=torch.stack((rates[0], rates[1]), -1),
-        angular_velocity=rates[2],
-        slip_error=square.amax(-1).sqrt().double(),
-        force=torch.stack((fx.sum(-1).double(), fy.sum(-1).double()), -1),
-        torque=(rx * fy - ry * fx).sum(-1).double(),
-        power=power.sum(-1).double(),
-        positive_power=power.clamp_min(0.0).sum(-1).double(),
-        lateral_power=((cos * fy - sin * fx) * across).sum(-1).double(),
-    )
+    square = torch.zeros_like(fx) if slip is None else slip[0] * slip[0] + slip[1] * slip[1]
+    updates = []
+    for m, own in enumerate(slice_markers(config.bodies)):
+        markers, across = outlines.markers[m], outlines.deformations[m].lateral_velocity.to(fx)
+        rx, ry = (arm.to(fx) for arm in markers.arm.unbind(-1))
+        ux, uy = markers.deformation_velocity.to(fx).unbind(-1)
+        cos, sin = (part.to(fx)[:, None] for part in compute_axis(states[m]))
+        x, y = fx[:, own], fy[:, own]
+        power = x * ux + y * uy
+        update = RigidUpdate(
+            velocity=torch.stack((rates[m][0], rates[m][1]), -1),
+            angular_velocity=rates[m][2],
+            slip_error=square[:, own].amax(-1).sqrt().double(),
+            force=torch.stack((x.sum(-1).double(), y.sum(-1).double()), -1),
+            torque=(rx * y - ry * x).sum(-1).double(),
+            power=power.sum(-1).double(),
+            positive_power=power.clamp_min(0.0).sum(-1).double(),
+            lateral_power=((cos * y - sin * x) * across).sum(-1).double(),
+        )
+        updates.append(update)
+    return updates
 
 
 def move_body(

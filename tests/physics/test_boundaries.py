@@ -1,7 +1,5 @@
 """Edges that move, sound that leaves, and profiles along edges."""
 
-from collections.abc import Callable
-
 import pytest
 import torch
 
@@ -62,17 +60,3 @@ def test_profiles_span_the_walls_at_their_ends() -> None:
     torch.testing.assert_close(
         shear.evaluate_profile(Side.LEFT, 5)[1:-1], torch.linspace(-1, 1, 5).double()
     )
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Boundaries(left=Periodic()), "left and right must both be Periodic"),
-        (NonEquilibrium, "give velocity, density or both"),
-    ],
-)
-def test_edges_that_prescribe_too_little_are_refused(
-    make: Callable[[], object], message: str
-) -> None:
-    with pytest.raises(ValueError, match=message):
-        make()

@@ -1,4 +1,4 @@
-"""Sponges, the speed of the stream, and configurations that are refused."""
+"""Sponges and the speed of the stream."""
 
 import math
 from itertools import pairwise
@@ -6,8 +6,7 @@ from itertools import pairwise
 import pytest
 import torch
 
-from fishrl.physics import Boundaries, Cylinder, Fish, FlowConfig, NonEquilibrium, Sponge
-from fishrl.physics.boundaries import Side
+from fishrl.physics import FlowConfig, Sponge
 from fishrl.physics.flow import change_stream_speed, compute_stream_speed, make_params
 
 
@@ -39,22 +38,3 @@ def test_the_stream_rises_and_changes_as_half_a_cosine_and_a_sudden_change_conti
     rising = still._replace(ramp_steps=zero + 100)
     sudden = change_stream_speed(rising, zero + 50, zero + 0.04, None)
     assert compute_stream_speed(sudden, zero + 50).item() == pytest.approx(0.02)
-
-
-FAST = NonEquilibrium(velocity=(0.5, 0.0))
-
-
-@pytest.mark.parametrize(
-    ("bad", "message"),
-    [
-        ({"tau": 0.5}, "tau = 0.50000 lies outside the validated range"),
-        ({"bodies": (Fish(body_length=70),)}, "does not fit into 128 x 64 nodes"),
-        ({"bodies": (Cylinder(diameter=9), Fish(body_length=24))}, "the fish must come first"),
-        ({"sponges": (Sponge(length=129),)}, "Sponge of 129 nodes does not fit into 128 x 64"),
-        ({"sponges": (Sponge(length=65, side=Side.TOP),)}, "Sponge of 65 nodes does not fit"),
-        ({"boundaries": Boundaries(left=FAST)}, "an edge imposes 0.500 nodes per step"),
-    ],
-)
-def test_a_flow_that_cannot_run_is_refused(bad: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        FlowConfig(**({"width": 128, "height": 64, "tau": 0.6} | bad))  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Lattice units: what follows from a preset, and what is refused."""
+"""Lattice units: what follows from a preset."""
 
 import math
 
@@ -32,8 +32,6 @@ def test_relaxation_times_of_the_paper_follow_from_its_reynolds_numbers() -> Non
         0.50714, abs=1e-5
     )
     assert compute_tau(length=40, speed=0.1, reynolds=200) == pytest.approx(0.56)
-    with pytest.raises(ValueError, match="must be positive"):
-        compute_tau(length=40.0, speed=0.0, reynolds=100.0)
 
 
 @pytest.mark.parametrize(
@@ -49,17 +47,3 @@ def test_the_fastest_point_of_the_midline_sets_the_speed_of_a_gait(
     gait: Gait, largest: float
 ) -> None:
     assert gait.tail_speed == pytest.approx(2.0 * math.pi * largest, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("bad", "message"),
-    [
-        ({"period": 601}, "period = 601.*even"),
-        ({"period": 400}, "tail speed = .*raise period"),
-        ({"stream_speed_bl": 1.2}, "stream speed = 0.200.*raise period"),
-        ({"reynolds": 1e6}, "tau = 0.50005.*raise body_length"),
-    ],
-)
-def test_unusable_scales_are_refused_with_a_remedy(bad: dict[str, float], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Scales(**({"body_length": 100, "reynolds": 7000.0, "period": 600} | bad))

@@ -1,7 +1,6 @@
 """Several bodies in one flow, and flows that differ within one batch."""
 
 import math
-from dataclasses import replace
 
 import pytest
 import torch
@@ -10,7 +9,6 @@ from fishrl.physics import Cylinder, DCylinder, Ellipse, Fish, FlowConfig, InPla
 from fishrl.physics.bodies.gait import Gait
 from fishrl.physics.bodies.motion import Fixed, Free, Oscillating
 from fishrl.physics.boundaries import Boundaries, NonEquilibrium, NoSlip, Profile
-from fishrl.physics.collision import Rates
 from fishrl.physics.flow import make_params
 from tests.physics.flows import advance, read_state, start_solver
 
@@ -72,14 +70,6 @@ def test_many_bodies_in_flows_that_differ_equal_the_readable_step(compile: bool)
     sunk = start.bodies[3].position - solver.bodies[3].position
     assert (sunk[:, 1] > 0.05).all()
     assert (still.impulse[:, 0] > 0.1).all()  # drag
-
-
-def test_flows_that_differ_too_much_for_one_batch_are_refused() -> None:
-    other = replace(CROWD[0], rates=Rates(energy=1.0))
-    with pytest.raises(ValueError, match="flow 1 differs from flow 0 in more than tau"):
-        InPlaceSolver(config=[CROWD[0], other])
-    with pytest.raises(ValueError, match="num_envs = 3 with 2 configurations"):
-        InPlaceSolver(config=CROWD, num_envs=3)
 
 
 def test_each_fish_turns_and_beats_as_it_is_commanded() -> None:

@@ -7,13 +7,12 @@ import pytest
 import torch
 
 from fishrl.physics.bodies.fish import Fish
-from fishrl.physics.bodies.motion import Driven, Fixed, Oscillating
+from fishrl.physics.bodies.motion import Fixed, Oscillating
 from fishrl.physics.bodies.outline import BodyConfig, Cylinder, DCylinder, Ellipse, Foil
 from fishrl.physics.bodies.sections import Section
 from fishrl.physics.bodies.shear import ShearParams
 from fishrl.physics.bodies.state import make_body
 from fishrl.physics.diagnostics import compute_area
-from fishrl.physics.flow import FlowConfig
 from fishrl.physics.geometry import deform_body, place_markers
 
 ONE = torch.ones(1, dtype=torch.float64)
@@ -128,20 +127,3 @@ def test_a_kick_is_one_period_of_a_sine() -> None:
     assert max(speeds) == pytest.approx(0.02, rel=0.01)
     assert sum(speeds) == pytest.approx(0.0, abs=1e-12)
     assert speeds[30:] == [0.0] * 10
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (
-            lambda: FlowConfig(
-                width=60, height=60, tau=1.0, bodies=(Cylinder(diameter=40, num_markers=500),)
-            ),
-            "0.25 nodes apart",
-        ),
-        (lambda: Cylinder(diameter=40, motion=Driven(angular_velocity=0.02)), "0.4 nodes per step"),
-    ],
-)
-def test_impossible_marker_spacing_and_speed_are_refused(make: object, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        make()  # type: ignore[operator]

@@ -16,12 +16,12 @@ from fishrl.physics.cases import make_swimmer_config
 from fishrl.physics.flow import make_params
 from fishrl.physics.geometry import deform_body, place_markers
 from tests.physics.bodies.test_fish import (
-    SCALES,
     assert_midline_keeps_length_area_and_centre,
     assert_no_angular_momentum,
     make_fish_body,
     outline,
 )
+from tests.physics.flows import SCALES
 
 LARVA = Fish(
     body_length=100, section=Section.LARVA, thickness=0.127, strokes=C_START, motion=Free()
@@ -95,11 +95,3 @@ def test_fish_of_one_batch_may_follow_strokes_of_their_own() -> None:
     configs[1] = make_swimmer_config(SCALES, length_bl=6, height_bl=6, bodies=(single,))
     with pytest.raises(ValueError, match="flow 1 differs"):
         make_params(configs)
-
-
-def test_strokes_that_no_body_can_follow_are_refused() -> None:
-    tight = Stroke(duration=1.0, bend=(50.0, 0.0, 0.0), wave=(0.0, 0.0, 0.0), lag=0.0)
-    with pytest.raises(ValueError, match="sections would overlap"):
-        replace(LARVA, strokes=Strokes(sequence=(tight,)))
-    with pytest.raises(ValueError, match=r"sequence = .*at least 1"):
-        Strokes(sequence=())

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch.profiler import ProfilerActivity, profile
 
-from fishrl.physics import Fish, FlowConfig, FlowState, Foil, InPlaceSolver, Scales, Stroke, Strokes
+from fishrl.physics import Fish, FlowConfig, FlowState, Foil, InPlaceSolver, Stroke, Strokes
 from fishrl.physics.bodies.motion import Bending, Commanded, Fixed, Free, Surging, Towed
 from fishrl.physics.bodies.state import BodyState, make_body
 from fishrl.physics.boundaries import (
@@ -22,22 +22,17 @@ from fishrl.physics.boundaries import (
     Profile,
     Side,
 )
-from fishrl.physics.cases import PERIODIC, make_swimmer_config
+from fishrl.physics.cases import PERIODIC
 from fishrl.physics.fast import compiled as compiled_module
 from fishrl.physics.fast import execution as execution_module
 from fishrl.physics.flow import Coupling, Sponge, make_params, make_rest, make_uniform
 from fishrl.physics.immersed_boundary import DirectSolve
 from fishrl.physics.step import step
-from tests.physics.flows import advance, read_state, start_solver
+from tests.physics.flows import SCALES, advance, make_tank, read_state, start_solver
 
-SCALES = Scales.from_budget(body_length=24, reynolds=800.0, max_wall_speed=0.1)
 STARTS = torch.tensor([[60.3, 36.4], [40.1, 30.7], [50.0, 41.0]], dtype=torch.float64)
 HEADINGS = torch.tensor([math.pi, 2.5, -2.8], dtype=torch.float64)
 TURN = torch.tensor([0.2, -0.2, 0.0], dtype=torch.float64)
-
-
-def make_tank(**changes: Any) -> FlowConfig:
-    return make_swimmer_config(SCALES, length_bl=4, height_bl=3, **changes)
 
 
 TANK = make_tank()

@@ -13,7 +13,8 @@ from fishrl.physics import Fish, FlowConfig, InPlaceSolver, Storage
 from fishrl.physics.boundaries import Boundaries, NoSlip
 from fishrl.physics.fast.compiled import compile_inplace, is_own
 from fishrl.physics.lattice import Q
-from tests.physics.fast.test_solver import CHANGES, TANK, make_solver, make_tank
+from tests.physics.fast.test_solver import CHANGES, TANK, make_solver
+from tests.physics.flows import make_tank
 
 OUTFLOW = CHANGES["pinned outflow"]
 
